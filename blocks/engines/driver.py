@@ -26,7 +26,7 @@ from ..results.results import Results
 from ..text.available_memory import Watch
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError
 from .run.engine import Engine
-from .run.memory_estimate import no_room
+from .run.memory_estimate import COPIES, COPIES_OF_MASTER, no_room
 from .run.saved_state import State
 
 __all__ = ["Simulation"]
@@ -82,6 +82,7 @@ class Simulation:
         """
         self._check_range(stop)
         engine, self.interrupted = self.engine, False
+        copies = COPIES_OF_MASTER if isinstance(engine.plan, Coupling) else COPIES
         with self._guarded():
             try:
                 with engine.hearing() as look_up:
@@ -92,7 +93,7 @@ class Simulation:
                         look_up()
                         if engine.t == t:  # an instant, or a step that was refused
                             continue
-                        self.watch.look(engine.recorded_bytes)
+                        self.watch.look(engine.recorded_bytes, copies)
                         if self.progress is not None:
                             self.is_telling = True
                             self.progress(engine.t)

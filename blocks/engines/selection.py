@@ -25,7 +25,7 @@ from .native.model import model_of
 from .native.stiff import stiff_engine
 from .reference.engine import ReferenceEngine
 from .run.engine import ENGINES, VARIABLE, Engine
-from .run.memory_estimate import COPIES, check, check_plan, no_room
+from .run.memory_estimate import COPIES_OF_MASTER, check, check_plan, no_room
 from .run.model_exchange import Foreigns
 from .run.saved_state import State
 
@@ -167,8 +167,8 @@ def check_room(what: Plan | Coupling, begin: Fraction | None = None, *, is_nativ
     if settings.stop is not None and settings.every is not None:
         rows = int((settings.stop - settings.start) / settings.every) + 1
     width = 2 + 2 * len(what.measures)
-    of_measures = 8.0 * COPIES * width * points if what.measures else 0.0
-    check(what.name, rows, len(what.columns), of_measures)
+    of_measures = 8.0 * COPIES_OF_MASTER * width * points if what.measures else 0.0
+    check(what.name, rows, len(what.columns), of_measures, copies=COPIES_OF_MASTER)
 
 
 def _loaded(unit: CoupledUnit) -> Loaded:

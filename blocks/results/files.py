@@ -15,12 +15,15 @@ Pandas, pyarrow and SciPy are loaded when used.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import csv
-import importlib
+import importlib.util
 import io
 import json
 import math
+import mmap
+import os
 import re
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -33,7 +36,7 @@ import numpy as np
 from ..text.atomic_write import known_ending, write_atomically
 from ..text.element_names import element_names
 from ..text.errors import Fault, UsageError
-from ..text.plain_files import opened
+from ..text.plain_files import INHERITED, opened
 from ..text.printable import legible, one_line
 from .mat_check import check
 
@@ -46,6 +49,8 @@ FIRST_LINE = f"# blocks results {VERSION}"
 TIMES = ("time", "t")
 ROWS = 4096
 """Rows of a CSV file that are made at once."""
+MANY = 2**18
+"""Numbers of a CSV file from which on pyarrow, where it is installed, is loaded to write or read them."""
 # MATLAB's namelengthmax; its keywords cannot be names.
 LONGEST_IDENTIFIER = 63
 KEYWORDS = (
@@ -124,10 +129,56 @@ def write_csv(stream: TextIO, table: FileTable, *, metadata: bool) -> None:
     elements = table.elements()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["time", *(name for name, _, _ in elements)])
-    columns = (table.t, *(values for _, _, values in elements))
-    for first in range(0, len(table.t), ROWS):  # Python numbers take four times the memory
-        part = (map(repr, column[first : first + ROWS].tolist()) for column in columns)
-        writer.writerows(zip(*part, strict=True))
+    columns = [table.t, *(values for _, _, values in elements)]
+    rows = ROWS
+    texts: Callable[[Array], Any] = _texts
+    if len(table.t) * len(columns) >= MANY and _has_arrow():
+        rows, texts = MANY // len(columns) + 1, _texts_by_arrow
+    for first in range(0, len(table.t), rows):  # Python numbers take four times the memory
+        part = [texts(column[first : first + rows]) for column in columns]
+        if texts is _texts:
+            writer.writerows(zip(*part, strict=True))
+        else:
+            stream.write(_lines(part))
+
+
+def _texts(values: Array) -> list[str]:
+    return [repr(value) for value in values.tolist()]
+
+
+def _has_arrow() -> bool:
+    return importlib.util.find_spec("pyarrow") is not None
+
+
+def _texts_by_arrow(values: Array) -> Any:
+    """The same as an array of Arrow: its decimals are the shortest, too, and repr writes some of them otherwise."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    if values.dtype != np.float64:
+        return pa.array(_texts(values))
+    texts = pc.cast(pa.array(values), pa.string())
+    size = np.abs(values)
+    with np.errstate(invalid="ignore"):  # NaN that signals
+        whole = (size < 1e10) & (values == np.trunc(values))  # 1, which repr writes as 1.0
+    # Arrow writes exponents below 1e-6 and from 1e10 on, even of one digit; repr below 1e-4 and from 1e16 on, of two.
+    alike = whole | (size >= 1e-4) & (size < 1e10) | (size < 1e-9) | (size >= 1e16) | np.isnan(values)
+    if whole.any():
+        numbers = pc.binary_join_element_wise(texts.filter(pa.array(whole)), ".0", "")
+        texts = pc.replace_with_mask(texts, pa.array(whole), numbers)
+    if not alike.all():
+        texts = pc.replace_with_mask(texts, pa.array(~alike), pa.array(_texts(values[~alike])))
+    return texts
+
+
+def _lines(columns: Sequence[Any]) -> str:
+    """Lines of a CSV file, of arrays of Arrow that hold texts of numbers."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    lines, plain = io.BytesIO(), arrow_csv.WriteOptions(include_header=False, quoting_style="none")
+    arrow_csv.write_csv(pa.table(list(columns), [str(k) for k in range(len(columns))]), lines, plain)
+    return lines.getvalue().decode("ascii")
 
 
 def _write_parquet(stream: Any, table: FileTable) -> None:
@@ -263,18 +314,25 @@ def _columns(
 def _read_csv(path: Path, refuse: Refuse) -> Content:
     metadata: dict[str, Any] = {}
     with opened(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as stream:
-        line, skipped = stream.readline(), 0
+        line, skipped, above = stream.readline(), 0, 0
         ours = re.fullmatch(r"# blocks results ([0-9]{1,9})\s*", line)
         while line.startswith("#"):
             key, _, text = line[1:].strip().partition(":")
             if ours:  # comments of other programs are skipped
                 with contextlib.suppress(ValueError):
                     metadata[key] = json.loads(text)
+            above += len(line.encode())
             line, skipped = stream.readline(), skipped + 1
         metadata |= {"version": int(ours[1])} if ours else {}
         header = [name.strip() for name in next(csv.reader([line]), [])]
         if not header or header[0] not in TIMES:
             raise refuse("has no column 'time' in front.", "The first line below comments is: time,NAME,...")
+        many = _many_rows(path, skipped, len(header))
+        if many is not None:
+            return _without_twins(header[1:], refuse), many, {}, metadata
+        many = _many_rows(path, above + len(line.encode()), len(header))
+        if many is not None:
+            return _without_twins(header[1:], refuse), many, {}, metadata
         rows = csv.reader(stream)
         data = array("d")
         for row in rows:
@@ -287,6 +345,30 @@ def _read_csv(path: Path, refuse: Refuse) -> Content:
                 raise refuse(f"line {rows.line_num + skipped + 1} does not hold {len(header)} numbers.")
             data.extend(numbers)
     return _without_twins(header[1:], refuse), np.array(data).reshape(-1, len(header)), {}, metadata
+
+
+def _many_rows(path: Path, above: int, width: int) -> Array | None:
+    """The rows of a large CSV file by pyarrow, below so many bytes of comments and header.
+
+    None where the file is small, or where pyarrow is not there or finds a fault: Python tells where it is.
+    """
+    if str(path).startswith(INHERITED) or os.path.getsize(path) < 8 * MANY or not _has_arrow():
+        return None
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    names = [str(k) for k in range(width)]
+    convert = arrow_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.float64()), null_values=[])
+    with opened(path) as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        above += len(codecs.BOM_UTF8) if data[:3] == codecs.BOM_UTF8 else 0
+        if data.find(b"(", above) >= 0:  # nan(1) is a number for pyarrow
+            return None
+        stream.seek(above)
+        try:
+            table = arrow_csv.read_csv(stream, arrow_csv.ReadOptions(column_names=names), convert_options=convert)
+        except pa.ArrowException:
+            return None
+        return np.column_stack([column.to_numpy() for column in table.columns])
 
 
 def _without_twins(names: list[str], refuse: Refuse) -> list[str]:

@@ -31,19 +31,21 @@ class Watch:
     def __init__(self) -> None:
         self.next = time.perf_counter() + INTERVAL
 
-    def look(self, recorded: float) -> None:
-        """recorded: bytes of the rows, of which results are a copy. Raises NoRoom where little more fits than that."""
+    def look(self, recorded: float, copies: float) -> None:
+        """recorded: bytes of the rows; so many times that is needed for results of them. Raises NoRoom where that
+        would be more than `for_recording` gave.
+        """
         now = time.perf_counter()
         if now < self.next:
             return
         self.next = now + INTERVAL
-        # What was recorded and its copy are then two thirds of what there was, as `for_recording` has it.
-        if available() < max(2 * recorded, LEAST):
+        # copies * recorded = 2/3 (recorded + available), as `for_recording` has it.
+        if available() < max((1.5 * copies - 1.0) * recorded, LEAST):
             raise NoRoom
 
 
 def for_recording() -> float:
-    """How many bytes a run may take for its rows and for the copy of them that results are; inf where that is unknown.
+    """How many bytes a run may take for its rows and for making results of them; inf where that is unknown.
 
     Two thirds of what there is: the rest is for what is done with the results, and for others.
     """

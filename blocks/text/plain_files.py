@@ -7,9 +7,10 @@ import stat
 from io import BufferedReader
 from pathlib import Path
 
-__all__ = ["opened"]
+__all__ = ["INHERITED", "opened"]
 
 INHERITED = ("/dev/fd/", "/dev/stdin", "/proc/self/fd/")
+"""How the paths of pipes begin that this process inherited."""
 
 
 def opened(path: str | Path) -> BufferedReader:

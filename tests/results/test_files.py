@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 import re
@@ -21,6 +22,7 @@ from hypothesis.extra import numpy as arrays
 from scipy.io import loadmat, savemat
 
 from blocks import Constant, Diagram, Results, StateSpace, Step, UsageError
+from blocks.results import files
 from blocks.results.files import FORMATS, KEYWORDS, identifiers
 from blocks.results.provenance import Origin
 from blocks.results.results import Statistics
@@ -127,6 +129,49 @@ def test_the_same_run_gives_the_same_bytes(ending: str, tmp_path: Path) -> None:
     for name in ("a", "b"):
         diagram.run(stop=1.0).save(tmp_path / f"{name}{ending}")
     assert (tmp_path / f"a{ending}").read_bytes() == (tmp_path / f"b{ending}").read_bytes()
+
+
+@pytest.mark.parametrize("kind", ["bits", "edges", "decimals", "whole", "int", "bool"])
+def test_pyarrow_writes_the_decimals_of_repr(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, shape = np.random.default_rng(1), (5000, 4)
+    bounds = np.concatenate([10.0 ** np.arange(-323, 309), 2.0 ** np.arange(-1074, 1024), [0.0, 1.0, np.nan, np.inf]])
+    near = np.concatenate([bounds, np.nextafter(bounds, 0.0), np.nextafter(bounds[:-4], np.inf)])
+    values = {
+        "bits": rng.integers(0, 2**64, shape, dtype=np.uint64).view(float),
+        "edges": rng.choice(np.concatenate([near, -near]), shape),
+        "decimals": np.round(rng.standard_normal(shape), 3) * 10.0 ** rng.integers(-12, 19, shape),
+        "whole": rng.integers(-(10**6), 10**6, shape) * 10.0 ** rng.integers(0, 14, shape),
+        "int": rng.integers(-5, 5, shape),
+        "bool": rng.integers(0, 2, shape) == 1,
+    }[kind]
+    results = Results("x", np.arange(5000) * 1e-3, values, {f"s{k}": (k, (), "") for k in range(4)})
+    monkeypatch.setattr(files, "MANY", 1)
+    stream = io.StringIO()
+    results.write_csv(stream)
+    rows = zip(results.t.tolist(), values.tolist(), strict=True)
+    assert stream.getvalue().splitlines()[1:] == [",".join(map(repr, (t, *row))) for t, row in rows]
+
+
+def test_pyarrow_reads_the_doubles_that_python_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    values = np.random.default_rng(1).integers(0, 2**64, (5000, 2), dtype=np.uint64).view(float)
+    path = tmp_path / "x.csv"
+    Results("x", np.arange(5000.0), values, {"a": (0, (), "V"), "b": (1, (), "")}, origin=ORIGIN).save(path)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    monkeypatch.setattr(files, "MANY", 1)
+    assert files._many_rows(path, path.read_bytes().index(b"b\n") + 2 - 3, 3) is not None
+    read = Results.load(path)
+    monkeypatch.setattr(files, "MANY", 2**40)
+    assert_same(read, Results.load(path))
+
+
+@pytest.mark.parametrize("line", ["3,nan(1)", "3,1_0", "3", "3,", "3,x", "3,4,5"])
+def test_a_fault_in_a_large_csv_file_is_told_as_in_a_small_one(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "x.csv").write_text(f"# of another program\ntime,a\n0,1\n\n{line}\n4,5\n", encoding="utf-8")
+    monkeypatch.setattr(files, "MANY", 1)
+    with pytest.raises(UsageError, match=r"E503 .*: line 5 does not hold 2 numbers\."):
+        Results.load(tmp_path / "x.csv")
 
 
 # --- there and back --------------------------------------------------------------------------------------------

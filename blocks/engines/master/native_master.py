@@ -32,7 +32,7 @@ from ...text.errors import Fault, FMUError
 from ..native.engine import NativeEngine
 from ..native.model import model_of
 from ..native.rows import array, track_table
-from ..run.memory_estimate import COPIES, no_room
+from ..run.memory_estimate import COPIES_OF_MASTER, no_room
 from .limits import limits_header
 from .master import MOST_LEARNT, ReferenceMaster, Row
 from .policy import Policy
@@ -244,7 +244,7 @@ class NativeMaster(ReferenceMaster):
         m.z, m.f, m.dz, m.df = (self._array(np.zeros(e)) for _ in range(4))
         m.work = self._array(np.zeros(3 * e))
         m.left_row = self._array(np.zeros(2 * m.ncolumns + 2))
-        m.slice, m.most_bytes = 0.05, for_recording() / COPIES
+        m.slice, m.most_bytes = 0.05, for_recording() / COPIES_OF_MASTER
         m.patience = max((unit.one.timeout for unit in self.units if isinstance(unit, FmuUnit)), default=PATIENCE)
         m.due, m.acting, m.changed = (self._array(np.zeros(m.nunits), np.uint8) for _ in range(3))
         watched = [

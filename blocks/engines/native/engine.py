@@ -92,6 +92,7 @@ class NativeEngine:
         self._oracle = None
         self.told: list[Array] = []  # pieces of (t, cause)
         self.measures = Measures(self.plan)
+        self._whole: Array | None = None  # rows that were taken from C, the last one included, which C has too
         # The first rows stand in memory that results may keep without a copy.
         self._first = np.empty((self._expected, 1 + len(self.model.logged)))
         rows, begin = self._handle.sim.rows, self._first.ctypes.data
@@ -564,23 +565,43 @@ class NativeEngine:
     def _recorded(self) -> Recorded:
         self._take_over()
         sim, model = self.sim, self.model
-        width = 1 + len(model.logged)
-        rows = sim.rows
-        counts = [len(self._first), *array(rows.counts, rows.nchunks, ctypes.c_int64).tolist()]
-        counts[-1] -= ((rows.end or 0) - (rows.next or 0)) // (8 * width)  # None: nothing is recorded
-        whole = self._first[: counts[0]]
-        if not self.settings.records_jumps:
-            whole = whole.copy()  # what is set now changes its last row
-        if len(counts) > 1:
-            places = array(rows.chunks, rows.nchunks, ctypes.c_size_t).tolist()
-            more = (array(at, n * width).reshape(-1, width) for at, n in zip(places, counts[1:], strict=True))
-            whole = np.concatenate([whole, *more])
+        whole = self._rows()
         statistics = Statistics(self.settings.method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants)
         pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
         events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), tuple(model.told_as))
         measures, uncovered = self.measures.results(self.t)
         warnings = (*self.warnings, *uncovered, *self._unseen())
         return Recorded(whole[:, 0], whole[:, 1:], events, measures, statistics, warnings)
+
+    def _rows(self) -> Array:
+        """All rows, (rows, 1 + columns); many of them are taken from C, and do not stand twice."""
+        first, in_chunks = self._counts()
+        if in_chunks:
+            taken = self._taken(first, in_chunks, np.empty((256, self._first.shape[1])))
+            self._whole = taken if self._whole is None else np.concatenate([self._whole[:-1], taken])
+            self.sim.rows.bytes = float(self._whole.nbytes + self._first.nbytes)
+            return self._whole
+        last = self._first[:first]
+        if self._whole is None:
+            return last if self.settings.records_jumps else last.copy()  # what is set now changes its last row
+        if first == 1 and last[0].tobytes() == self._whole[-1].tobytes():
+            return self._whole
+        return np.concatenate([self._whole[:-1], last])
+
+    def _counts(self) -> tuple[int, int]:
+        """How many rows stand in the first memory, and in chunks of C."""
+        rows = self.sim.rows
+        counts = [len(self._first), *array(rows.counts, rows.nchunks, ctypes.c_int64).tolist()]
+        counts[-1] -= ((rows.end or 0) - (rows.next or 0)) // (8 * self._first.shape[1])  # None: nothing is recorded
+        return counts[0], sum(counts[1:])
+
+    def _taken(self, first: int, in_chunks: int, then: Array) -> Array:
+        """The rows that C has. then: where the last of them and the next ones stand."""
+        taken = np.empty((first + in_chunks, self._first.shape[1]))
+        begin, to, room = (part.ctypes.data for part in (self._first, taken, then))
+        self.model.library.blocks_take_rows(self.address, begin, first, to, room, len(then))
+        self._first = then
+        return taken
 
     def abandon(self) -> None:
         pass

@@ -118,7 +118,8 @@ class Model(RuntimeTables):
         rows: Fraction | int = 256
         if settings.every is not None and settings.stop is not None:
             rows = (settings.stop - start) / settings.every + 64
-        expected = int(min(rows, 2**26 // (8 * (1 + len(self.logged))) + 64))
+        # More than that is copied anyway, from chunks that are freed meanwhile.
+        expected = int(rows) if rows * 8 * (1 + len(self.logged)) <= 2**26 else 256
         self._of_settings = settings, setup, expected
         return setup, expected
 
@@ -155,6 +156,7 @@ def _prepared(library: ctypes.CDLL) -> ctypes.CDLL:
         ("blocks_rows", None, [sim]),
         ("blocks_logged", c.c_int, [sim, sim]),
         ("blocks_record", c.c_int, [sim]),
+        ("blocks_take_rows", None, [sim, sim, c.c_int64, sim, sim, c.c_int64]),
         ("blocks_rates", None, [sim, c.c_double, sim, sim]),
         ("blocks_size", c.c_int64, [c.c_int32]),
         ("blocks_past_room", c.c_int, [sim, c.c_int64, c.c_int64]),

@@ -11,6 +11,7 @@ import numpy as np
 from ...compile.plan import Plan
 from ...compile.time_grid import Grid, within_ulps
 from ...text.available_memory import Watch
+from ..run.memory_estimate import COPIES
 from ..run.recording import Recording
 from ..run.snapshot import Snapshot
 from ..run.step_parts import BETWEEN_ROWS, LEFT_OUT
@@ -111,7 +112,7 @@ class RunRows:
                         self.recording.add(t, self.values(t, x))
                     self.next = k + 1
             first += len(times)
-            self.watch.look(self.recording.bytes)
+            self.watch.look(self.recording.bytes, COPIES)
 
     def _between_steps(self, now: Snapshot, dense: Interpolant, t1: float) -> None:
         """Without a grid, rows inside a step where what is recorded turns faster than the steps follow each other."""
@@ -128,7 +129,7 @@ class RunRows:
             x = dense(np.array([(t - dense.t0) / dense.h]))[0]
             self.recording.add(t, self.values(t, x))
             self.between += 1
-        self.watch.look(self.recording.bytes)
+        self.watch.look(self.recording.bytes, COPIES)
 
     def _look_between(self, now: Snapshot, dense: Interpolant, t1: float) -> None:
         """Note where what is recorded turns more than half a turn from row to row of the grid."""

@@ -12,10 +12,12 @@ from ...compile.plan import Plan
 from ...text import available_memory
 from ...text.errors import Fault, SimulationError, UsageError
 
-__all__ = ["COPIES", "check", "check_plan", "no_room", "rows_of"]
+__all__ = ["COPIES", "COPIES_OF_MASTER", "check", "check_plan", "no_room", "rows_of"]
 
-COPIES = 2
-"""What is recorded, and the results, which are a copy."""
+COPIES = 1.1
+"""What is recorded, and a part of it that stands twice while it becomes results."""
+COPIES_OF_MASTER = 2
+"""The same of a master, whose results are a copy."""
 FLOAT = 8  # bytes
 SMALL = 2**20  # bytes, for which the available memory is not looked up
 CURE = "Record fewer signals (--log), or on a coarser grid (--every)."
@@ -27,9 +29,9 @@ def check_plan(plan: Plan, begin: Fraction, *, is_native: bool) -> None:
     check(plan.name, rows_of(plan, begin), elements, _of_past(plan, begin, is_native=is_native))
 
 
-def check(place: str, rows: int, elements: int, more: float = 0.0) -> None:
+def check(place: str, rows: int, elements: int, more: float = 0.0, *, copies: float = COPIES) -> None:
     """Raise UsageError (E311) where rows of so many elements cannot be recorded. more: other bytes that are needed."""
-    recorded = float(rows) * (1 + elements) * FLOAT * COPIES
+    recorded = float(rows) * (1 + elements) * FLOAT * copies
     needed = recorded + more
     if needed <= SMALL or needed <= (there := available_memory.for_recording()):
         return

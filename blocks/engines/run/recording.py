@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from ...fmi.patience import patient
+
 __all__ = ["Recording"]
 
 Array = np.ndarray[Any, Any]
@@ -22,12 +24,13 @@ class Recording:
         self.columns = columns
         self.chunks: list[Array] = []
         self.rows = 0
+        self.whole: Array | None = None  # rows that results have; the last one is the first one here
         self.chunk = max(1, min(CHUNK, MOST_BYTES // (8 * (1 + columns))))
 
     @property
     def bytes(self) -> float:
         """What the rows take."""
-        return 8.0 * self.rows * (1 + self.columns)
+        return 8.0 * (self.rows + (0 if self.whole is None else len(self.whole) - 1)) * (1 + self.columns)
 
     @property
     def last(self) -> tuple[float, Sequence[float]]:
@@ -54,11 +57,39 @@ class Recording:
         """Take out the rows after t."""
         while self.rows and self.last[0] > t:
             self.rows -= 1
+        if not self.rows and self.whole is not None:
+            self.whole = self.whole[: np.searchsorted(self.whole[:, 0], t, side="right")]
+            self._keep_last(self.whole)
+
+    def taken(self) -> Array:
+        """All rows, (rows, 1 + columns), which are here no longer, but for the last one, which may still change."""
+        with patient() as look_up:
+            whole, first = np.empty((self.rows, 1 + self.columns)), 0
+            chunks = self.chunks[::-1]
+            self.chunks = []
+            while chunks:  # each is freed when it is copied: hardly any row stands twice
+                chunk = chunks.pop()[: self.rows - first]
+                whole[first : first + len(chunk)] = chunk
+                first += len(chunk)
+            self.rows = 0
+            self._keep_last(whole)
+        look_up()
+        return whole
+
+    def _keep_last(self, whole: Array) -> None:
+        for t, *values in whole[-1:].tolist():
+            self.add(t, values)
 
     def arrays(self) -> tuple[Array, Array]:
         """Times (rows,) and values (rows, columns)."""
-        t, values = np.empty(self.rows), np.empty((self.rows, self.columns))
-        for first, chunk in zip(range(0, self.rows, self.chunk), self.chunks, strict=False):
-            rows = slice(first, min(first + self.chunk, self.rows))
-            t[rows], values[rows] = chunk[: rows.stop - first, 0], chunk[: rows.stop - first, 1:]
-        return t, values
+        if self.rows > self.chunk:
+            with patient() as look_up:
+                taken = self.taken()
+                self.whole = taken if self.whole is None else np.concatenate([self.whole[:-1], taken])
+            look_up()
+            return self.whole[:, 0], self.whole[:, 1:]
+        rows = self.chunks[0][: self.rows].copy() if self.rows else np.empty((0, 1 + self.columns))
+        if self.whole is not None:
+            is_same = len(rows) == 1 and rows[0].tobytes() == self.whole[-1].tobytes()
+            rows = self.whole if is_same else np.concatenate([self.whole[:-1], rows])
+        return rows[:, 0], rows[:, 1:]

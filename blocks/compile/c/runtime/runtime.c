@@ -145,6 +145,29 @@ double *blocks_new_row(BlocksSim *s)
     return chunk;
 }
 
+/* Move all rows to `to`: `count` of them from `first`, then those of the chunks, which are freed one by one, so that
+   hardly any stands twice. The last one, which may change yet, stays too, in front of the room for so many rows at `next`. */
+void blocks_take_rows(BlocksSim *s, const double *first, int64_t count, double *to, double *next, int64_t room)
+{
+    BlocksRows *rows = &s->rows;
+    int64_t width = 1 + rows->columns;
+    memcpy(to, first, (size_t)(count * width) * sizeof(double));
+    to += count * width;
+    for (int64_t i = 0; i < rows->nchunks; i++) {
+        double *chunk = rows->chunks[i];
+        int64_t used = i + 1 < rows->nchunks ? rows->counts[i] * width : rows->next - chunk;
+        memcpy(to, chunk, (size_t)used * sizeof(double));
+        to += used;
+        free(chunk);
+    }
+    memcpy(next, to - width, (size_t)width * sizeof(double));
+    s->last_row = next;
+    rows->nchunks = 0;
+    rows->capacity = 1024;
+    rows->next = next + width;
+    rows->end = next + room * width;
+}
+
 static int add_row(BlocksSim *s, double t, const double *values)
 {
     double *row = blocks_row(s);

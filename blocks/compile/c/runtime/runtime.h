@@ -294,6 +294,7 @@ BLOCKS_API void blocks_reload(BlocksSim *s);             /* after memory was wri
 BLOCKS_API void blocks_rows(BlocksSim *s);               /* the same, where inputs and histories are set by hand */
 BLOCKS_API int blocks_logged(BlocksSim *s, double *out); /* recorded signals now */
 BLOCKS_API int blocks_record(BlocksSim *s);              /* a row now */
+BLOCKS_API void blocks_take_rows(BlocksSim *s, const double *first, int64_t count, double *to, double *next, int64_t room);
 BLOCKS_API void blocks_evaluate(BlocksSim *s, BlocksProgram program, double t, const double *x, double *out);
 BLOCKS_API void blocks_rates(BlocksSim *s, double t, const double *x, double *out);
 BLOCKS_API int64_t blocks_size(int32_t what);            /* of the structures, for those who mirror them */
