@@ -11,7 +11,7 @@ import numpy as np
 
 from ..frequency.margins import Margins, margins
 from ..frequency.response import bandwidth, dc_gain, poles, zeros
-from ..linear.linear_model import LiftedLoop, LinearModel
+from ..linear.transfer import LoopOfRates, Transfer
 from ..text.errors import AnalysisError, Fault
 from ..text.printable import counted
 
@@ -22,17 +22,17 @@ def _numbers(values: Any) -> list[list[float]]:
     return [[float(p.real), float(p.imag)] for p in np.asarray(values, dtype=complex)]
 
 
-def _gain(model: LinearModel) -> Any:
+def _gain(model: Transfer) -> Any:
     """The gain at zero frequency: a number, or rows of numbers; None: infinite."""
     gains = [[float(x) if math.isfinite(x) else None for x in row] for row in np.real(dc_gain(model))]
     return gains[0][0] if _is_single(model) else gains
 
 
-def _is_single(model: LinearModel) -> bool:
+def _is_single(model: Transfer) -> bool:
     return bool(model.ninputs == 1 and model.noutputs == 1)
 
 
-def _bandwidth(model: LinearModel) -> float | None:
+def _bandwidth(model: Transfer) -> float | None:
     """Relative to the gain at zero frequency; None where there is no such gain."""
     if not _is_single(model):
         return None
@@ -42,12 +42,12 @@ def _bandwidth(model: LinearModel) -> float | None:
         return None
 
 
-def _is_stable(model: LinearModel) -> bool:
+def _is_stable(model: Transfer) -> bool:
     eigenvalues = np.asarray(poles(model))
     return bool((np.abs(eigenvalues) < 1).all() if model.dt else (eigenvalues.real < 0).all())
 
 
-def entry(model: LinearModel, *, is_loop: bool) -> dict[str, Any]:
+def entry(model: Transfer, *, is_loop: bool) -> dict[str, Any]:
     """A model as one object: poles and zeros in 1/s (z of a sampled one), frequencies in rad/s.
 
     Of a loop transfer with the margins of the closed loop; else `stable` says whether the poles of the model decay.
@@ -68,11 +68,11 @@ def entry(model: LinearModel, *, is_loop: bool) -> dict[str, Any]:
     }
 
 
-def lines(model: LinearModel, *, is_loop: bool) -> Iterator[str]:
+def lines(model: Transfer, *, is_loop: bool) -> Iterator[str]:
     """A model as lines of text."""
     ins, outs = (", ".join(names) for names in model.signals)
     time = f", sampled every {model.dt:g} s" if model.dt else ""
-    if isinstance(model, LiftedLoop):
+    if isinstance(model, LoopOfRates):
         ins = model.point
         time = f", {len(model.times)} values of the signal in a pattern of {model.dt:g} s"
     what = f"loop at {ins}" if is_loop else f"{ins} -> {outs}"
@@ -104,11 +104,11 @@ def lines(model: LinearModel, *, is_loop: bool) -> Iterator[str]:
         yield f"  not on the way: {', '.join(idle[:8])}{more}"
 
 
-def figure(model: LinearModel, kind: str, *, is_loop: bool) -> Any:
+def figure(model: Transfer, kind: str, *, is_loop: bool) -> Any:
     """A matplotlib figure: "bode", "nyquist", "nichols", "step" (of a loop: of the closed one) or "poles"."""
     from ..frequency import figures
 
-    if isinstance(model, LiftedLoop) and kind != "poles":
+    if isinstance(model, LoopOfRates) and kind != "poles":
         message = "is a loop of several rates: one frequency comes back as several, and there is no one curve of it."
         cure = "Draw its poles (--figure poles), or the closed loop: --from, --to."
         raise AnalysisError(Fault("E705", model.point, message, cure))

@@ -82,10 +82,9 @@ def _linearizer(options: argparse.Namespace) -> tuple[Diagram, dict[str, Any]]:
 
 
 def _linearize(options: argparse.Namespace) -> int:
-    from ..analysis.text import entry, figure, lines
-    from ..results import plots
-
     if options.plot:
+        from ..results import plots
+
         check_writable("--plot", options.plot, [options.diagram])
         plots.check_format(options.plot)
     elif options.figure is not None:
@@ -100,13 +99,15 @@ def _linearize(options: argparse.Namespace) -> int:
     given = assignments("--override", options.overrides, "q=1")
     linearizer = diagram.linearizer(overrides={name: raw_number(v) for name, v in given.items()}, **point)
     if is_loop:
-        model = linearizer.loop(options.loop, openings=options.openings, pade=options.pade)
+        model = linearizer.loop_transfer(options.loop, openings=options.openings, pade=options.pade)
         if not model.nstates and not model.D.any():
             message = f"nothing of what is put in there comes back{'.' if model.hint else ': it is in no loop.'}"
             cure = model.hint or "Open the loop at a signal that comes back to itself."
             raise AnalysisError(Fault("E705", options.loop, message, cure))
     else:
-        model = linearizer.model(options.sources, options.sinks, openings=options.openings, pade=options.pade)
+        model = linearizer.transfer(options.sources, options.sinks, openings=options.openings, pade=options.pade)
+    from ..analysis.text import entry, figure, lines
+
     if options.json:
         emit(entry(model, is_loop=is_loop))
     else:
@@ -114,6 +115,8 @@ def _linearize(options: argparse.Namespace) -> int:
         for line in lines(model, is_loop=is_loop):
             print(printable(f"  {line}"))
     if options.plot:
+        from ..results import plots
+
         plots.save(figure(model, options.figure or "bode", is_loop=is_loop), options.plot)
         say(f"figure in {options.plot}")
     return 0

@@ -15,7 +15,7 @@ from .figure_look import FAINT, Shown, note
 from .realization import balanced, equivalent, period
 from .response import dc_gain
 from .search import layout, refined
-from .systems import source
+from .systems import StateSpace, is_of, source
 
 __all__ = [
     "curve_of", "decibel_of", "draw_step_figures", "full_curve_of", "phase_of", "settling_time", "shown_of",
@@ -42,9 +42,7 @@ def shown_of(systems: Any, place: str) -> list[Shown]:
 
 def _own_name(system: Any) -> str:
     """A name that somebody gave; python-control numbers the others."""
-    import control
-
-    if not isinstance(system, (control.StateSpace, control.TransferFunction, control.FrequencyResponseData)):
+    if not is_of(system, "StateSpace", "TransferFunction", "FrequencyResponseData"):
         return ""
     name = str(system.name or "")
     return "" if re.search(r"sys\[\d+\]", name) else name
@@ -144,11 +142,11 @@ def phase_of(w: Array, values: Array) -> Array:
 
 
 def _state_space(trace: Shown) -> Any:
-    import control
+    if is_of(trace.system, "TransferFunction"):
+        import control
 
-    if isinstance(trace.system, control.TransferFunction):
         return control.tf2ss(trace.system)
-    if isinstance(trace.system, control.StateSpace):
+    if isinstance(trace.system, StateSpace):
         return trace.system
     cure = "Fit a model, or simulate."
     raise AnalysisError(Fault("E705", "step_figure", "a response over frequency alone has no exact step.", cure))

@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 
 from ..text.errors import AnalysisError, Fault, UsageError
+from .lapack import eigenvectors
 from .lifted import MOST_GAIN, Factored, Lifted, gain_borders, phase_borders
 from .realization import Realization, balanced, equivalent, growth, period
 from .response import HALF_POWER, dc_gain
 from .search import Peak, curve, first_fall, highest, layout, refined, root, summit
-from .systems import Source, polynomials, source
+from .systems import Source, StateSpace, is_of, polynomials, source
 
 __all__ = ["Margins", "margins"]
 
@@ -351,9 +352,7 @@ class _Closed:
 
 
 def _closed_loop(loop: Any, known: Source) -> _Closed | None:
-    import control
-
-    if isinstance(loop, control.StateSpace):
+    if isinstance(loop, StateSpace):
         model = balanced(loop)
         seen = model.visible()
         gain = 1.0 + float(model.d[0, 0])
@@ -361,7 +360,7 @@ def _closed_loop(loop: Any, known: Source) -> _Closed | None:
         p, doubt = _eigenvalues_with_doubt(seen.a - seen.b @ seen.c / gain)
         beside = model.hidden_eigenvalues()
         return _judged(p, doubt, lambda x: seen.at(x)[0, 0], beside, float(np.linalg.norm(model.a)), known.dt)
-    if isinstance(loop, control.TransferFunction):
+    if is_of(loop, "TransferFunction"):
         num, den = polynomials(loop)[0][0]
         total = np.polyadd(num, den)
         _well_posed(float(total[0]) if len(total) >= max(len(num), len(den)) else 0.0, float(np.max(np.abs(den))))
@@ -386,11 +385,9 @@ def _well_posed(leading: float, scale: float) -> None:
 
 def _eigenvalues_with_doubt(a: Array) -> tuple[Array, Array]:
     """Eigenvalues, and how far rounding may have moved each: by the angle between its left and right vectors."""
-    from scipy.linalg import eig
-
     if not len(a):
         return np.zeros(0, complex), np.zeros(0)
-    values, left, right = eig(a, left=True, right=True)
+    values, left, right = eigenvectors(a)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
     doubt = 8 * len(a) * _EPS * float(np.linalg.norm(a)) / np.maximum(overlap, 1e-8)
     return np.asarray(values, dtype=complex), doubt

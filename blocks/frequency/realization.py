@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from .lapack import balancing, generalized_eigenvalues
+
 __all__ = [
     "Realization",
     "around_zero",
@@ -81,8 +83,6 @@ def period(dt: Any) -> float:
 
 
 def balanced(system: Any) -> Realization:
-    from scipy.linalg import matrix_balance
-
     dt = period(system.dt)
     d = np.atleast_2d(np.asarray(system.D, dtype=float))
     n = int(system.nstates)
@@ -96,7 +96,7 @@ def balanced(system: Any) -> Realization:
         m = n + max(d.shape)
         whole = np.zeros((m, m))
         whole[:n, :n], whole[:n, n : n + d.shape[1]], whole[n : n + d.shape[0], :n] = a, b, c
-        scale = matrix_balance(whole, permute=False, separate=True)[1][0][:n]
+        scale = balancing(whole)[:n]
         a, b, c = a * scale / scale[:, None], b / scale[:, None], c * scale
     return Realization(a, b, c, d, dt)
 
@@ -130,27 +130,39 @@ def growth(p: Array, dt: float) -> Array:
 
 def _reached(a: Array, start: Array) -> Array:
     """The states that those of `start` act on, directly or not: a[i, j] != 0 means that j acts on i."""
-    from scipy.sparse import csr_array
-
-    links = csr_array(a != 0)
-    reached = start.copy()
-    while True:
-        further = reached | (links @ reached)
-        if np.array_equal(further, reached):
-            return reached
-        reached = further
+    links, reached, new = a != 0, start.copy(), start
+    while new.any():
+        new = links[:, new].any(axis=1) & ~reached
+        reached |= new
+    return reached
 
 
 def components(a: Array) -> list[Array]:
-    """States that act on each other: the diagonal blocks of a block-triangular form."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
-    if not len(a):
-        return []
-    count, label = connected_components(csr_array(a != 0), directed=True, connection="strong")
-    order = np.argsort(label, kind="stable")
-    return np.split(order, np.searchsorted(label[order], np.arange(1, count)))
+    """States that act on each other: the diagonal blocks of a block-triangular form (by R. Tarjan's search)."""
+    links, size = a != 0, len(a)
+    found: list[Array] = []
+    order, lowest, unseen = np.zeros(size, int), np.full(size, size), np.ones(size, dtype=bool)
+    waiting: list[int] = []  # seen, and in no component yet
+    for begin in range(size):
+        path = [begin] if unseen[begin] else []
+        while path:
+            k = path[-1]
+            if unseen[k]:
+                order[k] = lowest[k] = size - np.count_nonzero(unseen)
+                unseen[k] = False
+                waiting.append(k)
+            ahead = np.flatnonzero(links[k] & unseen)
+            if len(ahead):
+                path.append(int(ahead[-1]))
+                continue
+            path.pop()
+            lowest[k] = min(lowest[k], np.min(lowest[links[k]], initial=size))
+            if lowest[k] == order[k]:
+                first = waiting.index(k)
+                found.append(np.sort(waiting[first:]))
+                lowest[waiting[first:]] = size
+                del waiting[first:]
+    return found
 
 
 def _eigenvalues(block: Array) -> Array:
@@ -273,12 +285,10 @@ def invariant_zeros(model: Realization) -> Array:
         return np.zeros(0, complex)
     if not m:
         return _eigenvalues(a)
-    from scipy.linalg import eigvals
-
     # Columns such that [C D] W = [0 R]: then zeros are those of the pencil [A B] W1 - s W1, without infinite ones.
     full = np.linalg.svd(np.hstack([c, d]), full_matrices=True)[2].T
     w = full[:, m:]
-    alpha, beta = eigvals(np.hstack([a, b]) @ w, w[:n], homogeneous_eigvals=True)
+    alpha, beta = generalized_eigenvalues(np.hstack([a, b]) @ w, w[:n])
     finite = np.abs(beta) > 100 * _EPS * np.hypot(np.abs(alpha) / max(norm, 1e-300), np.abs(beta))
     zeros = np.asarray(alpha[finite] / beta[finite], dtype=complex)
     return _zeros_at_zero(

@@ -18,7 +18,7 @@ import numpy as np
 from ..text.errors import AnalysisError, Fault, UsageError
 from .realization import Realization, around_zero, balanced, components, growth, invariant_zeros, period, regular
 from .search import Peak, curve, first_fall, highest, largest, layout, refined, summit
-from .systems import Source, polynomials, source
+from .systems import Source, StateSpace, is_of, polynomials, source
 
 __all__ = ["HALF_POWER", "bandwidth", "dc_gain", "h2", "hinf", "peak", "poles", "response", "zeros"]
 
@@ -46,12 +46,10 @@ def poles(system: Any) -> Array:
     Transfer functions: the roots of the denominators; a root that several channels share is listed once for each.
     Raises AnalysisError (E705) where only a response is known.
     """
-    import control
-
-    if isinstance(system, control.StateSpace):
+    if isinstance(system, StateSpace):
         model = balanced(system)
         return _sorted(model.eigenvalues() + (1.0 if model.dt > 0 else 0.0))
-    if isinstance(system, control.TransferFunction):
+    if is_of(system, "TransferFunction"):
         roots = [np.roots(den) for line in polynomials(system) for _, den in line]
         return _sorted(np.concatenate([np.zeros(0, complex), *roots]))
     source(system)
@@ -65,12 +63,10 @@ def zeros(system: Any) -> Array:
     Zeros of (A, B, C, D) by reduction to a pencil without infinite zeros, of any number of inputs and outputs;
     transfer functions have zeros here with one input and one output. Raises AnalysisError (E705).
     """
-    import control
-
-    if isinstance(system, control.StateSpace):
+    if isinstance(system, StateSpace):
         model = balanced(system)
         return _sorted(invariant_zeros(model) + (1.0 if model.dt > 0 else 0.0))
-    if isinstance(system, control.TransferFunction) and system.ninputs == system.noutputs == 1:
+    if is_of(system, "TransferFunction") and system.ninputs == system.noutputs == 1:
         return _sorted(np.asarray(np.roots(polynomials(system)[0][0][0]), dtype=complex))
     source(system)
     cure = "Give a StateSpace."
@@ -191,13 +187,11 @@ def peak(system: Any) -> Peak:
 
 def _decaying(system: Any, place: str) -> Realization | None:
     """The visible part, whose poles all decay; raises AnalysisError (E705) otherwise. None: a transfer function."""
-    import control
-
-    if isinstance(system, control.StateSpace):
+    if isinstance(system, StateSpace):
         model: Realization | None = balanced(system).visible()
         assert model is not None
         modes, dt = model.eigenvalues(), model.dt
-    elif isinstance(system, control.TransferFunction):
+    elif is_of(system, "TransferFunction"):
         model, dt = None, period(system.dt)
         modes = poles(system) - (1.0 if dt > 0 else 0.0)
     else:
@@ -216,11 +210,12 @@ def h2(system: Any) -> float:
     Sampled systems: under white samples of variance 1. inf where a continuous system has a direct gain. Raises
     AnalysisError (E705) where the system is not stable.
     """
-    import control
     from scipy.linalg import solve_continuous_lyapunov
 
     model = _decaying(system, "h2")
     if model is None:
+        import control
+
         # Squares of channels add up; each has its own realization.
         channels = [control.tf2ss(system[i, j]) for i in range(system.noutputs) for j in range(system.ninputs)]
         return math.hypot(*(h2(channel) for channel in channels))

@@ -120,13 +120,41 @@ def refined(f: Callable[[Array], Array], omega: Array, *, change: float = 0.12, 
 
 
 def root(f: Callable[[float], float], a: float, b: float) -> float:
-    """The zero of f in [a, b], to the last digits; the better end, where both have one sign by rounding."""
-    from scipy.optimize import brentq
+    """The zero of f in [a, b], to the last digits; the better end, where both have one sign by rounding.
 
-    at_a, at_b = f(a), f(b)
-    if at_a * at_b >= 0:
-        return float(a if abs(at_a) <= abs(at_b) else b)
-    return float(brentq(f, a, b, xtol=1e-300, rtol=4 * _EPS, maxiter=300))
+    By R. P. Brent, Algorithms for Minimization without Derivatives, 1973, chapter 4, with the steps of SciPy's brentq
+    (xtol=1e-300, rtol=4 eps), which takes longer to import than the margins of a loop.
+    """
+    last, x = float(a), float(b)
+    at_last, at_x = f(last), f(x)
+    if at_last * at_x >= 0:
+        return last if abs(at_last) <= abs(at_x) else x
+    other, at_other, step, before = last, at_last, 0.0, 0.0
+    for _ in range(300):
+        if at_last and at_x and (at_last < 0) != (at_x < 0):
+            other, at_other, step, before = last, at_last, x - last, x - last
+        if abs(at_other) < abs(at_x):
+            last, x, other, at_last, at_x, at_other = x, other, x, at_x, at_other, at_x
+        least, half = (1e-300 + 4 * _EPS * abs(x)) / 2, (other - x) / 2
+        if at_x == 0 or abs(half) < least:
+            return x
+        inner = math.inf
+        if abs(before) > least and abs(at_x) < abs(at_last):
+            if last == other:
+                inner = -at_x * (x - last) / (at_x - at_last)
+            else:
+                p, q = (at_last - at_x) / (last - x), (at_other - at_x) / (other - x)
+                below = q * p * (at_other - at_last)
+                inner = -at_x * (at_other * q - at_last * p) / below if below else math.inf
+        if 2 * abs(inner) < min(abs(before), 3 * abs(half) - least):
+            before, step = step, inner
+        else:
+            before = step = half
+        last, at_last = x, at_x
+        x += step if abs(step) > least else math.copysign(least, half)
+        if math.isnan(at_x := f(x)):
+            break
+    raise ArithmeticError(f"no zero was found between {a:g} and {b:g}")
 
 
 def summit(f: Callable[[Array], Array], a: float, b: float) -> tuple[float, float]:

@@ -5,6 +5,7 @@ Responses that were computed become measured data of python-control, too (`frd`)
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -14,10 +15,23 @@ import numpy as np
 from ..text.errors import AnalysisError, Fault, UsageError
 from .realization import Realization, balanced, equivalent, invariant_zeros, period, variable
 
-__all__ = ["Responding", "Source", "frd", "interpolated", "label", "polynomials", "source"]
+__all__ = ["Responding", "Source", "StateSpace", "frd", "interpolated", "is_of", "label", "polynomials", "source"]
 
 Array = np.ndarray[Any, Any]
 _MANY = 200  # states; above, zeros of channels would cost more than they are worth
+
+
+@runtime_checkable
+class StateSpace(Protocol):
+    """A state space by its matrices, such as a control.StateSpace; dt: 0 or None: continuous; else the period in s."""
+
+    A: Any
+    B: Any
+    C: Any
+    D: Any
+    dt: Any
+    nstates: Any
+    ninputs: Any
 
 
 @runtime_checkable
@@ -57,15 +71,19 @@ class Source:
         return np.asarray(self.at(np.atleast_1d(np.asarray(omega, dtype=float)))[0, 0])
 
 
+def is_of(system: Any, *names: str) -> bool:
+    """Whether it is of a class of python-control, which is not loaded to know that: who made it has loaded it."""
+    control = sys.modules.get("control")
+    return control is not None and isinstance(system, tuple(getattr(control, name) for name in names))
+
+
 def source(system: Any) -> Source:
     """What the analyses need of a system. Raises UsageError (E501)."""
-    import control
-
-    if isinstance(system, control.StateSpace):
+    if isinstance(system, StateSpace):
         return _ofbalanced(balanced(system))
-    if isinstance(system, control.TransferFunction):
+    if is_of(system, "TransferFunction"):
         return _ofpolynomials(system)
-    if isinstance(system, control.FrequencyResponseData):
+    if is_of(system, "FrequencyResponseData"):
         return _of_points(system)
     if isinstance(system, Responding):
         return _of_response(system)

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from ..text.errors import AnalysisError, Fault
 
-__all__ = ["Entries", "eliminated", "reach", "without_noise"]
+__all__ = ["Entries", "eliminated", "is_dense", "reach", "without_noise"]
 
 Array = np.ndarray[Any, Any]
 MOST_DENSE = 2**18
@@ -63,10 +61,17 @@ class Entries:
 
     def matrix(self, shape: tuple[int, int], *, is_sparse: bool) -> Any:
         if is_sparse:
+            from scipy import sparse
+
             return sparse.csr_matrix((self.values, (self.rows, self.columns)), shape=shape)
         dense = np.zeros(shape)
         np.add.at(dense, (self.rows, self.columns), self.values)
         return dense
+
+
+def is_dense(matrix: Any) -> bool:
+    """Whether it is an array; a sparse matrix, for which SciPy has been loaded, else."""
+    return isinstance(matrix, np.ndarray)
 
 
 def eliminated(N: Any, R: Any, name: Callable[[int], str]) -> Any:
@@ -74,11 +79,16 @@ def eliminated(N: Any, R: Any, name: Callable[[int], str]) -> Any:
     size = N.shape[0]
     if not size:
         return R
-    if not sparse.issparse(N):
+    if is_dense(N):
         matrix = np.eye(size) - N
         if np.linalg.cond(matrix, 1) > 1e14:
+            from scipy import sparse
+
             eliminated(sparse.csr_matrix(N), sparse.csr_matrix(R), name)  # which names the loop
         return np.linalg.solve(matrix, R)
+    from scipy import sparse
+    from scipy.sparse import csgraph
+
     N = sparse.csr_matrix(N)
     N.eliminate_zeros()
     count, label = csgraph.connected_components(N, directed=True, connection="strong")
@@ -102,7 +112,9 @@ def reach(N: Any, R: Any, T: Any) -> Any:
     sizes, given = abs(N), abs(R)
     if not N.shape[0]:
         return given
-    if sparse.issparse(N):
+    if not is_dense(N):
+        from scipy.sparse import csgraph
+
         count = csgraph.connected_components(sizes, connection="strong", return_labels=False)
         if count < N.shape[0] or (sizes.diagonal() != 0).any():
             return abs(T)
@@ -126,7 +138,9 @@ def _ends(sizes: Array) -> bool:
 def without_noise(value: Any, bound: Any) -> Any:
     """A sum with 0 where its terms cancel but for rounding: b0 (1/b0) - 1 is no slow pole."""
     least = 8 * float(np.finfo(float).eps) * bound
-    if sparse.issparse(value):
+    if not is_dense(value):
+        from scipy import sparse
+
         value = sparse.csr_matrix(value)
         value = value.multiply(abs(value) > least).tocsr()
         value.eliminate_zeros()
@@ -136,6 +150,8 @@ def without_noise(value: Any, bound: Any) -> Any:
 
 def _solved(N: Any, R: Any, label: Array, looped: Array, name: Callable[[int], str]) -> tuple[Any, Any]:
     """The rows of loops solved for what is outside of them."""
+    from scipy import sparse
+
     members: dict[int, list[int]] = {}
     for i in np.nonzero(looped)[0].tolist():
         members.setdefault(int(label[i]), []).append(i)

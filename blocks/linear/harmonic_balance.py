@@ -28,10 +28,10 @@ from ..frequency.delayed import DelayedModel
 from ..frequency.response import poles, response
 from ..frequency.systems import frd
 from ..text.errors import AnalysisError, Fault, UsageError
-from .linear_model import LinearModel
 from .linearization import Linearization
 from .signals import Names, listed, place, places
 from .sinusoidal_gains import Laws, Rest, gain_matrix
+from .transfer import Transfer
 
 __all__ = ["Balance", "HarmonicResponse", "Linearizer", "speeds"]
 
@@ -133,7 +133,7 @@ class Balance:
         return values, sizes, means
 
 
-def speeds(model: LinearModel | DelayedModel) -> Array:
+def speeds(model: Transfer | DelayedModel) -> Array:
     """How fast the modes of a model are, in rad/s; without those of integrators."""
     if isinstance(model, DelayedModel):
         sizes = model.speeds

@@ -28,15 +28,15 @@ from ..frequency.delayed import DelayedModel
 from ..frequency.response import response
 from ..text.errors import AnalysisError, Fault, UsageError
 from .harmonic_balance import speeds
-from .linear_model import LinearModel
 from .linearization import Linearization
 from .modes import GrowthZero, LinearRest, Mode, Resting, crossings, groups
 from .sinusoidal_gains import MOVED, NEAR, Laws, Rest, gain_matrix
+from .transfer import Transfer
 
 __all__ = ["LimitCycle", "LimitCycles", "limit_cycles"]
 
 Array = np.ndarray[Any, Any]
-Model = LinearModel | DelayedModel
+Model = Transfer | DelayedModel
 _GRID, _NEAR = 161, 41
 _PER_DECADE = 8
 """Amplitudes at which modes are followed."""
@@ -115,7 +115,7 @@ def limit_cycles(
     if isinstance(model, DelayedModel):
         rational = cut.injected((), (), (), laws.nodes, laws.slots, pade=_PADE)
     cycles, unknown = list[LimitCycle](), list[tuple[str, float, float]]()
-    loops = groups(rational, laws.spans) if isinstance(rational, LinearModel) else []
+    loops = groups(rational, laws.spans) if isinstance(rational, Transfer) else []
     if model is None or not loops:
         message = "no law that bends is in a loop, so that nothing keeps an oscillation at one amplitude."
         raise AnalysisError(Fault("E705", linearizer.graph.plan.name, message, "See its poles: linearize."))

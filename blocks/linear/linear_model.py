@@ -9,9 +9,9 @@ import control
 import numpy as np
 
 from ..frequency.systems import label
-from .model_report import BlockReport
+from .transfer import LoopOfRates, Transfer
 
-__all__ = ["LiftedLoop", "LiftedModel", "LinearModel"]
+__all__ = ["LiftedLoop", "LiftedModel", "LinearModel", "state_space"]
 
 Array = np.ndarray[Any, Any]
 
@@ -36,32 +36,22 @@ class LinearModel(control.StateSpace):  # type: ignore[misc]
     a quantizer, pass nothing on where they stand; "" else.
     """
 
-    def __init__(
-        self,
-        matrices: tuple[Array, Array, Array, Array],
-        dt: float,
-        names: tuple[Sequence[str], Sequence[str], Sequence[str]],
-        *,
-        name: str = "",
-        report: tuple[BlockReport, ...] = (),
-        units: tuple[Sequence[str], Sequence[str]] = ((), ()),
-    ) -> None:
-        A, B, C, D = matrices
-        labels = [_labels(texts) for texts in names]
+    def __init__(self, transfer: Transfer) -> None:
+        labels = [_labels(texts) for texts in (transfer.states, *transfer.signals)]
         super().__init__(
-            A, B, C, D, dt, states=labels[0], inputs=labels[1], outputs=labels[2], name=name or None,
-            remove_useless_states=False,
+            *transfer.matrices, transfer.dt, states=labels[0], inputs=labels[1], outputs=labels[2],
+            name=transfer.name or None, remove_useless_states=False,
         )  # fmt: skip
-        self.signals = (tuple(names[1]), tuple(names[2]))
-        self.report, self.units = report, (tuple(units[0]), tuple(units[1]))
-        self.hint = ""
+        self.signals = (tuple(transfer.signals[0]), tuple(transfer.signals[1]))
+        self.report, self.units = transfer.report, (tuple(transfer.units[0]), tuple(transfer.units[1]))
+        self.hint = transfer.hint
 
     def closed(self) -> LinearModel:
         """Of a loop transfer L: T = L/(1 + L)."""
         A, B, C, D = (np.asarray(m, dtype=float) for m in (self.A, self.B, self.C, self.D))
-        K = np.linalg.inv(np.eye(len(D)) + D)
-        matrices = (A - B @ K @ C, B @ K, K @ C, K @ D)
-        return LinearModel(matrices, self.dt, (self.state_labels, *self.signals), report=self.report, units=self.units)
+        told: dict[str, Any] = {"signals": self.signals, "report": self.report, "units": self.units}
+        loop = Transfer(matrices=(A, B, C, D), dt=self.dt, states=self.state_labels, **told)
+        return LinearModel(loop.closed())
 
 
 class LiftedModel(LinearModel):
@@ -70,8 +60,8 @@ class LiftedModel(LinearModel):
     steps: how many base steps there are; dt is their time together. Of step k: inputs "r@k", outputs "y@k".
     """
 
-    def __init__(self, *given: Any, steps: int, **told: Any) -> None:
-        super().__init__(*given, **told)
+    def __init__(self, transfer: Transfer, steps: int) -> None:
+        super().__init__(transfer)
         self.steps = steps
 
     def fundamental(self, omega: Any) -> Array:
@@ -101,17 +91,11 @@ class LiftedLoop(LinearModel):
     point: the signal; times: of the values, in s from the beginning of the period; dt is the whole of it.
     """
 
-    def __init__(
-        self,
-        matrices: tuple[Array, Array, Array, Array],
-        dt: float,
-        states: Sequence[str],
-        point: str,
-        times: Sequence[float],
-        *,
-        unit: str,
-        **told: Any,
-    ) -> None:
-        signals, units = [f"{point}@{k}" for k in range(len(times))], [unit] * len(times)
-        super().__init__(matrices, dt, (states, signals, signals), units=(units, units), **told)
-        self.point, self.times = point, tuple(times)
+    def __init__(self, transfer: LoopOfRates) -> None:
+        super().__init__(transfer)
+        self.point, self.times = transfer.point, transfer.times
+
+
+def state_space(transfer: Transfer) -> LinearModel:
+    """A model as python-control has it."""
+    return LiftedLoop(transfer) if isinstance(transfer, LoopOfRates) else LinearModel(transfer)

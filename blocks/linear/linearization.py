@@ -3,6 +3,7 @@
     linearizer = Linearization(slopes)
     linearizer.model(["r"], ["motor.omega"])                # a LinearModel
     linearizer.loop("control.u")                            # L, where S = 1/(1 + L)
+    linearizer.transfer(["r"], ["motor.omega"])             # the same model as plain matrices: a Transfer
     linearizer.response(["r"], ["motor.omega"], omega)      # exact delays and all
 
 An analysis point is a row of the interconnection: what reads a signal there reads q = (the signal) + (a perturbation),
@@ -12,10 +13,10 @@ and where the point is opened, the perturbation alone: the signal keeps its valu
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
 
 from ..frequency.delayed import DelayedModel
 from ..text.errors import AnalysisError, Fault, UsageError
@@ -25,6 +26,7 @@ from .reduction import Wired, contributing, delayed_model, reduced, without_dela
 from .replaced_slopes import ReplacedSlopes
 from .sampled import Sampled
 from .signals import Names, SignalElement, listed, place, places
+from .transfer import LoopOfRates, Transfer
 from .wiring import wiring
 
 if TYPE_CHECKING:
@@ -33,6 +35,12 @@ if TYPE_CHECKING:
 __all__ = ["Linearization"]
 
 Array = np.ndarray[Any, Any]
+
+
+def _state_space(transfer: Transfer) -> LinearModel:
+    from .linear_model import state_space  # slow: it loads python-control
+
+    return state_space(transfer)
 
 
 class Linearization(ReplacedSlopes):
@@ -104,21 +112,26 @@ class Linearization(ReplacedSlopes):
         sampled blocks that contribute it is a discrete-time model, inputs held from tick to tick. pade: the order of
         the Padé models of delays. Raises UsageError (E501), AnalysisError (E701, E703, E707).
         """
+        return _state_space(self.transfer(inputs, outputs, openings=openings, pade=pade))
+
+    def transfer(self, inputs: Names, outputs: Names, *, openings: Names = (), pade: int = 0) -> Transfer:
+        """As `model`, for which python-control is not loaded."""
         (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
         return self._hinted(self._made(wired, report, ins, outs, pade), ins, outs, cut)
 
     def _hinted(
         self,
-        model: LinearModel,
+        model: Transfer,
         inputs: Sequence[SignalElement],
         outputs: Sequence[SignalElement],
         openings: Sequence[SignalElement],
-    ) -> LinearModel:
+    ) -> Transfer:
         """The model; where some output is always 0, it says which laws are in the way."""
         if not (model.C.any(axis=1) | model.D.any(axis=1)).all():
             nodes = self.nonlinear_nodes(inputs, outputs, openings)
-            model.hint, model.report = hints_of(self, model.report, nodes)
+            hint, report = hints_of(self, model.report, nodes)
+            return replace(model, hint=hint, report=report)
         return model
 
     def _made(
@@ -129,10 +142,8 @@ class Linearization(ReplacedSlopes):
         outs: Sequence[SignalElement],
         pade: int,
         count: int | None = None,
-    ) -> LinearModel:
+    ) -> Transfer:
         """count: how many outputs are signals; the others are what laws read, seen at ticks if there are any."""
-        from .linear_model import LinearModel  # slow: it loads python-control
-
         plan = self.graph.plan
         units = [spot.unit for spot in ins], [spot.unit for spot in outs]
         signals = [spot.name for spot in ins], [spot.name for spot in outs]
@@ -144,7 +155,8 @@ class Linearization(ReplacedSlopes):
             sampled = Sampled(plan, wired.d, matrices, names)
             (matrices, names), dt = sampled.model(during), sampled.dt
         A, B, C, D = (matrices[key] for key in ("xx", "xe", "yx", "ye"))
-        return LinearModel((A, B, C, D), dt, (names, *signals), name=plan.name, report=report, units=units)
+        told: dict[str, Any] = {"signals": signals, "name": plan.name, "report": report, "units": units}
+        return Transfer(matrices=(A, B, C, D), dt=dt, states=names, **told)
 
     def lifted(self, inputs: Names, outputs: Names, *, openings: Names = (), pade: int = 0) -> LiftedModel:
         """The model over the period after which the ticks of several rates repeat, with all its base steps.
@@ -170,8 +182,9 @@ class Linearization(ReplacedSlopes):
             [f"{spot.name}@{k}" for k in range(steps) for spot in outs],
         )
         units = [spot.unit for spot in ins] * steps, [spot.unit for spot in outs] * steps
-        parts, labels = tuple(matrices[key] for key in ("xx", "xe", "yx", "ye")), (names, *signals)
-        return LiftedModel(parts, sampled.dt, labels, steps=steps, name=plan.name, report=report, units=units)
+        A, B, C, D = (matrices[key] for key in ("xx", "xe", "yx", "ye"))
+        told: dict[str, Any] = {"signals": signals, "name": plan.name, "report": report, "units": units}
+        return LiftedModel(Transfer(matrices=(A, B, C, D), dt=sampled.dt, states=names, **told), steps)
 
     def loop(self, point: str, *, openings: Names = (), sign: float = -1.0, pade: int = 0) -> LinearModel:
         """The loop transfer at a signal: what comes back there of what is put in, as L in S = 1/(1 + L).
@@ -180,8 +193,10 @@ class Linearization(ReplacedSlopes):
         rates repeat, a `LiftedLoop`. Raises UsageError (E501), AnalysisError (E701, E703, E707, and E705 where sampled
         blocks contribute, and the signal changes between ticks and acts there).
         """
-        from .linear_model import LiftedLoop, LinearModel
+        return _state_space(self.loop_transfer(point, openings=openings, sign=sign, pade=pade))
 
+    def loop_transfer(self, point: str, *, openings: Names = (), sign: float = -1.0, pade: int = 0) -> Transfer:
+        """As `loop`, for which python-control is not loaded; in the place of a `LiftedLoop` a `LoopOfRates`."""
         spot = place(self.graph, point)
         cut = [spot, *self._places(openings)]
         wired, report = self.wired([spot], [spot], cut)
@@ -194,12 +209,12 @@ class Linearization(ReplacedSlopes):
                 raise self._between_ticks(spot, sampled)
             (m, states, times), dt = sampled.loop(), sampled.dt
         matrices = (m["xx"], m["xe"], sign * m["yx"], sign * m["ye"])
-        told: dict[str, Any] = {"name": plan.name, "report": report}
-        if len(times) > 1:
-            model: LinearModel = LiftedLoop(matrices, dt, states, spot.name, times, unit=spot.unit, **told)
-        else:
-            names, units = (states, [spot.name], [spot.name]), ([spot.unit], [spot.unit])
-            model = LinearModel(matrices, dt, names, units=units, **told)
+        several = len(times) > 1
+        names = [f"{spot.name}@{k}" for k in range(len(times))] if several else [spot.name]
+        units = [spot.unit] * len(times)
+        told: dict[str, Any] = {"matrices": matrices, "dt": dt, "states": states, "signals": (names, names)}
+        told |= {"units": (units, units), "name": plan.name, "report": report}
+        model = LoopOfRates(point=spot.name, times=tuple(times), **told) if several else Transfer(**told)
         return self._hinted(model, [spot], [spot], cut)
 
     def _between_ticks(self, spot: SignalElement, sampled: Sampled) -> AnalysisError:
@@ -221,17 +236,17 @@ class Linearization(ReplacedSlopes):
 
     def complementary(self, point: str, *, openings: Names = (), pade: int = 0) -> LinearModel:
         """T = 1 - S: from a perturbation added at a signal to what comes back there, with its sign turned."""
-        from .linear_model import LinearModel
-
-        S = self.sensitivity(point, openings=openings, pade=pade)
-        matrices, names = (S.A, S.B, -S.C, np.eye(1) - S.D), (S.state_labels, *S.signals)
-        return LinearModel(matrices, S.dt, names, report=S.report, units=S.units)
+        spot = place(self.graph, point)
+        S = self.transfer(spot.name, spot.name, openings=openings, pade=pade)
+        return _state_space(replace(S, matrices=(S.A, S.B, -S.C, np.eye(1) - S.D), name="", hint=""))
 
     def sparse(self, inputs: Names, outputs: Names, *, openings: Names = ()) -> tuple[Any, Any, Any, Any]:
         """A, B, C, D of a continuous model as sparse matrices (CSR), of large diagrams.
 
         Raises AnalysisError as `model`, and E703 where sampled blocks or delays contribute.
         """
+        from scipy import sparse
+
         (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
         whole = wiring(self, ins, outs, cut, (), ())
         wired = reduced(self, whole, contributing(self, whole))
@@ -251,7 +266,7 @@ class Linearization(ReplacedSlopes):
         slots: Sequence[int],
         *,
         pade: int = 0,
-    ) -> LinearModel | DelayedModel:
+    ) -> Transfer | DelayedModel:
         """The model from `inputs` and additions to nodes to `outputs` and what slots read.
 
         Raises AnalysisError (E704) where what is added lies between ticks.

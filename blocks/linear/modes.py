@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from .linear_model import LinearModel
+from .transfer import Transfer
 
 __all__ = ["GrowthZero", "LinearRest", "Mode", "Resting", "crossings", "groups"]
 
@@ -59,7 +59,7 @@ class LinearRest:
     dt: float
 
     @classmethod
-    def of(cls, model: LinearModel, laws: Sequence[int], slots: Sequence[int]) -> LinearRest:
+    def of(cls, model: Transfer, laws: Sequence[int], slots: Sequence[int]) -> LinearRest:
         """Some columns and rows of a model."""
         A, B, C, D = (np.asarray(m, dtype=float) for m in (model.A, model.B, model.C, model.D))
         return cls(A, B[:, laws], C[slots], D[np.ix_(slots, laws)], float(model.dt or 0.0))
@@ -94,7 +94,7 @@ class GrowthZero:
         return self.before.growth > 0
 
 
-def groups(model: LinearModel, spans: Sequence[Sequence[int]]) -> list[tuple[list[int], list[int]]]:
+def groups(model: Transfer, spans: Sequence[Sequence[int]]) -> list[tuple[list[int], list[int]]]:
     """Laws that act on each other by loops, with the signals that they read: their numbers."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components

@@ -24,7 +24,7 @@ import numpy as np
 from ..compile.fmu_tape import FmuTape
 from ..compile.jacobian import on_arrays
 from ..contract.scalars import BENDS
-from ..frequency import describing, quadrature
+from ..frequency import quadrature
 from ..frequency.corners import PLACE
 from ..text.errors import AnalysisError, Fault
 from .interconnection import Interconnection
@@ -206,6 +206,8 @@ class StaticLaw:
 
     def described(self, amplitude: float, bias: float | None = None) -> quadrature.Described:
         """What a law of one signal does to bias + amplitude sin(angle). Raises AnalysisError (E704)."""
+        from ..frequency import describing
+
         bias = self.inputs[0] if bias is None else bias
         with self.named():
             if self.remembers == "relay":
@@ -241,6 +243,8 @@ class StaticLaw:
 
     def described_random(self, sigma: float) -> quadrature.Described:
         """What a law of one signal does to a Gaussian signal of a deviation. Raises AnalysisError (E704)."""
+        from ..frequency import describing
+
         bias = self.inputs[0]
         with self.named():
             if self.remembers == "relay":

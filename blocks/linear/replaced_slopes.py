@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from ..compile.plan import Node, Reference
+from ..frequency.systems import is_of
 from ..text.errors import AnalysisError, Fault, UsageError
 from .interconnection import Interconnection
 from .nonlinearities import StaticLaw, nonlinear
@@ -186,9 +187,9 @@ def _in_si(name: str, quantity: Mapping[str, Any], spots: Sequence[SignalElement
 
 def state_space(given: Any, path: str) -> tuple[Array, Array, Array, Array]:
     """A model of python-control, or gains, as matrices. Raises UsageError (E501)."""
-    import control
+    if is_of(given, "TransferFunction", "StateSpace"):
+        import control
 
-    if isinstance(given, (control.TransferFunction, control.StateSpace)):
         if given.dt not in (0, None):
             raise UsageError(Fault("E501", path, "an override is a continuous model.", "Convert it (control.d2c)."))
         try:
@@ -199,7 +200,7 @@ def state_space(given: Any, path: str) -> tuple[Array, Array, Array, Array]:
         matrices = tuple(np.asarray(m, dtype=float) for m in (system.A, system.B, system.C, system.D))
     else:
         D = np.full((1, 1), np.nan)
-        if not isinstance(given, control.InputOutputSystem) and not np.iscomplexobj(given):
+        if not is_of(given, "InputOutputSystem") and not np.iscomplexobj(given):
             with suppress(TypeError, ValueError):
                 D = np.atleast_2d(np.array(given, dtype=float))
         matrices = np.empty((0, 0)), np.empty((0, D.shape[-1])), np.empty((D.shape[0], 0)), D

@@ -22,7 +22,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.linalg import expm
 
 from ..compile.plan import Plan
 from ..text.errors import AnalysisError, Fault
@@ -196,6 +195,8 @@ class Sampled:
     def flow(self, duration: int) -> Array:
         """How a time without ticks maps (x, d, e)."""
         if duration not in self._flows:
+            from scipy.linalg import expm
+
             dynamics = np.zeros((self.nx + self.nd + self.ne,) * 2)
             dynamics[: self.nx] = np.hstack([self.m["xx"], self.m["xd"], self.m["xe"]])
             self._flows[duration] = np.asarray(expm(dynamics * (duration * self.base)))

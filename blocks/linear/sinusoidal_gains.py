@@ -21,9 +21,9 @@ from ..frequency import quadrature
 from ..frequency.delayed import DelayedModel
 from ..frequency.realization import Realization
 from ..text.errors import AnalysisError, Fault
-from .linear_model import LinearModel
 from .linearization import Linearization
 from .nonlinearities import StaticLaw
+from .transfer import Transfer
 
 __all__ = ["MOVED", "NEAR", "PER_DECADE", "Answer", "Laws", "Rest", "gain_matrix"]
 
@@ -51,7 +51,7 @@ class Rest:
     D: Array
 
     @classmethod
-    def of(cls, model: LinearModel | DelayedModel, laws: Sequence[int], slots: Sequence[int]) -> Rest:
+    def of(cls, model: Transfer | DelayedModel, laws: Sequence[int], slots: Sequence[int]) -> Rest:
         """From the inputs and outputs of a model with these numbers."""
         if isinstance(model, DelayedModel):
             A, B, C, D = model.at_rest

@@ -1,0 +1,52 @@
+"""What a command does not load: the time from the command line to the first answer is mostly imports."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+TELLS = """
+import atexit, sys
+atexit.register(lambda: print(*sorted(sys.modules), file=sys.stderr))
+from blocks.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+HEAVY = {"control", "matplotlib", "pandas", "pyarrow", "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.sparse"}
+
+
+def loaded(*arguments: str, status: int = 0) -> set[str]:
+    """The modules that a command has loaded at its end."""
+    done = subprocess.run(
+        [sys.executable, "-c", TELLS, *arguments],
+        cwd=ROOT, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONUTF8": "1"},
+    )  # fmt: skip
+    assert done.returncode == status, done.stderr
+    return set(done.stderr.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize("arguments", [("nonsense",), ("run",), ("linearize", "x.json", "--nosuch")])
+def test_a_word_that_is_no_command_or_option_is_refused_before_numpy(arguments: tuple[str, ...]) -> None:
+    modules = loaded(*arguments, status=2)
+    assert "numpy" not in modules
+    assert not {name for name in modules if name.startswith(("blocks.model", "blocks.api", "blocks.library"))}
+
+
+@pytest.mark.parametrize("form", [(), ("--json",)], ids=["text", "json"])
+@pytest.mark.parametrize("what", [("--loop", "control.u"), ("--from=r", "--to=motor.omega")], ids=["loop", "path"])
+def test_margins_and_poles_as_text_need_neither_python_control_nor_scipy(
+    what: tuple[str, ...], form: tuple[str, ...]
+) -> None:
+    modules = loaded("linearize", "diagrams/analysis/leso_pd.json", *what, *form)
+    assert "blocks.frequency.margins" in modules
+    assert not HEAVY & modules
+
+
+def test_a_wrong_signal_is_refused_without_scipy() -> None:
+    modules = loaded("linearize", "diagrams/analysis/leso_pd.json", "--loop", "contrl.u", status=2)
+    assert "scipy" not in modules
+    assert "blocks.frequency.margins" not in modules
