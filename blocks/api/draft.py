@@ -9,7 +9,7 @@ from typing import Any
 
 from ..contract.block import Block
 from ..model import document as documents
-from ..model.block_ports import Ports, port_units
+from ..model.block_ports import Ports, Probe, port_units
 from ..model.diagram import BASE, BlockEntry, DiagramValue, check_name
 from ..model.hierarchy import Resolver
 from ..model.raw_values import raw_of
@@ -20,6 +20,10 @@ from .entries import block_entry, checked_entry
 __all__ = ["Draft"]
 
 
+SHARING = {"input": ("outputs", "inputs", "blocks", "parameters"), "output": ("outputs", "inputs")}
+"""The sections in which the names of some kinds are looked for; those of all others: inputs, blocks and parameters."""
+
+
 class Draft:
     """What a Diagram holds. types: the block types that it may use, by name."""
 
@@ -27,6 +31,7 @@ class Draft:
         self.types = types
         self._frozen = value
         self._open: dict[str, dict[str, Any]] = {}
+        self._probe: Probe | None = None
 
     @property
     def value(self) -> DiagramValue:
@@ -37,7 +42,7 @@ class Draft:
 
     @value.setter
     def value(self, value: DiagramValue) -> None:
-        self._frozen, self._open = value, {}
+        self._frozen, self._open, self._probe = value, {}, None
 
     @property
     def name(self) -> str:
@@ -58,6 +63,8 @@ class Draft:
             self._open[section] = dict(getattr(self._frozen, section))
         if entries:
             self._open[section].update(entries)
+        if section == "parameters":
+            self._probe = None
 
     def section(self, section: str) -> Mapping[str, Any]:
         entries: Mapping[str, Any] = self._open[section] if section in self._open else getattr(self._frozen, section)
@@ -66,9 +73,9 @@ class Draft:
     def check_free(self, name: str, kind: str) -> None:
         """Refuse what is no name, and a name that is taken. An output may be called like a block or a parameter."""
         check_name(name)
-        seen = {"input": ("output", "input", "block", "parameter"), "output": ("output", "input")}
-        for what in seen.get(kind, ("input", "block", "parameter")):
-            if name in self.section(what + "s"):
+        for section in SHARING.get(kind, ("inputs", "blocks", "parameters")):
+            if name in self.section(section):
+                what = section[:-1]
                 article = "an" if what[0] in "io" else "a"
                 raise ModelError(Fault("E109", name, f"the name is taken by {article} {what}."))
 
@@ -115,5 +122,13 @@ class Draft:
 
     def ports(self, name: str, entry: BlockEntry) -> Ports:
         """The ports of a block in this diagram, with their units. The value is not read for it."""
+        is_known = entry.cls is not None and not entry.variants
+        probe, self._probe = (self._probe, None) if is_known else (None, self._probe)
+        if probe is not None and (ports := probe.ports(name, entry)) is not None:
+            self._probe = probe
+            return ports
         within = DiagramValue(self.name, parameters=self.section("parameters"), folder=self.folder)
-        return port_units(within, name, entry, self.resolver)
+        ports = port_units(within, name, entry, self.resolver)
+        if is_known:
+            self._probe = Probe(within, self.resolver)
+        return ports

@@ -9,7 +9,6 @@ import inspect
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +146,16 @@ def checked_entry(
     described |= {"parameters": given, **({"doc": doc} if doc else {})}
     described |= {key: raw_of(value) for key, value in control.items()}
     described |= {"stream": stream} if stream else {}
-    read = documents.entries(folder=folder, blocks={name: described}).blocks[name]
-    parts = {key: getattr(read, key) for key in ("parameters", "doc", "control", "options", "stream")}
-    return replace(entry, **parts)
+    read = documents.block(name, described, folder)
+    return BlockEntry(
+        type=entry.type,
+        diagram=entry.diagram,
+        fmu=entry.fmu,
+        control=read.control,
+        stream=read.stream,
+        options=read.options,
+        parameters=read.parameters,
+        doc=read.doc,
+        cls=entry.cls,
+        loaded=entry.loaded,
+    )

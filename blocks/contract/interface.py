@@ -210,6 +210,11 @@ class Interface:
         return frozenset(name for name, port in self.outputs.items() if port.variable in wiring)
 
     @cached_property
+    def input_units(self) -> Mapping[str, str]:
+        """The unit of each input port."""
+        return {name: port.unit for name, port in self.inputs.items()}
+
+    @cached_property
     def output_units(self) -> Mapping[str, str]:
         """The unit of each output port."""
         return {name: port.unit for name, port in self.outputs.items()}

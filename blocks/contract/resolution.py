@@ -12,13 +12,14 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any
 from weakref import WeakValueDictionary
 
 import numpy as np
 
 from ..text.errors import Fault, ModelError, did_you_mean
+from ..text.json_number import Number
 from ..text.units import parse as parse_unit
 from ..text.units import si_text, to_si
 from .declaration import Declaration
@@ -27,9 +28,10 @@ from .expressions import exact_decimal
 from .interface import LARGEST, Array, Interface, Value
 from .outside import outside
 from .reads import arguments
+from .unit_expression import UnitExpression
 from .variables import REQUIRED, Algebraic, Clock, Discrete, History, Parameter, State, Stepped
 
-__all__ = ["Resolved", "default_value", "limits", "memory_start", "resolve"]
+__all__ = ["Resolved", "default_value", "limits", "loose", "meets", "memory_start", "resolve"]
 
 LEAST_DELAY = 1e-15  # s
 
@@ -137,7 +139,10 @@ class _Resolving:
                 continue
             if value.value.shape == () and parameter.table:
                 self.fault("E110", name, "is a table, which a single number does not fill.", "Give a list.")
-            elif value.value.shape == ():  # a scalar fills an array
+            elif value.value.shape == ():
+                if shape == ():
+                    continue
+                # A scalar fills an array.
                 self.values[name] = Value(np.broadcast_to(value.value, shape), value.exact, value.unit)
             elif value.value.shape != shape:
                 message = f"has the shape {_shape(value.value.shape)}, but {_shape(shape)} is needed."
@@ -410,9 +415,9 @@ class _Defaults:
         """Take the sizes that follow from the shape of a value."""
         parameter, raw = self.declaration.parameters[name], self.values[name].value
         shape = parameter.shape if isinstance(parameter.shape, tuple) else (parameter.shape,)
-        place, actual_shape = f"{self.place}.{name}", np.shape(raw)
-        if np.ndim(raw) == 0 or not any(isinstance(size, str) for size in shape):
+        if shape == () or not any(isinstance(size, str) for size in shape) or np.ndim(raw) == 0:
             return
+        place, actual_shape = f"{self.place}.{name}", np.shape(raw)
         if np.ndim(raw) != len(shape):
             message = f"has {np.ndim(raw)} dimensions, but {len(shape)} are needed."
             self.clashes.append(Fault("E110", place, message))
@@ -436,9 +441,7 @@ class _Defaults:
                 values[name] = settled[name]
             elif name not in values and not callable(parameter.default):
                 try:
-                    is_none = parameter.default is None
-                    default = Value(None) if is_none else default_value(parameter, _unit(parameter, values))
-                    values[name] = default if default.value is None else _typed(parameter, default)
+                    values[name] = _plain_default(parameter, _unit(parameter, values))
                 except (TypeError, ValueError) as error:
                     raise ModelError(Fault("E107", f"{self.place}.{name}", f"the default {error}")) from None
                 self.infer(name)
@@ -478,6 +481,54 @@ class _Defaults:
         return True
 
 
+@lru_cache(maxsize=4096)
+def _plain_default(parameter: Parameter, unit: str) -> Value:
+    """The default of a parameter in its type, where it is a value. Raises TypeError, ValueError."""
+    default = Value(None) if parameter.default is None else default_value(parameter, unit)
+    return default if default.value is None else _typed(parameter, default)
+
+
+@cache
+def loose(declaration: Declaration) -> Mapping[str, tuple[float, float]]:
+    """The parameters of which one number does as well as another one between two bounds, if the requirements hold.
+
+    They are real scalars that nothing else reads before a run. The bounds are in their declared units.
+    """
+    d = declaration
+    clocks = [role.clock for equation in d.equations for role in equation.roles if role.clock is not None]
+    clocks += [] if d.stepper is None else [d.stepper.clock]
+    sources = [part for clock in clocks for part in (clock.every, clock.offset)]
+    sources += [getattr(v, word, None) for v in d.readable.values() for word in ("default", "start", "before", "delay")]
+    sources += [state.nominal for state in d.states.values()] + [variable.unit for variable in d.readable.values()]
+    read = _sizing(d) | {source.name for source in sources if isinstance(source, Parameter)}
+    read |= {name for source in sources if callable(source) for name in arguments(source, "it")}
+    bounds: dict[str, tuple[float, float]] = {}
+    for name, p in d.parameters.items():
+        is_plain = p.type == "real" and not (p.structural or p.zeros or p.table or p.members)
+        if callable(p.unit):  # known before values are, and in no need to be for the bounds
+            sources = [d.parameters.get(other) for other in arguments(p.unit, name)]
+            is_plain &= all(other is not None and not callable(other.default) for other in sources)
+            is_plain &= p.min is None and p.max is None
+        if is_plain and name not in read:
+            low, high = (end if limit is None else limit for limit, end in ((p.min, -1e100), (p.max, 1e100)))
+            bounds[name] = (max(low, 0.0 if p.positive else -1e100), min(high, 1e100))
+    return bounds
+
+
+def meets(resolved: Resolved, changed: Mapping[str, Number]) -> bool:
+    """Whether a block meets its requirements with other values of loose parameters, in their declared units."""
+    resolving = _Resolving(resolved.interface.cls, "")
+    requirements = resolving.declaration.requirements
+    if any(name in changed for requirement in requirements for name in requirement.equation.reads):
+        resolving.values, resolving.structural = dict(resolved.values), resolved.interface.structural
+        for name, number in changed.items():
+            unit = _unit(resolving.declaration.parameters[name], resolved.values)
+            si = to_si(float(number), unit, exact=number.exact) if unit else float(number)
+            resolving.values[name] = Value(np.broadcast_to(_frozen(np.array(si)), resolved.values[name].value.shape))
+        resolving.check_requirements()
+    return not resolving.faults
+
+
 @cache
 def _settled(declaration: Declaration) -> Mapping[str, Value]:
     """The default values of scalars that are valid and do not depend on other values.
@@ -502,8 +553,14 @@ def _unit(parameter: Parameter, values: Mapping[str, Value]) -> str:
     names = arguments(parameter.unit, parameter.name)
     if not all(name in values for name in names):
         return ""
-    unit = parameter.unit(*(values[name].value for name in names))
+    known = [values[name].value for name in names]
+    unit = _expressed(parameter.unit, *known) if type(parameter.unit) is UnitExpression else parameter.unit(*known)
     return unit if isinstance(unit, str) else unit[0] if len(set(unit)) == 1 else ""
+
+
+@lru_cache(maxsize=4096)
+def _expressed(unit: UnitExpression, *texts: str) -> str:
+    return unit(*texts)
 
 
 def default_value(parameter: Parameter, unit: str) -> Value:
@@ -548,11 +605,11 @@ def _range_problem(parameter: Parameter, raw: Any, unit: str) -> str:
     low, high = _limits(parameter, unit)
     unit = "" if unit == "1" else unit
     numbers, in_unit = np.asarray(raw, dtype=float), f" {unit}" if unit else ""
-    if parameter.positive and not np.all(numbers > 0):
+    if parameter.positive and not (numbers > 0).all():
         return f"must be above 0, not {_shown(raw)}."
-    if low is not None and not np.all(numbers >= low):
+    if low is not None and not (numbers >= low).all():
         return f"must be at least {parameter.min}{in_unit}, not {_shown(raw)}{_si(unit)}."
-    if high is not None and not np.all(numbers <= high):
+    if high is not None and not (numbers <= high).all():
         return f"must be at most {parameter.max}{in_unit}, not {_shown(raw)}{_si(unit)}."
     return ""
 

@@ -74,7 +74,7 @@ def _written(operations: list[Any]) -> Document:
 
 def checked(document: Document) -> list[tuple[str, Mapping[str, Any]]]:
     """The operations with their names. Raises ModelError with all faults of what they say."""
-    reader = DocumentReader(document, document.file, "", Loading(Project(Path())), ())
+    reader = DocumentReader(document, document.file, "", Loading(), ())
     named: list[tuple[str, Mapping[str, Any]]] = []
     if not isinstance(document.value, list):
         reader.fault("E004", (), 'operations stand in a list: [{"set": ..., "to": ...}].')

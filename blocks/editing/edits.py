@@ -250,7 +250,7 @@ def faults_of(document: Document) -> list[Fault]:
     value = document.value
     if not isinstance(value, dict) or value.get("format") != studies.FORMAT:
         return diagrams.alone(document)[1]
-    reader = DocumentReader(document, document.file, "", Loading(Project(Path())), ())
+    reader = DocumentReader(document, document.file, "", Loading(), ())
     studies.STUDY.check(value, (), reader)
     return reader.loading.faults.in_order()
 

@@ -5,17 +5,64 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import islice
+from typing import Any
 
+from ..contract.outside import Outside, outside
+from ..contract.resolution import Resolved, loose, meets
+from ..text.json_number import Number
 from .diagram import BASE, BlockEntry, DiagramValue
 from .flatten import interface_of
-from .hierarchy import Resolver
+from .hierarchy import Hierarchy, Resolver, spelling
 
-__all__ = ["Ports", "listed", "parameter_units", "port_units"]
+__all__ = ["Ports", "Probe", "listed", "parameter_units", "port_units"]
 
 MOST_LISTED = 40
 """Ports that an error lists."""
-Ports = tuple[dict[str, str], dict[str, str]]
+MOST_KEPT = 1_000
+"""Blocks that differ, whose numbers a probe keeps."""
+Ports = tuple[Mapping[str, str], Mapping[str, str]]
 """The inputs and the outputs of a block, with their units."""
+
+
+class Probe:
+    """The ports of blocks that are added to a diagram one after the other; what those alike share is settled once.
+
+    It holds for the parameters that the diagram has when it is made.
+    """
+
+    def __init__(self, within: DiagramValue, resolver: Resolver) -> None:
+        """Raises ModelError as `port_units`."""
+        self.blocks: dict[str, BlockEntry] = {}
+        self.hierarchy = Hierarchy(replace(within, blocks=self.blocks), resolver, {})
+        self.known: dict[Any, Resolved] = {}
+        self.read: dict[Any, Outside] = {}
+
+    def ports(self, name: str, entry: BlockEntry) -> Ports | None:
+        """Those of a block whose class is known; None where a fresh look is needed, and from then on."""
+        hierarchy, declaration = self.hierarchy, entry.cls.declaration
+        read, bounds = outside(declaration), loose(declaration)
+        is_same = self.read.setdefault(entry.cls, read) is read and not read.impure and not read.is_opaque
+        if not is_same or len(hierarchy.resolved) > MOST_KEPT:
+            return None
+        changed = {name: raw for name, raw in entry.parameters.items() if _is_between(raw, bounds.get(name))}
+        key = spelling(entry, hierarchy.root, changed) if bounds.keys() >= {*declaration.streams} else None
+        known = self.known.get(key)
+        if known is not None and meets(known, changed):
+            return known.interface.input_units, known.interface.output_units
+        self.blocks[name] = entry
+        hierarchy.leaves.clear()
+        hierarchy.drawing.clear()
+        leaf = hierarchy.leaf(hierarchy.root, name, entry)
+        if leaf is None or hierarchy.faults:
+            return None
+        if key is not None:
+            self.known[key] = leaf.resolved
+        return leaf.interface.input_units, leaf.interface.output_units
+
+
+def _is_between(raw: Any, bounds: tuple[float, float] | None) -> bool:
+    """Whether it is a number between two bounds, in SI as well: there it is neither infinite nor 0, if it is not 0."""
+    return bounds is not None and type(raw) is Number and bounds[0] < raw < bounds[1] and (not raw or abs(raw) > 1e-100)
 
 
 def port_units(within: DiagramValue, name: str, entry: BlockEntry, resolver: Resolver) -> Ports:
@@ -30,7 +77,7 @@ def port_units(within: DiagramValue, name: str, entry: BlockEntry, resolver: Res
         tables = port_units(within, name, base, resolver), port_units(within, name, variant, resolver)
         taken = set(variant.ports.values())
         own = [{key: unit for key, unit in table.items() if key not in taken} for table in tables[1]]
-        return own[0] | tables[0][0], own[1] | tables[0][1]
+        return {**own[0], **tables[0][0]}, {**own[1], **tables[0][1]}
     inner = entry.inner
     if inner is not None:
         inputs = {key: str(given.get("unit", "")) for key, given in inner.inputs.items()}
@@ -38,10 +85,7 @@ def port_units(within: DiagramValue, name: str, entry: BlockEntry, resolver: Res
         return inputs, dict.fromkeys(inner.outputs, "")
     probe = DiagramValue(within.name, parameters=within.parameters, blocks={name: entry}, folder=within.folder)
     interface = interface_of(probe, name, resolver)
-    return (
-        {port.name: port.unit for port in interface.inputs.values()},
-        {port.name: port.unit for port in interface.outputs.values()},
-    )
+    return interface.input_units, interface.output_units
 
 
 def parameter_units(entry: BlockEntry, folder: str, resolver: Resolver) -> dict[str, str]:

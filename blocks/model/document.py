@@ -22,11 +22,12 @@ from ..text.json_document import Document
 from .diagram import DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList
 from .diagram_grammar import BLOCK, BODY, DIAGRAM, SCHEMA, VARIANT
 from .document_reader import DocumentReader, Loading
-from .project import Project, project_of, read_inside
+from .project import Project, read_inside
 from .values import Column
 
 __all__ = [
     "alone",
+    "block",
     "canonical",
     "dumps",
     "entries",
@@ -51,7 +52,7 @@ def load(path: str | Path) -> DiagramValue:
     data = read_inside(path, Project(resolved.parent), Fault("E007", "", ""))
     # Absolute, so that it stays the same folder when the program goes to another.
     folder = os.path.abspath(path.parent)
-    return _read(data, str(path), folder, Loading(project_of(path)), (resolved,))
+    return _read(data, str(path), folder, Loading(path), (resolved,))
 
 
 def loads(
@@ -62,16 +63,16 @@ def loads(
     texts: what files hold, by their real paths, in place of what is on the disk.
     """
     folder = os.path.abspath(folder)
-    return _read(text, file, folder, Loading(project_of(Path(folder) / "x"), texts=texts or {}), ())
+    return _read(text, file, folder, Loading(Path(folder) / "x", texts=texts or {}), ())
 
 
 def alone(document: Document) -> tuple[DiagramValue | None, list[Fault]]:
     """What a file itself says, and its own faults: no other file is opened. None where it is no diagram."""
-    loading = Loading(Project(Path()), is_alone=True)
+    loading = Loading(is_alone=True)
     try:
         value = DocumentReader(document, document.file, "", loading, ()).diagram()
     except ModelError as error:  # of too many faults
-        loading, value = Loading(Project(Path())), None
+        loading, value = Loading(), None
         loading.faults.update(error.faults)
     return value, loading.faults.in_order()
 
@@ -95,20 +96,31 @@ def canonical(document: Document) -> tuple[str, int]:
 
 def from_document(document: Mapping[str, Any], *, folder: str | Path = "") -> DiagramValue:
     """The diagram of a dict, as `json.load` would give it."""
-    folder = os.path.abspath(folder)
-    return _unseen(document, folder, project_of(Path(folder) / "x"))
+    return _unseen(document, os.path.abspath(folder))
 
 
 def entries(*, folder: str = "", **sections: Mapping[str, Any]) -> DiagramValue:
     """Some sections of a diagram that is made in Python, as a file in `folder` would hold them. Raises ModelError."""
-    folder = os.path.abspath(folder)
-    return _unseen({"format": FORMAT, "version": VERSION, **sections}, folder, project_of(Path(folder) / "x"))
+    return _unseen({"format": FORMAT, "version": VERSION, **sections}, os.path.abspath(folder))
 
 
-def _unseen(document: Mapping[str, Any], folder: str, project: Project) -> DiagramValue:
+def block(name: str, entry: Mapping[str, Any], folder: str) -> BlockEntry:
+    """One block of a diagram that is made in Python, as `entries` gives it. Raises ModelError."""
+    with contextlib.suppress(ValueError):
+        value = json_text.without_text(entry)
+        loading, path = Loading(os.path.join(folder, "x")), ("blocks", name)
+        reader = DocumentReader(Document(value, {}, "", ""), "", folder, loading, ())
+        BLOCK.check(value, path, reader)
+        read = reader.block(value, path)
+        if not loading.faults:
+            return read
+    return entries(folder=folder, blocks={name: entry}).blocks[name]  # which has a text to tell of
+
+
+def _unseen(document: Mapping[str, Any], folder: str) -> DiagramValue:
     """The diagram of a text that nobody sees: its faults have no line."""
     try:
-        return _read(dumps_document(document), "", folder, Loading(project), ())
+        return _read(dumps_document(document), "", folder, Loading(Path(folder) / "x"), ())
     except ModelError as error:
         faults = (fault.at("", 0, 0) if fault.file in ("", "<text>") else fault for fault in error.faults)
         raise ModelError(*faults) from None

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ from .diagram_grammar import (
     members_of,
     signal,
 )
-from .project import Project, read_inside
+from .project import Project, project_of, read_inside
 from .streams import is_stream
 from .values import Column
 
@@ -46,12 +47,17 @@ __all__ = ["DocumentReader", "Loading"]
 class Loading:
     """What the readers of a diagram and of its subdiagram files share. A file is read once, wherever it is used."""
 
-    project: Project
+    near: str | Path = ""  # a file of the project
     faults: FaultList = field(default_factory=FaultList)
     files: dict[Path, DiagramValue | None] = field(default_factory=dict)
     tables: dict[Path, list[str]] = field(default_factory=dict)
     is_alone: bool = False  # other files are left closed
     texts: Mapping[str, str] = field(default_factory=dict)  # in place of what real paths hold
+
+    @cached_property
+    def project(self) -> Project:
+        """Looked for when another file is opened."""
+        return project_of(Path(self.near))
 
 
 @dataclass
@@ -208,7 +214,7 @@ class DocumentReader:
         parts: dict[str, Any] = {}
         if is_variant:
             parts["ports"] = {name: own for name, own in _table(entry, "ports").items() if isinstance(own, str)}
-        else:
+        elif "variants" in entry or "variant" in entry:
             parts |= self.variants(entry, path)
         if kind == "diagram" and isinstance(what, dict):
             if self.is_too_deep((*path, kind)):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import Any, Protocol
 
 from ..contract.declaration import Declaration
@@ -23,7 +24,7 @@ from . import streams
 from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList
 from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 
-__all__ = ["DiagramScope", "Hierarchy", "Leaf", "Resolver", "Spot"]
+__all__ = ["DiagramScope", "Hierarchy", "Leaf", "Resolver", "Spot", "spelling"]
 
 MAX_BLOCKS = 1_000_000
 
@@ -230,7 +231,7 @@ class Hierarchy:
 
     def leaf(self, scope: DiagramScope, name: str, entry: BlockEntry) -> Leaf | None:
         """A block of a type; None after its faults were reported. Blocks that are written alike share their numbers."""
-        key = None if self.overrides else _spelling(entry, scope)
+        key = None if self.overrides else spelling(entry, scope)
         resolved = self.spelled.get(key) if key is not None else None
         if resolved is None:
             resolved = self.numbers(scope, name, entry)
@@ -359,6 +360,8 @@ class Hierarchy:
                 return self.units[key]
             unit = parameter.unit(*known)
             declared = unit if isinstance(unit, str) else tuple(unit)
+            if not all(isinstance(text, str) for text in declared):  # `resolve` refuses what it follows from
+                return ""
             for text in dict.fromkeys((declared,) if isinstance(declared, str) else declared):
                 if text:
                     units.parse(text)
@@ -375,7 +378,7 @@ class Hierarchy:
         self, scope: DiagramScope, name: str, cls: Any, given: Mapping[str, Value], spots: Mapping[str, Spot]
     ) -> Resolved | None:
         """Sizes, defaults, ranges and ports of a block. Blocks with equal values share them."""
-        key = (cls, *((word, _hashable(value.value), value.exact, value.unit) for word, value in given.items()))
+        key = (cls, *((word, _hashable(value.value), _ratio(value.exact), value.unit) for word, value in given.items()))
         if key in self.resolved:
             return self.resolved[key]
         try:
@@ -424,11 +427,16 @@ def _with_unit(raw: Any, unit: str) -> Any:
     return {"value": raw, "unit": unit} if unit and isinstance(raw, (bool, str)) else raw
 
 
-def _spelling(entry: BlockEntry, scope: DiagramScope) -> Any:
-    """A key that is equal for blocks of one type whose parameters are written alike; None where there is none."""
+def spelling(entry: BlockEntry, scope: DiagramScope, loose: Mapping[str, Any] | None = None) -> Any:
+    """A key that is equal for blocks of one type whose parameters are written alike; None where there is none.
+
+    loose: parameters whose values are left out.
+    """
+    if entry.stream:  # which not every block has
+        return None
     written = []
     for name, raw in entry.parameters.items():
-        key = _written(raw, scope)
+        key = Number if loose and name in loose else _written(raw, scope)
         if key is None:
             return None
         written.append((name, key))
@@ -453,6 +461,11 @@ def _written(raw: Any, scope: DiagramScope) -> Any:
 
 def _hashable(value: Any) -> Any:
     return tuple(_hashable(item) for item in value) if isinstance(value, list) else (type(value), value)
+
+
+def _ratio(exact: Fraction | None) -> Any:
+    """The same fraction as what has a hash sooner."""
+    return None if exact is None else (exact.numerator, exact.denominator)
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -189,6 +189,8 @@ def _array(raw: Sequence[Any], declared: Unit, known: Known) -> Value:
         return Value(list(raw))
 
     def element(item: Any, unit: str) -> Any:
+        if not unit and type(item) is Number:
+            return float(item)
         if isinstance(item, (np.ndarray, np.generic)):
             item = item.tolist()
         if isinstance(item, (list, tuple)):

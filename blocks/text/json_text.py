@@ -28,7 +28,7 @@ from .json_number import NUMBER, Number
 from .json_slips import CLOSERS, INSIDE, Wanted, slip
 from .printable import quoted
 
-__all__ = ["meant", "read"]
+__all__ = ["meant", "read", "without_text"]
 
 # Each slip that is stepped over costs a copy of the text.
 MOST_SLIPS = 50
@@ -289,6 +289,25 @@ def meant(text: str | bytes, *, file: str = "") -> tuple[Document, tuple[Fault, 
         if error.readable is None:
             raise
         return error.readable, error.faults
+
+
+def without_text(value: Any, left: Iterator[int] | None = None) -> Any:
+    """What `read` gives for the text of a plain value. Raises ValueError where only a text can tell: faults, limits."""
+    kind, left = type(value), left or iter(range(1_000))
+    if next(left, None) is None:
+        raise ValueError
+    if kind is float or kind is int:
+        return Number(repr(value))  # its ModelError is a ValueError
+    if kind is bool or kind is Number or value is None:
+        return value
+    if kind is str and len(value) <= 1_000:
+        value.encode()  # refuses halves of characters
+        return value
+    if kind is list or kind is tuple:
+        return [without_text(item, left) for item in value]
+    if kind is dict and all(type(key) is str and len(key) <= 1_000 and key.isascii() for key in value):
+        return {key: without_text(item, left) for key, item in value.items()}
+    raise ValueError
 
 
 def _of_pairs(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from blocks.library import LIBRARY
 from blocks.model.diagram import BlockEntry, DiagramValue
 from blocks.model.document import from_document, load, loads
 from blocks.model.flatten import BlockSource, Flat, InputSource, Source, ValueSource, element_of, flatten
-from blocks.model.hierarchy import DiagramScope, _spelling
+from blocks.model.hierarchy import DiagramScope, spelling
 from blocks.model.values import Column
 from blocks.text.errors import Fault
 from blocks.text.json_number import Number
@@ -1160,20 +1160,26 @@ def test_a_fault_in_a_block_is_told_in_each_diagram_that_writes_it_alike() -> No
     assert [fault.place for fault in told] == ["a.g.kk", "b.g.kk"]
 
 
+def test_a_stream_is_refused_at_every_block_that_draws_no_numbers() -> None:
+    blocks = {"a": GAIN, "b": {**GAIN, "stream": "left"}, "c": CONSTANT}
+    told = faults(blocks=blocks, wires={"a.u": "c.y", "b.u": "c.y"})
+    assert [(fault.code, fault.place) for fault in told] == [("E003", "b.stream")]
+
+
 def test_what_is_spelled_apart_is_apart() -> None:
     raws = json.loads('[1, 1.0, true, "1", "=1", [1], [true], {"value": 1}, 0.0, -0.0]', parse_float=Number,
                       parse_int=Number)  # fmt: skip
     scope = DiagramScope("", None, DiagramValue(), 0, 0)
-    keys = [_spelling(BlockEntry(type="X", parameters={"k": raw}), scope) for raw in raws]
+    keys = [spelling(BlockEntry(type="X", parameters={"k": raw}), scope) for raw in raws]
     assert None not in keys
     assert len(set(keys)) == len(raws)
-    assert _spelling(BlockEntry(type="X", parameters={"k": Number("1")}), scope) == keys[0]
+    assert spelling(BlockEntry(type="X", parameters={"k": Number("1")}), scope) == keys[0]
     other = DiagramScope("", None, DiagramValue(), 1, 0)
-    again = [_spelling(BlockEntry(type="X", parameters={"k": raw}), other) for raw in raws]
+    again = [spelling(BlockEntry(type="X", parameters={"k": raw}), other) for raw in raws]
     assert [key == one for key, one in zip(keys, again, strict=True)] == [raw != "=1" for raw in raws]
     # What no text holds, such as the numbers of a file, is like nothing else.
-    assert _spelling(BlockEntry(type="X", parameters={"k": [Column({"csv": "a.csv"}, [1.0])]}), scope) is None
-    assert _spelling(BlockEntry(type="X", parameters={"k": np.zeros(2)}), scope) is None
+    assert spelling(BlockEntry(type="X", parameters={"k": [Column({"csv": "a.csv"}, [1.0])]}), scope) is None
+    assert spelling(BlockEntry(type="X", parameters={"k": np.zeros(2)}), scope) is None
 
 
 @pytest.mark.parametrize(
