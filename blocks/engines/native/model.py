@@ -22,7 +22,6 @@ from ...compile.c.runtime_tables import RuntimeTables
 from ...compile.c.runtime_texts import RUNTIME, packaged
 from ...compile.plan import Node, Plan, Reference
 from ...compile.toolchain.compiler import TranslationUnit, build, load
-from ...model.settings import RunSettings
 from ...text.errors import CompilerError
 from ..reference.engine import longest_step
 from ..run.measures import Measures
@@ -77,7 +76,7 @@ class Model(RuntimeTables):
         located = [float(isinstance(begin, Reference)) for begin in plan.s_start]
         self.begin = tuple(np.array(row, dtype=float) for row in (guesses, sides, located))
         """At the start: where searches begin, the sides of crossings, and which of these are known."""
-        self._of_settings: tuple[RunSettings, Any, int] | None = None  # of the last run
+        self._of_settings: tuple[Any, Any, int] | None = None  # of the last run
         self.library = _prepared(load(_built(plan, units)))
         self.address = ctypes.cast(self.library["blocks_model"], ctypes.c_void_p).value
 
