@@ -7,12 +7,13 @@
 
 from __future__ import annotations
 
-import copy
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..engines.prepared import Prepared
 from ..engines.selection import compiled_model
@@ -20,6 +21,7 @@ from ..model.diagram import DiagramValue
 from ..model.resolver import resolver_of
 from ..model.trust import Paths
 from ..results.results import Results
+from ..text.errors import Fault, UsageError
 from .ports import plain_log
 from .run import Run, RunOptions, started
 from .values import check_settings
@@ -31,6 +33,8 @@ __all__ = ["PreparedModel"]
 
 MOST_KEPT = 8
 """Forms of a model (other logs, methods, seeds, structural values) that are kept ready."""
+MOST_BLOCKS = 50_000
+"""So many blocks all forms may have, if there is more than one."""
 
 
 class PreparedModel:
@@ -56,7 +60,7 @@ class PreparedModel:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         self._value, self._types = value, dict(types)
-        self._parameters, self._settings = copy.deepcopy(dict(parameters or {})), copy.deepcopy(dict(settings or {}))
+        self._parameters, self._settings = _own(dict(parameters or {})), _own(dict(settings or {}))
         self._engine, self._trust = engine, trust
         self._resolver = resolver_of(self._types)
         self._forms: list[Prepared] = []  # the last used one goes last
@@ -100,10 +104,16 @@ class PreparedModel:
 
     def run_of(self, parameters: Mapping[str, Any], settings: Mapping[str, Any], options: RunOptions) -> Run:
         """A run with these parameters and settings on top of what was prepared, at its start."""
-        parameters = {**self._parameters, **copy.deepcopy(dict(parameters))}
-        settings = {**self._settings, **copy.deepcopy(plain_log(settings))}
+        parameters = {**self._parameters, **_own(dict(parameters))}
+        settings = {**self._settings, **_own(plain_log(settings))}
         options = replace(options, engine=self._engine, trust=self._trust)
-        run = started(self._value, self._resolver, parameters, settings, options, likes=self._kept())
+        known = self._kept()
+        run = started(self._value, self._resolver, parameters, settings, options, likes=known)
+        is_new = not any(form.alike is run.prepared.alike for form in known)
+        if is_new and not self.is_current:  # a form of now beside forms of then
+            message = "what its equations read from outside is not what it was when the model was prepared."
+            cure = "Prepare it again: these values need another form of it."
+            raise UsageError(Fault("E501", self._value.name, message, cure))
         self._keep(run.prepared)
         return run
 
@@ -115,7 +125,19 @@ class PreparedModel:
     def _keep(self, used: Prepared) -> None:
         with self._lock:
             form = next((form for form in self._forms if form.alike is used.alike), used)
-            self._forms = [*(known for known in self._forms if known is not form), form][-MOST_KEPT:]
+            kept = [*(known for known in self._forms if known is not form), form][-MOST_KEPT:]
+            while len(kept) > 1 and sum(len(known.flat.blocks) for known in kept) > MOST_BLOCKS:
+                del kept[0]
+            self._forms = kept
+
+
+def _own(value: Any) -> Any:
+    """A value that nobody else can change."""
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if isinstance(value, Mapping):
+        return {key: _own(item) for key, item in value.items()}
+    return type(value)(map(_own, value)) if type(value) in (list, tuple) else value
 
 
 def _again(value: DiagramValue, types: Mapping[str, type[Block]], given: Mapping[str, Any]) -> PreparedModel:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -33,6 +34,8 @@ __all__ = ["Prepared"]
 
 _OF_THE_CLOCK = ("start", "stop", "step", "rtol", "atol", "gives_rtol", "every", "jumps", "stops")
 """The settings of a run that no Plan depends on."""
+MOST_MADE = 4
+"""Sets of parameters that are kept ready: each has a flat model."""
 _PLAIN = (str, bool, int, float, Fraction, type(None))
 
 
@@ -48,9 +51,19 @@ class _Alike:
         self.given = given
         self.made: dict[frozenset[str], Prepared] = {}
         self.rebindings: dict[frozenset[str], Rebinding] = {}
+        self.lock = threading.Lock()
         self.model: Any = None
         self.settings: tuple[Mapping[str, Any], RunSettings] | None = None  # the last ones that were read
         self.fingerprint = ""
+
+    def keep(self, made: Prepared) -> None:
+        """Take in one that was flattened, in the place of another one with the same parameters."""
+        names = frozenset(made.parameters)
+        with self.lock:
+            for old in [names, *self.made][: 1 if len(self.made) < MOST_MADE else 2]:
+                self.made.pop(old, None)
+                self.rebindings.pop(old, None)
+            self.made[names] = made
 
 
 @dataclass(frozen=True)
@@ -96,8 +109,7 @@ class Prepared:
     def _with_flat(self, flat: Flat) -> Prepared:
         """The same, which others can follow from, with its flat model."""
         vars(self).update(flat=flat, equations=Equations(flat, self.plan, self.alike))
-        self.alike.made[frozenset(self.parameters)] = self
-        self.alike.rebindings.pop(frozenset(self.parameters), None)
+        self.alike.keep(self)
         return self
 
     @cached_property

@@ -195,6 +195,9 @@ def test_a_run_sees_what_equations_read_from_outside(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("tests.api.test_prepared_model.OUTSIDE", 3.0)
     assert diagram.run()["scaled.y"][-1] == 3.0
     assert model.run()["scaled.y"][-1] == 2.0
+    with pytest.raises(BlocksError, match="E501 outside: what its equations read from outside is not what it was"):
+        model.run(log=[])
+    assert model.run()["scaled.y"][-1] == 2.0
 
 
 def test_a_run_sees_another_engine_and_another_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
