@@ -19,7 +19,6 @@ from ..compile.inputs import InputTable, constant, read_csv, read_inputs
 from ..compile.plan import Plan
 from ..contract.enumerations import resting
 from ..engines.driver import Simulation
-from ..engines.master.report import own_tolerance
 from ..engines.prepared import Prepared
 from ..engines.run.differences import OLD, of_values
 from ..engines.run.engine import Engine
@@ -375,6 +374,8 @@ def tolerances_of_fmus(run: Run) -> list[float] | None:
     plan = run.plan
     if isinstance(plan, Plan):
         return None
+    from ..engines.master.report import own_tolerance
+
     return sorted({value for unit in plan.units if (value := own_tolerance(unit, plan)) is not None})
 
 

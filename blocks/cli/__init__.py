@@ -22,28 +22,11 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from importlib import import_module
 from typing import Any, NoReturn
 
 from ..fmi.exits import telling
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
-from . import (
-    apply,
-    check,
-    compare,
-    diff,
-    doctor,
-    draw,
-    explain,
-    export,
-    fmt,
-    fmu,
-    linearize,
-    listing,
-    rename,
-    run,
-    schema,
-    study,
-)
 from .output import say, silence, tell_faults
 from .signals import INTERRUPTED, hearing
 
@@ -52,10 +35,12 @@ __all__ = ["main"]
 BROKEN = 70
 """The exit code of a fault of blocks itself, as sysexits.h has it (EX_SOFTWARE)."""
 STDOUT = "stdout"
-COMMANDS = (
-    run, study, compare, check, diff, fmt, rename, apply, draw, listing, schema, export, fmu, linearize, explain,
-    doctor,
-)  # fmt: skip
+COMMANDS = {
+    "run": "run", "study": "study", "compare": "compare", "check": "check", "diff": "diff", "fmt": "fmt",
+    "rename": "rename", "apply": "apply", "draw": "draw", "list": "listing", "schema": "schema", "export": "export",
+    "fmu": "fmu", "linearize": "linearize", "observer": "linearize", "explain": "explain", "doctor": "doctor",
+}  # fmt: skip
+"""The module of each command, in the order of `blocks --help`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -131,7 +116,7 @@ def _open_streams() -> None:
 
 def _run(given: list[str]) -> int:
     try:
-        parser = _parser()
+        parser = _parser(given[0] if given else "")
         if not given:
             parser.print_help(sys.stderr)
             return UsageError.exit_status
@@ -209,14 +194,15 @@ def _every(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]
                 yield from _every(inner)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(command: str = "") -> argparse.ArgumentParser:
+    """The parser of the command line; where it begins with a command, of that one alone: the others take their time."""
     from ..text.version import __version__
 
     parser = _Parser(prog="blocks", description="Simulate and check block diagrams of control systems.")
     parser.add_argument("--version", action="version", version=f"blocks {__version__}")
     verbs: Any = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for command in COMMANDS:
-        command.add(verbs)
+    for module in dict.fromkeys([COMMANDS[command]] if command in COMMANDS else COMMANDS.values()):
+        import_module(f".{module}", __package__).add(verbs)
     for each in _every(parser):
         each.set_defaults(parser=each)
         each.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help="show the trace of an error")

@@ -15,10 +15,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..contract.expressions import exact_decimal
-from ..fmi.schema import ModelVariable
 from ..model.flatten import (
     BlockSource,
     Flat,
@@ -30,12 +29,15 @@ from ..model.flatten import (
     ValueSource,
     element_of,
 )
-from ..model.fmu_block import Foreign
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault, ModelError
 from .plan import Plan, PlanInput, PlanSignal, Reference
 from .plan_builder import plan
 from .scheduler import components
+
+if TYPE_CHECKING:
+    from ..fmi.schema import ModelVariable
+    from ..model.fmu_block import Foreign
 
 __all__ = [
     "CoupledElement",

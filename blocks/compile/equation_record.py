@@ -16,7 +16,6 @@ from ..contract.equation_text import digest_of, equation_texts, hexadecimal, sha
 from ..contract.interface import Interface
 from ..contract.resolution import Resolved
 from ..contract.tape import Tape
-from ..fmi.archive import sha256_of
 from ..model.flatten import Flat, FlatBlock, InputSource, Source, ValueSource
 from ..text.errors import BlocksError
 from .coupling import Coupling
@@ -148,6 +147,8 @@ class Equations:
 
 
 def _file(path: Any) -> str:
+    from ..fmi.archive import sha256_of
+
     try:
         return sha256_of(path)
     except (BlocksError, OSError):  # it is no longer there: its token says which one it was

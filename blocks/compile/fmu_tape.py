@@ -10,11 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..contract.interface import Interface
 from ..contract.tape import Argument, Result, Tape, TapeNode
-from ..fmi.schema import ModelVariable, Unknown
+
+if TYPE_CHECKING:
+    from ..fmi.schema import ModelVariable, Unknown
 
 __all__ = ["EVENT", "FmuTape", "Opaque", "OpaqueItem", "Request", "asked", "opaque"]
 

@@ -28,12 +28,14 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..contract.tape import Tape
-from ..model.fmu_block import Foreign
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault
+
+if TYPE_CHECKING:
+    from ..model.fmu_block import Foreign
 
 __all__ = [
     "NOTHING",

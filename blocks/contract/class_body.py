@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import keyword
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -107,6 +108,8 @@ def _check_finite(variable: Variable, place: str) -> None:
     """Refuse a default or a start that is no number, nan or infinite: no file could hold it."""
     word = "start" if isinstance(variable, Memory) else "default"
     given = getattr(variable, word, None)
+    if given is None or isinstance(given, (int, str)) or (isinstance(given, float) and math.isfinite(given)):
+        return  # as nearly all; arrays would take longer
     numbers = np.array([x for x in np.ravel(np.array(given, dtype=object)) if isinstance(x, (float, np.floating))])
     wrong = numbers[~np.isfinite(numbers.astype(float))]
     if len(wrong):

@@ -154,7 +154,7 @@ def _check_equations(declaration: Declaration) -> None:
             if role.kind in ("derivative", "next", "reset") and role.target is not None:
                 changed.add(role.target.name)
         for read in equation.reads:
-            _check_read(declaration, equation, read)
+            _check_read(declaration, readable, equation, read)
     for key, state in declaration.states.items():
         if ("derivative", id(state), id(None)) not in seen and declaration.foreign is None:
             refuse("E403", f"{name}.{key}", "the state has no derivative.", f"Add @{key}.derivative, or use Discrete.")
@@ -179,11 +179,12 @@ def _check_equations(declaration: Declaration) -> None:
             )
 
 
-def _check_read(declaration: Declaration, equation: Equation, read: str) -> None:
+def _check_read(
+    declaration: Declaration, readable: Mapping[str, Variable], equation: Equation, read: str
+) -> None:
     place = f"{declaration.name}.{equation.name}"
     kinds = {role.kind for role in equation.roles}
     unsampled = {role.kind for role in equation.roles if not role.ticks}
-    readable = declaration.readable
     if read == "t" or read in declaration.sizes:
         return
     if read == "tick":

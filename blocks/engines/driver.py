@@ -21,7 +21,7 @@ import numpy as np
 
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
-from ..fmi.instance import Ended
+from ..fmi.exits import Ended
 from ..results.results import Results
 from ..text.available_memory import Watch
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError

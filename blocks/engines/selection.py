@@ -1,4 +1,7 @@
-"""Which engine runs a diagram: the native one where it can, else the reference one, which says so."""
+"""Which engine runs a diagram: the native one where it can, else the reference one, which says so.
+
+An engine is imported when it is first taken: a run needs one of them.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import os
 import warnings
 from collections.abc import Callable
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..compile.c.runtime_grid import why_not
 from ..compile.coupling import CoupledUnit, Coupling
@@ -15,19 +18,15 @@ from ..compile.plan import Plan
 from ..compile.toolchain.cache import of_user
 from ..compile.toolchain.compiler import find_compiler
 from ..compile.toolchain.isolation_build import compiled
-from ..fmi.instance import Loaded, open_fmu
 from ..text.errors import CompilerError, Fault, FMUError, UsageError, did_you_mean
 from .driver import Simulation
-from .master.master import ReferenceMaster
-from .master.native_master import NativeMaster, master_library
-from .native.engine import NativeEngine
-from .native.model import model_of
-from .native.stiff import stiff_engine
-from .reference.engine import ReferenceEngine
 from .run.engine import ENGINES, VARIABLE, Engine
 from .run.memory_estimate import COPIES_OF_MASTER, check, check_plan, no_room
-from .run.model_exchange import Foreigns
 from .run.saved_state import State
+
+if TYPE_CHECKING:
+    from ..fmi.instance import Loaded
+    from .run.model_exchange import Foreigns
 
 __all__ = ["check_room", "compiled_model", "simulation"]
 
@@ -87,6 +86,8 @@ def compiled_model(what: Plan | Coupling, *, engine: str | None = None) -> Any:
         return None
     if name == "reference" or _why_not(what) or find_compiler() is None:
         return None  # a run says why, if it must
+    from .native.model import model_of
+
     try:
         return model_of(what, what.log, what.settings.method)
     except CompilerError as error:
@@ -97,21 +98,35 @@ def compiled_model(what: Plan | Coupling, *, engine: str | None = None) -> Any:
 
 def _native(what: Plan | Coupling, inputs: InputTable, model: Any) -> Engine:
     if isinstance(what, Coupling):
+        from .master.native_master import NativeMaster, master_library
+
         return NativeMaster(what, inputs, _loaded, master_library())
     if what.settings.method == "radau":
+        from .native.stiff import stiff_engine
+
         return stiff_engine(what, inputs, foreign=_foreigns(what))
+    from .native.engine import NativeEngine
+
     return NativeEngine(what, inputs, foreign=_foreigns(what), model=model)
 
 
 def _reference(what: Plan | Coupling, inputs: InputTable) -> Engine:
     if isinstance(what, Coupling):
+        from .master.master import ReferenceMaster
+
         return ReferenceMaster(what, inputs, _loaded)
+    from .reference.engine import ReferenceEngine
+
     return ReferenceEngine(what, inputs, foreign=_foreigns(what))
 
 
 def _foreigns(plan: Plan) -> Foreigns | None:
     """Its FMUs for Model Exchange. Which of them loaded before is remembered in the folder of the cache."""
-    return Foreigns.of(plan, of_user(), compiled) if plan.foreign else None
+    if not plan.foreign:
+        return None
+    from .run.model_exchange import Foreigns
+
+    return Foreigns.of(plan, of_user(), compiled)
 
 
 def _why_not(what: Plan | Coupling) -> str:
@@ -173,6 +188,8 @@ def check_room(what: Plan | Coupling, begin: Fraction | None = None, *, is_nativ
 
 def _loaded(unit: CoupledUnit) -> Loaded:
     """The FMU of a unit, loaded; what loaded once is remembered in the folder of the cache."""
+    from ..fmi.instance import open_fmu
+
     foreign = unit.foreign
     assert foreign is not None
     if foreign.isolate:

@@ -28,7 +28,7 @@ from typing import Any
 from ..text.errors import Fault, FMUError
 from .callbacks import instances, is_called
 
-__all__ = ["forget", "telling", "watch"]
+__all__ = ["Ended", "forget", "telling", "watch"]
 
 DEEPEST = 1000
 """Functions on the stack that are looked at."""
@@ -38,6 +38,10 @@ _python = [os.getpid()]  # the process of this Python: one that an FMU forks is 
 if sys.platform != "win32":
     os.register_at_fork(after_in_child=lambda: _python.__setitem__(0, os.getpid()))
 _tellers: list[tuple[int, Callable[[FMUError], int]]] = []
+
+
+class Ended(FMUError):
+    """An FMU ended the run inside code that cannot end it: no failure. It holds the fault of `fmi.instance.ended`."""
 
 
 @contextlib.contextmanager

@@ -40,7 +40,6 @@ from .types import FLOATS, c_type, call_of, full_name, limits_of
 
 __all__ = [
     "PATIENCE",
-    "Ended",
     "Events",
     "Instance",
     "Loaded",
@@ -81,10 +80,6 @@ class Events(NamedTuple):
     nominals_changed: bool
     states_changed: bool
     next_time: float | None
-
-
-class Ended(FMUError):
-    """An FMU ended the run inside code that cannot end it: no failure. It holds the fault of `ended`."""
 
 
 def ended(name: str, place: str, t: float, words: str) -> Fault:

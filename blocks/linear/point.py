@@ -11,12 +11,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..compile.plan import Plan, Reference
-from ..engines.reference.engine import ReferenceEngine
+
+if TYPE_CHECKING:
+    from ..engines.reference.engine import ReferenceEngine
 
 __all__ = ["Point"]
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import inspect
+import os
 import sys
 import traceback
 from collections.abc import Iterable
+from contextlib import suppress
+from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -17,6 +20,8 @@ from .modules import current
 
 __all__ = ["Library", "library_types"]
 
+GROUP = "blocks.library"
+"""The entry points of packages that bring blocks."""
 Library = Iterable[type[Block] | ModuleType | str] | type[Block] | ModuleType | str
 
 
@@ -48,9 +53,31 @@ def library_types(library: Library = ()) -> dict[str, type[Block]]:
 
 
 def _entry_points() -> Any:
+    """Those of all packages; reading their metadata takes longer than seeing that none names the group."""
+    has_finders = any(
+        getattr(finder, "find_distributions", None) for finder in sys.meta_path if finder is not PathFinder
+    )
+    if not has_finders and not any(map(_may_extend, sys.path)):
+        return ()
     from importlib.metadata import entry_points
 
-    return entry_points(group="blocks.library")
+    return entry_points(group=GROUP)
+
+
+def _may_extend(place: str) -> bool:
+    """Whether a package in a folder of `sys.path` has blocks; a file, such as a zip archive, may hold some."""
+    try:
+        with os.scandir(place or ".") as entries:
+            folders = [entry.path for entry in entries if entry.name.lower().endswith("-info")]
+    except NotADirectoryError:
+        return True
+    except OSError:  # it does not exist
+        return False
+    for folder in folders:
+        with suppress(OSError), open(os.path.join(folder, "entry_points.txt"), "rb") as file:
+            if GROUP.encode() in file.read():
+                return True
+    return False
 
 
 def _types_of(item: Any) -> dict[str, type[Block]]:

@@ -12,16 +12,17 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..fmi.archive import Archive
-from ..fmi.library import Notes, faults
 from ..text.errors import BlocksError, Fault, FMUError, UsageError
 from ..text.printable import legible, quoted
 from .diagram import DiagramValue
 from .flatten import Flat
-from .fmu_block import KINDS, Foreign
 from .project import open_below, project_of
+
+if TYPE_CHECKING:
+    from ..fmi.library import Notes
+    from .fmu_block import Foreign
 
 __all__ = ["Found", "Paths", "check_trust", "found", "new_folders", "to_be_refused"]
 
@@ -139,6 +140,8 @@ class Found:
     scalings: tuple[tuple[str, str, str, float], ...]
 
     def lines(self) -> Iterator[str]:
+        from .fmu_block import KINDS
+
         f = self.foreign
         runs = "cannot run here" if any(not fault.is_warning for fault in self.faults) else "should run here"
         own = f", in a process of its own (timeout {f.timeout:g} s)" if f.isolate else ""
@@ -184,6 +187,9 @@ def found(flat: Flat) -> list[Found]:
 
 
 def _faults(foreign: Foreign) -> tuple[Fault, ...]:
+    from ..fmi.archive import Archive
+    from ..fmi.library import faults
+
     try:
         with Archive(foreign.path) as archive:
             return faults(archive, foreign.description, foreign.kind)

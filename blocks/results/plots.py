@@ -103,8 +103,10 @@ def defaults(own: Mapping[str, Any] | None = None) -> Iterator[None]:
         cure = "Look for a file matplotlibrc in the current folder, or install matplotlib again."
         raise UsageError(Fault("E501", "matplotlib", f"cannot be loaded: {what}.", cure)) from None
     known: Any = matplotlib.rcParamsDefault
-    settings: Any = {key: known[key] for key in known if not key.startswith("backend")} | dict(own or {})
-    with matplotlib.rc_context(settings):
+    with matplotlib.rc_context():
+        # As `rcParams.update`, which checks each of these 300 values anew.
+        dict.update(matplotlib.rcParams, {key: known[key] for key in known if not key.startswith("backend")})
+        matplotlib.rcParams.update(dict(own or {}))
         yield
 
 
@@ -207,7 +209,7 @@ def svg_text(figure: Any) -> str:
     """The figure as an <svg> element in the text color of the page; the same bytes each time."""
     stream = io.StringIO()
     with defaults({"svg.hashsalt": "blocks", "svg.fonttype": "none"}):
-        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+        _write(figure, stream, "svg", {"Date": None, "Creator": None}, dpi=figure.dpi)
     text = stream.getvalue()
     text = text[text.index("<svg") :].replace(INK, "currentColor")
     head, rest = text.split(">", 1)
@@ -231,4 +233,23 @@ def save(figure: Any, path: str | Path) -> None:
             if isinstance(color, str) and color == INK:
                 getattr(artist, put)("#000000")
     with write_atomically(path) as stream:
-        figure.savefig(stream.buffer, format=ending[1:], dpi=150, metadata=FORMATS[ending])
+        _write(figure, stream.buffer, ending[1:], FORMATS[ending], dpi=150)
+
+
+def _write(figure: Any, stream: Any, format: str, metadata: Mapping[str, Any], *, dpi: float) -> None:
+    """As `figure.savefig`, which draws each figure twice, first to lay it out. Lines to an inset need that."""
+    from matplotlib.backends import backend_agg, backend_svg
+
+    if format == "pdf" or any(axis.child_axes for axis in figure.axes):
+        figure.savefig(stream, format=format, dpi=dpi, metadata=metadata)
+        return
+    canvas, own = figure.canvas, figure.dpi
+    try:
+        figure.dpi = dpi
+        if format == "svg":
+            backend_svg.FigureCanvasSVG(figure).print_svg(stream, metadata=metadata)
+        else:
+            backend_agg.FigureCanvasAgg(figure).print_png(stream, metadata=metadata)
+    finally:
+        figure.set_canvas(canvas)
+        figure.dpi = own

@@ -50,3 +50,21 @@ def test_a_wrong_signal_is_refused_without_scipy() -> None:
     modules = loaded("linearize", "diagrams/analysis/leso_pd.json", "--loop", "contrl.u", status=2)
     assert "scipy" not in modules
     assert "blocks.frequency.margins" not in modules
+
+
+def test_a_run_loads_one_engine_and_nothing_of_fmus_or_figures() -> None:
+    modules = loaded("run", "diagrams/bouncing_ball.json", "--engine", "native")
+    own = {name for name in modules if name.startswith("blocks.")}
+    assert "blocks.engines.native.engine" in own
+    assert not {name for name in own if name.startswith(("blocks.engines.reference", "blocks.engines.master"))}
+    assert not {name for name in own if name.startswith(("blocks.linear", "blocks.frequency", "blocks.draw"))}
+    assert not own & {f"blocks.fmi.{name}" for name in ("archive", "schema", "description", "library", "instance")}
+    assert not (HEAVY | {"scipy", "importlib.metadata", "jsonschema"}) & modules
+
+
+def test_a_command_loads_the_modules_of_no_other_command() -> None:
+    modules = loaded("explain", "E101")
+    assert "numpy" not in modules
+    assert {name for name in modules if name.startswith("blocks.cli.")} <= {
+        f"blocks.cli.{name}" for name in ("explain", "options", "output", "signals", "values")
+    }

@@ -25,7 +25,8 @@ from ...compile.coupling import CoupledUnit, Coupling
 from ...compile.inputs import InputTable
 from ...compile.plan import Reference
 from ...compile.time_grid import within_ulps
-from ...fmi.instance import Ended, Loaded
+from ...fmi.exits import Ended
+from ...fmi.instance import Loaded
 from ...fmi.patience import patient, undisturbed
 from ...results.results import Event, Statistics
 from ...text.errors import BlocksError, Fault, UsageError

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
@@ -27,19 +27,20 @@ from ...fmi.patience import patient
 from ...results.results import Event, Events, Statistics
 from ...text.available_memory import for_recording
 from ...text.errors import BlocksError, Fault, SimulationError, UsageError
-from ..reference.chattering import TO_AND_FRO
-from ..reference.engine import ReferenceEngine
 from ..run.engine import Recorded, heard_by_python
 from ..run.history import Past, Store
 from ..run.measures import Measures
 from ..run.memory_estimate import COPIES
-from ..run.model_exchange import Foreigns
 from ..run.saved_state import State, fit, standing
 from ..run.snapshot import MethodMemory, Snapshot, frozen
 from ..run.step_parts import Unseen, unseen_faults
-from .fmu_bridge import NativeForeigns
 from .model import Model, model_of
 from .rows import Handle, array, track_table
+
+if TYPE_CHECKING:
+    from ..reference.engine import ReferenceEngine
+    from ..run.model_exchange import Foreigns
+    from .fmu_bridge import NativeForeigns
 
 __all__ = ["NativeEngine"]
 
@@ -81,6 +82,9 @@ class NativeEngine:
         self._stop_exact: Fraction | None = None
         self._foreign: NativeForeigns | None = None
         if plan.foreign:
+            from ..run.model_exchange import Foreigns
+            from .fmu_bridge import NativeForeigns
+
             self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan), self.model.place)
         self._handle = self._made()
         self._handle.setup.is_silent = int(is_silent)
@@ -308,6 +312,8 @@ class NativeEngine:
         self, state: State | None = None, units: Foreigns | None = None, *, is_silent: bool = True
     ) -> ReferenceEngine:
         """The reference engine; where a run stood, or nowhere yet."""
+        from ..reference.engine import ReferenceEngine
+
         witness = ReferenceEngine(self.plan, self.inputs, foreign=units, is_silent=is_silent)
         if state is not None:
             witness.stand_at(state)
@@ -343,6 +349,8 @@ class NativeEngine:
 
     def _in_words(self, start: bool) -> SimulationError | None:
         """The error that the reference engine meets from here; None where it meets none."""
+        from ..reference.chattering import TO_AND_FRO
+
         try:
             if start:
                 self._witness(units=self._units(), is_silent=False).start()

@@ -23,8 +23,8 @@ from ...compile.c.runtime_texts import RUNTIME, packaged
 from ...compile.plan import Node, Plan, Reference
 from ...compile.toolchain.compiler import TranslationUnit, build, load
 from ...text.errors import CompilerError
-from ..reference.engine import longest_step
 from ..run.measures import Measures
+from ..run.step_parts import longest_step
 
 __all__ = ["Model", "model_of"]
 

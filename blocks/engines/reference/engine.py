@@ -30,6 +30,7 @@ from ..run.measures import Measures
 from ..run.model_exchange import Foreigns
 from ..run.saved_state import State, fit, standing
 from ..run.snapshot import MethodMemory, Snapshot, frozen
+from ..run.step_parts import longest_step
 from ..run.step_polynomial import Interpolant
 from . import event_location, stiff
 from .chattering import CrossingWatch, ProgressWatch
@@ -40,7 +41,7 @@ from .methods import error_norm, first_step, trial
 from .python_code import CompiledPrograms, Evaluator
 from .rows import Row, RunRows
 
-__all__ = ["ReferenceEngine", "longest_step"]
+__all__ = ["ReferenceEngine"]
 
 Array = np.ndarray[Any, Any]
 Rates = Callable[[float, Array], Array]
@@ -57,17 +58,6 @@ _KEPT = (
     "now", "segment", "inputs", "broken", "outstanding", "crossing", "changed", "left", "sides", "located", "steps",
     "rejected", "evaluations", "instant_count", "events",
 )  # fmt: skip
-
-
-def longest_step(plan: Plan) -> float:
-    """The longest step of an adaptive method: a fiftieth of the run, as longer steps may miss what happens.
-
-    Without states there is no error to estimate, so that signals of time alone need shorter ones.
-    """
-    settings = plan.settings
-    if settings.stop is None or settings.stop <= settings.start:
-        return math.inf
-    return float(settings.stop - settings.start) / (50 if plan.states else 1000)
 
 
 class ReferenceEngine:

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from ...compile.plan import ForeignPart, Plan
-from ...fmi.instance import Ended, Instance, Saved, ended, open_fmu
+from ...fmi.exits import Ended
+from ...fmi.instance import Instance, Saved, ended, open_fmu
 from ...fmi.isolation import CompileC
 from ...fmi.library import Notes
 from ...fmi.schema import ModelVariable

@@ -22,7 +22,7 @@ from ...compile.plan import Plan
 from ...text.errors import Fault
 from .history import Past
 
-__all__ = ["BETWEEN_ROWS", "CHECKS", "LEFT_OUT", "Look", "Part", "Unseen", "unseen_faults"]
+__all__ = ["BETWEEN_ROWS", "CHECKS", "LEFT_OUT", "Look", "Part", "Unseen", "longest_step", "unseen_faults"]
 
 Array = np.ndarray[Any, Any]
 Values = Callable[[float], Any]
@@ -34,6 +34,17 @@ _DEEPEST = 24  # so many times a piece of a step is halved at most
 _MOST_TRIED, _MOST_SPLIT = 2**20, 4096  # in one piece: tries in all, and halvings that lead to nothing
 _MOST_TOLD = 2**10  # tries once it is reported that not all is seen
 _PAST = 8  # parts of the past that stand for a turn
+
+
+def longest_step(plan: Plan) -> float:
+    """The longest step of an adaptive method: a fiftieth of the run, as longer steps may miss what happens.
+
+    Without states there is no error to estimate, so that signals of time alone need shorter ones.
+    """
+    settings = plan.settings
+    if settings.stop is None or settings.stop <= settings.start:
+        return math.inf
+    return float(settings.stop - settings.start) / (50 if plan.states else 1000)
 
 
 @dataclass(frozen=True, slots=True)
