@@ -77,8 +77,7 @@ class Model(RuntimeTables):
             if entry.length:
                 setattr(setup, entry.length, len(values))
         setup.nintegers = int(self.has_integers)
-        setup.measured_count = len(self.windows)
-        setup.has_windows = int(self.has_windows)
+        setup.has_windows, setup.has_paths = int(self.has_windows), int(self.has_paths)
 
 
 def _built(plan: Plan, units: Sequence[TranslationUnit]) -> Path:
@@ -115,6 +114,7 @@ def _prepared(library: ctypes.CDLL) -> ctypes.CDLL:
         ("blocks_record", c.c_int, [sim]),
         ("blocks_rates", None, [sim, c.c_double, sim, sim]),
         ("blocks_size", c.c_int64, [c.c_int32]),
+        ("blocks_list_room", c.c_int, [sim, c.c_int64]),
         ("blocks_past_room", c.c_int, [sim, c.c_int64, c.c_int64]),
     ):
         function = getattr(library, name)
