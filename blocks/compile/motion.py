@@ -44,13 +44,15 @@ class Motion:
     """How some signals move.
 
     bent: for each, whether it is. phases: the nodes that give the phases of periodic operations, in turns, where they
-    change between instants. histories: the delays that are read. is_opaque: whether one depends on an FMU.
+    change between instants. histories: the delays that are read. is_opaque: whether one depends on an FMU. is_driven:
+    whether a bent one depends on anything but states.
     """
 
     bent: tuple[bool, ...]
     phases: tuple[Node, ...]
     histories: tuple[int, ...]
     is_opaque: bool
+    is_driven: bool
 
     @property
     def is_plain(self) -> bool:
@@ -93,7 +95,8 @@ class Motions:
         histories.update((item.index, None) for item in asked if isinstance(item, Reference) and item.row == "h")
         moving = tuple(node for node in phases if self._kind(node)[0])
         bent = tuple(self._degree(item)[0] >= BENT for item in asked)
-        return Motion(bent, moving, tuple(histories), is_opaque)
+        is_driven = any(is_timed for degree, is_timed in map(self._degree, asked) if degree >= BENT)
+        return Motion(bent, moving, tuple(histories), is_opaque, is_driven)
 
     def is_bent(self, node: Node) -> bool:
         """Whether a node that was asked for is no polynomial of the states alone, of their degree."""

@@ -5,6 +5,7 @@ References: Dormand and Prince 1980 (the 5(4) pair); Shampine 1986 (its continuo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,9 +78,13 @@ METHODS = {
 }
 
 
+SHARES = (*((1 - math.sqrt(3 / 7) * side) / 2 for side in (1, 0, -1)), 0.367879, 0.763932)
+"""Where in a step measures are taken: the inner nodes of Lobatto's rule, and two checks (`run/step_parts.py`)."""
+
+
 def c_header() -> str:
-    """The methods for steps.h, each where its macro BLOCKS_METHOD_... is set: sizes, DENSE, and as code MAKE_STEP, the
-    stages and the end of a step, and ERROR(i), what e makes of rates."""
+    """The methods for steps.h, each where its macro BLOCKS_METHOD_... is set: sizes, DENSE, its weights at SHARES, and
+    as code MAKE_STEP, the stages and the end of a step, and ERROR(i), what e makes of rates."""
     return "".join(f"#if BLOCKS_METHOD_{name.upper()}\n{_c_text(tableau)}#endif\n" for name, tableau in METHODS.items())
 
 
@@ -87,6 +92,10 @@ def _c_text(tableau: Tableau) -> str:
     last, (stages, degree) = len(tableau.a), tableau.p.shape
     text = f"enum {{ STAGES = {stages}, DEGREE = {degree}, ORDER = {tableau.order} }};\n"
     text += f"static const double DENSE[] = {{{', '.join(map(repr, tableau.p.ravel().tolist()))}}};\n"
+    shares = [[sum(p * at ** (j + 1) for j, p in enumerate(row)) for row in tableau.p.tolist()] for at in SHARES]
+    rows = ", ".join(f"{{{', '.join(map(repr, row))}}}" for row in shares)
+    text += f"static const double SHARES_AT[] = {{{', '.join(map(repr, SHARES))}}};\n"
+    text += f"static const double SHARES[][STAGES] = {{{rows}}};\n"
     text += "#define MAKE_STEP"
     for n, row in enumerate(tableau.a, start=1):
         end, then = "x1" if n == last else "xs", "h" if tableau.c[n] == 1 else f"{tableau.c[n]!r} * h"

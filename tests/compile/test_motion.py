@@ -100,7 +100,7 @@ def test_what_stands_between_instants_has_no_phase() -> None:
     d.wire(held.u, d.add("one", Constant()).y)
     d.wire(f.u1, held.y)
     motion, _ = motion_of(d, "f.y")
-    assert motion == Motion((False,), (), (), False)
+    assert motion == Motion((False,), (), (), False, False)
 
 
 class Curve(Block):

@@ -35,6 +35,7 @@ from .ticks import Clique, Stage, cliques
 
 __all__ = ["Clique", "Emitted", "Stage", "emit"]
 
+RATES = ("rates", "rates_and_sides", "rates_and_measured", "bent_measured", "plain_measured")
 LONG, LONGEST = 20_000, 100_000  # characters; a longer program is not printed twice, or is compiled as cold code
 
 
@@ -95,7 +96,7 @@ class _Emitter(PlanReader):
         guards: Sequence[tuple[int, ...]] = (),
     ) -> str:
         """The body of a program over the continuous part: `asked` go to `sinks`."""
-        scope = ProgramScope({}, {}, {}, is_quick, is_hot=name == "rates_and_sides")
+        scope = ProgramScope({}, {}, {}, is_quick, is_hot=name in RATES)
         self.seen_states: dict[int, None] = {}
         calls = self.sliced(asked, scope, held=(lambda node: True) if is_quick else self.v.__contains__)
         copies = self.attach(name, calls, asked, sinks, scope)
@@ -143,12 +144,12 @@ class _Emitter(PlanReader):
         self.is_hot = is_hot
         printed = print_program(
             name, calls, copies, self.place, self.tables, x_at=self.x_at, loops=self.loops,
-            is_aliased=self.is_in_prepare, is_hot=name in ("rates", "rates_and_sides"),
+            is_aliased=self.is_in_prepare, is_hot=name in RATES,
         )  # fmt: skip
         self.scratch = max(self.scratch, printed.scratch)
         if not printed.same:
             functions = printed.functions
-            if name not in ("rates", "rates_and_sides", "logged") or len(functions) > LONGEST:
+            if name not in (*RATES, "logged", "plain_measured", "bent_measured") or len(functions) > LONGEST:
                 functions = functions.replace("static __attribute__((noinline))", "static BLOCKS_COLD")
             self.texts += [functions] if functions else []
             return printed.body
@@ -165,7 +166,7 @@ class _Emitter(PlanReader):
             row = "q" if name == "prepare" else "v"
             body = f"    const double t = 0.0, *const x = m->x;\n    double *const out = m->{row};\n{body}"
         signature = _SIGNATURES.get(name, _SIGNATURE)
-        is_hot = name in ("rates", "rates_and_sides")
+        is_hot = name in RATES
         is_inline = is_hot or (name == "logged" and len(body) < 4000)
         if is_hot:
             signature = "const BlocksMemory *m, double t, const double *restrict x, double *restrict out"
@@ -252,6 +253,7 @@ class _Emitter(PlanReader):
             self.rates_and_sides(nodes, sink)
             if is_long:
                 self.define("rates", "    rates_and_sides(m, t, x, out);")
+        quick = self.quick_measures(sink, method, moving=moving)
         self.define("crossings", self.continuous("crossings", nodes, [sink(k, n, "side") for k, n in enumerate(nodes)]))
         watched = {name: self.watched[name] for name in ("logged", "measured", "remembered")}
         for name, asked in {"solutions": plan.unknowns, **watched, **others}.items():
@@ -279,7 +281,7 @@ class _Emitter(PlanReader):
         cliques = self.outputs(sink)
         self.prepare()
         self.compare_lanes()
-        return self.finished(method, cliques, moving, end)
+        return self.finished(method, cliques, moving, end, quick)
 
     def rates(self, sink: Callable[[int, Node, str], Sink], has_room: bool) -> bool:
         """The rates; or nothing, and True, where they are long and crossings can follow them: compiling them twice
@@ -299,6 +301,7 @@ class _Emitter(PlanReader):
             del self.texts[printed:]
             return True
         self.define("rates", body)
+        self.is_long = len(body) + sum(map(len, self.texts[printed:])) > LONG
         return False
 
     def compare_lanes(self) -> None:
@@ -323,6 +326,31 @@ class _Emitter(PlanReader):
         sinks += [sink(nx + place, crossings[j], "inf") for place, j in enumerate(self.sides)]
         nodes = [*self.plan.derivatives, *(crossings[j] for j in self.sides)]
         self.define("rates_and_sides", self.continuous("rates_and_sides", nodes, sinks))
+
+    def quick_measures(self, sink: Callable[[int, Node, str], Sink], method: str, *, moving: bool) -> dict[str, int]:
+        """The programs by which the stepping loop measures: at the end of a step behind its rates; inside, what five
+        values tell apart from what they do not. Without them it measures like all that is looked at in parts."""
+        plan, asked, motion = self.plan, self.watched["measured"], self.motions["measured"]
+        is_quick = bool(asked) and method in METHODS and not (motion.phases or motion.histories)
+        is_quick = is_quick and not (plan.projections or plan.histories or plan.unknowns or plan.foreign)
+        is_shared = is_quick and not moving and not self.is_long
+        sizes = {"QUICK_MEASURES": int(is_quick), "SHARES_MEASURED": int(is_shared)}
+        sizes["DRIVEN_MEASURES"] = int(motion.is_driven)
+        if is_shared:
+            first = len(plan.states) + len(plan.crossings)
+            sinks = [sink(self.x_at[k], node, "zero") for k, node in enumerate(plan.derivatives)]
+            sinks += [Sink(first + k) for k in range(len(asked))]
+            body = self.continuous("rates_and_measured", [*plan.derivatives, *asked], sinks)
+            self.define("rates_and_measured", body)
+        for name, is_bent in (("plain", False), ("bent", True)) if is_quick else ():
+            columns = [k for k, bent in enumerate(motion.bent) if bent == is_bent]
+            program = f"{name}_measured"
+            self.define(program, self.continuous(program, [asked[k] for k in columns], list(map(Sink, columns))))
+            states = self.states_of[program]
+            sizes |= {f"N{name.upper()}": len(columns), f"N{name.upper()}_STATES": len(states)}
+            for what, items in ((f"{program}_states", states), (f"{name}_columns", columns)):
+                self.texts.append(f"static const int {what}[] = {{{', '.join(map(str, items)) or '0'}}};\n")
+        return sizes
 
     def refresh(self) -> None:
         """What is in v so far, and what it needs."""
@@ -514,7 +542,9 @@ class _Emitter(PlanReader):
             rows.append(f"    {{{name}, {phases}, {counts}, {places}, {motion.checks(name)}}},\n")
         return f"\nstatic const BlocksLook looks[] = {{\n{''.join(rows)}}};\n"
 
-    def finished(self, method: str, cliques: tuple[Clique, ...], moving: bool, end: str) -> Emitted:
+    def finished(
+        self, method: str, cliques: tuple[Clique, ...], moving: bool, end: str, quick: dict[str, int]
+    ) -> Emitted:
         plan = self.plan
         sizes = {
             "NX": len(plan.states), "ND": len(plan.discretes), "NS": len(plan.crossings), "NP": len(plan.parameters),
@@ -526,6 +556,7 @@ class _Emitter(PlanReader):
             "BENT_SIDES": int(any(self.is_bent(cause.node) for cause in plan.crossings)),
             "TURNING_ROWS": int(bool(self.motions["logged"].phases)),
         }  # fmt: skip
+        sizes |= quick
         if plan.foreign:
             sizes |= {"NF": len(plan.foreign), "NTAKEN": sum(len(part.inputs) for part in plan.foreign)}
         states = [self.looked_at(name) for name in self.watched]

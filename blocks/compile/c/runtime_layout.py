@@ -11,8 +11,8 @@ from .runtime_texts import packaged
 from .structures import structures
 
 __all__ = [
-    "CALLBACK", "CAUSE", "CLIQUE", "ENABLED", "HISTORY", "PROJECTION", "RATE", "RESET", "SLOT", "STAGE", "STEPPER",
-    "STRUCTURES", "TRACK", "WINDOW", "BlocksGrid", "BlocksSetup", "BlocksSim",
+    "CALLBACK", "CAUSE", "CLIQUE", "ENABLED", "HISTORY", "MEASURE", "MEASURED", "PROJECTION", "RATE", "RESET", "SLOT",
+    "STAGE", "STEPPER", "STRUCTURES", "TRACK", "BlocksGrid", "BlocksSetup", "BlocksSim",
 ]  # fmt: skip
 
 STRUCTURES = structures(*packaged("model.h", "runtime.h").values())
@@ -20,10 +20,10 @@ CALLBACK = c.CFUNCTYPE(c.c_int, c.c_int, c.c_int, c.c_double, c.POINTER(c.c_doub
 BlocksGrid: Any = STRUCTURES["BlocksGrid"]
 BlocksSetup: Any = STRUCTURES["BlocksSetup"]
 BlocksSim: Any = STRUCTURES["BlocksSim"]
-CAUSE, RESET, PROJECTION, RATE, SLOT, STAGE, CLIQUE, STEPPER, ENABLED, HISTORY, WINDOW, TRACK = (
+CAUSE, RESET, PROJECTION, RATE, SLOT, STAGE, CLIQUE, STEPPER, ENABLED, HISTORY, MEASURE, MEASURED, TRACK = (
     np.dtype(STRUCTURES[f"Blocks{name}"])
     for name in (
-        "Cause", "Reset", "Projection", "Rate", "Slot", "Stage", "Clique", "Stepper", "Enabled", "History", "Window",
-        "Track",
+        "Cause", "Reset", "Projection", "Rate", "Slot", "Stage", "Clique", "Stepper", "Enabled", "History", "Measure",
+        "Measured", "Track",
     )
 )  # fmt: skip

@@ -52,8 +52,15 @@ SETUP = (
     SetupTable("stage_steppers", "int32_t", in_fmus=False),
     SetupTable("stepper_slots", "int32_t", in_fmus=False),
     SetupTable("anew_steppers", "int32_t", in_fmus=False),
-    SetupTable("windows", "BlocksWindow", "nwindows", in_fmus=False),
+    SetupTable("measures", "BlocksMeasure", "nmeasures", in_fmus=False),
 )
+
+
+MEASURES = {
+    "ISE": 0, "ISU": 0, "mean_square": 0, "IAE": 1, "ITAE": 2, "peak": 3, "total_variation": 4, "overshoot": 5,
+    "settling_time": 6,
+}  # fmt: skip
+"""What the runtime takes in for each type of measure, as runtime.h numbers it."""
 
 
 class RuntimeTables:
@@ -85,9 +92,10 @@ class RuntimeTables:
         )
         self.histories = _table([(h.delay, h.before, int(h.echoes)) for h in plan.histories], runtime_layout.HISTORY)
         self._of_integers(plan)
-        windows = [(spec.start, spec.stop) for spec in plan.measures]
-        self.has_windows = any(np.isfinite(edge) for window in windows for edge in window)
-        self.windows = _table(windows, runtime_layout.WINDOW)
+        measures = [(spec.start, spec.stop, MEASURES[spec.type]) for spec in plan.measures]
+        self.measures = _table(measures, runtime_layout.MEASURE)
+        self.has_windows = bool(np.isfinite(self.measures["low"]).any() or np.isfinite(self.measures["high"]).any())
+        self.has_paths = any(spec.type == "settling_time" for spec in plan.measures)
 
     def of_setup(self) -> Iterator[tuple[SetupTable, Array]]:
         """What stands in a BlocksSetup."""

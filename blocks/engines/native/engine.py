@@ -88,6 +88,7 @@ class NativeEngine:
             self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan), self.model.place)
         self._handle = self._made()
         self._handle.setup.is_silent = int(is_silent)
+        self._measured = Measures(plan)
         self._views()
 
     def _clear(self) -> None:
@@ -95,7 +96,6 @@ class NativeEngine:
         self.model.library.blocks_reset(self.address)
         self._oracle = None
         self.told: list[Array] = []  # pieces of (t, cause)
-        self.measures = Measures(self.plan)
         self._whole: Array | None = None  # rows that were taken from C, the last one included, which C has too
         # The first rows stand in memory that results may keep without a copy.
         self._first = np.empty((self._expected, 1 + len(self.model.logged)))
@@ -270,7 +270,7 @@ class NativeEngine:
                 look_up()
 
     def _drain(self) -> None:
-        """Take over what C has gathered: events, and records for measures."""
+        """Take over the events that C has gathered."""
         with self._alone():
             self._take_over()
 
@@ -280,11 +280,6 @@ class NativeEngine:
             pairs = array(sim.fired_events.data, sim.fired_events.used)
             self.told.append(pairs.reshape(-1, 2).copy())
             sim.fired_events.used = 0
-        if sim.records.used:
-            width = 5 + 10 * self.measures.count
-            records = array(sim.records.data, sim.records.used).reshape(-1, width)
-            self.measures = self.measures.after_records(records)
-            sim.records.used = 0
 
     def _called(self, number: int, what: int, t: float, inputs: Any, outputs: Any) -> int:
         """Run a stepper by means of the reference engine."""
@@ -437,7 +432,7 @@ class NativeEngine:
             overrides,
             self._snapshot(),
             self.inputs,
-            self.measures.saved(),
+            self._measures().saved(),
             sim.broken,
             (sim.located_t, located),
             fired,
@@ -474,10 +469,7 @@ class NativeEngine:
             self._fired[j] = t
         self._crossed[: len(state.crossed)] = state.crossed
         sim.crossed_count = len(state.crossed)
-        self.measures = self.measures.restored(state.measures)
-        known = self.measures.known
-        if known is not None:
-            array(sim.known, 1 + len(known[1]))[:] = (known[0], *known[1])
+        self._put_measures(self._measured.restored(state.measures).saved())
         self._put_past(now.past)
         settings = self.settings
         sim.row = 0 if settings.every is None else Grid.of(settings.start, settings.every).after(now.t)
@@ -485,6 +477,44 @@ class NativeEngine:
         self.model.library.blocks_reload(self.address)
         if not outstanding and self.model.library.blocks_record(self.address):
             self.fail()
+
+    def _measures(self) -> Measures:
+        """The measures as C has them."""
+        if not self._measured.count:
+            return self._measured
+        rows, known = self._measured_rows(), array(self.sim.known, 1 + 2 * self._measured.count)
+        return self._measured.restored({
+            **{name: rows[name] for name in ("total", "span", "first", "begin", "target", "last")},
+            "extremes": np.column_stack([rows["low"], rows["high"]]),
+            "known": known[:0] if math.isnan(known[0]) else known,
+            "paths": {
+                str(i): array(int(rows["path"][i]["data"] or 0), int(rows["path"][i]["used"])).reshape(-1, 7).copy()
+                for i in self._measured.paths
+            },
+        })  # fmt: skip
+
+    def _measured_rows(self) -> Array:
+        """What C keeps of each measure."""
+        size = self._measured.count * runtime_layout.MEASURED.itemsize
+        raw = (ctypes.c_char * size).from_address(self.sim.measured)
+        return np.frombuffer(raw, dtype=runtime_layout.MEASURED)
+
+    def _put_measures(self, saved: Mapping[str, Any]) -> None:
+        if not self._measured.count:
+            return
+        rows, library = self._measured_rows(), self.model.library
+        for name in ("total", "span", "first", "begin", "target", "last"):
+            rows[name] = saved[name]
+        rows["low"], rows["high"] = saved["extremes"].T
+        known = saved["known"]
+        array(self.sim.known, len(known))[:] = known
+        for i, path in saved["paths"].items():
+            place = self.sim.measured + int(i) * runtime_layout.MEASURED.itemsize
+            place += runtime_layout.MEASURED.fields["path"][1]
+            if library.blocks_list_room(place, path.size):
+                raise MemoryError
+            array(int(rows["path"][int(i)]["data"]), path.size)[:] = path.ravel()
+            rows["path"]["used"][int(i)] = path.size
 
     def _put_past(self, past: Past | None) -> None:
         if past is None:
@@ -577,7 +607,7 @@ class NativeEngine:
         statistics = Statistics(self.settings.method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants)
         pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
         events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), tuple(model.told_as))
-        measures, uncovered = self.measures.results(self.t)
+        measures, uncovered = self._measures().results(self.t)
         warnings = (*self.warnings, *uncovered, *self._unseen())
         return Recorded(whole[:, 0], whole[:, 1:], events, measures, statistics, warnings)
 
@@ -646,5 +676,5 @@ class NativeEngine:
         if all(math.isnan(unseen.t) for unseen in by_look.values()):
             return ()
         plan, motions = self.plan, Motions(self.plan)
-        asked = looked_at(plan, self.measures.references, self.model.logged)
+        asked = looked_at(plan, self._measured.references, self.model.logged)
         return unseen_faults(plan, {name: motions.of(asked[name]) for name in LOOKS}, by_look)

@@ -90,8 +90,7 @@ class Model(RuntimeTables):
             if entry.length:
                 setattr(setup, entry.length, len(values))
         setup.nintegers = int(self.has_integers)
-        setup.measured_count = len(self.windows)
-        setup.has_windows = int(self.has_windows)
+        setup.has_windows, setup.has_paths = int(self.has_windows), int(self.has_paths)
         return setup
 
     def for_settings(self, plan: Plan) -> tuple[Any, int]:
@@ -158,6 +157,7 @@ def _prepared(library: ctypes.CDLL) -> ctypes.CDLL:
         ("blocks_take_rows", None, [sim, sim, c.c_int64, sim, sim, c.c_int64]),
         ("blocks_rates", None, [sim, c.c_double, sim, sim]),
         ("blocks_size", c.c_int64, [c.c_int32]),
+        ("blocks_list_room", c.c_int, [sim, c.c_int64]),
         ("blocks_past_room", c.c_int, [sim, c.c_int64, c.c_int64]),
     ):
         function = getattr(library, name)

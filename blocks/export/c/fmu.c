@@ -305,7 +305,6 @@ static void tell_events(Fmu *f)
             fmu_say(f, FMU_OK, FMU_LOG_EVENTS, "t = %.17g s: %s", fired->data[i],
                     name_in(fmu_model.cause_names, f->setup.ncauses, (int)fired->data[i + 1]));
     fired->used = 0;
-    f->sim->records.used = 0;
 }
 
 /* --- times ------------------------------------------------------------------------------------------------------ */
@@ -1213,7 +1212,7 @@ int fmu_restore(Fmu *f, const FmuSaved *saved)
     s->polynomials = f->live.has_slopes ? &f->polynomials : NULL;
     f->polynomials.t0 = f->live.slopes_at;
     f->live.known = 0;
-    s->fired_events.used = s->records.used = 0;
+    s->fired_events.used = 0;
     if (f->live.mode > FMU_INITIALIZATION) blocks_rows(s);
     return wrong ? fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the state is not one of such an instance of this FMU") : FMU_OK;
 }

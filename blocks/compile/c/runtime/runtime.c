@@ -75,7 +75,7 @@ int blocks_clock(BlocksSim *s)
 {
     if (--s->budget > 0) return 0;
     double now = seconds();
-    if (now >= s->deadline || s->records.used > 1 << 20 || s->fired_events.used > 1 << 20) {
+    if (now >= s->deadline || s->fired_events.used > 1 << 20) {
         s->budget = 0;
         return 1;
     }
@@ -494,37 +494,46 @@ static void not_seen(Parts *p, int what)
     unseen->what = what;
 }
 
-/* The value that the polynomial through the nodes misses most, if by more than it may; or -1. */
+/* A value that the polynomial through values (5, n) at nodes misses by more than it may, of those given at theta; or -1. */
+static int worst_off(const BlocksSim *s, const BlocksLook *look, const double *nodes, double theta, const double *values,
+                     const double *given, double spans, double sizes, int ignores_far)
+{
+    int n = look->n;
+    double w[5];
+    for (int k = 0; k < 5; k++) {
+        w[k] = 1.0;
+        for (int j = 0; j < 5; j++)
+            if (j != k) w[k] *= (theta - nodes[j]) / (nodes[k] - nodes[j]);
+    }
+    for (int i = 0; i < n; i++) {
+        if (look->bent && !look->bent[i]) continue;
+        const double *v = values + i;
+        double low = v[0], high = v[0], made = w[0] * v[0];
+        for (int k = 1; k < 5; k++) {
+            double y = v[k * n];
+            low = blocks_smaller(low, y), high = blocks_larger(high, y), made += w[k] * y;
+        }
+        double span = high - low, size = blocks_larger(fabs(low), fabs(high));
+        double allowed = spans * span + sizes * (s->setup->plain_atol + s->setup->rtol * size);
+        if (!(fabs(made - given[i]) > allowed)) continue; /* what is not finite is for others to see */
+        if (ignores_far) {
+            double d = given[i], least = (low > 0.0) == (high > 0.0) ? blocks_smaller(fabs(low), fabs(high)) : 0.0;
+            if ((d > 0.0) == (low > 0.0) && blocks_smaller(least, fabs(d)) > 3.0 * span) continue;
+        }
+        return i;
+    }
+    return -1;
+}
+
+/* The value that a part misses; or -1; where it failed: -2. */
 static int worst_missed(Parts *p)
 {
-    int n = p->look->n;
-    double *given = p->values + 5 * n;
+    double *given = p->values + 5 * p->look->n;
     for (int c = 0; c < p->count; c++) {
         double theta = p->checks[c];
         if (values_at(p, p->begin + theta * (p->end - p->begin), given)) return -2;
-        double w[5];
-        for (int k = 0; k < 5; k++) {
-            w[k] = 1.0;
-            for (int j = 0; j < 5; j++)
-                if (j != k) w[k] *= (theta - p->nodes[j]) / (p->nodes[k] - p->nodes[j]);
-        }
-        for (int i = 0; i < n; i++) {
-            if (p->look->bent && !p->look->bent[i]) continue;
-            const double *v = p->values + i;
-            double low = v[0], high = v[0], made = w[0] * v[0];
-            for (int k = 1; k < 5; k++) {
-                double y = v[k * n];
-                low = blocks_smaller(low, y), high = blocks_larger(high, y), made += w[k] * y;
-            }
-            double span = high - low, size = blocks_larger(fabs(low), fabs(high));
-            double allowed = p->spans * span + p->sizes * (p->s->setup->plain_atol + p->s->setup->rtol * size);
-            if (!(fabs(made - given[i]) > allowed)) continue; /* what is not finite is for others to see */
-            if (p->ignores_far) {
-                double d = given[i], least = (low > 0.0) == (high > 0.0) ? blocks_smaller(fabs(low), fabs(high)) : 0.0;
-                if ((d > 0.0) == (low > 0.0) && blocks_smaller(least, fabs(d)) > 3.0 * span) continue;
-            }
-            return i;
-        }
+        int missed = worst_off(p->s, p->look, p->nodes, theta, p->values, given, p->spans, p->sizes, p->ignores_far);
+        if (missed >= 0) return missed;
     }
     return -1;
 }
@@ -791,21 +800,217 @@ int blocks_rows_inside(BlocksSim *s, double t1, double h, int outstanding)
     return 0;
 }
 
-/* --- measures: records for Python; see docs/diagram_file.md, "measures" ------------------------------------------ */
+/* --- measures; see docs/diagram_file.md, "measures"; twins: run/measures.py, run/step_polynomial.py --------------- */
+
+enum { FINE = 128 };
+/* Functions of other optimization are not inlined. */
+#define LEAST(a, b) ((a) < (b) ? (a) : (b))
+#define MOST(a, b) ((a) > (b) ? (a) : (b))
+static const double NODE_WEIGHTS[] = {1.0 / 20, 49.0 / 180, 16.0 / 45, 49.0 / 180, 1.0 / 20};
+static const double REACH = 0.35876858129917541; /* how far a quartic goes beyond its values at the nodes, in their spans */
+
+HOT static inline double weighted(const double *y)
+{
+    return NODE_WEIGHTS[0] * y[0] + NODE_WEIGHTS[1] * y[1] + NODE_WEIGHTS[2] * y[2] + NODE_WEIGHTS[3] * y[3] +
+           NODE_WEIGHTS[4] * y[4];
+}
+
+/* The quartic through values at the nodes, by powers of 2 theta - 1: that of its middle first. */
+HOT static void quartic(const double *y, double *a)
+{
+    const double b = 2.0 * LOBATTO[3] - 1.0, b2 = 3.0 / 7.0;
+    double even = (y[4] - y[2] + (y[0] - y[2])) / 2, odd = (y[4] - y[0]) / 2;
+    double inner_even = (y[3] - y[2] + (y[1] - y[2])) / 2, inner_odd = (y[3] - y[1]) / 2;
+    a[0] = y[2];
+    a[4] = (even - inner_even / b2) / (1.0 - b2);
+    a[3] = (odd - inner_odd / b) / (1.0 - b2);
+    a[2] = even - a[4];
+    a[1] = odd - a[3];
+}
+
+HOT static double at_share(const double *a, double theta)
+{
+    double s = 2.0 * theta - 1.0;
+    return a[0] + s * (a[1] + s * (a[2] + s * (a[3] + s * a[4])));
+}
+
+/* The values at the ends of 128 equal pieces; both ends exactly. */
+HOT static void finely(const double *y, double *fine)
+{
+    double a[5];
+    quartic(y, a);
+    for (int k = 1; k < FINE; k++) fine[k] = at_share(a, k * (1.0 / FINE));
+    fine[0] = y[0], fine[FINE] = y[4];
+}
+
+HOT static inline void bounds(const double *y, double *low, double *high)
+{
+    *low = *high = y[0];
+    for (int k = 1; k < 5; k++) *low = LEAST(*low, y[k]), *high = MOST(*high, y[k]);
+}
+
+/* The values at the turns of the quartic, in order (at most FINE - 1); how many. */
+HOT static int turns_of(const double *y, double *turns)
+{
+    double fine[FINE + 1], a[5];
+    int rises = 0, falls = 0, count = 0;
+    for (int k = 0; k < 4; k++) rises |= y[k + 1] > y[k], falls |= y[k + 1] < y[k];
+    if (!(rises && falls)) { /* a turn between the first two or the last two hides from the nodes */
+        quartic(y, a);
+        double second = at_share(a, 1.0 / FINE), last = at_share(a, 1.0 - 1.0 / FINE);
+        if (!((second - y[0]) * (y[1] - y[0]) < 0.0) && !((y[4] - last) * (y[4] - y[3]) < 0.0)) return 0;
+    }
+    finely(y, fine);
+    for (int k = 1; k < FINE; k++) {
+        double before = fine[k] - fine[k - 1], after = fine[k + 1] - fine[k];
+        if (before * after <= 0.0 && before != after)
+            turns[count++] = fine[k] - (before + after) * (before + after) / (8 * (after - before));
+    }
+    return count;
+}
+
+/* The least and the largest of low, high and what the quartic reaches. */
+HOT static void reached(const double *y, double *low, double *high)
+{
+    double bottom, top, turns[FINE];
+    bounds(y, &bottom, &top);
+    double beyond = REACH * (top - bottom);
+    *low = LEAST(*low, bottom), *high = MOST(*high, top);
+    if (!(bottom - beyond < *low || top + beyond > *high)) return;
+    for (int i = turns_of(y, turns) - 1; i >= 0; i--)
+        *low = LEAST(*low, turns[i]), *high = MOST(*high, turns[i]);
+}
+
+HOT static double variation(const double *y)
+{
+    double turns[FINE], sum = 0.0, from = y[0];
+    int count = turns_of(y, turns);
+    for (int i = 0; i < count; i++) sum += fabs(turns[i] - from), from = turns[i];
+    return sum + fabs(y[4] - from);
+}
+
+/* The integral of |e|, or of t |e|. */
+HOT static double absolute(const double *e, double t, double h, int is_timed)
+{
+    double low, high, fine[FINE + 1], a[5], values[5], sum = 0.0, from = 0.0;
+    bounds(e, &low, &high);
+    if (!(low < 0.0 && high > 0.0)) {
+        for (int k = 0; k < 5; k++) values[k] = fabs(e[k]) * (is_timed ? t + LOBATTO[k] * h : 1.0);
+        return h * weighted(values);
+    }
+    finely(e, fine);
+    quartic(e, a);
+    for (int k = 0; k <= FINE; k++) { /* piece by piece between its zeros */
+        if (k < FINE && !(fine[k] * fine[k + 1] < 0.0)) continue;
+        double to = k == FINE ? 1.0 : (k + fine[k] / (fine[k] - fine[k + 1])) / FINE;
+        for (int i = 0; i < 5; i++) {
+            double theta = from + (to - from) * LOBATTO[i];
+            values[i] = fabs(at_share(a, theta)) * (is_timed ? t + theta * h : 1.0);
+        }
+        sum += (to - from) * weighted(values);
+        from = to;
+    }
+    return h * sum;
+}
+
+/* Only a part that goes further than all that follow, upwards or downwards, can be the last outside of a band. */
+static void thin_out(BlocksList *path)
+{
+    double least = INFINITY, most = -INFINITY;
+    int64_t kept = path->used;
+    for (int64_t at = path->used - 7; at >= 0; at -= 7) {
+        double *row = path->data + at, low, high;
+        bounds(row + 2, &low, &high);
+        double beyond = REACH * (high - low);
+        int counts = low - beyond < least || high + beyond > most;
+        least = LEAST(least, LEAST(row[2], row[6]));
+        most = MOST(most, MOST(row[2], row[6]));
+        if (counts) memmove(path->data + (kept -= 7), row, 7 * sizeof(double));
+    }
+    memmove(path->data, path->data + kept, (size_t)(path->used - kept) * sizeof(double));
+    path->used -= kept;
+}
+
+/* Room for so many parts in each path. */
+HOT static int path_room(BlocksSim *s, int64_t parts)
+{
+    for (int i = 0; s->setup->has_paths && i < s->setup->nmeasures; i++) {
+        BlocksList *path = &s->measured[i].path;
+        if (s->setup->measures[i].kind != BLOCKS_SETTLING || path->used + 7 * parts <= path->capacity) continue;
+        thin_out(path);
+        if (2 * path->used + 7 * parts > path->capacity && blocks_list_room(path, path->used + 7 * parts)) return no_memory(s);
+    }
+    return 0;
+}
+
+/* Take in the values (5, 2 nmeasures) of a part from t on, for one measure. h 0: after an instant. */
+HOT static void take(BlocksSim *s, int i, double t, double h, const double *values)
+{
+    const int kind = s->setup->measures[i].kind, n = s->model->nmeasured;
+    BlocksMeasured *made = &s->measured[i];
+    double e[5];
+    values += 2 * i;
+    _Pragma("GCC unroll 5") for (int k = 0; k < 5; k++) e[k] = values[k * n] - values[k * n + 1];
+    if (isnan(made->first)) made->first = t, made->begin = values[0], made->last = e[0];
+    made->span += h;
+    if (kind == BLOCKS_SQUARE) {
+        double squares[5] = {e[0] * e[0], e[1] * e[1], e[2] * e[2], e[3] * e[3], e[4] * e[4]};
+        made->total += h * weighted(squares);
+        return;
+    }
+    double of[5];
+    for (int k = 0; k < 5; k++) of[k] = values[k * n];
+    made->target = values[4 * n + 1];
+    if (kind == BLOCKS_ABSOLUTE || kind == BLOCKS_TIMED) {
+        made->total += absolute(e, t, h, kind == BLOCKS_TIMED);
+    } else if (kind == BLOCKS_PEAK) {
+        double low = -made->total, high = made->total;
+        reached(e, &low, &high);
+        made->total = MOST(-low, high);
+    } else if (kind == BLOCKS_VARIATION) {
+        made->total += fabs(e[0] - made->last) + variation(e);
+    } else if (kind == BLOCKS_OVERSHOOT) {
+        reached(of, &made->low, &made->high);
+    } else if (kind == BLOCKS_SETTLING && h > 0.0) {
+        double *row = made->path.data + made->path.used;
+        row[0] = t, row[1] = h;
+        memcpy(row + 2, of, sizeof of);
+        made->path.used += 7;
+    }
+    made->last = e[4];
+}
+
+/* Whether a measure is taken of low to high in the step from t0 to t1: of what its window leaves of the step. */
+HOT static inline int is_of_range(const BlocksSim *s, int i, double low, double high, double t0, double t1)
+{
+    const BlocksMeasure *what = &s->setup->measures[i];
+    return !s->setup->has_windows || (MOST(what->low, t0) == low && LEAST(what->high, t1) == high);
+}
+
+/* Take in the parts of an accepted step. */
+static void take_parts(BlocksSim *s, double t0, double t1)
+{
+    int width = 4 + 5 * s->model->nmeasured;
+    const double *row = s->parts.data, *end = row + s->parts.used;
+    for (; row < end; row += width)
+        for (int i = 0; i < s->setup->nmeasures; i++)
+            if (is_of_range(s, i, row[0], row[1], t0, t1)) take(s, i, row[2], row[3], row + 4);
+    s->parts.used = 0;
+}
 
 static int measure(BlocksSim *s, double low, double high, double t1, double h_dense)
 {
-    int m = s->model->nmeasured, width = 5 + 5 * m, got;
+    int m = s->model->nmeasured, width = 4 + 5 * m, got;
     Parts p = parts_of(s, BLOCKS_MEASURED, low, high, h_dense);
     p.x1 = high == t1 ? s->x1 : NULL, p.nodes = LOBATTO, p.spans = 10 * s->setup->rtol, p.sizes = 1.0;
     p.checks = CHECKS + 2, p.count = p.look->bent ? p.look->checks : 0;
     if (s->known[0] == low) memcpy(p.values, s->known + 1, (size_t)m * sizeof(double)), p.knows_begin = 1;
     while ((got = next_part(&p)) > 0) {
-        if (blocks_list_room(&s->records, width)) return no_memory(s);
-        double *row = s->records.data + s->records.used, begin = part_time(&p, p.begin);
-        row[0] = 0.0, row[1] = begin, row[2] = part_time(&p, p.end) - begin, row[3] = low, row[4] = high;
-        memcpy(row + 5, p.values, (size_t)(5 * m) * sizeof(double));
-        s->records.used += width;
+        if (blocks_list_room(&s->parts, width)) return no_memory(s);
+        double *row = s->parts.data + s->parts.used, begin = part_time(&p, p.begin);
+        row[0] = low, row[1] = high, row[2] = begin, row[3] = part_time(&p, p.end) - begin;
+        memcpy(row + 4, p.values, (size_t)(5 * m) * sizeof(double));
+        s->parts.used += width;
     }
     if (got < 0) return BLOCKS_FAILED;
     s->known[0] = high;
@@ -816,31 +1021,65 @@ static int measure(BlocksSim *s, double low, double high, double t1, double h_de
 static int measure_step(BlocksSim *s, double t1, double h_dense)
 {
     const BlocksSetup *setup = s->setup;
-    if (!setup->measured_count || t1 <= s->t) return 0;
-    if (!setup->has_windows) return measure(s, s->t, t1, t1, h_dense);
-    for (int i = 0; i < setup->nwindows; i++) {
-        double low = fmax(setup->windows[i].low, s->t), high = fmin(setup->windows[i].high, t1);
+    if (!setup->nmeasures || t1 <= s->t) return 0;
+    int count = setup->has_windows ? setup->nmeasures : 1;
+    for (int i = 0; i < count; i++) {
+        double low = s->t, high = t1;
+        if (setup->has_windows) low = fmax(setup->measures[i].low, low), high = fmin(setup->measures[i].high, high);
         int is_new = low < high;
         for (int j = 0; j < i && is_new; j++)
-            if (fmax(setup->windows[j].low, s->t) == low && fmin(setup->windows[j].high, t1) == high) is_new = 0;
+            if (is_of_range(s, j, low, high, s->t, t1)) is_new = 0;
         if (is_new && measure(s, low, high, t1, h_dense)) return BLOCKS_FAILED;
     }
+    return path_room(s, s->parts.used / (4 + 5 * s->model->nmeasured));
+}
+
+/* The values after an instant; they are taken in when nothing can fail any more. */
+static int measure_instant(BlocksSim *s)
+{
+    int m = s->model->nmeasured;
+    if (!m) return 0;
+    evaluate(s, s->model->measured, s->t, s->memory.x, s->nodes);
+    if (!all_finite(s->nodes, m)) return blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
+    for (int k = 1; k < 5; k++) memcpy(s->nodes + k * m, s->nodes, (size_t)m * sizeof(double));
+    s->known[0] = s->t;
     return 0;
 }
 
-static int measure_instant(BlocksSim *s)
+static void take_instant(BlocksSim *s)
 {
-    int m = s->model->nmeasured, width = 5 + 5 * m;
-    if (!m) return 0;
-    if (blocks_list_room(&s->records, width)) return no_memory(s);
-    double *row = s->records.data + s->records.used;
-    evaluate(s, s->model->measured, s->t, s->memory.x, row + 5);
-    if (!all_finite(row + 5, m)) return blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
-    row[0] = 1.0, row[1] = s->t, row[2] = row[3] = row[4] = 0.0;
-    memset(row + 5 + m, 0, (size_t)(4 * m) * sizeof(double));
-    s->known[0] = s->t;
-    memcpy(s->known + 1, row + 5, (size_t)m * sizeof(double));
-    s->records.used += width;
+    for (int i = 0; i < s->setup->nmeasures; i++)
+        if (s->setup->measures[i].low <= s->t && s->t < s->setup->measures[i].high) take(s, i, s->t, 0.0, s->nodes);
+}
+
+/* Whether the polynomials through `nodes`, of a step as one part, miss what was given at the first check. */
+int blocks_misses(BlocksSim *s, double *given)
+{
+    return worst_off(s, &s->model->looks[BLOCKS_MEASURED], LOBATTO, CHECKS[2], s->nodes, given, 10 * s->setup->rtol, 1.0, 0) >= 0;
+}
+
+/* What windows leave of a step: 0 all of it, to some measure; 1 nothing to any; -1 a part of it, to some. */
+HOT int blocks_measures_in(const BlocksSim *s, double t0, double t1)
+{
+    int any = 0;
+    for (int i = 0; i < s->setup->nmeasures; i++) {
+        const BlocksMeasure *what = &s->setup->measures[i];
+        if (what->low >= t1 || what->high <= t0) continue;
+        if (what->low > t0 || what->high < t1) return -1;
+        any = 1;
+    }
+    return !any;
+}
+
+/* Take in a step as one part: its values stand in `nodes`. */
+HOT int blocks_measure_whole(BlocksSim *s, double t0, double t1)
+{
+    const int m = s->model->nmeasured;
+    if (path_room(s, 1)) return 1;
+    for (int i = 0; i < s->setup->nmeasures; i++)
+        if (is_of_range(s, i, t0, t1, t0, t1)) take(s, i, t0, t1 - t0, s->nodes);
+    s->known[0] = t1;
+    memcpy(s->nodes, s->nodes + 4 * m, (size_t)m * sizeof(double));
     return 0;
 }
 
@@ -1286,7 +1525,7 @@ int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double err
     const BlocksModel *model = s->model;
     const BlocksSetup *setup = s->setup;
     int changed = 0, moved = 0;
-    int64_t remembered = s->past.known, recorded = s->records.used;
+    int64_t remembered = s->past.known;
     double known = s->known[0];
     size_t nx = (size_t)model->nx;
     s->weighed = s->flowed = 0;
@@ -1309,6 +1548,7 @@ int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double err
     if (blocks_rows_inside(s, t1, h, changed || t1 == target)) goto end;
     if (model->nh && remember(s, t1, h)) goto end;
     if (solve(s, t1, s->x1, s->z1)) goto end;
+    s->parts.used = 0;
     if (measure_step(s, t1, h)) goto end;
     if (model->nprojections && !changed) {
         memcpy(s->d1, s->memory.d, (size_t)model->nd * sizeof(double));
@@ -1328,6 +1568,7 @@ int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double err
     }
     /* From here on nothing fails: the step is taken. */
     if (model->nh) settle_past(s, remembered, t1);
+    take_parts(s, s->t, t1);
     double *x = s->memory.x, *first = s->k[0];
     s->memory.x = s->x1;
     s->x1 = x;
@@ -1363,7 +1604,6 @@ int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double err
     return -1;
 end:
     s->past.known = remembered;
-    s->records.used = recorded;
     if (s->known[0] != known) s->known[0] = NAN;
     s->weighed = 0;
     return BLOCKS_FAILED;
@@ -1759,10 +1999,10 @@ static int instant(BlocksSim *s, int is_start)
     const size_t nx = (size_t)model->nx, nd = (size_t)model->nd, ns = (size_t)model->ns, ne = (size_t)model->nevents;
     double *x0 = s->backup + nx + nd + ns, *d0 = x0 + nx, *s0 = d0 + nd, *events0 = s0 + ns, *own0 = events0 + ne,
            *z0 = own0 + ne;
-    int64_t told = s->fired_events.used, recorded = s->records.used, broken_count = s->past.broken;
+    int64_t told = s->fired_events.used, broken_count = s->past.broken;
     int32_t seen = s->past.seen, open = s->past.open;
     double broken0 = s->broken, known0 = s->known[0];
-    int touched = 0, changed = s->changed, crossed_any = 0, broke = 0, failed = BLOCKS_FAILED;
+    int touched = 0, changed = s->changed, crossed_any = 0, broke = 0, failed = BLOCKS_FAILED, measured = 0;
     int64_t hidden = model->hooks ? model->hooks->epoch(s) : 0;
     const double *left = NULL;
     if (!is_start && !setup->is_silent) {
@@ -1827,8 +2067,10 @@ static int instant(BlocksSim *s, int is_start)
         s->has_first = 0;
         s->sides_t = NAN;
         if (measure_instant(s)) goto restore;
+        measured = s->setup->nmeasures;
     }
     if (record(s, left)) goto restore;
+    if (measured) take_instant(s);
     s->outstanding = s->changed = s->has_left = s->crossing = 0;
     s->later = 0.0;
     s->instants++;
@@ -1849,7 +2091,6 @@ restore:
     s->past.seen = seen;
     s->past.open = open;
     s->fired_events.used = told;
-    s->records.used = recorded;
     if (s->known[0] != known0) s->known[0] = NAN;
     if (s->broken != broken0) {
         s->broken = broken0;
@@ -2051,7 +2292,14 @@ void blocks_reset(BlocksSim *s)
     s->exact = s->has_first = s->has_before = s->outstanding = s->crossing = s->changed = s->has_left = 0;
     s->steps = s->rejected = s->evaluations = s->instants = 0;
     s->failure = BLOCKS_FINE;
-    s->fired_events.used = s->records.used = 0;
+    s->fired_events.used = 0;
+    for (int i = 0; i < s->setup->nmeasures; i++) {
+        BlocksMeasured *made = &s->measured[i];
+        made->total = made->span = 0.0;
+        made->first = made->begin = made->target = made->last = NAN;
+        made->low = INFINITY, made->high = -INFINITY;
+        made->path.used = 0;
+    }
     s->past.known = s->past.broken = 0;
     s->past.open = s->past.seen = 0;
     for (int i = 0; i < model->nh; i++) s->past.passed[i] = 0;
@@ -2096,7 +2344,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         {&s->memory.h, nh}, {&s->memory.z, nz}, {&s->memory.k, nr}, {&s->memory.q, nq}, {&s->memory.v, nv},
         {&s->memory.w, (size_t)model->nw},
         {&s->events, ne}, {&s->own, ne}, {&s->located, ns}, {&s->sides, ns}, {&s->fired, nc}, {&s->crossed, ns ? CROWD : 0},
-        {&s->left, nl}, {&s->before, nx + ns}, {&s->latched, ns}, {&s->x1, nx}, {&s->known, 1 + nm}, {&s->base, nu}, {&s->aim, nu},
+        {&s->left, nl}, {&s->before, nx + ns + nm}, {&s->latched, ns}, {&s->x1, nx}, {&s->known, 1 + 5 * nm}, {&s->base, nu}, {&s->aim, nu},
         {&s->begin, nu}, {&s->finish, nu}, {&s->xs, nx}, {&s->x2, nx + ns},
         {&s->weights, nx * BLOCKS_MOST_DEGREE}, {&s->crossing_values, ns}, {&s->first_values, 5 * ns},
         {&s->part_values, 6 * looked}, {&s->part_phases, 3 * turning},
@@ -2107,17 +2355,18 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
     };
     int count = (int)(sizeof pieces / sizeof pieces[0]);
     for (int i = 0; i < count; i++) doubles += room(pieces[i].n) + 8;
-    for (int i = 0; i < model->stages; i++) doubles += room(nx + ns) + 8;
+    for (int i = 0; i < model->stages; i++) doubles += room(nx + ns + nm) + 8;
     size_t integers = 2 * nr + nh + ne + 8, bytes = 4 * nc + nr + ns + 64;
     s->arena = calloc(doubles + 8, sizeof(double));
     int64_t *longs = calloc(integers, sizeof(int64_t));
     uint8_t *flags = calloc(bytes, 1);
     s->past.passed = calloc(room(nh), sizeof(int64_t));
+    s->measured = calloc(room((size_t)setup->nmeasures), sizeof(BlocksMeasured));
     s->ticks = longs;
     s->due = flags;
     s->setup = setup;
     s->model = model;
-    if (!s->arena || !longs || !flags || !s->past.passed) {
+    if (!s->arena || !longs || !flags || !s->past.passed || !s->measured) {
         blocks_free(s);
         return NULL;
     }
@@ -2126,9 +2375,10 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         *pieces[i].place = place;
         place += room(pieces[i].n) + 8;
     }
+    s->nodes = s->known + 1;
     for (int i = 0; i < model->stages; i++) {
         s->k[i] = place;
-        place += room(nx + ns) + 8;
+        place += room(nx + ns + nm) + 8;
     }
     s->ticks_backup = longs + nr;
     s->firing = flags + nr;
@@ -2144,7 +2394,9 @@ void blocks_free(BlocksSim *s)
     free(s->rows.chunks);
     free(s->rows.counts);
     free(s->fired_events.data);
-    free(s->records.data);
+    for (int i = 0; s->measured && i < s->setup->nmeasures; i++) free(s->measured[i].path.data);
+    free(s->measured);
+    free(s->parts.data);
     free(s->past.starts);
     free(s->past.ends);
     free(s->past.parts);

@@ -136,9 +136,12 @@ typedef struct {
     int32_t echoes;
 } BlocksHistory;
 
+/* What is measured of e = of - against in a window: `of` and `against` are two values of `measured`. */
+enum { BLOCKS_SQUARE, BLOCKS_ABSOLUTE, BLOCKS_TIMED, BLOCKS_PEAK, BLOCKS_VARIATION, BLOCKS_OVERSHOOT, BLOCKS_SETTLING };
 typedef struct {
     double low, high;
-} BlocksWindow;
+    int32_t kind;
+} BlocksMeasure;
 
 /* A program in Python: takes inputs, gives outputs; returns 0, or 1 where it failed. what: 0 a step, 1 begin anew. */
 typedef int (*BlocksCallback)(int stepper, int what, double t, const double *inputs, double *outputs);
@@ -146,7 +149,7 @@ typedef int (*BlocksCallback)(int stepper, int what, double t, const double *inp
 /* What describes a run and does not change. Every pointer belongs to the caller and outlives the run. */
 typedef struct {
     const BlocksModel *model;
-    int32_t ncauses, nresets, ncliques, nnexts, nsteppers, nenabled, nintegers, ntracks, nwindows;
+    int32_t ncauses, nresets, ncliques, nnexts, nsteppers, nenabled, nintegers, ntracks, nmeasures;
     int64_t base_numerator, base_denominator;
     const double *atol; /* (nx) model order */
     double rtol, plain_atol, longest, scale, end, start;
@@ -170,8 +173,8 @@ typedef struct {
     const int32_t *member_counts; /* (nd) */
     const double *members;
     const BlocksTrack *tracks;
-    const BlocksWindow *windows;
-    int32_t measured_count, has_windows;
+    const BlocksMeasure *measures;
+    int32_t has_windows, has_paths;
     BlocksCallback callback;
     double most_bytes; /* of what is recorded */
     int32_t is_silent; /* whether nothing is recorded */
@@ -198,6 +201,12 @@ typedef struct {
     double *data;
     int64_t used, capacity;
 } BlocksList;
+
+/* A measure so far; see run/measures.py. */
+typedef struct {
+    double total, span, first, begin, target, last, low, high;
+    BlocksList path; /* rows of 7: begin, length and `of` at the nodes of parts */
+} BlocksMeasured;
 
 /* What histories remember; see docs/contract.md, "Delays". */
 typedef struct {
@@ -243,14 +252,16 @@ struct BlocksSim {
     double *left;                 /* (nlogged) */
     double *last_row;             /* time and values of the last row; null: there is none */
     double next_row;              /* the next time of the recording grid, while steps are made */
-    double *k[BLOCKS_MOST_STAGES]; /* (nx + ns) stages: rates, and crossings behind them; 0: those at t */
+    double *k[BLOCKS_MOST_STAGES]; /* (nx + ns + nmeasured) stages: rates, crossings, in the last what is measured; 0: at t */
     double *latched;               /* (ns) sides, in the order of the stages */
-    double *before;                /* (nx + ns) stage 0 of the step before, where it is known: crossings alone count */
+    double *before;                /* (nx + ns + nmeasured) stage 0 of the step before, where it is known: crossings alone count */
     double *x1;                    /* the end of a step */
     BlocksRows rows;
     BlocksList fired_events;  /* pairs: t, cause */
-    BlocksList records;       /* of measures */
+    BlocksList parts;         /* of the step or instant at hand, for measures: rows of low, high, t, h and values */
+    BlocksMeasured *measured; /* (nmeasures) */
     double *known;            /* (1 + nmeasured) time and values of the last node */
+    double *nodes;            /* (5, nmeasured) those values, and others of a step that is one part */
     BlocksPast past;
     int64_t target_count;
     int32_t target_exact;
@@ -314,6 +325,9 @@ double blocks_divided(const BlocksGrid *g, int64_t k);
 double blocks_tick_time(const BlocksSim *s, int64_t count);
 double blocks_first_step(BlocksSim *s, double most);
 int blocks_chatters(BlocksSim *s, double step);
+int blocks_misses(BlocksSim *s, double *given);
+int blocks_measures_in(const BlocksSim *s, double t0, double t1);
+int blocks_measure_whole(BlocksSim *s, double t0, double t1);
 
 /* Whether a step is one of those that are looked at: after so many others. */
 #define BLOCKS_PACE 512

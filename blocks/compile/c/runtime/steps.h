@@ -26,11 +26,26 @@ static const double DENSE[] = {0};
 #define WATCHES(n) ((n) == LAST)
 #endif
 
+#if BLOCKS_SHARES_MEASURED /* what is measured stands behind the rates at the end of a step */
+#define LAST_RATES rates_and_measured
+#else
+#define LAST_RATES RATES_AND_SIDES
+#endif
+
 /* Of a model that stays in memory, rates are a function of their own. */
 static __attribute__((noinline)) void rates_program(const BlocksMemory *m, double t, const double *x, double *out)
 {
     RATES_AND_SIDES(m, t, x, out);
 }
+
+#if STAGED && !SMALL && BLOCKS_SHARES_MEASURED
+static __attribute__((noinline)) void last_rates(const BlocksMemory *m, double t, const double *x, double *out)
+{
+    rates_and_measured(m, t, x, out);
+}
+#else
+#define last_rates rates_program
+#endif
 
 #if STAGED && IS_WATCHED && !SMALL
 static __attribute__((noinline)) void bare_rates(const BlocksMemory *m, double t, const double *x, double *out)
@@ -46,7 +61,7 @@ static __attribute__((noinline)) void bare_rates(const BlocksMemory *m, double t
 /* States and stages of a small model live in arrays whose addresses go nowhere, so that they can stand in registers;
    those of a large one stay in memory, and its rates are a function of their own. */
 #define LAST (STAGES - 1)
-enum { WIDTH = BLOCKS_NX + BLOCKS_NS };
+enum { WIDTH = BLOCKS_NX + BLOCKS_NS, SPAN = WIDTH + BLOCKS_SHARES_MEASURED * BLOCKS_NMEASURED };
 #if SMALL
 #define EACH _Pragma("GCC unroll 32") for (int i = 0; i < BLOCKS_NX; i++)
 #define QUARTER _Pragma("GCC unroll 8") for (int i = 0; i + 3 < BLOCKS_NX; i += 4)
@@ -54,10 +69,11 @@ enum { WIDTH = BLOCKS_NX + BLOCKS_NS };
 #define STAGE(n, then, y)                                                                                             \
     do {                                                                                                              \
         if (moving) blocks_outside(s, then);                                                                          \
-        if (WATCHES(n)) RATES_AND_SIDES(m, then, y, k[n]);                                                             \
+        if ((n) == LAST) LAST_RATES(m, then, y, k[n]);                                                                \
+        else if (WATCHES(n)) RATES_AND_SIDES(m, then, y, k[n]);                                                       \
         else rates(m, then, y, k[n]);                                                                                 \
     } while (0)
-typedef double Stages[STAGES][WIDTH > 0 ? WIDTH : 1];
+typedef double Stages[STAGES][SPAN > 0 ? SPAN : 1];
 #define SCRATCH double xs[BLOCKS_NX > 0 ? BLOCKS_NX : 1]
 #else
 #define EACH for (int i = 0; i < BLOCKS_NX; i++)
@@ -66,7 +82,8 @@ typedef double Stages[STAGES][WIDTH > 0 ? WIDTH : 1];
 #define STAGE(n, then, y)                                                                                             \
     do {                                                                                                              \
         if (moving) blocks_outside(s, then);                                                                          \
-        if (WATCHES(n)) rates_program(m, then, y, k[n]);                                                              \
+        if ((n) == LAST) last_rates(m, then, y, k[n]);                                                                \
+        else if (WATCHES(n)) rates_program(m, then, y, k[n]);                                                         \
         else bare_rates(m, then, y, k[n]);                                                                            \
     } while (0)
 typedef double *Stages[STAGES];
@@ -224,7 +241,7 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
 #if BLOCKS_NF
 #define IS_PLAIN 0
 #else
-#define IS_PLAIN (!BLOCKS_NPROJECTIONS && !BLOCKS_NMEASURED && !BLOCKS_NREMEMBERED && !BLOCKS_NZ)
+#define IS_PLAIN (!BLOCKS_NPROJECTIONS && (!BLOCKS_NMEASURED || BLOCKS_QUICK_MEASURES) && !BLOCKS_NREMEMBERED && !BLOCKS_NZ)
 #endif
 
 /* As measured with gcc 12: where crossings stand behind the rates, copies in loops are faster. */
@@ -340,6 +357,131 @@ static inline __attribute__((always_inline)) int rows_inside(BlocksSim *s, const
     return 0;
 }
 
+#if BLOCKS_QUICK_MEASURES
+
+/* The states at one of SHARES of a step, as its dense output has them. */
+static inline __attribute__((always_inline)) void inside(const int share, const int *restrict states, const int n, double h,
+                                                         const double *restrict x, const double *restrict x1, Stages k,
+                                                         double *restrict made)
+{
+#if BLOCKS_METHOD_RK4 /* by both ends and their slopes */
+    const double at = SHARES_AT[share], there = at * at * (3.0 - 2.0 * at), first = at * (1.0 - at) * (1.0 - at) * h,
+                 last = at * at * (at - 1.0) * h;
+    const double *restrict k0 = k[0], *restrict k4 = k[4];
+    _Pragma("GCC unroll 16") for (int a = 0; a < n; a++) {
+        const int i = states[a];
+        made[i] = x[i] + (there * (x1[i] - x[i]) + (first * k0[i] + last * k4[i]));
+    }
+#else
+    (void)x1;
+    _Pragma("GCC unroll 16") for (int a = 0; a < n; a++) {
+        const int i = states[a];
+        double sum = 0.0;
+        _Pragma("GCC unroll 8") for (int j = 0; j < STAGES; j++)
+            if (SHARES[share][j] != 0.0) sum += SHARES[share][j] * k[j][i];
+        made[i] = x[i] + h * sum;
+    }
+#endif
+}
+
+/* What is measured at the nodes of Lobatto's rule, into `nodes`: 0; where the step is not to be measured: 1; where it has to
+   be looked at in parts: -1. Five values tell what is not bent. What is bent, and depends on states alone, is computed at
+   one point or two inside, where a straight line through the ends, or the parabola through these and the first point,
+   foretells it to a tenth of what is allowed; at all nodes else, and at one point more, as in any part. */
+static inline __attribute__((always_inline)) int measured_inside(BlocksSim *s, const BlocksMemory *m, const int moving,
+                                                                 double t, double t1, double h, const double *restrict x,
+                                                                 const double *restrict x1, Stages k)
+{
+    enum { N = BLOCKS_NMEASURED, END = 4 * N };
+    const BlocksSetup *setup = s->setup;
+    double *restrict v = s->nodes, *restrict once = s->part_values, *restrict twice = s->part_values + N;
+#if SMALL
+    double made[BLOCKS_NX > 0 ? BLOCKS_NX : 1];
+#else
+    double *restrict made = s->xs;
+#endif
+#define ASKED(program, share, out)                                                                                    \
+    do {                                                                                                              \
+        if (moving) blocks_outside(s, t + SHARES_AT[share] * h);                                                      \
+        program(m, t + SHARES_AT[share] * h, made, out);                                                              \
+    } while (0)
+    if (!(t < t1)) return 1;
+    if (setup->has_windows) {
+        int in = blocks_measures_in(s, t, t1);
+        if (in) return in;
+    }
+    if (s->known[0] != t) {
+        if (moving) blocks_outside(s, t);
+        measured(m, t, x, v);
+        for (int j = 0; j < N; j++)
+            if (!isfinite(v[j])) return -1;
+        s->known[0] = t;
+    }
+#if BLOCKS_NPLAIN
+    _Pragma("GCC unroll 3") for (int i = 1; i < 4; i++) {
+        inside(i - 1, plain_measured_states, BLOCKS_NPLAIN_STATES, h, x, x1, k, made);
+        ASKED(plain_measured, i - 1, v + i * N);
+    }
+#endif
+#if BLOCKS_NBENT
+    inside(3, bent_measured_states, BLOCKS_NBENT_STATES, h, x, x1, k, made);
+    ASKED(bent_measured, 3, once);
+#endif
+#if BLOCKS_SHARES_MEASURED /* copied late: what was just written in parts is slowly read as a whole */
+    for (int j = 0; j < N; j++) v[END + j] = k[LAST][WIDTH + j];
+#else
+    if (moving) blocks_outside(s, t1);
+    measured(m, t1, x1, v + END);
+#endif
+    double bad = 0.0, worse = 0.0; /* what five values tell is finite where its ends are */
+    for (int j = 0; j < N; j += 2) bad += v[END + j] * 0.0, worse += v[END + j + 1] * 0.0;
+    if (bad + worse != 0.0) return -1;
+#if BLOCKS_NBENT
+    const double first = SHARES_AT[3], second = SHARES_AT[4], rtol = setup->rtol;
+    int missed = BLOCKS_DRIVEN_MEASURES;
+    _Pragma("GCC unroll 2") for (int pass = 0; pass < 2 && !BLOCKS_DRIVEN_MEASURES; pass++) {
+        if (pass == 1) {
+            if (!missed) break;
+            missed = 0;
+            inside(4, bent_measured_states, BLOCKS_NBENT_STATES, h, x, x1, k, made);
+            ASKED(bent_measured, 4, twice);
+        }
+        _Pragma("GCC unroll 16") for (int a = 0; a < BLOCKS_NBENT; a++) {
+            const int j = bent_columns[a], other = j ^ 1;
+            double y0 = v[j], rise = v[END + j] - y0, e0 = fabs(y0 - v[other]), e4 = fabs(v[END + j] - v[END + other]);
+            double miss = once[j] - (y0 + first * rise), bend = miss * (1.0 / (first * (1.0 - first))), twist = 0.0;
+            if (pass == 1) {
+                miss = twice[j] - (y0 + second * rise + bend * second * (1.0 - second));
+                twist = miss * (1.0 / (second * (1.0 - second) * (second - first)));
+            }
+            double allowed = rtol * fabs(rise);
+            if (setup->measures[j / 2].kind <= BLOCKS_TIMED) allowed += 0.1 * rtol * (e0 < e4 ? e0 : e4);
+            missed |= !(fabs(miss) <= allowed);
+            for (int i = 1; i < 4; i++) {
+                double at = SHARES_AT[i - 1];
+                v[i * N + j] = y0 + at * rise + at * (1.0 - at) * (bend + twist * (at - first));
+            }
+        }
+    }
+    if (missed) {
+        double *restrict values = twice;
+        _Pragma("GCC unroll 3") for (int i = 1; i < 4; i++) {
+            inside(i - 1, bent_measured_states, BLOCKS_NBENT_STATES, h, x, x1, k, made);
+            ASKED(bent_measured, i - 1, values);
+            for (int a = 0; a < BLOCKS_NBENT; a++) {
+                v[i * N + bent_columns[a]] = values[bent_columns[a]];
+                bad += values[bent_columns[a]] * 0.0;
+            }
+        }
+        if (bad != 0.0) return -1;
+        if (blocks_misses(s, once)) return -1;
+    }
+#endif
+#undef ASKED
+    return 0;
+}
+#endif
+
 static int run(BlocksSim *s, double target)
 {
     const BlocksSetup *setup = s->setup;
@@ -443,7 +585,12 @@ static int run(BlocksSim *s, double target)
             s->has_before = 1;
         }
 #endif
-        if (!IS_PLAIN || (BLOCKS_TURNING_ROWS && !is_on_grid) || is_loud(side, before + BLOCKS_NX, k, s->distances)) {
+        int is_quick = IS_PLAIN && !(BLOCKS_TURNING_ROWS && !is_on_grid) && !is_loud(side, before + BLOCKS_NX, k, s->distances);
+#if BLOCKS_QUICK_MEASURES
+        int unmeasured = is_quick ? measured_inside(s, m, moving, t, t1, step, x, x1, k) : -1;
+        is_quick = unmeasured >= 0;
+#endif
+        if (!is_quick) {
             GIVE_BACK;
             GIVE_STEP;
 #if !BLOCKS_METHOD_DOPRI5
@@ -469,6 +616,12 @@ static int run(BlocksSim *s, double target)
 #endif
                 return BLOCKS_FAILED;
             }
+#if BLOCKS_QUICK_MEASURES
+            if (!unmeasured && blocks_measure_whole(s, t, t1)) {
+                GIVE_BACK;
+                return BLOCKS_FAILED;
+            }
+#endif
             TURN_OVER;
             t = t1;
             steps++;
