@@ -10,7 +10,7 @@ import contextlib
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache, cached_property, lru_cache
 from typing import Any
@@ -19,7 +19,6 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from ..text.errors import Fault, ModelError, did_you_mean
-from ..text.json_number import Number
 from ..text.units import parse as parse_unit
 from ..text.units import si_text, to_si
 from .declaration import Declaration
@@ -31,7 +30,7 @@ from .reads import arguments
 from .unit_expression import UnitExpression
 from .variables import REQUIRED, Algebraic, Clock, Discrete, History, Parameter, State, Stepped
 
-__all__ = ["Resolved", "default_value", "limits", "loose", "meets", "memory_start", "resolve"]
+__all__ = ["Resolved", "default_value", "limits", "loose", "memory_start", "resolve", "with_numbers"]
 
 LEAST_DELAY = 1e-15  # s
 
@@ -489,10 +488,10 @@ def _plain_default(parameter: Parameter, unit: str) -> Value:
 
 
 @cache
-def loose(declaration: Declaration) -> Mapping[str, tuple[float, float]]:
-    """The parameters of which one number does as well as another one between two bounds, if the requirements hold.
+def loose(declaration: Declaration) -> Mapping[str, tuple[float, float] | None]:
+    """The parameters that change nothing but their own value: real scalars that no function reads before a run.
 
-    They are real scalars that nothing else reads before a run. The bounds are in their declared units.
+    By name the bounds, in the declared unit, between which any number is allowed; None where requirements say that.
     """
     d = declaration
     clocks = [role.clock for equation in d.equations for role in equation.roles if role.clock is not None]
@@ -502,7 +501,8 @@ def loose(declaration: Declaration) -> Mapping[str, tuple[float, float]]:
     sources += [state.nominal for state in d.states.values()] + [variable.unit for variable in d.readable.values()]
     read = _sizing(d) | {source.name for source in sources if isinstance(source, Parameter)}
     read |= {name for source in sources if callable(source) for name in arguments(source, "it")}
-    bounds: dict[str, tuple[float, float]] = {}
+    required = {name for requirement in d.requirements for name in requirement.equation.reads}
+    bounds: dict[str, tuple[float, float] | None] = {}
     for name, p in d.parameters.items():
         is_plain = p.type == "real" and not (p.structural or p.zeros or p.table or p.members)
         if callable(p.unit):  # known before values are, and in no need to be for the bounds
@@ -511,22 +511,26 @@ def loose(declaration: Declaration) -> Mapping[str, tuple[float, float]]:
             is_plain &= p.min is None and p.max is None
         if is_plain and name not in read:
             low, high = (end if limit is None else limit for limit, end in ((p.min, -1e100), (p.max, 1e100)))
-            bounds[name] = (max(low, 0.0 if p.positive else -1e100), min(high, 1e100))
+            allowed = max(low, 0.0 if p.positive else -1e100), min(high, 1e100)
+            bounds[name] = None if name in required else allowed
     return bounds
 
 
-def meets(resolved: Resolved, changed: Mapping[str, Number]) -> bool:
-    """Whether a block meets its requirements with other values of loose parameters, in their declared units."""
-    resolving = _Resolving(resolved.interface.cls, "")
-    requirements = resolving.declaration.requirements
-    if any(name in changed for requirement in requirements for name in requirement.equation.reads):
-        resolving.values, resolving.structural = dict(resolved.values), resolved.interface.structural
-        for name, number in changed.items():
-            unit = _unit(resolving.declaration.parameters[name], resolved.values)
-            si = to_si(float(number), unit, exact=number.exact) if unit else float(number)
-            resolving.values[name] = Value(np.broadcast_to(_frozen(np.array(si)), resolved.values[name].value.shape))
-        resolving.check_requirements()
-    return not resolving.faults
+def with_numbers(resolved: Resolved, changed: Mapping[str, Value]) -> Resolved | None:
+    """The same block with other numbers for loose parameters, in SI; None where they are not allowed."""
+    interface, values = resolved.interface, dict(resolved.values)
+    resolving = _Resolving(interface.cls, "")
+    resolving.values, resolving.structural = values, interface.structural
+    for name, value in changed.items():
+        parameter = resolving.declaration.parameters[name]
+        shape = interface.shape(parameter)
+        if not math.isfinite(value.value) or _range_problem(parameter, value.value, _unit(parameter, values)):
+            return None
+        values[name] = _typed(parameter, value)
+        if shape:
+            values[name] = Value(np.broadcast_to(values[name].value, shape), value.exact, value.unit)
+    resolving.check_requirements()
+    return None if resolving.faults else replace(resolved, values=values)
 
 
 @cache

@@ -8,7 +8,7 @@ from itertools import islice
 from typing import Any
 
 from ..contract.outside import Outside, outside
-from ..contract.resolution import Resolved, loose, meets
+from ..contract.resolution import loose
 from ..text.json_number import Number
 from .diagram import BASE, BlockEntry, DiagramValue
 from .flatten import interface_of
@@ -34,7 +34,7 @@ class Probe:
         """Raises ModelError as `port_units`."""
         self.blocks: dict[str, BlockEntry] = {}
         self.hierarchy = Hierarchy(replace(within, blocks=self.blocks), resolver, {})
-        self.known: dict[Any, Resolved] = {}
+        self.known: dict[Any, Ports] = {}
         self.read: dict[Any, Outside] = {}
 
     def ports(self, name: str, entry: BlockEntry) -> Ports | None:
@@ -47,17 +47,18 @@ class Probe:
         changed = {name: raw for name, raw in entry.parameters.items() if _is_between(raw, bounds.get(name))}
         key = spelling(entry, hierarchy.root, changed) if bounds.keys() >= {*declaration.streams} else None
         known = self.known.get(key)
-        if known is not None and meets(known, changed):
-            return known.interface.input_units, known.interface.output_units
+        if known is not None:
+            return known
         self.blocks[name] = entry
         hierarchy.leaves.clear()
         hierarchy.drawing.clear()
         leaf = hierarchy.leaf(hierarchy.root, name, entry)
         if leaf is None or hierarchy.faults:
             return None
+        known = leaf.interface.input_units, leaf.interface.output_units
         if key is not None:
-            self.known[key] = leaf.resolved
-        return leaf.interface.input_units, leaf.interface.output_units
+            self.known[key] = known
+        return known
 
 
 def _is_between(raw: Any, bounds: tuple[float, float] | None) -> bool:

@@ -179,11 +179,15 @@ def dumps_document(document: Mapping[str, Any]) -> str:
 
 def dumps(value: DiagramValue) -> str:
     """The canonical text of a diagram. Raises ModelError (E008) for one made in Python that no file can hold."""
-    try:
-        return dumps_document(to_document(value))
-    except RecursionError:
+    level: list[DiagramValue] = [value]
+    for _ in range(DEEPEST + 1):
+        within = [entry for outer in level for entry in outer.blocks.values()]
+        within += [variant for entry in within for variant in entry.variants.values()]
+        level = [*{id(e.diagram): e.diagram for e in within if isinstance(e.diagram, DiagramValue)}.values()]
+    if level:
         message = f"subdiagrams lie more than {DEEPEST} deep."
-        raise ModelError(Fault("E008", value.name, message, "Put some of them beside each other.")) from None
+        raise ModelError(Fault("E008", value.name, message, "Put some of them beside each other."))
+    return dumps_document(to_document(value))
 
 
 def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:

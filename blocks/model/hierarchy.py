@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from ..contract.declaration import Declaration
 from ..contract.interface import LARGEST, Interface, Value
 from ..contract.reads import arguments
-from ..contract.resolution import Resolved, resolve
+from ..contract.resolution import Resolved, loose, resolve, with_numbers
 from ..contract.variables import Parameter
 from ..text import units
 from ..text.errors import BlocksError, Fault, ModelError
@@ -360,8 +360,6 @@ class Hierarchy:
                 return self.units[key]
             unit = parameter.unit(*known)
             declared = unit if isinstance(unit, str) else tuple(unit)
-            if not all(isinstance(text, str) for text in declared):  # `resolve` refuses what it follows from
-                return ""
             for text in dict.fromkeys((declared,) if isinstance(declared, str) else declared):
                 if text:
                     units.parse(text)
@@ -381,6 +379,13 @@ class Hierarchy:
         key = (cls, *((word, _hashable(value.value), _ratio(value.exact), value.unit) for word, value in given.items()))
         if key in self.resolved:
             return self.resolved[key]
+        free = loose(cls.declaration)
+        changed = {word: value for word, value in given.items() if word in free and type(value.value) is float}
+        shared = (cls, *((word, Value) if word in changed else own for word, own in zip(given, key[1:], strict=True)))
+        like = self.resolved.get(shared)
+        if like is not None and (made := with_numbers(like, changed)) is not None:
+            self.resolved[key] = made
+            return made
         try:
             resolved_block = resolve(cls, given, name)
             clashes = set(resolved_block.interface.inputs) & set(resolved_block.interface.outputs)
@@ -397,7 +402,7 @@ class Hierarchy:
                 where = spots.get(place.rpartition(".")[2], ("blocks", name))
                 self.tell(scope, fault.code, place, fault.message, fault.cure, where)
             return None
-        self.resolved[key] = resolved_block
+        self.resolved[key] = self.resolved[shared] = resolved_block
         return resolved_block
 
 

@@ -18,7 +18,7 @@ AT_KEY = -1
 """Behind a path in `Document.places`: the place of its key. No list has such an index."""
 
 LARGEST_TEXT = 16 * 1024 * 1024  # bytes in UTF-8
-LARGEST_DEPTH = 64
+LARGEST_DEPTH = 160  # 30 subdiagrams in each other, each the variant of a block, need 5 each, and 10 for what they hold
 LARGEST_COUNT = 1_000_000
 LONGEST_STRING = 100_000
 # A text of a million faults would otherwise take a gigabyte to report.

@@ -239,7 +239,7 @@ class _Places(Mapping[Path, Position]):
 def read(text: str | bytes, *, file: str = "") -> Document:
     """The document that the text holds; bytes are UTF-8 without a byte-order mark.
 
-    `file` is named in the faults; without one they name "<text>". Limits: 16 MiB, 64 nested containers, 1,000,000
+    `file` is named in the faults; without one they name "<text>". Limits: 16 MiB, 160 nested containers, 1,000,000
     values, strings of 100,000 and numbers of 400 characters.
 
     Raises ModelError with all faults that were found, in the order of the text. Its `readable` is the Document that is

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import os
 import random
 import shutil
@@ -391,6 +392,45 @@ def test_files_that_lie_too_deep_in_each_other_are_refused(tmp_path: Path) -> No
     made = {f"f{k}": using(f"f{k + 1}.json") for k in range(200)} | {"f200": INNER}
     fault = refused(project(tmp_path, **made))
     assert (fault.code, Path(fault.file).name) == ("E008", "f30.json")
+
+
+def lag_in_objects(depth: int, *, is_variant: bool) -> dict[str, Any]:
+    """A lag at the end of so many objects in each other, each the variant of a block where asked."""
+
+    def entry(made: dict[str, Any], base: str) -> dict[str, Any]:
+        return {"type": base, "variant": "own", "variants": {"own": made}} if is_variant else made
+
+    matrices = {"A": {"value": [[-2.0]]}, "B": [[1.0]], "C": [[3.0]], "x_start": [1.0]}
+    inner = entry({"type": "StateSpace", "parameters": matrices}, "StateSpace")
+    own = {"inputs": {"u": {"default": 0.5}}, "outputs": {"y": "s.y[0]"}, "wires": {"s.u[0]": "u"}}
+    for _ in range(depth + 1):
+        body = {**own, "blocks": {"s": inner}}
+        inner = entry({"diagram": body}, "FirstOrder")
+        own = {"inputs": {"u": {"default": 0.5}}, "outputs": {"y": "s.y"}, "wires": {"s.u": "u"}}
+    return document(**body, run={"stop": 1.0, "method": "rk4", "step": 0.01, "log": ["y"]})
+
+
+@pytest.mark.parametrize("is_variant", [False, True])
+def test_the_deepest_diagram_that_runs_can_be_saved(is_variant: bool, tmp_path: Path) -> None:
+    """Thirty in each other go into a file and come back with the same bits; one more is refused by all alike."""
+    made = Diagram.from_json(lag_in_objects(30, is_variant=is_variant))
+    made.save(tmp_path / "deep.json")
+    read = Diagram.load(tmp_path / "deep.json")
+    assert read.value == made.value
+    assert read.dumps() == (tmp_path / "deep.json").read_text()
+    results = [diagram.run(engine="reference")["y"] for diagram in (made, read)]
+    assert results[0].tobytes() == results[1].tobytes()
+    assert results[0][-1] == pytest.approx(0.75 + 2.25 * math.exp(-2.0), rel=1e-9)
+
+    inner = made.copy()
+    beyond = Diagram("beyond")
+    beyond.add("s", inner)
+    for refuse in (beyond.flatten, beyond.dumps, lambda: beyond.save(tmp_path / "beyond.json")):
+        with pytest.raises(ModelError, match=r"E008 .*subdiagrams lie more than 30 deep") as caught:
+            refuse()
+        assert caught.value.code == "E008"
+    assert not (tmp_path / "beyond.json").exists()
+    assert only(lag_in_objects(31, is_variant=is_variant)).code == "E008"
 
 
 def test_depth_counts_subdiagrams_in_files_and_in_objects_alike(tmp_path: Path) -> None:

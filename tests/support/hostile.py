@@ -135,7 +135,7 @@ text("300,000 keys that stand twice", lambda: "{" + '"a":1,' * 300_000 + '"a":1}
 text("300,000 different unknown keys", lambda: HEAD + ",".join(f'"k{i}":1' for i in range(300_000)) + "}", "E003")
 text("100,000 unicode escapes", HEAD + '"doc": "' + "\\u0041" * 100_000 + '", "typo": 1}', "E003")
 text("a thousand levels of lists", HEAD + '"x-a": ' + "[" * 1000 + "]" * 1000 + "}", "E008")
-text("65 levels of objects", HEAD + '"x-a": ' + '{"a": ' * 65 + "1" + "}" * 65 + "}", "E008")
+text("161 levels of objects", HEAD + '"x-a": ' + '{"a": ' * 161 + "1" + "}" * 161 + "}", "E008")
 text("not UTF-8", HEAD.encode() + b'"doc": "\xff\xfe\xfa"}', "E001", "UTF-8")
 text("latin-1", (HEAD + '"doc": "Größe"}').encode("latin-1"), "E001", "UTF-8")
 text("overlong UTF-8", HEAD.encode() + b'"doc": "\xc0\xaf"}', "E001", "UTF-8")
