@@ -59,6 +59,7 @@ from symbol import style_sheet, symbol
 import blocks
 import blocks.analysis
 from blocks import cli
+from blocks.cli.values import assignments
 from blocks.contract.interface import Interface
 from blocks.contract.variables import REQUIRED
 from blocks.library import LIBRARY
@@ -576,7 +577,7 @@ class PlotDirective(Reference):
 
         path = ROOT / self.arguments[0]
         self.env.note_dependency(str(path))
-        parameters = cli.values.assignments("--set", shlex.split(self.options.get("set", "")), "motor.Ra=200 mOhm")
+        parameters = assignments("--set", shlex.split(self.options.get("set", "")), "motor.Ra=200 mOhm")
         results = Diagram.load(path).run(parameters=parameters)
         figure = results.plot(*shlex.split(self.options.get("signals", "")))
         for axes in figure.axes:
