@@ -71,7 +71,8 @@ def test_a_command_loads_the_modules_of_no_other_command() -> None:
 
 
 def test_fmus_for_co_simulation_alone_need_no_other_engine() -> None:
-    text = "from blocks import Diagram, fmu; d = Diagram('d'); d.add('m', fmu('fmus/PMDCMotor.fmu', 'CS')); d.run(stop=0.1)"
+    text = "from blocks import Diagram, fmu; d = Diagram('d'); d.add('m', fmu('fmus/PMDCMotor.fmu', 'CS')); "
+    text += "d.run(stop=1, engine='native')"
     done = subprocess.run(
         [sys.executable, "-c", f"{text}; import sys; print(*sys.modules)"],
         cwd=ROOT, capture_output=True, text=True, check=True,
