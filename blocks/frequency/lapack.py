@@ -9,7 +9,6 @@ from __future__ import annotations
 from functools import cache
 from importlib.machinery import PathFinder
 from importlib.util import module_from_spec
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,8 +22,7 @@ Array = np.ndarray[Any, Any]
 def _lapack() -> Any:
     import scipy
 
-    assert scipy.__file__ is not None
-    spec = PathFinder.find_spec("scipy.linalg._flapack", [str(Path(scipy.__file__).parent / "linalg")])
+    spec = PathFinder.find_spec("scipy.linalg._flapack", [f"{place}/linalg" for place in scipy.__path__])
     if spec is None or spec.loader is None:
         from scipy.linalg import lapack
 
@@ -43,27 +41,21 @@ def balancing(a: Array) -> Array:
 def eigenvectors(a: Array) -> tuple[Array, Array, Array]:
     """Eigenvalues (complex) of a real matrix, left and right eigenvectors. Raises ValueError, LinAlgError."""
     lapack, a = _lapack(), np.asarray_chkfinite(a)
-    lwork = int(lapack.dgeev_lwork(len(a))[0].real)
-    real, imaginary, left, right, info = lapack.dgeev(a, lwork=lwork)
+    real, imaginary, left, right, info = lapack.dgeev(a, lwork=int(lapack.dgeev_lwork(len(a))[0].real))
     _check(info)
-    values = real + 1j * imaginary
-    return (values, _paired(values, left), _paired(values, right)) if imaginary.any() else (values, left, right)
-
-
-def _paired(values: Array, given: Array) -> Array:
-    """LAPACK has the real and the imaginary part of a pair's first vector in its two columns."""
-    vectors = given.astype(complex)
-    for k in np.flatnonzero(values.imag > 0):
-        vectors[:, k] = given[:, k] + 1j * given[:, k + 1]
-        vectors[:, k + 1] = vectors[:, k].conj()
-    return vectors
+    pairs = np.flatnonzero(imaginary > 0)
+    if len(pairs):  # LAPACK has the real and the imaginary part of a pair's first vector in its two columns
+        left, right = left.astype(complex), right.astype(complex)
+        for vectors in (left, right):
+            vectors[:, pairs] += 1j * vectors[:, pairs + 1]
+            vectors[:, pairs + 1] = vectors[:, pairs].conj()
+    return real + 1j * imaginary, left, right
 
 
 def generalized_eigenvalues(a: Array, b: Array) -> tuple[Array, Array]:
     """alpha (complex) and beta, by which beta A x = alpha B x. Raises ValueError, LinAlgError."""
     lapack, a, b = _lapack(), np.asarray_chkfinite(a), np.asarray_chkfinite(b)
-    lwork = int(lapack.dggev(a, b, lwork=-1)[-2][0].real)
-    real, imaginary, beta, *_, info = lapack.dggev(a, b, 0, 0, lwork)
+    real, imaginary, beta, *_, info = lapack.dggev(a, b, 0, 0, int(lapack.dggev(a, b, lwork=-1)[-2][0].real))
     _check(info)
     return real + 1j * imaginary, np.asarray(beta)
 

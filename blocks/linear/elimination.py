@@ -16,7 +16,7 @@ import numpy as np
 
 from ..text.errors import AnalysisError, Fault
 
-__all__ = ["Entries", "eliminated", "is_dense", "reach", "without_noise"]
+__all__ = ["Entries", "eliminated", "reach", "without_noise"]
 
 Array = np.ndarray[Any, Any]
 MOST_DENSE = 2**18
@@ -69,17 +69,12 @@ class Entries:
         return dense
 
 
-def is_dense(matrix: Any) -> bool:
-    """Whether it is an array; a sparse matrix, for which SciPy has been loaded, else."""
-    return isinstance(matrix, np.ndarray)
-
-
 def eliminated(N: Any, R: Any, name: Callable[[int], str]) -> Any:
     """(1 - N)^-1 R, sparse. Raises AnalysisError (E701) where an algebraic loop has no unique solution here."""
     size = N.shape[0]
     if not size:
         return R
-    if is_dense(N):
+    if isinstance(N, np.ndarray):
         matrix = np.eye(size) - N
         if np.linalg.cond(matrix, 1) > 1e14:
             from scipy import sparse
@@ -112,7 +107,7 @@ def reach(N: Any, R: Any, T: Any) -> Any:
     sizes, given = abs(N), abs(R)
     if not N.shape[0]:
         return given
-    if not is_dense(N):
+    if not isinstance(N, np.ndarray):
         from scipy.sparse import csgraph
 
         count = csgraph.connected_components(sizes, connection="strong", return_labels=False)
@@ -138,7 +133,7 @@ def _ends(sizes: Array) -> bool:
 def without_noise(value: Any, bound: Any) -> Any:
     """A sum with 0 where its terms cancel but for rounding: b0 (1/b0) - 1 is no slow pole."""
     least = 8 * float(np.finfo(float).eps) * bound
-    if not is_dense(value):
+    if not isinstance(value, np.ndarray):
         from scipy import sparse
 
         value = sparse.csr_matrix(value)

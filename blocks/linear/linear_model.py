@@ -38,9 +38,10 @@ class LinearModel(control.StateSpace):  # type: ignore[misc]
 
     def __init__(self, transfer: Transfer) -> None:
         labels = [_labels(texts) for texts in (transfer.states, *transfer.signals)]
+        matrices = transfer.A, transfer.B, transfer.C, transfer.D
         super().__init__(
-            *transfer.matrices, transfer.dt, states=labels[0], inputs=labels[1], outputs=labels[2],
-            name=transfer.name or None, remove_useless_states=False,
+            *matrices, transfer.dt, states=labels[0], inputs=labels[1], outputs=labels[2], name=transfer.name or None,
+            remove_useless_states=False,
         )  # fmt: skip
         self.signals = (tuple(transfer.signals[0]), tuple(transfer.signals[1]))
         self.report, self.units = transfer.report, (tuple(transfer.units[0]), tuple(transfer.units[1]))
@@ -49,8 +50,7 @@ class LinearModel(control.StateSpace):  # type: ignore[misc]
     def closed(self) -> LinearModel:
         """Of a loop transfer L: T = L/(1 + L)."""
         A, B, C, D = (np.asarray(m, dtype=float) for m in (self.A, self.B, self.C, self.D))
-        told: dict[str, Any] = {"signals": self.signals, "report": self.report, "units": self.units}
-        loop = Transfer(matrices=(A, B, C, D), dt=self.dt, states=self.state_labels, **told)
+        loop = Transfer(A, B, C, D, self.dt, self.state_labels, self.signals, self.units, report=self.report)
         return LinearModel(loop.closed())
 
 

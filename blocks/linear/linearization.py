@@ -155,8 +155,7 @@ class Linearization(ReplacedSlopes):
             sampled = Sampled(plan, wired.d, matrices, names)
             (matrices, names), dt = sampled.model(during), sampled.dt
         A, B, C, D = (matrices[key] for key in ("xx", "xe", "yx", "ye"))
-        told: dict[str, Any] = {"signals": signals, "name": plan.name, "report": report, "units": units}
-        return Transfer(matrices=(A, B, C, D), dt=dt, states=names, **told)
+        return Transfer(A, B, C, D, dt, names, signals, units, plan.name, report)
 
     def lifted(self, inputs: Names, outputs: Names, *, openings: Names = (), pade: int = 0) -> LiftedModel:
         """The model over the period after which the ticks of several rates repeat, with all its base steps.
@@ -183,8 +182,7 @@ class Linearization(ReplacedSlopes):
         )
         units = [spot.unit for spot in ins] * steps, [spot.unit for spot in outs] * steps
         A, B, C, D = (matrices[key] for key in ("xx", "xe", "yx", "ye"))
-        told: dict[str, Any] = {"signals": signals, "name": plan.name, "report": report, "units": units}
-        return LiftedModel(Transfer(matrices=(A, B, C, D), dt=sampled.dt, states=names, **told), steps)
+        return LiftedModel(Transfer(A, B, C, D, sampled.dt, names, signals, units, plan.name, report), steps)
 
     def loop(self, point: str, *, openings: Names = (), sign: float = -1.0, pade: int = 0) -> LinearModel:
         """The loop transfer at a signal: what comes back there of what is put in, as L in S = 1/(1 + L).
@@ -209,12 +207,10 @@ class Linearization(ReplacedSlopes):
                 raise self._between_ticks(spot, sampled)
             (m, states, times), dt = sampled.loop(), sampled.dt
         matrices = (m["xx"], m["xe"], sign * m["yx"], sign * m["ye"])
-        several = len(times) > 1
-        names = [f"{spot.name}@{k}" for k in range(len(times))] if several else [spot.name]
+        names = [f"{spot.name}@{k}" for k in range(len(times))] if len(times) > 1 else [spot.name]
         units = [spot.unit] * len(times)
-        told: dict[str, Any] = {"matrices": matrices, "dt": dt, "states": states, "signals": (names, names)}
-        told |= {"units": (units, units), "name": plan.name, "report": report}
-        model = LoopOfRates(point=spot.name, times=tuple(times), **told) if several else Transfer(**told)
+        told = (*matrices, dt, states, (names, names), (units, units), plan.name, report)
+        model = LoopOfRates(*told, point=spot.name, times=tuple(times)) if len(times) > 1 else Transfer(*told)
         return self._hinted(model, [spot], [spot], cut)
 
     def _between_ticks(self, spot: SignalElement, sampled: Sampled) -> AnalysisError:
@@ -238,7 +234,7 @@ class Linearization(ReplacedSlopes):
         """T = 1 - S: from a perturbation added at a signal to what comes back there, with its sign turned."""
         spot = place(self.graph, point)
         S = self.transfer(spot.name, spot.name, openings=openings, pade=pade)
-        return _state_space(replace(S, matrices=(S.A, S.B, -S.C, np.eye(1) - S.D), name="", hint=""))
+        return _state_space(replace(S, C=-S.C, D=np.eye(1) - S.D, name="", hint=""))
 
     def sparse(self, inputs: Names, outputs: Names, *, openings: Names = ()) -> tuple[Any, Any, Any, Any]:
         """A, B, C, D of a continuous model as sparse matrices (CSR), of large diagrams.

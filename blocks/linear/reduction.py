@@ -14,7 +14,7 @@ import numpy as np
 from ..compile.plan import Plan
 from ..frequency.delayed import DelayedModel
 from ..text.errors import AnalysisError, Fault, UsageError
-from .elimination import Entries, eliminated, is_dense, reach, without_noise
+from .elimination import Entries, eliminated, reach, without_noise
 from .interconnection import Interconnection
 from .nonlinearities import remembers
 from .replaced_slopes import ReplacedSlopes, or_a_gain
@@ -43,7 +43,7 @@ class Wired:
 
     def dense(self, row: str, column: str) -> Array:
         submatrix = self.matrix[row, column]
-        return np.asarray(submatrix if is_dense(submatrix) else submatrix.toarray(), dtype=float)
+        return np.asarray(submatrix if isinstance(submatrix, np.ndarray) else submatrix.toarray(), dtype=float)
 
 
 def contributing(replaced: ReplacedSlopes, wiring: Wiring) -> Array:
@@ -92,7 +92,7 @@ def reduced(replaced: ReplacedSlopes, wiring: Wiring, kept: Array) -> Wired:
     e = list(range(wiring.inputs, wiring.states))
     rest = [*x, *d, *h, *e]
     whole = wiring.entries.block([*x, *d, *h, *z], [*rest, *z])
-    if not np.isfinite(whole if is_dense(whole) else whole.data).all():
+    if not np.isfinite(whole if isinstance(whole, np.ndarray) else whole.data).all():
         raise AssertionError("a slope that is not finite was not told as a law")
     n, r = len(rest) - len(e), len(rest)
     T = eliminated(whole[n:, r:], whole[n:, :r], lambda k: _called(graph, z[k], wiring.points))
@@ -101,7 +101,8 @@ def reduced(replaced: ReplacedSlopes, wiring: Wiring, kept: Array) -> Wired:
     cuts = np.cumsum([0, len(x), len(d), len(h), len(e)]).tolist()
     spans = {name: slice(cuts[k], cuts[k + 1]) for k, name in enumerate("xdhe")}
     position = {c: k for k, c in enumerate([*rest, *z])}
-    lines = _picking([position.get(m, -1) for m in wiring.measured], r + len(z), is_sparse=not is_dense(whole))
+    is_sparse = not isinstance(whole, np.ndarray)
+    lines = _picking([position.get(m, -1) for m in wiring.measured], r + len(z), is_sparse=is_sparse)
     seen_y = without_noise(lines[:, :r] + lines[:, r:] @ T, lines[:, :r] + lines[:, r:] @ bound)
     parts = {
         (row, column): (seen_y if row == "y" else dynamic[spans[row]])[:, spans[column]]

@@ -8,7 +8,6 @@ import sys
 import traceback
 from collections.abc import Iterable
 from contextlib import suppress
-from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -54,10 +53,7 @@ def library_types(library: Library = ()) -> dict[str, type[Block]]:
 
 def _entry_points() -> Any:
     """Those of all packages; reading their metadata takes longer than seeing that none names the group."""
-    has_finders = any(
-        getattr(finder, "find_distributions", None) for finder in sys.meta_path if finder is not PathFinder
-    )
-    if not has_finders and not any(map(_may_extend, sys.path)):
+    if not any(map(_may_extend, sys.path)):
         return ()
     from importlib.metadata import entry_points
 

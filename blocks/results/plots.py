@@ -105,8 +105,9 @@ def defaults(own: Mapping[str, Any] | None = None) -> Iterator[None]:
     known: Any = matplotlib.rcParamsDefault
     with matplotlib.rc_context():
         # As `rcParams.update`, which checks each of these 300 values anew.
-        dict.update(matplotlib.rcParams, {key: known[key] for key in known if not key.startswith("backend")})
-        matplotlib.rcParams.update(dict(own or {}))
+        settings: dict[Any, Any] = matplotlib.rcParams
+        dict.update(settings, {key: known[key] for key in known if not key.startswith("backend")})
+        settings.update(own or {})
         yield
 
 
@@ -244,12 +245,10 @@ def _write(figure: Any, stream: Any, format: str, metadata: Mapping[str, Any], *
         figure.savefig(stream, format=format, dpi=dpi, metadata=metadata)
         return
     canvas, own = figure.canvas, figure.dpi
+    kinds: dict[str, Any] = {"svg": backend_svg.FigureCanvasSVG, "png": backend_agg.FigureCanvasAgg}
     try:
         figure.dpi = dpi
-        if format == "svg":
-            backend_svg.FigureCanvasSVG(figure).print_svg(stream, metadata=metadata)
-        else:
-            backend_agg.FigureCanvasAgg(figure).print_png(stream, metadata=metadata)
+        getattr(kinds[format](figure), f"print_{format}")(stream, metadata=metadata)
     finally:
         figure.set_canvas(canvas)
         figure.dpi = own

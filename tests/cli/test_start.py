@@ -68,3 +68,15 @@ def test_a_command_loads_the_modules_of_no_other_command() -> None:
     assert {name for name in modules if name.startswith("blocks.cli.")} <= {
         f"blocks.cli.{name}" for name in ("explain", "options", "output", "signals", "values")
     }
+
+
+def test_fmus_for_co_simulation_alone_need_no_other_engine() -> None:
+    text = "from blocks import Diagram, fmu; d = Diagram('d'); d.add('m', fmu('fmus/PMDCMotor.fmu', 'CS')); "
+    text += "d.run(stop=1, engine='native')"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{text}; import sys; print(*sys.modules)"],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    own = set(done.stdout.split())
+    assert "blocks.engines.master.native_master" in own
+    assert not own & {"blocks.engines.native.engine", "blocks.engines.reference.engine", "blocks.compile.c.model_code"}

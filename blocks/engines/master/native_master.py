@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from fractions import Fraction
 from importlib.resources import files as resources
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,8 +29,6 @@ from ...fmi.types import code_of, full_name
 from ...results.results import Event
 from ...text.available_memory import for_recording
 from ...text.errors import Fault, FMUError
-from ..native.engine import NativeEngine
-from ..native.model import model_of
 from ..native.rows import array, track_table
 from ..run.memory_estimate import COPIES_OF_MASTER, no_room
 from .limits import limits_header
@@ -51,6 +49,10 @@ from .stepped_units import (
     unconverged,
     unsolved,
 )
+
+if TYPE_CHECKING:
+    from ...compile.plan import Plan
+    from ..native.model import Model
 
 __all__ = ["NativeMaster", "master_library"]
 
@@ -90,6 +92,8 @@ class CoreUnit(Running):
     """Blocks with equations as a native run, whose inputs the master gives."""
 
     def __init__(self, unit: CoupledUnit) -> None:
+        from ..native.engine import NativeEngine  # FMUs alone need none
+
         assert unit.plan is not None
         self.unit, self.plan = unit, unit.plan
         n = len(unit.links)
@@ -164,8 +168,12 @@ class NativeMaster(ReferenceMaster):
         self.library = library
         super().__init__(coupling, inputs, open_unit)
         # Compiled here, and kept, so that a compiler that fails does so before anything runs.
-        plans = (unit.plan for unit in coupling.units)
-        self.models = [model_of(plan, plan.log, plan.settings.method) for plan in plans if plan is not None]
+        self.models = [self._model(unit.plan) for unit in coupling.units if unit.plan is not None]
+
+    def _model(self, plan: Plan) -> Model:
+        from ..native.model import model_of
+
+        return model_of(plan, plan.log, plan.settings.method)
 
     def _clear(self) -> None:
         self._free()

@@ -23,7 +23,6 @@ from ...fmi.schema import ModelVariable
 from ...fmi.types import call_of
 from ...results.results import Event
 from ...text.errors import NOT_FINITE, Fault, FMUError, SimulationError
-from ..reference.engine import ReferenceEngine
 from ..run.model_exchange import Foreigns
 from .limits import MOST_PASSES, NEAR, SMALLEST
 
@@ -123,6 +122,8 @@ class PlanUnit(Running):
     """Blocks with equations: a run of their Plan, whose inputs the master gives."""
 
     def __init__(self, unit: CoupledUnit) -> None:
+        from ..reference.engine import ReferenceEngine  # FMUs alone need none
+
         assert unit.plan is not None
         self.unit, self.plan = unit, unit.plan
         self.u = [0.0] * len(unit.links)

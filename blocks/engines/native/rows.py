@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...compile.c import runtime_layout
 from ...compile.inputs import InputTable
-from .model import Model
+
+if TYPE_CHECKING:
+    from .model import Model
 
 __all__ = ["Handle", "array", "track_table"]
 
