@@ -9,11 +9,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from blocks.text.errors import BlocksError
 
-from . import fmu, large_fmu, linear, long_run, master, native_engine, reference_engine, start, startup, stiff
+from . import fmu, large_fmu, linear, long_run, master, measures, native_engine, reference_engine, start, startup, stiff
 
 BENCHMARKS = {
     "reference_engine": reference_engine.main,
     "startup": startup.main,
+    "measures": measures.main,
     "robot": native_engine.main_robot,
     "p1": native_engine.main_p1,
     "p2": native_engine.main_p2,
