@@ -15,6 +15,7 @@ from . import (
     linear,
     long_run,
     master,
+    measures,
     native_engine,
     prepared,
     reference_engine,
@@ -26,6 +27,7 @@ from . import (
 BENCHMARKS = {
     "reference_engine": reference_engine.main,
     "startup": startup.main,
+    "measures": measures.main,
     "robot": native_engine.main_robot,
     "p1": native_engine.main_p1,
     "p2": native_engine.main_p2,

@@ -34,6 +34,7 @@ from ..editing.swapping import existing, swapped
 from ..model import document as documents
 from ..model.block_types import Library, library_types
 from ..model.diagram import BlockEntry, DiagramValue, FaultList, check_name
+from ..model.diagram_grammar import MEASURE_NUMBERS
 from ..model.flatten import Flat, interface_of
 from ..model.raw_values import raw_of
 from ..model.resolver import resolver_of
@@ -299,14 +300,15 @@ class Diagram:
         *,
         start: Any = None,
         stop: Any = None,
-        band: float | None = None,
+        band: Any = None,
+        omega: Any = None,
     ) -> None:
         """A measure to be taken in every run; see `blocks list measures`."""
         if name in self._draft.section("measures"):
             raise ModelError(Fault("E109", legible(str(name)), "the name is taken by a measure."))
         check_name(name)
         entry: dict[str, Any] = {"type": type, "of": text_of(of, self)}
-        for key, given in (("against", against), ("from", start), ("to", stop), ("band", band)):
+        for key, given in zip(MEASURE_NUMBERS, (against, start, stop, band, omega), strict=True):
             if given is not None:
                 entry[key] = text_of(given, self) if isinstance(given, PortName) else raw_of(given)
         self._draft.put("measures", documents.entries(measures={name: entry}).measures)

@@ -28,7 +28,7 @@ from ..contract.scalars import Scalar
 from ..contract.tape import TapeNode
 from ..contract.variables import Clock, Parameter
 from ..model.diagram import DiagramValue
-from ..model.diagram_grammar import TRIGGER
+from ..model.diagram_grammar import MEASURE_NUMBERS, TRIGGER
 from ..model.flatten import Flat, FlatBlock
 from ..model.values import expressions_in, is_expression, names_in, order_of, value_of
 from ..text.gc_pause import paused
@@ -117,7 +117,7 @@ class _Binder:
     def settings(self) -> tuple[Setting, ...]:
         root = self.open(self.diagram, "", {}, _SettingScope(""))
         for name, raw in self.diagram.measures.items():
-            given = [raw[key] for key in ("against", "from", "to", "band") if key in raw]
+            given = [raw[key] for key in MEASURE_NUMBERS if key in raw]
             self.restrict(root, given, FIXED, f"the measure {name} depends on it")
         if self.flat.settings.step is not None:
             raws = [f"={name}" for name in self.flat.stepped_by]

@@ -568,7 +568,7 @@ def _summary(
         [told(text) for text in flat.outputs],
         # Where no log is given, outputs of subdiagrams are recorded beside those of their blocks.
         {str(told(text)) for text in flat.log} if signal is None else [told(text) for text in flat.log],
-        [(measure(m.name), m.type, told(m.of), told(m.against), m.start, m.stop, m.band) for m in flat.measures],
+        [replace(m, name=measure(m.name), of=told(m.of), against=told(m.against)) for m in flat.measures],
         [settings.start, settings.stop, settings.step, settings.every, settings.stops, settings.master.step],
         [name(text) for text in settings.inputs],
         {block(path): step for path, step in settings.master.steps.items()},

@@ -38,8 +38,8 @@ from .diagram import BASE, FORMAT, NAME, VERSION, name_cure
 
 __all__ = [
     "BLOCK", "BODY", "COLUMN", "DIAGRAM", "ELEMENT", "ENABLE", "FIXED_STEP", "INPUT", "INTERPOLATIONS", "LARGEST_SEED",
-    "LARGEST_SIZE", "LEAST_RTOL", "MASTER", "MEASURE", "MEASURES", "METHODS", "OPTIONS", "QUANTITY", "RUN", "SCHEMA",
-    "TABLE", "TRIGGER", "VARIANT", "header", "quantity", "signal",
+    "LARGEST_SIZE", "LEAST_RTOL", "MASTER", "MEASURE", "MEASURES", "MEASURE_NUMBERS", "METHODS", "OPTIONS", "QUANTITY",
+    "RUN", "SCHEMA", "TABLE", "TRIGGER", "VARIANT", "header", "quantity", "signal",
 ]  # fmt: skip
 
 LARGEST_SIZE = 100_000
@@ -62,8 +62,15 @@ MEASURES = {
     "overshoot": "how far the signal goes beyond the final value of `against`, as a part of the step's size",
     "settling_time": "time after which the signal stays within `band` (0.02) of the step's size around the final value",
     "total_variation": "sum of all changes of e",
+    "RMS": "square root of the mean of e^2 over the window",
+    "rise_time": "time from 10 % to 90 % of the step's size: from the first time there to the first time there",
+    "steady_state_error": "|e| at the end of the window",
+    "THD": "total harmonic distortion: RMS of all of e but its mean and its fundamental, by that of its fundamental",
+    "zero_crossings": "how many times e changes its sign",
 }
 """What a measure can be; e is `of` minus `against`."""
+MEASURE_NUMBERS = {"against": "", "from": "s", "to": "s", "band": "", "omega": "rad/s"}
+"""The keys of a measure that may be numbers, and the units of plain ones; "": that of the signal, or none."""
 
 # --- values ----------------------------------------------------------------------------------------------------
 
@@ -491,6 +498,9 @@ MEASURE = Object(
     Field("band", AnyOf(Scalar(above=0, below=1), COMPUTED), (
         "Of settling_time: a part of the step's size."
     ), 0.02, is_later=True),
+    Field("omega", AnyOf(Scalar(above=0), COMPUTED, unit="rad/s"), (
+        "Of THD: the angular frequency of the fundamental, in rad/s. The window must hold whole periods of it."
+    ), is_later=True),
     DOC,
     what='an object such as {"type": "ITAE", ...}',
     name="measure",

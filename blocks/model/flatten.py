@@ -27,7 +27,7 @@ from ..text.json_document import AT_KEY
 from ..text.printable import legible, quoted
 from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .diagram import VERSION, DiagramValue
-from .diagram_grammar import MEASURES, RUN
+from .diagram_grammar import MEASURE_NUMBERS, MEASURES, RUN
 from .hierarchy import DiagramScope, Hierarchy, Leaf, Resolver, Spot
 from .settings import MeasureSpec, RunSettings, read_settings, seed_of
 from .values import expressions_in, is_expression, names_in
@@ -514,10 +514,10 @@ class _Flattener:
         if "against" in raw and "against" not in operands and complete:
             number = self.number(name, "against", raw["against"], operands["of"].unit if "of" in operands else "")
             against = 0.0 if number is None else number
-        window = {"from": -math.inf, "to": math.inf, "band": 0.02}
+        window = {"from": -math.inf, "to": math.inf, "band": 0.02, "omega": 0.0}
         for key in window:
             if key in raw:
-                number = self.number(name, key, raw[key], "" if key == "band" else "s")
+                number = self.number(name, key, raw[key], MEASURE_NUMBERS[key])
                 window[key] = window[key] if number is None else number
         if window["from"] >= window["to"]:
             refuse("to", "the window ends before it begins.")
@@ -526,7 +526,12 @@ class _Flattener:
             refuse("band", message, "It is a part of the step's size.")
         elif "band" in raw and type_ in MEASURES and type_ != "settling_time":
             refuse("band", f"{type_} has no band.", "The band belongs to settling_time.")
-        if type_ in ("overshoot", "settling_time") and "against" not in raw:
+        if "omega" in raw and not 0 < window["omega"] < math.inf:
+            refuse("omega", f"omega must be positive, not {window['omega']}.")
+        elif ("omega" in raw) != (type_ == "THD") and type_ in MEASURES:
+            message = "needs the frequency of its fundamental." if type_ == "THD" else "has no omega."
+            refuse("omega" if "omega" in raw else "type", f"{type_} {message}", "omega belongs to THD.")
+        if type_ in ("overshoot", "settling_time", "rise_time") and "against" not in raw:
             refuse("type", f"{type_} needs the value that is aimed at.", 'Add "against".')
         if len(operands) == 2 and not units.same_quantity(operands["of"].unit, operands["against"].unit):
             shown = " and ".join(f"{signal.name} [{signal.unit}]" for signal in operands.values())
@@ -534,7 +539,7 @@ class _Flattener:
             refuse("against", f"{shown} are different quantities.", cure, "E104")
         if len(self.faults) > before or not complete:
             return None
-        return MeasureSpec(name, type_, operands["of"].name, against, window["from"], window["to"], window["band"])
+        return MeasureSpec(name, type_, operands["of"].name, against, *window.values())
 
     def number(self, name: str, key: str, raw: Any, unit: str) -> float | None:
         """A number of a measure in SI; None after a fault was reported."""

@@ -98,7 +98,10 @@ class RunSettings:
 
 @dataclass(frozen=True, slots=True)
 class MeasureSpec:
-    """One measure by the names of its signals: e = of - against over [start, stop]; `against` may be a number."""
+    """One measure by the names of its signals: e = of - against over [start, stop]; `against` may be a number.
+
+    band: of the step's size. omega: of the fundamental, in rad/s; 0: it has none.
+    """
 
     name: str
     type: str
@@ -107,6 +110,7 @@ class MeasureSpec:
     start: float
     stop: float
     band: float
+    omega: float
 
 
 def seconds(raw: Any) -> Fraction:

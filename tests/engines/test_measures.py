@@ -8,17 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.optimize import brentq
 
 from blocks import (
     Block,
     Constant,
     Diagram,
     Integrator,
+    ModelError,
     Parameter,
     Pulse,
     Results,
     SimulationError,
     Sine,
+    SquareWave,
     State,
     Step,
     Sum,
@@ -461,3 +464,121 @@ def test_a_signal_that_the_solver_does_not_follow_is_measured_all_the_same() -> 
     assert results.measures["IAE"] == pytest.approx(4.0, rel=1e-3)
     assert results.measures["ISE"] == pytest.approx(math.pi, rel=1e-4)
     assert results.measures["total_variation"] == pytest.approx(200.0, rel=5e-3)
+
+
+# --- of responses, waves and counts ------------------------------------------------------------------------------
+
+
+def wave(engine: str, *measures: tuple[str, str, dict[str, Any]], **settings: Any) -> Results:
+    """0.3 + sin(w t) + 0.1 sin(3 w t) with 5 Hz."""
+    diagram, omega = Diagram("wave"), 10 * math.pi
+    total = diagram.add("total", Sum(signs="+++"))
+    parts = (Sine(omega=omega), Sine(omega=3 * omega, amplitude=0.1), Constant(value=0.3))
+    for k, part in enumerate(parts):
+        diagram.wire(f"total.u{k + 1}", diagram.add(f"part{k}", part).y)
+    for name, kind, options in measures:
+        diagram.measure(name, kind, total.y, **options)
+    return diagram.run(engine=engine, **settings)
+
+
+@ENGINES
+@pytest.mark.parametrize("settings", [TIGHT, {"method": "rk4", "step": 0.01}])
+@pytest.mark.parametrize("size", [1.0, -2.5])
+def test_rise_time_and_steady_state_error_of_a_lag(engine: str, settings: dict[str, Any], size: float) -> None:
+    """1 - exp(-t) goes from 10 % to 90 % in log 9 s; exp(-t) is left of it."""
+    diagram = Diagram("lag")
+    step, lag = diagram.add("step", Step(at=0.5, after=size)), diagram.add("lag", TransferFunction(num=[1], den=[1, 1]))
+    diagram.wire(lag.u, step.y)
+    diagram.measure("rise", "rise_time", lag.y, step.y)
+    diagram.measure("late", "rise_time", lag.y, step.y, start=3.0)
+    diagram.measure("never", "rise_time", lag.y, 2 * size)
+    diagram.measure("left", "steady_state_error", lag.y, step.y)
+    diagram.measure("left_early", "steady_state_error", lag.y, size, stop=1.75)
+    measures = diagram.run(stop=15.0, engine=engine, **settings).measures
+    assert measures["rise"] == pytest.approx(math.log(9), abs=1e-7)
+    assert measures["late"] == pytest.approx(math.log(9), abs=2e-5)  # from where it stands at 3 s
+    assert math.isnan(measures["never"])
+    assert measures["left"] == pytest.approx(abs(size) * math.exp(-14.5), rel=1e-4)
+    assert measures["left_early"] == pytest.approx(abs(size) * math.exp(-1.25), abs=1e-7)
+
+
+@ENGINES
+def test_a_jump_rises_in_no_time_and_an_overshoot_does_not_count(engine: str) -> None:
+    diagram = Diagram("jump")
+    step = diagram.add("step", Step(at=0.5))
+    diagram.measure("jump", "rise_time", step.y, 1.0)
+    diagram.measure("left", "steady_state_error", step.y, 0.0)
+    assert diagram.run(stop=1.0, engine=engine).measures == {"jump": 0.0, "left": 1.0}
+    zeta, wd = 0.3, math.sqrt(1 - 0.3**2)
+    plant = Diagram("ringing")
+    plant.wire(plant.add("p", TransferFunction(num=[1], den=[1, 2 * zeta, 1])).u, plant.add("step", Step(at=0.0)).y)
+    plant.measure("rise", "rise_time", "p.y", 1.0)
+    response = lambda t: 1 - math.exp(-zeta * t) * (math.cos(wd * t) + zeta / wd * math.sin(wd * t))  # noqa: E731
+    rise = brentq(lambda t: response(t) - 0.9, 0.0, 3.0) - brentq(lambda t: response(t) - 0.1, 0.0, 3.0)
+    assert plant.run(stop=30.0, engine=engine, **TIGHT).measures["rise"] == pytest.approx(rise, abs=1e-7)
+
+
+@ENGINES
+@pytest.mark.parametrize("settings", [{}, {"method": "rk4", "step": 0.01}])
+def test_distortion_and_effective_value_of_a_wave(engine: str, settings: dict[str, Any]) -> None:
+    fifth = {"omega": {"value": 5, "unit": "rev/s"}}
+    specs = [
+        ("whole", "THD", fifth),
+        ("window", "THD", {**fifth, "start": 0.33, "stop": 0.93}),
+        ("third", "THD", {"omega": 30 * math.pi}),  # of the harmonic: the fundamental is distortion
+        ("broken", "THD", {"omega": 10.1 * math.pi}),
+        ("short", "THD", {**fifth, "stop": 0.1}),
+        ("rms", "RMS", {}),
+    ]
+    results = wave(engine, *specs, stop=2.0, **settings)
+    made = results.measures
+    assert made["whole"] == pytest.approx(0.1, abs=1e-7)
+    assert made["window"] == pytest.approx(0.1, abs=1e-7)
+    assert made["third"] == pytest.approx(10.0, abs=1e-5)
+    assert made["rms"] == pytest.approx(math.sqrt(0.09 + 0.5 + 0.005), abs=1e-7)
+    assert math.isnan(made["broken"])
+    assert math.isnan(made["short"])
+    assert [(w.code, w.place, w.message) for w in results.warnings] == [
+        ("W301", "measures.broken", "has no value: its window holds 10.1 periods, no whole number of them."),
+        ("W301", "measures.short", "has no value: its window holds 0.5 periods, no whole number of them."),
+    ]
+
+
+@ENGINES
+@pytest.mark.parametrize("settings", [{}, {"method": "rk4", "step": 0.01}])
+def test_zero_crossings_of_a_wave(engine: str, settings: dict[str, Any]) -> None:
+    specs = [
+        ("mean", "zero_crossings", {"against": 0.3}),  # at multiples of 0.1 s, at 0 and at the end none
+        ("shifted", "zero_crossings", {}),
+        ("window", "zero_crossings", {"against": 0.3, "start": 0.25, "stop": 0.75}),
+        ("beyond", "zero_crossings", {"against": 1.3}),
+    ]
+    made = wave(engine, *specs, stop=2.0, **settings).measures
+    assert made == {"mean": 19, "shifted": 20, "window": 5, "beyond": 0}
+
+
+@ENGINES
+def test_a_jump_over_zero_counts_and_a_touch_does_not(engine: str) -> None:
+    diagram = Diagram("signs")
+    pulse = diagram.add("pulse", SquareWave(high=2.0))
+    diagram.measure("jumps", "zero_crossings", pulse.y, 1.0)
+    diagram.measure("touches", "zero_crossings", pulse.y)
+    made = diagram.run(stop=4.75, engine=engine).measures
+    assert made == {"jumps": 9, "touches": 0}
+
+
+def test_a_fundamental_is_needed_by_thd_and_by_no_other() -> None:
+    diagram = Diagram("wave")
+    sine = diagram.add("sine", Sine())
+    diagram.measure("none", "THD", sine.y)
+    diagram.measure("other", "peak", sine.y, omega=1.0)
+    diagram.measure("least", "THD", sine.y, omega="=-1")
+    diagram.measure("rise", "rise_time", sine.y)
+    with pytest.raises(ModelError) as error:
+        diagram.check()
+    assert [(fault.code, fault.place, fault.message) for fault in error.value.faults] == [
+        ("E116", "measures.none", "THD needs the frequency of its fundamental."),
+        ("E116", "measures.other", "peak has no omega."),
+        ("E116", "measures.least", "omega must be positive, not -1.0."),
+        ("E116", "measures.rise", "rise_time needs the value that is aimed at."),
+    ]

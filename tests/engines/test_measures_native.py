@@ -39,10 +39,11 @@ def response(*, is_fast: bool) -> Diagram:
     diagram.wire(driven.u1, plant.y)
     diagram.wire(driven.u2, diagram.add("wave", Sine(omega=40)).y if is_fast else clock.y)
     for kind in MEASURES:
-        diagram.measure(kind, kind, plant.y, hold.y)
-        diagram.measure(f"{kind}_part", kind, plant.y, 1.0, start=0.33, stop=7.77)
-        diagram.measure(f"{kind}_bent", kind, bent.y, 0.9, start=0.3)
-        diagram.measure(f"{kind}_driven", kind, driven.y, bent.y)
+        more = {"omega": 2 * math.pi * 5 if kind == "THD" else None}
+        diagram.measure(kind, kind, plant.y, hold.y, **more)
+        diagram.measure(f"{kind}_part", kind, plant.y, 1.0, start=0.37, stop=7.77, **more)
+        diagram.measure(f"{kind}_bent", kind, bent.y, 0.9, start=0.4, **more)
+        diagram.measure(f"{kind}_driven", kind, driven.y, bent.y, **more)
     return diagram
 
 

@@ -348,8 +348,9 @@ class _Emitter(PlanReader):
             self.define(program, self.continuous(program, [asked[k] for k in columns], list(map(Sink, columns))))
             states = self.states_of[program]
             sizes |= {f"N{name.upper()}": len(columns), f"N{name.upper()}_STATES": len(states)}
-            for what, items in ((f"{program}_states", states), (f"{name}_columns", columns)):
-                self.texts.append(f"static const int {what}[] = {{{', '.join(map(str, items)) or '0'}}};\n")
+            for what, items in (("STATES", states), ("COLUMNS", columns)):
+                rows = ", ".join(map(str, items)) or "0"
+                self.texts.append(f"#define BLOCKS_{name.upper()}_{what} {{{rows}}}\n")
         return sizes
 
     def refresh(self) -> None:

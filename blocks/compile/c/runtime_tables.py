@@ -57,8 +57,8 @@ SETUP = (
 
 
 MEASURES = {
-    "ISE": 0, "ISU": 0, "mean_square": 0, "IAE": 1, "ITAE": 2, "peak": 3, "total_variation": 4, "overshoot": 5,
-    "settling_time": 6,
+    "ISE": 0, "ISU": 0, "mean_square": 0, "RMS": 0, "IAE": 1, "ITAE": 2, "THD": 3, "peak": 4, "total_variation": 5,
+    "overshoot": 6, "settling_time": 7, "rise_time": 8, "zero_crossings": 9, "steady_state_error": 10,
 }  # fmt: skip
 """What the runtime takes in for each type of measure, as runtime.h numbers it."""
 
@@ -92,10 +92,10 @@ class RuntimeTables:
         )
         self.histories = _table([(h.delay, h.before, int(h.echoes)) for h in plan.histories], runtime_layout.HISTORY)
         self._of_integers(plan)
-        measures = [(spec.start, spec.stop, MEASURES[spec.type]) for spec in plan.measures]
+        measures = [(spec.start, spec.stop, spec.omega, MEASURES[spec.type]) for spec in plan.measures]
         self.measures = _table(measures, runtime_layout.MEASURE)
         self.has_windows = bool(np.isfinite(self.measures["low"]).any() or np.isfinite(self.measures["high"]).any())
-        self.has_paths = any(spec.type == "settling_time" for spec in plan.measures)
+        self.has_paths = any(spec.type in ("settling_time", "rise_time") for spec in plan.measures)
 
     def of_setup(self) -> Iterator[tuple[SetupTable, Array]]:
         """What stands in a BlocksSetup."""

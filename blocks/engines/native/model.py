@@ -40,7 +40,7 @@ LARGE = 10_000
 
 def model_of(plan: Plan, log: tuple[str, ...], method: str) -> Model:
     """The model of a Plan, made once for plans that differ in values alone. Raises CompilerError (E60x)."""
-    windows = tuple((spec.type, spec.start, spec.stop) for spec in plan.measures)
+    windows = tuple((spec.type, spec.start, spec.stop, spec.omega) for spec in plan.measures)
     measured, logged = Measures(plan).references, [ref for name in log for ref in plan.signal(name).references]
     digest = plan_key(plan, measured, logged, method)
     key = (digest, windows, EXTRA_FLAGS)

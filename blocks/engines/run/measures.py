@@ -32,6 +32,8 @@ from .step_polynomial import (
     WEIGHTS,
     absolute_integrals,
     entry,
+    first_reach,
+    fourier,
     reached,
     variations,
     weighted,
@@ -40,12 +42,14 @@ from .step_polynomial import (
 __all__ = ["Measures"]
 
 Array = np.ndarray[Any, Any]
-_SQUARES = ("ISE", "ISU", "mean_square")
+_SQUARES = ("ISE", "ISU", "mean_square", "RMS")
 _ABSOLUTES = ("IAE", "ITAE")
 _ROWS = 512  # parts that are looked through at once
 _AT_ONCE = 8192  # signals in records that are taken in at once: their fine points need 8 MB
 _PENDING = 256  # records of single steps that are put off until they are taken in together
+_PATHS = ("settling_time", "rise_time")
 _COVER = "Let the run cover the window, or move the window into the run."
+_WHOLE = "Let the window hold whole periods of the fundamental, and say both exactly."
 _VALUES = 5  # the column of a record at which its values begin
 
 Parts = Callable[[float, float, "Array | None"], Iterable[tuple[float, float, Array]]]
@@ -79,10 +83,10 @@ class Measures:
         self.begin = [math.nan] * self.count  # `of` there
         self.target = [math.nan] * self.count  # `against` where it ends
         self.last = [math.nan] * self.count  # e at the end of the step before, for jumps
-        self.extremes = [(math.inf, -math.inf)] * self.count  # least and largest `of`
+        self.extremes = [(math.inf, -math.inf)] * self.count  # least and largest `of`; of zero_crossings: the last sign
         types = [spec.type for spec in self.specs]
         # Blocks of rows: t, h and `of` at the nodes of each part of a step.
-        self.paths: dict[int, tuple[Array, ...]] = {i: () for i, t in enumerate(types) if t == "settling_time"}
+        self.paths: dict[int, tuple[Array, ...]] = {i: () for i, t in enumerate(types) if t in _PATHS}
         self.squares = np.array([i for i, t in enumerate(types) if t in _SQUARES], dtype=int)
         self.absolutes = np.array([i for i, t in enumerate(types) if t in _ABSOLUTES], dtype=int)
         self.timed = np.array([types[i] == "ITAE" for i in self.absolutes], dtype=bool)  # which of them weigh with t
@@ -223,7 +227,7 @@ class Measures:
         for i in self.others:
             rows = picked[i]
             if rows.any():
-                self._other(i, t[rows], of[i][:, rows], against[i][:, rows])
+                self._other(i, t[rows], h[rows], of[i][:, rows], against[i][:, rows])
             if i in self.paths:
                 rows = rows & ~instant
                 self.paths[i] += (np.column_stack([t[rows], h[rows], of[i][:, rows].T]),)
@@ -243,11 +247,25 @@ class Measures:
             gain[self.absolutes] = integrals
         self.total = _summed(self.total, np.where(picked, gain, 0.0))
 
-    def _other(self, i: int, t: Array, of: Array, against: Array) -> None:
+    def _harmonic(self, i: int, t: Array, h: Array, e: Array) -> None:
+        """Take in parts of a signal with a fundamental. total: integral of e^2; target: of e; extremes: of e by cosine
+        and sine."""
+        phase_0, omega = float(self.first[i] or 0.0), self.specs[i].omega
+        for k in np.nonzero(h > 0)[0].tolist():
+            mean, square, cosine, sine = fourier(e[:, k], float(t[k]) - phase_0, float(h[k]), omega).tolist()
+            self.total[i], self.target[i] = self.total[i] + square, self.target[i] + mean
+            self.extremes[i] = (self.extremes[i][0] + cosine, self.extremes[i][1] + sine)
+
+    def _other(self, i: int, t: Array, h: Array, of: Array, against: Array) -> None:
         """Take in the values of one measure, shape (5, n)."""
         kind, e = self.specs[i].type, of - against
         if self.first[i] is None:
             self.first[i], self.begin[i], self.last[i] = float(t[0]), float(of[0, 0]), float(e[0, 0])
+            if kind == "THD":
+                self.target[i], self.extremes[i] = 0.0, (0.0, 0.0)
+        if kind == "THD":
+            self._harmonic(i, t, h, e)
+            return
         self.target[i] = float(against[-1, -1])
         if kind == "peak":
             low, high = reached(e, -self.total[i], self.total[i])
@@ -257,6 +275,12 @@ class Measures:
             self.total[i] = _summed(self.total[i], jumps + variations(e))
         elif kind == "overshoot":
             self.extremes[i] = reached(of, *self.extremes[i])
+        elif kind == "zero_crossings":
+            signs = np.sign(weighted(TO_FINE[:, None, :], e[:, :, None])).ravel()
+            signs = np.concatenate([[self.extremes[i][1]] * (abs(self.extremes[i][1]) == 1), signs[signs != 0]])
+            if len(signs):
+                self.total[i] += np.count_nonzero(signs[1:] != signs[:-1])
+                self.extremes[i] = (self.extremes[i][0], float(signs[-1]))
         self.last[i] = float(e[-1, -1])
 
     def results(self, t: float) -> tuple[dict[str, float], tuple[Fault, ...]]:
@@ -269,18 +293,50 @@ class Measures:
         values, faults = {}, []
         for i, spec in enumerate(self.specs):
             value = float(self.total[i])
-            why = _uncovered(spec, self.first[i], float(self.span[i]), t)
+            why, cure = _uncovered(spec, self.first[i], float(self.span[i]), t), _COVER
+            turns = float(self.span[i]) * spec.omega / (2 * math.pi)
+            if not why and spec.omega and (round(turns) < 1 or abs(turns - round(turns)) > 1e-6):
+                why, cure = f"its window holds {turns:.10g} periods, no whole number of them", _WHOLE
             if why:
-                faults.append(Fault("W301", f"measures.{spec.name}", f"has no value: {why}.", _COVER))
+                faults.append(Fault("W301", f"measures.{spec.name}", f"has no value: {why}.", cure))
                 value = math.nan
-            elif spec.type == "mean_square":
+            elif spec.type in ("mean_square", "RMS"):
                 value /= float(self.span[i])
+                value = math.sqrt(value) if spec.type == "RMS" else value
+            elif spec.type == "THD":
+                value = self._distortion(i)
+            elif spec.type == "rise_time":
+                value = self._rise_time(i)
+            elif spec.type == "steady_state_error":
+                value = abs(self.last[i])
             elif spec.type == "overshoot":
                 value = self._overshoot(i)
             elif spec.type == "settling_time":
                 value = self._settling_time(i)
             values[spec.name] = value
         return values, tuple(faults)
+
+    def _distortion(self, i: int) -> float:
+        """The RMS value of all but the mean and the fundamental, by that of the fundamental."""
+        span = float(self.span[i])
+        fundamental = 2 * ((self.extremes[i][0] / span) ** 2 + (self.extremes[i][1] / span) ** 2)  # its mean square
+        rest = float(self.total[i]) / span - (self.target[i] / span) ** 2 - fundamental
+        return math.sqrt(max(rest, 0.0) / fundamental) if fundamental > 0 else math.nan
+
+    def _rise_time(self, i: int) -> float:
+        """From the first time at 10 % of the step from the first `of` to the last `against` to the first at 90 %."""
+        size, rows, times = self.target[i] - self.begin[i], self._path(i), []
+        if size == 0.0:
+            return math.nan
+        shares = (rows[:, 2:] - self.begin[i]) / size
+        for level in (0.1, 0.9):
+            for begin in range(0, len(rows), _ROWS):
+                reaches = np.nonzero((shares[begin : begin + _ROWS] @ TO_FINE >= level).any(axis=1))[0]
+                if len(reaches):
+                    k = begin + int(reaches[0])
+                    times.append(float(rows[k, 0] + first_reach(shares[k], level) * rows[k, 1]))
+                    break
+        return times[1] - times[0] if len(times) == 2 else math.nan
 
     def _overshoot(self, i: int) -> float:
         """How far `of` goes beyond the last `against`, as a part of the step from the first `of` to there."""

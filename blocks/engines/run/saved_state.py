@@ -84,7 +84,10 @@ def fit(plan: Plan) -> dict[str, Any]:
         "rates": [f"{rate.offset} + n {rate.period}" for rate in plan.rates],
         "base step": [str(plan.base)],
         "inputs": [f"{name}{list(shape)}" for name, shape, *_ in plan.inputs],
-        "measures": [f"{m.name} ({m.type} of {m.of}, {m.start} to {m.stop} s)" for m in plan.measures],
+        "measures": [
+            f"{m.name} ({m.type} of {m.of}, {m.start} to {m.stop} s{f', {m.omega} rad/s' * (m.omega > 0)})"
+            for m in plan.measures
+        ],
         **({"FMUs": _fmus(plan)} if plan.foreign else {}),
     }
 

@@ -19,6 +19,8 @@ __all__ = [
     "Interpolant",
     "absolute_integrals",
     "entry",
+    "first_reach",
+    "fourier",
     "reached",
     "variations",
     "weighted",
@@ -71,6 +73,32 @@ def entry(y: Array, k: int, target: float, band: float) -> float:
         else:
             high = middle
     return high
+
+
+def first_reach(y: Array, level: float) -> float:
+    """Where (0 to 1) the quartic through y (5,) first reaches a level from below, among or between the fine points."""
+    reaches = weighted(TO_FINE, y[:, None]) >= level
+    k = int(np.argmax(reaches))
+    if k == 0:
+        return 0.0 if reaches[0] else 1.0
+    low, high = float(FINE[k - 1]), float(FINE[k])
+    while high - low > 1e-12:
+        middle = (low + high) / 2
+        if float(weighted(_lagrange(np.array(middle)), y)) < level:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def fourier(e: Array, since: float, h: float, omega: float) -> Array:
+    """Integrals over a part of length h of the quartic e (5,): of itself, of its square, and of its products with the
+    cosine and the sine of omega t, where t is `since` at its beginning; by pieces of an eighth of a turn."""
+    count = math.ceil(h * omega / (math.pi / 4))
+    theta = (np.arange(count) + NODES[:, None]) / count
+    y, at = weighted(_lagrange(theta), e[:, None, None]), omega * (since + theta * h)
+    sums = [weighted(WEIGHTS, values).sum() for values in (y, y * y, y * np.cos(at), y * np.sin(at))]
+    return h / count * np.array(sums)
 
 
 def _turns(y: Array) -> tuple[Array, Array]:

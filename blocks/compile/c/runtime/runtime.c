@@ -931,13 +931,47 @@ static void thin_out(BlocksList *path)
     path->used -= kept;
 }
 
+/* Integrals of e, e^2, and e by the cosine and the sine of the fundamental, `since` after the phase 0. */
+static void harmonic(const double *e, double since, double h, double omega, BlocksMeasured *made)
+{
+    double a[5], sums[4] = {0.0, 0.0, 0.0, 0.0};
+    int64_t pieces = (int64_t)ceil(h * omega / 0.78539816339744831); /* of an eighth of a turn */
+    quartic(e, a);
+    for (int64_t k = 0; k < pieces; k++)
+        for (int i = 0; i < 5; i++) {
+            double theta = ((double)k + LOBATTO[i]) / (double)pieces, at = omega * (since + theta * h), y = at_share(a, theta);
+            double w = NODE_WEIGHTS[i] * y;
+            sums[0] += w, sums[1] += w * y, sums[2] += w * cos(at), sums[3] += w * sin(at);
+        }
+    double width = h / (double)pieces;
+    made->target += width * sums[0], made->total += width * sums[1], made->low += width * sums[2], made->high += width * sums[3];
+}
+
+/* Count changes of sign: `high` is the sign before, or neither 1 nor -1. */
+static void count_signs(const double *e, BlocksMeasured *made)
+{
+    double low, high, fine[FINE + 1];
+    bounds(e, &low, &high);
+    double beyond = REACH * (high - low);
+    int is_plain = low - beyond > 0.0 || high + beyond < 0.0 || (low == 0.0 && high == 0.0);
+    if (is_plain) fine[0] = e[0];
+    else finely(e, fine);
+    for (int k = 0; k <= (is_plain ? 0 : FINE); k++) {
+        if (fine[k] == 0.0) continue;
+        double sign = fine[k] > 0.0 ? 1.0 : -1.0;
+        made->total += sign == -made->high;
+        made->high = sign;
+    }
+}
+
 /* Room for so many parts in each path. */
 HOT static int path_room(BlocksSim *s, int64_t parts)
 {
     for (int i = 0; s->setup->has_paths && i < s->setup->nmeasures; i++) {
         BlocksList *path = &s->measured[i].path;
-        if (s->setup->measures[i].kind != BLOCKS_SETTLING || path->used + 7 * parts <= path->capacity) continue;
-        thin_out(path);
+        int kind = s->setup->measures[i].kind;
+        if ((kind != BLOCKS_SETTLING && kind != BLOCKS_RISE) || path->used + 7 * parts <= path->capacity) continue;
+        if (kind == BLOCKS_SETTLING) thin_out(path);
         if (2 * path->used + 7 * parts > path->capacity && blocks_list_room(path, path->used + 7 * parts)) return no_memory(s);
     }
     return 0;
@@ -951,14 +985,21 @@ HOT static void take(BlocksSim *s, int i, double t, double h, const double *valu
     double e[5];
     values += 2 * i;
     _Pragma("GCC unroll 5") for (int k = 0; k < 5; k++) e[k] = values[k * n] - values[k * n + 1];
-    if (isnan(made->first)) made->first = t, made->begin = values[0], made->last = e[0];
+    if (isnan(made->first)) {
+        made->first = t, made->begin = values[0], made->last = e[0];
+        if (kind == BLOCKS_HARMONIC) made->target = made->low = made->high = 0.0;
+    }
     made->span += h;
     if (kind == BLOCKS_SQUARE) {
         double squares[5] = {e[0] * e[0], e[1] * e[1], e[2] * e[2], e[3] * e[3], e[4] * e[4]};
         made->total += h * weighted(squares);
         return;
     }
-    double of[5];
+    if (kind == BLOCKS_HARMONIC) {
+        if (h > 0.0) harmonic(e, t - made->first, h, s->setup->measures[i].omega, made);
+        return;
+    }
+    double of[5], least = made->low, most = made->high;
     for (int k = 0; k < 5; k++) of[k] = values[k * n];
     made->target = values[4 * n + 1];
     if (kind == BLOCKS_ABSOLUTE || kind == BLOCKS_TIMED) {
@@ -969,9 +1010,13 @@ HOT static void take(BlocksSim *s, int i, double t, double h, const double *valu
         made->total = MOST(-low, high);
     } else if (kind == BLOCKS_VARIATION) {
         made->total += fabs(e[0] - made->last) + variation(e);
-    } else if (kind == BLOCKS_OVERSHOOT) {
+    } else if (kind == BLOCKS_SIGNS) {
+        count_signs(e, made);
+    } else if (kind == BLOCKS_OVERSHOOT || (kind == BLOCKS_RISE && h > 0.0)) {
         reached(of, &made->low, &made->high);
-    } else if (kind == BLOCKS_SETTLING && h > 0.0) {
+    }
+    /* Only a part that goes further than all before can be the first to rise so far. */
+    if (h > 0.0 && (kind == BLOCKS_SETTLING || (kind == BLOCKS_RISE && (made->low < least || made->high > most)))) {
         double *row = made->path.data + made->path.used;
         row[0] = t, row[1] = h;
         memcpy(row + 2, of, sizeof of);

@@ -137,9 +137,12 @@ typedef struct {
 } BlocksHistory;
 
 /* What is measured of e = of - against in a window: `of` and `against` are two values of `measured`. */
-enum { BLOCKS_SQUARE, BLOCKS_ABSOLUTE, BLOCKS_TIMED, BLOCKS_PEAK, BLOCKS_VARIATION, BLOCKS_OVERSHOOT, BLOCKS_SETTLING };
+enum {
+    BLOCKS_SQUARE, BLOCKS_ABSOLUTE, BLOCKS_TIMED, BLOCKS_HARMONIC, /* integrals */
+    BLOCKS_PEAK, BLOCKS_VARIATION, BLOCKS_OVERSHOOT, BLOCKS_SETTLING, BLOCKS_RISE, BLOCKS_SIGNS, BLOCKS_END
+};
 typedef struct {
-    double low, high;
+    double low, high, omega;
     int32_t kind;
 } BlocksMeasure;
 

@@ -394,7 +394,14 @@ static inline __attribute__((always_inline)) int measured_inside(BlocksSim *s, c
 {
     enum { N = BLOCKS_NMEASURED, END = 4 * N };
     const BlocksSetup *setup = s->setup;
-    double *restrict v = s->nodes, *restrict once = s->part_values, *restrict twice = s->part_values + N;
+    double *restrict v = s->nodes;
+#if BLOCKS_NPLAIN
+    static const int plain_states[] = BLOCKS_PLAIN_STATES;
+#endif
+#if BLOCKS_NBENT
+    static const int bent_states[] = BLOCKS_BENT_STATES, bent_columns[] = BLOCKS_BENT_COLUMNS;
+    double *restrict once = s->part_values, *restrict twice = s->part_values + N;
+#endif
 #if SMALL
     double made[BLOCKS_NX > 0 ? BLOCKS_NX : 1];
 #else
@@ -419,12 +426,12 @@ static inline __attribute__((always_inline)) int measured_inside(BlocksSim *s, c
     }
 #if BLOCKS_NPLAIN
     _Pragma("GCC unroll 3") for (int i = 1; i < 4; i++) {
-        inside(i - 1, plain_measured_states, BLOCKS_NPLAIN_STATES, h, x, x1, k, made);
+        inside(i - 1, plain_states, BLOCKS_NPLAIN_STATES, h, x, x1, k, made);
         ASKED(plain_measured, i - 1, v + i * N);
     }
 #endif
 #if BLOCKS_NBENT
-    inside(3, bent_measured_states, BLOCKS_NBENT_STATES, h, x, x1, k, made);
+    inside(3, bent_states, BLOCKS_NBENT_STATES, h, x, x1, k, made);
     ASKED(bent_measured, 3, once);
 #endif
 #if BLOCKS_SHARES_MEASURED /* copied late: what was just written in parts is slowly read as a whole */
@@ -443,7 +450,7 @@ static inline __attribute__((always_inline)) int measured_inside(BlocksSim *s, c
         if (pass == 1) {
             if (!missed) break;
             missed = 0;
-            inside(4, bent_measured_states, BLOCKS_NBENT_STATES, h, x, x1, k, made);
+            inside(4, bent_states, BLOCKS_NBENT_STATES, h, x, x1, k, made);
             ASKED(bent_measured, 4, twice);
         }
         _Pragma("GCC unroll 16") for (int a = 0; a < BLOCKS_NBENT; a++) {
@@ -455,7 +462,7 @@ static inline __attribute__((always_inline)) int measured_inside(BlocksSim *s, c
                 twist = miss * (1.0 / (second * (1.0 - second) * (second - first)));
             }
             double allowed = rtol * fabs(rise);
-            if (setup->measures[j / 2].kind <= BLOCKS_TIMED) allowed += 0.1 * rtol * (e0 < e4 ? e0 : e4);
+            if (setup->measures[j / 2].kind <= BLOCKS_HARMONIC) allowed += 0.1 * rtol * (e0 < e4 ? e0 : e4);
             missed |= !(fabs(miss) <= allowed);
             for (int i = 1; i < 4; i++) {
                 double at = SHARES_AT[i - 1];
@@ -466,7 +473,7 @@ static inline __attribute__((always_inline)) int measured_inside(BlocksSim *s, c
     if (missed) {
         double *restrict values = twice;
         _Pragma("GCC unroll 3") for (int i = 1; i < 4; i++) {
-            inside(i - 1, bent_measured_states, BLOCKS_NBENT_STATES, h, x, x1, k, made);
+            inside(i - 1, bent_states, BLOCKS_NBENT_STATES, h, x, x1, k, made);
             ASKED(bent_measured, i - 1, values);
             for (int a = 0; a < BLOCKS_NBENT; a++) {
                 v[i * N + bent_columns[a]] = values[bent_columns[a]];
