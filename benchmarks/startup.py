@@ -1,4 +1,4 @@
-"""What a user waits for: `import blocks`, a word that is no command, from file to first result.
+"""What a user waits for: `import blocks`, a word that is no command, from file to first result, building in Python.
 
 `python -m benchmarks.startup BASE` measures another checkout too, in turns, and prints ratios. Python may keep its
 bytecode, as it does where nobody forbids it. Compiled code of the diagrams is in the cache.
@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -49,6 +49,22 @@ def seconds(root: Path, arguments: Sequence[str], folder: Path) -> tuple[float, 
     return wall, after.children_user + after.children_system - before.children_user - before.children_system
 
 
+def built(values: Callable[[int], float], count: int = 600) -> tuple[float, float]:
+    """Seconds of the processor for a block and its wire in a chain made in Python, and for its first run in whole."""
+    from blocks import Diagram, Gain
+
+    diagram = Diagram("chain")
+    begun = time.process_time()
+    port = diagram.input("u", default=1.0)
+    for index in range(count):
+        gain = diagram.add(f"gain{index}", Gain(k=values(index)))
+        diagram.wire(gain.u, port)
+        port = gain.y
+    building = time.process_time() - begun
+    diagram.run(stop=0, engine="reference")
+    return building / count, time.process_time() - begun
+
+
 def main(base: Path | None = None, rounds: int = 7) -> None:
     places = [ROOT] if base is None else [base.resolve(), ROOT]
     print(f"{'':36}{'s':>8}{'CPU s':>8}" + ("" if base is None else f"{'before':>10}{'CPU':>8}{'ratio':>8}") + "  goal")
@@ -67,6 +83,11 @@ def main(base: Path | None = None, rounds: int = 7) -> None:
                 before = least[places[0]]
                 line += f"{before[0]:10.3f}{before[1]:8.3f}{cpu / before[1]:8.2f}"
             print(line + (f"  {goal} s" if goal else ""), flush=True)
+    chains: dict[str, Callable[[int], float]] = {"alike": lambda _: 1.0, "of own values": lambda k: 1.0 + k / 1e6}
+    for label, values in chains.items():
+        made = [built(values) for _ in range(7)]
+        block, whole = min(made)[0], min(whole for _, whole in made)
+        print(f"600 gains {label:23} {block * 1e3:.3f} ms a block (goal 0.05), {whole:.3f} s with run(stop=0)")
 
 
 if __name__ == "__main__":

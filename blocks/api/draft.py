@@ -20,10 +20,6 @@ from .entries import block_entry, checked_entry
 __all__ = ["Draft"]
 
 
-SHARING = {"input": ("outputs", "inputs", "blocks", "parameters"), "output": ("outputs", "inputs")}
-"""The sections in which the names of some kinds are looked for; those of all others: inputs, blocks and parameters."""
-
-
 class Draft:
     """What a Diagram holds. types: the block types that it may use, by name."""
 
@@ -73,9 +69,9 @@ class Draft:
     def check_free(self, name: str, kind: str) -> None:
         """Refuse what is no name, and a name that is taken. An output may be called like a block or a parameter."""
         check_name(name)
-        for section in SHARING.get(kind, ("inputs", "blocks", "parameters")):
-            if name in self.section(section):
-                what = section[:-1]
+        seen = {"input": ("output", "input", "block", "parameter"), "output": ("output", "input")}
+        for what in seen.get(kind, ("input", "block", "parameter")):
+            if name in self.section(what + "s"):
                 article = "an" if what[0] in "io" else "a"
                 raise ModelError(Fault("E109", name, f"the name is taken by {article} {what}."))
 
@@ -122,7 +118,7 @@ class Draft:
 
     def ports(self, name: str, entry: BlockEntry) -> Ports:
         """The ports of a block in this diagram, with their units. The value is not read for it."""
-        is_known = entry.cls is not None and not entry.variants
+        is_known = bool(entry.type) and entry.cls is not None and not entry.variants
         probe, self._probe = (self._probe, None) if is_known else (None, self._probe)
         if probe is not None and (ports := probe.ports(name, entry)) is not None:
             self._probe = probe

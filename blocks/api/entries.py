@@ -148,14 +148,6 @@ def checked_entry(
     described |= {"stream": stream} if stream else {}
     read = documents.block(name, described, folder)
     return BlockEntry(
-        type=entry.type,
-        diagram=entry.diagram,
-        fmu=entry.fmu,
-        control=read.control,
-        stream=read.stream,
-        options=read.options,
-        parameters=read.parameters,
-        doc=read.doc,
-        cls=entry.cls,
-        loaded=entry.loaded,
-    )
+        type=entry.type, diagram=entry.diagram, fmu=entry.fmu, cls=entry.cls, loaded=entry.loaded, stream=read.stream,
+        control=read.control, options=read.options, parameters=read.parameters, doc=read.doc,
+    )  # fmt: skip

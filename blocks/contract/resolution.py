@@ -27,7 +27,6 @@ from .expressions import exact_decimal
 from .interface import LARGEST, Array, Interface, Value
 from .outside import outside
 from .reads import arguments
-from .unit_expression import UnitExpression
 from .variables import REQUIRED, Algebraic, Clock, Discrete, History, Parameter, State, Stepped
 
 __all__ = ["Resolved", "default_value", "limits", "loose", "memory_start", "resolve", "with_numbers"]
@@ -138,10 +137,7 @@ class _Resolving:
                 continue
             if value.value.shape == () and parameter.table:
                 self.fault("E110", name, "is a table, which a single number does not fill.", "Give a list.")
-            elif value.value.shape == ():
-                if shape == ():
-                    continue
-                # A scalar fills an array.
+            elif value.value.shape == ():  # a scalar fills an array
                 self.values[name] = Value(np.broadcast_to(value.value, shape), value.exact, value.unit)
             elif value.value.shape != shape:
                 message = f"has the shape {_shape(value.value.shape)}, but {_shape(shape)} is needed."
@@ -491,9 +487,11 @@ def _plain_default(parameter: Parameter, unit: str) -> Value:
 def loose(declaration: Declaration) -> Mapping[str, tuple[float, float] | None]:
     """The parameters that change nothing but their own value: real scalars that no function reads before a run.
 
-    By name the bounds, in the declared unit, between which any number is allowed; None where requirements say that.
+    By name the bounds, in the declared unit, between which any number is allowed; None where that follows from more.
     """
     d = declaration
+    if d.foreign is not None:  # it may have 300,000, and is rarely used twice
+        return {}
     clocks = [role.clock for equation in d.equations for role in equation.roles if role.clock is not None]
     clocks += [] if d.stepper is None else [d.stepper.clock]
     sources = [part for clock in clocks for part in (clock.every, clock.offset)]
@@ -504,31 +502,23 @@ def loose(declaration: Declaration) -> Mapping[str, tuple[float, float] | None]:
     required = {name for requirement in d.requirements for name in requirement.equation.reads}
     bounds: dict[str, tuple[float, float] | None] = {}
     for name, p in d.parameters.items():
-        is_plain = p.type == "real" and not (p.structural or p.zeros or p.table or p.members)
-        if callable(p.unit):  # known before values are, and in no need to be for the bounds
-            sources = [d.parameters.get(other) for other in arguments(p.unit, name)]
-            is_plain &= all(other is not None and not callable(other.default) for other in sources)
-            is_plain &= p.min is None and p.max is None
-        if is_plain and name not in read:
+        if p.type == "real" and p.shape == () and not (p.structural or p.zeros or p.table or p.members or name in read):
             low, high = (end if limit is None else limit for limit, end in ((p.min, -1e100), (p.max, 1e100)))
             allowed = max(low, 0.0 if p.positive else -1e100), min(high, 1e100)
-            bounds[name] = None if name in required else allowed
+            is_known = name not in required and (isinstance(p.unit, str) or (p.min is None and p.max is None))
+            bounds[name] = allowed if is_known else None
     return bounds
 
 
 def with_numbers(resolved: Resolved, changed: Mapping[str, Value]) -> Resolved | None:
     """The same block with other numbers for loose parameters, in SI; None where they are not allowed."""
-    interface, values = resolved.interface, dict(resolved.values)
-    resolving = _Resolving(interface.cls, "")
-    resolving.values, resolving.structural = values, interface.structural
+    resolving, values = _Resolving(resolved.interface.cls, ""), dict(resolved.values)
+    resolving.values, resolving.structural = values, resolved.interface.structural
     for name, value in changed.items():
         parameter = resolving.declaration.parameters[name]
-        shape = interface.shape(parameter)
         if not math.isfinite(value.value) or _range_problem(parameter, value.value, _unit(parameter, values)):
             return None
         values[name] = _typed(parameter, value)
-        if shape:
-            values[name] = Value(np.broadcast_to(values[name].value, shape), value.exact, value.unit)
     resolving.check_requirements()
     return None if resolving.faults else replace(resolved, values=values)
 
@@ -557,14 +547,8 @@ def _unit(parameter: Parameter, values: Mapping[str, Value]) -> str:
     names = arguments(parameter.unit, parameter.name)
     if not all(name in values for name in names):
         return ""
-    known = [values[name].value for name in names]
-    unit = _expressed(parameter.unit, *known) if type(parameter.unit) is UnitExpression else parameter.unit(*known)
+    unit = parameter.unit(*(values[name].value for name in names))
     return unit if isinstance(unit, str) else unit[0] if len(set(unit)) == 1 else ""
-
-
-@lru_cache(maxsize=4096)
-def _expressed(unit: UnitExpression, *texts: str) -> str:
-    return unit(*texts)
 
 
 def default_value(parameter: Parameter, unit: str) -> Value:

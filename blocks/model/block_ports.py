@@ -18,8 +18,6 @@ __all__ = ["Ports", "Probe", "listed", "parameter_units", "port_units"]
 
 MOST_LISTED = 40
 """Ports that an error lists."""
-MOST_KEPT = 1_000
-"""Blocks that differ, whose numbers a probe keeps."""
 Ports = tuple[Mapping[str, str], Mapping[str, str]]
 """The inputs and the outputs of a block, with their units."""
 
@@ -42,23 +40,22 @@ class Probe:
         hierarchy, declaration = self.hierarchy, entry.cls.declaration
         read, bounds = outside(declaration), loose(declaration)
         is_same = self.read.setdefault(entry.cls, read) is read and not read.impure and not read.is_opaque
-        if not is_same or len(hierarchy.resolved) > MOST_KEPT:
+        if not is_same or len(hierarchy.resolved) > 1_000:  # it keeps not more than a diagram needs
             return None
         changed = {name: raw for name, raw in entry.parameters.items() if _is_between(raw, bounds.get(name))}
         key = spelling(entry, hierarchy.root, changed) if bounds.keys() >= {*declaration.streams} else None
-        known = self.known.get(key)
-        if known is not None:
-            return known
+        if key in self.known:
+            return self.known[key]
         self.blocks[name] = entry
         hierarchy.leaves.clear()
         hierarchy.drawing.clear()
         leaf = hierarchy.leaf(hierarchy.root, name, entry)
         if leaf is None or hierarchy.faults:
             return None
-        known = leaf.interface.input_units, leaf.interface.output_units
+        ports = leaf.interface.input_units, leaf.interface.output_units
         if key is not None:
-            self.known[key] = known
-        return known
+            self.known[key] = ports
+        return ports
 
 
 def _is_between(raw: Any, bounds: tuple[float, float] | None) -> bool:

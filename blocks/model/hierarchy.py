@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from fractions import Fraction
 from typing import Any, Protocol
 
 from ..contract.declaration import Declaration
@@ -376,7 +375,9 @@ class Hierarchy:
         self, scope: DiagramScope, name: str, cls: Any, given: Mapping[str, Value], spots: Mapping[str, Spot]
     ) -> Resolved | None:
         """Sizes, defaults, ranges and ports of a block. Blocks with equal values share them."""
-        key = (cls, *((word, _hashable(value.value), _ratio(value.exact), value.unit) for word, value in given.items()))
+        # The hash of a ratio takes less time than that of a fraction.
+        values = [(_hashable(v.value), v.exact and v.exact.as_integer_ratio(), v.unit) for v in given.values()]
+        key = (cls, *zip(given, values, strict=True))
         if key in self.resolved:
             return self.resolved[key]
         free = loose(cls.declaration)
@@ -433,10 +434,7 @@ def _with_unit(raw: Any, unit: str) -> Any:
 
 
 def spelling(entry: BlockEntry, scope: DiagramScope, loose: Mapping[str, Any] | None = None) -> Any:
-    """A key that is equal for blocks of one type whose parameters are written alike; None where there is none.
-
-    loose: parameters whose values are left out.
-    """
+    """A key that is equal for blocks of one type whose parameters, but for loose ones, are written alike, or None."""
     if entry.stream:  # which not every block has
         return None
     written = []
@@ -466,11 +464,6 @@ def _written(raw: Any, scope: DiagramScope) -> Any:
 
 def _hashable(value: Any) -> Any:
     return tuple(_hashable(item) for item in value) if isinstance(value, list) else (type(value), value)
-
-
-def _ratio(exact: Fraction | None) -> Any:
-    """The same fraction as what has a hash sooner."""
-    return None if exact is None else (exact.numerator, exact.denominator)
 
 
 def _listed(names: Iterable[str]) -> str:
