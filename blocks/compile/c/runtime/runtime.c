@@ -918,6 +918,7 @@ static void thin_out(BlocksList *path)
 {
     double least = INFINITY, most = -INFINITY;
     int64_t kept = path->used;
+    if (!kept) return;
     for (int64_t at = path->used - 7; at >= 0; at -= 7) {
         double *row = path->data + at, low, high;
         bounds(row + 2, &low, &high);
