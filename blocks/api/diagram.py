@@ -380,6 +380,7 @@ class Diagram:
         engine: str | None = None,
         variants: Mapping[str, str] | None = None,
         trust: Paths = (),
+        out: str | Path | None = None,
         **settings: Any,
     ) -> Results:
         """Simulate to `stop`.
@@ -396,17 +397,29 @@ class Diagram:
         stands in the place of blocks, by path ({"motor": "fmu"}; "base": the block itself). trust: FMUs, or folders of
         FMUs, that a diagram file may name though they lie outside of its project.
 
+        out: a file that the results are written to (.csv, .parquet, .mat). The rows of a long run go to the part of a
+        Parquet file, `out` and ".part", while it goes on, and its results read them from the file when they are asked
+        for. resume="x.parquet.part" goes on from what a run that was killed has left, to the same file.
+
         Ctrl-C returns what is there (`results.interrupted`). Raises ModelError, UsageError, and SimulationError, whose
         `.results` hold what was computed.
         """
         if stop is not None:
             settings["stop"] = stop
-        if inputs or parameters or variants or progress is not None or resume is not None:
-            run = self.start(
-                inputs=inputs, parameters=parameters, interpolation=interpolation, progress=progress, resume=resume,
-                engine=engine, variants=variants, trust=trust, **settings,
+        if inputs or parameters or variants or progress is not None or resume is not None or out is not None:
+            from .run import RunOptions
+
+            options = RunOptions(
+                inputs=inputs, interpolation=interpolation, progress=progress, resume=resume, engine=engine,
+                trust=trust, out=out,
             )  # fmt: skip
-            return run.finish()
+            run = run_of(self.with_variants(variants or {}), parameters or {}, settings, options)
+            try:
+                results = run.finish()
+                run.keep(results)
+            finally:
+                run.leave()
+            return results
 
         def start() -> Run:
             return self.start(interpolation=interpolation, engine=engine, trust=trust, **settings)
