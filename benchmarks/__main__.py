@@ -9,7 +9,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from blocks.text.errors import BlocksError
 
-from . import fmu, large_fmu, linear, long_run, master, native_engine, reference_engine, start, startup, stiff
+from . import fmu, large_fmu, linear, long_run, master, native_engine, reference_engine, start, startup, stiff, streamed
 
 BENCHMARKS = {
     "reference_engine": reference_engine.main,
@@ -26,6 +26,7 @@ BENCHMARKS = {
     "large_fmu": large_fmu.main,
     "linear": linear.main,
     "master": master.main,
+    "streamed": streamed.main,
 }
 
 

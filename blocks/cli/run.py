@@ -111,6 +111,7 @@ def _started(
     from ..api.diagram import run_of
     from ..api.preparing import longest_compilation
     from ..api.run import RunOptions
+    from ..results.files import target_of
 
     word = "compiling: a diagram is compiled the first time that it runs"
     late = f"still preparing the run; a compiler that hangs is stopped after {longest_compilation():g} s"
@@ -123,7 +124,7 @@ def _started(
             engine=options.engine,
             trust=options.trust,
             loading=_name_fmus,
-            out=None if options.out == "-" else options.out,
+            out=None if options.out == "-" and not target_of(options.resume) else options.out,
         )
         return run_of(diagram, parameters, settings, given)
 

@@ -18,7 +18,8 @@ from blocks.api import streaming
 from blocks.engines.native.engine import NativeEngine
 from blocks.results import arrow
 from blocks.results.arrow import Part
-from tests.engines.test_saved_state import mixed
+from tests.engines.test_saved_state import SHIPPED, mixed
+from tests.support.marks import long_but
 from tests.support.places import ROOT
 
 BOTH = pytest.mark.parametrize("engine", ["native", "reference"])
@@ -97,6 +98,20 @@ def test_a_streamed_run_and_one_that_goes_on_give_the_file_of_a_run_in_memory(
     assert not part.exists()
     assert rest.measures == whole.measures
     assert rows_of(rest) == rows_of(whole)
+
+
+@pytest.mark.parametrize(
+    "path", long_but(SHIPPED, lambda path: path.parent.name != "paper"), ids=lambda path: path.stem
+)
+def test_the_files_of_shipped_diagrams_are_those_of_runs_in_memory(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(streaming, "CHUNK", 2**14)
+    d, out = Diagram.load(path), tmp_path / "x.parquet"
+    stop = min(float(d.plan().settings.stop or 1.0), 2.0)
+    d.run(stop=stop).save(tmp_path / "whole.parquet")
+    d.run(stop=stop, out=out)
+    assert out.read_bytes() == (tmp_path / "whole.parquet").read_bytes()
 
 
 def test_a_part_that_was_cut_anywhere_gives_its_whole_chunks_and_the_same_file(tmp_path: Path) -> None:
@@ -331,23 +346,27 @@ def test_a_command_that_is_killed_is_read_and_gone_on_from(tmp_path: Path) -> No
     d.save(tmp_path / "d.json")
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, sys.path)])}
 
-    def command(*arguments: str) -> subprocess.Popen[str]:
-        call = [sys.executable, "-c", COMMAND, "run", "d.json", *arguments]
-        return subprocess.Popen(call, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                                text=True)  # fmt: skip
+    def command(*arguments: str) -> list[str]:
+        return [sys.executable, "-c", COMMAND, "run", "d.json", "--engine", "reference", *arguments]
 
-    settings = ("--method", "rk4", "--step", "1e-3", "--engine", "reference", "--seed", "7", "--set", "pid.kp=2.5")
-    whole = command("--out", "whole.parquet", *settings)
-    assert whole.wait(120) == 0, whole.communicate()
-    run, part = command("--out", "x.parquet", *settings), tmp_path / "x.parquet.part"
-    while run.poll() is None and not (part.exists() and part.stat().st_size > 120_000):
-        time.sleep(0.001)
-    run.kill()
-    assert run.wait(60) == -signal.SIGKILL, run.communicate()
+    def done(*arguments: str) -> str:
+        made = subprocess.run(command(*arguments), cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert made.returncode == 0, made.stderr
+        return made.stdout
+
+    settings = ("--method", "rk4", "--step", "1e-3", "--seed", "7", "--set", "pid.kp=2.5")
+    done("--out", "whole.parquet", *settings)
+    part = tmp_path / "x.parquet.part"
+    with subprocess.Popen(
+        command("--out", "x.parquet", *settings), cwd=tmp_path, env=environment,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    ) as run:  # fmt: skip
+        while run.poll() is None and not (part.exists() and part.stat().st_size > 120_000):
+            time.sleep(0.001)
+        run.kill()
+    assert run.returncode == -signal.SIGKILL
     left = Results.load(part, signals=["plant.y"])
     assert 0.0 < left.t[-1] < 2.0
-    rest = command("--resume", "x.parquet.part", "--engine", "reference")
-    assert rest.wait(120) == 0, rest.communicate()
-    assert "rows in x.parquet" in rest.communicate()[0]
+    assert "rows in x.parquet" in done("--resume", "x.parquet.part")
     assert (tmp_path / "x.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
     assert not part.exists()
