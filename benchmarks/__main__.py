@@ -22,6 +22,7 @@ from . import (
     start,
     startup,
     stiff,
+    streamed,
 )
 
 BENCHMARKS = {
@@ -41,6 +42,7 @@ BENCHMARKS = {
     "large_fmu": large_fmu.main,
     "linear": linear.main,
     "master": master.main,
+    "streamed": streamed.main,
 }
 
 

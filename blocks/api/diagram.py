@@ -383,6 +383,7 @@ class Diagram:
         engine: str | None = None,
         variants: Mapping[str, str] | None = None,
         trust: Paths = (),
+        out: str | Path | None = None,
         **settings: Any,
     ) -> Results:
         """Simulate to `stop`.
@@ -399,6 +400,10 @@ class Diagram:
         stands in the place of blocks, by path ({"motor": "fmu"}; "base": the block itself). trust: FMUs, or folders of
         FMUs, that a diagram file may name though they lie outside of its project.
 
+        out: a file that the results are written to (.csv, .parquet, .mat). The rows of a long run go to the part of a
+        Parquet file, `out` and ".part", while it goes on, and its results read them from the file when they are asked
+        for. resume="x.parquet.part" goes on from what a run that was killed has left, to the same file.
+
         Ctrl-C returns what is there (`results.interrupted`). Raises ModelError, UsageError, and SimulationError, whose
         `.results` hold what was computed.
         """
@@ -407,11 +412,18 @@ class Diagram:
         from .run import RunOptions
 
         options = RunOptions(
-            inputs=inputs, interpolation=interpolation, progress=progress, resume=resume, engine=engine, trust=trust
-        )
-        if variants or resume is not None:
-            return run_of(self.with_variants(variants or {}), parameters or {}, settings, options).finish()
-        return self._prepared(engine, trust).run_of(parameters or {}, settings, options).finish()
+            inputs=inputs, interpolation=interpolation, progress=progress, resume=resume, engine=engine,
+            trust=trust, out=out,
+        )  # fmt: skip
+        if out is None and resume is None and not variants:
+            return self._prepared(engine, trust).run_of(parameters or {}, settings, options).finish()
+        run = run_of(self.with_variants(variants or {}), parameters or {}, settings, options)
+        try:
+            results = run.finish()
+            run.keep(results)
+        finally:
+            run.leave()
+        return results
 
     def prepare(
         self,

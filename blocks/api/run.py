@@ -30,6 +30,7 @@ from ..model.hierarchy import Resolver
 from ..model.raw_values import raw_of
 from ..model.settings import RunSettings
 from ..model.trust import Paths
+from ..results.arrow import Part
 from ..results.provenance import Origin
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
@@ -37,6 +38,7 @@ from ..text.element_names import indexed
 from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import quoted
 from .origin import origin_of
+from .streaming import Streaming, part_to_resume
 from .values import check_settings, time_of
 
 __all__ = ["Run", "RunOptions", "engine_of", "started"]
@@ -46,7 +48,8 @@ __all__ = ["Run", "RunOptions", "engine_of", "started"]
 class RunOptions:
     """What a run is given besides its model; see `Diagram.run`.
 
-    loading: called with the diagram when nothing speaks against the run any more, before its FMUs are loaded.
+    out: the file of the results. loading: called with the diagram when nothing speaks against the run any more,
+    before its FMUs are loaded.
     """
 
     inputs: Any = None
@@ -56,6 +59,7 @@ class RunOptions:
     engine: str | None = None
     trust: Paths = ()
     loading: Callable[[DiagramValue], None] | None = None
+    out: str | Path | None = None
 
 
 def started(
@@ -73,7 +77,18 @@ def started(
     """
     check_settings(settings)
     resume = options.resume
-    saved = Kept(resume) if isinstance(resume, (str, Path)) else resume
+    sources = options.inputs if isinstance(options.inputs, (list, tuple)) else [options.inputs]
+    part: Part | None = None
+    anew = {"parameters": parameters, "inputs": [source for source in sources if source is not None and len(source)]}
+    found = part_to_resume(resume, options.out, anew, settings)
+    if found is not None:
+        part, out, settings = found
+        options = replace(options, out=out)
+    if isinstance(resume, (str, Path)):
+        saved: State | Kept | None = Kept(resume, None if part is None else part.state)
+    else:
+        saved = resume
+    streaming = None if options.out is None else Streaming(options.out, part)
     given = dict(parameters)
     if saved is not None:
         if settings.get("start") is not None:
@@ -98,7 +113,7 @@ def started(
     if saved is not None and isinstance(prepared.plan, Coupling):
         message = "a run with FMUs of Co-Simulation, or with blocks that are coupled one by one, cannot be resumed."
         raise UsageError(Fault("E506", value.name, message, "Begin it anew."))
-    return Run(prepared, options, saved, given)
+    return Run(prepared, options, saved, given, streaming)
 
 
 _Given = ParamSpec("_Given")
@@ -141,6 +156,7 @@ class Run:
         options: RunOptions,
         saved: State | Kept | None = None,
         given: Mapping[str, Any] | None = None,
+        streaming: Streaming | None = None,
     ) -> None:
         """saved: where a run stood that this one goes on from. given: the raw parameters that were given beside it."""
         self._turn = threading.RLock()
@@ -163,12 +179,14 @@ class Run:
         if options.loading is not None:
             options.loading(prepared.value)
         self._simulation: Simulation = simulation(
-            plan, table, engine=options.engine, progress=options.progress, state=state, model=prepared.alike.model
-        )
+            plan, table, engine=options.engine, progress=options.progress, state=state, model=prepared.alike.model,
+            is_streamed=streaming is not None and streaming.is_streamed,
+        )  # fmt: skip
         prepared.alike.model = getattr(self._simulation.engine, "model", None)
         self._exact = self.settings.start if state is None else self._simulation.exact
-        # The results of a run that goes on begin there.
-        told = self.settings if state is None else replace(self.settings, start=self._exact)
+        # The results of a run that goes on begin there, or in the file where they go on.
+        is_whole = state is None or (streaming is not None and streaming.part is not None)
+        told = self.settings if is_whole else replace(self.settings, start=self._exact)
         self._origin: Origin | None = origin_of(
             prepared.value,
             told,
@@ -178,6 +196,11 @@ class Run:
             equations=lambda: prepared.equations,
             sha256=prepared.fingerprint,
         )
+        self._streaming = streaming
+        if streaming is not None:
+            if streaming.part is not None:
+                self._origin = streaming.check(self._in_memory())
+            streaming.begin(self._simulation, prepared.settings, self._in_memory, self._state)
 
     def _others(self, state: State, given: Mapping[str, Any]) -> tuple[Fault, ...]:
         """What has changed since a state was saved, besides what is given in its place, as warnings."""
@@ -196,9 +219,34 @@ class Run:
         """What was found where the run goes on from a saved state: W302, W303. Its results have them too."""
         return self._warnings
 
-    def _told(self, results: Results) -> Results:
+    def _in_memory(self) -> Results:
+        """What was recorded, without the rows that are in a file already."""
+        return self._named(self._simulation.results())
+
+    def _named(self, results: Results) -> Results:
         """Results with their origin and the warnings of this run."""
         return replace(results, origin=self._origin, warnings=(*self._warnings, *results.warnings))
+
+    def _told(self, results: Results) -> Results:
+        """The same, with the rows that are in a file already."""
+        named = self._named(results)
+        return named if self._streaming is None else self._streaming.joined(named)
+
+    def keep(self, results: Results) -> None:
+        """Write results of this run to the file that it was given (`out`). Raises UsageError (E501)."""
+        if self._streaming is not None:
+            self._streaming.keep(results)
+
+    def leave(self) -> None:
+        """This run does not go on: another one may, from its part."""
+        if self._streaming is not None and self._streaming.part is not None:
+            self._streaming.part.close()
+
+    @property
+    def part(self) -> Path | None:
+        """The part of its file, with all rows up to a saved state, from which another run can go on; None: no such."""
+        part = None if self._streaming is None else self._streaming.part
+        return None if part is None or part.state is None else part.path
 
     @property
     @_by_one_thread
@@ -224,6 +272,10 @@ class Run:
     @_by_one_thread
     def snapshot(self) -> State:
         """The run as it stands, from which `restore` or another run of the diagram (`resume=`) can go on."""
+        return replace(self._state(), recorded=None)
+
+    def _state(self) -> State:
+        """The same, with where its rows go on."""
         prepared, settings = self._prepared, self.settings
         state = self._simulation.snapshot({name: raw_of(value) for name, value in prepared.parameters.items()})
         return replace(state, equations=prepared.equations, seed=settings.seed, start=settings.start)
@@ -243,6 +295,9 @@ class Run:
         if not isinstance(state, (State, str, Path)):
             what = f"{type(state).__name__} is neither a snapshot nor the file of one."
             raise UsageError(Fault("E506", "restore", what, "Give what snapshot() gave, or the path of a saved state."))
+        if self._streaming is not None:
+            message = "a run that writes its rows to a file does not go back."
+            raise UsageError(Fault("E506", str(self._streaming.out), message, "Start another run with resume=..."))
         prepared = self._prepared
         settings = {key: value for key, value in prepared.settings.items() if key not in ("start", "seed")}
         options = replace(self._options, inputs=None, interpolation="linear", resume=state, loading=None)
@@ -319,7 +374,7 @@ class Run:
             if self.ended is None:
                 self.advance_to(self.settings.stop)
         except KeyboardInterrupt:
-            return replace(self.results, interrupted=True)
+            return self.results.changed(interrupted=True)
         return self.results
 
     @_by_one_thread

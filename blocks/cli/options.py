@@ -47,7 +47,11 @@ def takes_run(run: argparse.ArgumentParser) -> None:
         "--plot", metavar="FILE", help="draw the first four signals, or those of --log, over time: .svg, .png, .pdf"
     )
     run.add_argument("--save", metavar="STATE", help="write the state at the stop, from which --resume goes on")
-    run.add_argument("--resume", metavar="STATE", help="go on from a state that --save wrote")
+    run.add_argument(
+        "--resume",
+        metavar="STATE",
+        help="go on from a state that --save wrote, or from the FILE.parquet.part of a run that was killed",
+    )
     run.add_argument(
         "--engine", metavar="E", choices=("auto", "native", "reference"), help="auto (the default), native or reference"
     )

@@ -48,6 +48,7 @@ def add(verbs: Any) -> None:
 def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None = None) -> int:
     """made: gives the diagram, which is no file then."""
     from ..api.diagram import Diagram
+    from ..results.files import target_of
 
     constants = [item for item in options.input if "=" in item and not os.path.exists(item)]
     inputs: list[Any] = [item for item in options.input if item not in constants]
@@ -56,6 +57,7 @@ def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None 
     settings |= {key: time_of(key, getattr(options, key)) for key in TIMES}
     settings |= {"jumps": options.jumps, "method": options.method, "log": options.log}
     settings["master"] = _master(options.master)
+    options.out = options.out or target_of(options.resume)
     progress = _Progress(options.json)
     with paused():  # nearly all objects that are made here stay
         with waiting(f"reading {options.diagram}", quiet=options.json):
@@ -81,8 +83,8 @@ def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None 
         """An FMU ends this process."""
         progress.clear()
         results = run.results
-        if len(results.t):
-            rest = f" Results up to {results.t[-1]:.10g} s are kept."
+        if results.rows:
+            rest = f" Results up to {results.span[1]:.10g} s are kept."
             error = FMUError(*(replace(fault, cure=fault.cure + rest) for fault in error.faults))
         return _concluded(options, run, results, shown, error, time.perf_counter() - begun)
 
@@ -109,6 +111,7 @@ def _started(
     from ..api.diagram import run_of
     from ..api.preparing import longest_compilation
     from ..api.run import RunOptions
+    from ..results.files import target_of
 
     word = "compiling: a diagram is compiled the first time that it runs"
     late = f"still preparing the run; a compiler that hangs is stopped after {longest_compilation():g} s"
@@ -121,6 +124,7 @@ def _started(
             engine=options.engine,
             trust=options.trust,
             loading=_name_fmus,
+            out=None if options.out == "-" and not target_of(options.resume) else options.out,
         )
         return run_of(diagram, parameters, settings, given)
 
@@ -135,8 +139,8 @@ def _concluded(
 ) -> int:
     """Write and report the results of a run; returns the exit code."""
     ended_at_once()
-    if results.interrupted and options.out and len(results.t) > LONG:
-        say(f"interrupted: writing {len(results.t)} rows to {options.out}; once more, and they are lost")
+    if results.interrupted and options.out and results.rows > LONG:
+        say(f"interrupted: writing {results.rows} rows to {options.out}; once more, and they are lost")
     written, refused = _written(options, run, results, shown, is_whole=failure is None)
     tell_faults([warning for warning in results.warnings if warning not in run.warnings], options.json)
     if failure is not None:
@@ -148,7 +152,8 @@ def _concluded(
     if failure is not None:
         return failure.exit_status
     if results.interrupted:
-        kept = f"; --resume {options.save} goes on from there" if options.save and not refused else ""
+        state = options.save if options.save and not refused else run.part
+        kept = f"; --resume {state} goes on from there" if state else ""
         say(f"interrupted at t = {run.t:.10g} s; what was computed up to there is kept{kept}")
         return INTERRUPTED
     return UsageError.exit_status if refused else 0
@@ -170,16 +175,16 @@ def _written(
     """Write what was asked for, each file by itself: what was written, and the faults of the rest."""
     from ..results import plots
 
-    t = float(results.t[-1]) if len(results.t) else run.t
-    rows = f"{len(results.t)} rows in {options.out}"
+    t = results.span[1] if results.rows else run.t
+    rows = f"{results.rows} rows in {options.out}"
     wanted: list[tuple[str, str, Callable[[], None]]] = []
     if options.save and is_whole:
         wanted.append((options.save, f"state at t = {t:g} s in {options.save}", lambda: run.save(options.save)))
     if options.out == "-":
         wanted.append(("stdout", PRINTED, lambda: _print_rows(results)))
     elif options.out:
-        wanted.append((options.out, rows, lambda: results.save(options.out)))
-    if options.plot and len(results.t):
+        wanted.append((options.out, rows, lambda: run.keep(results)))
+    if options.plot and results.rows:
         figure = partial(results.plot, *shown, most=len(shown))
         wanted.append((options.plot, f"figure in {options.plot}", lambda: plots.save(figure(), options.plot)))
     written: list[str] = []
@@ -298,7 +303,7 @@ def _report(
     options: argparse.Namespace, run: Run, results: Results, seconds: float, written: Sequence[str]
 ) -> None:
     statistics, settings = results.statistics, run.settings
-    t = float(results.t[-1]) if len(results.t) else float(settings.start)
+    t = results.span[1] if results.rows else float(settings.start)
     if options.json:
         emit(
             {
@@ -337,7 +342,7 @@ def _report_lines(options: argparse.Namespace, run: Run, results: Results, secon
     if own is not None:  # the units of a master have methods of their own
         accuracy = settings.method if settings.is_fixed_step else f"{settings.method}, rtol {settings.rtol:g}"
         accuracy = f"({accuracy}; FMUs {', '.join(f'{value:g}' for value in own)})" if own else f"({accuracy})"
-    begin = float(results.t[0]) if options.resume and len(results.t) else float(settings.start)
+    begin = results.span[0] if options.resume and results.rows else float(settings.start)
     span = f"{begin:g} ... {t:g} s"
     yield f"{results.diagram}  {' '.join(filter(None, (statistics.method, accuracy)))}  {statistics.engine}  {span}"
     if run.given:

@@ -44,6 +44,7 @@ class Simulation:
         self, engine: Engine, *, progress: Callable[[float], None] | None = None, state: State | None = None
     ) -> None:
         self.engine, self.progress = engine, progress
+        self.flush: Callable[[], None] | None = None  # called after each moment, as `progress` is
         self.watch = Watch()
         self.interrupted, self.seconds = False, 0.0
         self.is_telling = False  # `progress` runs, whose errors are not those of this run
@@ -94,6 +95,8 @@ class Simulation:
                         if engine.t == t:  # an instant, or a step that was refused
                             continue
                         self.watch.look(engine.recorded_bytes, copies)
+                        if self.flush is not None:
+                            self.flush()
                         if self.progress is not None:
                             self.is_telling = True
                             self.progress(engine.t)

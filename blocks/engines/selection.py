@@ -41,18 +41,19 @@ def simulation(
     progress: Callable[[float], None] | None = None,
     state: State | None = None,
     model: Any = None,
+    is_streamed: bool = False,
 ) -> Simulation:
     """A run, by an engine, that stands at its start, or where a saved one stood.
 
     engine: "native", "reference", "auto" (the native one where there is a compiler and it can run this), or None: what
-    the environment says, else "auto". model: that of a Plan that differs in values alone, compiled. Raises UsageError
-    (E501) where the native one is asked for and cannot run this, or (E311) where the run cannot fit into memory,
-    CompilerError (E60x) where it cannot be compiled, and what the run raises.
+    the environment says, else "auto". model: that of a Plan that differs in values alone, compiled. is_streamed: its
+    rows go to a file. Raises UsageError (E501) where the native one is asked for and cannot run this, or (E311) where
+    the run cannot fit into memory, CompilerError (E60x) where it cannot be compiled, and what the run raises.
     """
     try:
         name, why = _chosen(engine), _why_not(what)
         begin = what.settings.start if state is None else max(what.settings.start, Fraction(state.snapshot.t))
-        check_room(what, begin, is_native=name != "reference" and not why)
+        check_room(what, begin, is_native=name != "reference" and not why, is_streamed=is_streamed)
         if name == "native" and why:
             message = f"the native engine cannot run this: {why}."
             raise UsageError(Fault("E501", "engine", message, 'Use engine="auto".'))
@@ -168,12 +169,18 @@ def _tell(message: str) -> None:
 # --- memory ----------------------------------------------------------------------------------------------------------
 
 
-def check_room(what: Plan | Coupling, begin: Fraction | None = None, *, is_native: bool | None = None) -> None:
+def check_room(
+    what: Plan | Coupling,
+    begin: Fraction | None = None,
+    *,
+    is_native: bool | None = None,
+    is_streamed: bool = False,
+) -> None:
     """Raise UsageError (E311) where a run, as far as that is known before it begins, cannot fit into memory."""
     settings = what.settings
     if isinstance(what, Plan):
         is_native = not why_not(what, settings.every) if is_native is None else is_native
-        check_plan(what, settings.start if begin is None else begin, is_native=is_native)
+        check_plan(what, settings.start if begin is None else begin, is_native=is_native, is_streamed=is_streamed)
         return
     points = 0  # at least so many communication points; not known where steps are controlled, or there is no end
     if settings.stop is not None and settings.master.tolerance is None:
@@ -183,7 +190,7 @@ def check_room(what: Plan | Coupling, begin: Fraction | None = None, *, is_nativ
         rows = int((settings.stop - settings.start) / settings.every) + 1
     width = 2 + 2 * len(what.measures)
     of_measures = 8.0 * COPIES_OF_MASTER * width * points if what.measures else 0.0
-    check(what.name, rows, len(what.columns), of_measures, copies=COPIES_OF_MASTER)
+    check(what.name, 0 if is_streamed else rows, len(what.columns), of_measures, copies=COPIES_OF_MASTER)
 
 
 def _loaded(unit: CoupledUnit) -> Loaded:

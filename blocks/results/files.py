@@ -26,27 +26,43 @@ import mmap
 import os
 import re
 from array import array
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
 
 from ..text.atomic_write import known_ending, write_atomically
-from ..text.element_names import element_names
 from ..text.errors import Fault, UsageError
 from ..text.plain_files import INHERITED, opened
 from ..text.printable import legible, one_line
+from .arrow import PART, Stored, Window, read_parquet, read_part, target_of, write_parquet
 from .mat_check import check
+from .table import (
+    TIMES,
+    VERSION,
+    Content,
+    FileTable,
+    Refuse,
+    columns_of,
+    optional,
+    parsed,
+    refusal,
+    sizes_of,
+    unique,
+    versioned,
+    without_twins,
+)
 
-__all__ = ["FORMATS", "FileTable", "check_format", "identifiers", "optional", "read", "write", "write_csv"]
+__all__ = [
+    "FORMATS", "FileTable", "Stored", "check_format", "identifiers", "optional", "read", "target_of", "write",
+    "write_csv",
+]  # fmt: skip
 
 Array = np.ndarray[Any, Any]
 FORMATS = (".csv", ".parquet", ".mat")
-VERSION = 1
 FIRST_LINE = f"# blocks results {VERSION}"
-TIMES = ("time", "t")
 ROWS = 4096
 """Rows of a CSV file that are made at once."""
 MANY = 2**18
@@ -61,45 +77,12 @@ KEYWORDS = (
 MAT_TITLE = b"MATLAB 5.0 MAT-file, written by blocks".ljust(116)
 
 
-@dataclass(frozen=True)
-class FileTable:
-    """What a file holds. columns: name -> first column of `values`, shape, unit, as in Results."""
-
-    t: Array  # (rows,)
-    values: Array  # (rows, elements)
-    columns: Mapping[str, tuple[int, tuple[int, ...], str]]
-    metadata: Mapping[str, Any] = field(default_factory=dict)
-
-    def elements(self) -> list[tuple[str, str, Array]]:
-        """(name, unit, values of shape (rows,)) of every recorded element."""
-        elements = []
-        for name, (first, shape, unit) in self.columns.items():
-            names = element_names(name, shape)
-            elements += [(element, unit, self.values[:, first + i]) for i, element in enumerate(names)]
-        return elements
-
-    def described(self) -> dict[str, Any]:
-        """The metadata with units by signal and the sizes of vectors, which the columns do not give."""
-        sizes = {name: math.prod(shape) for name, (_, shape, _) in self.columns.items() if shape}
-        units = {name: unit for name, (_, _, unit) in self.columns.items()}
-        return {**self.metadata, "units": units, **({"sizes": sizes} if sizes else {})}
-
-
 def check_format(path: str | Path) -> str:
     """The format of a path by its ending. Raises UsageError: E501 for another ending, E504 for a missing package."""
     ending = known_ending(path, FORMATS, "result files")
     if ending == ".parquet":
         optional("pyarrow", legible(str(path)))
     return ending
-
-
-def optional(name: str, place: str) -> Any:
-    """A package that is not needed otherwise. Raises UsageError (E504) where it is not installed."""
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        cure = f'Install it: pip install "blocks-cosim[tables]", or pip install {name}.'
-        raise UsageError(Fault("E504", place, f"the package {name} is needed and not installed.", cure)) from None
 
 
 # --- writing ---------------------------------------------------------------------------------------------------
@@ -111,11 +94,13 @@ def write(path: str | Path, table: FileTable) -> None:
     Raises UsageError: E501 for an ending that is no format and for what cannot be written, E504 for a missing package.
     """
     ending = check_format(path)
+    if ending != ".parquet" and isinstance(table.values, Stored):
+        table = replace(table, t=table.values.times(), values=table.values())
     with write_atomically(path) as stream:
         if ending == ".csv":
             write_csv(stream, table, metadata=True)
         elif ending == ".parquet":
-            _write_parquet(stream.buffer, table)
+            write_parquet(stream.buffer, table)
         else:
             stream.buffer.write(MAT_TITLE)
             stream.buffer.write(_mat_bytes(path, table)[len(MAT_TITLE) :])
@@ -181,25 +166,6 @@ def _lines(columns: Sequence[Any]) -> str:
     return lines.getvalue().decode("ascii")
 
 
-def _write_parquet(stream: Any, table: FileTable) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    described = table.described()
-    elements = [("time", "s", table.t), *table.elements()]
-    # Parquet allows two columns of one name, but hardly any reader does; an input of a diagram may be called time.
-    columns = _unique((name for name, _, _ in elements), longest=1000)
-    fields = [
-        pa.field(column, pa.float64(), metadata={"unit": unit, "signal": name})
-        for column, (name, unit, _) in zip(columns, elements, strict=True)
-    ]
-    # pandas.read_parquet makes PANDAS_ATTRS the frame's attrs.
-    notes = {"blocks": json.dumps(_versioned(described)), "PANDAS_ATTRS": json.dumps(described)}
-    arrays = [pa.array(np.ascontiguousarray(values)) for _, _, values in elements]
-    arrow_table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=notes))
-    pq.write_table(arrow_table, stream, write_page_checksum=True)
-
-
 def _mat_bytes(path: str | Path, table: FileTable) -> memoryview:
     from scipy.io import savemat
 
@@ -209,7 +175,7 @@ def _mat_bytes(path: str | Path, table: FileTable) -> memoryview:
     for name, (first, shape, _) in table.columns.items():
         contents[variables[name]] = table.values[:, first : first + math.prod(shape)]
     contents["blocks"] = {
-        "json": json.dumps(_versioned(described)),
+        "json": json.dumps(versioned(described)),
         "names": {variables[name]: name for name in table.columns},
         "units": {variables[name]: unit for name, (_, _, unit) in table.columns.items()},
     }
@@ -221,10 +187,6 @@ def _mat_bytes(path: str | Path, table: FileTable) -> memoryview:
     return stream.getbuffer()
 
 
-def _versioned(described: Mapping[str, Any]) -> dict[str, Any]:
-    return {"format": "blocks results", "version": VERSION, **described}
-
-
 def identifiers(names: Iterable[str]) -> dict[str, str]:
     """A MATLAB variable for each signal: motor.omega -> motor_omega.
 
@@ -233,34 +195,36 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
     names = list(names)
     plain = [re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_") for name in names]
     plain = [text if text[:1].isalpha() else f"x{text}" for text in plain]
-    variables = _unique(["time", "blocks", *KEYWORDS, *plain], longest=LONGEST_IDENTIFIER)
+    variables = unique(["time", "blocks", *KEYWORDS, *plain], longest=LONGEST_IDENTIFIER)
     return dict(zip(names, variables[-len(names) :] if names else [], strict=True))
-
-
-def _unique(names: Iterable[str], *, longest: int) -> list[str]:
-    taken: dict[str, None] = {}
-    for name in names:
-        text, count = name[:longest], 1
-        while text in taken:
-            count += 1
-            text = f"{name[: longest - len(str(count)) - 1]}_{count}"
-        taken[text] = None
-    return list(taken)
 
 
 # --- reading ---------------------------------------------------------------------------------------------------
 
 
-def read(path: str | Path) -> FileTable:
-    """The table of a result file. Raises UsageError: E501, E503 for what is no result file, E504."""
-    ending = check_format(path)
+def read(
+    path: str | Path, signals: Sequence[str] | None = None, start: float | None = None, stop: float | None = None
+) -> FileTable:
+    """The table of a result file, or of the part of one; maybe of some signals and times only.
 
-    def refuse(message: str, cure: str = "") -> UsageError:
-        return UsageError(Fault("E503", legible(str(path)), message, cure))
+    Raises UsageError: E501 (a signal that is not there), E503 for what is no result file, E504.
+    """
+    is_part, window = target_of(path) is not None, Window(signals, start, stop)
+    ending = PART if is_part else check_format(path)
+    if is_part:
+        optional("pyarrow", legible(str(path)))
 
-    reader = {".csv": _read_csv, ".parquet": _read_parquet, ".mat": _read_mat}[ending]
+    refuse = refusal(path)
     try:
-        names, data, units, metadata = reader(Path(path), refuse)
+        if ending in (".parquet", PART):
+            read_rows = read_part if is_part else read_parquet
+            names, data, units, metadata = read_rows(Path(path), refuse, window)
+        else:
+            names, data, units, metadata = (_read_csv if ending == ".csv" else _read_mat)(Path(path), refuse)
+            picked = window.columns(names, legible(str(path)))
+            names, rows = [names[k] for k in picked], window.rows(data[:, 0])
+            if signals is not None or rows != slice(0, len(data)):
+                data = data[rows][:, [0, *(k + 1 for k in picked)]]
     except UsageError:
         raise
     except Exception as error:  # a broken file may raise anything in the packages that read it
@@ -272,43 +236,10 @@ def read(path: str | Path) -> FileTable:
     t = data[:, 0]
     if not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0):
         raise refuse("the times must be finite and must not decrease.")
-    known, sizes = _checked(metadata, refuse)
-    columns = _columns(names, units, known, sizes)
+    known, sizes = sizes_of(metadata, refuse)
+    columns = columns_of(names, units, known, sizes)
     rest = {k: v for k, v in metadata.items() if k not in ("format", "version", "units", "sizes")}
     return FileTable(t.copy(), data[:, 1:].copy(), columns, rest)
-
-
-Content = tuple[list[str], Array, dict[str, str], Mapping[str, Any]]
-"""Names of elements, time and their values (rows, 1 + elements), units that the columns give, metadata."""
-Refuse = Callable[..., UsageError]
-
-
-def _checked(metadata: Mapping[str, Any], refuse: Refuse) -> tuple[dict[str, str], dict[str, int]]:
-    units, sizes = metadata.get("units", {}), metadata.get("sizes", {})
-    for key, table, kind in (("units", units, str), ("sizes", sizes, int)):
-        if not isinstance(table, Mapping) or not all(type(value) is kind for value in table.values()):
-            raise refuse(f"its {key} are not what blocks writes.", f"Mend or remove the entry {key}.")
-    return dict(units), dict(sizes)
-
-
-def _columns(
-    names: Sequence[str], own: Mapping[str, str], units: Mapping[str, str], sizes: Mapping[str, int]
-) -> dict[str, tuple[int, tuple[int, ...], str]]:
-    """Elements that belong to a vector are joined, where all of them stand beside each other."""
-    columns: dict[str, tuple[int, tuple[int, ...], str]] = {}
-    at = 0
-    while at < len(names):
-        name = names[at]
-        base = name.removesuffix("[0]")
-        size = sizes.get(base, 0) if base != name else 0
-        if 0 < size <= len(names) - at and list(names[at : at + size]) == [f"{base}[{i}]" for i in range(size)]:
-            columns[base] = (at, (size,), own.get(name) or units.get(base, ""))
-            at += size
-            continue
-        unit = own.get(name) or units.get(name) or units.get(name.partition("[")[0], "")
-        columns[name] = (at, (), unit)
-        at += 1
-    return columns
 
 
 def _read_csv(path: Path, refuse: Refuse) -> Content:
@@ -329,10 +260,10 @@ def _read_csv(path: Path, refuse: Refuse) -> Content:
             raise refuse("has no column 'time' in front.", "The first line below comments is: time,NAME,...")
         many = _many_rows(path, skipped, len(header))
         if many is not None:
-            return _without_twins(header[1:], refuse), many, {}, metadata
+            return without_twins(header[1:], refuse), many, {}, metadata
         many = _many_rows(path, above + len(line.encode()), len(header))
         if many is not None:
-            return _without_twins(header[1:], refuse), many, {}, metadata
+            return without_twins(header[1:], refuse), many, {}, metadata
         rows = csv.reader(stream)
         data = array("d")
         for row in rows:
@@ -344,7 +275,7 @@ def _read_csv(path: Path, refuse: Refuse) -> Content:
             if row and (len(numbers) != len(header) or any("_" in cell for cell in row)):
                 raise refuse(f"line {rows.line_num + skipped + 1} does not hold {len(header)} numbers.")
             data.extend(numbers)
-    return _without_twins(header[1:], refuse), np.array(data).reshape(-1, len(header)), {}, metadata
+    return without_twins(header[1:], refuse), np.array(data).reshape(-1, len(header)), {}, metadata
 
 
 def _many_rows(path: Path, above: int, width: int) -> Array | None:
@@ -371,59 +302,6 @@ def _many_rows(path: Path, above: int, width: int) -> Array | None:
         return np.column_stack([column.to_numpy() for column in table.columns])
 
 
-def _without_twins(names: list[str], refuse: Refuse) -> list[str]:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            raise refuse(f"has two columns of the name {legible(name)!r}.")
-        seen.add(name)
-    return names
-
-
-def _read_parquet(path: Path, refuse: Refuse) -> Content:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    with opened(path) as stream:
-        table = pq.ParquetFile(stream, page_checksum_verification=True).read()  # where its pages have checksums
-    whole = table.schema.metadata or {}
-    # A frame of `Results.to_pandas` that pandas wrote has the same in its attrs.
-    metadata = _parsed(whole.get(b"blocks") or whole.get(b"PANDAS_ATTRS") or b"{}", refuse)
-    if b"blocks" not in whole and "engine" not in metadata:
-        metadata = {}  # attrs of another program
-    names: list[str] = []
-    units: dict[str, str] = {}
-    columns: list[Array] = []
-    at = None
-    for index, column in enumerate(table.schema):
-        notes = column.metadata or {}
-        name = notes.get(b"signal", column.name.encode()).decode()
-        if not any(holds(column.type) for holds in (pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean)):
-            raise refuse(f"the column {legible(name)!r} does not hold numbers.")
-        values = table.column(index).cast(pa.float64()).to_numpy()  # a missing number is NaN
-        if at is None and name in TIMES:
-            at = index
-            columns.insert(0, values)
-            continue
-        names.append(name)
-        columns.append(values)
-        if notes.get(b"unit"):
-            units[name] = notes[b"unit"].decode()
-    if at is None:
-        raise refuse("has no column 'time'.")
-    return _without_twins(names, refuse), np.column_stack(columns), units, metadata
-
-
-def _parsed(text: str | bytes, refuse: Refuse) -> dict[str, Any]:
-    try:
-        metadata = json.loads(text)
-    except ValueError:
-        metadata = None
-    if not isinstance(metadata, dict):
-        raise refuse("its metadata are not what blocks writes.")
-    return metadata
-
-
 def _read_mat(path: Path, refuse: Refuse) -> Content:
     from scipy.io import loadmat
 
@@ -433,13 +311,13 @@ def _read_mat(path: Path, refuse: Refuse) -> Content:
     variables = loadmat(io.BytesIO(data), simplify_cells=True)
     own = variables.pop("blocks", {})
     own = own if isinstance(own, dict) else {}
-    metadata = _parsed(str(own.get("json", "{}")), refuse)
+    metadata = parsed(str(own.get("json", "{}")), refuse)
     spelled = own.get("names", {})
     time = next((name for name in TIMES if name in variables), None)
     if time is None:
         raise refuse("has no variable 'time'.")
     t = _numbers(variables.pop(time), time, refuse).reshape(-1)
-    sizes = _checked(metadata, refuse)[1]
+    sizes = sizes_of(metadata, refuse)[1]
     names: list[str] = []
     columns: list[Array] = [t]
     for variable, value in variables.items():
@@ -460,7 +338,7 @@ def _read_mat(path: Path, refuse: Refuse) -> Content:
             names.append(name)
             columns.append(block)
     metadata["sizes"] = sizes
-    return _without_twins(names, refuse), np.column_stack(columns), {}, metadata
+    return without_twins(names, refuse), np.column_stack(columns), {}, metadata
 
 
 def _numbers(value: Any, name: str, refuse: Refuse) -> Array:

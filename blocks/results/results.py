@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO, overload
 
@@ -21,6 +21,7 @@ __all__ = ["Event", "Events", "Results", "Signal", "Statistics", "spark_line"]
 
 Array = np.ndarray[Any, Any]
 BARS = "▁▂▃▄▅▆▇█"
+SPARKS = 10
 
 
 class Event(NamedTuple):
@@ -141,8 +142,35 @@ class Results:
     warnings: tuple[Fault, ...] = ()
 
     def __post_init__(self) -> None:
-        for array in (self.t, self.values):
-            array.setflags(write=False)
+        for name in ("t", "values"):
+            if isinstance(array := self.__dict__[name], np.ndarray):
+                array.setflags(write=False)
+
+    @property
+    def stored(self) -> files.Stored | None:
+        """The rows where they lie in a file of which nothing was read yet; else None."""
+        values = self.__dict__["values"]
+        return values if isinstance(values, files.Stored) else None
+
+    @property
+    def rows(self) -> int:
+        """How many rows there are."""
+        return len(self.t) if self.stored is None else self.stored.rows
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The times in s of the first and the last row; NaN where there is none."""
+        if self.stored is not None:
+            return self.stored.span
+        return (float(self.t[0]), float(self.t[-1])) if len(self.t) else (math.nan, math.nan)
+
+    def changed(self, **fields: Any) -> Results:
+        """The same with other fields; rows that lie in a file stay there."""
+        return replace(self, **{"t": self.__dict__["t"], "values": self.__dict__["values"], **fields})
+
+    def _block(self, first: int, count: int) -> Array:
+        """Values of some columns: (rows, count)."""
+        return self.values[:, first : first + count] if self.stored is None else self.stored.block(first + 1, count)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -160,16 +188,16 @@ class Results:
             if index is not None and base in self.columns:
                 first, shape, unit = self.columns[base]
                 if len(shape) == 1 and index < shape[0]:
-                    return Signal(self.values[:, first + index], self.t, unit, name)
+                    return Signal(self._block(first + index, 1)[:, 0], self.t, unit, name)
             cure = f"{did_you_mean(name, self.columns)} Recorded: {', '.join(self.columns)}."
             raise KeyError(f"there is no recorded signal {name!r}. {cure.strip()}")
         first, shape, unit = self.columns[name]
-        block = self.values[:, first : first + math.prod(shape)]
+        block = self._block(first, math.prod(shape))
         return Signal(block.reshape(len(block), *shape), self.t, unit, name)
 
     def __repr__(self) -> str:
         warnings = "".join(f"\n{fault}" for fault in self.warnings)
-        return f"<Results of {self.diagram}: {len(self.columns)} signals, {len(self.t)} rows>\n{self.table()}{warnings}"
+        return f"<Results of {self.diagram}: {len(self.columns)} signals, {self.rows} rows>\n{self.table()}{warnings}"
 
     def flat_columns(self) -> list[tuple[str, int, str]]:
         """(name, column, unit) of every recorded element."""
@@ -180,9 +208,9 @@ class Results:
 
     def summary(self) -> dict[str, dict[str, Any]]:
         """By element: unit, min, max and the value at the end."""
-        if not len(self.t):
+        if not self.rows:
             return {}
-        low, high, end = self.values.min(axis=0), self.values.max(axis=0), self.values[-1]
+        low, high, end, _ = self._ends()
         return {
             name: {"unit": unit, "min": float(low[k]), "max": float(high[k]), "end": float(end[k])}
             for name, k, unit in self.flat_columns()
@@ -191,23 +219,41 @@ class Results:
     def table(self, *, most: int = 40) -> str:
         """The summary as text, with a spark line for each signal."""
         rows: list[tuple[str, ...]] = [("signal", "unit", "min", "max", "end", "")]
-        summary = self.summary()
-        for name, column, unit in self.flat_columns()[:most]:
-            if name not in summary:
-                continue
-            entry = summary[name]
-            numbers = (_short(entry[key]) for key in ("min", "max", "end"))
-            rows.append((name, unit or "-", *numbers, spark_line(self.t, self.values[:, column])))
+        ends = self._ends() if self.rows else ()
+        for name, column, unit in self.flat_columns()[: most if ends else 0]:
+            low, high, end, picked = (part[..., column] for part in ends)
+            numbers = (_short(float(value)) for value in (low, high, end))
+            rows.append((name, unit or "-", *numbers, _bars(picked, float(low), float(high))))
         hidden = len(self.flat_columns()) - most
         return "\n".join([*aligned(rows), *([f"  ... and {hidden} more"] if hidden > 0 else [])])
 
+    def _ends(self) -> tuple[Array, Array, Array, Array]:
+        """Least, largest and last value of each element (elements,), and its values at ten times (10, elements)."""
+        times = np.linspace(*self.span, SPARKS)
+        if self.stored is not None:
+            return self.stored.ends(times)
+        picked = self.values[np.searchsorted(self.t, times, side="right") - 1]
+        return self.values.min(axis=0), self.values.max(axis=0), self.values[-1], picked
+
     @classmethod
-    def load(cls, path: str | Path) -> Results:
+    def load(
+        cls,
+        path: str | Path,
+        *,
+        signals: Sequence[str] | None = None,
+        start: float | None = None,
+        stop: float | None = None,
+    ) -> Results:
         """The results in a file that `save` wrote, or in a table with a column `time` (CSV, Parquet, MAT).
+
+        signals: those that are read, by name ("motor.omega", "s.y", or one element, "s.y[0]"); all without it. start,
+        stop: rows before and after these times in s are left out. Of Parquet only what is asked for is read, so that
+        the file may be larger than the memory. What a run that was killed has left of such a file, FILE.parquet.part,
+        is read up to its last whole chunk, and is `interrupted`.
 
         Events, measures and most statistics are not in a file. Raises UsageError (E501, E503, E504).
         """
-        table = files.read(path)
+        table = files.read(path, signals, start, stop)
         kinds = Origin.kinds().items()
         known = {key: table.metadata[key] for key, kind in kinds if isinstance(table.metadata.get(key), kind)}
         method = str(known.get("settings", {}).get("method", ""))
@@ -226,7 +272,7 @@ class Results:
 
         The file is replaced as a whole. Raises UsageError (E501; E504 where pyarrow is needed and not installed).
         """
-        files.write(path, self._table())
+        files.write(path, self._table(is_lazy=True))
 
     def to_csv(self, path: str | Path) -> None:
         """Write time and all recorded elements as a bare table, without units and origin. Raises UsageError (E501)."""
@@ -249,12 +295,15 @@ class Results:
         frame.attrs.update(self._table().described())
         return frame
 
-    def _table(self) -> files.FileTable:
+    def _table(self, *, is_lazy: bool = False) -> files.FileTable:
+        """is_lazy: rows that lie in a file stay there."""
         metadata: dict[str, Any] = {"diagram": self.diagram, "engine": self.statistics.engine}
         if self.origin is not None:
             metadata |= self.origin.told()
         if self.interrupted:
             metadata["interrupted"] = True
+        if is_lazy and self.stored is not None:
+            return files.FileTable(np.empty(0), self.stored, self.columns, metadata)
         return files.FileTable(self.t, self.values, self.columns, metadata)
 
     def plot(self, *names: str, most: int = 4) -> Any:
@@ -274,12 +323,12 @@ class Results:
         if len(picked) > most:
             cure = f"Ask for them: plot(..., most={len(picked)})."
             raise UsageError(Fault("E501", "plot", f"{len(picked)} signals are more than {most} in one figure.", cure))
-        if not picked or not len(self.t):
+        if not picked or not self.rows:
             raise UsageError(Fault("E501", "plot", "there is nothing to plot: no signal was recorded."))
         groups: dict[str, list[plots.Line]] = {}
         for index, name in enumerate(picked):
             column, unit = columns[name]
-            line = plots.Line(self.t, self.values[:, column], name, index % len(plots.STYLES))
+            line = plots.Line(self.t, self._block(column, 1)[:, 0], name, index % len(plots.STYLES))
             # Signals of unknown unit do not share an axis: nothing says that they can be compared.
             groups.setdefault(unit or f"\0{name}", []).append(line)
         parts = []
@@ -298,9 +347,35 @@ def spark_line(t: Array, values: Array) -> str:
     """A signal in 10 characters: its value at so many times, on the scale from its least to its largest value."""
     if len(t) == 0:
         return ""
-    times = np.linspace(t[0], t[-1], 10)
+    times = np.linspace(t[0], t[-1], SPARKS)
     picked = values[np.searchsorted(t, times, side="right") - 1]
-    low, high = float(np.min(values)), float(np.max(values))
+    return _bars(picked, float(np.min(values)), float(np.max(values)))
+
+
+class _AtNeed:
+    """A field of Results that may be a function, which is called when it is first read."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        if instance is None:
+            return self
+        value = instance.__dict__[self.name]
+        if not isinstance(value, np.ndarray):
+            value = instance.__dict__[self.name] = value()
+            value.setflags(write=False)
+        return value
+
+    def __set__(self, instance: Any, value: Any) -> None:
+        instance.__dict__[self.name] = value
+
+
+for _name in ("t", "values"):
+    setattr(Results, _name, _AtNeed(_name))
+
+
+def _bars(picked: Array, low: float, high: float) -> str:
     if not np.isfinite(low) or not np.isfinite(high):
         return "?" * len(picked)
     if high - low <= 1e-12 * max(abs(low), abs(high)):

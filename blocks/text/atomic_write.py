@@ -31,7 +31,7 @@ if sys.platform != "win32":
 
         LOCKS = True
 
-__all__ = ["check_target", "drop_parts", "known_ending", "real", "write_atomically"]
+__all__ = ["check_target", "drop_parts", "hold", "known_ending", "real", "refused", "write_atomically"]
 
 LONGEST = 100  # bytes of a name that stand in that of its part, which must not be too long
 STALE = 86400.0  # s
@@ -109,6 +109,18 @@ def check_target(path: str | Path) -> None:
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(target.parent))
     if not os.access(target.parent, os.W_OK | os.X_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(target.parent))
+
+
+def hold(handle: int) -> bool:
+    """Lock an open file until it is closed, or its process ends; False where another one has it."""
+    if sys.platform != "win32" and LOCKS:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:  # a file system without locks
+            return True
+    return True
 
 
 def drop_parts() -> None:

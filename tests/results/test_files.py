@@ -483,7 +483,7 @@ def test_a_file_is_replaced_as_a_whole_or_not_at_all(
     def full(*arguments: Any, **options: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    broken = {".csv": "blocks.results.files.csv.writer", ".parquet": "pyarrow.parquet.write_table"}
+    broken = {".csv": "blocks.results.files.csv.writer", ".parquet": "pyarrow.parquet.ParquetWriter"}
     monkeypatch.setattr(broken.get(ending, "blocks.results.files._mat_bytes"), full)
     with pytest.raises(UsageError, match=r"E501 .*cannot be written: No space left on device\. Nothing was changed\."):
         made().save(path)

@@ -269,7 +269,7 @@ def test_a_recording_grows_by_chunks_and_keeps_its_rows() -> None:
     for k in range(3 * CHUNK + 7):
         recording.add(float(k), (k + 0.25, -k))
     t, values = recording.arrays()
-    assert len(t) == recording.rows == 3 * CHUNK + 7
+    assert len(t) == 3 * CHUNK + 7
     assert np.array_equal(t, np.arange(len(t)))
     assert np.array_equal(values, np.column_stack([t + 0.25, -t]))
     assert recording.last == (t[-1], (t[-1] + 0.25, -t[-1]))

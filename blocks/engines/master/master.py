@@ -581,6 +581,9 @@ class ReferenceMaster(Exchange):
         warnings = (*(told for unit in self.units for told in unit.warnings()), *self.grown.values(), *uncovered)
         return Recorded(t, values, tuple(events), measures, statistics, warnings)
 
+    def taken(self) -> Array:
+        return self.recording.taken()[:-1]
+
     def abandon(self) -> None:
         self.has_failed = True
         self.close()

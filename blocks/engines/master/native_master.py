@@ -490,6 +490,16 @@ class NativeMaster(ReferenceMaster):
             t, values = t[:-1], values[:-1]
         return np.concatenate([t, rows[:, 0]]), np.concatenate([values, rows[:, 1:]])
 
+    def taken(self) -> Array:
+        m = self._c
+        if m is None or not m.rows.used:
+            return super().taken()
+        rows, width = np.column_stack(self._rows()), 1 + m.ncolumns
+        self._first_rows = np.empty(0), np.empty((0, m.ncolumns))
+        array(m.rows.data, width)[:] = rows[-1]
+        m.rows.used = width
+        return rows[:-1]
+
     def _points(self) -> Array:
         m, before = self._c, np.array(self.points)
         if m is None or not m.points.used:

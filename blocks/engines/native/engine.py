@@ -439,6 +439,7 @@ class NativeEngine:
             crossed,
             self.plan.parameters,
             blobs,
+            recorded=None if not sim.last_row else (array(sim.last_row, self._first.shape[1]).copy(), sim.between),
         )
 
     def go_on_from(self, state: State) -> None:
@@ -475,7 +476,11 @@ class NativeEngine:
         sim.row = 0 if settings.every is None else Grid.of(settings.start, settings.every).after(now.t)
         sim.outstanding = sim.changed = int(outstanding)
         self.model.library.blocks_reload(self.address)
-        if not outstanding and self.model.library.blocks_record(self.address):
+        if state.recorded is not None:
+            self._first[0], sim.between = state.recorded
+            sim.last_row = sim.rows.next
+            sim.rows.next += self._first[0].nbytes
+        elif not outstanding and self.model.library.blocks_record(self.address):
             self.fail()
 
     def _measures(self) -> Measures:
@@ -640,6 +645,17 @@ class NativeEngine:
         self.model.library.blocks_take_rows(self.address, begin, first, to, room, len(then))
         self._first = then
         return taken
+
+    def taken(self) -> Array:
+        with self._alone():
+            self.sim.slice = 0.01  # s: so few rows gather until the next moment
+            first, in_chunks = self._counts()
+            if not first:
+                return self._first[:0]
+            taken = self._taken(first, in_chunks, np.empty((4096, self._first.shape[1])))
+            rows = taken if self._whole is None else np.concatenate([self._whole[:-1], taken])
+            self.sim.rows.bytes, self._whole = float(self._first.nbytes), None
+            return rows[:-1]
 
     def abandon(self) -> None:
         pass

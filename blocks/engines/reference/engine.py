@@ -147,7 +147,10 @@ class ReferenceEngine:
     def go_on_from(self, state: State) -> None:
         """Stand where a saved run stood; its last row is the first one here."""
         self.stand_at(state)
-        if not self.outstanding:
+        if state.recorded is not None:
+            (t, *values), self.rows.between = state.recorded
+            self.rows.recording.add(t, values)
+        elif not self.outstanding:
             with np.errstate(all="ignore"):
                 self.rows.recording.add(self.now.t, self._row())
 
@@ -196,6 +199,7 @@ class ReferenceEngine:
 
     def snapshot(self, overrides: Mapping[str, Any]) -> State:
         self._settle()
+        last = self.rows.recording.last
         return State(
             fit(self.plan),
             self._method,
@@ -210,6 +214,7 @@ class ReferenceEngine:
             self.plan.parameters,
             tuple(self.instants.saved(number) for number in range(len(self.plan.steppers))),
             self.instants.foreign.saved(),
+            recorded=None if math.isnan(last[0]) else (np.array([last[0], *last[1]]), self.rows.between),
         )
 
     @property
@@ -739,6 +744,9 @@ class ReferenceEngine:
         measures, uncovered = self.measures.results(self.now.t if self.has_begun else -math.inf)
         warnings = (*self.instants.foreign.warnings, *uncovered, *self.inside.unseen())
         return Recorded(t, values, tuple(self.events), measures, statistics, warnings)
+
+    def taken(self) -> Array:
+        return self.rows.recording.taken()[:-1]
 
     def abandon(self) -> None:
         pass

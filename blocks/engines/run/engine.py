@@ -127,6 +127,10 @@ class Engine(Protocol):
         """Rows, events and measures up to now."""
         ...
 
+    def taken(self) -> Array:
+        """The rows (rows, 1 + columns), times first, that cannot change any more; it keeps the last one alone."""
+        ...
+
     def abandon(self) -> None:
         """The run has failed: what cannot go on is freed."""
         ...

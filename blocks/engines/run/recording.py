@@ -64,16 +64,22 @@ class Recording:
     def taken(self) -> Array:
         """All rows, (rows, 1 + columns), which are here no longer, but for the last one, which may still change."""
         with patient() as look_up:
-            whole, first = np.empty((self.rows, 1 + self.columns)), 0
-            chunks = self.chunks[::-1]
-            self.chunks = []
-            while chunks:  # each is freed when it is copied: hardly any row stands twice
-                chunk = chunks.pop()[: self.rows - first]
-                whole[first : first + len(chunk)] = chunk
-                first += len(chunk)
-            self.rows = 0
-            self._keep_last(whole)
+            moved = self._moved()
+            rows = moved if self.whole is None else np.concatenate([self.whole[:-1], moved])
+            self.whole = None
         look_up()
+        return rows
+
+    def _moved(self) -> Array:
+        """The rows of all chunks; the last one is the first one of a new chunk then."""
+        whole, first = np.empty((self.rows, 1 + self.columns)), 0
+        chunks, self.chunks = self.chunks[::-1], []
+        while chunks:  # each is freed when it is copied: hardly any row stands twice
+            chunk = chunks.pop()[: self.rows - first]
+            whole[first : first + len(chunk)] = chunk
+            first += len(chunk)
+        self.rows = 0
+        self._keep_last(whole)
         return whole
 
     def _keep_last(self, whole: Array) -> None:
@@ -84,7 +90,7 @@ class Recording:
         """Times (rows,) and values (rows, columns)."""
         if self.rows > self.chunk:
             with patient() as look_up:
-                taken = self.taken()
+                taken = self._moved()
                 self.whole = taken if self.whole is None else np.concatenate([self.whole[:-1], taken])
             look_up()
             return self.whole[:, 0], self.whole[:, 1:]

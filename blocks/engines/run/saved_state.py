@@ -66,6 +66,8 @@ class State:
     equations: Equations | None = None  # those that it is of; None: of an older release, which did not say it
     seed: int | None = None  # of the run; None where it is not known
     start: Fraction | None = None  # of the run, from which its grids count; None where it is not known
+    # The last row, and how many rows stand inside steps, where the rows of a file go on; None: rows begin anew.
+    recorded: tuple[Array, int] | None = None
 
 
 def fit(plan: Plan) -> dict[str, Any]:
@@ -193,6 +195,7 @@ def packed(state: State) -> bytes:
         "steppers": list(state.steppers),
         **({"foreign": list(state.foreign)} if state.foreign else {}),
         **({} if state.equations is None else {"equations": state.equations.record}),
+        **({} if state.recorded is None else {"recorded": [array(state.recorded[0]), state.recorded[1]]}),
     }
     return _zipped(tree, arrays)
 
@@ -228,11 +231,12 @@ class Kept:
     Raises UsageError (E506) where it cannot be read.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, data: bytes | None = None) -> None:
+        """data: the bytes of the state, where the file holds more."""
         self.place = legible(str(path))
         try:
-            with opened(path) as stream:
-                if os.fstat(stream.fileno()).st_size > MOST_BYTES:
+            with opened(path) if data is None else io.BytesIO(data) as stream:
+                if data is None and os.fstat(stream.fileno()).st_size > MOST_BYTES:
                     raise ValueError("it is too large")
                 self.tree, self.arrays = _read(stream)
         except OSError as error:
@@ -338,6 +342,10 @@ def _check_values(state: State, plan: Plan) -> None:
         raise UsageError(Fault("E506", "parameters", text, "Begin the run anew."))
     if len(state.foreign) != len(plan.foreign):
         raise ValueError("its arrays have other sizes than its names")
+    width = 1 + sum(len(plan.signal(name).references) for name in plan.log)
+    if state.recorded is not None and (state.recorded[0].shape != (width,) or state.recorded[1] < 0):
+        message = "the state does not fit the run: other signals are recorded."
+        raise UsageError(Fault("E506", "recorded signals", message, "Record what was recorded, or begin the run anew."))
     for track, (_, shape, *_) in zip(state.inputs.tracks, plan.inputs, strict=True):
         fits = track.t.ndim == 1 and track.u.shape == (len(track.t), math.prod(shape)) and len(track.t) > 0
         if not fits or not np.isfinite(track.u).all() or np.any(np.diff(track.t) < 0):
@@ -439,6 +447,7 @@ def _state(tree: Mapping[str, Any], arrays: _Arrays, plan: Plan, own: Equations)
         equations,
         tree.get("seed"),
         _start(tree),
+        None if tree.get("recorded") is None else (array(tree["recorded"][0]), int(tree["recorded"][1])),
     )
     _check_values(state, plan)
     return state

@@ -1,0 +1,140 @@
+"""The rows of a run that go to a file while it goes on, and the run that goes on from such a file.
+
+`FILE.parquet.part` begins when a run has recorded much or for long, so that short runs never have one. Each chunk of
+rows in it is followed by the state of the run; a run that is resumed from it cuts off what stands behind the last one,
+and records as if it had never stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..compile.coupling import Coupling
+from ..engines.driver import Simulation
+from ..engines.run.saved_state import State, packed
+from ..fmi.patience import patient
+from ..results.arrow import Part, Stored
+from ..results.files import check_format, target_of
+from ..results.provenance import Origin
+from ..results.results import Results
+from ..text.errors import Fault, UsageError
+
+__all__ = ["Streaming", "part_to_resume"]
+
+CHUNK = 2**24
+"""Bytes of rows that are written together."""
+SECONDS = 60.0
+"""After so long fewer are written, so that no more is lost when the process is killed."""
+
+
+class Streaming:
+    """Where the rows of a run go: to `out`, and, where that is Parquet, to its part while the run goes on.
+
+    part: the one that is gone on from. Raises UsageError: E501 for another ending, E504 for a missing package.
+    """
+
+    def __init__(self, out: str | Path, part: Part | None = None) -> None:
+        self.out, self.part = Path(out), part
+        self.is_streamed = check_format(out) == ".parquet"
+        self.written = time.monotonic()
+
+    def begin(
+        self,
+        simulation: Simulation,
+        settings: Mapping[str, Any],
+        results: Callable[[], Results],
+        state: Callable[[], State],
+    ) -> None:
+        """Look at a run after each of its moments. settings: as given. state: from which it goes on."""
+        given = {key: value for key, value in settings.items() if key not in ("start", "seed") and value is not None}
+
+        def flush() -> None:
+            recorded = simulation.recorded_bytes
+            is_late = time.monotonic() - self.written > SECONDS
+            if recorded < CHUNK and not (is_late and recorded > 0.0):
+                return
+            with patient() as look_up:  # rows that were taken are written
+                # The state first: an instant that is outstanding happens then, and its rows belong to what is taken.
+                kept = None if isinstance(simulation.engine.plan, Coupling) else packed(state())
+                if self.part is None:
+                    table = results()._table()
+                    self.part = Part.begun(self.out, table, {"settings": json.dumps(given, default=float)})
+                rows = simulation.engine.taken()
+                if len(rows):
+                    self.part.add(rows, kept)
+                self.written = time.monotonic()
+            look_up()
+
+        if self.is_streamed:
+            simulation.flush = flush
+
+    def joined(self, results: Results) -> Results:
+        """The results of a run, whose rows are those behind the part."""
+        if self.part is None:
+            return results
+        stored = Stored(self.part, np.column_stack([results.t, results.values]))
+        return results.changed(t=stored.times, values=stored)
+
+    def keep(self, results: Results) -> None:
+        """Write the results to `out`. The part goes, unless the run was interrupted and can go on from it."""
+        results.save(self.out)
+        if self.part is None:
+            return
+        if results.stored is not None:
+            results.stored.moved(self.out)
+        if results.interrupted and self.part.state is not None:
+            self.part.close()
+        else:
+            self.part.drop()
+            self.part = None
+
+    def check(self, results: Results) -> Origin:
+        """The origin that the part says. Raises UsageError (E506) with all in which the run is another one."""
+        assert self.part is not None
+        was, ours = self.part.metadata, results._table().described()
+        known = {
+            "diagram": "diagram", "engine": "engine", "sha256": "file of the diagram", "equations": "equations",
+            "values": "values of parameters", "units": "recorded signals",
+        }  # fmt: skip
+        different = [what for key, what in known.items() if was.get(key) != ours.get(key)]
+        theirs, settings = was.get("settings", {}), ours.get("settings", {})
+        for key in sorted({*settings, *theirs} - {"interpolation"}):  # the inputs are in the state
+            if settings.get(key) != theirs.get(key):
+                different.append(f"{key} ({theirs.get(key)}, and now {settings.get(key)})")
+        releases = [known.get("versions", {}).get("blocks") for known in (was, ours)]
+        if releases[0] != releases[1]:
+            different.append(f"release of blocks ({releases[0]}, and now {releases[1]})")
+        if different:
+            cure = "Resume it with what it was begun with, or begin the run anew."
+            place = str(self.part.path)
+            raise UsageError(*(Fault("E506", place, f"is of a run with another {what}.", cure) for what in different))
+        return Origin(**{key: was[key] for key in Origin.kinds() if key in was})
+
+
+def part_to_resume(
+    resume: Any, out: str | Path | None, given: Mapping[str, Any], settings: Mapping[str, Any]
+) -> tuple[Part, Path, dict[str, Any]] | None:
+    """The part that a run goes on from, the file that it writes, and its settings; None for other states.
+
+    given: parameters and inputs that were given, by what they are. Raises UsageError: E501, E506.
+    """
+    target = target_of(resume)
+    if target is None:
+        return None
+    place = str(resume)
+    if out is not None and Path(out).absolute() != Path(target).absolute():
+        raise UsageError(Fault("E501", str(out), f"a run that goes on from {place} writes {target}.", "Leave it out."))
+    for what, items in given.items():
+        if items:
+            message = f"a run that goes on in its own file has its {what} from there."
+            raise UsageError(Fault("E506", place, message, f"Leave the {what} out, or begin the run anew."))
+    part = Part.found(resume)
+    recorded = json.loads(part.schema.metadata.get(b"settings", b"{}"))
+    return part, Path(target), {**recorded, **{key: value for key, value in settings.items() if value is not None}}
+

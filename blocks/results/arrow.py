@@ -1,0 +1,422 @@
+"""Rows in the formats of Arrow: Parquet files, and the parts that runs leave while they go on.
+
+    FILE.parquet.part     an Arrow IPC stream: the schema of the Parquet file, and chunks of rows, each with a note:
+                          the CRC-32 of its columns, and the state from which the run goes on after it
+
+A chunk counts when all of it is there: what a process that was killed has left can be read, and gone on from, up to its
+last whole one. Columns are `time` and one for each recorded element, as in the Parquet file.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import os
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from ..text.atomic_write import hold, real, refused
+from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.plain_files import opened
+from ..text.printable import legible, one_line
+from .table import TIMES, Content, FileTable, Refuse, optional, parsed, refusal, unique, versioned, without_twins
+
+__all__ = ["PART", "Part", "Stored", "Window", "part_of", "read_parquet", "read_part", "target_of", "write_parquet"]
+
+Array = np.ndarray[Any, Any]
+PART = ".part"
+GROUP = 2**22
+"""Numbers of a row group of a Parquet file, of which so many are in memory at once."""
+
+
+class Window:
+    """What is read of a file: signals by name (None: all), and times from start to stop in s, both included."""
+
+    def __init__(self, signals: Sequence[str] | None, start: float | None, stop: float | None) -> None:
+        self.signals = signals
+        self.start, self.stop = -math.inf if start is None else float(start), math.inf if stop is None else float(stop)
+
+    def columns(self, names: Sequence[str], place: str) -> list[int]:
+        """The places of the elements that are read. Raises UsageError (E501) for a signal that is not there."""
+        if self.signals is None:
+            return list(range(len(names)))
+        picked: set[int] = set()
+        for signal in self.signals:
+            found = [k for k, name in enumerate(names) if signal in (name, name.partition("[")[0])]
+            if not found:
+                cure = did_you_mean(signal[:200], names) or f"There are: {', '.join(names[:20])}."
+                raise UsageError(Fault("E501", place, f"holds no signal {legible(signal)!r}.", cure))
+            picked.update(found)
+        return sorted(picked)
+
+    def rows(self, t: Array) -> slice:
+        """Which rows of non-decreasing times are read."""
+        if (self.start == -math.inf and self.stop == math.inf) or not np.all(t[1:] >= t[:-1]):  # which is refused later
+            return slice(0, len(t))
+        return slice(int(np.searchsorted(t, self.start, "left")), int(np.searchsorted(t, self.stop, "right")))
+
+
+# --- writing -----------------------------------------------------------------------------------------------------
+
+
+def schema_of(table: FileTable) -> Any:
+    """The schema of the files of a table, with units, names and metadata."""
+    import pyarrow as pa
+
+    described = table.described()
+    elements = [("time", "s"), *((name, unit) for name, unit, _ in table.named())]
+    # Parquet allows two columns of one name, but hardly any reader does; an input of a diagram may be called time.
+    columns = unique((name for name, _ in elements), longest=1000)
+    fields = [
+        pa.field(column, pa.float64(), metadata={"unit": unit, "signal": name})
+        for column, (name, unit) in zip(columns, elements, strict=True)
+    ]
+    # pandas.read_parquet makes PANDAS_ATTRS the frame's attrs.
+    notes = {"blocks": json.dumps(versioned(described)), "PANDAS_ATTRS": json.dumps(described)}
+    return pa.schema(fields, metadata=notes)
+
+
+def write_parquet(stream: Any, table: FileTable) -> None:
+    """Write a Parquet file; of rows that lie in a part or a file, a group at a time."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    schema = schema_of(table)
+    if isinstance(table.values, Stored):
+        pieces: Iterable[Any] = table.values.tables(schema)
+    else:
+        columns = [table.t, *(values for _, _, values in table.elements())]
+        pieces = [pa.Table.from_arrays([pa.array(np.ascontiguousarray(c)) for c in columns], schema=schema)]
+    rows = max(1, GROUP // len(schema))
+    waiting, is_empty = schema.empty_table(), True
+    with pq.ParquetWriter(stream, schema, write_page_checksum=True) as writer:
+        for piece in pieces:
+            waiting = pa.concat_tables([waiting, piece])
+            while len(waiting) > rows:
+                writer.write_table(waiting.slice(0, rows).combine_chunks(), row_group_size=rows)
+                waiting, is_empty = waiting.slice(rows), False
+        if len(waiting) or is_empty:
+            writer.write_table(waiting.combine_chunks(), row_group_size=rows)
+
+
+def part_of(target: str | Path) -> Path:
+    """The part of a Parquet file that is being written."""
+    return Path(f"{real(Path(target))}{PART}")
+
+
+def target_of(path: Any) -> str | None:
+    """The Parquet file that a part belongs to; None where the path is not that of a part."""
+    text = os.fspath(path) if isinstance(path, (str, Path)) else ""
+    return text[: -len(PART)] if text.lower().endswith(f".parquet{PART}") else None
+
+
+class Part:
+    """The part of a Parquet file, open for more rows: of a new run, or of one that goes on.
+
+    state: what stands behind its last whole chunk (None: nothing). It is locked as long as it is open. Methods raise
+    UsageError (E501) where it cannot be written.
+    """
+
+    def __init__(self, path: Path, stream: BinaryIO, schema: Any) -> None:
+        self.path, self.stream, self.schema = path, stream, schema
+        self.rows, self.first, self.end = 0, math.nan, 0
+        self.state: bytes | None = None
+
+    @classmethod
+    def begun(cls, target: str | Path, table: FileTable, notes: Mapping[str, str]) -> Part:
+        """A new one, in the place of what a run has left. table: whose rows will follow. notes: more metadata."""
+        path = part_of(target)
+        try:
+            schema = schema_of(table)
+            schema = schema.with_metadata({**schema.metadata, **notes})
+            part = cls(path, _held(path, os.O_RDWR | os.O_CREAT), schema)
+            part._write(_stream_of(part.schema, None)[:-END], 0)
+        except OSError as error:
+            raise refused(path, error) from None
+        return part
+
+    @classmethod
+    def found(cls, path: str | Path) -> Part:
+        """One that a run has left. Raises UsageError: E506 where nothing can go on from it, E504."""
+        place = legible(str(path))
+        optional("pyarrow", place)
+
+        def refuse(message: str, cure: str = "Begin the run anew.") -> UsageError:
+            return UsageError(Fault("E506", place, message, cure))
+
+        try:
+            opened(path).close()  # no device, no pipe
+            stream = _held(Path(path), os.O_RDWR)
+        except OSError as error:
+            raise refuse(f"cannot be read: {error.strerror or error}.") from None
+        try:
+            schema, chunks = _chunks(stream, refuse)
+            part = cls(Path(path), stream, schema)
+            for batch, state, end in chunks:
+                part._count(batch.column(0).to_numpy(), end, state)
+            if not part.rows:
+                raise refuse("holds no whole chunk of rows.")
+            if part.state is None:
+                raise refuse("its run cannot be resumed: FMUs of Co-Simulation and coupled blocks have no saved state.")
+        except BaseException:
+            stream.close()
+            raise
+        return part
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads(self.schema.metadata[b"blocks"])
+        return found
+
+    def add(self, rows: Array, state: bytes | None) -> None:
+        """Write a chunk of rows (n, 1 + columns), and the state after it."""
+        import pyarrow as pa
+
+        columns = [pa.array(np.ascontiguousarray(column)) for column in rows.T]
+        batch = pa.RecordBatch.from_arrays(columns, schema=self.schema)
+        notes = {"crc32": str(_crc(batch)), **({} if state is None else {"state": base64.b64encode(state)})}
+        header = len(_stream_of(self.schema, None)) - END
+        try:
+            self._write(_stream_of(self.schema, batch, notes)[header:-END], self.end)
+        except OSError as error:
+            raise refused(self.path, error) from None
+        self._count(rows[:, 0], self.stream.tell(), state)
+
+    def _write(self, message: Any, at: int) -> None:
+        self.stream.seek(at)
+        self.stream.truncate()  # what follows is no whole chunk
+        self.stream.write(message)
+        self.stream.flush()
+        self.end = self.stream.tell()
+
+    def _count(self, t: Array, end: int, state: bytes | None) -> None:
+        self.first = self.first if self.rows else float(t[0])
+        self.rows, self.end, self.state = self.rows + len(t), end, state
+
+    def close(self) -> None:
+        """Another run may go on from it."""
+        self.stream.close()
+
+    __del__ = close
+
+    def drop(self) -> None:
+        """Remove it: the file that it was a part of is there."""
+        self.path.unlink(missing_ok=True)
+        self.close()
+
+
+END = 8
+"""Bytes of the mark at the end of an IPC stream, which a part does not have."""
+
+
+def _held(path: Path, flags: int) -> BinaryIO:
+    """A file that no other process writes. Raises UsageError (E501), OSError."""
+    stream = open(os.open(path, flags | getattr(os, "O_BINARY", 0), 0o666), "r+b")  # noqa: SIM115 - it stays open
+    if not hold(stream.fileno()):
+        stream.close()
+        cure = "Wait for it, or name another file."
+        raise UsageError(Fault("E501", legible(str(path)), "is being written by another run.", cure))
+    return stream
+
+
+def _stream_of(schema: Any, batch: Any, notes: Mapping[str, Any] | None = None) -> Any:
+    """The bytes of an IPC stream of one batch, or of none."""
+    import pyarrow as pa
+
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, schema) as writer:
+        if batch is not None:
+            writer.write_batch(batch, custom_metadata=notes)
+    return memoryview(sink.getvalue())
+
+
+def _crc(batch: Any) -> int:
+    crc = 0
+    for column in batch.columns:
+        crc = zlib.crc32(column.to_numpy(), crc)
+    return crc
+
+
+# --- reading -----------------------------------------------------------------------------------------------------
+
+
+def _chunks(stream: BinaryIO, refuse: Refuse) -> tuple[Any, Iterator[tuple[Any, bytes | None, int]]]:
+    """The schema of a part, and its whole chunks: rows, the state after them, where they end."""
+    import pyarrow as pa
+
+    try:
+        reader = pa.ipc.open_stream(stream)
+        metadata = reader.schema.metadata or {}
+        if b"blocks" not in metadata or any(field.type != pa.float64() for field in reader.schema):
+            raise ValueError("it is of another program")
+        parsed(metadata[b"blocks"], refuse)
+    except (pa.ArrowException, ValueError, OSError) as error:
+        raise refuse(f"is not the part of a result file: {one_line(str(error)).rstrip(' .')}.") from None
+
+    def chunks() -> Iterator[tuple[Any, bytes | None, int]]:
+        while True:
+            try:
+                batch, notes = reader.read_next_batch_with_custom_metadata()
+                batch.validate()
+                if int(notes[b"crc32"]) != _crc(batch):
+                    return
+                state = base64.b64decode(notes[b"state"]) if b"state" in notes else None
+            except (StopIteration, pa.ArrowException, OSError, ValueError, KeyError, TypeError):
+                return  # it is not whole
+            yield batch, state, stream.tell()
+
+    return reader.schema, chunks()
+
+
+def read_part(path: Path, refuse: Refuse, window: Window) -> Content:
+    """The rows of a part, up to its last whole chunk."""
+    import pyarrow as pa
+
+    with opened(path) as stream:
+        schema, chunks = _chunks(stream, refuse)
+        tables = (pa.Table.from_batches([batch]) for batch, _, _ in chunks)
+        names, data, units, metadata = _content(schema, tables, refuse, window)
+    return names, data, units, {**metadata, "interrupted": True}
+
+
+def read_parquet(path: Path, refuse: Refuse, window: Window) -> Content:
+    """The rows of a Parquet file; of a window only what has to be read for it."""
+    import pyarrow.parquet as pq
+
+    with opened(path) as stream:
+        file = pq.ParquetFile(stream, page_checksum_verification=True)  # where its pages have checksums
+        return _content(file.schema_arrow, _groups(file, window), refuse, window)
+
+
+def _groups(file: Any, window: Window) -> Iterator[Any]:
+    """The row groups that may hold rows of a window, one by one, with the columns that it needs."""
+    names = [_name_of(field) for field in file.schema_arrow]
+    at = next(k for k, name in enumerate(names) if name in TIMES)  # `_content` has looked for it
+    columns = None
+    if window.signals is not None:
+        others = [name for k, name in enumerate(names) if k != at]
+        needed = [(k if k < at else k + 1) for k in window.columns(others, "")]
+        columns = [file.schema_arrow[k].name for k in (at, *needed)]
+    for group in range(file.num_row_groups):
+        known = file.metadata.row_group(group).column(at).statistics
+        if known is not None and known.has_min_max and (known.max < window.start or known.min > window.stop):
+            continue
+        yield file.read_row_group(group, columns=columns)
+
+
+def _name_of(field: Any) -> str:
+    name: bytes = (field.metadata or {}).get(b"signal", field.name.encode())
+    return name.decode()
+
+
+def _content(schema: Any, tables: Iterable[Any], refuse: Refuse, window: Window) -> Content:
+    """What a file holds. tables: with all columns of its schema, or with those of the window."""
+    import pyarrow as pa
+
+    whole = schema.metadata or {}
+    # A frame of `Results.to_pandas` that pandas wrote has the same in its attrs.
+    metadata = parsed(whole.get(b"blocks") or whole.get(b"PANDAS_ATTRS") or b"{}", refuse)
+    if b"blocks" not in whole and "engine" not in metadata:
+        metadata = {}  # attrs of another program
+    named = [(_name_of(field), field) for field in schema]
+    for name, field in named:
+        if not any(holds(field.type) for holds in (pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean)):
+            raise refuse(f"the column {legible(name)!r} does not hold numbers.")
+    at = next((k for k, (name, _) in enumerate(named) if name in TIMES), None)
+    if at is None:
+        raise refuse("has no column 'time'.")
+    time = named.pop(at)[1]
+    names = without_twins([name for name, _ in named], refuse)
+    picked = [named[k] for k in window.columns(names, legible(str(metadata.get("diagram", "the file"))))]
+    units = {name: field.metadata[b"unit"].decode() for name, field in picked if (field.metadata or {}).get(b"unit")}
+    pieces = [np.empty((0, 1 + len(picked)))]
+    for table in tables:
+        rows = window.rows(_numbers(table, time.name))
+        if rows.start < rows.stop:
+            part = table.slice(rows.start, rows.stop - rows.start)
+            pieces.append(np.column_stack([_numbers(part, field.name) for field in (time, *(f for _, f in picked))]))
+    return [name for name, _ in picked], np.concatenate(pieces), units, metadata
+
+
+def _numbers(table: Any, column: str) -> Array:
+    import pyarrow as pa
+
+    numbers: Array = table.column(column).cast(pa.float64()).to_numpy()  # a missing number is NaN
+    return numbers
+
+
+# --- rows that stay in their file --------------------------------------------------------------------------------
+
+
+class Stored:
+    """The rows of a run that lie in a file, and are read when they are asked for: (rows, 1 + elements), time first.
+
+    tail: rows that stand behind those of the part.
+    """
+
+    def __init__(self, part: Part, tail: Array) -> None:
+        self.path, self.tail = part.path, tail
+        self.end, self.rows = part.end, part.rows + len(tail)
+        self.span = (part.first, float(tail[-1, 0]))
+        self._ends: tuple[Array, Array, Array, Array] | None = None
+
+    def moved(self, target: str | Path) -> None:
+        """All rows are in a Parquet file now."""
+        self.path, self.tail = Path(target), self.tail[:0]
+
+    def __call__(self) -> Array:
+        """All values: (rows, elements)."""
+        return self.block(1, self.tail.shape[1] - 1)
+
+    def times(self) -> Array:
+        return self.block(0, 1)[:, 0]
+
+    def block(self, first: int, count: int) -> Array:
+        """Columns: (rows, count)."""
+        return np.concatenate([np.column_stack(piece) for piece in self.pieces(range(first, first + count))])
+
+    def tables(self, schema: Any) -> Iterator[Any]:
+        """The rows piece by piece, as tables of a schema."""
+        import pyarrow as pa
+
+        for piece in self.pieces(range(self.tail.shape[1])):
+            yield pa.Table.from_arrays([pa.array(np.ascontiguousarray(column)) for column in piece], schema=schema)
+
+    def pieces(self, columns: Sequence[int]) -> Iterator[list[Array]]:
+        """Some columns of the rows, piece by piece."""
+        import pyarrow.parquet as pq
+
+        with opened(self.path) as stream:
+            if target_of(self.path):
+                for batch, _, end in _chunks(stream, refusal(self.path))[1]:
+                    yield [batch.column(k).to_numpy() for k in columns]
+                    if end >= self.end:
+                        break
+            else:
+                file = pq.ParquetFile(stream)
+                names = [file.schema_arrow[k].name for k in columns]
+                for group in range(file.num_row_groups):
+                    table = file.read_row_group(group, columns=names)
+                    yield [table.column(name).to_numpy() for name in names]
+        if len(self.tail):
+            yield [self.tail[:, k] for k in columns]
+
+    def ends(self, times: Array) -> tuple[Array, Array, Array, Array]:
+        """Least, largest and last value of each element (elements,), and those at times (times, elements)."""
+        if self._ends is None:
+            n = self.tail.shape[1] - 1
+            low, high, end, at = np.full(n, np.inf), np.full(n, -np.inf), np.empty(n), np.empty((len(times), n))
+            for t, *values in self.pieces(range(n + 1)):
+                low = np.minimum(low, [column.min() for column in values])
+                high = np.maximum(high, [column.max() for column in values])
+                end = np.array([column[-1] for column in values])
+                places = np.searchsorted(t, times, side="right") - 1
+                for k in np.flatnonzero(places >= 0):
+                    at[k] = [column[places[k]] for column in values]
+            self._ends = low, high, end, at
+        return self._ends
