@@ -7,6 +7,7 @@ bytecode, as it does where nobody forbids it. Compiled code of the diagrams is i
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -43,10 +44,10 @@ def seconds(root: Path, arguments: Sequence[str], folder: Path) -> tuple[float, 
     surroundings = {name: text for name, text in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     surroundings |= {"PYTHONPATH": str(root), "PYTHONPYCACHEPREFIX": str(folder / "bytecode")}
     more = ("--out", str(folder / "study")) if "study" in arguments else ()
-    before, begun = os.times(), time.perf_counter()
+    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run([sys.executable, *arguments, *more], check=False, capture_output=True, cwd=root, env=surroundings)
-    wall, after = time.perf_counter() - begun, os.times()
-    return wall, after.children_user + after.children_system - before.children_user - before.children_system
+    wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def built(values: Callable[[int], float], count: int = 600) -> tuple[float, float]:

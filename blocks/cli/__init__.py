@@ -196,6 +196,9 @@ def _every(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]
 
 def _parser(command: str = "") -> argparse.ArgumentParser:
     """The parser of the command line; where it begins with a command, of that one alone: the others take their time."""
+    if command and command not in COMMANDS and not command.startswith("-"):
+        known = ", ".join(map(repr, COMMANDS))  # as argparse has it, which would make all parsers first
+        _Parser(prog="blocks").error(f"argument COMMAND: invalid choice: {command!r} (choose from {known})")
     from ..text.version import __version__
 
     parser = _Parser(prog="blocks", description="Simulate and check block diagrams of control systems.")

@@ -9,7 +9,7 @@ a wire run over another one or through a block.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from heapq import heappop, heappush
 from itertools import pairwise
 
@@ -269,14 +269,15 @@ class _Maze:
         if goal in before or goal == start:
             return [goal]
         gx, gy = self._place(goal)
+        far, deep = [abs(x - gx) for x in self.xs], [abs(y - gy) for y in self.ys]
         heap: list[tuple[float, int]] = []
         cost: dict[int, float] = {}
         origin: dict[int, int] = {}
         for point in before or (start,):
-            x, y = self._place(point)
+            row, column = divmod(point, self.wide)
             for way in range(4) if before else (RIGHT,):
                 cost[point * 4 + way] = BRANCH if before else 0.0
-                heappush(heap, (cost[point * 4 + way] + abs(x - gx) + abs(y - gy), point * 4 + way))
+                heappush(heap, (cost[point * 4 + way] + far[column] + deep[row], point * 4 + way))
         done: set[int] = set()
         while heap:
             _, state = heappop(heap)
@@ -287,23 +288,23 @@ class _Maze:
                 if cost[state] >= OVERLAP:
                     self.blocked.append(index)
                 return _back(state, origin)
+            begun = cost[state]
             for other, added in self._moves(index + 1, state):
-                value = cost[state] + added
+                value = begun + added
                 if value < cost.get(other, 1e30):
                     cost[other] = value
                     origin[other] = state
-                    x, y = self._place(other // 4)
-                    heappush(heap, (value + abs(x - gx) + abs(y - gy), other))
+                    row, column = divmod(other // 4, self.wide)
+                    heappush(heap, (value + far[column] + deep[row], other))
         return [start, goal]  # not reached: every state can be left
 
-    def _moves(self, own: int, state: int) -> Iterator[tuple[int, float]]:
+    def _moves(self, own: int, state: int) -> tuple[tuple[int, float], ...]:
         """The states that follow: a turn on the spot, or a step ahead; each with its cost."""
         point, way = divmod(state, 4)
         line = way & 1
         across = self.owner[1 - line]
         turn = BEND + (OVERLAP if across[point] not in (0, own) else 0.0)
-        yield point * 4 + (way + 1) % 4, turn
-        yield point * 4 + (way + 3) % 4, turn
+        turns = (point * 4 + (way + 1) % 4, turn), (point * 4 + (way + 3) % 4, turn)
         row, column = divmod(point, self.wide)
         if way == RIGHT and column + 1 < self.wide:
             ahead, added = point + 1, self.xs[column + 1] - self.xs[column]
@@ -314,7 +315,7 @@ class _Maze:
         elif way == UP and row:
             ahead, added = point - self.wide, self.ys[row] - self.ys[row - 1]
         else:
-            return
+            return turns
         if self.wall[line][min(point, ahead)]:
             added += THROUGH
         along = self.owner[line]
@@ -322,7 +323,7 @@ class _Maze:
             added += OVERLAP
         if across[ahead] not in (0, own):
             added += CROSSING
-        yield ahead * 4 + way, added
+        return *turns, (ahead * 4 + way, added)
 
     def _paths(self, index: int, ways: Sequence[Sequence[int]]) -> tuple[Path, ...]:
         net = self.graph.nets[index]

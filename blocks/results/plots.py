@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -198,11 +197,13 @@ def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
     if len(x) <= 4 * _COLUMNS:
         return x, y
     edges = np.linspace(0, len(x), _COLUMNS + 1).astype(int)
-    keep = {0, len(x) - 1}
-    for a, b in itertools.pairwise(edges):
-        if a < b:
-            keep |= {a, b - 1, a + int(np.argmin(y[a:b])), a + int(np.argmax(y[a:b]))}
-    index = np.array(sorted(keep))
+    first, last = edges[:-1], edges[1:] - 1
+    keep = [first, last]
+    for extreme in (np.minimum, np.maximum):
+        # The first place of it in each column; of nan, which is the extreme where it is.
+        found = np.flatnonzero((y == np.repeat(extreme.reduceat(y, first), last - first + 1)) | np.isnan(y))
+        keep.append(found[np.searchsorted(found, first)])
+    index = np.unique(np.concatenate(keep))
     return x[index], y[index]
 
 

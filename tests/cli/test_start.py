@@ -34,6 +34,7 @@ def test_a_word_that_is_no_command_or_option_is_refused_before_numpy(arguments: 
     modules = loaded(*arguments, status=2)
     assert "numpy" not in modules
     assert not {name for name in modules if name.startswith(("blocks.model", "blocks.api", "blocks.library"))}
+    assert arguments[0] != "nonsense" or "blocks.cli.run" not in modules
 
 
 @pytest.mark.parametrize("form", [(), ("--json",)], ids=["text", "json"])
