@@ -387,7 +387,7 @@ static inline __attribute__((always_inline)) void inside(const int share, const 
 /* What is measured at the nodes of Lobatto's rule, into `nodes`: 0; where the step is not to be measured: 1; where it has to
    be looked at in parts: -1. Five values tell what is not bent. What is bent, and depends on states alone, is computed at
    one point or two inside, where a straight line through the ends, or the parabola through these and the first point,
-   foretells it to a tenth of what is allowed; at all nodes else, and at one point more, as in any part. */
+   foretells it to a hundredth of what is allowed; at all nodes else, and at one point more, as in any part. */
 static inline __attribute__((always_inline)) int measured_inside(BlocksSim *s, const BlocksMemory *m, const int moving,
                                                                  double t, double t1, double h, const double *restrict x,
                                                                  const double *restrict x1, Stages k)
@@ -461,9 +461,9 @@ static inline __attribute__((always_inline)) int measured_inside(BlocksSim *s, c
                 miss = twice[j] - (y0 + second * rise + bend * second * (1.0 - second));
                 twist = miss * (1.0 / (second * (1.0 - second) * (second - first)));
             }
-            double allowed = rtol * fabs(rise);
-            if (setup->measures[j / 2].kind <= BLOCKS_HARMONIC) allowed += 0.1 * rtol * (e0 < e4 ? e0 : e4);
-            missed |= !(fabs(miss) <= allowed);
+            double size = fabs(rise);
+            if (setup->measures[j / 2].kind <= BLOCKS_HARMONIC) size += e0 < e4 ? e0 : e4;
+            missed |= !(fabs(miss) <= 0.1 * rtol * size);
             for (int i = 1; i < 4; i++) {
                 double at = SHARES_AT[i - 1];
                 v[i * N + j] = y0 + at * rise + at * (1.0 - at) * (bend + twist * (at - first));
