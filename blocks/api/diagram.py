@@ -437,8 +437,9 @@ class Diagram:
         """The diagram as it is now, prepared and compiled, for many runs: `prepare().run(parameters=..., stop=...)`.
 
         Such a run gives bit for bit what `run` gives. `run` itself keeps what it prepared last, and uses it again where
-        nothing has changed; a prepared model looks at nothing again: neither at the diagram, nor at files, classes, the
-        compiler or the environment. Arguments as of `run`. Raises ModelError, UsageError and CompilerError.
+        nothing has changed; a prepared model looks at nothing again: neither at the diagram, nor at files and classes;
+        only BLOCKS_ENGINE counts as it is when a run begins. Arguments as of `run`. Raises ModelError, UsageError and
+        CompilerError.
         """
         from .prepared_model import PreparedModel
 

@@ -39,7 +39,7 @@ def origin_of(
     parameters: Mapping[str, Any] | None = None,
     inputs: Any = None,
     interpolation: str = "linear",
-    equations: Callable[[], _Computed] | None = None,
+    equations: Callable[[], _Computed | None] | None = None,
     sha256: str = "",
 ) -> Origin:
     """The origin of a run of `value`. parameters, inputs, interpolation: as given to the run.
@@ -52,7 +52,10 @@ def origin_of(
     run_settings = _settings(settings)
     if interpolation != "linear":
         run_settings["interpolation"] = interpolation
-    known = [] if equations is None else [lambda: equations().sha256, lambda: equations().values_sha256]
+    def told(name: str) -> Callable[[], str]:
+        return lambda: getattr(equations(), name, "") if equations is not None else ""
+
+    known = [told("sha256"), told("values_sha256")]
     return Origin(sha256 or fingerprint(value), versions, run_settings, described, _inputs(inputs), *known)
 
 

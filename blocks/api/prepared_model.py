@@ -59,6 +59,9 @@ class PreparedModel:
         trust: Paths = (),
         settings: Mapping[str, Any] | None = None,
     ) -> None:
+        if "inputs" in (settings or {}):
+            message, cure = "are of a run.", "Give them to run: prepare().run(inputs=...)."
+            raise UsageError(Fault("E501", "inputs", message, cure))
         self._value, self._types = value, dict(types)
         self._parameters, self._settings = _own(dict(parameters or {})), _own(dict(settings or {}))
         self._engine, self._trust = engine, trust

@@ -193,7 +193,7 @@ class Run:
             parameters=prepared.parameters,
             inputs=options.inputs,
             interpolation=options.interpolation,
-            equations=lambda: prepared.equations,
+            equations=lambda: prepared.known_equations,
             sha256=prepared.fingerprint,
         )
         self._streaming = streaming
@@ -252,13 +252,13 @@ class Run:
     @_by_one_thread
     def given(self) -> dict[str, str]:
         """The parameters that were given or set, by path, as texts with the units in which they are meant."""
-        blocks = {block.path: block for block in self._prepared.flat.blocks}
+        blocks = {block.path: block for block in self._prepared.structure.blocks}
         texts = {}
         for path, raw in self._prepared.parameters.items():
             owner, _, name = path.rpartition(".")
             entry = self._prepared.value.parameters.get(path)
             unit = str(entry.get("unit", "")) if isinstance(entry, Mapping) else ""
-            if owner in blocks:
+            if owner in blocks and name in blocks[owner].interface.declaration.parameters:
                 interface = blocks[owner].interface
                 units_ = set(interface.declared_units(interface.declaration.parameters[name]))
                 unit = units_.pop() if len(units_) == 1 else ""

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..contract.expressions import FUNCTIONS
+from ..contract.outside import Outside, outside
 from ..contract.reads import arguments
 from ..contract.resolution import Resolved
 from ..contract.scalars import LOGICAL, Scalar
@@ -220,8 +221,8 @@ def _names_of(code: CodeType) -> Iterator[str]:
             yield from _names_of(constant)
 
 
-_DEFAULTS: dict[Any, tuple[Program, ...] | Untraceable] = {}
-"""What was traced, by all that it depends on: equal blocks are traced once."""
+_DEFAULTS: dict[Any, tuple[Outside, tuple[Program, ...] | Untraceable]] = {}
+"""What was traced, and what its class read from outside then, by all else that it depends on."""
 
 
 def default_programs(
@@ -238,14 +239,15 @@ def default_programs(
         else:
             known[name] = structural[name] if name in structural else resolved.values[name].value
     key = (parameter.default, tuple(sorted(known.items())), tuple(sorted(shapes.items())), size)
-    traced = _DEFAULTS.get(key)
-    if traced is None:
+    read = outside(resolved.interface.declaration)
+    was, traced = _DEFAULTS.get(key, (None, None))
+    if traced is None or was is not read:
         try:
             traced = _traced(parameter.default, names, known, shapes, size)
             _check(traced, parameter.default, names, known, {name: resolved.values[name].value for name in shapes})
         except Untraceable as reason:
             traced = reason
-        _DEFAULTS[key] = traced
+        _DEFAULTS[key] = read, traced
     if isinstance(traced, Untraceable):
         raise traced
     return traced

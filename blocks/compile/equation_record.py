@@ -71,6 +71,11 @@ class Equations:
         equations._make, equations.family = make, family
         return equations
 
+    @property
+    def is_to_be_made(self) -> bool:
+        """Whether they are not known yet, but how to make them."""
+        return self._record is None and self._make is not None
+
     @classmethod
     def read(cls, record: Any) -> Equations | None:
         """Those in the record of a file; None where there is no record, or one of another form.

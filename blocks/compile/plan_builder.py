@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
@@ -265,7 +265,7 @@ class _PlanBuilder:
                 shape, (_, first) = interface.shape(stepped), self.memory.place(index, name)
                 outputs.append((name, tuple(range(first, first + math.prod(shape))), shape))
             rate = clocks.index(block.resolved.clocks[declared.stepper.name])
-            make = partial(declared.stepper.function, **{n: _plain_value(v) for n, v in given.items()})
+            make = partial(_begun, declared.stepper.function, given)
             types = tuple(stepped.type for stepped in declared.stepped.values())
             parts.append(StepperPart(block.path, index, rate, make, tuple(inputs), tuple(outputs), types))
         return tuple(parts)
@@ -492,6 +492,11 @@ def _number(value: Any) -> float:
     """A value that an FMU declares: a number, where a block of Python may give a function."""
     assert isinstance(value, (int, float))
     return float(value)
+
+
+def _begun(function: Callable[..., Any], given: Mapping[str, Any]) -> Any:
+    """What a stepper's function makes; each run has values of its own."""
+    return function(**{name: _plain_value(value) for name, value in given.items()})
 
 
 def _plain_value(value: Any) -> Any:

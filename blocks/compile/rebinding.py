@@ -49,6 +49,7 @@ class Rebinding:
         self.leaves: list[tuple[Setting, Unit]] = []  # those that are given, each with the unit of a bare number
         self.bound: list[Setting] = []  # what is computed from them, in order
         self.checks: list[_Requirement] = []
+        self.defaults: set[str] = set()  # of what is bound, the computed defaults of blocks
         self.runs = tuple(runs)
         self.is_possible = not (plan.foreign or plan.steppers) and self._follow(value, flat, plan, given)
 
@@ -93,6 +94,7 @@ class Rebinding:
         """Take in the requirements of a block; whether its values are all in p."""
         declaration, known = block.interface.declaration, block.resolved.values
         own = {name for name in declaration.parameters if f"{block.path}.{name}" in paths}
+        self.defaults |= {f"{block.path}.{name}" for name in own if callable(declaration.parameters[name].default)}
         for state in declaration.states.values():
             if callable(state.nominal) and own & {*arguments(state.nominal, state.name)}:
                 return False
@@ -127,6 +129,8 @@ class Rebinding:
             for setting in self.bound:
                 for k, program in enumerate(setting.elements or ()):
                     s[setting.first + k] = _computed(program, s)
+                    if s[setting.first + k] == 0.0 and setting.path in self.defaults:
+                        return None  # a function of numpy may give it another sign
                 if not _allowed(setting, s[setting.first : setting.first + len(setting.values)]):
                     return None
             if not all(check.holds(s) for check in self.checks):
@@ -160,7 +164,7 @@ def _value(setting: Setting, s: list[float]) -> Any:
 def _unit_of(path: str, value: DiagramValue, blocks: Mapping[str, FlatBlock]) -> Unit:
     """The unit of bare numbers of a parameter, or those of its elements."""
     owner, _, name = path.rpartition(".")
-    if owner in blocks:
+    if owner in blocks and name in blocks[owner].interface.declaration.parameters:
         interface = blocks[owner].interface
         declared = interface.declared_units(interface.declaration.parameters[name])
         return declared[0] if len({*declared}) == 1 else declared
@@ -187,7 +191,7 @@ def _numbers(raw: Any, unit: Unit, shape: tuple[int, ...]) -> list[float] | None
         return None
     try:
         value = value_of(raw, unit, {}).value
-    except (ModelError, ValueError, TypeError):
+    except (ModelError, ValueError, TypeError, ArithmeticError):
         return None
     if isinstance(value, (bool, str)) or value is None or np.shape(value) != shape:
         return None

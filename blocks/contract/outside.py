@@ -59,12 +59,14 @@ class Outside:
     """What a class read from outside at one time.
 
     impure: what its equations name that gives something else each time: the equation, the name and what it is.
-    is_opaque: they read something that cannot be looked into.
+    is_opaque: they read something that cannot be looked into. is_unsteady: they, or what is called before a run, as
+    defaults are, name something that is else each time.
     """
 
     watches: tuple[_Watch, ...]
     impure: tuple[tuple[str, str, str], ...] = ()
     is_opaque: bool = False
+    is_unsteady: bool = False
 
     def holds(self) -> bool:
         """Whether all of it is still what it was."""
@@ -95,7 +97,7 @@ def _found(declaration: Declaration) -> Outside:
     impure, is_opaque = tuple(reader.impure), reader.is_opaque
     for function in _functions(declaration):
         reader.value(function)
-    return Outside(tuple(reader.watches.values()), impure, is_opaque)
+    return Outside(tuple(reader.watches.values()), impure, is_opaque, bool(reader.impure))
 
 
 def outside_of(declarations: Iterable[Declaration]) -> tuple[Outside, ...]:

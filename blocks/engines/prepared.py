@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import math
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -122,6 +124,11 @@ class Prepared:
         return Equations.later(lambda: Equations(self.flat, self.plan), self.alike)
 
     @property
+    def known_equations(self) -> Equations | None:
+        """The same, unless what they are made of is not known any more: classes read something else now."""
+        return self.equations if self.is_current or not self.equations.is_to_be_made else None
+
+    @property
     def fingerprint(self) -> str:
         """The fingerprint of the diagram: made once, but where FMUs, which may change, are a part of it."""
         is_fixed = isinstance(self.plan, Plan) and not self.plan.foreign
@@ -132,7 +139,7 @@ class Prepared:
     @property
     def is_current(self) -> bool:
         """Whether all that the classes of its blocks read from outside is unchanged."""
-        return all(read.holds() for read in self.outside)
+        return all(read.holds() and not read.is_unsteady for read in self.outside)
 
     def flat_with(self, parameters: Mapping[str, Any]) -> Flat:
         """The flat model with other parameters. Raises ModelError with all faults."""
@@ -144,7 +151,7 @@ class Prepared:
         Raises ModelError, and UsageError (E502) where there is none of that name, (E117) where it cannot change in a
         run.
         """
-        parameters = {**self.parameters, name: value}
+        parameters = {**self.parameters, name: copy.deepcopy(value)}
         quick = self._bound(parameters, self.plan.settings, tunable=name)
         if quick is not None:
             return replace(self, parameters=parameters, plan=quick)
@@ -173,7 +180,18 @@ class Prepared:
         """
         run_settings = self._settings_with(settings)
         bound = None if run_settings is None else self._bound(parameters, run_settings)
-        return None if bound is None else replace(self, parameters=parameters, settings=settings, plan=bound)
+        if bound is None:
+            return None
+        made = replace(self, parameters=parameters, settings=settings, plan=bound)
+        base = self.alike.made.get(frozenset(parameters), self)
+        if isinstance(base.plan, Coupling) or bound.parameters is base.plan.parameters:
+            vars(made).update(equations=base.equations)  # as they were when it was flattened
+        return made
+
+    @property
+    def structure(self) -> Flat:
+        """The flat model with some values of parameters: its blocks, types and signals are those of this one."""
+        return vars(self).get("flat") or next(iter(self.alike.made.values())).flat
 
     def _bound(
         self, parameters: Mapping[str, Any], settings: RunSettings, tunable: str = ""
@@ -183,12 +201,14 @@ class Prepared:
         base = alike.made.get(names)
         if base is None:
             return None
-        if _same(parameters, base.parameters):
+        if not tunable and _same(parameters, base.parameters):
             return base.plan if settings is base.plan.settings else replace(base.plan, settings=settings)
         if not isinstance(base.plan, Plan):
             return None
         known = alike.rebindings.get(names)
         if known is None:
+            if not self.is_current:  # defaults would be computed from what is outside now
+                return None
             given = {name: raw_of(item) for name, item in base.parameters.items()}
             known = Rebinding(self.value, base.flat, base.plan, given, runs=(self.value.run, alike.given))
             alike.rebindings[names] = known
@@ -225,13 +245,23 @@ class Prepared:
         return UsageError(Fault("E502", legible(name), "there is no such input or parameter.", cure))
 
 
+def _equal(one: Any, other: Any) -> bool:
+    """Whether two values are equal, in the signs of zeros too."""
+    if not np.array_equal(one, other):
+        return False
+    kinds = np.asarray(one).dtype.kind, np.asarray(other).dtype.kind
+    return kinds != ("f", "f") or np.array_equal(np.signbit(one), np.signbit(other))
+
+
 def _same(given: Mapping[str, Any], known: Mapping[str, Any]) -> bool:
     return given.keys() == known.keys() and all(_is_same(item, known[name]) for name, item in given.items())
 
 
 def _is_same(one: Any, other: Any) -> bool:
     """Whether two raw values are written alike: 1 is neither True nor 1.0, and lists may have changed meanwhile."""
-    return type(one) is type(other) and type(one) in _PLAIN and repr(one) == repr(other)
+    if type(one) is not type(other) or type(one) not in _PLAIN or one != other:
+        return False
+    return type(one) is not float or math.copysign(1.0, one) == math.copysign(1.0, other)
 
 
 def _flattened(
@@ -247,7 +277,7 @@ def _frozen_by(old: Flat, new: Flat) -> str:
         declaration = before.interface.declaration
         memories = {f"{name}_start" for name in (*declaration.states, *declaration.discretes, *declaration.algebraics)}
         for key, value in after.resolved.values.items():
-            if np.array_equal(before.resolved.values[key].value, value.value):
+            if _equal(before.resolved.values[key].value, value.value):
                 continue
             parameter = declaration.parameters[key]
             if parameter.structural or parameter.fixed:
@@ -258,10 +288,10 @@ def _frozen_by(old: Flat, new: Flat) -> str:
             return f"the zeros in the parameters of {before.path} are its structure"
         for key, (delay, past) in after.resolved.delays.items():
             known = before.resolved.delays[key]
-            if known[0] != delay or not np.array_equal(known[1], past):
+            if known[0] != delay or not _equal(known[1], past):
                 return f"the past of {before.path} is what it was"
         for key, held in after.resolved.starts.items():
-            if not np.array_equal(before.resolved.starts[key], held):
+            if not _equal(before.resolved.starts[key], held):
                 return f"{before.path}.{key} starts at it"
     if old.measures != new.measures:
         return "a measure depends on it"

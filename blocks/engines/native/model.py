@@ -96,8 +96,9 @@ class Model(RuntimeTables):
     def for_settings(self, plan: Plan) -> tuple[Any, int]:
         """What runs with the settings of a plan are made of, and how many rows they are expected to record."""
         settings = plan.settings
-        if self._of_settings is not None and self._of_settings[0] is settings:  # as in runs with other parameters
-            return self._of_settings[1:]
+        last = self._of_settings
+        if last is not None and last[0] is settings:  # as in runs with other parameters
+            return last[1:]
         setup = runtime_layout.BlocksSetup.from_buffer_copy(self.setup)
         setup.rtol, setup.plain_atol = settings.rtol, settings.atol
         longest, start = longest_step(plan), settings.start

@@ -321,7 +321,7 @@ def _check_values(state: State, plan: Plan) -> None:
         raise ValueError("it holds a number that is not finite")
     if np.isnan(s.events).any() or s.memory.h < 0 or not s.memory.error > 0:
         raise ValueError("it holds a number that cannot be")
-    if not set(s.s) <= {0.0, 1.0} or any(n < 0 for n in s.ticks) or s.fixed < 0:
+    if not set(s.s) <= {0.0, 1.0} or not all(0 <= n < 2**63 for n in (*s.ticks, s.fixed)):
         raise ValueError("a side or a count cannot be")
     if s.exact is not None and float(s.exact) != s.t:
         raise ValueError("its times differ")
@@ -350,7 +350,14 @@ def _check_values(state: State, plan: Plan) -> None:
         fits = track.t.ndim == 1 and track.u.shape == (len(track.t), math.prod(shape)) and len(track.t) > 0
         if not fits or not np.isfinite(track.u).all() or np.any(np.diff(track.t) < 0):
             raise ValueError("an input of it is no table")
-    Measures(plan).restored(measures)
+    for key, blank in Measures(plan).saved().items():
+        ours = measures[key]
+        if isinstance(blank, dict):
+            fits = ours.keys() == blank.keys() and all(rows.ndim == 2 and rows.shape[1] == 7 for rows in ours.values())
+        else:
+            fits = ours.shape == blank.shape or (key == "known" and ours.shape == (1 + 2 * len(plan.measures),))
+        if not fits:
+            raise ValueError("its arrays have other sizes than its names")
 
 
 @dataclass(frozen=True)
@@ -364,7 +371,10 @@ class _Arrays:
         return values
 
     def numbers(self, entry: Any) -> tuple[float, ...]:
-        return tuple(self.array(entry).tolist())
+        values = self.array(entry)
+        if values.ndim != 1:
+            raise ValueError("an array has another shape than a row")
+        return tuple(values.tolist())
 
 
 def _past(raw: Mapping[str, Any], arrays: _Arrays, plan: Plan) -> Past:
@@ -376,6 +386,10 @@ def _past(raw: Mapping[str, Any], arrays: _Arrays, plan: Plan) -> Past:
     shapes = {(6, len(plan.histories)), *(part.shape for part in store.parts)}
     if len({len(store.starts), len(store.ends), len(store.parts)}) != 1 or len(shapes) != 1 or not breaks:
         raise ValueError("its past is incomplete")
+    times = np.array([*store.starts, *store.ends, *(t for t, _ in breaks)])
+    counts = (past.seen, *(order for _, order in breaks))
+    if np.isnan(times).any() or not all(0 <= n < 2**31 for n in counts) or (any(passed) and not store.starts):
+        raise ValueError("its past holds a number that cannot be")
     if len(passed) != len(plan.histories) or not all(0 <= n <= len(breaks) for n in passed):
         raise ValueError("its past is incomplete")
     return past
