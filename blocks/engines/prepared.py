@@ -184,7 +184,8 @@ class Prepared:
             return None
         made = replace(self, parameters=parameters, settings=settings, plan=bound)
         base = self.alike.made.get(frozenset(parameters), self)
-        if isinstance(base.plan, Coupling) or bound.parameters is base.plan.parameters:
+        kept, ours = base.plan, bound
+        if not isinstance(kept, Plan) or not isinstance(ours, Plan) or ours.parameters is kept.parameters:
             vars(made).update(equations=base.equations)  # as they were when it was flattened
         return made
 
