@@ -58,7 +58,6 @@ from blocks.compile.toolchain.compiler import find_compiler
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
 from blocks.engines import selection as engines
-from blocks.engines.master import native_master
 from blocks.engines.native import engine as native_engine
 from blocks.engines.run.snapshot import frozen
 from blocks.library import LIBRARY
@@ -481,7 +480,7 @@ def test_a_unit_that_cannot_be_compiled_leaves_nothing_to_free(monkeypatch: pyte
     ignored: list[Any] = []
     monkeypatch.setattr(sys, "unraisablehook", ignored.append)
     monkeypatch.setattr(engines, "_told", set())
-    monkeypatch.setattr(native_master, "model_of", refuse)
+    monkeypatch.setattr("blocks.engines.native.model.model_of", refuse)
     d = Diagram("plain")
     d.add("wave", Sine())
     with pytest.warns(RuntimeWarning, match="It cannot be compiled"):
