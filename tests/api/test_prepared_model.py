@@ -11,7 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Block, Diagram, Gain, Input, Integrator, Results, fmu, output
+from blocks import (
+    Block,
+    Diagram,
+    Gain,
+    Input,
+    Integrator,
+    Parameter,
+    Results,
+    Stepped,
+    fmu,
+    output,
+    stepper,
+    subdiagram,
+)
 from blocks.text.errors import BlocksError
 from tests.support.documents import SHIPPED
 
@@ -292,3 +305,121 @@ def test_a_model_is_pickled_as_what_it_is_made_of(again: Callable[[Any], Any]) -
     other = again(model)
     same(other.run(stop=1.0), model.run(stop=1.0))
     same(other.run(parameters={"k": 1.0}), loop().run(parameters={"k": 1.0}, rtol=1e-8))
+
+
+# --- what a second run must not take from the first ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("edge", [{"trigger": {"every": 0.1}}, {"enable": {"states": "held"}}])
+def test_parameters_of_subdiagrams_with_an_edge_are_set_again(edge: dict[str, Any]) -> None:
+    inner = Diagram("inner")
+    k, u = inner.parameter("k", 1.0), inner.input("u")
+    inner.wire(inner.add("gain", Gain(k=k)).u, u)
+    inner.output("y", "gain.y")
+
+    def made() -> Diagram:
+        diagram = Diagram("edges")
+        x, on = diagram.input("x", default=1.0), diagram.input("on", type="bool", default=True)
+        block = diagram.add("b", subdiagram(inner), **edge)
+        diagram.wire(block.u, x)
+        if "enable" in edge:
+            diagram.wire(block.enable, on)
+        return diagram
+
+    diagram = made()
+    for value in (1.0, 2.0, 3.0):
+        given = {"stop": 0.5, "parameters": {"b.k": value}}
+        same(diagram.run(**given), made().run(**given))
+    run = diagram.start(stop=0.5)
+    for value in (2.0, 3.0):
+        run.set("b.k", value)
+        assert (run["b.y"], run.given) == (value, {"b.k": f"{value:g}"})
+
+
+class Defaulted(Block):
+    """y = c u, where c = OUTSIDE k by default."""
+
+    k = Parameter(1.0, doc="k")
+    c = Parameter(lambda k: OUTSIDE * k, doc="c")
+    u = Input(doc="in")
+
+    @output(doc="out")
+    def y(u: Any, c: Any) -> Any:
+        return c * u
+
+
+def test_computed_defaults_are_of_what_is_outside_now(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where k = 0 hides what the default reads, too."""
+    diagram = Diagram("defaults", library=Defaulted)
+    u = diagram.input("u", default=1.0)
+    diagram.wire(diagram.add("s", Defaulted()).u, u)
+    model = diagram.prepare(stop=1.0)
+
+    def both(run: Callable[..., Results]) -> list[float]:
+        return [float(run(stop=1.0, parameters={"s.k": k})["s.y"][-1]) for k in (0.0, 1.0)]
+
+    assert both(diagram.run) == [0.0, 2.0]
+    model.run(parameters={"s.k": 0.0})
+    known = diagram.run(stop=1.0, parameters={"s.k": 1.0}).origin
+    monkeypatch.setattr("tests.api.test_prepared_model.OUTSIDE", 3.0)
+    assert both(diagram.run) == [0.0, 3.0]
+    try:
+        assert model.run(parameters={"s.k": 1.0})["s.y"][-1] == 2.0
+    except BlocksError as error:
+        assert "is not what it was when the model was prepared" in str(error)  # noqa: PT017
+    fresh = diagram.run(stop=1.0, parameters={"s.k": 1.0}).origin
+    assert known is not None
+    assert fresh is not None
+    assert known.told().get("values") != fresh.told()["values"]
+
+
+class Doubling:
+    def __init__(self, w: Any) -> None:
+        self.w = w
+
+    def step(self, t: float, u: float) -> dict[str, float]:
+        self.w *= 2.0
+        return {"y": float(np.sum(self.w)) * u}
+
+
+class Program(Block):
+    """A program that changes the array that it was made with."""
+
+    period = Parameter(0.1, unit="s", doc="period")
+    w = Parameter([1.0, 2.0], shape=("n",), doc="weights")
+    u = Input(doc="in")
+    y = Stepped(0.0, doc="out")
+
+    @stepper(every=period)
+    def program(w: Any) -> Doubling:
+        return Doubling(w)
+
+
+@pytest.mark.parametrize("engine", ["native", "reference"])
+def test_programs_of_two_runs_share_no_array(engine: str) -> None:
+    diagram = Diagram("programs", library=Program)
+    u = diagram.input("u", default=1.0)
+    diagram.wire(diagram.add("s", Program()).u, u)
+    model = diagram.prepare(stop=0.5, every=0.1, engine=engine)
+    assert {float(model.run()["s.y"][-1]) for _ in range(3)} == {3.0 * 2**6}
+
+
+def test_a_start_value_cannot_be_set_in_a_run_though_another_run_had_it() -> None:
+    diagram = loop()
+    one, other = diagram.start(parameters={"lag.y_start": 5.0}), diagram.start(parameters={"lag.y_start": 7.0})
+    one.restore(other.snapshot())
+    with pytest.raises(BlocksError, match="cannot change during a run"):
+        one.set("lag.y_start", 5.0)
+
+
+def test_what_cannot_be_prepared_or_read_is_told() -> None:
+    with pytest.raises(BlocksError, match="E501 inputs: are of a run"):
+        loop().prepare(inputs={"u": 3.0})
+    diagram = loop()
+    for given in ({"parameters": {"k": 10**5000}}, {"stop": 10**5000}):
+        diagram.run(**({"parameters": {"k": 1}} if "parameters" in given else {"stop": 1}))
+        with pytest.raises(BlocksError) as told:
+            diagram.run(**given)
+        with pytest.raises(BlocksError) as fresh:
+            loop().run(**given)
+        assert str(told.value) == str(fresh.value)
