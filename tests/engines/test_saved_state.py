@@ -18,6 +18,7 @@ from blocks import (
     BouncingBall,
     Constant,
     Diagram,
+    FirstOrder,
     Gain,
     Integrator,
     Noise,
@@ -396,3 +397,55 @@ def json_changed(path: Path, key: str, value: Any) -> bytes:
             text = old.read(name)
             new.writestr(name, json.dumps({**json.loads(text), key: value}) if name == "state.json" else text)
     return made.getvalue()
+
+
+def _longer(tree: dict[str, Any], arrays: list[Any]) -> None:
+    arrays[tree["measures"]["known"]["array"]] = np.full(1000, 1e300)
+
+
+def _crowded(tree: dict[str, Any], arrays: list[Any]) -> None:
+    arrays[tree["crossed"]["array"]] = np.arange(2000.0)
+
+
+def _counted(tree: dict[str, Any], arrays: list[Any]) -> None:
+    tree["fixed"] = str(2**64 + 5)
+
+
+def _without_past(tree: dict[str, Any], arrays: list[Any]) -> None:
+    for key, shape in (("starts", (0,)), ("ends", (0,)), ("parts", (0, 6, 1))):
+        arrays[tree["past"][key]["array"]] = np.empty(shape)
+    tree["past"]["passed"] = [3]
+
+
+def _out_of_order(tree: dict[str, Any], arrays: list[Any]) -> None:
+    arrays[tree["past"]["breaks"]["array"]][0, 1] = 1e12
+
+
+@pytest.mark.parametrize("damage", [_longer, _crowded, _counted, _without_past, _out_of_order])
+def test_a_state_that_compiled_code_could_not_hold_is_refused(damage: Any, tmp_path: Path) -> None:
+    diagram = Diagram("late")
+    u = diagram.input("u", default=1.0)
+    lag = diagram.add("lag", FirstOrder())
+    late = diagram.add("late", TransportDelay(delay=0.1))
+    diagram.wire(lag.u, u)
+    diagram.wire(late.u, lag.y)
+    diagram.measure("size", "mean_square", late.y)
+    diagram.settings(stop=1.0)
+    run = diagram.start()
+    run.advance_to(0.5)
+    run.save(tmp_path / "good.state")
+    with zipfile.ZipFile(tmp_path / "good.state") as archive:
+        tree, shapes = (json.loads(archive.read(f"{name}.json")) for name in ("state", "arrays"))
+        flat = np.frombuffer(archive.read("arrays.f64"), dtype="<f8")
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    parts = zip(np.split(flat, ends[:-1]), shapes, strict=True)
+    arrays = [part.reshape(shape).copy() for part, shape in parts]
+    damage(tree, arrays)
+    with zipfile.ZipFile(tmp_path / "bad.state", "w") as archive:
+        archive.writestr("state.json", json.dumps(tree))
+        archive.writestr("arrays.json", json.dumps([list(array.shape) for array in arrays]))
+        archive.writestr("arrays.f64", b"".join(array.astype("<f8").tobytes() for array in arrays))
+    assert len(diagram.run(resume=tmp_path / "good.state").t) > 1
+    for engine in ("native", "reference"):
+        with pytest.raises(UsageError, match="E506"):
+            diagram.run(resume=tmp_path / "bad.state", engine=engine)

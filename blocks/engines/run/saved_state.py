@@ -40,6 +40,8 @@ Array = np.ndarray[Any, Any]
 
 FORMAT, VERSION = "blocks-state", 1
 MOST_BYTES, MOST_MEMBERS = 2**28, 3
+MOST_CROSSED = 1000
+"""So many times of crossings are remembered, by which chattering is seen."""
 
 
 @dataclass(frozen=True)
@@ -336,6 +338,8 @@ def _check_values(state: State, plan: Plan) -> None:
         raise ValueError("its arrays have other sizes than its names")
     if not all(0 <= index < crossings for index, _ in state.fired) or len(state.steppers) != len(plan.steppers):
         raise ValueError("its arrays have other sizes than its names")
+    if len(state.crossed) > MOST_CROSSED:
+        raise ValueError("it remembers more crossings than a run does")
     if len(state.parameters) != len(plan.parameters):
         message = f"the diagram has {len(plan.parameters)} numbers in parameters, the state has {len(state.parameters)}"
         text = f"the state does not fit the diagram: {message}."
