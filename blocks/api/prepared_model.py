@@ -102,12 +102,20 @@ class PreparedModel:
         """Simulate to `stop`: bit for bit what `Diagram.run` gives. Arguments as there, on top of what was prepared."""
         if stop is not None:
             settings["stop"] = stop
+        for name in ("engine", "variants", "trust"):
+            if name in settings:
+                raise UsageError(Fault("E501", name, "is of the model.", f"Give it to prepare({name}=...)."))
+        for name in ("out", "resume"):
+            if name in settings:
+                cure = f"Use Diagram.run({name}=...), or save what this run gives."
+                raise UsageError(Fault("E501", name, "is not of a prepared model.", cure))
         options = RunOptions(inputs=inputs, interpolation=interpolation, progress=progress)
         return self.run_of(parameters or {}, settings, options).finish()
 
     def run_of(self, parameters: Mapping[str, Any], settings: Mapping[str, Any], options: RunOptions) -> Run:
         """A run with these parameters and settings on top of what was prepared, at its start."""
-        parameters = {**self._parameters, **_own(dict(parameters))}
+        if isinstance(parameters, Mapping):
+            parameters = {**self._parameters, **_own(parameters)}
         settings = {**self._settings, **_own(plain_log(settings))}
         options = replace(options, engine=self._engine, trust=self._trust)
         known = self._kept()

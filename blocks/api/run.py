@@ -76,10 +76,13 @@ def started(
     likes: what was prepared of this diagram before; the first that can be is used again.
     """
     check_settings(settings)
+    if not isinstance(parameters, Mapping):
+        message = f"{type(parameters).__name__} is no mapping of values by path."
+        raise UsageError(Fault("E501", "parameters", message, 'As in parameters={"motor.Ra": 1.2}.'))
     resume = options.resume
     sources = options.inputs if isinstance(options.inputs, (list, tuple)) else [options.inputs]
     part: Part | None = None
-    anew = {"parameters": parameters, "inputs": [source for source in sources if source is not None and len(source)]}
+    anew = {"parameters": parameters, "inputs": [source for source in sources if source is not None and source != {}]}
     found = part_to_resume(resume, options.out, anew, settings)
     if found is not None:
         part, out, settings = found
@@ -440,8 +443,11 @@ def _named_inputs(given: Any, plan: Plan | Coupling) -> dict[str, Any]:
     for source in given if isinstance(given, (list, tuple)) else (given,):
         if isinstance(source, (str, Path)):
             named.update(read_csv(source, plan))  # type: ignore[arg-type]
-        elif source:
+        elif isinstance(source, Mapping):
             named.update(source)
+        elif source is not None:
+            message = f"{type(source).__name__} is neither a mapping of values by name nor the path of a file."
+            raise UsageError(Fault("E501", "inputs", message, 'As in inputs={"r": 1.0}.'))
     return named
 
 

@@ -73,6 +73,8 @@ class Streaming:
 
         if self.is_streamed:
             simulation.flush = flush
+            if self.part is None:
+                Part.check_free(self.out)
 
     def joined(self, results: Results) -> Results:
         """The results of a run, whose rows are those behind the part."""
@@ -113,7 +115,8 @@ class Streaming:
         if different:
             cure = "Resume it with what it was begun with, or begin the run anew."
             place = str(self.part.path)
-            raise UsageError(*(Fault("E506", place, f"is of a run with another {what}.", cure) for what in different))
+            told = [f"is of a run that differs in its {what}." for what in different]
+            raise UsageError(*(Fault("E506", place, message, cure) for message in told))
         return Origin(**{key: was[key] for key in Origin.kinds() if key in was})
 
 

@@ -15,6 +15,7 @@ import math
 import os
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -38,8 +39,11 @@ class Window:
     """What is read of a file: signals by name (None: all), and times from start to stop in s, both included."""
 
     def __init__(self, signals: Sequence[str] | None, start: float | None, stop: float | None) -> None:
-        self.signals = signals
+        self.signals = [signals] if isinstance(signals, str) else signals
         self.start, self.stop = -math.inf if start is None else float(start), math.inf if stop is None else float(stop)
+        if not self.start <= self.stop:
+            message = f"the window ends at {self.stop:g} s, before it begins at {self.start:g} s."
+            raise UsageError(Fault("E501", "start", message, "Give a start before the stop."))
 
     def columns(self, names: Sequence[str], place: str) -> list[int]:
         """The places of the elements that are read. Raises UsageError (E501) for a signal that is not there."""
@@ -139,6 +143,14 @@ class Part:
         except OSError as error:
             raise refused(path, error) from None
         return part
+
+    @staticmethod
+    def check_free(target: str | Path) -> None:
+        """Raise UsageError (E501) where another run writes the part of a file."""
+        path = part_of(target)
+        with suppress(OSError):
+            if path.exists():
+                _held(path, os.O_RDWR).close()
 
     @classmethod
     def found(cls, path: str | Path) -> Part:
@@ -353,6 +365,14 @@ def _numbers(table: Any, column: str) -> Array:
 # --- rows that stay in their file --------------------------------------------------------------------------------
 
 
+def _mark(path: Path) -> tuple[int, ...]:
+    try:
+        status = path.stat()
+    except OSError:
+        return ()
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
+
+
 class Stored:
     """The rows of a run that lie in a file, and are read when they are asked for: (rows, 1 + elements), time first.
 
@@ -364,10 +384,19 @@ class Stored:
         self.end, self.rows = part.end, part.rows + len(tail)
         self.span = (part.first, float(tail[-1, 0]))
         self._ends: tuple[Array, Array, Array, Array] | None = None
+        self._mark: tuple[int, ...] | None = None  # by which the file is known again
 
     def moved(self, target: str | Path) -> None:
         """All rows are in a Parquet file now."""
-        self.path, self.tail = Path(target), self.tail[:0]
+        self.path, self.tail = Path(target).absolute(), self.tail[:0]
+        self._mark = _mark(self.path)
+
+    def _opened(self) -> Any:
+        """The file. Raises UsageError (E501) where another one stands in its place, or none."""
+        if self._mark is not None and _mark(self.path) != self._mark:
+            message = "is not there any more, or was written again: it holds these results no longer."
+            raise UsageError(Fault("E501", legible(str(self.path)), message, "Give each run a file of its own."))
+        return opened(self.path)
 
     def __call__(self) -> Array:
         """All values: (rows, elements)."""
@@ -391,7 +420,7 @@ class Stored:
         """Some columns of the rows, piece by piece."""
         import pyarrow.parquet as pq
 
-        with opened(self.path) as stream:
+        with self._opened() as stream:
             if target_of(self.path):
                 for batch, _, end in _chunks(stream, refusal(self.path))[1]:
                     yield [batch.column(k).to_numpy() for k in columns]

@@ -50,6 +50,7 @@ _PENDING = 256  # records of single steps that are put off until they are taken 
 _PATHS = ("settling_time", "rise_time")
 _COVER = "Let the run cover the window, or move the window into the run."
 _WHOLE = "Let the window hold whole periods of the fundamental, and say both exactly."
+_FREQUENCY = "Give the frequency of its fundamental as omega."
 _VALUES = 5  # the column of a record at which its values begin
 
 Parts = Callable[[float, float, "Array | None"], Iterable[tuple[float, float, Array]]]
@@ -66,7 +67,7 @@ class Measures:
 
     def __init__(self, plan: Plan) -> None:
         self.specs = plan.measures
-        self.count = len(self.specs)
+        self.count, self.atol = len(self.specs), plan.settings.atol
         self.references: list[Reference] = []
         for spec in self.specs:
             self.references.append(plan.signal(spec.of).references[0])
@@ -276,7 +277,8 @@ class Measures:
         elif kind == "overshoot":
             self.extremes[i] = reached(of, *self.extremes[i])
         elif kind == "zero_crossings":
-            signs = np.sign(weighted(TO_FINE[:, None, :], e[:, :, None])).ravel()
+            fine = weighted(TO_FINE[:, None, :], e[:, :, None]).ravel()
+            signs = np.where(np.abs(fine) <= self.atol, 0.0, np.sign(fine))
             signs = np.concatenate([[self.extremes[i][1]] * (abs(self.extremes[i][1]) == 1), signs[signs != 0]])
             if len(signs):
                 self.total[i] += np.count_nonzero(signs[1:] != signs[:-1])
@@ -298,21 +300,24 @@ class Measures:
             if not why and spec.omega and (round(turns) < 1 or abs(turns - round(turns)) > 1e-6):
                 why, cure = f"its window holds {turns:.10g} periods, no whole number of them", _WHOLE
             if why:
-                faults.append(Fault("W301", f"measures.{spec.name}", f"has no value: {why}.", cure))
                 value = math.nan
             elif spec.type in ("mean_square", "RMS"):
                 value /= float(self.span[i])
                 value = math.sqrt(value) if spec.type == "RMS" else value
             elif spec.type == "THD":
                 value = self._distortion(i)
+                why, cure = _without(value, "its signal has no wave of the frequency of its fundamental"), _FREQUENCY
             elif spec.type == "rise_time":
                 value = self._rise_time(i)
+                why = _without(value, "its signal does not go from 10 to 90 % of the step")
             elif spec.type == "steady_state_error":
                 value = abs(self.last[i])
             elif spec.type == "overshoot":
                 value = self._overshoot(i)
             elif spec.type == "settling_time":
                 value = self._settling_time(i)
+            if why:
+                faults.append(Fault("W301", f"measures.{spec.name}", f"has no value: {why}.", cure))
             values[spec.name] = value
         return values, tuple(faults)
 
@@ -321,7 +326,9 @@ class Measures:
         span = float(self.span[i])
         fundamental = 2 * ((self.extremes[i][0] / span) ** 2 + (self.extremes[i][1] / span) ** 2)  # its mean square
         rest = float(self.total[i]) / span - (self.target[i] / span) ** 2 - fundamental
-        return math.sqrt(max(rest, 0.0) / fundamental) if fundamental > 0 else math.nan
+        if fundamental <= 1e-16 * float(self.total[i]) / span:  # what the quadrature leaves of another wave
+            return math.nan
+        return math.sqrt(max(rest, 0.0) / fundamental)
 
     def _rise_time(self, i: int) -> float:
         """From the first time at 10 % of the step from the first `of` to the last `against` to the first at 90 %."""
@@ -364,6 +371,11 @@ class Measures:
                 t, h = rows[step, :2]
                 return float(t + entry(rows[step, 2:], k, target, band) * h - first)
         return 0.0
+
+
+def _without(value: float, why: str) -> str:
+    """Why a measure has no value, where it has none."""
+    return why if math.isnan(value) else ""
 
 
 def _uncovered(spec: MeasureSpec, first: float | None, span: float, t: float) -> str:

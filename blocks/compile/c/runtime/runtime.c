@@ -948,17 +948,17 @@ static void harmonic(const double *e, double since, double h, double omega, Bloc
     made->target += width * sums[0], made->total += width * sums[1], made->low += width * sums[2], made->high += width * sums[3];
 }
 
-/* Count changes of sign: `high` is the sign before, or neither 1 nor -1. */
-static void count_signs(const double *e, BlocksMeasured *made)
+/* Count changes of sign: `high` is the sign before, or neither 1 nor -1. What is no further than atol from 0 has none. */
+static void count_signs(const double *e, double atol, BlocksMeasured *made)
 {
     double low, high, fine[FINE + 1];
     bounds(e, &low, &high);
     double beyond = REACH * (high - low);
-    int is_plain = low - beyond > 0.0 || high + beyond < 0.0 || (low == 0.0 && high == 0.0);
+    int is_plain = low - beyond > atol || high + beyond < -atol || (low - beyond >= -atol && high + beyond <= atol);
     if (is_plain) fine[0] = e[0];
     else finely(e, fine);
     for (int k = 0; k <= (is_plain ? 0 : FINE); k++) {
-        if (fine[k] == 0.0) continue;
+        if (fabs(fine[k]) <= atol) continue;
         double sign = fine[k] > 0.0 ? 1.0 : -1.0;
         made->total += sign == -made->high;
         made->high = sign;
@@ -1012,7 +1012,7 @@ HOT static void take(BlocksSim *s, int i, double t, double h, const double *valu
     } else if (kind == BLOCKS_VARIATION) {
         made->total += fabs(e[0] - made->last) + variation(e);
     } else if (kind == BLOCKS_SIGNS) {
-        count_signs(e, made);
+        count_signs(e, s->setup->plain_atol, made);
     } else if (kind == BLOCKS_OVERSHOOT || (kind == BLOCKS_RISE && h > 0.0)) {
         reached(of, &made->low, &made->high);
     }
