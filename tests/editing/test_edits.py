@@ -735,10 +735,10 @@ def test_after_removing_any_entries_nothing_names_them(path: Path, chance: rando
     name = chance.choice(list(value[section]))
     try:
         text = edit_file(path, [{"remove": [section, name]}]).texts[str(path)]
-    except UsageError as error:  # as b0 in "=1/b0"
-        assert section == "parameters"
-        assert "where its value cannot stand" in str(error)
-        return
+    except UsageError as error:
+        if section == "parameters" and "where its value cannot stand" in str(error):  # as b0 in "=1/b0"
+            return
+        raise
     assert documents.canonical(read(text))[0] == text
     new = json.loads(text)
     assert name not in new.get(section, {})
