@@ -88,7 +88,7 @@ class NativeEngine:
             self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan), self.model.place)
         self._handle = self._made()
         self._handle.setup.is_silent = int(is_silent)
-        self._measured = Measures(plan)
+        self._measured = self.model.measures_of(plan)
         self._views()
 
     def _clear(self) -> None:

@@ -76,6 +76,7 @@ class Model(RuntimeTables):
         located = [float(isinstance(begin, Reference)) for begin in plan.s_start]
         self.begin = tuple(np.array(row, dtype=float) for row in (guesses, sides, located))
         """At the start: where searches begin, the sides of crossings, and which of these are known."""
+        self._of_measures: tuple[Any, Any, Measures] | None = None
         self._of_settings: tuple[Any, Any, int] | None = None  # of the last run
         self.library = _prepared(load(_built(plan, units)))
         self.address = ctypes.cast(self.library["blocks_model"], ctypes.c_void_p).value
@@ -92,6 +93,13 @@ class Model(RuntimeTables):
         setup.nintegers = int(self.has_integers)
         setup.has_windows, setup.has_paths = int(self.has_windows), int(self.has_paths)
         return setup
+
+    def measures_of(self, plan: Plan) -> Measures:
+        """The measures of a run that has not begun: they are replaced, never changed, so that runs may share them."""
+        last = self._of_measures
+        if last is None or last[0] is not plan.measures or last[1] is not plan.settings:
+            last = self._of_measures = plan.measures, plan.settings, Measures(plan)
+        return last[2]
 
     def for_settings(self, plan: Plan) -> tuple[Any, int]:
         """What runs with the settings of a plan are made of, and how many rows they are expected to record."""
