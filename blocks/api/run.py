@@ -30,7 +30,7 @@ from ..model.hierarchy import Resolver
 from ..model.raw_values import raw_of
 from ..model.settings import RunSettings
 from ..model.trust import Paths
-from ..results.arrow import Part
+from ..results.arrow import Part, target_of
 from ..results.provenance import Origin
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
@@ -301,6 +301,9 @@ class Run:
         if self._streaming is not None:
             message = "a run that writes its rows to a file does not go back."
             raise UsageError(Fault("E506", str(self._streaming.out), message, "Start another run with resume=..."))
+        if target_of(state) is not None:
+            message = "is the part of a result file, from which a run of its own goes on."
+            raise UsageError(Fault("E506", str(state), message, "Use resume= of Diagram.start or Diagram.run."))
         prepared = self._prepared
         settings = {key: value for key, value in prepared.settings.items() if key not in ("start", "seed")}
         options = replace(self._options, inputs=None, interpolation="linear", resume=state, loading=None)

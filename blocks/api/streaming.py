@@ -138,6 +138,10 @@ def part_to_resume(
             message = f"a run that goes on in its own file has its {what} from there."
             raise UsageError(Fault("E506", place, message, f"Leave the {what} out, or begin the run anew."))
     part = Part.found(resume)
-    recorded = json.loads(part.schema.metadata.get(b"settings", b"{}"))
+    try:
+        recorded = dict(json.loads(part.schema.metadata.get(b"settings", b"{}")))
+    except (ValueError, TypeError):
+        part.close()
+        raise UsageError(Fault("E506", place, "says no settings of its run.", "Begin the run anew.")) from None
     return part, Path(target), {**recorded, **{key: value for key, value in settings.items() if value is not None}}
 

@@ -49,6 +49,10 @@ __all__ = [
 ]
 
 
+MOST_OMEGA = 1e9
+"""rad/s: each turn of a fundamental takes time to look through."""
+
+
 @dataclass(frozen=True, slots=True)
 class FlatBlock:
     """A block by its path, with its numbers, and the source of each element of each input."""
@@ -526,8 +530,8 @@ class _Flattener:
             refuse("band", message, "It is a part of the step's size.")
         elif "band" in raw and type_ in MEASURES and type_ != "settling_time":
             refuse("band", f"{type_} has no band.", "The band belongs to settling_time.")
-        if "omega" in raw and not 0 < window["omega"] < math.inf:
-            refuse("omega", f"omega must be positive, not {window['omega']}.")
+        if "omega" in raw and not 0 < window["omega"] <= MOST_OMEGA:
+            refuse("omega", f"omega must be positive, and {MOST_OMEGA:g} rad/s at most, not {window['omega']}.")
         elif ("omega" in raw) != (type_ == "THD") and type_ in MEASURES:
             message = "needs the frequency of its fundamental." if type_ == "THD" else "has no omega."
             refuse("omega" if "omega" in raw else "type", f"{type_} {message}", "omega belongs to THD.")

@@ -139,6 +139,8 @@ class Part:
             schema = schema_of(table)
             schema = schema.with_metadata({**schema.metadata, **notes})
             part = cls(path, _held(path, os.O_RDWR | os.O_CREAT), schema)
+            if os.fstat(part.stream.fileno()).st_size:
+                _chunks(part.stream, _foreign(path))
             part._write(_stream_of(part.schema, None)[:-END], 0)
         except OSError as error:
             raise refused(path, error) from None
@@ -212,7 +214,8 @@ class Part:
 
     def close(self) -> None:
         """Another run may go on from it."""
-        self.stream.close()
+        with suppress(OSError):  # what could not be written is told already
+            self.stream.close()
 
     __del__ = close
 
@@ -228,12 +231,26 @@ END = 8
 
 def _held(path: Path, flags: int) -> BinaryIO:
     """A file that no other process writes. Raises UsageError (E501), OSError."""
-    stream = open(os.open(path, flags | getattr(os, "O_BINARY", 0), 0o666), "r+b")  # noqa: SIM115 - it stays open
-    if not hold(stream.fileno()):
-        stream.close()
-        cure = "Wait for it, or name another file."
-        raise UsageError(Fault("E501", legible(str(path)), "is being written by another run.", cure))
-    return stream
+    flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
+    while True:
+        stream = open(os.open(path, flags, 0o666), "r+b")  # noqa: SIM115 - it stays open
+        if not hold(stream.fileno()):
+            stream.close()
+            cure = "Wait for it, or name another file."
+            raise UsageError(Fault("E501", legible(str(path)), "is being written by another run.", cure))
+        if os.fstat(stream.fileno()).st_nlink:
+            return stream
+        stream.close()  # the run that had it has just removed it
+
+
+def _foreign(path: Path) -> Refuse:
+    """Why a file that stands in the place of a part is not replaced."""
+
+    def refuse(message: str, cure: str = "") -> UsageError:
+        cure = cure or "Move it away, or name another file."
+        return UsageError(Fault("E501", legible(str(path)), f"would be replaced, but {message}", cure))
+
+    return refuse
 
 
 def _stream_of(schema: Any, batch: Any, notes: Mapping[str, Any] | None = None) -> Any:
@@ -267,6 +284,8 @@ def _chunks(stream: BinaryIO, refuse: Refuse) -> tuple[Any, Iterator[tuple[Any, 
         if b"blocks" not in metadata or any(field.type != pa.float64() for field in reader.schema):
             raise ValueError("it is of another program")
         parsed(metadata[b"blocks"], refuse)
+    except UsageError:
+        raise
     except (pa.ArrowException, ValueError, OSError) as error:
         raise refuse(f"is not the part of a result file: {one_line(str(error)).rstrip(' .')}.") from None
 
@@ -380,7 +399,7 @@ class Stored:
     """
 
     def __init__(self, part: Part, tail: Array) -> None:
-        self.path, self.tail = part.path, tail
+        self.path, self.tail = part.path.absolute(), tail
         self.end, self.rows = part.end, part.rows + len(tail)
         self.span = (part.first, float(tail[-1, 0]))
         self._ends: tuple[Array, Array, Array, Array] | None = None
@@ -393,10 +412,14 @@ class Stored:
 
     def _opened(self) -> Any:
         """The file. Raises UsageError (E501) where another one stands in its place, or none."""
+        message = "is not there any more, or was written again: it holds these results no longer."
+        fault = Fault("E501", legible(str(self.path)), message, "Give each run a file of its own.")
         if self._mark is not None and _mark(self.path) != self._mark:
-            message = "is not there any more, or was written again: it holds these results no longer."
-            raise UsageError(Fault("E501", legible(str(self.path)), message, "Give each run a file of its own."))
-        return opened(self.path)
+            raise UsageError(fault)
+        try:
+            return opened(self.path)
+        except OSError:
+            raise UsageError(fault) from None
 
     def __call__(self) -> Array:
         """All values: (rows, elements)."""

@@ -151,11 +151,11 @@ def noisy() -> Diagram:
 
 
 CHANGES: dict[str, tuple[dict[str, Any], str]] = {
-    "stop": ({"stop": 3.0}, r"another stop \(2\.0, and now 3\.0\)"),
-    "every": ({"every": 0.01}, "another every"),
+    "stop": ({"stop": 3.0}, r"differs in its stop \(2\.0, and now 3\.0\)"),
+    "every": ({"every": 0.01}, "differs in its every"),
     "signals": ({"log": ["sine.y"]}, "E506 recorded signals: .*other signals are recorded"),
     "seed": ({"seed": 4}, "E506 .*seed"),
-    "engine": ({"engine": "reference"}, "another engine"),
+    "engine": ({"engine": "reference"}, "differs in its engine"),
     "parameters": ({"parameters": {"sine.omega": 2.0}}, "has its parameters from there"),
     "inputs": ({"inputs": {"r": 1.0}}, "has its inputs from there"),
     "file": ({"out": "y.parquet"}, r"E501 .*writes .*x\.parquet"),
@@ -184,7 +184,7 @@ def test_a_diagram_that_has_changed_does_not_go_on(tmp_path: Path) -> None:
     d.add("sine", Sine(omega=3.5))
     d.input("r", default=0.0)
     d.settings(stop=2.0, every=0.005)
-    with pytest.raises(UsageError, match=r"E506 .*another values of parameters"):
+    with pytest.raises(UsageError, match=r"E506 .*values of parameters"):
         d.run(resume=part)
 
 
@@ -370,3 +370,50 @@ def test_a_command_that_is_killed_is_read_and_gone_on_from(tmp_path: Path) -> No
     assert "rows in x.parquet" in done("--resume", "x.parquet.part")
     assert (tmp_path / "x.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
     assert not part.exists()
+
+
+def test_results_are_never_those_of_another_run_that_wrote_the_same_file(tmp_path: Path) -> None:
+    out = tmp_path / "x.parquet"
+    first = noisy().run(out=out)
+    assert first.stored is not None
+    assert first["sine.y"].any()
+    noisy().run(out=out, seed=5)
+    for read in (lambda: first["noise.y"], lambda: rows_of(first)):
+        with pytest.raises(UsageError, match=r"E501 .*was written again"):
+            read()
+    again = noisy().run(out=out)
+    out.unlink()
+    with pytest.raises(UsageError, match=r"E501 .*is not there any more"):
+        rows_of(again)
+
+
+def test_a_file_of_another_kind_is_not_replaced_by_a_part(tmp_path: Path) -> None:
+    precious = tmp_path / "precious.txt"
+    precious.write_text("precious")
+    part = tmp_path / "x.parquet.part"
+    part.write_text("mine")
+    with pytest.raises(BlocksError, match=r"E501 .*would be replaced"):
+        noisy().run(out=tmp_path / "x.parquet")
+    assert part.read_text() == "mine"
+    part.unlink()
+    part.symlink_to(precious)
+    with pytest.raises(BlocksError):
+        noisy().run(out=tmp_path / "x.parquet")
+    assert precious.read_text() == "precious"
+
+
+def test_a_run_does_not_go_back_to_a_part(tmp_path: Path) -> None:
+    part = killed(noisy(), tmp_path / "x.parquet")
+    before = part.read_bytes()
+    run = noisy().start()
+    with pytest.raises(UsageError, match=r"E506 .*is the part of a result file"):
+        run.restore(part)
+    run.advance(0.5)
+    assert part.read_bytes() == before
+
+
+def test_a_window_that_ends_before_it_begins_is_refused(tmp_path: Path) -> None:
+    noisy().run(out=tmp_path / "x.parquet")
+    with pytest.raises(UsageError, match="before it begins"):
+        Results.load(tmp_path / "x.parquet", start=1.0, stop=0.5)
+    assert Results.load(tmp_path / "x.parquet", signals="sine.y").names == ("sine.y",)

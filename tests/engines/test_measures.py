@@ -579,6 +579,35 @@ def test_a_fundamental_is_needed_by_thd_and_by_no_other() -> None:
     assert [(fault.code, fault.place, fault.message) for fault in error.value.faults] == [
         ("E116", "measures.none", "THD needs the frequency of its fundamental."),
         ("E116", "measures.other", "peak has no omega."),
-        ("E116", "measures.least", "omega must be positive, not -1.0."),
+        ("E116", "measures.least", "omega must be positive, and 1e+09 rad/s at most, not -1.0."),
         ("E116", "measures.rise", "rise_time needs the value that is aimed at."),
     ]
+
+
+@pytest.mark.parametrize("engine", ["native", "reference"])
+def test_what_lies_within_the_tolerance_of_0_has_no_sign(engine: str) -> None:
+    """99 crossings lie inside of a second of 50 Hz; at its ends only rounding is left."""
+    diagram = Diagram("wave")
+    sine = diagram.add("sine", Sine(omega=100 * math.pi))
+    diagram.measure("crossings", "zero_crossings", sine.y)
+    assert diagram.run(stop=1.0, engine=engine).measures == {"crossings": 99.0}
+
+
+@pytest.mark.parametrize("engine", ["native", "reference"])
+@pytest.mark.parametrize("amplitude", [0.0, 1.0, 1e160])
+def test_without_its_fundamental_thd_has_no_value(amplitude: float, engine: str) -> None:
+    diagram = Diagram("wave")
+    sine = diagram.add("sine", Sine(omega=2 * math.pi, amplitude=amplitude))
+    diagram.measure("thd", "THD", sine.y, omega=4 * math.pi)
+    results = diagram.run(stop=1.0, engine=engine)
+    assert math.isnan(results.measures["thd"])
+    assert [fault.code for fault in results.warnings] == ["W301"]
+
+
+def test_a_signal_that_does_not_rise_is_told() -> None:
+    diagram = Diagram("wave")
+    sine = diagram.add("sine", Sine(omega=2 * math.pi))
+    diagram.measure("rise", "rise_time", sine.y, 5.0)
+    results = diagram.run(stop=1.0)
+    assert math.isnan(results.measures["rise"])
+    assert "does not go from 10 to 90 %" in results.warnings[0].message

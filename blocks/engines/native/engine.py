@@ -90,6 +90,7 @@ class NativeEngine:
         self._handle.setup.is_silent = int(is_silent)
         self._measured = self.model.measures_of(plan)
         self._views()
+        self._clear()
 
     def _clear(self) -> None:
         """Nothing has run yet."""

@@ -324,11 +324,13 @@ class Measures:
     def _distortion(self, i: int) -> float:
         """The RMS value of all but the mean and the fundamental, by that of the fundamental."""
         span = float(self.span[i])
-        fundamental = 2 * ((self.extremes[i][0] / span) ** 2 + (self.extremes[i][1] / span) ** 2)  # its mean square
-        rest = float(self.total[i]) / span - (self.target[i] / span) ** 2 - fundamental
-        if fundamental <= 1e-16 * float(self.total[i]) / span:  # what the quadrature leaves of another wave
+        whole, mean = float(self.total[i]) / span, self.target[i] / span
+        cosine, sine = (part / span for part in self.extremes[i])
+        fundamental = 2 * (cosine * cosine + sine * sine)  # its mean square
+        # What rounding and the quadrature leave of another wave is no fundamental; squares may overflow.
+        if not 1e-12 * whole < fundamental < math.inf:
             return math.nan
-        return math.sqrt(max(rest, 0.0) / fundamental)
+        return math.sqrt(max(whole - mean * mean - fundamental, 0.0) / fundamental)
 
     def _rise_time(self, i: int) -> float:
         """From the first time at 10 % of the step from the first `of` to the last `against` to the first at 90 %."""

@@ -97,7 +97,8 @@ def fourier(e: Array, since: float, h: float, omega: float) -> Array:
     count = math.ceil(h * omega / (math.pi / 4))
     theta = (np.arange(count) + NODES[:, None]) / count
     y, at = weighted(_lagrange(theta), e[:, None, None]), omega * (since + theta * h)
-    sums = [weighted(WEIGHTS, values).sum() for values in (y, y * y, y * np.cos(at), y * np.sin(at))]
+    with np.errstate(over="ignore"):  # infinite squares make a value that there is none
+        sums = [weighted(WEIGHTS, values).sum() for values in (y, y * y, y * np.cos(at), y * np.sin(at))]
     return h / count * np.array(sums)
 
 
