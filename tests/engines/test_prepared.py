@@ -89,7 +89,7 @@ def test_other_values_of_a_block_make_the_plan_that_is_made_anew(name: str) -> N
     chance = random.Random(name)
     for given in [given for kind, given in VARIANTS if kind == name]:
         diagram = Diagram.alone(LIBRARY[name](**given))
-        compared(diagram, {"stop": 1.0}, chance, 40)
+        compared(diagram, {"stop": 1.0}, chance, 12)
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
@@ -97,5 +97,5 @@ def test_other_values_in_a_shipped_diagram_make_the_plan_that_is_made_anew(path:
     diagram = Diagram.load(path)
     if not isinstance(diagram.check(), Plan):
         pytest.skip("it is stepped by a master")
-    quick, _ = compared(diagram, {"stop": 1.0}, random.Random(path.stem), 12)
+    quick, _ = compared(diagram, {"stop": 1.0}, random.Random(path.stem), 8)
     assert quick > 5
