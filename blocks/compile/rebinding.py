@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from ..contract.reads import arguments
-from ..contract.scalars import OPERATIONS
 from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import RUN
 from ..model.flatten import Flat, FlatBlock
@@ -22,7 +21,7 @@ from ..model.values import Unit, expressions_in, names_in, value_of
 from ..text.errors import ModelError
 from .bindings import bindings
 from .plan import Plan
-from .setting_programs import Program, Setting
+from .setting_programs import Setting, evaluated, numbers, placed
 
 __all__ = ["Rebinding"]
 
@@ -45,7 +44,7 @@ class Rebinding:
         given: Mapping[str, Any],
         runs: Iterable[Mapping[str, Any]] = (),
     ) -> None:
-        self.parameters = np.array(plan.parameters, dtype=float)
+        self.parameters = plan.parameters
         self.leaves: list[tuple[Setting, Unit]] = []  # those that are given, each with the unit of a bare number
         self.bound: list[Setting] = []  # what is computed from them, in order
         self.checks: list[_Requirement] = []
@@ -59,7 +58,7 @@ class Rebinding:
         by_path = {setting.path: setting for setting in settings}
         if len(by_path) != len(settings) or not all(name in by_path for name in given):
             return False
-        self.numbers = [float(x) for setting in settings if setting.first >= 0 for x in setting.values]
+        self.numbers = numbers(settings)
         blocks = {block.path: block for block in flat.blocks}
         for name in given:
             setting = by_path[name]
@@ -75,9 +74,7 @@ class Rebinding:
                 self.bound.append(setting)
                 touched.update(_elements(setting))
         paths = {setting.path for setting in (*(leaf for leaf, _ in self.leaves), *self.bound)}
-        read_by_run = {
-            name for run in self.runs for _, raw in RUN.quantities(run) for name in names_in(raw)
-        }
+        read_by_run = {name for run in self.runs for _, raw in RUN.quantities(run) for name in names_in(raw)}
         read_by_measures = {name for m in value.measures.values() for raw in m.values() for name in names_in(raw)}
         if paths & (read_by_run | read_by_measures):
             return False
@@ -98,13 +95,6 @@ class Rebinding:
         for state in declaration.states.values():
             if callable(state.nominal) and own & {*arguments(state.nominal, state.name)}:
                 return False
-        sources = (
-            *(history.before for history in declaration.histories.values()),
-            *(output.start for output in declaration.outputs.values()),
-            *(stepped.start for stepped in declaration.stepped.values()),
-        )
-        if any(own & _read(source) for source in sources):
-            return False
         for requirement in declaration.requirements:
             reads = requirement.equation.reads
             if not own & {*reads}:
@@ -128,7 +118,7 @@ class Rebinding:
         try:
             for setting in self.bound:
                 for k, program in enumerate(setting.elements or ()):
-                    s[setting.first + k] = _computed(program, s)
+                    s[setting.first + k] = evaluated(program, s, is_strict=True)
                     if s[setting.first + k] == 0.0 and setting.path in self.defaults:
                         return None  # a function of numpy may give it another sign
                 if not _allowed(setting, s[setting.first : setting.first + len(setting.values)]):
@@ -137,12 +127,7 @@ class Rebinding:
                 return None
         except Exception:  # what Python refuses, flattening tells; a requirement may raise anything
             return None
-        p = self.parameters.copy()
-        for setting in (*(leaf for leaf, _ in self.leaves), *self.bound):
-            for k, places in enumerate(setting.places):
-                for place in places:
-                    p[place] = s[setting.first + k]
-        return tuple(p.tolist())
+        return tuple(placed([*(leaf for leaf, _ in self.leaves), *self.bound], s, self.parameters))
 
 
 class _Requirement:
@@ -179,12 +164,6 @@ def _elements(setting: Setting) -> range:
     return range(setting.first, setting.first + len(setting.values))
 
 
-def _read(source: Any) -> set[str]:
-    """The parameters that a start value is taken from."""
-    name = getattr(source, "name", None)
-    return {name} if isinstance(name, str) else {*arguments(source, "start")} if callable(source) else set()
-
-
 def _numbers(raw: Any, unit: Unit, shape: tuple[int, ...]) -> list[float] | None:
     """The elements of a raw value in SI; None where it is no plain numbers of this shape."""
     if any(_expressions(raw)):
@@ -213,16 +192,3 @@ def _allowed(setting: Setting, values: list[float]) -> bool:
         if high is not None and (x >= high if setting.high_open else x > high):
             return False
     return not setting.members or all(x in setting.members.values() for x in values)
-
-
-def _computed(program: Program, s: list[float]) -> float:
-    """The value of a program. Raises what Python raises where it refuses an operation."""
-    values: list[float] = []
-    for node in program:
-        if node.op == "constant":
-            values.append(node.value)
-        elif node.op == "argument":
-            values.append(s[int(node.value)])
-        else:
-            values.append(float(OPERATIONS[node.op].value(*[values[k] for k in node.operands])))
-    return values[-1]

@@ -46,8 +46,11 @@ def program_of(result: Scalar) -> Program:
     return tuple(nodes)
 
 
-def evaluated(program: Program, numbers: Sequence[float]) -> float:
-    """The value of a program, given the numbers that it reads; NaN where Python refuses an operation."""
+def evaluated(program: Program, numbers: Sequence[float], *, is_strict: bool = False) -> float:
+    """The value of a program, given the numbers that it reads; NaN where Python refuses an operation.
+
+    is_strict: raises then what Python raises.
+    """
     values: list[float] = []
     for node in program:
         if node.op == "constant":
@@ -58,6 +61,8 @@ def evaluated(program: Program, numbers: Sequence[float]) -> float:
             try:
                 values.append(float(OPERATIONS[node.op].value(*[values[k] for k in node.operands])))
             except (ArithmeticError, ValueError):
+                if is_strict:
+                    raise
                 values.append(math.nan)
     return values[-1]
 

@@ -184,8 +184,7 @@ class Prepared:
             return None
         made = replace(self, parameters=parameters, settings=settings, plan=bound)
         base = self.alike.made.get(frozenset(parameters), self)
-        kept, ours = base.plan, bound
-        if not isinstance(kept, Plan) or not isinstance(ours, Plan) or ours.parameters is kept.parameters:
+        if _same(parameters, base.parameters):
             vars(made).update(equations=base.equations)  # as they were when it was flattened
         return made
 
