@@ -47,6 +47,7 @@ from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan
 from .draft import Draft
 from .entries import as_name, input_entry, input_like, parameter_entry
 from .last_made import LastMade, names_files
+from .late import late
 from .ports import Handle, PortName, plain_log, signal_names, sink_text, source_text, text_of
 from .values import check_settings
 
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from ..linear.operating_point import OperatingPoint
     from ..linear.point import Point
     from ..model.trust import Paths
+    from .batch import Batch
     from .prepared_model import PreparedModel
     from .run import Run, RunOptions
 
@@ -461,6 +463,47 @@ class Diagram:
         if not names_files(value):
             self._last.keep("model", key, model)
         return model
+
+    # --- many runs ---------------------------------------------------------------------------------------------
+
+    def batch(
+        self,
+        names: Sequence[str],
+        *,
+        measures: Sequence[str] | None = None,
+        log: Sequence[PortName | str] = (),
+        parameters: Mapping[str, Any] | None = None,
+        engine: str | None = None,
+        variants: Mapping[str, str] | None = None,
+        trust: Paths = (),
+        **settings: Any,
+    ) -> Batch:
+        """The function from rows of values to rows of measures, compiled once: for sweeps and for any optimiser.
+
+        names: of its columns: parameters by path ("motor.Ra"), one value for all that a pattern names
+        ("control_*.eso.Ka"; * stands for a part of one name), or elements ("pid.k[0]"). measures: which ones; None:
+        all. log: signals that come out on a grid: that of `every`, else of 200 intervals. Other arguments as of `run`.
+        Each row gives bit for bit what `run` gives with its values. Raises ModelError, UsageError, CompilerError.
+        """
+        from .batch import Batch
+
+        return Batch(
+            taken(self.value, variants), self._draft.types, names,
+            measures=measures, log=signal_names(log), parameters=parameters, engine=engine, trust=trust,
+            settings=settings,
+        )  # fmt: skip
+
+    def sweep(self, vary: Mapping[Any, Any], **options: Any) -> Any:
+        """Runs with varied parameters, as a table: see `blocks.studies.sweep.sweep`."""
+        return late("sweep", self, vary, **options)
+
+    def tune(self, **options: Any) -> Any:
+        """The best values of parameters: see `blocks.studies.tuning.tune`."""
+        return late("tune", self, **options)
+
+    def fit(self, data: Any, **options: Any) -> Any:
+        """Parameters from measured data: see `blocks.studies.identification.fit`."""
+        return late("fit", self, data, **options)
 
     # --- linear models -----------------------------------------------------------------------------------------
 

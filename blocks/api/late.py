@@ -1,0 +1,20 @@
+"""What a Diagram can do by means of rooms above this one: found by name when it is first called.
+
+Sweeps and tunings are made of many runs, so that their rooms stand on this one; a person looks for them on the Diagram.
+This is the only way up, and `tests/project/test_layers.py` holds that nothing else takes it.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+__all__ = ["late"]
+
+_MODULES = {"sweep": "studies.sweep", "tune": "studies.tuning", "fit": "studies.identification"}
+
+
+def late(name: str, *arguments: Any, **named: Any) -> Any:
+    """Call a function of a room above by its name."""
+    module = importlib.import_module(f"{__package__.rpartition('.')[0]}.{_MODULES[name]}")
+    return getattr(module, name)(*arguments, **named)
