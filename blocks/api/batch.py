@@ -7,21 +7,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..compile.coupling import Coupling
+from ..compile.inputs import InputTable, read_inputs
+from ..compile.plan import Plan
+from ..compile.rebinding import Rebinding
 from ..engines.prepared import Prepared
+from ..engines.run.batch_limits import cores, over_budget
+from ..engines.run.memory_estimate import check
+from ..engines.selection import compiled_model
 from ..model.diagram import DiagramValue
 from ..model.resolver import resolver_of
 from ..model.trust import Paths
 from ..results.results import Results
-from ..text.errors import BlocksError, Fault, SimulationError, UsageError, did_you_mean
+from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import legible
 from .prepared_model import PreparedModel
-from .run import RunOptions
+from .run import Run, RunOptions
 from .values import check_settings
 from .varied import Column, columns_of, raw_values
 
@@ -36,6 +44,8 @@ STATUSES = ("ok", "diverged", "budget", "refused", "failed", "left")
 it may; its values are refused, and it did not run; something else failed, as an FMU; it was not reached."""
 GRID = 200
 """Intervals of the grid on which signals are recorded where the diagram says none."""
+MOST_FORMS = 8
+"""Forms of the model, for other structural values, that are kept ready."""
 _NUMERIC = ("E301", "E303", "E304", "E305", "E306", "E307", "E308", "E309")
 
 
@@ -102,18 +112,23 @@ class Batch:
                 if target.path in parameters:
                     message = "is given as a parameter of all rows too."
                     raise UsageError(Fault("E501", legible(target.path), message, "Give it once."))
+        self.name = value.name
         self.columns = tuple(column.name for column in self._columns)
         self.targets = tuple(tuple(target.path for target in column.targets) for column in self._columns)
         self.units = tuple(column.unit for column in self._columns)
         self.measures, self.signals = tuple(kept.measures), tuple(first.plan.log)
-        self._value, self._settings = value, settings
-        self._model = PreparedModel(
-            kept, types, parameters=parameters, engine=engine, trust=trust, settings=settings
-        ).ready()
-        self._whole = PreparedModel(
-            value, types, parameters=parameters, engine=engine, trust=trust,
-            settings={key: given for key, given in settings.items() if key != "log"},
-        )  # fmt: skip
+        self._kept, self._resolver, self._parameters, self._settings = kept, resolver, parameters, settings
+        self._engine, self._trust = engine, trust
+        self._is_native = compiled_model(first.plan, engine=engine) is not None
+        self._why = _why_processes(first.plan, is_native=self._is_native)
+        self._forms: dict[str, _Form] = {}  # by the values that fix more than numbers; the last used one goes last
+        self._fixed: list[str] | None = None  # the parameters that do
+        given = {key: value for key, value in settings.items() if key != "log"}
+        self._whole = PreparedModel(value, types, parameters=parameters, engine=engine, trust=trust, settings=given)
+        self._model = PreparedModel(kept, types, parameters=parameters, engine=engine, trust=trust, settings=settings)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_forms": {}, "_fixed": None}
 
     def single(self, row: Sequence[Any] | Mapping[str, Any], seed: int | None = None) -> Results:
         """Run one row by itself, with all measures and with what the diagram records. Raises as `Diagram.run`."""
@@ -138,17 +153,175 @@ class Batch:
         Ctrl-C ends it: what was not run is "left".
         """
         rows = self._rows(table)
-        n = len(rows)
-        made = _Made(self, n)
-        interrupted = False
+        if seeds is not None and len(seeds) != len(rows):
+            message = f"there are {len(seeds)} seeds for {len(rows)} rows."
+            raise UsageError(Fault("E501", "seeds", message, "Give one for each row, or none."))
+        made = _Made(self, len(rows), seeds, budget)
+        given = [{**self._parameters, **raw} for raw in self._given(rows, made)]
+        work = _Work(made, progress)
+        if self._why:
+            self._one_by_one(given, work, threads)
+        else:
+            for places in self._alike(given).values():
+                if not made.interrupted:
+                    self._at_once(given, places, work, threads)
+        return made.rows()
+
+    def _given(self, rows: Sequence[Sequence[Any]], made: _Made) -> Iterator[dict[str, Any]]:
+        """The raw values of each row by path; {} where they are refused."""
+        for i, row in enumerate(rows):
+            try:
+                yield raw_values(self._columns, row)
+            except (ModelError, UsageError, ValueError, TypeError) as error:
+                made.fail(i, "refused", error)
+                yield {}
+
+    # --- by threads ------------------------------------------------------------------------------------------------
+
+    def _alike(self, given: Sequence[dict[str, Any]]) -> dict[str, list[int]]:
+        """The rows of each form of the model: those whose values of what is fixed in it are alike."""
+        found: dict[str, list[int]] = {}
+        for i, raw in enumerate(given):
+            if self._fixed is None and raw:
+                self._find_fixed(raw)
+            found.setdefault(self._key(raw), []).append(i)
+        return found
+
+    def _key(self, given: Mapping[str, Any]) -> str:
+        return repr([given.get(name) for name in self._fixed or ()])
+
+    def _find_fixed(self, given: Mapping[str, Any]) -> None:
+        """Find the parameters that fix more than numbers, by a row that is not refused."""
         try:
-            for i, row in enumerate(rows):
-                self._run_row(made, i, row, None if seeds is None else int(seeds[i]), budget)
-                if progress is not None:
-                    progress(i + 1, n)
-        except KeyboardInterrupt:
-            interrupted = True
-        return replace(made.rows(), interrupted=interrupted)
+            first = self._flattened(given, None)
+        except BlocksError:
+            return
+        names = sorted({path for paths in self.targets for path in paths})
+        is_whole = first.rebinding(names).is_possible
+        self._fixed = [] if is_whole else [name for name in names if not first.rebinding([name]).is_possible]
+
+    def _flattened(self, given: Mapping[str, Any], seed: int | None) -> Prepared:
+        settings = self._settings if seed is None else {**self._settings, "seed": seed}
+        return Prepared.of(self._kept, self._resolver, given, settings, trust=self._trust)
+
+    def _at_once(
+        self, given: Sequence[dict[str, Any]], places: Sequence[int], work: _Work, threads: int | None
+    ) -> None:
+        """Run the rows of one form of the model by threads."""
+        made = work.made
+        key = self._key(given[places[0]])
+        form = self._forms.pop(key, None)
+        bound: list[int] = []
+        table: list[tuple[float, ...]] = []
+        others: dict[int, _Form] = {}  # rows that need a form of their own
+        for i in places:
+            if made.status[i] != "left":
+                continue
+            seed = made.seed(i)
+            row = None if form is None else form.rebinding.row(given[i], form.seed if seed is None else seed)
+            if row is None:
+                try:
+                    own = self._form(self._flattened(given[i], seed))
+                except BlocksError as error:
+                    made.fail(i, "refused", error)
+                    continue
+                form = form or own
+                if own.model is not form.model:
+                    others[i] = own
+                    continue
+                row = own.prepared.plan.parameters  # type: ignore[union-attr]
+            bound.append(i)
+            table.append(row)
+        if form is None:
+            return
+        self._forms[key] = form
+        while len(self._forms) > MOST_FORMS:
+            del self._forms[next(iter(self._forms))]
+        self._run(form, bound, table, work, threads)
+        for i, own in others.items():
+            if not made.interrupted:
+                self._run(own, [i], [own.prepared.plan.parameters], work, 1)  # type: ignore[union-attr]
+
+    def _form(self, prepared: Prepared) -> _Form:
+        plan = prepared.plan
+        assert isinstance(plan, Plan)
+        names = {path for paths in self.targets for path in paths} - {*(self._fixed or ())}
+        inputs = read_inputs(plan, dict(plan.settings.inputs), interpolation="linear")
+        model = compiled_model(plan, engine=self._engine)
+        return _Form(prepared, prepared.rebinding(names), model, inputs)
+
+    def _run(
+        self, form: _Form, places: list[int], table: list[tuple[float, ...]], work: _Work, threads: int | None
+    ) -> None:
+        from ..engines.native.batch import run_rows, times_of
+
+        made, plan = work.made, form.prepared.plan
+        assert isinstance(plan, Plan)
+        if self.signals:
+            made.begin_signals(times_of(plan), {name: plan.signal(name).shape for name in self.signals})
+        before = work.done
+        ended = run_rows(
+            plan, form.inputs, form.model, np.array(table).reshape(len(table), -1),
+            threads=threads, budget=made.budget, progress=lambda done: work.tell(before + done),
+        )  # fmt: skip
+        for i, row, values in zip(places, ended.rows, ended.signals, strict=True):
+            if row is not None:
+                status = "ok" if row.is_done else "budget" if row.is_over else None
+                made.take(i, row.steps, row.measures, row.fault, status)
+                made.record(i, values)
+        made.interrupted |= ended.is_cancelled
+        work.tell(before + sum(row is not None for row in ended.rows))
+
+    # --- one by one ----------------------------------------------------------------------------------------------
+
+    def _one_by_one(self, given: Sequence[dict[str, Any]], work: _Work, threads: int | None) -> None:
+        """Run the rows in processes of their own."""
+        from .batch_processes import in_processes
+
+        made = work.made
+        rows = [(i, raw, made.seed(i)) for i, raw in enumerate(given) if made.status[i] == "left"]
+        for i, ended in in_processes(self, rows, made.budget, threads or cores()):
+            if ended is None:
+                made.interrupted = True
+                return
+            made.take(i, ended.steps, ended.measures, ended.fault, ended.status)
+            if ended.signals is not None:
+                made.begin_signals(ended.t, {name: values.shape[1:] for name, values in ended.signals.items()})
+                made.record(i, np.column_stack([v.reshape(len(v), -1) for v in ended.signals.values()]))
+            work.tell(work.done + 1)
+
+    def alone(self, given: Mapping[str, Any], seed: int | None, budget: int | None) -> Alone:
+        """Run one row here, by raw values of all parameters that are given. Ctrl-C goes through."""
+        held: list[Run] = []
+
+        def watch(_: float) -> None:
+            if held and budget is not None and held[0].tried > budget:
+                raise _OverBudget
+
+        settings = {} if seed is None else {"seed": seed}
+        try:
+            held.append(self._model.run_of(given, settings, RunOptions(progress=watch)))
+        except BlocksError as error:
+            return Alone.failed(error, is_refused=not isinstance(error, (SimulationError, FMUError)))
+        try:
+            results = held[0].finish()
+        except _OverBudget:
+            return Alone(held[0].tried, {}, over_budget(self._kept.name, budget, held[0].t), "budget")
+        except BlocksError as error:
+            is_over = budget is not None and held[0].tried > budget
+            found = Alone.failed(error, is_refused=False)
+            return replace(found, steps=held[0].tried, status="budget" if is_over else found.status)
+        if results.interrupted:
+            raise KeyboardInterrupt
+        steps = results.statistics.steps + results.statistics.rejected
+        if budget is not None and steps > budget:
+            return Alone(steps, {}, over_budget(self._kept.name, budget, held[0].t), "budget")
+        faults = [fault for fault in results.warnings if fault.code == "W301"]
+        signals = {name: np.asarray(results[name]) for name in self.signals}
+        return Alone(
+            steps, dict(results.measures), faults[0] if faults else None, "ok",
+            np.array(results.t) if signals else None, signals or None,
+        )  # fmt: skip
 
     def _rows(self, table: Any) -> list[list[Any]]:
         """The rows of a table. Raises UsageError (E501)."""
@@ -174,64 +347,121 @@ class Batch:
                 raise UsageError(Fault("E501", "table", message, f"The columns: {', '.join(self.columns)}."))
         return rows
 
-    def _run_row(self, made: _Made, i: int, row: Sequence[Any], seed: int | None, budget: int | None) -> None:
-        settings = {} if seed is None else {"seed": seed}
-        try:
-            run = self._model.run_of(raw_values(self._columns, row), settings, RunOptions())
-        except BlocksError as error:
-            status = "diverged" if isinstance(error, SimulationError) else "refused"
-            made.fail(i, status, error.faults[0])
-            return
-        try:
-            results = run.finish()
-        except BlocksError as error:
-            fault = error.faults[0]
-            so_far: Results | None = getattr(error, "results", None)
-            if so_far is not None:
-                made.steps[i] = so_far.statistics.steps + so_far.statistics.rejected
-            is_over = budget is not None and made.steps[i] > budget
-            made.fail(i, "budget" if is_over else "diverged" if fault.code in _NUMERIC else "failed", fault)
-            return
-        if results.interrupted:
-            raise KeyboardInterrupt
-        made.take(i, results, budget)
+
+class _OverBudget(Exception):
+    """A run has taken more steps than it may."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """A form of the model, of which rows differ in numbers alone."""
+
+    prepared: Prepared
+    rebinding: Rebinding
+    model: Any
+    inputs: InputTable
+
+    @property
+    def seed(self) -> int:
+        return self.prepared.plan.settings.seed
+
+
+@dataclass(frozen=True, slots=True)
+class Alone:
+    """What became of a row that was run by itself."""
+
+    steps: int
+    measures: Mapping[str, float]
+    fault: Fault | None
+    status: str | None
+    t: Array | None = None
+    signals: Mapping[str, Array] | None = None
+
+    @classmethod
+    def failed(cls, error: BlocksError, *, is_refused: bool) -> Alone:
+        return cls(0, {}, error.faults[0], "refused" if is_refused else None)
 
 
 class _Made:
     """The rows of a batch, as far as they are there."""
 
-    def __init__(self, batch: Batch, n: int) -> None:
-        self.batch = batch
+    def __init__(self, batch: Batch, n: int, seeds: Sequence[int] | Array | None, budget: int | None) -> None:
+        self.batch, self.seeds, self.budget = batch, seeds, budget
         self.status = np.full(n, "left", dtype="<U8")
         self.messages = [""] * n
         self.measures = {name: np.full(n, np.nan) for name in batch.measures}
         self.steps = np.zeros(n, dtype=np.int64)
         self.t = np.empty(0)
-        self.signals: dict[str, Array] = {}
+        self.shapes: Mapping[str, tuple[int, ...]] = {}
+        self.recorded = np.empty((n, 0, 0))
+        self.interrupted = False
 
-    def fail(self, i: int, status: str, fault: Fault) -> None:
-        self.status[i], self.messages[i] = status, f"{fault.code} {fault.place}: {fault.message}"
+    def seed(self, i: int) -> int | None:
+        return None if self.seeds is None else int(self.seeds[i])
 
-    def take(self, i: int, results: Results, budget: int | None) -> None:
-        self.steps[i] = results.statistics.steps + results.statistics.rejected
-        if budget is not None and self.steps[i] > budget:
-            self.status[i], self.messages[i] = "budget", f"it takes more than {budget} steps."
+    def fail(self, i: int, status: str, error: Exception) -> None:
+        fault = error.faults[0] if isinstance(error, BlocksError) else Fault("E501", "row", str(error))
+        self.take(i, 0, {}, fault, status)
+
+    def take(
+        self, i: int, steps: int, measures: Mapping[str, float], fault: Fault | None, status: str | None
+    ) -> None:
+        """status: None where the code of the fault says it."""
+        if status is None:
+            status = "diverged" if fault is not None and fault.code in _NUMERIC else "failed"
+        self.status[i], self.steps[i] = status, steps
+        self.messages[i] = "" if fault is None else f"{fault.code} {fault.place}: {fault.message}"
+        for name, value in measures.items():
+            self.measures[name][i] = value
+
+    def begin_signals(self, t: Array | None, shapes: Mapping[str, tuple[int, ...]]) -> None:
+        """Room for the signals, once it is known which they are. Raises UsageError (E311)."""
+        if self.shapes or t is None:
             return
-        self.status[i] = "ok"
-        for name, column in self.measures.items():
-            column[i] = results.measures[name]
-        told = [fault for fault in results.warnings if fault.code == "W301"]
-        self.messages[i] = f"W301 {told[0].place}: {told[0].message}" if told else ""
-        if self.batch.signals and not len(self.t):
-            self.t = np.array(results.t)
-        for name in self.batch.signals:
-            values = np.asarray(results[name])
-            if name not in self.signals:
-                self.signals[name] = np.full((len(self.status), *values.shape), np.nan)
-            self.signals[name][i] = values
+        width = sum(math.prod(shape) for shape in shapes.values())
+        check(self.batch.name, len(self.status) * len(t), width)
+        self.t, self.shapes = t, shapes
+        self.recorded = np.full((len(self.status), len(t), width), np.nan)
+
+    def record(self, i: int, values: Array) -> None:
+        if self.shapes:
+            self.recorded[i, : len(values)] = values
 
     def rows(self) -> BatchRows:
-        return BatchRows(self.status, tuple(self.messages), self.measures, self.t, self.signals, self.steps)
+        signals, first = {}, 0
+        for name, shape in self.shapes.items():
+            size = math.prod(shape)
+            signals[name] = self.recorded[:, :, first : first + size].reshape(len(self.status), len(self.t), *shape)
+            first += size
+        return BatchRows(
+            self.status, tuple(self.messages), self.measures, self.t, signals, self.steps, self.interrupted
+        )
+
+
+class _Work:
+    """How far the rows are, for those who look on."""
+
+    def __init__(self, made: _Made, progress: Callable[[int, int], None] | None) -> None:
+        self.made, self.progress, self.done = made, progress, 0
+
+    def tell(self, done: int) -> None:
+        if done > self.done:
+            self.done = done
+            if self.progress is not None:
+                self.progress(done, len(self.made.status))
+
+
+def _why_processes(plan: Plan | Coupling, *, is_native: bool) -> str:
+    """Why rows do not run side by side in threads, in words; "" where they do."""
+    if isinstance(plan, Coupling):
+        return "its units are stepped by a master"
+    if plan.foreign:
+        return "it has FMUs"
+    if plan.steppers:
+        return "it has programs in Python"
+    if plan.settings.method == "radau":
+        return "radau integrates in Python"
+    return "" if is_native else "the reference engine runs it"
 
 
 def _picked(value: DiagramValue, measures: Sequence[str] | None) -> DiagramValue:

@@ -327,6 +327,11 @@ class Run:
         return self._simulation.t
 
     @property
+    def tried(self) -> int:
+        """How many steps it has tried: those that were rejected count too."""
+        return self._simulation.tried
+
+    @property
     def ended(self) -> Fault | None:
         """The warning that an FMU ended the run before its stop (W206), which its results have too; else None."""
         return self._simulation.over

@@ -17,6 +17,8 @@ from ..contract.reads import arguments
 from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import RUN
 from ..model.flatten import Flat, FlatBlock
+from ..model.hierarchy import streams_in
+from ..model.streams import number_of
 from ..model.values import Unit, expressions_in, names_in, value_of
 from ..text.errors import ModelError
 from .bindings import bindings
@@ -29,7 +31,8 @@ __all__ = ["Rebinding"]
 class Rebinding:
     """Values of some parameters in a Plan.
 
-    flat, plan: made with values of exactly these parameters, `given`, by path. runs: raw settings of runs.
+    flat, plan: made with values of exactly these parameters, `given`, by path. runs: raw settings of runs. free: those
+    of the parameters that get other values; None: all.
 
     Where `is_possible` is False, other values need a Plan of their own: what they fix is not in the row p alone (sizes
     and other structural parameters, patterns of zeros, periods, delays, tables, texts, measures, times of the run,
@@ -43,8 +46,11 @@ class Rebinding:
         plan: Plan,
         given: Mapping[str, Any],
         runs: Iterable[Mapping[str, Any]] = (),
+        free: Iterable[str] | None = None,
     ) -> None:
-        self.parameters = plan.parameters
+        self.parameters, self.seed = plan.parameters, plan.settings.seed
+        self.streams: list[tuple[str, tuple[int, ...]]] = []  # the name of each stream, and where its number stands
+        self.free = tuple(given if free is None else free)
         self.leaves: list[tuple[Setting, Unit]] = []  # those that are given, each with the unit of a bare number
         self.bound: list[Setting] = []  # what is computed from them, in order
         self.checks: list[_Requirement] = []
@@ -56,11 +62,14 @@ class Rebinding:
         """Find all that depends on the parameters; whether that is all that does."""
         settings = bindings(value, flat, plan, given)
         by_path = {setting.path: setting for setting in settings}
-        if len(by_path) != len(settings) or not all(name in by_path for name in given):
+        if len(by_path) != len(settings) or not all(name in by_path for name in self.free):
             return False
         self.numbers = numbers(settings)
         blocks = {block.path: block for block in flat.blocks}
-        for name in given:
+        for path, stream in streams_in(value):
+            keys = blocks[path].interface.declaration.streams if path in blocks else ()
+            self.streams += [(stream, by_path[f"{path}.{key}"].places[0]) for key in keys]
+        for name in self.free:
             setting = by_path[name]
             if setting.is_bound or setting.variability == "constant" or setting.type != "real":
                 return False
@@ -104,10 +113,10 @@ class Rebinding:
             self.checks.append(_Requirement(requirement.equation.function, operands))
         return True
 
-    def row(self, given: Mapping[str, Any]) -> tuple[float, ...] | None:
+    def row(self, given: Mapping[str, Any], seed: int) -> tuple[float, ...] | None:
         """The row p with other values of the parameters; None where only flattening can tell what they mean.
 
-        given: raw values of the same parameters.
+        given: raw values of the same parameters. seed: of the run.
         """
         s = self.numbers.copy()
         for setting, unit in self.leaves:
@@ -127,7 +136,11 @@ class Rebinding:
                 return None
         except Exception:  # what Python refuses, flattening tells; a requirement may raise anything
             return None
-        return tuple(placed([*(leaf for leaf, _ in self.leaves), *self.bound], s, self.parameters))
+        row = placed([*(leaf for leaf, _ in self.leaves), *self.bound], s, self.parameters)
+        for stream, places in self.streams if seed != self.seed else ():
+            for place in places:
+                row[place] = number_of(seed, stream)
+        return tuple(row)
 
 
 class _Requirement:

@@ -72,6 +72,11 @@ class Simulation:
         return self.engine.over
 
     @property
+    def tried(self) -> int:
+        """How many steps it has tried: those that were rejected count too."""
+        return self.engine.tried
+
+    @property
     def recorded_bytes(self) -> float:
         return self.engine.recorded_bytes
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
@@ -36,6 +36,8 @@ __all__ = ["Prepared"]
 
 _OF_THE_CLOCK = ("start", "stop", "step", "rtol", "atol", "gives_rtol", "every", "jumps", "stops")
 """The settings of a run that no Plan depends on."""
+_OF_THE_ROW = (*_OF_THE_CLOCK, "seed")
+"""Those that a Plan depends on in its row p alone, too."""
 MOST_MADE = 4
 """Sets of parameters that are kept ready: each has a flat model."""
 _PLAIN = (str, bool, int, float, Fraction, type(None))
@@ -180,11 +182,11 @@ class Prepared:
         """
         run_settings = self._settings_with(settings)
         bound = None if run_settings is None else self._bound(parameters, run_settings)
-        if bound is None:
+        if run_settings is None or bound is None:
             return None
         made = replace(self, parameters=parameters, settings=settings, plan=bound)
         base = self.alike.made.get(frozenset(parameters), self)
-        if _same(parameters, base.parameters):
+        if _same(parameters, base.parameters) and run_settings.seed == base.plan.settings.seed:
             vars(made).update(equations=base.equations)  # as they were when it was flattened
         return made
 
@@ -201,7 +203,8 @@ class Prepared:
         base = alike.made.get(names)
         if base is None:
             return None
-        if not tunable and _same(parameters, base.parameters):
+        seed = settings.seed
+        if not tunable and _same(parameters, base.parameters) and seed == base.plan.settings.seed:
             return base.plan if settings is base.plan.settings else replace(base.plan, settings=settings)
         if not isinstance(base.plan, Plan):
             return None
@@ -209,13 +212,18 @@ class Prepared:
         if known is None:
             if not self.is_current:  # defaults would be computed from what is outside now
                 return None
-            given = {name: raw_of(item) for name, item in base.parameters.items()}
-            known = Rebinding(self.value, base.flat, base.plan, given, runs=(self.value.run, alike.given))
-            alike.rebindings[names] = known
+            known = alike.rebindings[names] = base.rebinding()
         if not known.is_possible or (tunable and not known.is_tunable(tunable)):
             return None
-        row = known.row(parameters)
+        row = known.row(parameters, seed)
         return None if row is None else replace(base.plan, parameters=row, settings=settings)
+
+    def rebinding(self, free: Iterable[str] | None = None) -> Rebinding:
+        """How other values of its parameters, or of those that are free, get into its Plan, which is of one solver."""
+        assert isinstance(self.plan, Plan)
+        given = {name: raw_of(item) for name, item in self.parameters.items()}
+        runs = (self.value.run, self.alike.given)
+        return Rebinding(self.value, self.flat, self.plan, given, runs=runs, free=free)
 
     def _settings_with(self, settings: Mapping[str, Any]) -> RunSettings | None:
         """The settings of a run with others given; None where they change more than a Plan's times and tolerances."""
@@ -229,7 +237,7 @@ class Prepared:
         if not isinstance(self.plan, Plan) or any(next(expressions_in(raw), None) for raw in raws):
             return None
         made, faults = read_settings(self.value.run, **settings)
-        others = replace(made, **{key: getattr(known, key) for key in _OF_THE_CLOCK})
+        others = replace(made, **{key: getattr(known, key) for key in _OF_THE_ROW})
         if faults or others != known:
             return None
         self.alike.settings = settings, made

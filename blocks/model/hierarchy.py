@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -23,7 +23,7 @@ from . import streams
 from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList
 from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 
-__all__ = ["DiagramScope", "Hierarchy", "Leaf", "Resolver", "Spot", "spelling"]
+__all__ = ["DiagramScope", "Hierarchy", "Leaf", "Resolver", "Spot", "spelling", "streams_in"]
 
 MAX_BLOCKS = 1_000_000
 
@@ -405,6 +405,16 @@ class Hierarchy:
             return None
         self.resolved[key] = self.resolved[shared] = resolved_block
         return resolved_block
+
+
+def streams_in(diagram: DiagramValue, path: str = "", prefix: str = "") -> Iterator[tuple[str, str]]:
+    """The paths of all blocks with the name of the stream of random numbers that each has, if it draws from one."""
+    for name, entry in diagram.blocks.items():
+        stream = streams.joined(prefix, entry.stream or name)
+        if entry.inner is None:
+            yield path + name, stream
+        else:
+            yield from streams_in(entry.inner, f"{path}{name}.", f"{stream}.")
 
 
 def _outer_raw(scope: DiagramScope, name: str) -> Any:

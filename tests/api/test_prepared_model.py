@@ -20,6 +20,7 @@ from blocks import (
     Parameter,
     Results,
     Stepped,
+    ZeroOrderHold,
     fmu,
     output,
     stepper,
@@ -271,9 +272,12 @@ def test_a_structural_value_makes_a_form_of_its_own() -> None:
     u = diagram.input("u", default=1.0)
     block = diagram.add("gain", Gain(k=2.0))
     diagram.wire(block.u, u)
+    held = diagram.add("hold", ZeroOrderHold(period=0.01))
+    diagram.wire(held.u, block.y)
     model = diagram.prepare(stop=0.1)
     for number in range(12):
-        same(model.run(log=["gain.y"], seed=number), diagram.copy().run(stop=0.1, log=["gain.y"], seed=number))
+        given: dict[str, Any] = {"parameters": {"hold.period": 0.01 * (1 + number)}, "log": ["hold.y"], "seed": number}
+        same(model.run(**given), diagram.copy().run(stop=0.1, **given))
     assert len(model._forms) == 8
 
 

@@ -12,11 +12,12 @@ from .structures import structures
 
 __all__ = [
     "CALLBACK", "CAUSE", "CLIQUE", "ENABLED", "HISTORY", "MEASURE", "MEASURED", "PROJECTION", "RATE", "RESET", "SLOT",
-    "STAGE", "STEPPER", "STRUCTURES", "TRACK", "BlocksGrid", "BlocksSetup", "BlocksSim",
+    "STAGE", "STEPPER", "STRUCTURES", "TRACK", "BlocksBatch", "BlocksGrid", "BlocksSetup", "BlocksSim",
 ]  # fmt: skip
 
-STRUCTURES = structures(*packaged("model.h", "runtime.h").values())
+STRUCTURES = structures(*packaged("model.h", "runtime.h", "batch.h").values())
 CALLBACK = c.CFUNCTYPE(c.c_int, c.c_int, c.c_int, c.c_double, c.POINTER(c.c_double), c.POINTER(c.c_double))
+BlocksBatch: Any = STRUCTURES["BlocksBatch"]
 BlocksGrid: Any = STRUCTURES["BlocksGrid"]
 BlocksSetup: Any = STRUCTURES["BlocksSetup"]
 BlocksSim: Any = STRUCTURES["BlocksSim"]

@@ -162,6 +162,10 @@ class ReferenceMaster(Exchange):
             self.told_over = error.faults[0]
 
     @property
+    def tried(self) -> int:
+        return self.steps + self.rejected
+
+    @property
     def recorded_bytes(self) -> float:
         """Bytes of what is recorded, and of what is kept for the measures."""
         return self.recording.bytes + 8.0 * len(self.points) * (2 + len(self.measured))

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from ..run.model_exchange import Foreigns
     from .fmu_bridge import NativeForeigns
 
-__all__ = ["NativeEngine"]
+__all__ = ["NativeEngine", "in_brief"]
 
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
@@ -120,6 +120,12 @@ class NativeEngine:
         sim.crossing = int(plan.starting is True)
         if self._foreign is not None:
             self._foreign.begin(plan, sim.t)
+
+    def at_start(self) -> Array:
+        """Put it where it begins; the numbers of the next ticks."""
+        self._clear()
+        self._set_start()
+        return self._ticks.copy()
 
     # --- the C side ------------------------------------------------------------------------------------------------
 
@@ -333,15 +339,9 @@ class NativeEngine:
 
     def _in_brief(self) -> SimulationError:
         """The error by the compiled code alone: the kind of the failure, and the name of a crossing."""
-        from ...text.explanations import EXPLAINED  # an engine that does not fail needs none of it
-
-        sim, plan, place = self.sim, self.plan, self.plan.name
-        code = _CODES[sim.failure] if 0 <= sim.failure < len(_CODES) else "E303"
-        if code == "E304" and 0 <= sim.culprit < len(plan.crossings):
-            cause = plan.crossings[sim.culprit]
-            place = f"{plan.instances[cause.instance].path}.{cause.name}"
+        sim = self.sim
         cure = "The reference engine tells more (--engine reference)."
-        return SimulationError(Fault(code, place, f"{EXPLAINED[code].title}, at t = {self.t} s.", cure))
+        return SimulationError(in_brief(self.plan, sim.failure, sim.culprit, self.t, cure))
 
     def _in_words(self, start: bool) -> SimulationError | None:
         """The error that the reference engine meets from here; None where it meets none."""
@@ -493,11 +493,13 @@ class NativeEngine:
             **{name: rows[name] for name in ("total", "span", "first", "begin", "target", "last")},
             "extremes": np.column_stack([rows["low"], rows["high"]]),
             "known": known[:0] if math.isnan(known[0]) else known,
-            "paths": {
-                str(i): array(int(rows["path"][i]["data"] or 0), int(rows["path"][i]["used"])).reshape(-1, 7).copy()
-                for i in self._measured.paths
-            },
+            "paths": {str(i): path for i, path in self.paths().items()},
         })  # fmt: skip
+
+    def paths(self) -> dict[int, Array]:
+        """The rows (parts, 7) that C keeps of measures that look back."""
+        kept = {i: self._measured_rows()["path"][i] for i in self._measured.paths}
+        return {i: array(int(p["data"] or 0), int(p["used"])).reshape(-1, 7).copy() for i, p in kept.items()}
 
     def _measured_rows(self) -> Array:
         """What C keeps of each measure."""
@@ -598,6 +600,10 @@ class NativeEngine:
         return self._witness(state, units).values(references)
 
     @property
+    def tried(self) -> int:
+        return int(self.sim.steps + self.sim.rejected)
+
+    @property
     def recorded_bytes(self) -> float:
         rows = self.sim.rows
         return float(rows.bytes) - ((rows.end or 0) - (rows.next or 0))  # without the room for more of them
@@ -695,3 +701,14 @@ class NativeEngine:
         plan, motions = self.plan, Motions(self.plan)
         asked = looked_at(plan, self._measured.references, self.model.logged)
         return unseen_faults(plan, {name: motions.of(asked[name]) for name in LOOKS}, by_look)
+
+
+def in_brief(plan: Plan, failure: int, culprit: int, t: float, cure: str) -> Fault:
+    """A failure of the runtime as a fault: its kind, and the name of a crossing."""
+    from ...text.explanations import EXPLAINED  # an engine that does not fail needs none of it
+
+    place, code = plan.name, _CODES[failure] if 0 <= failure < len(_CODES) else "E303"
+    if code == "E304" and 0 <= culprit < len(plan.crossings):
+        cause = plan.crossings[culprit]
+        place = f"{plan.instances[cause.instance].path}.{cause.name}"
+    return Fault(code, place, f"{EXPLAINED[code].title}, at t = {t} s.", cure)

@@ -61,16 +61,13 @@ class Model(RuntimeTables):
     def __init__(self, plan: Plan, made: Emitted, logged: list[Reference]) -> None:
         super().__init__(plan, made, logged)
         headers = packaged(*RUNTIME)
-        runtime = TranslationUnit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True)
-        model = TranslationUnit("model.c", self.emitted.source, headers)
-        units = [runtime, model]
-        if plan.foreign:
-            headers |= packaged("fmu_bridge.h", "fmu_types.h")
-            units = [
-                runtime,
-                TranslationUnit("fmu_bridge.c", packaged("fmu_bridge.c")["fmu_bridge.c"], headers, is_shared=True),
-            ]
-            units.append(TranslationUnit("model.c", self.emitted.source, headers))
+        other, *more = ("fmu_bridge.c", "fmu_bridge.h", "fmu_types.h") if plan.foreign else ("batch.c", "batch.h")
+        beside = headers | packaged(*more)
+        units = [
+            TranslationUnit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True),
+            TranslationUnit(other, packaged(other)[other], beside, is_shared=True),
+            TranslationUnit("model.c", self.emitted.source, beside if plan.foreign else headers),
+        ]
         guesses = [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]
         sides = [0.0 if isinstance(begin, Node) else float(begin.index) for begin in plan.s_start]
         located = [float(isinstance(begin, Reference)) for begin in plan.s_start]
@@ -168,8 +165,11 @@ def _prepared(library: ctypes.CDLL) -> ctypes.CDLL:
         ("blocks_size", c.c_int64, [c.c_int32]),
         ("blocks_list_room", c.c_int, [sim, c.c_int64]),
         ("blocks_past_room", c.c_int, [sim, c.c_int64, c.c_int64]),
+        ("blocks_batch", c.c_int64, [sim, sim, sim]),
     ):
-        function = getattr(library, name)
+        function = getattr(library, name, None)
+        if function is None:  # what FMUs take part in has no batch
+            continue
         function.restype, function.argtypes = result, arguments
     sizes = [library.blocks_size(k) for k in (0, 1, 3)]
     if sizes != [c.sizeof(runtime_layout.STRUCTURES[f"Blocks{name}"]) for name in ("Sim", "Setup", "Memory")]:

@@ -237,6 +237,10 @@ class ReferenceEngine:
         return patient() if self.plan.foreign else heard_by_python()
 
     @property
+    def tried(self) -> int:
+        return self.steps + self.rejected
+
+    @property
     def recorded_bytes(self) -> float:
         return self.rows.recording.bytes
 

@@ -81,6 +81,11 @@ class Engine(Protocol):
         ...
 
     @property
+    def tried(self) -> int:
+        """How many steps it has tried: those that were rejected count too."""
+        ...
+
+    @property
     def recorded_bytes(self) -> float:
         """What the recorded rows take."""
         ...

@@ -206,6 +206,20 @@ class Measures:
         measures.pending = ()
         return measures
 
+    def kept(self, numbers: Array, paths: Mapping[int, Array]) -> Measures:
+        """The measures of the same plan where a run has ended, for their results.
+
+        numbers: (m, 8) total, span, first, begin, target, last and the two extremes. paths: their rows (parts, 7).
+        """
+        measures = copy(self)
+        measures.total, measures.span = numbers[:, 0], numbers[:, 1]
+        first, *lists, low, high = numbers[:, 2:].T.tolist()
+        measures.first = [None if math.isnan(t) else t for t in first]
+        measures.begin, measures.target, measures.last = lists
+        measures.extremes = list(zip(low, high, strict=True))
+        measures.paths = {i: (path,) for i, path in paths.items()}
+        return measures
+
     def _path(self, i: int) -> Array:
         """All rows of a path, shape (parts, 7)."""
         return np.concatenate([np.empty((0, 7)), *self.paths[i]])

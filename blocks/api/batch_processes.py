@@ -1,0 +1,125 @@
+"""Rows of a batch in processes of their own: for FMUs, programs in Python and engines that hold Python's lock.
+
+Each process takes row after row. One that dies takes its row with it, and another one goes on with the rest.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import pickle
+import queue
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Any
+
+from ..text.errors import Fault
+
+if TYPE_CHECKING:
+    from .batch import Alone, Batch
+
+__all__ = ["in_processes"]
+
+Task = tuple[int, dict[str, Any], int | None]
+"""The number of a row, its raw values and its seed."""
+
+
+def in_processes(
+    batch: Batch, rows: Sequence[Task], budget: int | None, count: int
+) -> Iterator[tuple[int, Alone | None]]:
+    """What becomes of each row, as it is known; None where Ctrl-C ends it.
+
+    What cannot be pickled, as block types that were defined in a notebook, runs here, row after row.
+    """
+    try:
+        text = pickle.dumps(batch)
+    except Exception:  # pickle raises what the types raise
+        yield from _here(batch, rows, budget)
+        return
+    tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
+    for row in rows:
+        tasks.put(row)
+    done: queue.SimpleQueue[tuple[int, Alone]] = queue.SimpleQueue()
+    workers = [_Worker(text, budget, tasks, done) for _ in range(max(1, min(count, len(rows))))]
+    try:
+        for _ in rows:
+            while True:
+                with contextlib.suppress(queue.Empty):
+                    yield done.get(timeout=0.1)
+                    break
+    except KeyboardInterrupt:
+        yield -1, None
+    finally:
+        for worker in workers:
+            worker.end()
+
+
+def _here(batch: Batch, rows: Sequence[Task], budget: int | None) -> Iterator[tuple[int, Alone | None]]:
+    for i, given, seed in rows:
+        try:
+            yield i, batch.alone(given, seed, budget)
+        except KeyboardInterrupt:
+            yield -1, None
+            return
+
+
+class _Worker:
+    """A process, and the thread that gives it rows."""
+
+    def __init__(
+        self, text: bytes, budget: int | None, tasks: queue.SimpleQueue[Task], done: queue.SimpleQueue[Any]
+    ) -> None:
+        self.text, self.budget, self.tasks, self.done = text, budget, tasks, done
+        self.process: Any = None
+        self.is_ended = False
+        threading.Thread(target=self._work, daemon=True).start()
+
+    def _work(self) -> None:
+        connection: Connection | None = None
+        while not self.is_ended:
+            try:
+                task = self.tasks.get_nowait()
+            except queue.Empty:
+                break
+            if connection is None:
+                connection = self._begun()
+            try:
+                connection.send((*task[1:], self.budget))
+                self.done.put((task[0], connection.recv()))
+            except (EOFError, OSError):
+                connection = None
+                self.done.put((task[0], self._death()))
+        if connection is not None:
+            connection.close()
+
+    def _begun(self) -> Connection:
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs, self.text), daemon=True)
+        self.process.start()
+        theirs.close()
+        return ours
+
+    def _death(self) -> Alone:
+        from .batch import Alone
+
+        self.process.join(5.0)
+        message = f"the process of this row ended, with exit code {self.process.exitcode}."
+        return Alone(0, {}, Fault("E206", "row", message, "An FMU may have crashed: run the row by itself."), "failed")
+
+    def end(self) -> None:
+        self.is_ended = True
+        if self.process is not None and self.process.is_alive():
+            self.process.terminate()
+
+
+def _serve(connection: Connection, text: bytes) -> None:
+    """A process of its own: run rows as they come."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who gives rows hears it
+    batch = pickle.loads(text)
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            given, seed, budget = connection.recv()
+            connection.send(batch.alone(given, seed, budget))

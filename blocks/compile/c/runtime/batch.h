@@ -1,0 +1,39 @@
+/* Many runs of one model, which differ in their parameters: rows of p in, what measures and signals became out. */
+#ifndef BLOCKS_BATCH_H
+#define BLOCKS_BATCH_H
+
+#include "runtime.h"
+
+/* What is kept of a measure: total, span, first, begin, target, last, low, high, as BlocksMeasured begins. */
+#define BLOCKS_KEPT 8
+
+/* How a row ended. */
+enum { BLOCKS_ROW_LEFT = 0, BLOCKS_ROW_DONE = 1, BLOCKS_ROW_FAILED = 2, BLOCKS_ROW_BUDGET = 3, BLOCKS_ROW_NO_MEMORY = 4 };
+
+/* How a row begins is the same for all but p. Every pointer belongs to the caller. Threads that work on one batch take
+   row after row; nothing of a row depends on which of them did, nor on its neighbours. */
+typedef struct {
+    int64_t nrows, nstops, ngrid; /* ngrid: rows of signals; 0: none */
+    int64_t budget;               /* the most steps, rejected ones included; 0: any number */
+    double start;
+    int64_t count;
+    int32_t exact, crossing;
+    const double *p;                /* (nrows, np) */
+    const double *z, *s, *located;  /* (nz), (ns), (ns): at the start */
+    const int64_t *ticks;           /* (nrates) */
+    const double *stops;            /* (nstops) where the run stops on its way, and its end */
+    int32_t is_by_one;              /* whether a call works on one row */
+    int32_t is_cancelled;           /* set from outside */
+    int64_t next, done;             /* the next row, and how many are done */
+    double *signals;                /* (nrows, ngrid, nlogged) */
+    double *measured;               /* (nrows, nmeasures, BLOCKS_KEPT) */
+    double *ended;                  /* (nrows) the time that was reached */
+    int32_t *status, *failure, *culprit; /* (nrows) */
+    int64_t *steps;                 /* (nrows) accepted and rejected */
+} BlocksBatch;
+
+/* Work on rows until there are none left, or on one, whose number it returns; -1: there are none left, or it was
+   cancelled. room: of ngrid + 1 rows of signals, for this thread. */
+BLOCKS_API int64_t blocks_batch(BlocksBatch *b, BlocksSim *s, double *room);
+
+#endif

@@ -1,0 +1,176 @@
+"""Many native runs of one model: threads take row after row of its parameters, and nothing of it passes through Python.
+
+A row gives what a run of its own gives, bit for bit: it begins, stops and ends as that does.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...compile.c import runtime_layout
+from ...compile.inputs import InputTable
+from ...compile.plan import Plan
+from ...compile.time_grid import Grid
+from ...text.errors import Fault
+from ..run.batch_limits import cores, over_budget
+from ..run.measures import Measures
+from .engine import NativeEngine, in_brief
+from .model import Model
+
+__all__ = ["Ended", "Row", "run_rows", "times_of"]
+
+Array = np.ndarray[Any, Any]
+_KEPT = 8  # numbers of a measure
+_LEFT, _DONE, _FAILED, _BUDGET, _NO_MEMORY = range(5)
+_LOOK = 0.05  # s, after which progress is told and Ctrl-C seen
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What became of a row: its measures by name, and what went wrong: why a run failed or a measure has no value."""
+
+    is_done: bool
+    is_over: bool
+    steps: int
+    measures: dict[str, float]
+    fault: Fault | None
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """rows: None where one was not reached. signals: (n, g, elements of all that is logged), nan beyond its end."""
+
+    rows: list[Row | None]
+    signals: Array
+    is_cancelled: bool
+
+
+def times_of(plan: Plan) -> Array:
+    """The times of the rows of signals: the grid, and the stop."""
+    settings = plan.settings
+    assert settings.every is not None
+    assert settings.stop is not None
+    grid = Grid.of(settings.start, settings.every)
+    count = (settings.stop - settings.start) // settings.every + 1
+    times = [grid.time(k) for k in range(count)]
+    stop = float(settings.stop)
+    if settings.start + (count - 1) * settings.every == settings.stop:
+        times[-1] = stop
+    else:
+        times.append(stop)
+    return np.array(times)
+
+
+def run_rows(
+    plan: Plan,
+    inputs: InputTable,
+    model: Model,
+    table: Array,
+    *,
+    threads: int | None = None,
+    budget: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Ended:
+    """Run all rows of parameters (n, np). plan: that of the first. progress: called with how many rows are done.
+
+    Ctrl-C, and what `progress` raises, let no further row begin; after the latter it is raised again.
+    """
+    table = np.ascontiguousarray(table, dtype=float)
+    n, width = len(table), len(model.logged)
+    times = times_of(plan) if width else np.empty(0)
+    measures = model.measures_of(plan)
+    count = max(1, min(n, threads or cores()))
+    engines = [NativeEngine(plan, inputs, is_silent=not width, model=model) for _ in range(count)]
+    batch, kept = _begun(plan, engines[0], table, len(times), budget)
+    batch.is_by_one = int(bool(measures.paths))
+    paths: list[dict[int, Array]] = [{} for _ in range(n)]
+
+    def work(engine: NativeEngine) -> None:
+        room = np.empty((len(times) + 1, 1 + width))
+        while True:
+            row = model.library.blocks_batch(ctypes.addressof(batch), engine.address, room.ctypes.data)
+            if row < 0:
+                return
+            paths[row] = engine.paths()
+
+    is_cancelled, failure = _watched([threading.Thread(target=work, args=(e,)) for e in engines], batch, progress)
+    if failure is not None:
+        raise failure
+    found = [_row(plan, measures, kept, i, paths[i], budget) for i in range(n)]
+    return Ended(found, kept["signals"], is_cancelled)
+
+
+def _begun(
+    plan: Plan, engine: NativeEngine, table: Array, grid: int, budget: int | None
+) -> tuple[Any, dict[str, Array]]:
+    """The batch as C reads it, and its arrays."""
+    settings, n = plan.settings, len(table)
+    assert settings.stop is not None
+    z, s, located = engine.model.begin
+    stops = [float(t) for t in settings.stops if settings.start < t < settings.stop]
+    kept = {
+        "p": table, "z": z, "s": s, "located": located, "ticks": engine.at_start(),
+        "stops": np.array([*stops, float(settings.stop)]),
+        "signals": np.full((n, grid, len(engine.model.logged)), np.nan),
+        "measured": np.empty((n, len(plan.measures), _KEPT)),
+        "ended": np.empty(n), "steps": np.zeros(n, dtype=np.int64),
+        "status": np.zeros(n, dtype=np.int32), "failure": np.zeros(n, dtype=np.int32),
+        "culprit": np.zeros(n, dtype=np.int32),
+    }  # fmt: skip
+    batch = runtime_layout.BlocksBatch(nrows=n, nstops=len(kept["stops"]), ngrid=grid, budget=budget or 0)
+    sim = engine.sim
+    batch.start, batch.count, batch.exact, batch.crossing = sim.t, sim.count, sim.exact, sim.crossing
+    for name, values in kept.items():
+        setattr(batch, name, values.ctypes.data)
+    return batch, kept
+
+
+def _watched(
+    workers: list[threading.Thread], batch: Any, progress: Callable[[int], None] | None
+) -> tuple[bool, BaseException | None]:
+    """Let them work. Whether Ctrl-C cut it short, and what `progress` raised."""
+    is_cancelled, failure, told = False, None, -1
+    for worker in workers:
+        worker.start()
+    while any(worker.is_alive() for worker in workers):
+        try:
+            for worker in workers:
+                worker.join(_LOOK)
+            if progress is not None and not batch.is_cancelled and batch.done != told:
+                told = batch.done
+                progress(told)
+        except KeyboardInterrupt:
+            is_cancelled, batch.is_cancelled = True, 1
+        except BaseException as error:
+            failure, batch.is_cancelled = error, 1
+    return is_cancelled, failure
+
+
+def _row(
+    plan: Plan, measures: Measures, kept: dict[str, Array], i: int, paths: dict[int, Array], budget: int | None
+) -> Row | None:
+    """What became of a row; None where it was not reached."""
+    status, steps = int(kept["status"][i]), int(kept["steps"][i])
+    if status == _LEFT:
+        return None
+    if status != _DONE:
+        return Row(False, status == _BUDGET, steps, {}, _why(plan, kept, i, budget))
+    values, faults = measures.kept(kept["measured"][i], paths).results(float(kept["ended"][i]))
+    return Row(True, False, steps, values, faults[0] if faults else None)
+
+
+def _why(plan: Plan, kept: dict[str, Array], i: int, budget: int | None) -> Fault:
+    """Why a row came to no end, in brief: a run of its own tells more."""
+    t, status = float(kept["ended"][i]), int(kept["status"][i])
+    if status == _BUDGET:
+        return over_budget(plan.name, budget, t)
+    if status == _NO_MEMORY:
+        return Fault("E311", plan.name, f"no memory is left, at t = {t:.10g} s.")
+    cure = "Run the row by itself, which tells more."
+    return in_brief(plan, int(kept["failure"][i]), int(kept["culprit"][i]), t, cure)
