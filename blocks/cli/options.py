@@ -6,8 +6,8 @@ import argparse
 from typing import Any
 
 __all__ = [
-    "takes_json", "takes_library", "takes_parameters", "takes_point", "takes_run", "takes_several", "takes_trust",
-    "takes_variants",
+    "takes_engine", "takes_json", "takes_library", "takes_parameters", "takes_point", "takes_run", "takes_settings",
+    "takes_several", "takes_trust", "takes_variants",
 ]  # fmt: skip
 
 
@@ -20,7 +20,8 @@ def takes_json(verb: argparse.ArgumentParser, help: str = "one JSON object per l
     verb.add_argument("--json", action="store_true", help=help)
 
 
-def takes_run(run: argparse.ArgumentParser) -> None:
+def takes_settings(run: argparse.ArgumentParser) -> None:
+    """How runs are computed."""
     run.add_argument("--stop", metavar="T", help="stop time in s")
     run.add_argument("--start", metavar="T", help="start time in s")
     run.add_argument("--method", metavar="M", help="dopri5, rk4, euler or radau")
@@ -28,6 +29,16 @@ def takes_run(run: argparse.ArgumentParser) -> None:
     run.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5 and radau")
     run.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5 and radau")
     run.add_argument("--every", metavar="T", help="recording grid in s (without one: every step)")
+
+
+def takes_engine(run: argparse.ArgumentParser) -> None:
+    run.add_argument(
+        "--engine", metavar="E", choices=("auto", "native", "reference"), help="auto (the default), native or reference"
+    )
+
+
+def takes_run(run: argparse.ArgumentParser) -> None:
+    takes_settings(run)
     run.add_argument("--seed", metavar="N", help="seed of the run, an integer: another one gives other noise")
     run.add_argument(
         "--jumps", action="store_true", default=None, help="between the rows of the grid, those before and after jumps"
@@ -52,9 +63,7 @@ def takes_run(run: argparse.ArgumentParser) -> None:
         metavar="STATE",
         help="go on from a state that --save wrote, or from the FILE.parquet.part of a run that was killed",
     )
-    run.add_argument(
-        "--engine", metavar="E", choices=("auto", "native", "reference"), help="auto (the default), native or reference"
-    )
+    takes_engine(run)
     takes_json(run)
 
 

@@ -9,12 +9,16 @@ import os
 import re
 import sys
 import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TextIO
 
 from ..text.errors import Fault
 
-__all__ = ["Excerpts", "emit", "fault_entry", "fault_lines", "printable", "say", "silence", "tell_faults", "waiting"]
+__all__ = [
+    "Excerpts", "Progress", "emit", "fault_entry", "fault_lines", "printable", "say", "silence", "tell_faults",
+    "waiting",
+]  # fmt: skip
 
 LONG = 0.7  # s before a message says what is being done
 LATE = 30.0  # s
@@ -42,6 +46,44 @@ def waiting(word: str, *, late: str = "", quiet: bool = False) -> Iterator[None]
     finally:
         for timer in said:
             timer.cancel()
+
+
+class Progress:
+    """A bar on stderr where it is a terminal and the work takes more than half a second; else a line per 10 %."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.is_bar = sys.stderr.isatty() and not quiet
+        self.begun = self.shown = self.said = time.perf_counter()
+        self.tenth = 0
+        self.is_drawn = False
+
+    @property
+    def seconds(self) -> float:
+        """Since it began."""
+        return time.perf_counter() - self.begun
+
+    def is_due(self) -> bool:
+        """Whether it is time to show something again."""
+        now = time.perf_counter()
+        if now - self.shown < 0.1 or now - self.begun < 0.5:
+            return False
+        self.shown = now
+        return True
+
+    def show(self, share: float, beside: str, line: str) -> None:
+        """Show how much is done, from 0 to 1. beside: stands beside a bar; line: in a line of its own."""
+        if self.is_bar:
+            bar = "█" * int(30 * share) + "░" * (30 - int(30 * share))
+            text = f"\r {bar} {share:4.0%}  {beside}  [Ctrl-C keeps what is there]\x1b[K"
+            print(text, end="", file=sys.stderr, flush=True)
+            self.is_drawn = True
+        elif int(10 * share) > self.tenth or self.shown - self.said > 10:
+            self.tenth, self.said = int(10 * share), self.shown
+            say(f"{int(100 * share)} %  {line}")
+
+    def clear(self) -> None:
+        if self.is_drawn:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
 def silence(stream: TextIO) -> None:

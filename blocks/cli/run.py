@@ -17,7 +17,7 @@ from ..text.errors import BlocksError, Fault, FMUError, UsageError
 from ..text.gc_pause import paused
 from ..text.printable import counted
 from .options import takes_library, takes_run, takes_trust, takes_variants
-from .output import emit, printable, say, silence, tell_faults, waiting
+from .output import Progress, emit, printable, say, silence, tell_faults, waiting
 from .signals import INTERRUPTED, ended_at_once
 from .values import assignments, check_writable, number_of, time_of, variants_of
 
@@ -261,42 +261,24 @@ def _shown(options: argparse.Namespace, plan: Any) -> list[str]:
 
 
 class _Progress:
-    """A bar on stderr where it is a terminal and the run takes more than half a second; else a line per 10 %."""
+    """How far a run is: its time, and how it goes beside real time."""
 
     def __init__(self, quiet: bool) -> None:
-        self.terminal = sys.stderr.isatty()
-        self.quiet = quiet
-        self.begun = self.shown = self.said = time.perf_counter()
-        self.tenth = 0
+        self.shown = Progress(quiet)
         self.start = self.stop = 0.0
-        self.drawn = False
 
     def span(self, start: float, stop: float) -> None:
         self.start, self.stop = start, stop
 
     def __call__(self, t: float) -> None:
-        now = time.perf_counter()
-        if now - self.shown < 0.1 or now - self.begun < 0.5 or self.stop <= self.start:
+        if self.stop <= self.start or not self.shown.is_due():
             return
-        self.shown = now
+        speed = (t - self.start) / self.shown.seconds
         share = (t - self.start) / (self.stop - self.start)
-        if self.terminal and not self.quiet:
-            bar = "█" * int(30 * share) + "░" * (30 - int(30 * share))
-            speed = (t - self.start) / (now - self.begun)
-            print(
-                f"\r {bar} {share:4.0%}  t = {t:.4g} s  {speed:.3g}x real time  [Ctrl-C keeps what is there]\x1b[K",
-                end="",
-                file=sys.stderr,
-                flush=True,
-            )
-            self.drawn = True
-        elif int(10 * share) > self.tenth or now - self.said > 10:
-            self.tenth, self.said = int(10 * share), now
-            say(f"{int(100 * share)} %  t = {t:.6g} s")
+        self.shown.show(share, f"t = {t:.4g} s  {speed:.3g}x real time", f"t = {t:.6g} s")
 
     def clear(self) -> None:
-        if self.drawn:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+        self.shown.clear()
 
 
 def _report(

@@ -218,7 +218,8 @@ class Sweep:
         """
         return cls(**read(path))
 
-    def __str__(self) -> str:
+    def table(self) -> str:
+        """What was varied, quantiles of the measures, and what became of the rows, as text."""
         runs = f"{counted(len(self) // max(1, len(self.scenarios)), 'row')}"
         runs += f" x {counted(len(self.scenarios), 'scenario')}" if self.scenarios else ""
         told = ", ".join(f"{count} {name}" for name, count in self.counts().items())
@@ -236,10 +237,10 @@ class Sweep:
             first = next((k for k in np.flatnonzero(self.status == name) if self.messages[k]), None)
             if name != "ok" and first is not None:
                 lines.append(f"  {count} {name}, as row {first}: {self.messages[first]}")
-        return "\n".join([*lines, *(f"  {fault}" for fault in self.warnings)])
+        return "\n".join(lines)
 
     def __repr__(self) -> str:
-        return f"<Sweep of {self}>"
+        return "\n".join([self.table(), *map(str, self.warnings)])
 
 
 def _span(column: Array) -> str:

@@ -87,8 +87,8 @@ def sweep(
 
     made = _Made(diagram.name, rows, units, tuple(scenarios or ()), seeds, first, again)
     if out is not None:
-        key = {"scenarios": given, "measures": first.measures, "budget": budget, "varied rows": _digest(rows, seeds)}
-        key |= {"engine": start.statistics.engine, "signals": {name: units[name] for name in first.signals}}
+        key: dict[str, Any] = {"scenarios": given, "measures": first.measures, "signals": first.signals}
+        key |= {"budget": budget, "engine": start.statistics.engine, "varied rows": _digest(rows, seeds)}
         made.part = SweepPart(out, start.origin, {name: repr(value) for name, value in key.items()}, resume=resume)
     try:
         for fields in made.part.found if made.part is not None else ():
@@ -234,6 +234,8 @@ def _run(
             progress(done + count, total)
 
     try:
+        if done:
+            tell(0, 0)
         for scenario, batch in enumerate(batches):
             waiting = left[left // made.n == scenario]
             while len(waiting):

@@ -60,7 +60,7 @@ def known_ending(path: str | Path, endings: Iterable[str], what: str) -> str:
     *others, last = endings
     if ending not in (*others, last):
         this = f"the ending {legible(ending)!r} is" if ending else "a name without ending is"
-        cure = f"Use {', '.join(others)} or {last}."
+        cure = f"Use {', '.join(others)}{' or ' if others else ''}{last}."
         raise UsageError(Fault("E501", legible(str(path)), f"{this} no format of {what}.", cure))
     return ending
 

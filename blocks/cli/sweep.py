@@ -1,0 +1,239 @@
+"""`blocks sweep`."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..text.errors import Fault, UsageError
+from ..text.printable import counted
+from .options import (
+    takes_engine,
+    takes_json,
+    takes_library,
+    takes_parameters,
+    takes_settings,
+    takes_several,
+    takes_trust,
+    takes_variants,
+)
+from .output import Progress, emit, printable, say, tell_faults, waiting
+from .signals import INTERRUPTED, ended_at_once
+from .values import assignments, check_writable, number_of, parsed, time_of, variants_of
+
+if TYPE_CHECKING:
+    from ..studies.sweep import Sweep
+
+__all__ = ["add"]
+
+DISTRIBUTIONS = ("Normal", "Uniform", "LogUniform", "Triangular", "TruncatedNormal")
+
+
+def add(verbs: Any) -> None:
+    verb = verbs.add_parser(
+        "sweep",
+        help="run a diagram with many values of parameters",
+        description="Run a diagram with varied parameters, and print quantiles of its measures.",
+    )
+    verb.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
+    vary = (
+        "what varies, in the unit of the parameter: 1,2,3, linspace:4,20,9 (geomspace), normal:0.27,0.02, "
+        "uniform:LOW,HIGH, loguniform, triangular, truncatednormal, or any continuous distribution of scipy.stats, "
+        "lognorm:s=0.3,scale=2. NAME may be a pattern, one value for all that it names, or each(PATTERN)"
+    )
+    takes_several(verb, "--vary", "NAME=VALUES", vary)
+    verb.add_argument("--n", metavar="N", help="draws of the distributions; lists are crossed with them")
+    samplers = "random (the default), sobol, halton, lhs, or saltelli for Sobol indices"
+    verb.add_argument("--sampler", metavar="S", default="random", help=samplers)
+    verb.add_argument("--seed", metavar="N", help="seed of the draws and of all runs, an integer (default: 0)")
+    takes_several(verb, "--measure", "M", "take this measure (again for more; without one: all)", default=None)
+    takes_several(verb, "--log", "SIGNAL", "keep this signal on a grid, in the file; again for more")
+    scenario = "parameters set on top, for which all rows run once more: heavy:load=2,torque=3; quiet: for none"
+    takes_several(verb, "--scenario", "NAME:SETTINGS", scenario)
+    takes_parameters(verb)
+    takes_settings(verb)
+    verb.add_argument("--budget", metavar="STEPS", help="the most steps of a run")
+    verb.add_argument("--threads", metavar="N", help="how many runs at once (default: all cores)")
+    verb.add_argument("-o", "--out", metavar="FILE", help="write all rows: .parquet; a part of it goes on where it was")
+    verb.add_argument("--anew", action="store_true", help="begin anew, also where a part of the file is there")
+    takes_engine(verb)
+    takes_variants(verb)
+    takes_trust(verb)
+    takes_json(verb)
+    verb.set_defaults(verb=_sweep)
+    takes_library(verb)
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    from ..api.diagram import Diagram
+
+    vary = vary_of(options.vary)
+    counts = {key: _count(key, getattr(options, key)) for key in ("n", "seed", "budget", "threads")}
+    settings = {key: number_of(key, getattr(options, key)) for key in ("rtol", "atol")}
+    settings |= {key: time_of(key, getattr(options, key)) for key in ("start", "stop", "step", "every")}
+    settings |= {"method": options.method}
+    if options.out:
+        check_writable("--out", options.out, [options.diagram])
+    progress = _Progress(options.json)
+    begun = time.perf_counter()
+    with waiting(f"reading and compiling {options.diagram}", quiet=options.json):
+        diagram = Diagram.load(options.diagram, library=options.library)
+    try:
+        sweep = diagram.sweep(
+            vary,
+            n=counts["n"],
+            seed=counts["seed"] or 0,
+            threads=counts["threads"],
+            budget=counts["budget"],
+            sampler=options.sampler,
+            measures=options.measure,
+            log=options.log,
+            scenarios=scenarios_of(options.scenario),
+            parameters=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
+            variants=variants_of(options.variants),
+            trust=options.trust,
+            engine=options.engine,
+            out=options.out,
+            resume=not options.anew,
+            progress=progress,
+            **{key: value for key, value in settings.items() if value is not None},
+        )
+    finally:
+        progress.shown.clear()
+    tell_faults(sweep.warnings, options.json)
+    _report(options, sweep, time.perf_counter() - begun)
+    if sweep.interrupted:
+        ended_at_once()
+        kept = f"; the same command goes on from {options.out}.part" if options.out else ""
+        say(f"interrupted: {counted(sweep.counts().get('left', 0), 'row')} not run{kept}")
+        return INTERRUPTED
+    return 0 if sweep.counts().get("ok") else 3
+
+
+def _report(options: argparse.Namespace, sweep: Sweep, seconds: float) -> None:
+    if not options.json:
+        print(printable(sweep.table()))
+        if options.out:
+            print(printable(f"  {counted(len(sweep), 'row')} in {options.out}"))
+        return
+    for name, part in sweep.each_scenario():
+        quantiles = {measure: values.tolist() for measure, values in part.quantiles().items()}
+        emit({"event": "scenario", "scenario": name or None, "counts": part.counts(), "quantiles": quantiles})
+    done = {"event": "done", "rows": len(sweep), "counts": sweep.counts(), "out": options.out}
+    emit({**done, "interrupted": sweep.interrupted, "seconds": round(seconds, 6)})
+
+
+class _Progress:
+    """How many rows are done, and how long the others will take."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.quiet, self.shown = quiet, Progress(quiet)
+        self.first: int | None = None
+
+    def __call__(self, done: int, total: int) -> None:
+        if self.first is None:
+            self.first, self.shown = done, Progress(self.quiet)  # what was before is no measure of what is left
+            if done > 1:
+                say(f"{done} of {total} rows are there already")
+        if self.shown.is_due() and done > self.first:
+            left = self.shown.seconds * (total - done) / (done - self.first)
+            text = f"{done} of {total} rows  {_lasting(left)} left"
+            self.shown.show(done / total, text, text)
+
+
+def _lasting(seconds: float) -> str:
+    whole = round(seconds)
+    if whole < 120:
+        return f"{whole} s"
+    return f"{whole // 60} min" if whole < 7200 else f"{whole / 3600:.1f} h"
+
+
+def _count(option: str, text: str | None) -> int | None:
+    value = number_of(option, text)
+    if value is not None and (isinstance(value, dict) or float(value) % 1 or value < 0):
+        raise UsageError(Fault("E501", f"--{option}", f"{text!r} is not an integer from 0 on."))
+    return None if value is None else int(value)
+
+
+def vary_of(items: Sequence[str]) -> dict[Any, Any]:
+    """The --vary options: lists and distributions by parameter."""
+    from ..studies.sampling import each
+
+    vary: dict[Any, Any] = {}
+    for item in items:
+        name, separator, text = item.partition("=")
+        if not (separator and name.strip() and text.strip()):
+            cure = 'As in --vary "motor.Ra=normal:0.16,0.01".'
+            raise UsageError(Fault("E501", f"--vary {item}", "is not NAME=VALUES.", cure))
+        pattern = re.fullmatch(r"\s*each\((.*)\)\s*", name)
+        key = each(pattern[1].strip()) if pattern else name.strip()
+        if key in vary:
+            raise UsageError(Fault("E501", f"--vary {item}", "is varied twice.", "Vary each parameter once."))
+        vary[key] = _values(f"--vary {name.strip()}", text.strip())
+    return vary
+
+
+def _values(place: str, text: str) -> Any:
+    from ..studies import sampling
+
+    called = re.fullmatch(r"([A-Za-z_]\w*):(.*)", text)
+    if called is None:
+        return _listed(place, text)
+    kind, words = called[1], called[2].split(",") if called[2].strip() else []
+    named = dict(word.partition("=")[::2] for word in words if "=" in word)
+    numbers = [_number(place, word) for word in (named.values() if named else words)]
+    own = next((name for name in DISTRIBUTIONS if name.lower() == kind.lower()), None)
+    if kind in ("linspace", "geomspace"):
+        low, high, count = numbers if len(numbers) == 3 and not named else (0.0, 0.0, 0.0)
+        if count < 1 or count % 1 or (kind == "geomspace" and low * high <= 0):
+            what = f"{text!r} is not {kind}:FROM,TO,COUNT{' with numbers of one sign' if kind == 'geomspace' else ''}."
+            raise UsageError(Fault("E501", place, what, f"As in {kind}:1,20,9."))
+        return (np.linspace if kind == "linspace" else np.geomspace)(low, high, int(count))
+    if named and len(named) == len(words):
+        return sampling.Distribution(kind, **dict(zip(map(str.strip, named), numbers, strict=True)))
+    if own is None or named:
+        cure = "As in normal:0.27,0.02, uniform:0.1,0.2, or lognorm:s=0.3,scale=2 for those of scipy.stats."
+        raise UsageError(Fault("E501", place, f"{text!r} says no values.", cure))
+    try:
+        return getattr(sampling, own)(*numbers)
+    except TypeError:
+        wanted = {"Normal": "MEAN,DEVIATION", "Triangular": "LOW,MODE,HIGH"}.get(own, "LOW,HIGH")
+        wanted = "MEAN,DEVIATION,LOW,HIGH" if own == "TruncatedNormal" else wanted
+        raise UsageError(Fault("E501", place, f"{text!r} is not {kind}:{wanted}.")) from None
+
+
+def _listed(place: str, text: str) -> list[Any]:
+    """Values between commas: numbers, maybe with units, texts, or JSON lists for vectors."""
+    values = parsed(f"[{text}]") if text.startswith("[") else [parsed(word.strip()) for word in text.split(",")]
+    return [_plain(value) for value in values]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {**value, "value": float(value["value"])}
+    return value if isinstance(value, (str, bool)) else float(value)
+
+
+def _number(place: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        cure = "Numbers are in the unit of the parameter."
+        raise UsageError(Fault("E501", place, f"{text.strip()!r} is not a number.", cure)) from None
+
+
+def scenarios_of(items: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """The --scenario options: values by parameter, by the name of the scenario; one that stands again has more."""
+    scenarios: dict[str, dict[str, Any]] = {}
+    for item in items:
+        name, _, text = item.partition(":")
+        given = re.split(r",(?=[A-Za-z_][\w.\[\]]*=)", text) if text.strip() else []
+        scenarios.setdefault(name.strip(), {}).update(assignments(f"--scenario {name}:", given, "load=2"))
+    return scenarios
