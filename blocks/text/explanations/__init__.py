@@ -106,6 +106,7 @@ GROUPS = (
     CodeGroup("W1", "The model: warnings", None, 0),
     CodeGroup("W2", "FMUs: warnings", None, 0),
     CodeGroup("W3", "A run: warnings", None, 0),
+    CodeGroup("W5", "Tuning and identification: warnings", None, 0),
 )
 
 
