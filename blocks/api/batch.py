@@ -130,6 +130,15 @@ class Batch:
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_forms": {}, "_fixed": None}
 
+    @property
+    def nominal(self) -> tuple[float, ...]:
+        """The number that the diagram gives to each column, in its unit; nan where it gives none, or several."""
+        return tuple(column.value for column in self._columns)
+
+    def parameters(self, row: Sequence[Any]) -> dict[str, Any]:
+        """The values of a row as `Diagram.run(parameters=...)` takes them."""
+        return raw_values(self._columns, row)
+
     def single(self, row: Sequence[Any] | Mapping[str, Any], seed: int | None = None) -> Results:
         """Run one row by itself, with all measures and with what the diagram records. Raises as `Diagram.run`."""
         values = [row[name] for name in self.columns] if isinstance(row, Mapping) else row

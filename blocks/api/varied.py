@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,19 +21,20 @@ from ..model.values import Absent, value_of
 from ..text.element_names import element_names
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible
-from ..text.units import si_text
+from ..text.units import si_text, to_si
 
 __all__ = ["Column", "Target", "columns_of", "names_of", "raw_values"]
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A parameter, or an element of it. unit: of a bare number. whole: the whole value in SI, where an element is set,
-    and unit_whole its unit."""
+    """A parameter, or an element of it. unit: of a bare number. whole: the whole value in SI, where an element is set.
+    value: the number that the diagram gives it, in the unit; nan where that is none."""
 
     path: str
     element: int | None
     unit: str
+    value: float = math.nan
     whole: tuple[Any, tuple[int, ...]] = ((), ())
 
 
@@ -48,6 +50,12 @@ class Column:
         """The unit of its numbers; "" where there is none, or where the targets differ."""
         units = {target.unit for target in self.targets}
         return units.pop() if len(units) == 1 else ""
+
+    @property
+    def value(self) -> float:
+        """The number that the diagram gives to all targets; nan where it gives none, or several."""
+        values = {target.value for target in self.targets}
+        return values.pop() if len(values) == 1 else math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +138,7 @@ def _target(path: str, name: str, known: Mapping[str, _Known]) -> Target:
     _, element = _split(name)
     parameter = known[path]
     if not element:
-        return Target(path, None, parameter.unit())
+        return Target(path, None, parameter.unit(), _in_unit(parameter.value, parameter.unit()))
     value = parameter.value
     shape = np.shape(value) if value is not None and not isinstance(value, str) else ()
     elements = [each[len(path) :] for each in element_names(path, shape)] if shape else []
@@ -142,7 +150,14 @@ def _target(path: str, name: str, known: Mapping[str, _Known]) -> Target:
         message = "the elements have different units, so that one of them cannot be varied by itself."
         raise UsageError(Fault("E501", legible(name), message, "Vary the whole value, or a parameter of the diagram."))
     k = elements.index(element)
-    return Target(path, k, parameter.unit(k), (tuple(np.ravel(value).tolist()), shape))
+    whole = tuple(np.ravel(value).tolist())
+    return Target(path, k, parameter.unit(k), _in_unit(whole[k], parameter.unit(k)), (whole, shape))
+
+
+def _in_unit(value: Any, unit: str) -> float:
+    """A number in SI in another unit; nan where it is none."""
+    array = np.asarray(value)
+    return float(array) / to_si(1.0, unit) if array.dtype.kind in "iuf" and array.ndim == 0 else math.nan
 
 
 def _parameters(value: DiagramValue, flat: Flat) -> Iterator[tuple[str, _Known]]:

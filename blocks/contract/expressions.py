@@ -231,8 +231,8 @@ def names_at(text: str) -> Iterator[tuple[int, int, str]]:
 
 
 @lru_cache(maxsize=4096)
-def parse(text: str) -> Expression:
-    """The expression of a text, without the leading "=".
+def parse(text: str, *, has_parts: bool = False) -> Expression:
+    """The expression of a text, without the leading "=". has_parts: names may be of two parts, as in noisy.ITAE.
 
     Raises:
         ModelError: E108, with the column of the first thing that does not fit, and what was expected there.
@@ -240,7 +240,7 @@ def parse(text: str) -> Expression:
     if len(text) > _LENGTH:
         message = f"an expression of {len(text)} characters; the limit is {_LENGTH}."
         raise ModelError(Fault("E108", "", message, "Split it with parameters of its parts."))
-    reader = _ExpressionParser(text)
+    reader = _ExpressionParser(text, _TOKEN_OF_PARTS if has_parts else _TOKEN)
     reader.read_operand(0, 0)
     reader.expect_end()
     names = dict.fromkeys(step.word for step in reader.steps if not step.operands and step.scalar is None)
@@ -253,6 +253,7 @@ _TOKEN = re.compile(
     r"|(?P<name>[A-Za-z_][A-Za-z0-9_]*)"
     r"|(?P<sign>\*\*|[-+*/(),])"
 )
+_TOKEN_OF_PARTS = re.compile(_TOKEN.pattern.replace("[A-Za-z0-9_]*)", r"[A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)?)"))
 # How tightly an operator binds its left side, and its right side.
 _BINDING = {"+": (10, 10), "-": (10, 10), "*": (20, 20), "/": (20, 20), "**": (40, 29)}
 # A sign binds looser than a power and tighter than a product.
@@ -272,8 +273,8 @@ _ALLOWED = "Allowed are numbers, names, + - * / ** ( ) and " + ", ".join(FUNCTIO
 class _ExpressionParser:
     """Reads a text from left to right into postfix steps (precedence climbing)."""
 
-    def __init__(self, text: str) -> None:
-        self.text = text
+    def __init__(self, text: str, tokens: re.Pattern[str]) -> None:
+        self.text, self.tokens = text, tokens
         self.steps: list[PostfixStep] = []
         self.at = 0
         self._advance()
@@ -281,7 +282,7 @@ class _ExpressionParser:
     def _advance(self) -> None:
         """Go to the next token: its kind ("end" after the last), its text and its place."""
         while True:
-            match = _TOKEN.match(self.text, self.at)
+            match = self.tokens.match(self.text, self.at)
             self.column = self.at + 1
             if match is None:
                 break

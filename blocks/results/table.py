@@ -51,12 +51,12 @@ class FileTable:
         return {**self.metadata, "units": units, **({"sizes": sizes} if sizes else {})}
 
 
-def optional(name: str, place: str) -> Any:
+def optional(name: str, place: str, extra: str = "tables") -> Any:
     """A package that is not needed otherwise. Raises UsageError (E504) where it is not installed."""
     try:
         return importlib.import_module(name)
     except ImportError:
-        cure = f'Install it: pip install "blocks-cosim[tables]", or pip install {name}.'
+        cure = f'Install it: pip install "blocks-cosim[{extra}]", or pip install {name}.'
         raise UsageError(Fault("E504", place, f"the package {name} is needed and not installed.", cure)) from None
 
 

@@ -24,7 +24,7 @@ from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_me
 from ..text.version import __version__
 from .study import StudyResults, Verdict
 
-__all__ = ["folder_for", "markdown_table", "summary_line", "table_text", "write"]
+__all__ = ["folder_for", "markdown_table", "page", "summary_line", "table_text", "write"]
 
 Array = np.ndarray[Any, Any]
 MOST_POINTS = 2**24
@@ -230,8 +230,13 @@ def _html_text(
         "<h2>How to repeat it</h2>",
         _repeat(study_results, command),
     ]
+    return page(study.title, parts)
+
+
+def page(title: str, parts: Sequence[str]) -> str:
+    """A report as one HTML text, of parts that are HTML."""
     body = "\n".join(part for part in parts if part)
-    return _PAGE.format(title=_escape(study.title), style=_STYLE, body=body)
+    return _PAGE.format(title=_escape(title), style=_STYLE, body=body)
 
 
 def _escape(text: str) -> str:

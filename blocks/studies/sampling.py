@@ -230,7 +230,7 @@ def unit_points(n: int, dimensions: int, sampler: str, seed: int) -> tuple[Array
             points = engine.random_base2(m)[:n]
             if n != 2**m:
                 message = f"{n} is no power of 2: its points fill the space less evenly than {2**m} would."
-                warnings = (Fault("W501", "sobol", message),)
+                warnings = (Fault("W503", "sobol", message),)
         else:
             points = engine.random(n)
     if sampler == "saltelli":

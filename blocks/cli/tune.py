@@ -1,0 +1,145 @@
+"""`blocks tune`."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from ..text.errors import Fault, UsageError
+from .apply import change_entry, change_line
+from .options import takes_json, takes_library, takes_parameters, takes_several, takes_trust, takes_variants
+from .output import emit, printable, say, tell_faults
+from .signals import INTERRUPTED
+from .values import assignments, number_of, time_of, variants_of
+
+if TYPE_CHECKING:
+    from ..studies.tuned import Tuning
+
+__all__ = ["add"]
+
+
+def add(verbs: Any) -> None:
+    tune = verbs.add_parser(
+        "tune",
+        help="find values of parameters that make measures small, under constraints, in several scenarios",
+        description="Find the values within bounds for which an expression over measures is least and all constraints "
+        "hold, by many runs. A scenario is named before a measure: noisy.variation; ITAE alone is the mean over all "
+        "scenarios, and a constraint on it holds in each. Exit code 1 where a constraint is violated at the end.",
+    )
+    tune.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
+    tune.add_argument("--minimize", metavar="EXPR", required=True, help='over measures: "ITAE_right + 1e-3*ISU_right"')
+    over = "the bounds of a parameter, a pattern (control_*.eso.Ka) or an element (pid.k[0]); again for more"
+    takes_several(tune, "--over", "NAME=LOW,HIGH", over, required=True)
+    scenario = 'values of parameters that belong together, "noisy: sigma=0.001; stop=20 s"; again for more'
+    takes_several(tune, "--scenario", "NAME:KEY=VALUE;...", scenario, dest="scenarios")
+    takes_several(tune, "--subject-to", "CONSTRAINT", 'such as "noisy.variation <= 75"; again for more')
+    tune.add_argument("--method", metavar="M", default="cma", help="cma (CMA-ES) or de (differential evolution)")
+    tune.add_argument("--budget", metavar="N", default="500", help="how many candidates are run (default: 500)")
+    tune.add_argument("--seed", metavar="N", default="1", help="seed of the optimiser (default: 1)")
+    tune.add_argument("--threads", metavar="N", help="how many runs at once (default: all cores)")
+    tune.add_argument("--stop", metavar="T", help="stop time in s")
+    tune.add_argument("--write", action="store_true", help="write the values into DIAGRAM, where constraints hold")
+    tune.add_argument("--report", metavar="DIR", help="write report.html and its figures into a folder")
+    takes_parameters(tune)
+    takes_variants(tune)
+    takes_trust(tune)
+    takes_json(tune)
+    tune.set_defaults(verb=_tune)
+    takes_library(tune)
+
+
+def _tune(options: argparse.Namespace) -> int:
+    from ..api.diagram import Diagram
+    from ..studies.tuning import problem_of
+
+    diagram = Diagram.load(options.diagram, library=options.library)
+    problem = problem_of(
+        diagram, minimize=options.minimize, over=dict(_bounds(item) for item in options.over),
+        scenarios=dict(_scenario(item) for item in options.scenarios), subject_to=options.subject_to,
+        method=options.method, budget=_whole("budget", options.budget), seed=_whole("seed", options.seed),
+        parameters=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
+        variants=variants_of(options.variants), trust=options.trust,
+        settings={} if options.stop is None else {"stop": time_of("stop", options.stop)},
+    )  # fmt: skip
+    tell_faults(problem.warnings, options.json)
+    threads = None if options.threads is None else _whole("threads", options.threads)
+    tuning = problem.solve(threads=threads, progress=None if options.json else _Progress())
+    return _told(options, tuning)
+
+
+def _told(options: argparse.Namespace, tuning: Tuning) -> int:
+    """Report what was found, and write it; returns the exit code."""
+    changes: Sequence[Any] = ()
+    report = None if options.report is None else tuning.report(options.report)
+    is_written = options.write and tuning.is_feasible and not tuning.is_kept
+    if is_written:
+        changes = tuning.write(options.diagram).changes
+    if options.json:
+        for scenario, measure, before, after in tuning.rows():
+            emit({"event": "measure", "scenario": scenario, "measure": measure, "before": before, "after": after})
+        for change in changes:
+            emit({"event": "change", **change_entry(change)})
+        emit({
+            "event": "done", "objective": tuning.objective, "before": tuning.objective_before,
+            "values": dict(tuning.values), "feasible": tuning.is_feasible, "kept": tuning.is_kept,
+            "candidates": len(tuning.history.objective), "interrupted": tuning.interrupted, "written": is_written,
+            "report": None if report is None else str(report),
+        })  # fmt: skip
+    else:
+        print(printable(tuning.table()))
+        if tuning.is_kept:
+            print("no candidate was better than the diagram itself")
+        for change in changes:
+            print(printable(change_line(change)))
+        if report is not None:
+            print(printable(f"report: {report}"))
+    if options.write and not is_written:
+        say("nothing was written: " + ("constraints are violated" if not tuning.is_feasible else "the values are kept"))
+    if tuning.interrupted:
+        return INTERRUPTED
+    return 0 if tuning.is_feasible else 1
+
+
+class _Progress:
+    """A line on stderr every ten seconds."""
+
+    def __init__(self) -> None:
+        self.begun = self.said = time.perf_counter()
+
+    def __call__(self, done: int, total: int) -> None:
+        now = time.perf_counter()
+        if now - self.said > 10 and done:
+            self.said = now
+            left = (now - self.begun) * (total - done) / done
+            say(f"{done} of {total} candidates, {left:.0f} s left")
+
+
+def _whole(option: str, text: str) -> int:
+    number = number_of(option, text)
+    if isinstance(number, dict) or not float(number).is_integer():
+        raise UsageError(Fault("E501", f"--{option}", f"{text!r} is no integer."))
+    return int(number)
+
+
+def _bounds(item: str) -> tuple[str, tuple[float, float]]:
+    """NAME=LOW,HIGH."""
+    name, separator, text = item.partition("=")
+    try:
+        low, high = (float(part) for part in text.split(","))
+    except ValueError:
+        separator = ""
+    if not separator or not name.strip():
+        raise UsageError(Fault("E501", f"--over {item}", "is not NAME=LOW,HIGH.", 'As in --over "kp=1,100".'))
+    return name.strip(), (low, high)
+
+
+def _scenario(item: str) -> tuple[str, dict[str, Any]]:
+    """NAME: KEY=VALUE; KEY=VALUE."""
+    name, _, text = (part.strip() for part in item.partition(":"))
+    if not name.isidentifier():
+        cure = 'As in --scenario "noisy: sigma=0.001; stop=20 s".'
+        raise UsageError(Fault("E501", f"--scenario {item}", "has no name of letters, digits and _.", cure))
+    given = [part.strip() for part in text.split(";") if part.strip()]
+    return name, assignments(f"--scenario {name}:", given, "sigma=0.001")

@@ -1,0 +1,314 @@
+"""Parameters of a diagram from measured data: least squares, with what the data say about each of them.
+
+    fit = diagram.fit("step.csv", over={"motor.Ra": (0.05, 0.5), "Jeq": (0.1, 1)}, compare={"motor.omega": "omega"})
+    print(fit); fit.write("motor.json")
+
+References:
+    G. A. F. Seber, C. J. Wild, Nonlinear Regression, Wiley, 1989, chapters 2 and 5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..api.varied import columns_of, raw_values
+from ..model.variants import taken
+from ..results import plots
+from ..results.results import Results
+from ..text.csv_text import read_columns
+from ..text.errors import Fault, SimulationError, UsageError, did_you_mean
+from ..text.printable import legible
+from .gains_file import written
+from .tuned import aligned, short
+from .tuning import Space
+
+if TYPE_CHECKING:
+    from ..api.diagram import Diagram
+    from ..editing.edits import Edit
+
+__all__ = ["Fit", "fit"]
+
+Array = np.ndarray[Any, Any]
+STEP = 1e-3
+"""Of central differences, in parts of the range of a value: far above the errors of steps at usual tolerances."""
+FAILED = 1e3
+"""The residual of a run that fails, in deviations of the data: worse than any that does not."""
+ALIKE, NEARLY = 0.99, 0.05
+"""From this correlation of two estimates on, or below this least singular value of the Jacobian with columns of length
+1, they are told not to be told apart."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The outcome of `Diagram.fit`, for k parameters and n samples.
+
+    values: the estimates, in the units of the parameters; nominal: the values of the diagram. errors: standard errors.
+    intervals: the ends of the confidence intervals (`level`). correlation: (k, k), of the estimates. deviations: by
+    signal, that of the residuals, which the intervals take for white noise. measured: by signal (n,), at t (n,).
+    before, after: the runs with the diagram's own values and with the estimates.
+    """
+
+    diagram: Diagram = field(repr=False)
+    values: Mapping[str, float]
+    nominal: Mapping[str, float]
+    units: Mapping[str, str]
+    errors: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]]
+    level: float
+    correlation: Array
+    deviations: Mapping[str, float]
+    t: Array = field(repr=False)
+    measured: Mapping[str, Array] = field(repr=False)
+    before: Results = field(repr=False)
+    after: Results = field(repr=False)
+    parameters: Mapping[str, Any]
+    targets: Mapping[str, tuple[str, ...]]
+    warnings: tuple[Fault, ...] = ()
+
+    def table(self) -> str:
+        """Estimates with their intervals, and deviations of the residuals, as text."""
+        head = ("parameter", "before", "estimate", "unit", f"{100 * self.level:g} % interval", "correlation")
+        names, rows = list(self.values), list[tuple[str, ...]]()
+        for i, (name, value) in enumerate(self.values.items()):
+            others = [(abs(c), names[j], c) for j, c in enumerate(self.correlation[i].tolist()) if j != i]
+            known = [other for other in others if not math.isnan(other[0])]
+            most = max(known, default=None)
+            low, high = self.intervals[name]
+            told = f"{most[2]:+.3f} with {most[1]}" if most else "-"
+            rows.append((name, short(self.nominal[name]), short(value), self.units[name] or "-",
+                         f"{short(low)} ... {short(high)}", told))  # fmt: skip
+        signals: list[tuple[str, ...]] = [(name, short(value)) for name, value in self.deviations.items()]
+        return f"{aligned(head, rows)}\n\n{aligned(('signal', 'deviation of residuals'), signals)}"
+
+    def write(self, path: str | Path) -> Edit:
+        """Put the estimates into the diagram file, as `Tuning.write` does."""
+        edit = written(self, path)
+        edit.write()
+        return edit
+
+    def plot(self) -> Any:
+        """A matplotlib figure: data, the diagram before and after, and the residuals."""
+        parts = []
+        for name, data in self.measured.items():
+            unit = f" [{self.after[name].unit}]" if self.after[name].unit else ""
+            lines = (
+                plots.Line(self.t, data, "data", 4),
+                plots.Line(self.before.t, np.asarray(self.before[name]), "before", 0),
+                plots.Line(self.after.t, np.asarray(self.after[name]), "fit", 1),
+            )
+            parts.append(plots.Panel(lines, f"{name}{unit}", height=1.5))
+            rest = data - at_times(self.after, name, self.t)
+            parts.append(plots.Panel((plots.Line(self.t, rest, f"data - fit{unit}", 4),), f"data - fit{unit}"))
+        return plots.panels(parts, xlabel="time [s]")
+
+    def __str__(self) -> str:
+        return "\n\n".join([self.table(), *map(str, self.warnings)])
+
+
+def fit(
+    diagram: Diagram,
+    data: str | Path | Mapping[str, Any],
+    *,
+    over: Mapping[str, tuple[float, float]],
+    compare: Mapping[str, str],
+    level: float = 0.95,
+    interpolation: str = "linear",
+    parameters: Mapping[str, Any] | None = None,
+    variants: Mapping[str, str] | None = None,
+    engine: str | None = None,
+    trust: Any = (),
+    **settings: Any,
+) -> Fit:
+    """The values within bounds for which signals come nearest to measured data, by least squares.
+
+    data: a CSV file, or columns by name (a DataFrame too): `time` in s, one for each signal that is compared, and one
+    of the name of each input of the diagram that was recorded; further ones are left out. compare: by signal the column
+    with its measured values, in the unit of the signal; nan where there are none. Residuals are taken at the times of
+    the data, which the run hits; the run ends with the data. over: as of `Diagram.tune`. level: of the intervals.
+    interpolation: of recorded inputs, "linear" or "hold". The others as of `Diagram.run`.
+
+    The search begins at the values of the diagram and is local (SciPy's trust region): begin near the truth. Residuals
+    of several signals are weighed by their deviations, which a first fit estimates. Errors and intervals (of Student's
+    t) follow from the Jacobian at the estimate and the deviation of the residuals: they hold where the model is right
+    but for white noise of the sensors. Warnings (W502) tell of parameters that the data cannot tell apart, that have no
+    effect, or that lie at a bound. Raises ModelError, UsageError; SimulationError where the diagram does not run.
+    """
+    from scipy import optimize, stats
+
+    space = Space.of(over)
+    columns = _columns(data, diagram, compare)
+    value = taken(diagram.value, variants)
+    varied = columns_of(list(over), value, diagram.flatten(parameters=parameters, variants=variants))
+    t = columns["time"]
+    measured = {signal: columns[column] for signal, column in compare.items()}
+    inputs = {name: (t, columns[name], interpolation) for name in value.inputs if name in columns}
+    grid = _grid(diagram, t, settings)
+    model = diagram.prepare(
+        parameters=parameters, variants=variants, engine=engine, trust=trust, log=list(compare), **settings, **grid
+    )
+
+    def run(values: Array | None) -> Results:
+        return model.run(parameters={} if values is None else raw_values(varied, values.tolist()), inputs=inputs)
+
+    before = run(None)
+    known = {name: np.isfinite(data) for name, data in measured.items()}
+    weights = {name: 1.0 / (float(np.std(data[known[name]])) or 1.0) for name, data in measured.items()}
+
+    def residuals(cube: Array) -> Array:
+        try:
+            results = run(space.values(np.clip(cube, 0.0, 1.0), digits=17))
+        except SimulationError:
+            return np.full(sum(map(np.count_nonzero, known.values())), FAILED)
+        rest = [
+            (at_times(results, name, t) - data)[known[name]] * weights[name] for name, data in measured.items()
+        ]
+        return np.nan_to_num(np.concatenate(rest), nan=FAILED)
+
+    def jacobian(cube: Array) -> Array:
+        low, high = np.clip(cube - STEP, 0.0, 1.0), np.clip(cube + STEP, 0.0, 1.0)
+        made = []
+        for k in range(len(cube)):
+            a, b = cube.copy(), cube.copy()
+            a[k], b[k] = low[k], high[k]
+            made.append((residuals(b) - residuals(a)) / (high[k] - low[k]))
+        return np.array(made).T
+
+    start = np.clip(space.cube(np.array([column.value for column in varied])), STEP, 1 - STEP)
+    for _ in range(1 if len(compare) == 1 else 2):
+        found = optimize.least_squares(residuals, start, jacobian, bounds=(0.0, 1.0), x_scale="jac")
+        start, ends = np.clip(found.x, STEP, 1 - STEP), np.cumsum([np.count_nonzero(k) for k in known.values()])
+        parts, used = zip(known, np.split(found.fun, ends[:-1]), strict=True), len(start) / len(found.fun)
+        deviations = {name: _deviation(part, used) / weights[name] for name, part in parts}
+        if len(compare) > 1:
+            weights = {name: 1.0 / (deviation or 1.0) for name, deviation in deviations.items()}
+    values = space.values(found.x)
+    after, names = run(values), list(over)
+    free = len(found.fun) - len(names)
+    # Slopes in the units of the values; the residuals have the deviation s.
+    slopes = jacobian(found.x) / space.slopes(found.x)
+    s = math.sqrt(float(found.fun @ found.fun) / free) if free > 0 else math.inf
+    errors, correlation, alike = _judged(slopes, s)
+    reach = float(stats.t.ppf(0.5 + level / 2, free)) if free > 0 else math.inf
+    warnings = [*alike_faults(names, alike)]
+    for name, bound in zip(names, found.active_mask.tolist(), strict=True):
+        if bound:
+            end = "lower" if bound < 0 else "upper"
+            message = f"its best value is its {end} bound, and its interval means nothing."
+            warnings.append(Fault("W502", name, message, "Widen the bounds, or fix the value."))
+    given = raw_values(varied, values.tolist())
+    return Fit(
+        diagram, dict(zip(names, values.tolist(), strict=True)), {c.name: c.value for c in varied},
+        {c.name: c.unit for c in varied}, dict(zip(names, errors.tolist(), strict=True)),
+        {name: (float(x - reach * e), float(x + reach * e)) for name, x, e in zip(names, values, errors, strict=True)},
+        level, correlation, deviations, t, measured, before, after, given,
+        {c.name: tuple(target.path for target in c.targets) for c in varied}, tuple(warnings),
+    )  # fmt: skip
+
+
+def at_times(results: Results, name: str, t: Array) -> Array:
+    """A recorded signal at times that the run has hit; nan after its end."""
+    index = np.clip(np.searchsorted(results.t, t - 1e-9 * max(1.0, abs(float(t[-1])))), 0, len(results.t) - 1)
+    near = np.abs(results.t[index] - t) <= 2e-9 * max(1.0, abs(float(t[-1])))
+    return np.where(near, np.asarray(results[name])[index], np.nan)
+
+
+def _deviation(rest: Array, used: float) -> float:
+    """The deviation of residuals, of whose degrees of freedom this part is used up."""
+    return math.sqrt(float(rest @ rest) / max(len(rest) * (1.0 - used), 1e-300))
+
+
+def _judged(slopes: Array, s: float) -> tuple[Array, Array, list[list[int]]]:
+    """Standard errors (k,), correlations (k, k) and the groups of estimates that cannot be told apart."""
+    sizes = np.linalg.norm(slopes, axis=0)
+    k = len(sizes)
+    errors, correlation = np.full(k, math.inf), np.full((k, k), math.nan)
+    np.fill_diagonal(correlation, 1.0)
+    groups: list[set[int]] = []
+    seen = np.flatnonzero(sizes > 0)
+    blind = [[i] for i in np.flatnonzero(sizes == 0).tolist()]
+    if not len(seen):
+        return errors, correlation, blind
+    _, singular, directions = np.linalg.svd(slopes[:, seen] / sizes[seen], full_matrices=False)
+    singular = np.maximum(singular, 1e-12)
+    covariance = (directions.T / singular**2) @ directions
+    own = np.sqrt(np.diag(covariance))
+    errors[seen] = s * own / sizes[seen]
+    correlation[np.ix_(seen, seen)] = covariance / np.outer(own, own)
+    for value, direction in zip(singular, directions, strict=True):
+        if value < NEARLY:
+            groups.append({*seen[np.abs(direction) > 0.3].tolist()})
+    groups += [{int(i), int(j)} for i, j in zip(*np.where(np.triu(np.abs(correlation), 1) > ALIKE), strict=True)]
+    joined: list[set[int]] = []
+    for group in groups:
+        touched = [other for other in joined if other & group]
+        joined = [*(other for other in joined if not other & group), group.union(*touched)]
+    return errors, correlation, blind + [sorted(group) for group in joined]
+
+
+def alike_faults(names: Sequence[str], groups: Sequence[Sequence[int]]) -> list[Fault]:
+    """W502 for each group of estimates that the data do not determine."""
+    faults = []
+    for group in groups:
+        told = [names[i] for i in group]
+        if len(told) == 1:
+            message = "has no effect on what is compared."
+            faults.append(Fault("W502", told[0], message, "Leave it out, or compare another signal."))
+            continue
+        message = f"cannot be told apart from {', '.join(told[1:])}: other values of them give nearly the same data."
+        cure = "Fix one of them, compare another signal too, or excite the diagram in another way."
+        faults.append(Fault("W502", told[0], message, cure))
+    return faults
+
+
+def _grid(diagram: Diagram, t: Array, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings by which a run hits the times of the data. Raises UsageError (E501)."""
+    for key in ("stop", "every", "stops", "log", "inputs"):
+        if key in settings:
+            raise UsageError(Fault("E501", key, "follows from the data.", "Leave it out."))
+    start = float(settings.get("start", diagram.flatten().settings.start))
+    step = np.diff(t)
+    if t[0] < start or not np.all(step > 0):
+        message = f"times must rise, and begin at {start:g} s or later, when the run begins."
+        raise UsageError(Fault("E501", "time", message, "Sort the rows; give start=... for an earlier one."))
+    stop = float(t[-1])
+    every = float(f"{(stop - float(t[0])) / len(step):.12g}")
+    first = (float(t[0]) - start) / every
+    is_even = np.allclose(step, every, rtol=1e-6) and abs(first - round(first)) < 1e-6
+    return {"stop": stop, "every": every, "stops": []} if is_even else {"stop": stop, "stops": t.tolist()}
+
+
+def _columns(data: Any, diagram: Diagram, compare: Mapping[str, str]) -> dict[str, Array]:
+    """The columns of the data that count, as floats. Raises UsageError (E501)."""
+    place = str(data) if isinstance(data, (str, Path)) else "data"
+    needed = ["time", *compare.values()]
+    if isinstance(data, (str, Path)):
+        try:
+            with open(data, encoding="utf-8", newline="") as stream:
+                names, rows = read_columns(stream, ["time"])
+        except (OSError, ValueError) as error:
+            what = error.strerror if isinstance(error, OSError) else str(error)
+            raise UsageError(Fault("E501", place, f"cannot be read: {what}")) from None
+        table: Mapping[str, Any] = dict(zip(names, rows.T, strict=True))
+    else:
+        table = data
+    known = [str(name) for name in table]
+    faults = []
+    for name in needed:
+        if name not in known:
+            cure = did_you_mean(name, known) or f"Columns: {', '.join(known[:20])}."
+            faults.append(Fault("E501", place, f"has no column {legible(name)}.", cure))
+    if not compare:
+        faults.append(Fault("E501", "compare", "names no signal.", 'As in compare={"motor.omega": "omega"}.'))
+    if faults:
+        raise UsageError(*faults)
+    wanted = {*needed, *(name for name in diagram.value.inputs if name in known)}
+    columns = {name: np.asarray(table[name], dtype=float) for name in known if name in wanted}
+    if len(columns["time"]) < 2 or not np.isfinite(columns["time"]).all():
+        raise UsageError(Fault("E501", place, "has fewer than two rows, or a time that is no number."))
+    return columns

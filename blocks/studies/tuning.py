@@ -1,0 +1,426 @@
+"""Tuning: values of parameters that make an expression over measures small, under constraints, in several scenarios.
+
+    tuning = diagram.tune(
+        minimize="ITAE_right + ITAE_left + 1e-3*ISU_right",
+        over={"control_*.nlsef.k1[0]": (50, 600)},
+        scenarios={"quiet": {}, "noisy": {"sigma": 0.001}},
+        subject_to=["noisy.variation <= 75", "peak_e_theta <= 0.005"],
+    )
+    print(tuning); tuning.write("loop.json")
+
+A candidate runs once in every scenario; a generation of candidates is one call of a `Batch` for each scenario.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from ..api.batch import Batch
+from ..model.wires import BlockSource
+from ..results.results import Results
+from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.printable import legible, quoted
+from .gains_file import changes
+from .objectives import Constraint, Objective, constraints_of, objective_of
+from .optimizers import METHODS, Spent
+from .tuned import Candidates, Condition, Tuning
+
+if TYPE_CHECKING:
+    from ..api.diagram import Diagram
+
+__all__ = ["Problem", "Space", "problem_of", "tune"]
+
+Array = np.ndarray[Any, Any]
+_T = TypeVar("_T")
+FAR_APART = 10.0
+"""Bounds of which the upper is so many times the lower are searched on a logarithmic scale."""
+STEPS, LEAST_STEPS = 20, 10_000
+"""A run of a candidate may take STEPS times the steps of the run of the diagram itself, and LEAST_STEPS more."""
+PENALTY = 10.0
+"""What an excess of a constraint by all of its limit adds to the fitness, in parts of the objective of the diagram."""
+DIGITS = 6
+"""Significant digits of the values of candidates: what is run, told and written is the same."""
+CHANGE = 0.05
+"""The relative change of each value for the sensitivities."""
+EFFORT = ("ISU", "total_variation")
+"""Measures that limit a control, of whatever signal."""
+
+
+def tune(
+    diagram: Diagram,
+    *,
+    minimize: str,
+    over: Mapping[str, tuple[float, float]],
+    scenarios: Mapping[str, Mapping[str, Any]] | None = None,
+    subject_to: Sequence[str] = (),
+    method: str = "cma",
+    budget: int = 500,
+    seed: int = 1,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    variants: Mapping[str, str] | None = None,
+    engine: str | None = None,
+    trust: Any = (),
+    **settings: Any,
+) -> Tuning:
+    """The values within bounds for which `minimize` is least and all of `subject_to` hold.
+
+    minimize: an expression over measures (that of diagram files); ITAE is the mean over the scenarios, noisy.ITAE the
+    measure in one of them. over: by parameter, pattern or element, as for `Diagram.batch`, the least and the largest
+    value, in the unit of the parameter; searched on a logarithmic scale where both are positive and the upper is at
+    least 10 times the lower. scenarios: by name, values of parameters; None: one, named nominal, without any.
+    subject_to: "noisy.variation <= 75"; one of bare names holds in each scenario. method: "cma" (CMA-ES, package cma)
+    or "de" (differential evolution of SciPy). budget: so many candidates are run, each once in every scenario, all with
+    the run seed of the diagram. seed: of the optimiser. The others as for `Diagram.run`, and threads and progress as
+    for a batch.
+
+    A candidate whose run fails, diverges or takes more than 20 times the steps of the diagram's own run (and 10,000
+    more) has no fitness. Of two candidates, one that fulfils all constraints is better than one that does not, then the
+    smaller sum of violations in parts of their limits, then the smaller objective. Where no candidate is better than
+    the diagram, its own values are the result. Ctrl-C ends it with what was found so far (`interrupted`).
+
+    Raises ModelError and UsageError before the first candidate, also for what can have no number: an unknown measure or
+    scenario, or a window that the run does not cover; SimulationError where the diagram itself does not run.
+    """
+    problem = problem_of(
+        diagram, minimize=minimize, over=over, scenarios=scenarios, subject_to=subject_to, method=method, budget=budget,
+        seed=seed, parameters=parameters, variants=variants, engine=engine, trust=trust, settings=settings,
+    )  # fmt: skip
+    return problem.solve(threads=threads, progress=progress)
+
+
+@dataclass(frozen=True)
+class Space:
+    """The values that may be taken, as a cube: 0 stands for the lower bound, 1 for the upper one."""
+
+    low: Array
+    high: Array
+    is_log: Array
+
+    @classmethod
+    def of(cls, over: Mapping[str, Any]) -> Space:
+        """Raises UsageError (E501) with all bounds that are none."""
+        faults, bounds = [], []
+        for name, given in over.items():
+            try:
+                low, high = (float(bound) for bound in given)
+            except (TypeError, ValueError):
+                low = high = math.nan
+            if not -math.inf < low < high < math.inf:
+                cure = "Give the least and the largest value: (50, 600)."
+                faults.append(Fault("E501", legible(str(name)), f"has no two bounds, but {given!r}.", cure))
+            bounds.append((low, high))
+        if not over:
+            faults.append(Fault("E501", "over", "names no parameter.", 'As in over={"motor.Ra": (0.1, 0.2)}.'))
+        if faults:
+            raise UsageError(*faults)
+        low, high = np.array(bounds, dtype=float).T
+        return cls(low, high, (low > 0) & (high >= FAR_APART * low))
+
+    def values(self, cube: Array, digits: int = DIGITS) -> Array:
+        """The values (..., k) of points (..., k) of the cube, with so many significant digits."""
+        with np.errstate(all="ignore"):
+            logs = self.low * (self.high / self.low) ** cube
+        values = np.where(self.is_log, logs, self.low + (self.high - self.low) * cube)
+        values = np.array([float(f"{value:.{digits}g}") for value in values.flat]).reshape(values.shape)
+        clipped: Array = np.clip(values, self.low, self.high)
+        return clipped
+
+    def slopes(self, cube: Array) -> Array:
+        """The derivatives (k,) of the values at a point (k,) of the cube."""
+        with np.errstate(all="ignore"):
+            rates = np.log(self.high / self.low)
+        return np.where(self.is_log, self.values(cube) * rates, self.high - self.low)
+
+    def cube(self, values: Array) -> Array:
+        """The points of values; the nearest ones of those outside, the middle of those that are no numbers."""
+        inside = np.clip(values, self.low, self.high)
+        with np.errstate(all="ignore"):
+            logs = np.log(inside / self.low) / np.log(self.high / self.low)
+        cube = np.where(self.is_log, logs, (inside - self.low) / (self.high - self.low))
+        return np.where(np.isnan(values), 0.5, cube)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A tuning that has been checked, before its first candidate. warnings: what a user should know before it runs."""
+
+    diagram: Diagram
+    objective: Objective
+    constraints: tuple[Constraint, ...]
+    scenarios: Mapping[str, Mapping[str, Any]]
+    batches: Mapping[str, Batch]
+    space: Space
+    before: Mapping[str, Results]
+    method: str
+    budget: int
+    seed: int
+    given: Mapping[str, Any]
+    warnings: tuple[Fault, ...]
+
+    def solve(
+        self, *, threads: int | None = None, progress: Callable[[int, int], None] | None = None
+    ) -> Tuning:
+        """Run the optimiser. Raises UsageError (E501) where no candidate has a number."""
+        search = _Search(self, threads, progress)
+        start = self.space.cube(np.array(self.batch.nominal))
+        with contextlib.suppress(Spent):
+            METHODS[self.method](search, start, self.seed, self.budget)
+        return search.tuning()
+
+    @property
+    def batch(self) -> Batch:
+        return next(iter(self.batches.values()))
+
+    def run(self, scenario: str, values: Mapping[str, Any], **more: Any) -> Results:
+        """A run by itself in a scenario, with all measures."""
+        given = {**self.given, **more}
+        given["parameters"] = {**(self.given["parameters"] or {}), **self.scenarios[scenario], **values}
+        return self.diagram.run(**given)
+
+
+def problem_of(
+    diagram: Diagram,
+    *,
+    minimize: str,
+    over: Mapping[str, Any],
+    scenarios: Mapping[str, Mapping[str, Any]] | None = None,
+    subject_to: Sequence[str] = (),
+    method: str = "cma",
+    budget: int = 500,
+    seed: int = 1,
+    parameters: Mapping[str, Any] | None = None,
+    variants: Mapping[str, str] | None = None,
+    engine: str | None = None,
+    trust: Any = (),
+    settings: Mapping[str, Any] | None = None,
+) -> Problem:
+    """The tuning of these arguments (of `tune`), checked: the diagram itself has run in every scenario."""
+    if method not in METHODS:
+        cure = did_you_mean(str(method), METHODS) or f"Methods: {', '.join(METHODS)}."
+        cure = "Use Diagram.fit, which compares with measured data." if method == "least_squares" else cure
+        raise UsageError(Fault("E501", "method", f"there is no method {quoted(str(method))}.", cure))
+    if not isinstance(budget, int) or isinstance(budget, bool) or budget < 1:
+        raise UsageError(Fault("E501", "budget", f"is {budget!r}.", "Give a number of candidates, such as 500."))
+    scenarios = dict(scenarios) if scenarios else {"nominal": {}}
+    measures = tuple(diagram.value.measures)
+    objective = objective_of(minimize, measures, tuple(scenarios))
+    constraints = constraints_of(subject_to, measures, tuple(scenarios))
+    space = Space.of(over)
+    read = objective.reads(tuple(scenarios)) + [pair for each in constraints for pair in each.reads()]
+    needed = {name: sorted({measure for scenario, measure in read if scenario == name}) for name in scenarios}
+    given = {
+        **dict(settings or {}), "parameters": dict(parameters or {}), "variants": variants, "engine": engine,
+        "trust": trust,
+    }  # fmt: skip
+    batches = {}
+    for name, values in scenarios.items():
+        own = {**given, "parameters": {**given["parameters"], **values}}
+        batches[name] = diagram.batch(list(over), measures=needed[name], **own)
+    problem = Problem(
+        diagram, objective, constraints, scenarios, batches, space, {}, method, budget, seed, given, ()
+    )
+    before = {name: problem.run(name, {}) for name in scenarios}
+    faults = [
+        Fault("E501", f"{name}.{measure}", f"can have no number: {warning.message}", warning.cure)
+        for name, results in before.items()
+        for warning in results.warnings
+        for measure in needed[name]
+        if warning.code == "W301" and warning.place == f"measures.{measure}"
+    ]
+    if faults:
+        raise UsageError(*faults)
+    problem = Problem(
+        diagram, objective, constraints, scenarios, batches, space, before, method, budget, seed, given, ()
+    )
+    return Problem(**{**vars(problem), "warnings": _warnings(problem, needed)})
+
+
+def measured(results: Mapping[str, Results]) -> dict[str, dict[str, Array]]:
+    """The measures of one run for each scenario, as columns of one row."""
+    return {
+        name: {measure: np.array([value]) for measure, value in each.measures.items()}
+        for name, each in results.items()
+    }
+
+
+# --- does it cheat? ---------------------------------------------------------------------------------------------
+
+
+def _warnings(problem: Problem, needed: Mapping[str, Sequence[str]]) -> tuple[Fault, ...]:
+    """W501 where nothing that is asked for depends on noise, or nothing limits the effort of the control."""
+    missing = []
+    if not _has_noise(problem, needed):
+        missing.append("no scenario has noise that reaches the objective or a constraint")
+    if not _limits_effort(problem, needed):
+        missing.append("nothing in them limits or weighs what the tuned blocks put out")
+    if not missing:
+        return ()
+    message = (
+        f"{', and '.join(missing)}: the best values are then those of the highest gains, which noise makes useless."
+    )
+    cure = "Add a scenario with noise at the sensor, and a limit such as noisy.variation <= 75 (total_variation)."
+    return (Fault("W501", problem.diagram.name, message, cure),)
+
+
+def _has_noise(problem: Problem, needed: Mapping[str, Sequence[str]]) -> bool:
+    """Whether a measure that counts is another one with another run seed: all streams of random numbers follow it."""
+    seed = problem.diagram.flatten().settings.seed + 1
+    for name, results in problem.before.items():
+        other = problem.run(name, {}, seed=seed)
+        for measure in needed[name]:
+            value, again = results.measures[measure], other.measures[measure]
+            if value != again and not (math.isnan(value) and math.isnan(again)):
+                return True
+    return False
+
+
+def _limits_effort(problem: Problem, needed: Mapping[str, Sequence[str]]) -> bool:
+    """Whether a measure that counts is one of effort, or one of a tuned block's output against nothing."""
+    given = problem.given
+    rows = [problem.space.values(np.full(len(problem.space.low), x)) for x in (0.25, 0.75)]
+    flats = [
+        problem.diagram.flatten(
+            parameters={**given["parameters"], **problem.batch.parameters(row.tolist())}, variants=given["variants"]
+        )
+        for row in rows
+    ]
+    first, second = flats
+    tuned = {name.rpartition(".")[0] for name in changes(first, second)}
+    names = {measure for each in needed.values() for measure in each}
+    for spec in first.measures:
+        if spec.name not in names:
+            continue
+        sources = (source for source in first.signals[spec.of].sources if isinstance(source, BlockSource))
+        of = {first.blocks[source.block].path for source in sources}
+        if spec.type in EFFORT or (spec.against == 0.0 and of & tuned):
+            return True
+    return False
+
+
+# --- the search ----------------------------------------------------------------------------------------------------
+
+
+class _Search:
+    """The candidates of a tuning, as far as they are there; called with a generation it gives the fitness."""
+
+    def __init__(self, problem: Problem, threads: int | None, progress: Callable[[int, int], None] | None) -> None:
+        self.problem, self.threads, self.progress = problem, threads, progress
+        before = measured(problem.before)
+        self.base = float(problem.objective.values(before)[0])
+        self.scales = [constraint.scale(before) for constraint in problem.constraints]
+        self.size = abs(self.base) if math.isfinite(self.base) and self.base else 1.0
+        self.budgets = {
+            name: STEPS * (results.statistics.steps + results.statistics.rejected) + LEAST_STEPS
+            for name, results in problem.before.items()
+        }
+        self.made: list[Candidates] = []
+        self.count = 0
+        self.is_interrupted = False
+
+    def __call__(self, cube: Array) -> Array:
+        """The fitness (n,) of points (n, k). Raises Spent."""
+        left = self.problem.budget - self.count
+        values = self.problem.space.values(np.asarray(cube, dtype=float)[:left])
+        candidates = self.run(values)
+        self.made.append(candidates)
+        self.count += len(values)
+        if self.is_interrupted or self.count >= self.problem.budget:
+            raise Spent
+        return np.where(
+            np.isfinite(candidates.objective) & np.isfinite(candidates.excess),
+            candidates.objective / self.size + PENALTY * candidates.excess,
+            np.inf,
+        )
+
+    def run(self, values: Array, *, counts: bool = True) -> Candidates:
+        """Candidates (n, k), run in every scenario. counts: towards the budget, as progress tells it."""
+        n = len(values)
+        status = np.full(n, "ok", dtype="<U8")
+        measured = {
+            name: {measure: np.full(n, np.nan) for measure in batch.measures}
+            for name, batch in self.problem.batches.items()
+        }
+        for k, (name, batch) in enumerate(self.problem.batches.items()):
+
+            def told(done: int, total: int, k: int = k) -> None:
+                if self.progress is not None and counts:
+                    part = (k + done / max(total, 1)) / len(self.problem.batches)
+                    self.progress(self.count + int(n * part), self.problem.budget)
+
+            rows = batch(values, threads=self.threads, budget=self.budgets[name], progress=told)
+            measured[name] = {
+                measure: np.where(rows.status == "ok", column, np.nan) for measure, column in rows.measures.items()
+            }
+            status = np.where(status == "ok", rows.status, status)
+            if rows.interrupted:
+                self.is_interrupted = True
+                status = np.where(status == "ok", "left", status)
+                break
+        objective = self.problem.objective.values(measured)
+        excess = np.zeros(n)
+        for constraint, scale in zip(self.problem.constraints, self.scales, strict=True):
+            excess = excess + constraint.excess(measured, scale)
+        is_fine = (status == "ok") & np.isfinite(objective) & np.isfinite(excess)
+        objective = np.where(is_fine, objective, np.nan)
+        return Candidates(values, objective, np.where(is_fine, excess, np.nan), status)
+
+    def tuning(self) -> Tuning:
+        """What was found. Raises UsageError (E501) where no candidate has a number."""
+        problem = self.problem
+        history = Candidates.joined(self.made, len(problem.space.low))
+        before = measured(problem.before)
+        nominal = np.array(problem.batch.nominal)
+        scaled = zip(problem.constraints, self.scales, strict=True)
+        excess = sum(float(each.excess(before, scale)[0]) for each, scale in scaled)
+        index = history.best
+        if index is None:
+            message = f"none of {len(history.objective)} candidates has a number."
+            cure = "Move the bounds towards values with which the diagram runs."
+            raise UsageError(Fault("E501", problem.diagram.name, message, cure))
+        found = (history.excess[index], history.objective[index])
+        is_better = found < (excess, self.base) or not (math.isfinite(excess) and math.isfinite(self.base))
+        values = history.values[index] if is_better or np.isnan(nominal).any() else nominal
+        is_kept = not (is_better or np.isnan(nominal).any())
+        given = {} if is_kept else problem.batch.parameters(values.tolist())
+        after = {name: problem.run(name, given) for name in problem.scenarios}
+        conditions = []
+        for each in problem.constraints:
+            sides = [tuple(float(side.flat[0]) for side in each.sides(of)) for of in (before, measured(after))]
+            conditions.append(Condition(each.text, each.scenario, *sides[0], *sides[1]))
+        batch, space = problem.batch, problem.space
+
+        def named(items: Iterable[_T]) -> dict[str, _T]:
+            return dict(zip(batch.columns, items, strict=True))
+
+        return Tuning(
+            diagram=problem.diagram, minimize=problem.objective.text, method=problem.method, seed=problem.seed,
+            budget=problem.budget,
+            bounds=named(zip(space.low.tolist(), space.high.tolist(), strict=True)), units=named(batch.units),
+            nominal=named(nominal.tolist()), values=named(values.tolist()), parameters=given,
+            scenarios=problem.scenarios, objective_before=self.base,
+            objective=float(problem.objective.values(measured(after))[0]), before=problem.before, after=after, conditions=tuple(conditions),
+            sensitivities={} if self.is_interrupted else self.sensitivities(values),
+            history=history, warnings=problem.warnings, interrupted=self.is_interrupted, is_kept=is_kept,
+            targets=named(batch.targets),
+        )  # fmt: skip
+
+    def sensitivities(self, values: Array) -> dict[str, tuple[float, float]]:
+        """The relative change of the objective where one value is smaller, or larger, by CHANGE of it."""
+        k = len(values)
+        size = np.where(values != 0, np.abs(values), self.problem.space.high - self.problem.space.low) * CHANGE
+        rows = np.repeat(values[None], 2 * k + 1, axis=0)
+        rows[np.arange(k), np.arange(k)] -= size
+        rows[k + np.arange(k), np.arange(k)] += size
+        objective = self.run(rows, counts=False).objective
+        with np.errstate(all="ignore"):
+            change = (objective[:-1] - objective[-1]) / abs(objective[-1])
+        pairs = zip(change[:k].tolist(), change[k:].tolist(), strict=True)
+        return dict(zip(self.problem.batch.columns, pairs, strict=True))
