@@ -493,9 +493,55 @@ class Diagram:
             settings=settings,
         )  # fmt: skip
 
-    def sweep(self, vary: Mapping[Any, Any], **options: Any) -> Any:
-        """Runs with varied parameters, as a table: see `blocks.studies.sweep.sweep`."""
-        return late("sweep", self, vary, **options)
+    def sweep(
+        self,
+        vary: Any,
+        *,
+        n: int | None = None,
+        sampler: str = "random",
+        seed: int = 0,
+        measures: Sequence[str] | None = None,
+        log: Sequence[PortName | str] = (),
+        scenarios: Mapping[str, Mapping[str, Any]] | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        engine: str | None = None,
+        variants: Mapping[str, str] | None = None,
+        trust: Paths = (),
+        threads: int | None = None,
+        budget: int | None = None,
+        progress: Callable[[int, int], None] | None = None,
+        out: str | Path | None = None,
+        resume: bool = True,
+        **settings: Any,
+    ) -> Any:
+        """Runs with varied parameters, as a table: a `Sweep`.
+
+        vary: by parameter ("motor.Ra"), by pattern ("control_*.eso.Ka": one value for all that it names) or by
+        `each("motor_*.Ra")` (one for each) a distribution (Normal, Uniform, ..., `Distribution`, or one of scipy.stats)
+        or a list of values, in the unit of the parameter; or all rows as a DataFrame or a list of mappings. n: how many
+        draws of the distributions; they are crossed with every combination of the lists, and lists alone make a grid.
+        Without distributions, each combination runs n times. sampler: "random", "sobol", "halton", "lhs" (Latin
+        hypercube), or "saltelli", for `Sweep.sobol`: n rows of each of its samples, which are two more than columns.
+        seed: of the draws, and of the run seeds: row i has one that follows from seed and i alone. measures: which
+        ones; None: all. log: signals that are kept on a grid: that of `every`, else of 200 intervals. scenarios: by
+        name, parameters set on top; all rows run in each, with equal seeds. threads: how many; None: all cores. budget:
+        the most steps of a run. progress: called with the number of rows that are done, and of all. Other arguments as
+        of `run`.
+
+        out: a Parquet file. Rows are written to its part, `out` and ".part", as they are done; where a part of this
+        very sweep is there already, it goes on from it, bit for bit as if it had never stopped, unless `resume` is
+        False.
+
+        A row that fails or is refused has a status and a message, and all others run. Ctrl-C returns what is done
+        (`sweep.interrupted`). Raises ModelError, UsageError (E501; E504; E506 where the part is of another sweep),
+        CompilerError.
+        """
+        return late(
+            "sweep", self, vary,
+            n=n, sampler=sampler, seed=seed, measures=measures, log=signal_names(log), scenarios=scenarios,
+            parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads, budget=budget,
+            progress=progress, out=out, resume=resume, **settings,
+        )  # fmt: skip
 
     def tune(self, **options: Any) -> Any:
         """The best values of parameters: see `blocks.studies.tuning.tune`."""

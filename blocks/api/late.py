@@ -11,7 +11,7 @@ from typing import Any
 
 __all__ = ["late"]
 
-_MODULES = {"sweep": "studies.sweep", "tune": "studies.tuning", "fit": "studies.identification"}
+_MODULES = {"sweep": "studies.sweep_run", "tune": "studies.tuning", "fit": "studies.identification"}
 
 
 def late(name: str, *arguments: Any, **named: Any) -> Any:

@@ -27,7 +27,10 @@ from ..text.plain_files import opened
 from ..text.printable import legible, one_line
 from .table import TIMES, Content, FileTable, Refuse, optional, parsed, refusal, unique, versioned, without_twins
 
-__all__ = ["PART", "Part", "Stored", "Window", "part_of", "read_parquet", "read_part", "target_of", "write_parquet"]
+__all__ = [
+    "END", "PART", "Part", "Stored", "Window", "checksum", "held", "part_of", "read_parquet", "read_part", "stream_of",
+    "target_of", "write_parquet",
+]  # fmt: skip
 
 Array = np.ndarray[Any, Any]
 PART = ".part"
@@ -138,10 +141,10 @@ class Part:
         try:
             schema = schema_of(table)
             schema = schema.with_metadata({**schema.metadata, **notes})
-            part = cls(path, _held(path, os.O_RDWR | os.O_CREAT), schema)
+            part = cls(path, held(path, os.O_RDWR | os.O_CREAT), schema)
             if os.fstat(part.stream.fileno()).st_size:
                 _chunks(part.stream, _foreign(path))
-            part._write(_stream_of(part.schema, None)[:-END], 0)
+            part._write(stream_of(part.schema, None)[:-END], 0)
         except OSError as error:
             raise refused(path, error) from None
         return part
@@ -152,7 +155,7 @@ class Part:
         path = part_of(target)
         with suppress(OSError):
             if path.exists():
-                _held(path, os.O_RDWR).close()
+                held(path, os.O_RDWR).close()
 
     @classmethod
     def found(cls, path: str | Path) -> Part:
@@ -165,7 +168,7 @@ class Part:
 
         try:
             opened(path).close()  # no device, no pipe
-            stream = _held(Path(path), os.O_RDWR)
+            stream = held(Path(path), os.O_RDWR)
         except OSError as error:
             raise refuse(f"cannot be read: {error.strerror or error}.") from None
         try:
@@ -193,10 +196,10 @@ class Part:
 
         columns = [pa.array(np.ascontiguousarray(column)) for column in rows.T]
         batch = pa.RecordBatch.from_arrays(columns, schema=self.schema)
-        notes = {"crc32": str(_crc(batch)), **({} if state is None else {"state": base64.b64encode(state)})}
-        header = len(_stream_of(self.schema, None)) - END
+        notes = {"crc32": str(checksum(batch)), **({} if state is None else {"state": base64.b64encode(state)})}
+        header = len(stream_of(self.schema, None)) - END
         try:
-            self._write(_stream_of(self.schema, batch, notes)[header:-END], self.end)
+            self._write(stream_of(self.schema, batch, notes)[header:-END], self.end)
         except OSError as error:
             raise refused(self.path, error) from None
         self._count(rows[:, 0], self.stream.tell(), state)
@@ -229,7 +232,7 @@ END = 8
 """Bytes of the mark at the end of an IPC stream, which a part does not have."""
 
 
-def _held(path: Path, flags: int) -> BinaryIO:
+def held(path: Path, flags: int) -> BinaryIO:
     """A file that no other process writes. Raises UsageError (E501), OSError."""
     flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
     while True:
@@ -253,7 +256,7 @@ def _foreign(path: Path) -> Refuse:
     return refuse
 
 
-def _stream_of(schema: Any, batch: Any, notes: Mapping[str, Any] | None = None) -> Any:
+def stream_of(schema: Any, batch: Any, notes: Mapping[str, Any] | None = None) -> Any:
     """The bytes of an IPC stream of one batch, or of none."""
     import pyarrow as pa
 
@@ -264,10 +267,16 @@ def _stream_of(schema: Any, batch: Any, notes: Mapping[str, Any] | None = None) 
     return memoryview(sink.getvalue())
 
 
-def _crc(batch: Any) -> int:
+def checksum(batch: Any) -> int:
+    """The CRC-32 of the columns of a batch: numbers, lists of numbers, texts."""
+    import pyarrow as pa
+
     crc = 0
     for column in batch.columns:
-        crc = zlib.crc32(column.to_numpy(), crc)
+        if pa.types.is_string(column.type):
+            crc = zlib.crc32(json.dumps(column.to_pylist()).encode(), crc)
+        else:
+            crc = zlib.crc32((column.flatten() if pa.types.is_large_list(column.type) else column).to_numpy(), crc)
     return crc
 
 
@@ -294,7 +303,7 @@ def _chunks(stream: BinaryIO, refuse: Refuse) -> tuple[Any, Iterator[tuple[Any, 
             try:
                 batch, notes = reader.read_next_batch_with_custom_metadata()
                 batch.validate()
-                if int(notes[b"crc32"]) != _crc(batch):
+                if int(notes[b"crc32"]) != checksum(batch):
                     return
                 state = base64.b64decode(notes[b"state"]) if b"state" in notes else None
             except (StopIteration, pa.ArrowException, OSError, ValueError, KeyError, TypeError):

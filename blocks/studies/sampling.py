@@ -1,0 +1,284 @@
+"""Rows of values, drawn from what is varied.
+
+    {"Jeq": Normal(0.2752, 0.02), each("motor_*.Ra"): Uniform(0.14, 0.17), "control_*.eso.Ka": [0.5, 0.6, 0.7]}
+
+What has a distribution spans a unit cube, whose points a sampler draws; a point becomes a row by the inverse of each
+distribution (`ppf`). Lists are crossed with the draws. Numbers are in the units of the parameters.
+
+SciPy's distributions and samplers take a second to load: they are loaded when rows are drawn.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.printable import legible
+
+__all__ = [
+    "SAMPLERS", "Distribution", "Each", "LogUniform", "Normal", "Rows", "Triangular", "TruncatedNormal", "Uniform",
+    "each", "rows_of", "seed_of", "unit_points",
+]  # fmt: skip
+
+Array = np.ndarray[Any, Any]
+SAMPLERS = ("random", "sobol", "halton", "lhs", "saltelli")
+MOST_ROWS = 10**8
+LEAST = 2.0**-53
+"""Points lie so far from the sides of the unit cube, where many distributions are infinite."""
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class Distribution:
+    """A continuous distribution of scipy.stats by its name: Distribution("lognorm", s=0.3, scale=2).
+
+    parameters: its shapes, loc and scale, as scipy.stats names them.
+    """
+
+    name: str
+    parameters: tuple[tuple[str, float], ...]
+
+    def __init__(self, name: str, /, **parameters: float) -> None:
+        object.__setattr__(self, "name", name)
+        try:
+            numbers = tuple((key, float(value)) for key, value in parameters.items())
+        except (TypeError, ValueError):
+            raise _refused(f"{name}({parameters})", "its parameters must be numbers.") from None
+        object.__setattr__(self, "parameters", numbers)
+
+    def __repr__(self) -> str:
+        return f"Distribution({', '.join([repr(self.name), *(f'{key}={value:g}' for key, value in self.parameters)])})"
+
+    def ppf(self, points: Array) -> Array:
+        """Values below which lie these shares of the distribution: the shape of `points`. Raises UsageError (E501)."""
+        from scipy import stats
+
+        law = getattr(stats, self.name, None) if isinstance(self.name, str) else None
+        if not isinstance(law, stats.rv_continuous):
+            names = [name for name in dir(stats) if isinstance(getattr(stats, name), stats.rv_continuous)]
+            cure = did_you_mean(str(self.name)[:200], names) or "As in Distribution(\"lognorm\", s=0.3, scale=2)."
+            raise _refused(repr(self), "scipy.stats has no such continuous distribution.", cure)
+        try:
+            frozen = law(**dict(self.parameters))
+        except TypeError:
+            wanted = [*(law.shapes or "").replace(",", " ").split(), "loc", "scale"]
+            raise _refused(repr(self), f"its parameters are {', '.join(wanted)}.") from None
+        if not math.isfinite(frozen.ppf(0.5)):
+            raise _refused(repr(self), "has no values for these parameters.", "See its page in scipy.stats.")
+        return np.asarray(frozen.ppf(points), dtype=float)
+
+
+class Normal(Distribution):
+    """The normal distribution."""
+
+    def __init__(self, mean: float, deviation: float) -> None:
+        super().__init__("norm", loc=mean, scale=deviation)
+
+
+class Uniform(Distribution):
+    """All values from low to high alike."""
+
+    def __init__(self, low: float, high: float) -> None:
+        super().__init__("uniform", loc=low, scale=high - low)
+
+
+class LogUniform(Distribution):
+    """All orders of magnitude from low to high alike; both above 0."""
+
+    def __init__(self, low: float, high: float) -> None:
+        super().__init__("loguniform", a=low, b=high)
+
+
+class Triangular(Distribution):
+    """From low to high, most often near `mode`."""
+
+    def __init__(self, low: float, mode: float, high: float) -> None:
+        super().__init__("triang", c=_ratio(mode - low, high - low), loc=low, scale=high - low)
+
+
+class TruncatedNormal(Distribution):
+    """The normal distribution without what lies below low or above high; either may be infinite."""
+
+    def __init__(self, mean: float, deviation: float, low: float = -math.inf, high: float = math.inf) -> None:
+        a, b = _ratio(low - mean, deviation), _ratio(high - mean, deviation)
+        super().__init__("truncnorm", a=a, b=b, loc=mean, scale=deviation)
+
+
+def _ratio(a: float, b: float) -> float:
+    return a / b if b else math.nan  # which is refused when values are drawn
+
+
+@dataclass(frozen=True)
+class Each:
+    """A pattern of parameters, each of which gets a value of its own; see `each`."""
+
+    pattern: str
+
+
+def each(pattern: str) -> Each:
+    """All parameters that a pattern names, with a value of its own for each: each("motor_*.Ra").
+
+    Without it, "motor_*.Ra" gets one value for all of them.
+    """
+    return Each(pattern)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The table of a sweep: columns of n values each, and of which parameters they are.
+
+    columns: floats, or objects for values that are no numbers. base: the rows of each of the d + 2 samples of the
+    sampler "saltelli" over d columns, else 0. warnings: what is to be known about the draw.
+    """
+
+    columns: Mapping[str, Array]
+    n: int
+    base: int = 0
+    warnings: tuple[Fault, ...] = ()
+
+
+def seed_of(seed: int, number: int) -> int:
+    """The run seed of row `number` of a sweep with this seed: an integer below 2^53, the same on every machine.
+
+    It depends on nothing else, so that a row can be run again by itself, in any order, on any machine.
+    """
+    digest = hashlib.sha256(f"{seed} row {number}".encode()).digest()
+    return int.from_bytes(digest[:8], "big") >> 11
+
+
+def rows_of(vary: Any, *, n: int | None, sampler: str, seed: int, expand: Callable[[str], Sequence[str]]) -> Rows:
+    """The rows of what is varied.
+
+    vary: by name, pattern or `each(...)` a distribution (also one of scipy.stats) or a list of values; or a table of
+    rows: a DataFrame, or a list of mappings. n: how many draws; each is crossed with every combination of the lists,
+    the last list changing fastest, and the draws within it. expand: the parameters that a pattern names. Raises
+    UsageError (E501).
+    """
+    if sampler not in SAMPLERS:
+        cure = did_you_mean(str(sampler), SAMPLERS) or f"There are {', '.join(SAMPLERS)}."
+        raise _refused(legible(str(sampler)), "is no sampler.", cure)
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise _refused("seed", f"must be an integer from 0 on, not {seed!r}.")
+    if n is not None and (isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 1):
+        raise _refused("n", f"must be an integer above 0, not {n!r}.")
+    if not isinstance(vary, Mapping):
+        return _of_table(vary, n)
+    drawn: dict[str, Any] = {}
+    listed: dict[str, Array] = {}
+    for key, what in vary.items():
+        for name in expand(key.pattern) if isinstance(key, Each) else [key]:
+            if name in drawn or name in listed:
+                raise _refused(legible(str(name)), "is varied twice.", "Vary each parameter once.")
+            if callable(getattr(what, "ppf", None)):
+                drawn[name] = what
+            else:
+                listed[name] = _column(str(name), what)
+                if not len(listed[name]):
+                    raise _refused(legible(str(name)), "has no value.", "Give a list of some, or a distribution.")
+    if drawn and n is None:
+        raise _refused("n", f"says how many rows are drawn for {', '.join(map(str, drawn))}.", "As in n=1000.")
+    base = 0
+    if sampler == "saltelli":
+        base = _saltelli_base(n, drawn, listed)
+    points, warnings = unit_points(n or 1, len(drawn), sampler, int(seed))
+    columns = {name: np.asarray(law.ppf(points[:, k]), dtype=float) for k, (name, law) in enumerate(drawn.items())}
+    for name, column in columns.items():
+        if not np.all(np.isfinite(column)):
+            raise _refused(legible(str(name)), f"{drawn[name]!r} gives values that are not finite.")
+    draws, sizes = len(points), [len(column) for column in listed.values()]
+    if (combinations := math.prod(sizes)) * draws > MOST_ROWS:
+        raise _refused("vary", f"makes {combinations * draws} rows; {MOST_ROWS} are the most.")
+    for name, picked in zip(listed, np.unravel_index(np.arange(combinations), sizes) if sizes else (), strict=True):
+        columns[name] = np.repeat(listed[name][picked], draws)
+    if combinations > 1:
+        columns |= {name: np.tile(columns[name], combinations) for name in drawn}
+    named = [name for key in vary for name in (expand(key.pattern) if isinstance(key, Each) else [key])]
+    return Rows({name: columns[name] for name in named}, combinations * draws, base, warnings)
+
+
+def unit_points(n: int, dimensions: int, sampler: str, seed: int) -> tuple[Array, tuple[Fault, ...]]:
+    """Points in the open unit cube, (n, dimensions), and what is to be known about them.
+
+    "random", "sobol" and "halton" give the first n of a sequence: more rows keep those that were there. "saltelli"
+    gives (dimensions + 2) n points: two independent samples A and B, then for each dimension A with that column of B.
+    """
+    if not dimensions:
+        return np.empty((n, 0)), ()
+    generator = np.random.default_rng(seed)
+    warnings: tuple[Fault, ...] = ()
+    if sampler == "random":
+        points = generator.random((n, dimensions))
+    else:
+        from scipy.stats import qmc
+
+        kinds = {"sobol": qmc.Sobol, "saltelli": qmc.Sobol, "halton": qmc.Halton, "lhs": qmc.LatinHypercube}
+        cls = kinds[sampler]
+        # SciPy 1.15 has renamed the argument, and will refuse the old name some day.
+        named: dict[str, Any] = {"rng" if "rng" in inspect.signature(cls).parameters else "seed": generator}
+        if cls is qmc.Sobol:
+            # 64 bits: of the usual 30, one point in 10^9 would be 0, where a normal distribution is infinite.
+            named["bits"] = 64
+        engine = cls(2 * dimensions if sampler == "saltelli" else dimensions, **named)
+        if cls is qmc.Sobol:
+            m = (n - 1).bit_length()
+            points = engine.random_base2(m)[:n]
+            if n != 2**m:
+                message = f"{n} is no power of 2: its points fill the space less evenly than {2**m} would."
+                warnings = (Fault("W501", "sobol", message),)
+        else:
+            points = engine.random(n)
+    if sampler == "saltelli":
+        a, b = points[:, :dimensions], points[:, dimensions:]
+        mixed = [np.where(np.arange(dimensions) == k, b, a) for k in range(dimensions)]
+        points = np.concatenate([a, b, *mixed])
+    return np.clip(points, LEAST, 1.0 - LEAST), warnings
+
+
+def _saltelli_base(n: int | None, drawn: Mapping[str, Any], listed: Mapping[str, Array]) -> int:
+    if listed or not drawn:
+        cure = "Give Uniform(low, high) in place of lists."
+        raise _refused("saltelli", "draws for Sobol indices, which need a distribution for each parameter.", cure)
+    if n is None or n & (n - 1):
+        below = 2 ** max(0, (n or 1000).bit_length() - 1)
+        message = f"n is the number of rows of each of {len(drawn) + 2} samples, and must be a power of 2, not {n}."
+        raise _refused("saltelli", message, f"n={below} makes {below * (len(drawn) + 2)} rows in all.")
+    return int(n)
+
+
+def _of_table(given: Any, n: int | None) -> Rows:
+    """A DataFrame, or a list of mappings, as it is."""
+    if n is not None:
+        raise _refused("n", "the rows are given, and there is nothing to draw.", "Leave n out.")
+    if getattr(given, "columns", None) is not None:
+        columns = {str(name): _column(str(name), list(given[name])) for name in given.columns}
+        return Rows(columns, len(given))
+    rows = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else None
+    if not rows or not all(isinstance(row, Mapping) and list(row) == list(rows[0]) for row in rows):
+        cure = 'As in {"motor.Ra": Normal(0.16, 0.01)}, or [{"motor.Ra": 0.15}, {"motor.Ra": 0.16}].'
+        raise _refused("vary", "is neither a mapping of what is varied nor a table of rows with equal names.", cure)
+    return Rows({str(name): _column(str(name), [row[name] for row in rows]) for name in rows[0]}, len(rows))
+
+
+def _column(name: str, given: Any) -> Array:
+    """Values of a column: floats, or objects."""
+    given = given.tolist() if callable(getattr(given, "tolist", None)) else given
+    if isinstance(given, (str, bytes, Mapping)) or not isinstance(given, Sequence):
+        cure = "Give a list of values, or a distribution: Normal, Uniform, Distribution(...)."
+        raise _refused(legible(name), f"{legible(repr(given))} says no values.", cure)
+    values = [item.item() if isinstance(item, np.generic) else item for item in given]
+    if all(isinstance(item, (int, float)) and not isinstance(item, bool) for item in values):
+        return np.array(values, dtype=float)
+    column = np.empty(len(values), dtype=object)
+    for k, item in enumerate(values):
+        column[k] = item
+    return column
+
+
+def _refused(place: str, message: str, cure: str = "") -> UsageError:
+    return UsageError(Fault("E501", place, message, cure))

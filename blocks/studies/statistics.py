@@ -1,0 +1,81 @@
+"""Statistics of columns of numbers: quantiles, correlations, and Sobol indices. Rows without a number do not count."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+__all__ = ["SobolIndex", "correlation", "quantiles", "ranks", "sobol_indices"]
+
+Array = np.ndarray[Any, Any]
+RESAMPLES = 200
+
+
+class SobolIndex(NamedTuple):
+    """Which share of the variance of a measure comes from a parameter.
+
+    first: from it alone. total: from it and all that it interacts with. Each with its standard error.
+    """
+
+    first: float
+    first_error: float
+    total: float
+    total_error: float
+
+
+def quantiles(values: Array, q: Array) -> Array:
+    """Quantiles over the rows of values (n, ...): (len(q), ...); nan where no row has a number."""
+    some = ~np.isnan(values).all(axis=0)
+    made = np.full((len(q), *values.shape[1:]), np.nan)
+    if some.ndim == 0:
+        return np.asarray(np.nanquantile(values, q, axis=0)) if some else made
+    made[:, some] = np.nanquantile(values[:, some], q, axis=0)
+    return made
+
+
+def ranks(x: Array) -> Array:
+    """Ranks of values; equal values share their mean rank."""
+    from scipy.stats import rankdata
+
+    return np.asarray(rankdata(x))
+
+
+def correlation(x: Array, y: Array, *, by_rank: bool = False) -> float:
+    """The coefficient of Pearson of two columns (n,), or of Spearman (by_rank); nan where one of them is constant."""
+    kept = np.isfinite(x) & np.isfinite(y)
+    x, y = x[kept], y[kept]
+    if len(x) < 2 or np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
+        return float("nan")
+    if by_rank:
+        x, y = ranks(x), ranks(y)
+    x, y = x - x.mean(), y - y.mean()
+    x, y = x / np.abs(x).max(), y / np.abs(y).max()  # squares of what is tiny or huge stay numbers
+    return float(np.clip(x @ y / np.sqrt((x @ x) * (y @ y)), -1.0, 1.0))
+
+
+def sobol_indices(values: Array, base: int, columns: int) -> list[SobolIndex]:
+    """The indices of a measure (base * (columns + 2),) of rows that the sampler "saltelli" has drawn.
+
+    A row that has no number is left out in all samples. The errors are those of a bootstrap over the base rows.
+
+    References: Saltelli et al., Computer Physics Communications 181 (2010), 259-270: table 2, (b) and (f).
+    """
+    a, b, *mixed = samples = values.reshape(columns + 2, base)
+    kept = np.isfinite(samples).all(axis=0)
+    a, b, ab = a[kept], b[kept], np.array(mixed)[:, kept]
+    if len(a) < 2:
+        return [SobolIndex(*[float("nan")] * 4)] * columns
+    middle = np.mean([a, b])
+    a, b, ab = a - middle, b - middle, ab - middle
+    generator = np.random.default_rng(0)
+    drawn = [np.arange(len(a)), *(generator.integers(len(a), size=len(a)) for _ in range(RESAMPLES))]
+    first, total = (np.empty((len(drawn), columns)) for _ in range(2))
+    for k, rows in enumerate(drawn):
+        A, B, AB = a[rows], b[rows], ab[:, rows]
+        variance = np.var([A, B])
+        with np.errstate(divide="ignore", invalid="ignore"):  # a measure that does not vary has no indices
+            first[k] = np.mean(B * (AB - A), axis=1) / variance
+            total[k] = 0.5 * np.mean((A - AB) ** 2, axis=1) / variance
+    errors = first[1:].std(axis=0), total[1:].std(axis=0)
+    return [SobolIndex(*map(float, each)) for each in zip(first[0], errors[0], total[0], errors[1], strict=True)]

@@ -1,0 +1,253 @@
+"""A sweep: runs of one diagram with varied parameters, as one table; and its statistics.
+
+    sweep = diagram.sweep({"Jeq": Normal(0.2752, 0.02)}, n=1000, seed=1, scenarios={"quiet": {}, "heavy": {"load": 2}})
+    print(sweep)                       # what was varied, quantiles of the measures, what became of the rows
+    sweep["heavy"].correlations()      # statistics are of one scenario
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..api.batch import STATUSES
+from ..results.table import optional, unique
+from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.printable import aligned, counted, legible
+from . import statistics
+from .sweep_file import read, write
+
+if TYPE_CHECKING:
+    from ..results.results import Results
+
+__all__ = ["Sweep"]
+
+Array = np.ndarray[Any, Any]
+QUANTILES = (0.05, 0.5, 0.95)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep:
+    """The rows of a sweep, tidy: all of the first scenario, then all of the second.
+
+    varied: by column (n,), floats, or objects for values that are no numbers. units: by column and signal. scenarios:
+    () where there are none; scenario: (n,) an index into them. number: (n,) of the row in its scenario. seeds: (n,) of
+    the runs. status, messages: (n,) what became of each row and why, as `BatchRows` tells. steps: (n,). measures: (n,)
+    each, nan where a row has none. t: (g,) in s. signals: (n, g) and the shape of the signal, nan after the end of a
+    row. interrupted: Ctrl-C came before all rows were done. base: rows of each sample of the sampler "saltelli", else
+    0. warnings: what is to be known about how the rows were drawn. again: runs a row by its scenario and number.
+    """
+
+    name: str
+    varied: Mapping[str, Array]
+    units: Mapping[str, str]
+    scenarios: tuple[str, ...]
+    scenario: Array
+    number: Array
+    seeds: Array
+    status: Array
+    messages: tuple[str, ...]
+    steps: Array
+    measures: Mapping[str, Array]
+    t: Array
+    signals: Mapping[str, Array]
+    interrupted: bool = False
+    base: int = 0
+    warnings: tuple[Fault, ...] = ()
+    again: Callable[[str, int], Results] | None = None
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    # --- rows ---------------------------------------------------------------------------------------------------
+
+    def __getitem__(self, scenario: str) -> Sweep:
+        """The rows of one scenario. Raises KeyError."""
+        if scenario not in self.scenarios:
+            cure = did_you_mean(str(scenario), self.scenarios) or f"Scenarios: {', '.join(self.scenarios) or 'none'}."
+            raise KeyError(f"there is no scenario {scenario!r}. {cure}")
+        rows = np.flatnonzero(self.scenario == self.scenarios.index(scenario))
+        return replace(self.taken(rows), scenarios=(scenario,), scenario=np.zeros(len(rows), dtype=np.int64))
+
+    def taken(self, rows: Array) -> Sweep:
+        """Some of the rows, by their places (m,) or by a mask (n,)."""
+        rows = np.arange(len(self))[rows]
+        changed: dict[str, Any] = {"messages": tuple(self.messages[k] for k in rows.tolist())}
+        for name in ("scenario", "number", "seeds", "status", "steps"):
+            changed[name] = getattr(self, name)[rows]
+        for name in ("varied", "measures", "signals"):
+            changed[name] = {key: column[rows] for key, column in getattr(self, name).items()}
+        return replace(self, **changed)
+
+    def single(self, i: int) -> Results:
+        """Run row i again by itself, with all that the diagram records: its measures are those of the row, bit for bit.
+
+        Raises as `Diagram.run`; UsageError (E501) for a sweep that was read from a file.
+        """
+        if not -len(self) <= i < len(self):
+            raise UsageError(Fault("E501", str(i), "there is no such row.", f"The rows are 0 to {len(self) - 1}."))
+        if self.again is None:
+            cure = "Take the values and the seed of the row: diagram.run(parameters=..., seed=...)."
+            raise UsageError(Fault("E501", self.name, "the sweep was read from a file, which holds no diagram.", cure))
+        scenario = self.scenarios[int(self.scenario[i])] if self.scenarios else ""
+        return self.again(scenario, int(self.number[i]))
+
+    @property
+    def frame(self) -> Any:
+        """The table as a pandas DataFrame, a row for each run; `attrs["units"]` by column. Raises UsageError (E504)."""
+        pandas = optional("pandas", "frame")
+        first: dict[str, Any] = {"number": self.number, "status": self.status.astype(object)}
+        if self.scenarios:
+            first = {"scenario": np.array(self.scenarios, dtype=object)[self.scenario], **first}
+        last = {"message": self.messages, "steps": self.steps, "seed": self.seeds}
+        # A parameter may be called as a measure is, or as one of these.
+        names = unique([*first, *last, *self.varied, *self.measures], longest=1000)
+        columns = [*first.values(), *last.values(), *self.varied.values(), *self.measures.values()]
+        frame = pandas.DataFrame(dict(zip(names, columns, strict=True)))
+        head, rest = len(first), len(first) + len(last)
+        frame = frame[[*names[:head], *names[rest:], *names[head:rest]]]
+        frame.attrs.update(diagram=self.name, units=dict(self.units))
+        return frame
+
+    def dataset(self) -> Any:
+        """An xarray Dataset: measures (scenario, row), signals (scenario, row, time, ...).
+
+        What was varied are coordinates. Units are in `attrs`. Without scenarios there is no such dimension. Raises
+        UsageError (E504).
+        """
+        xarray = optional("xarray", "dataset")
+        shape = (len(self.scenarios), -1) if self.scenarios else (-1,)
+        dims = ("scenario", "row") if self.scenarios else ("row",)
+
+        def variable(name: str, column: Array, *more: str) -> Any:
+            axes = [*more, *(f"{name}_{axis}" for axis in range(1, column.ndim - len(more)))]
+            attrs = {"units": self.units[name]} if self.units.get(name) else {}
+            return (*dims, *axes), column.reshape(*shape, *column.shape[1:]), attrs
+
+        known = {"number": self.number, "status": self.status, "steps": self.steps, "seed": self.seeds}
+        known["message"] = np.array(self.messages, dtype=object)
+        coords: dict[str, Any] = {"time": ("time", self.t, {"units": "s"})} if len(self.t) else {}
+        if self.scenarios:
+            coords["scenario"] = ("scenario", list(self.scenarios), {})
+        coords |= {name: variable(name, column) for name, column in self.varied.items()}
+        data = {name: variable(name, column) for name, column in {**known, **self.measures}.items()}
+        data |= {name: variable(name, column, "time") for name, column in self.signals.items()}
+        return xarray.Dataset(data, coords, attrs={"diagram": self.name})
+
+    # --- statistics ---------------------------------------------------------------------------------------------
+
+    def quantiles(self, *names: str, q: Sequence[float] = QUANTILES) -> dict[str, Array]:
+        """Quantiles over the rows that have a number: of a measure (len(q),), of a signal (len(q), g, ...).
+
+        names: of measures and signals; none: all measures. Raises UsageError (E501), KeyError.
+        """
+        self._one_scenario("quantiles")
+        levels = np.asarray(q, dtype=float)
+        return {name: statistics.quantiles(self.values(name), levels) for name in names or self.measures}
+
+    def correlations(self, *, kind: str = "pearson") -> dict[str, dict[str, float]]:
+        """By measure and column of numbers, the coefficient of correlation; nan where one of them is constant.
+
+        kind: "pearson" (how linear), or "spearman" (of ranks: how monotonous). Raises UsageError (E501).
+        """
+        self._one_scenario("correlations")
+        if kind not in ("pearson", "spearman"):
+            raise UsageError(Fault("E501", legible(str(kind)), "is no kind.", "There are pearson and spearman."))
+        by_rank = kind == "spearman"
+        columns = {name: column for name, column in self.varied.items() if column.dtype.kind == "f"}
+        return {
+            measure: {name: statistics.correlation(x, y, by_rank=by_rank) for name, x in columns.items()}
+            for measure, y in self.measures.items()
+        }
+
+    def sobol(self) -> dict[str, dict[str, statistics.SobolIndex]]:
+        """By measure and column, which share of the measure's variance comes from it: first and total order.
+
+        The rows are those of sampler="saltelli". Raises UsageError (E501).
+        """
+        self._one_scenario("sobol")
+        if not self.base or len(self) != self.base * (len(self.varied) + 2):
+            cure = 'Draw them so: sweep(..., n=1024, sampler="saltelli").'
+            raise UsageError(Fault("E501", self.name, "its rows were not drawn for Sobol indices.", cure))
+        return {
+            name: dict(zip(self.varied, statistics.sobol_indices(y, self.base, len(self.varied)), strict=True))
+            for name, y in self.measures.items()
+        }
+
+    def values(self, name: str) -> Array:
+        """A measure (n,), a signal (n, g, ...), or a column of numbers (n,). Raises KeyError."""
+        for known in (self.measures, self.signals, self.varied):
+            if name in known:
+                return known[name]
+        names = [*self.measures, *self.signals, *self.varied]
+        cure = did_you_mean(str(name), names) or f"There are {', '.join(names)}."
+        raise KeyError(f"the sweep has no {name!r}. {cure}")
+
+    def _one_scenario(self, what: str) -> None:
+        if len(self.scenarios) > 1:
+            cure = f'Take one: sweep["{self.scenarios[0]}"].{what}().'
+            raise UsageError(Fault("E501", what, f"is of one scenario, and there are {len(self.scenarios)}.", cure))
+
+    # --- text and files -----------------------------------------------------------------------------------------
+
+    def counts(self) -> dict[str, int]:
+        """How many rows have each status; those that some have, in the order of STATUSES."""
+        counts = {name: int(np.count_nonzero(self.status == name)) for name in STATUSES}
+        return {name: count for name, count in counts.items() if count}
+
+    def each_scenario(self) -> Iterator[tuple[str, Sweep]]:
+        """The sweep by scenario; itself, with the name "", where there is none."""
+        if not self.scenarios:
+            yield "", self
+        for name in self.scenarios:
+            yield name, self[name]
+
+    def save(self, path: str | Path) -> None:
+        """Write all rows and signals as Parquet; the file is replaced as a whole. Raises UsageError (E501, E504)."""
+        write(path, vars(self))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Sweep:
+        """The sweep in a file that `save` or `out=` wrote, or in the part that one that was killed has left.
+
+        Raises UsageError (E503, E504).
+        """
+        return cls(**read(path))
+
+    def __str__(self) -> str:
+        runs = f"{counted(len(self) // max(1, len(self.scenarios)), 'row')}"
+        runs += f" x {counted(len(self.scenarios), 'scenario')}" if self.scenarios else ""
+        told = ", ".join(f"{count} {name}" for name, count in self.counts().items())
+        rows: list[tuple[str, ...]] = [("varied", "unit", "values")]
+        rows += [(name, self.units.get(name) or "-", _span(column)) for name, column in self.varied.items()]
+        lines = [f"{self.name}: {runs}; {told or 'none'}", *(aligned(rows) if self.varied else [])]
+        rows = [("measure", *(f"{100 * q:g} %" for q in QUANTILES), "rows")]
+        for scenario, part in self.each_scenario():
+            for name, values in part.quantiles().items():
+                numbers = [f"{value:.5g}" if np.isfinite(value) else "-" for value in values.tolist()]
+                known = str(np.count_nonzero(~np.isnan(part.measures[name])))
+                rows.append((f"{scenario}.{name}" if scenario else name, *numbers, known))
+        lines += aligned(rows) if len(rows) > 1 else []
+        for name, count in self.counts().items():
+            first = next((k for k in np.flatnonzero(self.status == name) if self.messages[k]), None)
+            if name != "ok" and first is not None:
+                lines.append(f"  {count} {name}, as row {first}: {self.messages[first]}")
+        return "\n".join([*lines, *(f"  {fault}" for fault in self.warnings)])
+
+    def __repr__(self) -> str:
+        return f"<Sweep of {self}>"
+
+
+def _span(column: Array) -> str:
+    """The values of a column in short."""
+    if column.dtype.kind != "f":
+        known = list(dict.fromkeys(map(str, column)))
+        return ", ".join(known[:6]) + (" ..." if len(known) > 6 else "")
+    few = np.unique(column)
+    if len(few) <= 6:
+        return ", ".join(f"{value:g}" for value in few.tolist())
+    return f"{column.min():.5g} ... {column.max():.5g}"

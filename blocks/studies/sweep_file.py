@@ -1,0 +1,265 @@
+"""Files of sweeps: Parquet, a row for each run; and the part of one that is under way.
+
+Columns: `number`, `scenario`, what was varied, the measures, `status`, `message`, `steps`, `seed`, and of each signal a
+list of numbers for each row, time after time. The key `blocks` of the schema's metadata holds the times of these, the
+scenarios, and what the sweep is of; each column has its `unit`, `name` and `kind`. A part has the same columns: chunks
+of rows in an Arrow IPC stream, as `results.arrow` keeps those of runs.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from ..model.raw_values import raw_of
+from ..results.arrow import END, checksum, held, part_of, stream_of, target_of
+from ..results.provenance import Origin
+from ..results.table import Refuse, optional, parsed, refusal, unique
+from ..text.atomic_write import known_ending, refused, write_atomically
+from ..text.errors import Fault, UsageError
+from ..text.plain_files import opened
+from ..text.printable import legible, one_line
+
+__all__ = ["SweepPart", "read", "write"]
+
+Array = np.ndarray[Any, Any]
+FORMAT, VERSION = "blocks sweep", 1
+
+
+def write(path: str | Path, sweep: Mapping[str, Any], told: Mapping[str, Any] | None = None) -> None:
+    """Write a sweep, by its fields. told: what it is of, for the metadata. Raises UsageError (E501, E504)."""
+    known_ending(path, (".parquet",), "sweeps")
+    optional("pyarrow", legible(str(path)))
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.Table.from_batches([_rows_of(sweep, told or {})])
+    with write_atomically(path) as stream:
+        pq.write_table(table, stream.buffer, write_page_checksum=True)
+
+
+def read(path: str | Path) -> dict[str, Any]:
+    """The fields of the sweep of a file, or of the part of one. Raises UsageError (E503, E504)."""
+    optional("pyarrow", legible(str(path)))
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    refuse = refusal(path)
+    try:
+        with opened(path) as stream:
+            if target_of(path) is None:
+                table = pq.ParquetFile(stream, page_checksum_verification=True).read()
+            else:
+                schema, chunks = _chunks(stream, refuse)
+                table = pa.Table.from_batches([batch for batch, _ in chunks], schema)
+        return _sweep_of(table, refuse)
+    except UsageError:
+        raise
+    except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+        said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise refuse(f"is no file of a sweep: {one_line(said).rstrip(' .')}.") from None
+
+
+def _rows_of(sweep: Mapping[str, Any], told: Mapping[str, Any]) -> Any:
+    """The rows of a sweep as a record batch of Arrow."""
+    import pyarrow as pa
+
+    count = len(sweep["number"])
+    names = np.array(sweep["scenarios"] or ("",), dtype=object)
+    columns: list[tuple[str, str, Any]] = [
+        ("number", "", pa.array(sweep["number"])),
+        ("scenario", "", pa.array(names[sweep["scenario"]], pa.string())),
+        ("status", "", pa.array(sweep["status"].astype(object), pa.string())),
+        ("message", "", pa.array(sweep["messages"], pa.string())),
+        ("steps", "", pa.array(sweep["steps"])),
+        ("seed", "", pa.array(sweep["seeds"])),
+    ]
+    for kind, table in (("varied", sweep["varied"]), ("measure", sweep["measures"])):
+        for name, column in table.items():
+            is_plain = column.dtype.kind == "f"
+            texts = None if is_plain else [json.dumps(raw_of(item)) for item in column.tolist()]
+            columns.append((name, kind, pa.array(column) if is_plain else pa.array(texts, pa.string())))
+    for name, values in sweep["signals"].items():
+        flat = np.ascontiguousarray(values).reshape(count, -1)
+        offsets = pa.array(np.arange(count + 1, dtype=np.int64) * flat.shape[1])
+        columns.append((name, "signal", pa.LargeListArray.from_arrays(offsets, pa.array(flat.reshape(-1)))))
+    fields = []
+    # A measure may be called as a parameter is.
+    for key, (name, kind, column) in zip(unique((c[0] for c in columns), longest=1000), columns, strict=True):
+        unit = sweep["units"].get(name, "") if kind in ("varied", "signal") else ""
+        fields.append(pa.field(key, column.type, metadata={"name": name, "kind": kind, "unit": unit}))
+    shapes = {name: list(values.shape[2:]) for name, values in sweep["signals"].items()}
+    notes = {
+        "format": FORMAT, "version": VERSION, "diagram": sweep["name"], "scenarios": list(sweep["scenarios"]),
+        "base": sweep["base"], "warnings": [[f.code, f.place, f.message, f.cure] for f in sweep["warnings"]],
+        "t": sweep["t"].tolist(), "shapes": shapes, **told,
+    }  # fmt: skip
+    schema = pa.schema(fields, metadata={"blocks": json.dumps(notes)})
+    return pa.RecordBatch.from_arrays([column for _, _, column in columns], schema=schema)
+
+
+def _sweep_of(table: Any, refuse: Refuse) -> dict[str, Any]:
+    """The fields of the sweep of a table of Arrow."""
+    notes = _notes(table.schema, refuse)
+    units: dict[str, str] = {}
+    kinds: dict[str, dict[str, Array]] = {"": {}, "varied": {}, "measure": {}, "signal": {}}
+    for field, column in zip(table.schema, table.columns, strict=True):
+        name, kind = field.metadata[b"name"].decode(), field.metadata[b"kind"].decode()
+        if field.metadata[b"unit"]:
+            units[name] = field.metadata[b"unit"].decode()
+        if kind == "signal":
+            numbers = [np.empty(0), *(chunk.flatten().to_numpy() for chunk in column.chunks)]
+            made = np.concatenate(numbers).reshape(len(table), len(notes["t"]), *notes["shapes"][name])
+        elif field.type == "string":
+            texts = column.to_pylist()
+            made = np.empty(len(table), dtype=object)
+            made[:] = [json.loads(text) for text in texts] if kind else texts
+        else:
+            made = column.to_numpy().copy()
+        kinds[kind][name] = made
+    plain = kinds[""]
+    scenarios = tuple(notes["scenarios"])
+    index = {name: k for k, name in enumerate(scenarios)}
+    return {
+        "name": str(notes["diagram"]),
+        "varied": kinds["varied"],
+        "units": units,
+        "scenarios": scenarios,
+        "scenario": np.array([index.get(name, 0) for name in plain["scenario"]], dtype=np.int64),
+        "number": plain["number"],
+        "seeds": plain["seed"],
+        "status": plain["status"].astype("<U8"),
+        "messages": tuple(plain["message"].tolist()),
+        "steps": plain["steps"],
+        "measures": kinds["measure"],
+        "t": np.array(notes["t"], dtype=float),
+        "signals": kinds["signal"],
+        "interrupted": bool((plain["status"] == "left").any()),
+        "base": int(notes["base"]),
+        "warnings": tuple(Fault(*each) for each in notes["warnings"]),
+    }
+
+
+def _notes(schema: Any, refuse: Refuse) -> dict[str, Any]:
+    notes = parsed((schema.metadata or {}).get(b"blocks", b"{}"), refuse)
+    if notes.get("format") != FORMAT:
+        raise refuse("is no file of a sweep.", "Results of one run are read by Results.load.")
+    if notes.get("version") != VERSION:
+        raise refuse(f"is of version {notes.get('version')}; this release reads version {VERSION}.")
+    return notes
+
+
+def _chunks(stream: BinaryIO, refuse: Refuse) -> tuple[Any, Iterator[tuple[Any, int]]]:
+    """The schema of a part, and its whole chunks, each with where it ends."""
+    import pyarrow as pa
+
+    try:
+        reader = pa.ipc.open_stream(stream)
+        _notes(reader.schema, refuse)
+    except UsageError:
+        raise
+    except (pa.ArrowException, ValueError, OSError) as error:
+        raise refuse(f"is not the part of a sweep: {one_line(str(error)).rstrip(' .')}.") from None
+
+    def chunks() -> Iterator[tuple[Any, int]]:
+        while True:
+            try:
+                batch, notes = reader.read_next_batch_with_custom_metadata()
+                batch.validate()
+                if int(notes[b"crc32"]) != checksum(batch):
+                    return
+            except (StopIteration, pa.ArrowException, OSError, ValueError, KeyError, TypeError):
+                return  # it is not whole
+            yield batch, stream.tell()
+
+    return reader.schema, chunks()
+
+
+def _key(told: Mapping[str, Any]) -> dict[str, Any]:
+    """By what a sweep is known again, as messages name it."""
+    origin = told.get("origin", {})
+    known = {"settings": origin.get("settings"), "release of blocks": origin.get("versions", {}).get("blocks")}
+    known |= {"diagram": origin.get("sha256"), "equations": origin.get("equations"), "values": origin.get("values")}
+    return {**known, **told.get("key", {})}
+
+
+class SweepPart:
+    """The file of a sweep that is under way. It is locked as long as it is open.
+
+    origin: of a run of the diagram; key: what else the rows follow from, as texts. resume: go on from a part of the
+    same sweep. found: the fields of the chunks that are there. Raises UsageError: E501 where it cannot be written,
+    E504, E506 where it is of another sweep.
+    """
+
+    def __init__(self, target: str | Path, origin: Origin | None, key: Mapping[str, str], *, resume: bool) -> None:
+        known_ending(target, (".parquet",), "sweeps")
+        optional("pyarrow", legible(str(target)))
+        self.target, self.path = target, part_of(target)
+        self.told = {"origin": {} if origin is None else origin.told(), "key": dict(key)}
+        self.end_of_rows = 0
+        try:
+            self.stream = held(self.path, os.O_RDWR | os.O_CREAT)
+        except OSError as error:
+            raise refused(self.path, error) from None
+        try:
+            self.found = self._pieces(resume) if os.fstat(self.stream.fileno()).st_size else []
+        except BaseException:
+            self.stream.close()
+            raise
+
+    def _pieces(self, resume: bool) -> list[dict[str, Any]]:
+        """The chunks that are there already, where they are of this sweep."""
+        import pyarrow as pa
+
+        def refuse(message: str, cure: str = "") -> UsageError:
+            cure = cure or "Move it away, or name another file."
+            return UsageError(Fault("E506", legible(str(self.path)), f"stands in the way: {message}", cure))
+
+        schema, chunks = _chunks(self.stream, refuse)
+        if not resume:
+            return []
+        was, ours = _key(_notes(schema, refuse)), _key(json.loads(json.dumps(self.told)))
+        different = [name for name in sorted({*was, *ours}) if was.get(name) != ours.get(name)]
+        if different:
+            cure = "Give what it was begun with; or begin anew (resume=False, --anew), which replaces it."
+            raise refuse(f"it is of a sweep that differs in its {', '.join(different)}.", cure)
+        pieces = []
+        for batch, end in chunks:
+            pieces.append(_sweep_of(pa.Table.from_batches([batch]), refuse))
+            self.end_of_rows = end
+        return pieces
+
+    def add(self, sweep: Mapping[str, Any]) -> None:
+        """Write rows that are done, by the fields of a sweep. Raises UsageError (E501)."""
+        batch = _rows_of(sweep, self.told)
+        header = stream_of(batch.schema, None)[:-END]
+        try:
+            self.stream.seek(self.end_of_rows)
+            self.stream.truncate()  # what follows is no whole chunk
+            if not self.end_of_rows:
+                self.stream.write(header)
+            notes = {"crc32": str(checksum(batch))}
+            self.stream.write(stream_of(batch.schema, batch, notes)[len(header) : -END])
+            self.stream.flush()
+            self.end_of_rows = self.stream.tell()
+        except OSError as error:
+            raise refused(self.path, error) from None
+
+    def end(self, sweep: Mapping[str, Any]) -> None:
+        """Write the whole file. The part goes, unless the sweep was interrupted and can go on from it."""
+        write(self.target, sweep, self.told)
+        if not sweep["interrupted"]:
+            self.path.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Another sweep may go on from it; one without rows is removed."""
+        with suppress(OSError):  # what could not be written is told already
+            if not os.fstat(self.stream.fileno()).st_size:
+                self.path.unlink(missing_ok=True)
+            self.stream.close()

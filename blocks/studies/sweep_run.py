@@ -1,0 +1,252 @@
+"""How a sweep is run: its rows are drawn, run by a Batch for each scenario, and kept in a file as they are done.
+
+What becomes of row i follows from its values and its run seed `seed_of(seed, i)` alone: neither the order nor the
+chunks of rows, nor the threads, nor where a sweep was killed, changes a bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..api.batch import Batch, BatchRows
+from ..api.varied import columns_of
+from ..model.diagram import check_name
+from ..model.trust import Paths
+from ..model.variants import taken
+from ..text.errors import Fault, UsageError
+from .sampling import Rows, rows_of, seed_of
+from .sweep import Sweep
+from .sweep_file import SweepPart
+
+if TYPE_CHECKING:
+    from ..api.diagram import Diagram
+    from ..results.results import Results
+
+__all__ = ["sweep"]
+
+Array = np.ndarray[Any, Any]
+CHUNK = 2.0
+"""Seconds of work after which rows are written to the file of a sweep."""
+
+
+def sweep(
+    diagram: Diagram,
+    vary: Any,
+    *,
+    n: int | None = None,
+    sampler: str = "random",
+    seed: int = 0,
+    measures: Sequence[str] | None = None,
+    log: Sequence[str] = (),
+    scenarios: Mapping[str, Mapping[str, Any]] | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    engine: str | None = None,
+    variants: Mapping[str, str] | None = None,
+    trust: Paths = (),
+    threads: int | None = None,
+    budget: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    out: str | Path | None = None,
+    resume: bool = True,
+    **settings: Any,
+) -> Sweep:
+    """What `Diagram.sweep` does."""
+    asked = {"parameters": parameters, "engine": engine, "variants": variants, "trust": trust, **settings}
+
+    def expand(pattern: str) -> list[str]:
+        flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
+        _, bracket, element = pattern.partition("[")
+        targets = columns_of([pattern], taken(diagram.value, variants), flat)[0].targets
+        return [f"{target.path}{bracket}{element}" for target in targets]
+
+    rows = rows_of(vary, n=n, sampler=sampler, seed=seed, expand=expand)
+    given = _scenarios(scenarios, parameters)
+    seeds = np.array([seed_of(int(seed), i) for i in range(rows.n)], dtype=np.int64)
+    names = list(rows.columns)
+    batches = [
+        diagram.batch(names, measures=measures, log=log, **{**asked, "parameters": {**(parameters or {}), **on_top}})
+        for on_top in given.values()
+    ]
+    first = batches[0]
+    begun = diagram.start(**{**asked, "parameters": {**(parameters or {}), **next(iter(given.values()))}, "log": log})
+    start = begun.results
+    begun.leave()
+    units = dict(zip(names, first.units, strict=True)) | {name: start.columns[name][2] for name in first.signals}
+    table = _table(rows)
+
+    def again(scenario: str, number: int) -> Results:
+        return batches[list(given).index(scenario)].single(list(table[number]), int(seeds[number]))
+
+    made = _Made(diagram.name, rows, units, tuple(scenarios or ()), seeds, first, again)
+    if out is not None:
+        key = {"scenarios": given, "measures": first.measures, "budget": budget, "varied rows": _digest(rows, seeds)}
+        key |= {"engine": start.statistics.engine, "signals": {name: units[name] for name in first.signals}}
+        made.part = SweepPart(out, start.origin, {name: repr(value) for name, value in key.items()}, resume=resume)
+    try:
+        for fields in made.part.found if made.part is not None else ():
+            piece = Sweep(**fields)
+            made.take(piece.scenario * rows.n + piece.number, piece)
+        _run(batches, table, seeds, made, threads=threads, budget=budget, progress=progress)
+        done = made.sweep()
+        if made.part is not None:
+            made.part.end(vars(done))
+    finally:
+        if made.part is not None:
+            made.part.close()
+    return done
+
+
+def _scenarios(
+    scenarios: Mapping[str, Mapping[str, Any]] | None, parameters: Mapping[str, Any] | None
+) -> dict[str, Mapping[str, Any]]:
+    """What each scenario sets; one of the name "" where there are none. Raises UsageError (E501), ModelError."""
+    if not scenarios:
+        return {"": {}}
+    for name, on_top in scenarios.items():
+        check_name(name)
+        if not isinstance(on_top, Mapping):
+            cure = 'As in scenarios={"heavy": {"load": 2}}.'
+            raise UsageError(Fault("E501", f"scenarios.{name}", "must map parameters to values.", cure))
+    return dict(scenarios)
+
+
+def _table(rows: Rows) -> Array:
+    """The rows as (n, columns): floats, or objects where some values are no numbers."""
+    is_plain = all(column.dtype.kind == "f" for column in rows.columns.values())
+    table = np.empty((rows.n, len(rows.columns)), dtype=float if is_plain else object)
+    for k, column in enumerate(rows.columns.values()):
+        table[:, k] = column
+    return table
+
+
+def _digest(rows: Rows, seeds: Array) -> str:
+    """The SHA-256 of all values and seeds, by which it is known that the rows are the same."""
+    digest = hashlib.sha256(seeds.tobytes())
+    for name, column in rows.columns.items():
+        is_plain = column.dtype.kind == "f"
+        digest.update(name.encode() + (column.tobytes() if is_plain else repr(column.tolist()).encode()))
+    return digest.hexdigest()
+
+
+class _Made:
+    """The rows of a sweep, as far as they are there: row `number` of a scenario stands at scenario * n + number."""
+
+    def __init__(
+        self,
+        name: str,
+        rows: Rows,
+        units: Mapping[str, str],
+        scenarios: tuple[str, ...],
+        seeds: Array,
+        batch: Batch,
+        again: Callable[[str, int], Results],
+    ) -> None:
+        copies = max(1, len(scenarios))
+        total = rows.n * copies
+        self.n, self.logged = rows.n, batch.signals
+        self.messages = [""] * total
+        self.t = np.empty(0)
+        self.signals: dict[str, Array] = {}
+        self.begun = Sweep(
+            name,
+            {key: np.tile(column, copies) for key, column in rows.columns.items()},
+            units,
+            scenarios,
+            np.repeat(np.arange(copies), rows.n),
+            np.tile(np.arange(rows.n), copies),
+            np.tile(seeds, copies),
+            np.full(total, "left", dtype="<U8"),
+            (),
+            np.zeros(total, dtype=np.int64),
+            {key: np.full(total, np.nan) for key in batch.measures},
+            self.t,
+            {},
+            base=rows.base,
+            warnings=rows.warnings,
+            again=again,
+        )
+        self.status, self.steps, self.measures = self.begun.status, self.begun.steps, self.begun.measures
+        self.interrupted = False
+        self.part: SweepPart | None = None
+        self.unwritten = np.empty(0, dtype=np.int64)
+
+    def keep(self, at: Array, rows: BatchRows) -> None:
+        """Take rows, and write them to the part of the file, those that are "left" apart."""
+        self.take(at, rows)
+        if self.part is None:
+            return
+        self.unwritten = np.concatenate([self.unwritten, at[rows.status != "left"]])
+        # The sizes of signals are known when the first row has run.
+        if len(self.unwritten) and bool(self.signals) == bool(self.logged):
+            self.part.add(vars(self.sweep().taken(self.unwritten)))
+            self.unwritten = self.unwritten[:0]
+
+    def take(self, at: Array, rows: Any) -> None:
+        """Rows that are done. at: (m,) where they stand. rows: BatchRows, or a Sweep."""
+        self.status[at], self.steps[at] = rows.status, rows.steps
+        for k, message in zip(at.tolist(), rows.messages, strict=True):
+            self.messages[k] = message
+        for name, column in self.measures.items():
+            column[at] = rows.measures[name]
+        if not rows.signals:
+            return
+        if not len(self.t):
+            self.t = rows.t
+            shapes = {name: values.shape[1:] for name, values in rows.signals.items()}
+            self.signals = {name: np.full((len(self.status), *shape), np.nan) for name, shape in shapes.items()}
+        elif not np.array_equal(self.t, rows.t):
+            message, cure = "the times of its rows differ.", "Give every=... and stop=... that hold for all of them."
+            raise UsageError(Fault("E501", self.begun.name, message, cure))
+        for name, values in rows.signals.items():
+            self.signals[name][at] = values
+
+    def sweep(self) -> Sweep:
+        return replace(
+            self.begun, messages=tuple(self.messages), t=self.t, signals=self.signals, interrupted=self.interrupted
+        )
+
+
+def _run(
+    batches: Sequence[Batch],
+    table: Array,
+    seeds: Array,
+    made: _Made,
+    *,
+    threads: int | None,
+    budget: int | None,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    """Run all rows that are not there yet; where there is a file, in chunks that take about CHUNK seconds."""
+    left = np.flatnonzero(made.status == "left")
+    done, total = len(made.status) - len(left), len(made.status)
+    size = len(left) if made.part is None else threads or os.cpu_count() or 1
+
+    def tell(count: int, _: int) -> None:
+        if progress is not None:
+            progress(done + count, total)
+
+    try:
+        for scenario, batch in enumerate(batches):
+            waiting = left[left // made.n == scenario]
+            while len(waiting):
+                chunk, waiting = waiting[:size], waiting[size:]
+                begun = time.perf_counter()
+                numbers = chunk - scenario * made.n
+                rows = batch(table[numbers], seeds=seeds[numbers], threads=threads, budget=budget, progress=tell)
+                made.keep(chunk, rows)
+                if rows.interrupted:
+                    raise KeyboardInterrupt
+                done += len(chunk)
+                if made.part is not None:
+                    seconds = max(time.perf_counter() - begun, 1e-3)
+                    size = max(1, int(min(4 * size, size * CHUNK / seconds)))
+    except KeyboardInterrupt:
+        made.interrupted = True
