@@ -19,11 +19,14 @@ from blocks import (
     Input,
     Integrator,
     Parameter,
+    Ramp,
     Relay,
     Results,
     Saturation,
+    Sine,
     State,
     Step,
+    TransportDelay,
     UnitDelay,
     ZeroOrderHold,
     crossing,
@@ -487,6 +490,52 @@ def test_a_crossing_that_is_located_within_4_ulp_before_a_tick_joins_it(ulps: in
     else:  # it is located to 4 ulp, and may still fall into the tick's reach
         assert moved(TICK, ulps) <= event.t <= TICK
     assert results["sampler.y"][results.t == TICK].tolist()[-1] == 1.0, "it comes before the tick in any case"
+
+
+@pytest.mark.parametrize("rises", [True, False], ids=["rises", "falls"])
+@pytest.mark.parametrize("of", ["time", "input", "delay"])
+def test_a_relay_of_what_is_time_alone_switches_with_the_tick_or_the_stop_that_its_crossing_joins(
+    of: str, rises: bool
+) -> None:
+    """u = t or -t comes to the edge some ulp before, at or after TICK: what the crossing saw, its reset sees too."""
+    slope, past = 1.0 if rises else -1.0, 0.05 if of == "delay" else 0.0
+    d = Diagram("switched")
+    relay, hold = d.add("relay", Relay(on=1.0, off=0.0)), d.add("hold", ZeroOrderHold(period=0.1))
+    u = d.input("u") if of == "input" else d.add("ramp", Ramp(slope=slope)).y
+    if past:
+        delay = d.add("delay", TransportDelay(delay=past))
+        d.wire(delay.u, u)
+        u = delay.y
+    d.wire(relay.u, u)
+    d.wire(hold.u, relay.y)
+    inputs = {"u": ([0.0, 1.0], [0.0, slope], "linear")} if of == "input" else {}
+    for ulps, width in itertools.product((-3, 0, 3, 7), (0.1, 0.0)):
+        edge = slope * (moved(TICK, ulps) - past)
+        edges = {"relay.on_at": edge, "relay.off_at": edge - width} if rises else {
+            "relay.on_at": edge + width, "relay.off_at": edge
+        }  # fmt: skip
+        before, after = (0.0, 1.0) if rises else (1.0, 0.0)
+        for stop in (TICK, 0.35):
+            results = d.run(start=0.15, stop=stop, method="rk4", step=0.05, inputs=inputs, parameters=edges)
+            switched = after if ulps <= 3 else before
+            assert results["relay.y"][results.t == TICK].tolist()[-1] == switched, (ulps, width, stop)
+            assert results["hold.y"][-1] == switched, (ulps, width, stop)
+            assert results["relay.y"][-1] == (switched if stop == TICK else after), (ulps, width, stop)
+            assert len(results.events) == (1 if stop > TICK or ulps <= 3 else 0), (ulps, width, stop)
+
+
+@pytest.mark.parametrize("rises", [True, False], ids=["rises", "falls"])
+def test_a_relay_of_a_sine_is_right_at_every_tick_and_stop_beside_which_the_sine_is_zero(rises: bool) -> None:
+    """sin(10 pi t) comes to 0 at every k/10, to within some ulp: there the relay has just switched, or has not yet."""
+    d, on_at, off_at = Diagram("sine"), 0.0 if rises else 0.001, -0.001 if rises else 0.0
+    relay, expected = d.add("relay", Relay(on_at=on_at, off_at=off_at)), 1.0 if rises else -1.0
+    d.wire(relay.u, d.add("sine", Sine(omega=10 * math.pi)).y)
+    run = d.start(stop=6.0)
+    for k in range(1, 60):
+        run.advance_to(k / 10)
+        assert run["relay.y"] == expected, k
+    d.wire(d.add("hold", ZeroOrderHold(period=0.1)).u, relay.y)
+    assert set(d.run(stop=2.05)["hold.y"].tolist()) == {expected}
 
 
 def test_two_events_some_ulp_apart_are_one_instant_and_each_has_its_own_time() -> None:

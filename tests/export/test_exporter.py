@@ -46,6 +46,7 @@ from blocks import (
     Parameter,
     PMDCMotor,
     Ramp,
+    Relay,
     Sine,
     Sqrt,
     State,
@@ -195,6 +196,21 @@ def test_communication_steps_that_are_added_up_drift_and_still_meet_the_ticks(fm
             run.advance_to(Fraction(k + 1, 10))
             assert_equal(one, run, names)
     assert t != 3.0
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_relay_whose_crossings_lie_some_ulp_beside_communication_points_and_ticks_is_right_there(fmi: int) -> None:
+    """sin(10 pi t) comes to 0 at every k/10: a relay that goes on at 0 has done so there, one that goes off too."""
+    d = Diagram("switched")
+    sine = d.add("sine", Sine(omega=10 * math.pi))
+    for key, relay in {"rises": Relay(on_at=0.0, off_at=-0.001), "falls": Relay(on_at=0.001, off_at=0.0)}.items():
+        d.wire(d.add(key, relay).u, sine.y)
+        d.wire(d.add(f"{key}_held", ZeroOrderHold(period=0.1)).u, f"{key}.y")
+    with exported(d, fmi=fmi).instance() as one:
+        one.begin(stop=3.0)
+        for k in range(30):
+            one.step(k * 0.1, 0.1)
+            assert [one[f"{key}.y"] for key in ("rises", "rises_held", "falls", "falls_held")] == [1, 1, -1, -1], k
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

@@ -294,7 +294,7 @@ class Instants:
                 if sides[j] != snapshot.s[j]:
                     changed.append(j)
                     if plan.crossings[j].direction in ("both", "up" if sides[j] else "down"):
-                        firing[j] = snapshot.t
+                        firing[j] = snapshot.t + self.later
             asked = self.asked(snapshot, u, firing, changed) if plan.foreign else {}
             if not firing and not changed and not asked:
                 return snapshot
@@ -400,8 +400,9 @@ class Instants:
             evaluate = self.resets[index]
             if evaluate is None:
                 continue
-            # An event that joined a tick some ulp away sees its own time.
-            values = evaluate(*self.memory(before, u, firing[index]))
+            # What joined an instant some ulp away sees its own time: an event, and a crossing where it was seen.
+            is_later = self.later > 0.0 and index < len(self.plan.crossings)
+            values = evaluate(*self.memory(before, self.inputs_later if is_later else u, firing[index]))
             for rank, (node, place), value in zip(self.ranks[index], self.causes[index].resets, values, strict=True):
                 if not math.isfinite(value):
                     message = f"is reset to {value} at t = {before.t} s."

@@ -1765,10 +1765,13 @@ static int reset(BlocksSim *s, const double *sides, int asked)
         if (!s->firing[a] || !setup->causes[a].nresets) continue;
         double *values = s->reset_values + setup->causes[a].first_reset;
         double then = s->firing_time[a];
+        int is_outside = s->moving && s->later != 0.0 && a < s->model->ns;
         any = 1;
-        /* An event that joined a tick some ulp away sees its own time. */
+        /* What joined an instant some ulp away sees its own time: an event, and a crossing where it was seen. */
         for (int i = 0; i < s->model->nh; i++) m->h[i] = delayed(s, i, then);
+        if (is_outside) blocks_outside(s, then);
         s->model->resets(m, then, m->x, a, values);
+        if (is_outside) blocks_outside(s, s->t);
         for (int i = 0; i < setup->causes[a].nresets; i++)
             if (!isfinite(values[i])) return blocks_fail(s, BLOCKS_NOT_FINITE, a, values[i]);
     }
@@ -1881,7 +1884,7 @@ static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
                 changed = 1;
                 if (setup->causes[j].direction & (sides[j] > 0 ? 1 : 2)) {
                     s->firing[j] = 1;
-                    s->firing_time[j] = s->t;
+                    s->firing_time[j] = s->t + s->later;
                     any = 1;
                 }
             }
