@@ -27,7 +27,8 @@ from ..model.resolver import resolver_of
 from ..model.trust import Paths
 from ..results.results import Results
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
-from ..text.printable import legible
+from ..text.printable import counted, legible
+from .batch_processes import Alone, in_processes
 from .prepared_model import PreparedModel
 from .run import Run, RunOptions
 from .values import check_settings
@@ -55,7 +56,7 @@ class BatchRows:
 
     status: (n,) of STATUSES. messages: why, "" where there is nothing to say. measures: (n,) each, nan where a row has
     none. t: (g,) in s; signals: (n, g) and the shape of the signal, in SI, nan after the end of a row. steps: (n,)
-    accepted and rejected.
+    accepted and rejected. how: they ran, in words ("2 threads", "2 processes: it has FMUs").
     """
 
     status: Array
@@ -65,6 +66,7 @@ class BatchRows:
     signals: Mapping[str, Array]
     steps: Array
     interrupted: bool = False
+    how: str = ""
 
     def __len__(self) -> int:
         return len(self.status)
@@ -166,15 +168,25 @@ class Batch:
             message = f"there are {len(seeds)} seeds for {len(rows)} rows."
             raise UsageError(Fault("E501", "seeds", message, "Give one for each row, or none."))
         made = _Made(self, len(rows), seeds, budget)
-        given = [{**self._parameters, **raw} for raw in self._given(rows, made)]
-        work = _Work(made, progress)
-        if self._why:
-            self._one_by_one(given, work, threads)
-        else:
-            for places in self._alike(given).values():
-                if not made.interrupted:
-                    self._at_once(given, places, work, threads)
-        return made.rows()
+        try:
+            given = [{**self._parameters, **raw} for raw in self._given(rows, made)]
+            work = _Work(made, progress)
+            if self._why:
+                self._one_by_one(given, work, threads)
+            else:
+                for places in self._alike(given).values():
+                    if not made.interrupted:
+                        self._at_once(given, places, work, threads)
+        except KeyboardInterrupt:
+            made.interrupted = True
+        return replace(made.rows(), how=self.how(len(rows), threads))
+
+    def how(self, n: int, threads: int | None = None) -> str:
+        """How n rows run: in threads, or in processes and why."""
+        count = max(1, min(threads or cores(), n))
+        if not self._why:
+            return counted(count, "thread")
+        return f"{count} process{'' if count == 1 else 'es'}: {self._why}"
 
     def _given(self, rows: Sequence[Sequence[Any]], made: _Made) -> Iterator[dict[str, Any]]:
         """The raw values of each row by path; {} where they are refused."""
@@ -285,8 +297,6 @@ class Batch:
 
     def _one_by_one(self, given: Sequence[dict[str, Any]], work: _Work, threads: int | None) -> None:
         """Run the rows in processes of their own."""
-        from .batch_processes import in_processes
-
         made = work.made
         rows = [(i, raw, made.seed(i)) for i, raw in enumerate(given) if made.status[i] == "left"]
         for i, ended in in_processes(self, rows, made.budget, threads or cores()):
@@ -373,22 +383,6 @@ class _Form:
     @property
     def seed(self) -> int:
         return self.prepared.plan.settings.seed
-
-
-@dataclass(frozen=True, slots=True)
-class Alone:
-    """What became of a row that was run by itself."""
-
-    steps: int
-    measures: Mapping[str, float]
-    fault: Fault | None
-    status: str | None
-    t: Array | None = None
-    signals: Mapping[str, Array] | None = None
-
-    @classmethod
-    def failed(cls, error: BlocksError, *, is_refused: bool) -> Alone:
-        return cls(0, {}, error.faults[0], "refused" if is_refused else None)
 
 
 class _Made:

@@ -11,23 +11,47 @@ import pickle
 import queue
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
-from ..text.errors import Fault
+import numpy as np
 
-if TYPE_CHECKING:
-    from .batch import Alone, Batch
+from ..text.errors import BlocksError, Fault
 
-__all__ = ["in_processes"]
+__all__ = ["Alone", "Rows", "in_processes"]
+
+Array = np.ndarray[Any, Any]
+
+@dataclass(frozen=True, slots=True)
+class Alone:
+    """What became of a row that was run by itself."""
+
+    steps: int
+    measures: Mapping[str, float]
+    fault: Fault | None
+    status: str | None
+    t: Array | None = None
+    signals: Mapping[str, Array] | None = None
+
+    @classmethod
+    def failed(cls, error: BlocksError, *, is_refused: bool) -> Alone:
+        return cls(0, {}, error.faults[0], "refused" if is_refused else None)
+
+
+class Rows(Protocol):
+    """What runs one row by itself: a Batch."""
+
+    def alone(self, given: Mapping[str, Any], seed: int | None, budget: int | None) -> Alone: ...
+
 
 Task = tuple[int, dict[str, Any], int | None]
 """The number of a row, its raw values and its seed."""
 
 
 def in_processes(
-    batch: Batch, rows: Sequence[Task], budget: int | None, count: int
+    batch: Rows, rows: Sequence[Task], budget: int | None, count: int
 ) -> Iterator[tuple[int, Alone | None]]:
     """What becomes of each row, as it is known; None where Ctrl-C ends it.
 
@@ -56,7 +80,7 @@ def in_processes(
             worker.end()
 
 
-def _here(batch: Batch, rows: Sequence[Task], budget: int | None) -> Iterator[tuple[int, Alone | None]]:
+def _here(batch: Rows, rows: Sequence[Task], budget: int | None) -> Iterator[tuple[int, Alone | None]]:
     for i, given, seed in rows:
         try:
             yield i, batch.alone(given, seed, budget)
@@ -103,8 +127,6 @@ class _Worker:
         return ours
 
     def _death(self) -> Alone:
-        from .batch import Alone
-
         self.process.join(5.0)
         message = f"the process of this row ended, with exit code {self.process.exitcode}."
         return Alone(0, {}, Fault("E206", "row", message, "An FMU may have crashed: run the row by itself."), "failed")

@@ -114,12 +114,14 @@ def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
     shapes: dict[str, tuple[str, tuple[int, ...]]] = {}
     for column, raw in zip(columns, row, strict=True):
         raw = raw.item() if isinstance(raw, np.generic) else raw
+        is_plain = type(raw) is float and math.isfinite(raw)
         for target in column.targets:
             if target.element is None:
                 given[target.path] = raw
                 continue
             flat, shape = target.whole
-            elements.setdefault(target.path, list(flat))[target.element] = value_of(raw, target.unit, {}).value
+            number = to_si(raw, target.unit) if is_plain else value_of(raw, target.unit, {}).value
+            elements.setdefault(target.path, list(flat))[target.element] = number
             shapes[target.path] = si_text(target.unit), shape
     for path, values in elements.items():
         unit, shape = shapes[path]

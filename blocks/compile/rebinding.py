@@ -21,6 +21,7 @@ from ..model.hierarchy import streams_in
 from ..model.streams import number_of
 from ..model.values import Unit, expressions_in, names_in, value_of
 from ..text.errors import ModelError
+from ..text.units import to_si
 from .bindings import bindings
 from .plan import Plan
 from .setting_programs import Setting, evaluated, numbers, placed
@@ -179,6 +180,8 @@ def _elements(setting: Setting) -> range:
 
 def _numbers(raw: Any, unit: Unit, shape: tuple[int, ...]) -> list[float] | None:
     """The elements of a raw value in SI; None where it is no plain numbers of this shape."""
+    if type(raw) is float and not shape and isinstance(unit, str) and math.isfinite(raw):
+        return [to_si(raw, unit)]
     if any(_expressions(raw)):
         return None
     try:

@@ -71,7 +71,7 @@ def test_more_rows_keep_those_that_were_there() -> None:
 def test_sobol_points_that_are_not_even_are_told_and_nothing_else_warns() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert [fault.code for fault in drawn({"a": Uniform(0, 1)}, 1000, "sobol").warnings] == ["W501"]
+        assert [fault.code for fault in drawn({"a": Uniform(0, 1)}, 1000, "sobol").warnings] == ["W503"]
         assert not drawn({"a": Uniform(0, 1)}, 1024, "sobol").warnings
 
 
