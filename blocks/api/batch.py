@@ -19,7 +19,7 @@ from ..compile.inputs import InputTable, read_inputs
 from ..compile.plan import Plan
 from ..compile.rebinding import Rebinding
 from ..engines.prepared import Prepared
-from ..engines.run.batch_limits import cores, over_budget
+from ..engines.run.many_runs import cores, over_budget, times_of
 from ..engines.run.memory_estimate import check
 from ..engines.selection import compiled_model
 from ..model.diagram import DiagramValue
@@ -31,7 +31,7 @@ from ..text.printable import counted, legible
 from .batch_processes import Alone, in_processes
 from .prepared_model import PreparedModel
 from .run import Run, RunOptions
-from .values import check_settings
+from .values import check_settings, time_of
 from .varied import Column, columns_of, raw_values
 
 if TYPE_CHECKING:
@@ -56,7 +56,8 @@ class BatchRows:
 
     status: (n,) of STATUSES. messages: why, "" where there is nothing to say. measures: (n,) each, nan where a row has
     none. t: (g,) in s; signals: (n, g) and the shape of the signal, in SI, nan after the end of a row. steps: (n,)
-    accepted and rejected. how: they ran, in words ("2 threads", "2 processes: it has FMUs").
+    accepted and rejected; those of the budget where it was cut short. how: they ran, in words ("2 threads", "2
+    processes: it has FMUs").
     """
 
     status: Array
@@ -99,6 +100,11 @@ class Batch:
     ) -> None:
         settings = {"log": list(log), **(settings or {})}
         check_settings(settings)
+        if settings.get("jumps"):
+            message = "signals come out on one grid for all rows, without rows of their own for jumps."
+            raise UsageError(Fault("E501", "jumps", message, "Leave it out, or run a row by itself."))
+        if value.run.get("jumps"):
+            settings["jumps"] = False
         kept = _picked(value, measures)
         resolver, parameters = resolver_of(dict(types)), dict(parameters or {})
         first = Prepared.of(kept, resolver, parameters, settings, trust=trust)
@@ -106,8 +112,10 @@ class Batch:
         if run.stop is None:
             cure = 'Give stop=..., or "stop" in the file\'s "run".'
             raise UsageError(Fault("E501", value.name, "the runs have no end.", cure))
-        if run.every is None and log:
-            settings["every"] = (run.stop - run.start) / GRID
+        every = run.every
+        if every is None and log:
+            settings["every"] = float((run.stop - run.start) / GRID)
+            every = time_of("every", settings["every"])
         self._columns: tuple[Column, ...] = columns_of(names, kept, first.flat)
         for column in self._columns:
             for target in column.targets:
@@ -119,13 +127,15 @@ class Batch:
         self.targets = tuple(tuple(target.path for target in column.targets) for column in self._columns)
         self.units = tuple(column.unit for column in self._columns)
         self.measures, self.signals = tuple(kept.measures), tuple(first.plan.log)
+        self.shapes = {name: first.plan.signal(name).shape for name in self.signals}
+        self.times = times_of(run.start, every, run.stop) if every and self.signals else np.empty(0)
         self._kept, self._resolver, self._parameters, self._settings = kept, resolver, parameters, settings
         self._engine, self._trust = engine, trust
         self._is_native = compiled_model(first.plan, engine=engine) is not None
         self._why = _why_processes(first.plan, is_native=self._is_native)
         self._forms: dict[str, _Form] = {}  # by the values that fix more than numbers; the last used one goes last
         self._fixed: list[str] | None = None  # the parameters that do
-        given = {key: value for key, value in settings.items() if key != "log"}
+        given = {key: value for key, value in settings.items() if key not in ("log", "jumps")}
         self._whole = PreparedModel(value, types, parameters=parameters, engine=engine, trust=trust, settings=given)
         self._model = PreparedModel(kept, types, parameters=parameters, engine=engine, trust=trust, settings=settings)
 
@@ -274,12 +284,10 @@ class Batch:
     def _run(
         self, form: _Form, places: list[int], table: list[tuple[float, ...]], work: _Work, threads: int | None
     ) -> None:
-        from ..engines.native.batch import run_rows, times_of
+        from ..engines.native.batch import run_rows
 
         made, plan = work.made, form.prepared.plan
         assert isinstance(plan, Plan)
-        if self.signals:
-            made.begin_signals(times_of(plan), {name: plan.signal(name).shape for name in self.signals})
         before = work.done
         ended = run_rows(
             plan, form.inputs, form.model, np.array(table).reshape(len(table), -1),
@@ -304,9 +312,7 @@ class Batch:
                 made.interrupted = True
                 return
             made.take(i, ended.steps, ended.measures, ended.fault, ended.status)
-            if ended.signals is not None:
-                made.begin_signals(ended.t, {name: values.shape[1:] for name, values in ended.signals.items()})
-                made.record(i, np.column_stack([v.reshape(len(v), -1) for v in ended.signals.values()]))
+            made.record(i, ended.signals)
             work.tell(work.done + 1)
 
     def alone(self, given: Mapping[str, Any], seed: int | None, budget: int | None) -> Alone:
@@ -325,22 +331,31 @@ class Batch:
         try:
             results = held[0].finish()
         except _OverBudget:
-            return Alone(held[0].tried, {}, over_budget(self._kept.name, budget, held[0].t), "budget")
+            return self._over(budget)
         except BlocksError as error:
-            is_over = budget is not None and held[0].tried > budget
-            found = Alone.failed(error, is_refused=False)
-            return replace(found, steps=held[0].tried, status="budget" if is_over else found.status)
+            if budget is not None and held[0].tried > budget:
+                return self._over(budget)
+            found, partial = Alone.failed(error, is_refused=False), getattr(error, "results", None)
+            return replace(found, steps=held[0].tried, signals=self._recorded(partial))
         if results.interrupted:
             raise KeyboardInterrupt
         steps = results.statistics.steps + results.statistics.rejected
         if budget is not None and steps > budget:
-            return Alone(steps, {}, over_budget(self._kept.name, budget, held[0].t), "budget")
+            return self._over(budget)
         faults = [fault for fault in results.warnings if fault.code == "W301"]
-        signals = {name: np.asarray(results[name]) for name in self.signals}
         return Alone(
-            steps, dict(results.measures), faults[0] if faults else None, "ok",
-            np.array(results.t) if signals else None, signals or None,
-        )  # fmt: skip
+            steps, dict(results.measures), faults[0] if faults else None, "ok", self._recorded(results)
+        )
+
+    def _recorded(self, results: Results | None) -> Array:
+        """The signals (rows, elements) on the grid, as far as the run came."""
+        t = self.times
+        if results is None or not self.signals:
+            return np.empty((0, 0))
+        count = min(len(t), len(results.t))
+        differs = np.nonzero(results.t[:count] != t[:count])[0]  # where an FMU ended the run
+        count = int(differs[0]) if len(differs) else count
+        return np.column_stack([np.asarray(results[name])[:count].reshape(count, -1) for name in self.signals])
 
     def _rows(self, table: Any) -> list[list[Any]]:
         """The rows of a table. Raises UsageError (E501)."""
@@ -365,6 +380,9 @@ class Batch:
                 message = f"row {i} has {len(row)} values, and the batch {len(self.columns)} columns."
                 raise UsageError(Fault("E501", "table", message, f"The columns: {', '.join(self.columns)}."))
         return rows
+
+    def _over(self, budget: int | None) -> Alone:
+        return Alone(budget or 0, {}, over_budget(self.name, budget), "budget")
 
 
 class _OverBudget(Exception):
@@ -394,9 +412,9 @@ class _Made:
         self.messages = [""] * n
         self.measures = {name: np.full(n, np.nan) for name in batch.measures}
         self.steps = np.zeros(n, dtype=np.int64)
-        self.t = np.empty(0)
-        self.shapes: Mapping[str, tuple[int, ...]] = {}
-        self.recorded = np.empty((n, 0, 0))
+        self.t, width = batch.times, sum(math.prod(shape) for shape in batch.shapes.values())
+        check(batch.name, n * len(self.t), width)
+        self.recorded = np.full((n, len(self.t), width), np.nan)
         self.interrupted = False
 
     def seed(self, i: int) -> int | None:
@@ -417,22 +435,13 @@ class _Made:
         for name, value in measures.items():
             self.measures[name][i] = value
 
-    def begin_signals(self, t: Array | None, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        """Room for the signals, once it is known which they are. Raises UsageError (E311)."""
-        if self.shapes or t is None:
-            return
-        width = sum(math.prod(shape) for shape in shapes.values())
-        check(self.batch.name, len(self.status) * len(t), width)
-        self.t, self.shapes = t, shapes
-        self.recorded = np.full((len(self.status), len(t), width), np.nan)
-
     def record(self, i: int, values: Array) -> None:
-        if self.shapes:
+        if len(values):
             self.recorded[i, : len(values)] = values
 
     def rows(self) -> BatchRows:
         signals, first = {}, 0
-        for name, shape in self.shapes.items():
+        for name, shape in self.batch.shapes.items():
             size = math.prod(shape)
             signals[name] = self.recorded[:, :, first : first + size].reshape(len(self.status), len(self.t), *shape)
             first += size

@@ -12,7 +12,7 @@ import queue
 import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
@@ -32,8 +32,7 @@ class Alone:
     measures: Mapping[str, float]
     fault: Fault | None
     status: str | None
-    t: Array | None = None
-    signals: Mapping[str, Array] | None = None
+    signals: Array = field(default_factory=lambda: np.empty((0, 0)))  # (rows, elements of all), as far as it came
 
     @classmethod
     def failed(cls, error: BlocksError, *, is_refused: bool) -> Alone:

@@ -1,17 +1,41 @@
 """Batches: each row is the run that it stands for, bit for bit, whatever runs beside it."""
 
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from blocks import Diagram
+from blocks import (
+    Block,
+    Diagram,
+    FirstOrder,
+    Gain,
+    Integrator,
+    Noise,
+    Parameter,
+    Product,
+    Relay,
+    Sine,
+    Stepped,
+    Sum,
+    TransportDelay,
+    ZeroOrderHold,
+    stepper,
+)
 from blocks.api.batch import BatchRows
-from blocks.text.errors import BlocksError
+from blocks.compile.toolchain.compiler import find_compiler
+from blocks.text.errors import BlocksError, UsageError
 from tests.support.documents import SHIPPED
 
-ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
+
+
+@pytest.fixture(autouse=True)
+def native(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows run in threads by the native engine; by another one they run in processes."""
+    monkeypatch.setenv("BLOCKS_ENGINE", "native")
 
 
 def same(rows: BatchRows, i: int, diagram: Diagram, **given: Any) -> None:
@@ -47,7 +71,17 @@ def varied(diagram: Diagram) -> dict[str, float]:
     return {name: found[name] for name in names[:: max(1, len(names) // 5)]}
 
 
-@pytest.mark.parametrize("path", [p for p in SHIPPED if "fmu" not in p.stem], ids=lambda p: p.stem)
+FEW = ("adrc", "quarter_car", "bouncing_ball", "sampled_loop", "motor_pid")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=[] if path.stem in FEW else pytest.mark.long)
+        for path in SHIPPED
+        if "fmu" not in path.stem
+    ],
+)
 def test_a_row_is_the_run_of_its_values(path: Path) -> None:
     """All shipped diagrams: one parameter after the other gets other values, which may be refused or diverge."""
     diagram = Diagram.load(path)
@@ -59,3 +93,179 @@ def test_a_row_is_the_run_of_its_values(path: Path) -> None:
     rows = diagram.batch(list(known), **settings)(table, threads=2, seeds=range(len(table)))
     for i, row in enumerate(table):
         same(rows, i, diagram, parameters=dict(zip(known, row, strict=True)), seed=i, **settings)
+
+
+def noisy() -> Diagram:
+    """A loop with noise, a delay, events and ticks."""
+    d = Diagram("noisy")
+    for name, block in {
+        "noise": Noise(period=0.01), "wave": Sine(omega=7.0), "sum": Sum(signs="++-"), "lag": FirstOrder(T=0.1),
+        "relay": Relay(on_at=0.2, off_at=-0.2), "late": TransportDelay(delay=0.03), "hold": ZeroOrderHold(period=0.05),
+    }.items():  # fmt: skip
+        d.add(name, block)
+    wires = {
+        "sum.u1": "wave.y", "sum.u2": "noise.y", "sum.u3": "late.y", "lag.u": "sum.y", "relay.u": "lag.y",
+        "late.u": "lag.y", "hold.u": "relay.y",
+    }  # fmt: skip
+    for sink, source in wires.items():
+        d.wire(sink, source)
+    d.measure("effort", "total_variation", of="lag.y")
+    d.measure("settled", "settling_time", of="lag.y", against=0.0, band=0.5)
+    d.measure("ise", "ISE", of="sum.y", start=0.5)
+    d.settings(stop=2.0, every=0.1)
+    return d
+
+
+NAMES = ["wave.omega", "lag.T", "hold.period"]
+
+
+def rows_of(count: int) -> list[list[float]]:
+    """Values of NAMES; the last one fixes more than numbers."""
+    return [[3.0 + i, 0.05 + 0.01 * i, (0.05, 0.04)[i % 2]] for i in range(count)]
+
+
+def test_threads_order_and_neighbours_change_no_bit() -> None:
+    batch, table = noisy().batch(NAMES, log=["lag.y", "hold.y"]), rows_of(12)
+    whole = batch(table, seeds=range(12), threads=1)
+    for threads in (2, 5):
+        again = batch(table, seeds=range(12), threads=threads)
+        assert again.signals["lag.y"].tobytes() == whole.signals["lag.y"].tobytes()
+        assert all(again.measures[name].tobytes() == column.tobytes() for name, column in whole.measures.items())
+    assert {*whole.status} == {"ok"}
+    for i in (0, 5, 11):
+        same(whole, i, noisy(), parameters=dict(zip(NAMES, table[i], strict=True)), seed=i, log=["lag.y", "hold.y"])
+    order = [7, 3, 11, 0]
+    some = batch([table[i] for i in order], seeds=order, threads=2)
+    for k, i in enumerate(order):
+        assert some.signals["lag.y"][k].tobytes() == whole.signals["lag.y"][i].tobytes()
+        for name, column in some.measures.items():
+            assert column[k].tobytes() == whole.measures[name][i].tobytes()
+    alone = batch.single(table[3], seed=3)
+    told = {name: str(float(column[3])) for name, column in whole.measures.items()}
+    assert {name: str(value) for name, value in alone.measures.items()} == told
+
+
+def test_a_row_that_fails_leaves_the_others_as_they_are() -> None:
+    d = Diagram("square")
+    d.add("x", Integrator(y_start=1.0))
+    d.add("square", Product())
+    d.add("gain", Gain(k=-1.0))
+    for sink, source in {"square.u1": "x.y", "square.u2": "x.y", "gain.u": "square.y", "x.u": "gain.y"}.items():
+        d.wire(sink, source)
+    d.measure("last", "peak", of="x.y")
+    table: list[list[Any]] = [[-1.0], [2.0], [float("nan")], [-1e4], [-2.0], ["text"]]
+    rows = d.batch(["gain.k"], stop=0.75, log=["x.y"])(table, budget=5000)
+    assert rows.status.tolist() == ["ok", "diverged", "refused", "ok", "ok", "refused"]
+    assert np.isnan(rows.measures["last"]).tolist() == [False, True, True, False, False, True]
+    assert rows.signals["x.y"][0, -1] == pytest.approx(1 / 1.75, rel=1e-4)  # dx/dt = k x^2
+    assert rows.messages[1].startswith("E301 ")
+    assert "t = 0.5" in rows.messages[1] or "t = 0.49999" in rows.messages[1]
+    assert rows.messages[2].startswith("E107 gain.k")
+    assert np.isfinite(rows.signals["x.y"][1]).any()
+    assert np.isnan(rows.signals["x.y"][1, -1])
+    short = d.batch(["gain.k"], stop=0.75)(table, budget=int(rows.steps[0]))
+    assert short.status[0] == "ok"
+    assert short.status[3] == "budget"
+    assert short.steps[3] == rows.steps[0]
+    assert short.messages[3].startswith("E313 square")
+
+
+def test_a_row_that_never_ends_is_cut_short() -> None:
+    d = noisy()
+    d.settings(stop=1e9)
+    rows = d.batch(["lag.T"], every=1e8)([[0.1], [0.2]], budget=2000)
+    assert rows.status.tolist() == ["budget", "budget"]
+
+
+def test_an_interrupt_keeps_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(done: int, total: int) -> None:
+        if done >= 3:
+            raise KeyboardInterrupt
+
+    rows = noisy().batch(["lag.T"], stop=50.0)([[0.1 + 0.01 * k] for k in range(20)], threads=1, progress=interrupt)
+    assert rows.interrupted
+    assert {*rows.status} == {"ok", "left"}
+    assert np.isnan(rows.measures["effort"][rows.status == "left"]).all()
+    assert not np.isnan(rows.measures["effort"][rows.status == "ok"]).any()
+
+
+def test_what_progress_raises_goes_through() -> None:
+    def fail(done: int, total: int) -> None:
+        raise RuntimeError("no more")
+
+    with pytest.raises(RuntimeError, match="no more"):
+        noisy().batch(["lag.T"])([[0.1]] * 4, progress=fail)
+
+
+class Doomed(Block):
+    """A program that takes its process with it where the gain is 3."""
+
+    k = Parameter(1.0)
+    y = Stepped(0.0)
+
+    @stepper(every=0.1)
+    def program(k):  # type: ignore[no-untyped-def]
+        return _Program(k)
+
+
+class _Program:
+    def __init__(self, k: float) -> None:
+        self.k = k
+
+    def step(self, t: float) -> float:
+        if self.k == 3.0:
+            os._exit(7)
+        if self.k == 4.0:
+            raise RuntimeError("four")
+        return self.k * t
+
+
+def test_programs_run_in_processes_and_one_that_dies_takes_its_row_alone() -> None:
+    d = Diagram("doomed")
+    d.add("program", Doomed())
+    batch = d.batch(["program.k"], stop=1.0, log=["program.y"], every=0.5)
+    assert batch.how(4, 2) == "2 processes: it has programs in Python"
+    rows = batch([[1.0], [3.0], [4.0], [2.0]], threads=2)
+    assert rows.status.tolist() == ["ok", "failed", "failed", "ok"]
+    assert "exit code 7" in rows.messages[1]
+    assert "four" in rows.messages[2]
+    assert rows.signals["program.y"][3].tolist() == [0.0, 1.0, 2.0]
+
+
+def test_stiff_rows_are_those_of_runs() -> None:
+    d = noisy()
+    rows = d.batch(["lag.T"], method="radau", log=["lag.y"])([[0.1], [0.2]], seeds=[1, 2], threads=1)
+    for i, T in enumerate((0.1, 0.2)):
+        same(rows, i, noisy(), parameters={"lag.T": T}, seed=i + 1, method="radau", log=["lag.y"])
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    {
+        "none": ({"names": ["lag.tau"]}, "E106 lag.tau"),
+        "pattern": ({"names": ["la*.z"]}, "E106 .*names no parameter"),
+        "twice": ({"names": ["lag.T", "l*.T"]}, "E501 .*is varied by lag.T already"),
+        "element": ({"names": ["lag.T[0]"]}, "E501 .*name it alone"),
+        "measure": ({"names": [], "measures": ["effor"]}, "E501 effor.*effort"),
+        "jumps": ({"names": [], "jumps": True}, "E501 jumps"),
+        "given": ({"names": ["lag.T"], "parameters": {"lag.T": 1.0}}, "E501 lag.T"),
+        "setting": ({"names": [], "stp": 1.0}, "E501 stp"),
+    }.values(),
+)
+def test_what_cannot_be_a_batch_is_refused(given: dict[str, Any], told: str) -> None:
+    with pytest.raises(UsageError, match=told):
+        noisy().batch(**given)
+
+
+@pytest.mark.parametrize(
+    ("table", "more", "told"),
+    [
+        ([[1.0, 2.0]], {}, "row 0 has 2 values"),
+        ({"lag.K": [1.0]}, {}, "no such column"),
+        ({"lag.T": [1.0], "x": [1.0]}, {}, "no column x"),
+        ([[1.0]], {"seeds": [1, 2]}, "2 seeds for 1 row"),
+    ],
+)
+def test_a_table_that_does_not_fit_is_refused(table: Any, more: dict[str, Any], told: str) -> None:
+    with pytest.raises(UsageError, match=told):
+        noisy().batch(["lag.T"])(table, **more)

@@ -16,14 +16,13 @@ import numpy as np
 from ...compile.c import runtime_layout
 from ...compile.inputs import InputTable
 from ...compile.plan import Plan
-from ...compile.time_grid import Grid
 from ...text.errors import Fault
-from ..run.batch_limits import cores, over_budget
+from ..run.many_runs import cores, over_budget, times_of
 from ..run.measures import Measures
 from .engine import NativeEngine, in_brief
 from .model import Model
 
-__all__ = ["Ended", "Row", "run_rows", "times_of"]
+__all__ = ["Ended", "Row", "run_rows"]
 
 Array = np.ndarray[Any, Any]
 _KEPT = 8  # numbers of a measure
@@ -51,22 +50,6 @@ class Ended:
     is_cancelled: bool
 
 
-def times_of(plan: Plan) -> Array:
-    """The times of the rows of signals: the grid, and the stop."""
-    settings = plan.settings
-    assert settings.every is not None
-    assert settings.stop is not None
-    grid = Grid.of(settings.start, settings.every)
-    count = (settings.stop - settings.start) // settings.every + 1
-    times = [grid.time(k) for k in range(count)]
-    stop = float(settings.stop)
-    if settings.start + (count - 1) * settings.every == settings.stop:
-        times[-1] = stop
-    else:
-        times.append(stop)
-    return np.array(times)
-
-
 def run_rows(
     plan: Plan,
     inputs: InputTable,
@@ -83,7 +66,10 @@ def run_rows(
     """
     table = np.ascontiguousarray(table, dtype=float)
     n, width = len(table), len(model.logged)
-    times = times_of(plan) if width else np.empty(0)
+    run = plan.settings
+    times = np.empty(0)
+    if width and run.every is not None and run.stop is not None:
+        times = times_of(run.start, run.every, run.stop)
     measures = model.measures_of(plan)
     count = max(1, min(n, threads or cores()))
     engines = [NativeEngine(plan, inputs, is_silent=not width, model=model) for _ in range(count)]
@@ -159,17 +145,17 @@ def _row(
     status, steps = int(kept["status"][i]), int(kept["steps"][i])
     if status == _LEFT:
         return None
+    if status == _BUDGET:
+        return Row(False, True, budget or 0, {}, over_budget(plan.name, budget))
     if status != _DONE:
-        return Row(False, status == _BUDGET, steps, {}, _why(plan, kept, i, budget))
+        return Row(False, False, steps, {}, _why(plan, kept, i))
     values, faults = measures.kept(kept["measured"][i], paths).results(float(kept["ended"][i]))
     return Row(True, False, steps, values, faults[0] if faults else None)
 
 
-def _why(plan: Plan, kept: dict[str, Array], i: int, budget: int | None) -> Fault:
+def _why(plan: Plan, kept: dict[str, Array], i: int) -> Fault:
     """Why a row came to no end, in brief: a run of its own tells more."""
     t, status = float(kept["ended"][i]), int(kept["status"][i])
-    if status == _BUDGET:
-        return over_budget(plan.name, budget, t)
     if status == _NO_MEMORY:
         return Fault("E311", plan.name, f"no memory is left, at t = {t:.10g} s.")
     cure = "Run the row by itself, which tells more."

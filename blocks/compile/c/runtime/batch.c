@@ -48,7 +48,7 @@ static void keep(BlocksBatch *b, BlocksSim *s, int64_t row, int status, const do
     int64_t width = 1 + s->rows.columns, made = 0;
     double *measured = b->measured + row * n * BLOCKS_KEPT;
     for (int i = 0; i < n; i++) memcpy(measured + i * BLOCKS_KEPT, &s->measured[i], BLOCKS_KEPT * sizeof(double));
-    if (b->ngrid) {
+    if (b->ngrid && !is_over(b, s)) {
         made = s->rows.nchunks ? b->ngrid : (s->rows.next - room) / width;
         if (made > b->ngrid) made = b->ngrid;
         double *to = b->signals + row * b->ngrid * s->rows.columns;
