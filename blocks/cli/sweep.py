@@ -138,7 +138,7 @@ class _Progress:
     def __call__(self, done: int, total: int) -> None:
         if self.first is None:
             self.first, self.shown = done, Progress(self.quiet)  # what was before is no measure of what is left
-            if done > 1:
+            if done:
                 say(f"{done} of {total} rows are there already")
         if self.shown.is_due() and done > self.first:
             left = self.shown.seconds * (total - done) / (done - self.first)

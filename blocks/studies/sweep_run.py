@@ -234,8 +234,7 @@ def _run(
             progress(done + count, total)
 
     try:
-        if done:
-            tell(0, 0)
+        tell(0, 0)
         for scenario, batch in enumerate(batches):
             waiting = left[left // made.n == scenario]
             while len(waiting):
