@@ -148,7 +148,7 @@ def _scenarios(sweep: Sweep, scenario: str | None) -> list[_Rows]:
     names = sweep.scenarios or ("",)
     if scenario is not None and scenario not in sweep.scenarios:
         raise _unknown(scenario, list(sweep.scenarios), "scenario")
-    rows = []
+    rows: list[_Rows] = []
     for k, name in enumerate(names):
         if scenario in (None, name):
             index = np.flatnonzero(np.asarray(sweep.scenario) == k)
