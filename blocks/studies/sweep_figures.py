@@ -13,24 +13,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ..api.batch import STATUSES
 from ..frequency.figure_look import FAINT, SMALL, finished, new_figure
+from ..model.study_grammar import SWEEP_FIGURES
 from ..results.plots import INK, STYLES, defaults, plain
 from ..text.element_names import element_names
 from ..text.errors import Fault, UsageError, did_you_mean
-from ..text.printable import legible
+from ..text.printable import counted, legible
+from .statistics import correlation, quantiles
 
-if TYPE_CHECKING:
-    from .sweep import Sweep
-
-__all__ = ["KINDS", "column", "plot", "told_rows"]
+__all__ = ["column", "plot", "told_rows"]
 
 Array = np.ndarray[Any, Any]
-KINDS = ("bands", "histogram", "ecdf", "scatter", "heat map")
+Sweep = Any  # a `Sweep`, whose module calls this one
 BAD = "#be123c"
 """The color of rows that failed."""
 _WORDS = {"budget": "over the budget", "left": "not run"}
@@ -70,24 +68,16 @@ def plot(
     against: str | Sequence[str] | None = None,
     *,
     kind: str | None = None,
-    scenario: str | None = None,
     singles: int = 3,
     bins: int | None = None,
 ) -> Any:
-    """A `matplotlib.figure.Figure` of a sweep.
-
-    what: signals that were logged, or measures and varied parameters; None: all signals, or all measures where there
-    are none. against: what a measure is shown against: one name or more (scatter), or two (heat map). kind: of KINDS,
-    where it does not follow from these: "ecdf" takes the place of a histogram, "scatter" that of a heat map. scenario:
-    one of them; None: all. singles: how many rows are drawn by themselves in bands. bins: of a histogram, or of each
-    axis of a heat map over ranges. Raises UsageError (E501) for what the sweep does not have.
-    """
+    """What `Sweep.plot` does. kind: of SWEEP_FIGURES, where it does not follow from the names."""
     wanted = _names(sweep.signals or sweep.measures if what is None else what)
     others = _names(() if against is None else against)
     chosen = _kind(sweep, wanted, others, kind)
     if not wanted:
         raise UsageError(Fault("E501", sweep.name, "there is nothing to draw.", "Give the sweep measures=, or log=."))
-    rows = _scenarios(sweep, scenario)
+    rows = _scenarios(sweep)
     if chosen == "bands":
         return _bands(sweep, wanted, rows, singles)
     if chosen in ("histogram", "ecdf"):
@@ -105,12 +95,11 @@ def column(sweep: Sweep, name: str) -> Array:
     raise _unknown(name, [*sweep.measures, *sweep.varied], "measure and no parameter")
 
 
-def told_rows(sweep: Sweep, index: Array | None = None) -> str:
+def told_rows(sweep: Sweep) -> str:
     """How many rows there are, and what became of those that did not run to their end."""
-    status = np.asarray(sweep.status) if index is None else np.asarray(sweep.status)[index]
-    counts = {name: np.count_nonzero(status == name) for name in STATUSES[1:]}
-    bad = ", ".join(f"{count:,} {_WORDS.get(name, name)}" for name, count in counts.items() if count)
-    return f"{len(status):,} runs" + (f", of which {bad}" if bad else "")
+    counts = {_WORDS.get(name, name): count for name, count in sweep.counts().items() if name != "ok"}
+    bad = ", ".join(f"{count:,} {name}" for name, count in counts.items())
+    return f"{counted(len(sweep), 'run')}" + (f", of which {bad}" if bad else "")
 
 
 def _names(given: str | Sequence[str] | Any) -> list[str]:
@@ -127,8 +116,9 @@ def _kind(sweep: Sweep, what: Sequence[str], against: Sequence[str], kind: str |
     is_signal = [name.partition("[")[0] in sweep.signals for name in what]
     if kind is None:
         kind = "bands" if what and all(is_signal) else ("histogram", "scatter", "heat map")[min(len(against), 2)]
-    if kind not in KINDS:
-        raise UsageError(Fault("E501", "kind", f"{kind!r} is no kind of figure.", f"Use one of {', '.join(KINDS)}."))
+    if kind not in SWEEP_FIGURES:
+        cure = f"There are {', '.join(SWEEP_FIGURES)}."
+        raise UsageError(Fault("E501", "kind", f"{kind!r} is no kind of figure.", cure))
     least, most = {"scatter": (1, 99), "heat map": (2, 2)}.get(kind, (0, 0))
     if not least <= len(against) <= most:
         needs = {(0, 0): "is against nothing", (2, 2): "is against two names"}.get((least, most), "needs a name")
@@ -144,15 +134,11 @@ def _kind(sweep: Sweep, what: Sequence[str], against: Sequence[str], kind: str |
     return kind
 
 
-def _scenarios(sweep: Sweep, scenario: str | None) -> list[_Rows]:
-    names = sweep.scenarios or ("",)
-    if scenario is not None and scenario not in sweep.scenarios:
-        raise _unknown(scenario, list(sweep.scenarios), "scenario")
-    rows: list[_Rows] = []
-    for k, name in enumerate(names):
-        if scenario in (None, name):
-            index = np.flatnonzero(np.asarray(sweep.scenario) == k)
-            rows.append(_Rows(name, len(rows), index, np.asarray(sweep.status)[index] == "ok"))
+def _scenarios(sweep: Sweep) -> list[_Rows]:
+    rows = []
+    for k, name in enumerate(sweep.scenarios or ("",)):
+        index = np.flatnonzero(sweep.scenario == k)
+        rows.append(_Rows(name, k, index, sweep.status[index] == "ok"))
     return rows
 
 
@@ -161,12 +147,10 @@ def _label(sweep: Sweep, name: str) -> str:
     return plain(f"{name} [{unit}]" if unit else name)
 
 
-def _titled(figure: Any, sweep: Sweep, rows: Sequence[_Rows], more: str = "") -> None:
-    """What the figure shows, and how many rows are not in it."""
-    index = np.concatenate([part.index for part in rows])
-    scenario = f", {rows[0].name}" if len(rows) == 1 and rows[0].name else ""
-    text = f"{sweep.name}{scenario}: {told_rows(sweep, index)}{more}"
-    figure.suptitle(plain(text), fontsize=10, x=0.01, ha="left", color=INK)
+def _titled(figure: Any, sweep: Sweep) -> None:
+    """What the figure shows, and how many rows failed."""
+    name = f"{sweep.name}, {sweep.scenarios[0]}" if len(sweep.scenarios) == 1 else sweep.name
+    figure.suptitle(plain(f"{name}: {told_rows(sweep)}"), fontsize=10, x=0.01, ha="left", color=INK)
 
 
 def _legend(figure: Any, axis: Any, columns: int = 6) -> None:
@@ -195,7 +179,7 @@ def _bands(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], singles: i
         axis.margins(x=0.0)
     axes = np.ravel(axes)
     axes[-1].set_xlabel("time [s]")
-    _titled(figure, sweep, rows)
+    _titled(figure, sweep)
     _legend(figure, axes[0], 3 if several else 6)
     return finished(figure)
 
@@ -218,13 +202,10 @@ def _band(axis: Any, t: Array, values: Array, part: _Rows, singles: int) -> None
     good = values[part.is_ok]
     if not len(good):
         return
-    known = np.isfinite(good).any(axis=0)  # a signal may have no value yet
-    level = np.full((len(_QUANTILES), len(t)), np.nan)
-    quantile = np.quantile if np.isfinite(good).all() else np.nanquantile
-    level[:, known] = quantile(good[:, known], _QUANTILES, axis=0)
+    level = quantiles(good, np.array(_QUANTILES))
     axis.fill_between(t, level[0], level[4], alpha=0.18, color=part.color, linewidth=0)
     axis.fill_between(t, level[1], level[3], alpha=0.32, color=part.color, linewidth=0)
-    for k, row in enumerate(good[:singles]):
+    for k, row in enumerate(good[np.unique(np.linspace(0, len(good) - 1, singles).astype(int))] if singles else ()):
         axis.plot(t, row, color=INK, linewidth=0.5, alpha=0.6, label=None if k else "single runs")
     label = plain(f"{part.name}: median" if part.name and not singles else "median")
     axis.plot(t, level[2], color=part.color, linestyle=part.pattern, linewidth=1.4, label=label)
@@ -273,7 +254,7 @@ def _distributions(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], ki
             axis.set_xticks(range(len(labels)), labels)
         if kind == "ecdf":
             axis.set_ylim(0.0, 1.0)
-    _titled(figure, sweep, rows)
+    _titled(figure, sweep)
     _legend(figure, axes[0], 3)
     return finished(figure)
 
@@ -342,10 +323,11 @@ def _scatter(sweep: Sweep, names: Sequence[str], against: Sequence[str], rows: S
             for part in rows:
                 _points(axis, _spread(x, x_labels)[part.index], y[part.index], part)
             _crosses(axis, x[every][~np.isfinite(y[every])])
-            if len(rows) == 1 and x_labels is None and y_labels is None:
-                axis.set_title(_correlation(x[every], y[every]), fontsize=SMALL, loc="right", color=INK)
+            related = correlation(x[every], y[every], by_rank=True)
+            if len(rows) == 1 and x_labels is None and y_labels is None and np.isfinite(related):
+                axis.set_title(f"rank correlation {related:.2f}", fontsize=SMALL, loc="right", color=INK)
             if _is_geometric(x[every]):
-                axis.set_xscale("log")
+                _by_ratios(axis.xaxis)
             for labels, ticks in ((x_labels, axis.set_xticks), (y_labels, axis.set_yticks)):
                 if labels is not None:
                     ticks(range(len(labels)), labels)
@@ -355,7 +337,7 @@ def _scatter(sweep: Sweep, names: Sequence[str], against: Sequence[str], rows: S
                 axis.set_xlabel(_label(sweep, other))
             if j == 0:
                 axis.set_ylabel(_label(sweep, name))
-    _titled(figure, sweep, rows)
+    _titled(figure, sweep)
     _legend(figure, axes[0, 0], 4)
     return finished(figure)
 
@@ -383,16 +365,6 @@ def _spread(x: Array, labels: list[str] | None) -> Array:
     return x if labels is None else x + 0.5 * (np.arange(len(x)) * 0.6180339887498949 % 1.0 - 0.5)
 
 
-def _correlation(x: Array, y: Array) -> str:
-    known = np.isfinite(x) & np.isfinite(y)
-    x, y = x[known], y[known]
-    if len(x) < 3 or np.ptp(x) == 0 or np.ptp(y) == 0:
-        return ""
-    from scipy.stats import spearmanr
-
-    return f"rank correlation {float(spearmanr(x, y).statistic):.2f}"
-
-
 def _is_geometric(x: Array) -> bool:
     """Whether the values of a column stand at even ratios, and over more than a decade."""
     values = np.unique(x[np.isfinite(x)])
@@ -400,6 +372,16 @@ def _is_geometric(x: Array) -> bool:
         return False
     ratios = np.diff(np.log(values))
     return bool(np.ptp(ratios) <= 0.05 * ratios.mean())
+
+
+def _by_ratios(axis: Any) -> None:
+    """A logarithmic axis with plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 # --- over two parameters ---------------------------------------------------------------------------------------------
@@ -428,7 +410,7 @@ def _heat_maps(
         bar = figure.colorbar(image, ax=list(axes[i]), pad=0.02)
         bar.set_label(_label(sweep, name), color=INK)
         bar.outline.set_edgecolor(INK)
-    _titled(figure, sweep, rows)
+    _titled(figure, sweep)
     _legend(figure, axes[0, 0], 4)
     return finished(figure)
 
@@ -440,15 +422,14 @@ def _heat_map(
     """The median of each cell; a cross where a row of it has no number."""
     axis.grid(False)
     edges, places, middles = [], [], []
-    ways = (axis.set_xscale, axis.set_xticks), (axis.set_yscale, axis.set_yticks)
-    for name, (log, ticks) in zip(against, ways, strict=True):
+    for name, along, ticks in zip(against, (axis.xaxis, axis.yaxis), (axis.set_xticks, axis.set_yticks), strict=True):
         numbers, labels = _numbers(column(sweep, name)[part.index])
         cell = _cells(numbers, bins, len(part.index), is_named=labels is not None)
         edges.append(cell[0])
         middles.append(cell[1])
         places.append(np.clip(np.searchsorted(cell[0], numbers, side="right") - 1, 0, len(cell[1]) - 1))
         if _is_geometric(numbers):
-            log("log")
+            _by_ratios(along)
         if labels is not None:
             ticks(range(len(labels)), labels)
     shape = len(middles[1]), len(middles[0])
