@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..api.batch import BatchRows
+from ..api.batch import Batch, BatchRows
 from ..frequency.margins import Margins, margins
 from ..frequency.response import bandwidth, poles
 from ..model.study_grammar import MARGIN
@@ -123,14 +123,14 @@ class RowMargins:
             with suppress(AnalysisError, ModelError, SimulationError):  # other values may have one
                 margin.value(_Row(diagram, self._asked, {}, None))
 
-    def beside(self, rows: BatchRows, values: Sequence[Mapping[str, Any]], seeds: Sequence[int] | Array) -> BatchRows:
-        """The rows with their margins. values: of each row its parameters, by path. Ctrl-C leaves the rest "left"."""
+    def beside(self, rows: BatchRows, batch: Batch, table: Array, seeds: Array) -> BatchRows:
+        """What a batch gave for a table of rows, with their margins. Ctrl-C leaves the rest "left"."""
         columns = {margin.name: np.full(len(rows), np.nan) for margin in self._chosen}
         messages, status, interrupted = list(rows.messages), rows.status.copy(), rows.interrupted
         i = 0
         try:
             for i in np.flatnonzero(~np.isin(status, ("left", "refused"))).tolist():
-                seen = _Row(self._diagram, self._asked, values[i], int(seeds[i]))
+                seen = _Row(self._diagram, self._asked, batch.parameters(table[i]), int(seeds[i]))
                 for margin in self._chosen:
                     try:
                         columns[margin.name][i] = margin.value(seen)

@@ -272,7 +272,7 @@ def _run(
                 numbers = chunk - scenario * made.n
                 rows = batch(table[numbers], seeds=seeds[numbers], threads=threads, budget=budget, progress=tell)
                 if beside:
-                    rows = beside[scenario].beside(rows, [batch.parameters(row) for row in table[numbers]], seeds[numbers])
+                    rows = beside[scenario].beside(rows, batch, table[numbers], seeds[numbers])
                 made.keep(chunk, rows)
                 if rows.interrupted:
                     raise KeyboardInterrupt
