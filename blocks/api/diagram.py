@@ -502,6 +502,7 @@ class Diagram:
         seed: int = 0,
         measures: Sequence[str] | None = None,
         log: Sequence[PortName | str] = (),
+        margins: Mapping[str, Mapping[str, Any]] | None = None,
         scenarios: Mapping[str, Mapping[str, Any]] | None = None,
         parameters: Mapping[str, Any] | None = None,
         engine: str | None = None,
@@ -523,10 +524,11 @@ class Diagram:
         Without distributions, each combination runs n times. sampler: "random", "sobol", "halton", "lhs" (Latin
         hypercube), or "saltelli", for `Sweep.sobol`: n rows of each of its samples, which are two more than columns.
         seed: of the draws, and of the run seeds: row i has one that follows from seed and i alone. measures: which
-        ones; None: all. log: signals that are kept on a grid: that of `every`, else of 200 intervals. scenarios: by
-        name, parameters set on top; all rows run in each, with equal seeds. threads: how many; None: all cores. budget:
-        the most steps of a run. progress: called with the number of rows that are done, and of all. Other arguments as
-        of `run`.
+        ones; None: all. log: signals that are kept on a grid: that of `every`, else of 200 intervals. margins: by
+        name, what is told of the linear model of each row, as in study files: {"gm": {"type": "gain_margin", "loop":
+        "control.u"}}; nan where a row has none, and its message says why. scenarios: by name, parameters set on top;
+        all rows run in each, with equal seeds. threads: how many; None: all cores. budget: the most steps of a run.
+        progress: called with the number of rows that are done, and of all. Other arguments as of `run`.
 
         out: a Parquet file. Rows are written to its part, `out` and ".part", as they are done; where a part of this
         very sweep is there already, it goes on from it, bit for bit as if it had never stopped, unless `resume` is
@@ -538,9 +540,9 @@ class Diagram:
         """
         return late(
             "sweep", self, vary,
-            n=n, sampler=sampler, seed=seed, measures=measures, log=signal_names(log), scenarios=scenarios,
-            parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads, budget=budget,
-            progress=progress, out=out, resume=resume, **settings,
+            n=n, sampler=sampler, seed=seed, measures=measures, log=signal_names(log), margins=margins,
+            scenarios=scenarios, parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads,
+            budget=budget, progress=progress, out=out, resume=resume, **settings,
         )  # fmt: skip
 
     def tune(self, **options: Any) -> Any:

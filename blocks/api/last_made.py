@@ -2,6 +2,7 @@
 
     "model"    the prepared model of the last run, of which other runs are made
     "point"    the point that was asked for last: many transfers of one point are computed from one
+    "standing" what the last points were made of: others differ in values of parameters
 
 Nothing else is kept. What is kept here follows from its key alone, so that it is never wrong to keep it or to lose it;
 a copy or a pickle of a diagram has none of it.

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ..compile.plan import Plan
 from ..contract.outside import Outside
+from ..engines.prepared import Prepared
 from ..linear.operating_point import OperatingPoint
 from ..linear.point import Point
 from ..model.diagram import DiagramValue
@@ -19,10 +21,13 @@ from ..text.errors import AnalysisError, Fault, UsageError
 from .checks import coupled_block, flat_of
 from .last_made import LastMade, names_files
 from .ports import plain_log
-from .run import RunOptions, engine_of, started
+from .run import Run, RunOptions, engine_of, started
 from .values import at_rest, time_of
 
 __all__ = ["PointOptions", "point_of"]
+
+MOST_KEPT = 3
+"""Forms of a model that are kept ready for other points."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,9 +62,9 @@ def point_of(value: DiagramValue, resolver: Resolver, options: PointOptions, las
     known: tuple[Point, tuple[Outside, ...]] | None = last.known("point", key)
     if known is not None and all(read.holds() for read in known[1]):
         return known[0]
-    point = Point.of(_standing(value, resolver, options, at, is_silent=True))
+    point = Point.of(_standing(value, resolver, options, at, last, is_silent=True))
     if not np.isfinite(point.outputs).all():
-        _standing(value, resolver, options, at, is_silent=False)  # reports where, if recorded
+        _standing(value, resolver, options, at, last, is_silent=False)  # reports where, if recorded
     if not point.plan.foreign and not names_files(value):
         tapes = {id(instance.tape): instance.tape for instance in point.plan.instances}.values()
         outside = tuple(tape.outside for tape in tapes if tape.outside is not None)
@@ -68,13 +73,32 @@ def point_of(value: DiagramValue, resolver: Resolver, options: PointOptions, las
 
 
 def _standing(
-    value: DiagramValue, resolver: Resolver, options: PointOptions, at: float | None, *, is_silent: bool
-) -> Any:
-    """A run of the reference engine that stands at a time; a silent one is not made to record signals."""
+    given_value: DiagramValue, resolver: Resolver, options: PointOptions, at: float | None, last: LastMade,
+    *, is_silent: bool,
+) -> Any:  # fmt: skip
+    """A run of the reference engine that stands at a time; a silent one is not made to record signals.
+
+    last: where what it was made of is kept, for others that differ in values of parameters.
+    """
     held, parameters, settings = options.held, dict(options.parameters or {}), options.settings
-    value = taken(value, options.variants)
+    value = taken(given_value, options.variants)
     silent: dict[str, Any] = {"log": []} if is_silent else {}
-    flat = flat_of(value, resolver, parameters, {**settings, **silent})
+    key = (id(given_value), given_value, repr(options.variants))
+    kept: tuple[Prepared, ...] = last.known("standing", key) or ()
+    likes = [form for form in kept if form.is_current]
+
+    def begun(parameters: Mapping[str, Any], settings: Mapping[str, Any], given: RunOptions, flat: Any = None) -> Run:
+        run = started(value, resolver, parameters, plain_log(settings), given, flat, likes)
+        form = run.prepared
+        is_kept = isinstance(form.plan, Plan) and not form.plan.foreign and not names_files(given_value)
+        if is_kept and not any(like.alike is form.alike for like in likes):
+            likes.insert(0, form)
+            last.keep("standing", key, tuple(likes[:MOST_KEPT]))
+        return run
+
+    asked = plain_log({**settings, **silent})
+    like = next((form for form in likes if form.with_values(parameters, asked) is not None), None)
+    flat = flat_of(value, resolver, parameters, asked) if like is None else like.structure
     coupled = coupled_block(flat)
     if coupled:
         message = "is an FMU for Co-Simulation: it hides its states, so that it has no linear model."
@@ -82,23 +106,23 @@ def _standing(
         raise AnalysisError(Fault("E703", coupled, message, cure))
     given = RunOptions(inputs={**at_rest(value, flat), **(held or {})}, engine="reference", trust=options.trust)
     if at is None:
-        return engine_of(started(value, resolver, parameters, plain_log({**settings, **silent}), given, flat))
+        return engine_of(begun(parameters, asked, given, flat if like is None else None))
     time = time_of("at", at)
     has_fmus = any(block.interface.declaration.foreign is not None for block in flat.blocks)
     given = given if has_fmus else replace(given, engine=None)
-    run = started(value, resolver, parameters, plain_log(settings), given)
-    begun, stop = run.settings.start, run.settings.stop
-    if time < begun:
-        raise UsageError(Fault("E501", "at", f"{float(time)} s lies before the start at {float(begun)} s."))
+    run = begun(parameters, settings, given)
+    start, stop = run.settings.start, run.settings.stop
+    if time < start:
+        raise UsageError(Fault("E501", "at", f"{float(time)} s lies before the start at {float(start)} s."))
     if stop is not None and time > stop:
         settings = {**settings, "stop": time}
-        run = started(value, resolver, parameters, plain_log(settings), given)
+        run = begun(parameters, settings, given)
     run.advance_to(time)
     if has_fmus:
         return engine_of(run)
     going = RunOptions(resume=run.snapshot(), engine="reference", trust=options.trust)
     again = {key: item for key, item in settings.items() if key != "start"}
-    return engine_of(started(value, resolver, {}, plain_log({**again, **silent}), going))
+    return engine_of(begun({}, {**again, **silent}, going))
 
 
 def _plainly(value: Any) -> Any:

@@ -183,9 +183,10 @@ class Run:
             options.loading(prepared.value)
         self._simulation: Simulation = simulation(
             plan, table, engine=options.engine, progress=options.progress, state=state, model=prepared.alike.model,
-            is_streamed=streaming is not None and streaming.is_streamed,
+            programs=prepared.alike.programs, is_streamed=streaming is not None and streaming.is_streamed,
         )  # fmt: skip
         prepared.alike.model = getattr(self._simulation.engine, "model", None)
+        prepared.alike.programs = getattr(self._simulation.engine, "compiled", None)
         self._exact = self.settings.start if state is None else self._simulation.exact
         # The results of a run that goes on begin there, or in the file where they go on.
         is_whole = state is None or (streaming is not None and streaming.part is not None)

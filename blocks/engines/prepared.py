@@ -47,8 +47,9 @@ class _Alike:
     """What prepared models share that differ in values alone.
 
     given: the settings of the first. made: those that were flattened, and rebindings: how others follow from them, by
-    the names of the parameters that are given. model: the compiled model, once there is one. fingerprint: of the
-    diagram, once it was asked for. Threads may share it: what is written twice is written alike.
+    the names of the parameters that are given. model: the compiled model, once there is one; programs: those of the
+    reference engine. fingerprint: of the diagram, once it was asked for. Threads may share it: what is written twice is
+    written alike.
     """
 
     def __init__(self, given: Mapping[str, Any]) -> None:
@@ -57,6 +58,7 @@ class _Alike:
         self.rebindings: dict[frozenset[str], Rebinding] = {}
         self.lock = threading.Lock()
         self.model: Any = None
+        self.programs: Any = None
         self.settings: tuple[Mapping[str, Any], RunSettings] | None = None  # the last ones that were read
         self.fingerprint = ""
 

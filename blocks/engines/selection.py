@@ -41,14 +41,16 @@ def simulation(
     progress: Callable[[float], None] | None = None,
     state: State | None = None,
     model: Any = None,
+    programs: Any = None,
     is_streamed: bool = False,
 ) -> Simulation:
     """A run, by an engine, that stands at its start, or where a saved one stood.
 
     engine: "native", "reference", "auto" (the native one where there is a compiler and it can run this), or None: what
-    the environment says, else "auto". model: that of a Plan that differs in values alone, compiled. is_streamed: its
-    rows go to a file. Raises UsageError (E501) where the native one is asked for and cannot run this, or (E311) where
-    the run cannot fit into memory, CompilerError (E60x) where it cannot be compiled, and what the run raises.
+    the environment says, else "auto". model: that of a Plan that differs in values alone, compiled; programs: those
+    that the reference engine has printed for such a one. is_streamed: its rows go to a file. Raises UsageError (E501)
+    where the native one is asked for and cannot run this, or (E311) where the run cannot fit into memory,
+    CompilerError (E60x) where it cannot be compiled, and what the run raises.
     """
     try:
         name, why = _chosen(engine), _why_not(what)
@@ -73,7 +75,7 @@ def simulation(
             else:
                 if model is None:
                     _tell_cache()
-        return Simulation(native or _reference(what, inputs), progress=progress, state=state)
+        return Simulation(native or _reference(what, inputs, programs), progress=progress, state=state)
     except MemoryError:
         raise no_room(what.name, float(what.settings.start), 0.0) from None
 
@@ -111,14 +113,14 @@ def _native(what: Plan | Coupling, inputs: InputTable, model: Any) -> Engine:
     return NativeEngine(what, inputs, foreign=_foreigns(what), model=model)
 
 
-def _reference(what: Plan | Coupling, inputs: InputTable) -> Engine:
+def _reference(what: Plan | Coupling, inputs: InputTable, programs: Any) -> Engine:
     if isinstance(what, Coupling):
         from .master.master import ReferenceMaster
 
         return ReferenceMaster(what, inputs, _loaded)
     from .reference.engine import ReferenceEngine
 
-    return ReferenceEngine(what, inputs, foreign=_foreigns(what))
+    return ReferenceEngine(what, inputs, compiled=programs, foreign=_foreigns(what))
 
 
 def _foreigns(plan: Plan) -> Foreigns | None:

@@ -46,11 +46,11 @@ class Law:
 
 
 def slopes_at(point: Point) -> Slopes:
-    """The slopes at a point, which are computed once; points of one run share their graph."""
+    """The slopes at a point, which are computed once; points of one run, or of the same programs, share their graph."""
     if not point.slopes:
-        graph = _GRAPHS.get(point.engine)
-        if graph is None or graph.plan is not point.plan:
-            graph = _GRAPHS[point.engine] = Interconnection(point.plan)
+        graph = _GRAPHS.get(point.engine.compiled)
+        if graph is None:
+            graph = _GRAPHS[point.engine.compiled] = Interconnection(point.plan)
         point.slopes.append(_slopes(graph, point))
     slopes: Slopes = point.slopes[0]
     return slopes

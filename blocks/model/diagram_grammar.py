@@ -38,8 +38,8 @@ from .diagram import BASE, FORMAT, NAME, VERSION, name_cure
 
 __all__ = [
     "BLOCK", "BODY", "COLUMN", "DIAGRAM", "ELEMENT", "ENABLE", "FIXED_STEP", "INPUT", "INTERPOLATIONS", "LARGEST_SEED",
-    "LARGEST_SIZE", "LEAST_RTOL", "MASTER", "MEASURE", "MEASURES", "MEASURE_NUMBERS", "METHODS", "OPTIONS", "QUANTITY",
-    "RUN", "SCHEMA", "TABLE", "TRIGGER", "VARIANT", "header", "quantity", "signal",
+    "LARGEST_SIZE", "LEAST_RTOL", "MASTER", "MEASURE", "MEASURES", "MEASURE_NUMBERS", "MEASURE_UNITS", "METHODS",
+    "OPTIONS", "QUANTITY", "RUN", "SCHEMA", "TABLE", "TRIGGER", "VARIANT", "header", "quantity", "signal",
 ]  # fmt: skip
 
 LARGEST_SIZE = 100_000
@@ -69,6 +69,12 @@ MEASURES = {
     "zero_crossings": "how many times e changes its sign",
 }
 """What a measure can be; e is `of` minus `against`."""
+MEASURE_UNITS = {
+    "ITAE": (1, 2), "IAE": (1, 1), "ISE": (2, 1), "ISU": (2, 1), "mean_square": (2, 0), "peak": (1, 0),
+    "settling_time": (0, 1), "total_variation": (1, 0), "RMS": (1, 0), "rise_time": (0, 1),
+    "steady_state_error": (1, 0),
+}  # fmt: skip
+"""The unit of a measure as powers of that of e and of s; others have none."""
 MEASURE_NUMBERS = {"against": "", "from": "s", "to": "s", "band": "", "omega": "rad/s"}
 """The keys of a measure that may be numbers, and the units of plain ones; "": that of the signal, or none."""
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 from ..results import plots
-from ..text.grammar import AnyOf, Choice, Field, ListOf, Object, Ref, Rule, Scalar, Steps, Table, Text, Told
+from ..text.grammar import AnyOf, Choice, Field, Kind, ListOf, Object, Ref, Rule, Scalar, Steps, Table, Text, Told
 from .diagram import is_name
-from .diagram_grammar import DOC, FILLED, FLAG, NAMES, NUMBER, OPEN_DOC, PLAIN, QUANTITY, RUN, TEXT, header
+from .diagram_grammar import DOC, FILLED, FLAG, NAMES, NUMBER, OPEN_DOC, PLAIN, QUANTITY, RUN, TEXT, TIME, header
 
 __all__ = [
-    "ASSUMED", "CLAIM", "FIGURE", "FORMAT", "LINE", "MARKER", "ONE_RUN", "PANEL", "SETTINGS", "STUDY", "VERSION",
-    "named",
+    "ASSUMED", "CLAIM", "FIGURE", "FORMAT", "LINE", "MARGIN", "MARGINS", "MARKER", "ONE_RUN", "ONE_SWEEP", "PANEL",
+    "SAMPLERS", "SETTINGS", "STUDY", "SWEEP_FIGURE", "SWEEP_FIGURES", "VERSION", "named",
 ]  # fmt: skip
 
 FORMAT, VERSION = "blocks-study", 1
@@ -36,14 +36,16 @@ def _values(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str
     return ()
 
 
-ONE_RUN = Object(
+_PARAMETERS = Table(Ref(lambda: AnyOf(PLAIN, QUANTITY), dict, is_left=True), Text(refers="own parameter"))
+_MODEL = (
     Field("diagram", FILLED, "The path of a diagram file, from the folder of this file on.", required=True),
-    Field("parameters", Table(Ref(lambda: AnyOf(PLAIN, QUANTITY), dict, is_left=True), Text(refers="own parameter")), (
-        'Values of parameters by path ("motor.Ra"), in place of those of the diagram.'
-    )),
+    Field("parameters", _PARAMETERS, 'Values of parameters by path ("motor.Ra"), in place of those of the diagram.'),
     Field("variants", Table(Text(what="the name of a variant", refers="variant"), Text(refers="block")), (
         "The variants of blocks that are taken, by path."
     )),
+)  # fmt: skip
+ONE_RUN = Object(
+    *_MODEL,
     Field("settings", SETTINGS),
     DOC,
     rules=[Rule(_values)],
@@ -52,9 +54,95 @@ ONE_RUN = Object(
     doc="A run: a diagram with parameters, variants and settings of its own.",
 )  # fmt: skip
 
+# --- sweeps ----------------------------------------------------------------------------------------------------
+
+SWEEP_FIGURES = ("bands", "histogram", "ecdf", "scatter", "heat map")
+SAMPLERS = ("random", "sobol", "halton", "lhs", "saltelli")
+MARGINS = {
+    "gain_margin": "the factor of gain that the loop bears",
+    "phase_margin": "the phase that the loop bears, in deg",
+    "delay_margin": "the delay that the loop bears, in s",
+    "modulus_margin": "the least |1 + L|",
+    "disk_margin": "the largest disk of factors of gain and phase that the loop bears",
+    "Ms": "the largest |S|, S = 1/(1 + L)",
+    "Mt": "the largest |T|, T = L/(1 + L)",
+    "crossover": "the frequency of the phase margin, in rad/s",
+    "bandwidth": "that of T, or from a signal to another, in rad/s, relative to the gain at zero frequency",
+    "slowest_pole": "the largest real part of the poles of the closed loop, or from a signal to another, in 1/s",
+    "damping": "the least damping of these poles",
+}
+"""What a sweep can tell of the linear model of each row."""
+_OF_ENDS = ("bandwidth", "slowest_pole", "damping")
+_SIGNAL = Text(is_empty=False, refers="signal")
+_SIZES = Table(AnyOf(Scalar(above=0), QUANTITY), _SIGNAL)
+
+
+def _margin(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+    kind, is_loop = value.get("type"), "loop" in value
+    if isinstance(kind, str) and kind not in MARGINS:
+        told.fault("E003", (*path, "type"), f'"{kind}" is no margin.', told.guess(kind, MARGINS) or ", ".join(MARGINS))
+    elif (("from" in value) != ("to" in value)) or is_loop == ("from" in value):
+        told.fault("E009", path, 'a margin has "loop", the signal at which a loop is opened; or "from" and "to".')
+    elif not is_loop and kind not in _OF_ENDS:
+        told.fault("E009", path, f'a {kind} is of a "loop".')
+    return ()
+
+
+MARGIN = Object(
+    Field("type", Text(meanings=MARGINS), "What is told of the linear model.", required=True),
+    Field("loop", _SIGNAL, "The signal at which the loop is opened."),
+    Field("from", _SIGNAL, "Where a change is put in."),
+    Field("to", _SIGNAL, "Where it is looked at."),
+    Field("openings", ListOf(_SIGNAL), "Signals that are cut."),
+    Field("amplitude", _SIZES, "By signal, the amplitude of a sine at laws that have no slope."),
+    Field("sigma", _SIZES, "By signal, the deviation of noise at laws that have no slope."),
+    Field("overrides", Table(AnyOf(NUMBER, ListOf(ListOf(NUMBER))), Text(refers="block")), (
+        "Gains in the place of blocks, by path."
+    )),
+    Field("held", Table(AnyOf(NUMBER, FLAG, ListOf(NUMBER)), Text(refers="input")), "Values of its inputs."),
+    Field("at", TIME, "The time at which the row is linearized, as it stands then in a run; left out: its start."),
+    Field("pade", Scalar(low=0, high=20, is_whole=True), "The order of the models of exact delays.", 0),
+    rules=[Rule(_margin)],
+    what='an object such as {"type": "gain_margin", "loop": "control.u"}',
+    name="margin",
+    doc="A margin, a pole or a bandwidth of each row, by linearizing it.",
+)  # fmt: skip
+_VARIED = AnyOf(
+    ListOf(AnyOf(PLAIN, QUANTITY), 1), Table(AnyOf(ListOf(NUMBER), Table(NUMBER)), least=1),
+    what='a list of values, or such as {"normal": [0.27, 0.02]}', name="varied",
+    doc="Values in the unit of the parameter: a list; linspace, geomspace [from, to, count]; normal [mean, deviation]; "
+    "uniform, loguniform [low, high]; triangular [low, mode, high]; truncatednormal [mean, deviation, low, high]; or "
+    'a distribution of scipy.stats with its parameters, {"lognorm": {"s": 0.3, "scale": 2}}.',
+)  # fmt: skip
+ONE_SWEEP = Object(
+    *_MODEL,
+    Field("vary", Table(_VARIED, Text(refers="own parameter"), least=1), (
+        'What varies, by path; "motor_*.Ra": one value for all that it names; "each(motor_*.Ra)": one for each.'
+    ), required=True),
+    Field("n", Scalar(low=1, is_whole=True), "Draws of the distributions; lists are crossed with them."),
+    Field("sampler", Choice(SAMPLERS), "How they are drawn.", "random"),
+    Field("seed", Scalar(low=0, is_whole=True), "Of the draws, and of the seeds of all runs.", 0),
+    Field("measures", ListOf(Text(refers="measure")), "The measures that are taken; left out: all."),
+    Field("log", ListOf(_SIGNAL), "Signals that are kept, for bands over time."),
+    Field("margins", Table(MARGIN, NAMES, is_open=True), "Of the linear model of each row, by name."),
+    Field("scenarios", Table(_PARAMETERS, NAMES), "By name, parameters set on top; all rows run in each."),
+    Field("budget", Scalar(low=1, is_whole=True), "The most steps of a run."),
+    Field("settings", Object(
+        *(field for field in SETTINGS.fields if field.key not in ("seed", "log")), doc=SETTINGS.doc
+    )),
+    DOC,
+    rules=[Rule(_values)],
+    what='an object such as {"diagram": "loop.json", "vary": {...}}',
+    name="one_sweep",
+    doc="A sweep: runs of a diagram with varied parameters.",
+    is_open=True,
+)  # fmt: skip
+
 # --- claims ----------------------------------------------------------------------------------------------------
 
-_RUN_NAME = Text(refers="run")
+_RUN_NAME, _SWEEP_NAME = Text(refers="run"), Text(refers="sweep")
+_STATISTICS = ("quantile", "statistic", "share")
+_LIMITS = ("at_most", "at_least")
 
 
 def named(claim: Mapping[str, Any]) -> list[Any]:
@@ -66,7 +154,9 @@ def named(claim: Mapping[str, Any]) -> list[Any]:
 
 def _claim(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
     runs, reason = named(value), value.get("reason")
-    if not runs:
+    if "sweep" in value:
+        _of_sweep(value, path, told)
+    elif not runs:
         told.fault("E009", path, 'a claim names one "run", or two "runs" in a list.')
     else:
         for _ in [name for name in runs if not isinstance(name, str)]:
@@ -74,24 +164,50 @@ def _claim(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
         if ("runs" in value) != ("as" in value):
             what = 'two runs are compared "as" a "reduction" or an "increase"; one run has no "as".'
             told.fault("E004", path, what)
-    if "published" not in value:
+    limits = [key for key in _LIMITS if key in value]
+    if limits:
+        if len(limits) > 1 or "published" in value or "tolerance" in value:
+            told.fault("E009", path, 'a claim has one of "at_most", "at_least" and "published" with its "tolerance".')
+        if value.get("expect") not in ("holds", "fails"):
+            told.fault("E009", path, 'a claim with a limit states what to "expect": "holds" or "fails".')
+    elif "published" not in value:
         if "expect" in value or "tolerance" in value:
             told.fault("E009", path, 'a claim with "expect" or "tolerance" needs the "published" number.')
         return ("run", "runs")
-    if "tolerance" not in value:
-        told.fault("E009", path, 'a claim states its "tolerance" between 0 and 1, as in 0.05.')
-    if "expect" not in value:
-        told.fault("E009", path, 'a claim states what to "expect": "reproduced" or "not reproduced".')
-    if value.get("expect") == "not reproduced" and not (isinstance(reason, str) and reason):
-        told.fault("E009", path, 'a number that is "not reproduced" needs its "reason".')
+    else:
+        if "tolerance" not in value:
+            told.fault("E009", path, 'a claim states its "tolerance" between 0 and 1, as in 0.05.')
+        if value.get("expect") not in ("reproduced", "not reproduced"):
+            told.fault("E009", path, 'a claim states what to "expect": "reproduced" or "not reproduced".')
+    if value.get("expect") in ("not reproduced", "fails") and not (isinstance(reason, str) and reason):
+        what = 'a number that is "not reproduced"' if value["expect"] != "fails" else "a limit that fails"
+        told.fault("E009", path, f'{what} needs its "reason".')
     return ("run", "runs")
+
+
+def _of_sweep(value: Mapping[str, Any], path: Steps, told: Told) -> None:
+    if {"run", "runs", "as"} & value.keys():
+        told.fault("E009", path, 'a claim names a "sweep", or runs.')
+    if sum(key in value for key in _STATISTICS) != 1:
+        told.fault("E009", path, f"a claim about a sweep has one of {', '.join(_STATISTICS)}.")
+    elif "share" in value and not {*_LIMITS} & value.keys():
+        told.fault("E009", path, 'the "share" is that of the rows "at_most" or "at_least" at a limit.')
 
 
 CLAIM = Object(
     Field("run", _RUN_NAME, "The run that the claim is about."),
     Field("runs", ListOf(_RUN_NAME, 2, 2), "Two runs, whose change in % the claim is about."),
-    Field("measure", Text(is_empty=False, refers="measure"), "A measure of the diagram.", required=True),
+    Field("sweep", _SWEEP_NAME, "The sweep about whose rows the claim is."),
+    Field("scenario", Text(refers="scenario"), "One of its scenarios; left out: the rows of all."),
+    Field("measure", Text(is_empty=False, refers="measure"), "A measure, or a margin of the sweep.", required=True),
     Field("as", Choice(("reduction", "increase")), "The change from the first to the second run."),
+    Field("quantile", Scalar(low=0, high=1), "Of a sweep: the claim is about this quantile; 0.5: the median."),
+    Field("statistic", Choice(("mean", "deviation")), "Of a sweep: its mean or standard deviation."),
+    Field("share", Scalar(low=0, high=1), (
+        "Of a sweep: so many of all rows, at least, keep the limit; a row without a number does not."
+    )),
+    Field("at_most", NUMBER, "A limit of the value, in the unit of the measure; of a change in %."),
+    Field("at_least", NUMBER, "The same, from below."),
     Field("published", Scalar(what="a number other than 0, as there is no ratio to it", other=0), (
         "The published number; left out, the value is only shown."
     )),
@@ -100,19 +216,30 @@ CLAIM = Object(
     Field("tolerance", Scalar(what="a number between 0 and 1, as in 0.05", above=0, below=1), (
         "The largest deviation of value/published from 1 that counts as reproduced."
     )),
-    Field("expect", Choice(("reproduced", "not reproduced")), "The verdict that is expected."),
-    Field("reason", TEXT, "Why a number is not reproduced."),
+    Field("expect", Choice(("reproduced", "not reproduced", "holds", "fails")), (
+        'The verdict that is expected: "holds" or "fails" of a limit.'
+    )),
+    Field("reason", TEXT, "Why a number is not reproduced, or a limit fails."),
     rules=[Rule(_claim, lambda _: {
-        "oneOf": [{"required": ["run"]}, {"required": ["runs"]}],
+        "oneOf": [{"required": [key]} for key in ("run", "runs", "sweep")],
         "dependentRequired": {
             "runs": ["as"], "as": ["runs"], "published": ["tolerance", "expect"], "tolerance": ["published"],
-            "expect": ["published"],
+            **{key: ["sweep"] for key in ("scenario", *_STATISTICS)}, **{key: ["expect"] for key in _LIMITS},
         },
-        "if": {"properties": {"expect": {"const": "not reproduced"}}, "required": ["expect"]},
-        "then": {"properties": {"reason": {"minLength": 1}}, "required": ["reason"]},
+        "allOf": [
+            {"if": {"properties": {"expect": {"enum": ["not reproduced", "fails"]}}, "required": ["expect"]},
+             "then": {"properties": {"reason": {"minLength": 1}}, "required": ["reason"]}},
+            {"if": {"required": ["sweep"]}, "then": {"oneOf": [{"required": [key]} for key in _STATISTICS]}},
+            {"if": {"required": ["expect"]}, "then": {
+                "oneOf": [{"required": [key]} for key in ("published", *_LIMITS)]
+            }},
+            {"if": {"anyOf": [{"required": [key]} for key in _LIMITS]},
+             "then": {"properties": {"expect": {"enum": ["holds", "fails"]}}},
+             "else": {"properties": {"expect": {"enum": ["reproduced", "not reproduced"]}, "share": False}}},
+        ],
     })],
     name="claim",
-    doc="A measure beside a published number.",
+    doc="A measure beside a published number, or within a limit.",
 )  # fmt: skip
 
 # --- figures ---------------------------------------------------------------------------------------------------
@@ -160,7 +287,7 @@ def _numbers(count: int) -> ListOf:
     return ListOf(NUMBER, count, count, what=f"a list of {count} numbers", is_even=True)
 
 
-def _objects(kind: Object, least: int = 0, *, is_open: bool = True) -> ListOf:
+def _objects(kind: Kind, least: int = 0, *, is_open: bool = True) -> ListOf:
     return ListOf(kind, least, what="a list of objects", is_even=True, is_open=is_open)
 
 
@@ -194,6 +321,22 @@ FIGURE = Object(
     rules=[Rule(_named)],
     name="figure",
 )
+_SOME = AnyOf(FILLED, ListOf(FILLED, 1), what="a name, or a list of names")
+SWEEP_FIGURE = Object(
+    Field("name", NAMES, "The name of its file.", required=True),
+    Field("title", TEXT, "Its title."),
+    DOC,
+    Field("sweep", _SWEEP_NAME, "The name of a sweep of this study.", required=True),
+    Field("scenario", Text(refers="scenario"), "One of its scenarios; left out: all."),
+    Field("of", _SOME, "Signals that it keeps, measures, margins or varied parameters; left out: all signals."),
+    Field("against", _SOME, "Measures or varied parameters: one or more (scatter), or two (heat map)."),
+    Field("kind", Choice(SWEEP_FIGURES), "What is drawn, where it does not follow from these."),
+    Field("bins", Scalar(low=1, high=1000, is_whole=True), "Of a histogram, or of each axis of a heat map."),
+    rules=[Rule(_named)],
+    by="sweep",
+    name="sweep_figure",
+    doc="A figure of a sweep: bands over time of signals; histograms, scatter or a heat map of measures.",
+)
 
 # --- studies ---------------------------------------------------------------------------------------------------
 
@@ -209,9 +352,10 @@ STUDY = Object(
     OPEN_DOC,
     Field("source", TEXT, "What is studied: a paper, a book."),
     Field("runs", Table(ONE_RUN, NAMES, tells=False, is_open=True), "The runs, by name."),
+    Field("sweeps", Table(ONE_SWEEP, NAMES, tells=False, is_open=True), "Sweeps, by name: runs that vary."),
     Field("assumed", _objects(ASSUMED), "What the source leaves open."),
     Field("claims", _objects(CLAIM), "Measures beside published numbers."),
-    Field("figures", _objects(FIGURE), "Figures of the report."),
+    Field("figures", _objects(AnyOf(SWEEP_FIGURE, FIGURE)), "Figures of the report."),
     is_open=True,
     doc="Runs of diagrams whose measures are set beside published numbers.",
 )

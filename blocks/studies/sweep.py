@@ -192,6 +192,49 @@ class Sweep:
             cure = f'Take one: sweep["{self.scenarios[0]}"].{what}().'
             raise UsageError(Fault("E501", what, f"is of one scenario, and there are {len(self.scenarios)}.", cure))
 
+    # --- figures and tables --------------------------------------------------------------------------------------
+
+    def plot(
+        self,
+        what: str | Sequence[str] | None = None,
+        against: str | Sequence[str] | None = None,
+        *,
+        kind: str | None = None,
+        singles: int = 3,
+        bins: int | None = None,
+    ) -> Any:
+        """A `matplotlib.figure.Figure`: what of the sweep is drawn, and against what.
+
+            sweep.plot("motor.omega")                      a logged signal: median, 25 to 75 % and 5 to 95 % over time
+            sweep.plot(["ITAE", "overshoot"])              measures: histograms; kind="ecdf": their distributions
+            sweep.plot("ITAE", against="motor.Jeq")        against a parameter or another measure: scatter
+            sweep.plot("gm", against=("b0", "omega_o"))    over two: a heat map
+
+        what: None: all signals, or all measures where there are none. Rows that failed are counted, and shown where
+        they can be. singles: how many runs are drawn by themselves in bands. bins: of a histogram, or of each axis of a
+        heat map over ranges. Scenarios stand beside each other; `sweep[name].plot()` shows one. Raises UsageError
+        (E501).
+        """
+        from .sweep_figures import plot
+
+        return plot(self, what, against, kind=kind, singles=singles, bins=bins)
+
+    def markdown(self, *, by: str | Sequence[str] = (), q: Sequence[float] = QUANTILES) -> str:
+        """Measures by scenario as a Markdown table: mean, quantiles, and how many rows have no number.
+
+        by: varied parameters; then there is a row for each combination of their values, with the median of each
+        measure. Raises UsageError (E501).
+        """
+        from .sweep_tables import markdown
+
+        return markdown(self, by, q)
+
+    def latex(self, *, by: str | Sequence[str] = (), q: Sequence[float] = QUANTILES) -> str:
+        """The same as a tabular of LaTeX, with the rules of the package booktabs."""
+        from .sweep_tables import latex
+
+        return latex(self, by, q)
+
     # --- text and files -----------------------------------------------------------------------------------------
 
     def counts(self) -> dict[str, int]:

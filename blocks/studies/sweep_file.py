@@ -92,7 +92,7 @@ def _rows_of(sweep: Mapping[str, Any], told: Mapping[str, Any]) -> Any:
     fields = []
     # A measure may be called as a parameter is.
     for key, (name, kind, column) in zip(unique((c[0] for c in columns), longest=1000), columns, strict=True):
-        unit = sweep["units"].get(name, "") if kind in ("varied", "signal") else ""
+        unit = sweep["units"].get(name, "") if kind else ""
         fields.append(pa.field(key, column.type, metadata={"name": name, "kind": kind, "unit": unit}))
     shapes = {name: list(values.shape[2:]) for name, values in sweep["signals"].items()}
     notes = {

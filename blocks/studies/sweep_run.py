@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,12 +20,16 @@ import numpy as np
 from ..api.batch import Batch, BatchRows
 from ..api.varied import columns_of
 from ..model.diagram import check_name
+from ..model.diagram_grammar import MEASURE_UNITS
+from ..model.flatten import Flat, element_of
 from ..model.trust import Paths
 from ..model.variants import taken
+from ..text import units as unit_texts
 from ..text.errors import Fault, UsageError
 from .sampling import Rows, rows_of, seed_of
 from .sweep import Sweep
 from .sweep_file import SweepPart
+from .sweep_margins import RowMargins, margins_of
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
@@ -46,6 +51,7 @@ def sweep(
     seed: int = 0,
     measures: Sequence[str] | None = None,
     log: Sequence[str] = (),
+    margins: Mapping[str, Mapping[str, Any]] | None = None,
     scenarios: Mapping[str, Mapping[str, Any]] | None = None,
     parameters: Mapping[str, Any] | None = None,
     engine: str | None = None,
@@ -75,26 +81,36 @@ def sweep(
         diagram.batch(names, measures=measures, log=log, **{**asked, "parameters": {**(parameters or {}), **on_top}})
         for on_top in given.values()
     ]
+    wanted = margins_of(margins or {})
+    linear = {key: value for key, value in asked.items() if key not in ("parameters", "engine")}
+    beside = [
+        RowMargins(diagram, wanted, {**linear, "parameters": {**(parameters or {}), **on_top}})
+        for on_top in (given.values() if wanted else ())
+    ]
     first = batches[0]
     begun = diagram.start(**{**asked, "parameters": {**(parameters or {}), **next(iter(given.values()))}, "log": log})
     start = begun.results
     begun.leave()
-    units = dict(zip(names, first.units, strict=True)) | {name: start.columns[name][2] for name in first.signals}
+    units = _units_of_measures(diagram.flatten(parameters=parameters, variants=variants, settings=settings))
+    units |= {margin.name: margin.unit for margin in wanted}
+    units |= dict(zip(names, first.units, strict=True)) | {name: start.columns[name][2] for name in first.signals}
     table = _table(rows)
 
     def again(scenario: str, number: int) -> Results:
         return batches[list(given).index(scenario)].single(list(table[number]), int(seeds[number]))
 
-    made = _Made(diagram.name, rows, units, tuple(scenarios or ()), seeds, first, again)
+    taken_measures = (*first.measures, *(margin.name for margin in wanted))
+    made = _Made(diagram.name, rows, units, tuple(scenarios or ()), seeds, taken_measures, first.signals, again)
     if out is not None:
         key: dict[str, Any] = {"scenarios": given, "measures": first.measures, "signals": first.signals}
+        key |= {"margins": wanted} if wanted else {}
         key |= {"budget": budget, "engine": start.statistics.engine, "varied rows": _digest(rows, seeds)}
         made.part = SweepPart(out, start.origin, {name: repr(value) for name, value in key.items()}, resume=resume)
     try:
         for fields in made.part.found if made.part is not None else ():
             piece = Sweep(**fields)
             made.take(piece.scenario * rows.n + piece.number, piece)
-        _run(batches, table, seeds, made, threads=threads, budget=budget, progress=progress)
+        _run(batches, beside, table, seeds, made, threads=threads, budget=budget, progress=progress)
         done = made.sweep()
         if made.part is not None:
             made.part.end(vars(done))
@@ -116,6 +132,17 @@ def _scenarios(
             cure = 'As in scenarios={"heavy": {"load": 2}}.'
             raise UsageError(Fault("E501", f"scenarios.{name}", "must map parameters to values.", cure))
     return dict(scenarios)
+
+
+def _units_of_measures(flat: Flat) -> dict[str, str]:
+    """The units of measures, in SI; "" where that of the signal is not known."""
+    told = {}
+    for measure in flat.measures:
+        signal, (of_signal, of_time) = element_of(measure.of, flat.signals), MEASURE_UNITS.get(measure.type, (0, 0))
+        powers = ((unit_texts.si_text(signal.unit) if signal and signal.unit else "", of_signal), ("s", of_time))
+        parts = [unit_texts.power(unit, power) for unit, power in powers if power]
+        told[measure.name] = reduce(unit_texts.product, parts) if parts else ""
+    return told
 
 
 def _table(rows: Rows) -> Array:
@@ -146,12 +173,13 @@ class _Made:
         units: Mapping[str, str],
         scenarios: tuple[str, ...],
         seeds: Array,
-        batch: Batch,
+        measures: Sequence[str],
+        signals: Sequence[str],
         again: Callable[[str, int], Results],
     ) -> None:
         copies = max(1, len(scenarios))
         total = rows.n * copies
-        self.n, self.logged = rows.n, batch.signals
+        self.n, self.logged = rows.n, signals
         self.messages = [""] * total
         self.t = np.empty(0)
         self.signals: dict[str, Array] = {}
@@ -166,7 +194,7 @@ class _Made:
             np.full(total, "left", dtype="<U8"),
             (),
             np.zeros(total, dtype=np.int64),
-            {key: np.full(total, np.nan) for key in batch.measures},
+            {key: np.full(total, np.nan) for key in measures},
             self.t,
             {},
             base=rows.base,
@@ -216,6 +244,7 @@ class _Made:
 
 def _run(
     batches: Sequence[Batch],
+    beside: Sequence[RowMargins],
     table: Array,
     seeds: Array,
     made: _Made,
@@ -242,6 +271,8 @@ def _run(
                 begun = time.perf_counter()
                 numbers = chunk - scenario * made.n
                 rows = batch(table[numbers], seeds=seeds[numbers], threads=threads, budget=budget, progress=tell)
+                if beside:
+                    rows = beside[scenario].beside(rows, batch, table[numbers], seeds[numbers])
                 made.keep(chunk, rows)
                 if rows.interrupted:
                     raise KeyboardInterrupt

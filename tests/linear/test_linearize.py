@@ -48,6 +48,7 @@ from blocks import (
     LookupTable,
     MatrixGain,
     MinMax,
+    ModelError,
     Mux,
     Parameter,
     PMDCMotor,
@@ -1693,3 +1694,22 @@ def test_an_fmu_of_a_law_without_a_slope_is_refused_as_its_block_is(tmp_path: Pa
             else:
                 ours, theirs = outer.linearize("y", ["b.z1", "b.z3"]), d.linearize("y", ["b.z1", "b.z3"], held={"y": e})
                 assert at(ours) == pytest.approx(at(theirs), rel=1e-8)
+
+
+def test_points_of_other_values_are_those_of_a_fresh_diagram_and_cost_no_new_model(monkeypatch):
+    from blocks.api import points
+
+    flattened = []
+    flat_of = points.flat_of
+    monkeypatch.setattr(points, "flat_of", lambda *given: flattened.append(given) or flat_of(*given))
+    kept = Diagram.load("diagrams/adrc/mass_position.json")
+    for at in (None, 0.4):
+        for mass, omega_o in ((1.0, 40.0), (1.3, 25.0), (0.7, 60.0)):
+            given = {"parameters": {"mass": mass, "omega_o": omega_o}, "at": at}
+            loop = kept.linearizer(**given).loop_transfer("control.u")
+            fresh = Diagram.load("diagrams/adrc/mass_position.json").linearizer(**given).loop_transfer("control.u")
+            for key in "ABCD":
+                assert np.array_equal(getattr(loop, key), getattr(fresh, key)), (key, given)
+    assert len(flattened) == 1 + 6  # the six fresh ones flatten for themselves
+    with pytest.raises(ModelError, match="E106"):
+        kept.linearizer(parameters={"mas": 1.0})

@@ -35,7 +35,7 @@ class CompiledPrograms:
     """The programs of one Plan, printed when first asked for. `source` is what was printed, to be read.
 
     Functions of types are shared by all programs; nothing here changes what a program computes, so that one
-    object may serve several runs and threads.
+    object may serve several runs and threads, and Plans that differ in values of parameters alone.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -48,9 +48,16 @@ class CompiledPrograms:
         self.source = ""
         self.lock = threading.Lock()
         self.tapes: dict[int, str] = {}
+        self.made: dict[Any, Evaluator] = {}
 
     def program(self, name: str, results: Sequence[Node | Reference], **how: Any) -> Evaluator:
         """A function that computes `results`, printed when it is first called; `how` is passed to `schedule`."""
+        key = (name, tuple(results), *sorted(how.items()))
+        if key not in self.made:
+            self.made[key] = self._later(name, results, how)
+        return self.made[key]
+
+    def _later(self, name: str, results: Sequence[Node | Reference], how: dict[str, Any]) -> Evaluator:
         fast: Evaluator | None = None
         slow: Evaluator | None = None
 

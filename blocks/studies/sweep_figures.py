@@ -1,0 +1,480 @@
+"""Figures of a sweep: bands over time, histograms, distribution functions, scatter and heat maps of measures.
+
+    plot(sweep, "motor.omega")                              # a logged signal: its bands over time
+    plot(sweep, ["ITAE", "overshoot"])                      # measures: histograms
+    plot(sweep, "ITAE", against="motor.Jeq")                # a measure against a parameter, or another measure
+    plot(sweep, "gm", against=("b0", "omega_o"))            # a heat map
+
+Rows that failed have no numbers; each figure counts them, and shows where they lie if it can. They look like the
+figures of `blocks.results.plots`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..frequency.figure_look import FAINT, SMALL, finished, new_figure
+from ..model.study_grammar import SWEEP_FIGURES
+from ..results.plots import INK, STYLES, defaults, plain
+from ..text.element_names import element_names
+from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.printable import counted, legible
+from .statistics import correlation, quantiles
+
+__all__ = ["column", "plot", "told_rows"]
+
+Array = np.ndarray[Any, Any]
+Sweep = Any  # a `Sweep`, whose module calls this one
+BAD = "#be123c"
+"""The color of rows that failed."""
+_WORDS = {"budget": "over the budget", "left": "not run"}
+_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+_WIDTH, _HEIGHT = 7.2, 2.4  # inches of a figure, and of a row of panels
+_MOST_BINS = 60
+_MOST_VALUES = 60
+"""Of a column in a heat map whose values make its cells; of more, cells are ranges."""
+_MOST_LINES = 8
+"""Rows that failed, drawn up to where they ended."""
+_MANY = 3000
+"""Points that an SVG holds as a picture."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """The rows of one scenario: those that are there, and which of them ran to their end."""
+
+    name: str
+    style: int
+    index: Array
+    is_ok: Array
+
+    @property
+    def color(self) -> str:
+        return STYLES[self.style % len(STYLES)][0]
+
+    @property
+    def pattern(self) -> Any:
+        return STYLES[self.style % len(STYLES)][1]
+
+
+@defaults()
+def plot(
+    sweep: Sweep,
+    what: str | Sequence[str] | None = None,
+    against: str | Sequence[str] | None = None,
+    *,
+    kind: str | None = None,
+    singles: int = 3,
+    bins: int | None = None,
+) -> Any:
+    """What `Sweep.plot` does. kind: of SWEEP_FIGURES, where it does not follow from the names."""
+    wanted = _names(sweep.signals or sweep.measures if what is None else what)
+    others = _names(() if against is None else against)
+    chosen = _kind(sweep, wanted, others, kind)
+    if not wanted:
+        raise UsageError(Fault("E501", sweep.name, "there is nothing to draw.", "Give the sweep measures=, or log=."))
+    rows = _scenarios(sweep)
+    if chosen == "bands":
+        return _bands(sweep, wanted, rows, singles)
+    if chosen in ("histogram", "ecdf"):
+        return _distributions(sweep, wanted, rows, chosen, bins)
+    if chosen == "scatter":
+        return _scatter(sweep, wanted, others, rows)
+    return _heat_maps(sweep, wanted, (others[0], others[1]), rows, bins)
+
+
+def column(sweep: Sweep, name: str) -> Array:
+    """A measure or a varied parameter, (n,). Raises UsageError (E501)."""
+    for table in (sweep.measures, sweep.varied):
+        if name in table:
+            return np.asarray(table[name])
+    raise _unknown(name, [*sweep.measures, *sweep.varied], "measure and no parameter")
+
+
+def told_rows(sweep: Sweep) -> str:
+    """How many rows there are, and what became of those that did not run to their end."""
+    counts = {_WORDS.get(name, name): count for name, count in sweep.counts().items() if name != "ok"}
+    bad = ", ".join(f"{count:,} {name}" for name, count in counts.items())
+    return f"{counted(len(sweep), 'run')}" + (f", of which {bad}" if bad else "")
+
+
+def _names(given: str | Sequence[str] | Any) -> list[str]:
+    return [given] if isinstance(given, str) else [str(name) for name in given]
+
+
+def _unknown(name: str, known: Sequence[str], what: str) -> UsageError:
+    cure = did_you_mean(name[:200], known) or f"There are {', '.join(known) or 'none'}."
+    return UsageError(Fault("E501", legible(name), f"is no {what} of the sweep.", cure))
+
+
+def _kind(sweep: Sweep, what: Sequence[str], against: Sequence[str], kind: str | None) -> str:
+    """What kind of figure it is. Raises UsageError (E501)."""
+    is_signal = [name.partition("[")[0] in sweep.signals for name in what]
+    if kind is None:
+        kind = "bands" if what and all(is_signal) else ("histogram", "scatter", "heat map")[min(len(against), 2)]
+    if kind not in SWEEP_FIGURES:
+        cure = f"There are {', '.join(SWEEP_FIGURES)}."
+        raise UsageError(Fault("E501", "kind", f"{kind!r} is no kind of figure.", cure))
+    least, most = {"scatter": (1, 99), "heat map": (2, 2)}.get(kind, (0, 0))
+    if not least <= len(against) <= most:
+        needs = {(0, 0): "is against nothing", (2, 2): "is against two names"}.get((least, most), "needs a name")
+        cure = 'As in plot("ITAE", against="motor.Ra"), or against=("b0", "omega_o").'
+        raise UsageError(Fault("E501", "against", f"the figure ({kind}) {needs}.", cure))
+    for name, fits in zip(what, is_signal, strict=True):
+        if kind == "bands" and not fits:
+            raise _unknown(name, list(sweep.signals), "logged signal")
+        if kind != "bands":
+            column(sweep, name)
+    for name in against:
+        column(sweep, name)
+    return kind
+
+
+def _scenarios(sweep: Sweep) -> list[_Rows]:
+    rows = []
+    for k, name in enumerate(sweep.scenarios or ("",)):
+        index = np.flatnonzero(sweep.scenario == k)
+        rows.append(_Rows(name, k, index, sweep.status[index] == "ok"))
+    return rows
+
+
+def _label(sweep: Sweep, name: str) -> str:
+    unit = sweep.units.get(name, "") or sweep.units.get(name.partition("[")[0], "")
+    return plain(f"{name} [{unit}]" if unit else name)
+
+
+def _titled(figure: Any, sweep: Sweep) -> None:
+    """What the figure shows, and how many rows failed."""
+    name = f"{sweep.name}, {sweep.scenarios[0]}" if len(sweep.scenarios) == 1 else sweep.name
+    figure.suptitle(plain(f"{name}: {told_rows(sweep)}"), fontsize=10, x=0.01, ha="left", color=INK)
+
+
+def _legend(figure: Any, axis: Any, columns: int = 6) -> None:
+    """The legend of one pair of axes, below all of them, where it hides nothing."""
+    handles, labels = axis.get_legend_handles_labels()
+    if handles:
+        figure.legend(
+            handles, labels, loc="outside lower center", ncols=columns, fontsize=SMALL, frameon=False, labelcolor=INK
+        )
+
+
+# --- over time -------------------------------------------------------------------------------------------------------
+
+
+def _bands(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], singles: int) -> Any:
+    signals = [pair for name in names for pair in _elements(sweep, name)]
+    several = len(rows) > 1
+    figure, axes = new_figure(len(signals), 1, height=0.95 + _HEIGHT * len(signals), width=_WIDTH, share=True)
+    for axis, (name, values) in zip(np.ravel(axes), signals, strict=True):
+        for look, label in (({"alpha": 0.18}, "5 to 95 %"), ({"alpha": 0.32}, "25 to 75 %")):
+            axis.fill_between([], [], [], color=FAINT if several else rows[0].color, linewidth=0, label=label, **look)
+        for part in rows:
+            _band(axis, sweep.t, values[part.index], part, 0 if several else singles)
+        _lines_of_failed(axis, sweep.t, values, rows)
+        axis.set_ylabel(_label(sweep, name))
+        axis.margins(x=0.0)
+    axes = np.ravel(axes)
+    axes[-1].set_xlabel("time [s]")
+    _titled(figure, sweep)
+    _legend(figure, axes[0], 3 if several else 6)
+    return finished(figure)
+
+
+def _elements(sweep: Sweep, name: str) -> list[tuple[str, Array]]:
+    """The elements of a logged signal, each (n, g). Raises UsageError (E501)."""
+    whole, bracket, _ = name.partition("[")
+    values = np.asarray(sweep.signals[whole], dtype=float)
+    if values.ndim == 2 and not bracket:
+        return [(name, values)]
+    flat = values.reshape(*values.shape[:2], -1)
+    elements = {each: flat[:, :, k] for k, each in enumerate(element_names(whole, values.shape[2:]))}
+    if bracket and name not in elements:
+        raise _unknown(name, list(elements), "logged signal")
+    return [(each, elements[each]) for each in ([name] if bracket else elements)]
+
+
+def _band(axis: Any, t: Array, values: Array, part: _Rows, singles: int) -> None:
+    """The bands of the rows that ran to their end, and a few of them."""
+    good = values[part.is_ok]
+    if not len(good):
+        return
+    level = quantiles(good, np.array(_QUANTILES))
+    axis.fill_between(t, level[0], level[4], alpha=0.18, color=part.color, linewidth=0)
+    axis.fill_between(t, level[1], level[3], alpha=0.32, color=part.color, linewidth=0)
+    for k, row in enumerate(good[np.unique(np.linspace(0, len(good) - 1, singles).astype(int))] if singles else ()):
+        axis.plot(t, row, color=INK, linewidth=0.5, alpha=0.6, label=None if k else "single runs")
+    label = plain(f"{part.name}: median" if part.name and not singles else "median")
+    axis.plot(t, level[2], color=part.color, linestyle=part.pattern, linewidth=1.4, label=label)
+
+
+def _lines_of_failed(axis: Any, t: Array, values: Array, rows: Sequence[_Rows]) -> None:
+    """Rows that failed, as far as they came; where they run away, the others keep their scale."""
+    index = np.concatenate([part.index[~part.is_ok] for part in rows])
+    begun = index[np.isfinite(values[index]).any(axis=1)][:_MOST_LINES]
+    low, high = axis.get_ylim()
+    for k, row in enumerate(values[begun]):
+        axis.plot(t, row, color=BAD, linewidth=0.7, label=None if k else "failed, up to its end")
+    if len(begun):
+        reach = 0.25 * (high - low)
+        bottom, top = axis.get_ylim()
+        axis.set_ylim(max(bottom, low - reach), min(top, high + reach))
+
+
+# --- distributions ---------------------------------------------------------------------------------------------------
+
+
+def _distributions(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], kind: str, bins: int | None) -> Any:
+    across = min(len(names), 2)
+    down = -(-len(names) // across)
+    figure, axes = new_figure(down, across, height=0.7 + _HEIGHT * down * (1.25 if across == 1 else 1.0), width=_WIDTH)
+    axes = np.ravel(axes)
+    for axis in axes[len(names) :]:
+        axis.set_visible(False)
+    for axis, name in zip(axes, names, strict=False):
+        whole = column(sweep, name)
+        values, labels = _numbers(whole)
+        finite = values[np.isfinite(values)]
+        edges = _edges(finite, bins)
+        for part in rows:
+            own = values[part.index]
+            if kind == "ecdf":
+                _steps(axis, own, part)
+            else:
+                _bars(axis, own, edges, part, is_alone=len(rows) == 1)
+        axis.set_xlabel(_label(sweep, name))
+        axis.set_ylabel("share of all runs" if kind == "ecdf" else "runs")
+        missing = int(sum(np.count_nonzero(~np.isfinite(values[part.index])) for part in rows))
+        if missing:
+            axis.set_title(f"{missing:,} without a number", fontsize=SMALL, loc="right", color=BAD)
+        if labels is not None:
+            axis.set_xticks(range(len(labels)), labels)
+        if kind == "ecdf":
+            axis.set_ylim(0.0, 1.0)
+    _titled(figure, sweep)
+    _legend(figure, axes[0], 3)
+    return finished(figure)
+
+
+def _edges(values: Array, bins: int | None) -> Array:
+    if not len(values) or values.min() == values.max():
+        middle = float(values[0]) if len(values) else 0.0
+        reach = 0.5 * abs(middle) or 0.5
+        return np.array([middle - reach, middle + reach])
+    edges = np.histogram_bin_edges(values, bins if bins is not None else "auto")
+    return edges if bins is not None or len(edges) <= _MOST_BINS else np.histogram_bin_edges(values, _MOST_BINS)
+
+
+def _bars(axis: Any, values: Array, edges: Array, part: _Rows, *, is_alone: bool) -> None:
+    values = values[np.isfinite(values)]
+    counts, _ = np.histogram(values, edges)
+    label = plain(part.name) if part.name else None
+    axis.stairs(counts, edges, color=part.color, alpha=0.3, fill=True)
+    axis.stairs(counts, edges, color=part.color, linewidth=1.1, linestyle=part.pattern, label=label)
+    axis.set_ylim(bottom=0)
+    if is_alone and len(values) > 1:
+        for quantile, pattern in ((0.05, (0, (4, 2))), (0.5, "-"), (0.95, (0, (4, 2)))):
+            x = float(np.quantile(values, quantile))
+            axis.axvline(x, color=INK, linewidth=0.8, linestyle=pattern)
+        axis.plot([], [], color=INK, linewidth=0.8, label="median")
+        axis.plot([], [], color=INK, linewidth=0.8, linestyle=(0, (4, 2)), label="5 and 95 %")
+
+
+def _steps(axis: Any, values: Array, part: _Rows) -> None:
+    """The share of all rows whose value is at most x; where rows have none, it does not come to 1."""
+    known = np.sort(values[~np.isnan(values)])
+    known = known[np.isfinite(known)]
+    below = int(np.count_nonzero(values == -np.inf))
+    shares = (below + np.arange(1, len(known) + 1)) / max(len(values), 1)
+    label = plain(part.name) if part.name else None
+    axis.step(known, shares, where="post", color=part.color, linestyle=part.pattern, linewidth=1.4, label=label)
+
+
+# --- against each other ----------------------------------------------------------------------------------------------
+
+
+def _numbers(values: Array) -> tuple[Array, list[str] | None]:
+    """A column as numbers; of texts and truths their places among all, which are named."""
+    if values.dtype.kind in "fiu":
+        return values.astype(float), None
+    try:
+        if values.dtype.kind == "O" and not any(isinstance(value, (str, bool, np.bool_)) for value in values):
+            return values.astype(float), None
+    except (TypeError, ValueError):
+        pass
+    texts = np.array([str(value) for value in values])
+    names, places = np.unique(texts, return_inverse=True)
+    return places.astype(float), [plain(str(name)) for name in names]
+
+
+def _scatter(sweep: Sweep, names: Sequence[str], against: Sequence[str], rows: Sequence[_Rows]) -> Any:
+    down, across = len(names), len(against)
+    figure, axes = new_figure(down, across, height=0.75 + (_HEIGHT + 0.3) * down, width=max(_WIDTH, 2.6 * across))
+    axes = np.reshape(axes, (down, across))
+    for i, name in enumerate(names):
+        y, y_labels = _numbers(column(sweep, name))
+        for j, other in enumerate(against):
+            axis = axes[i, j]
+            x, x_labels = _numbers(column(sweep, other))
+            every = np.concatenate([part.index for part in rows])
+            for part in rows:
+                _points(axis, _spread(x, x_labels)[part.index], y[part.index], part)
+            _crosses(axis, x[every][~np.isfinite(y[every])])
+            related = correlation(x[every], y[every], by_rank=True)
+            if len(rows) == 1 and x_labels is None and y_labels is None and np.isfinite(related):
+                axis.set_title(f"rank correlation {related:.2f}", fontsize=SMALL, loc="right", color=INK)
+            if _is_geometric(x[every]):
+                _by_ratios(axis.xaxis)
+            for labels, ticks in ((x_labels, axis.set_xticks), (y_labels, axis.set_yticks)):
+                if labels is not None:
+                    ticks(range(len(labels)), labels)
+            if x_labels is not None:
+                axis.set_xlim(-0.5, len(x_labels) - 0.5)
+            if i == down - 1:
+                axis.set_xlabel(_label(sweep, other))
+            if j == 0:
+                axis.set_ylabel(_label(sweep, name))
+    _titled(figure, sweep)
+    _legend(figure, axes[0, 0], 4)
+    return finished(figure)
+
+
+def _points(axis: Any, x: Array, y: Array, part: _Rows) -> None:
+    known = np.isfinite(x) & np.isfinite(y)
+    size = float(np.clip(2000.0 / max(len(x), 1), 3.0, 16.0))
+    axis.plot(
+        x[known], y[known], "os^Dvp"[part.style % 6], color=part.color, alpha=0.55, markersize=size**0.5 * 1.2,
+        markeredgewidth=0, label=plain(part.name) if part.name else None, rasterized=len(x) > _MANY,
+    )  # fmt: skip
+
+
+def _crosses(axis: Any, x: Array) -> None:
+    """Rows without a number, on the upper edge, where they lie along x."""
+    if len(x):
+        axis.plot(
+            x, np.full(len(x), 0.985), "x", color=BAD, markersize=4, markeredgewidth=0.9, clip_on=False,
+            transform=axis.get_xaxis_transform(), label="rows without a number", rasterized=len(x) > _MANY,
+        )  # fmt: skip
+
+
+def _spread(x: Array, labels: list[str] | None) -> Array:
+    """Places of names, spread so that their points lie beside each other (by the golden ratio, the same each time)."""
+    return x if labels is None else x + 0.5 * (np.arange(len(x)) * 0.6180339887498949 % 1.0 - 0.5)
+
+
+def _is_geometric(x: Array) -> bool:
+    """Whether the values of a column stand at even ratios, and over more than a decade."""
+    values = np.unique(x[np.isfinite(x)])
+    if len(values) < 4 or len(values) > _MOST_VALUES or values[0] <= 0 or values[-1] < 10 * values[0]:
+        return False
+    ratios = np.diff(np.log(values))
+    return bool(np.ptp(ratios) <= 0.05 * ratios.mean())
+
+
+def _by_ratios(axis: Any) -> None:
+    """A logarithmic axis with plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+# --- over two parameters ---------------------------------------------------------------------------------------------
+
+
+def _heat_maps(
+    sweep: Sweep, names: Sequence[str], against: tuple[str, str], rows: Sequence[_Rows], bins: int | None
+) -> Any:
+    down, across = len(names), len(rows)
+    height = 0.6 + (3.6 if down * across == 1 else 2.9) * down
+    figure, axes = new_figure(down, across, height=height, width=max(_WIDTH, 3.4 * across))
+    axes = np.reshape(axes, (down, across))
+    for i, name in enumerate(names):
+        values, _ = _numbers(column(sweep, name))
+        shown = values[np.concatenate([part.index for part in rows])]
+        shown = shown[np.isfinite(shown)]
+        limits = (float(shown.min()), float(shown.max())) if len(shown) else (0.0, 1.0)
+        for j, part in enumerate(rows):
+            axis = axes[i, j]
+            image = _heat_map(axis, sweep, values, against, part, bins, limits)
+            if across > 1:
+                axis.set_title(plain(part.name), fontsize=9, loc="left")
+            axis.set_xlabel(_label(sweep, against[0]))
+            if j == 0:
+                axis.set_ylabel(_label(sweep, against[1]))
+        bar = figure.colorbar(image, ax=list(axes[i]), pad=0.02)
+        bar.set_label(_label(sweep, name), color=INK)
+        bar.outline.set_edgecolor(INK)
+    _titled(figure, sweep)
+    _legend(figure, axes[0, 0], 4)
+    return finished(figure)
+
+
+def _heat_map(
+    axis: Any, sweep: Sweep, values: Array, against: tuple[str, str], part: _Rows, bins: int | None,
+    limits: tuple[float, float],
+) -> Any:  # fmt: skip
+    """The median of each cell; a cross where a row of it has no number."""
+    axis.grid(False)
+    edges, places, middles = [], [], []
+    for name, along, ticks in zip(against, (axis.xaxis, axis.yaxis), (axis.set_xticks, axis.set_yticks), strict=True):
+        numbers, labels = _numbers(column(sweep, name)[part.index])
+        cell = _cells(numbers, bins, len(part.index), is_named=labels is not None)
+        edges.append(cell[0])
+        middles.append(cell[1])
+        places.append(np.clip(np.searchsorted(cell[0], numbers, side="right") - 1, 0, len(cell[1]) - 1))
+        if _is_geometric(numbers):
+            _by_ratios(along)
+        if labels is not None:
+            ticks(range(len(labels)), labels)
+    shape = len(middles[1]), len(middles[0])
+    flat = places[1] * shape[1] + places[0]
+    own = values[part.index]
+    table = np.full(shape, np.nan)
+    missing = np.zeros(shape, dtype=bool)
+    order = np.argsort(flat, kind="stable")
+    for group in np.split(order, np.flatnonzero(np.diff(flat[order])) + 1):
+        if len(group):
+            known = own[group][~np.isnan(own[group])]
+            place = np.unravel_index(flat[group[0]], shape)
+            table[place] = np.median(known) if len(known) else np.nan
+            missing[place] = len(known) < len(group)
+    masked = np.ma.masked_invalid(table)
+    image = axis.pcolormesh(
+        edges[0], edges[1], masked, cmap="cividis", vmin=limits[0], vmax=limits[1], rasterized=masked.size > _MANY
+    )
+    for marks, text, color, label in (
+        (missing, "x", BAD, "rows without a number"), (np.isposinf(table), "$\\infty$", INK, "no limit"),
+    ):  # fmt: skip
+        if marks.any():
+            j, i = np.nonzero(marks)
+            axis.plot(
+                middles[0][i], middles[1][j], linestyle="none", marker=text, color=color, label=label,
+                markersize=5 if text == "x" else 6,
+            )  # fmt: skip
+    return image
+
+
+def _cells(values: Array, bins: int | None, rows: int, *, is_named: bool) -> tuple[Array, Array]:
+    """The edges of the cells along one axis, and their middles: one for each value, or ranges of many values."""
+    known = np.unique(values[np.isfinite(values)])
+    if not len(known):
+        return np.array([0.0, 1.0]), np.array([0.5])
+    if len(known) > _MOST_VALUES or (bins is not None and not is_named):
+        count = bins if bins is not None else int(np.clip((rows / 10) ** 0.5, 4, 40))
+        edges = np.linspace(known[0], known[-1], count + 1)
+        return edges, (edges[:-1] + edges[1:]) / 2
+    if len(known) == 1:
+        reach = 0.5 if is_named else 0.5 * abs(float(known[0])) or 0.5
+        return np.array([known[0] - reach, known[0] + reach]), known
+    to: Callable[[Array], Array]
+    of: Callable[[Array], Array]
+    to, of = (np.log, np.exp) if _is_geometric(known) else (np.asarray, np.asarray)
+    at = to(known)
+    inner = (at[:-1] + at[1:]) / 2
+    return of(np.concatenate([[at[0] - (inner[0] - at[0])], inner, [at[-1] + (at[-1] - inner[-1])]])), known

@@ -1,0 +1,199 @@
+"""Margins, poles and bandwidths of every row of a sweep: columns beside the measures of its runs.
+
+    margins={"gm": {"type": "gain_margin", "loop": "control.u"},
+             "pm": {"type": "phase_margin", "loop": "control.u", "amplitude": {"eso.e": 0.1}},
+             "bandwidth": {"type": "bandwidth", "from": "r", "to": "motor.omega"}}
+
+Each row is linearized with its own values. The diagram is prepared once (`Diagram.point`), so that a row costs some
+milliseconds. A row whose margin is not known has nan, and its message says why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..api.batch import Batch, BatchRows
+from ..frequency.margins import Margins, margins
+from ..frequency.response import bandwidth, poles
+from ..model.study_grammar import MARGIN
+from ..text.errors import AnalysisError, BlocksError, Fault, ModelError, SimulationError, UsageError, did_you_mean
+from ..text.grammar import Steps
+from ..text.printable import legible
+
+if TYPE_CHECKING:
+    from ..api.diagram import Diagram
+    from ..linear.harmonic_balance import Linearizer
+    from ..linear.transfer import Transfer
+
+__all__ = ["Margin", "RowMargins", "margins_of"]
+
+Array = np.ndarray[Any, Any]
+_OF_POINT = ("at", "held", "amplitude", "sigma", "overrides")
+_OF_LOOP = ("openings", "pade")
+_BY_LOOP: Mapping[str, Callable[[Margins], float | None]] = {
+    "gain_margin": lambda m: m.gain, "phase_margin": lambda m: m.phase_deg, "delay_margin": lambda m: m.delay,
+    "modulus_margin": lambda m: m.modulus, "disk_margin": lambda m: m.disk, "Ms": lambda m: m.Ms,
+    "Mt": lambda m: m.Mt, "crossover": lambda m: m.crossover, "bandwidth": lambda m: m.bandwidth,
+}  # fmt: skip
+_UNITS = {
+    "phase_margin": "deg", "delay_margin": "s", "crossover": "rad/s", "bandwidth": "rad/s", "slowest_pole": "1/s",
+}  # fmt: skip
+_ENDLESS = ("gain_margin", "phase_margin", "delay_margin")
+"""Where a stable loop has none of these, it bears any more: inf."""
+
+
+@dataclass(frozen=True, slots=True)
+class Margin:
+    """A column: its type (of MARGINS), and where it is taken: at a loop, or from one signal to another.
+
+    point: of at, held, amplitude, sigma and overrides what is given; how: of openings and pade. As of
+    `Diagram.linearizer` and `Linearizer.loop`.
+    """
+
+    name: str
+    type: str
+    loop: str
+    ends: tuple[str, str]
+    point: Mapping[str, Any] = field(default_factory=dict)
+    how: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def unit(self) -> str:
+        return _UNITS.get(self.type, "")
+
+    def value(self, seen: _Row) -> float:
+        """Its value. Raises AnalysisError where there is none."""
+        if self.type in ("slowest_pole", "damping"):
+            return _of_poles(self.type, seen.transfer(self))
+        if not self.loop:
+            width = bandwidth(seen.transfer(self))
+            return np.inf if width is None else float(width)
+        known = seen.margins(self)
+        if not known.stable:
+            shown = ", ".join(f"{pole:.4g}" for pole in known.unstable[:3])
+            raise AnalysisError(Fault("E705", self.loop, f"the closed loop is not stable (poles {shown})."))
+        value = _BY_LOOP[self.type](known)
+        if value is None and self.type in _ENDLESS and not (known.several_rates and self.type == "delay_margin"):
+            return np.inf
+        if value is None or np.isnan(value):
+            what = "a loop of several rates has none" if known.several_rates else "the loop has none"
+            raise AnalysisError(Fault("E705", self.loop, f"{what} ({self.type})."))
+        return float(value)
+
+
+def margins_of(given: Mapping[str, Mapping[str, Any]]) -> tuple[Margin, ...]:
+    """What `margins=` says, by the rules of study files. Raises UsageError (E501)."""
+    made = []
+    for name, entry in given.items():
+        MARGIN.check(entry, (str(name),), _Refusing())
+        point = {key: entry[key] for key in _OF_POINT if key in entry}
+        how = {key: entry[key] for key in _OF_LOOP if key in entry}
+        ends = str(entry.get("from", "")), str(entry.get("to", ""))
+        made.append(Margin(str(name), str(entry["type"]), str(entry.get("loop", "")), ends, point, how))
+    return tuple(made)
+
+
+class _Refusing:
+    """Refuses the first fault."""
+
+    def fault(self, code: str, path: Steps, message: str, cure: str = "", *, at_key: bool = False) -> None:
+        raise UsageError(Fault("E501", legible(".".join(map(str, ("margins", *path)))), message, cure))
+
+    def guess(self, word: str, known: Collection[str]) -> str:
+        return did_you_mean(word[:200], known, quote='"')
+
+
+class RowMargins:
+    """The margins of rows: what a batch gives, with further columns beside its measures.
+
+    diagram: what is linearized. asked: parameters, variants, trust and settings of all rows, as of
+    `Diagram.linearizer`. names: of the columns. Raises UsageError at once for what the diagram does not have.
+    """
+
+    def __init__(self, diagram: Diagram, chosen: Sequence[Margin], asked: Mapping[str, Any]) -> None:
+        self._diagram, self._chosen, self._asked = diagram, tuple(chosen), dict(asked)
+        for margin in chosen:
+            if margin.name in diagram.value.measures:
+                raise UsageError(Fault("E501", f"margins.{margin.name}", "the diagram has a measure of this name."))
+            with suppress(AnalysisError, ModelError, SimulationError):  # other values may have one
+                margin.value(_Row(diagram, self._asked, {}, None))
+
+    def beside(self, rows: BatchRows, batch: Batch, table: Array, seeds: Array) -> BatchRows:
+        """What a batch gave for a table of rows, with their margins. Ctrl-C leaves the rest "left"."""
+        columns = {margin.name: np.full(len(rows), np.nan) for margin in self._chosen}
+        messages, status, interrupted = list(rows.messages), rows.status.copy(), rows.interrupted
+        i = 0
+        try:
+            for i in np.flatnonzero(~np.isin(status, ("left", "refused"))).tolist():
+                seen = _Row(self._diagram, self._asked, batch.parameters(table[i]), int(seeds[i]))
+                for margin in self._chosen:
+                    try:
+                        columns[margin.name][i] = margin.value(seen)
+                    except BlocksError as error:
+                        fault = error.faults[0]
+                        why = f"{margin.name}: {fault.code} {fault.place}: {fault.message}"
+                        messages[i] = f"{messages[i]} {why}".lstrip()
+        except KeyboardInterrupt:
+            status[i:], interrupted = "left", True
+        measures = {**rows.measures, **columns}
+        return replace(rows, status=status, messages=tuple(messages), measures=measures, interrupted=interrupted)
+
+
+class _Row:
+    """A row as it is linearized: points, linear models and margins that several columns share are computed once."""
+
+    def __init__(self, diagram: Diagram, asked: Mapping[str, Any], row: Mapping[str, Any], seed: int | None) -> None:
+        self.diagram, self.seed = diagram, seed
+        self.asked = {**asked, "parameters": {**(asked.get("parameters") or {}), **row}}
+        self.known: dict[str, Any] = {}
+
+    def margins(self, margin: Margin) -> Margins:
+        def made() -> Margins:
+            linearizer = self._linearizer(margin)
+            return margins(linearizer.loop_transfer(margin.loop, **margin.how))
+
+        known: Margins = self._once(f"margins {margin.loop} {margin.how}", margin, made)
+        return known
+
+    def transfer(self, margin: Margin) -> Transfer:
+        ends = (margin.loop, margin.loop) if margin.loop else margin.ends
+
+        def made() -> Transfer:
+            return self._linearizer(margin).transfer(*ends, **margin.how)
+
+        known: Transfer = self._once(f"transfer {ends} {margin.how}", margin, made)
+        return known
+
+    def _linearizer(self, margin: Margin) -> Linearizer:
+        # At the start nothing depends on the seed, and other seeds make another model.
+        seed: dict[str, Any] = {} if self.seed is None or margin.point.get("at") is None else {"seed": self.seed}
+        made: Linearizer = self._once(
+            "linearizer", margin, lambda: self.diagram.linearizer(**self.asked, **margin.point, **seed)
+        )
+        return made
+
+    def _once(self, what: str, margin: Margin, make: Callable[[], Any]) -> Any:
+        key = f"{what} {sorted(margin.point.items())}"
+        if key not in self.known:
+            self.known[key] = make()
+        return self.known[key]
+
+
+def _of_poles(kind: str, model: Transfer) -> float:
+    """Of all poles the largest real part in 1/s, or the least damping; of a sampled model those of ln z over dt."""
+    roots = np.asarray(poles(model), dtype=complex)
+    if model.dt:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            roots = np.log(roots) / model.dt
+    if not len(roots):
+        raise AnalysisError(Fault("E705", model.name, "there are no poles on the way."))
+    if kind == "slowest_pole":
+        return float(roots.real.max())
+    sizes = np.abs(roots)
+    with np.errstate(invalid="ignore"):  # z = 0: at once
+        return float(np.min(np.where(np.isfinite(sizes) & (sizes > 0), -roots.real / sizes, 1.0)))

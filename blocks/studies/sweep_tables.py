@@ -1,0 +1,98 @@
+"""Tables of a sweep for reports and papers: measures by scenario, or by the values of parameters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.printable import legible
+from .statistics import quantiles
+
+__all__ = ["latex", "markdown", "table"]
+
+Array = np.ndarray[Any, Any]
+Sweep = Any  # a `Sweep`, whose module calls this one
+Cell = str | float
+_TEX = {**{c: f"\\{c}" for c in "&%$#_{}"}, "~": r"\textasciitilde{}", "^": r"\^{}", "\\": r"\textbackslash{}"}
+
+
+def table(sweep: Sweep, by: str | Sequence[str], q: Sequence[float]) -> list[list[Cell]]:
+    """The head and the rows of a table: texts, and numbers. Arguments as of `Sweep.markdown`."""
+    names = [by] if isinstance(by, str) else [str(name) for name in by]
+    for name in names:
+        if name not in sweep.varied:
+            cure = did_you_mean(name[:200], sweep.varied) or f"Varied: {', '.join(sweep.varied)}."
+            raise UsageError(Fault("E501", legible(name), "is not varied in the sweep.", cure))
+    return [*(_by_values(sweep, names) if names else _by_measure(sweep, np.asarray(q, dtype=float)))]
+
+
+def _by_measure(sweep: Sweep, q: Array) -> Iterator[list[Cell]]:
+    first = ["scenario"] if sweep.scenarios else []
+    yield [*first, "measure", "unit", "mean", *(f"{100 * level:g} %" for level in q), "runs", "without"]
+    for scenario, part in sweep.each_scenario():
+        for name, values in part.measures.items():
+            known = values[~np.isnan(values)]
+            mean = float(known.mean()) if len(known) else np.nan
+            levels = quantiles(values, q).tolist()
+            counts = f"{len(values)}", f"{len(values) - len(known)}"
+            yield [*([scenario] if first else []), name, sweep.units.get(name, ""), mean, *levels, *counts]
+
+
+def _by_values(sweep: Sweep, names: Sequence[str]) -> Iterator[list[Cell]]:
+    first = ["scenario"] if sweep.scenarios else []
+    yield [*first, *(_with_unit(sweep, name) for name in (*names, *sweep.measures)), "runs", "failed"]
+    for scenario, part in sweep.each_scenario():
+        groups: dict[tuple[Any, ...], list[int]] = {}
+        for i, values in enumerate(zip(*(part.varied[name].tolist() for name in names), strict=True)):
+            groups.setdefault(tuple(v if isinstance(v, float) else str(v) for v in values), []).append(i)
+        for values, rows in sorted(groups.items()) if _are_sortable(groups) else groups.items():
+            medians = [float(quantiles(column[rows], np.array([0.5]))[0]) for column in part.measures.values()]
+            failed = int(np.count_nonzero(part.status[rows] != "ok"))
+            yield [*([scenario] if first else []), *values, *medians, f"{len(rows)}", f"{failed}"]
+
+
+def _are_sortable(groups: dict[tuple[Any, ...], list[int]]) -> bool:
+    return len({tuple(map(type, values)) for values in groups}) == 1
+
+
+def _with_unit(sweep: Sweep, name: str) -> str:
+    return f"{name} [{sweep.units[name]}]" if sweep.units.get(name) else name
+
+
+def markdown(sweep: Sweep, by: str | Sequence[str], q: Sequence[float]) -> str:
+    head, *rows = table(sweep, by, q)
+    texts = [[_text(cell).replace("|", r"\|") for cell in row] for row in (head, *rows)]
+    sides = ["---" if any(isinstance(row[k], str) and not str(row[k]).isdigit() for row in rows) else "---:"
+             for k in range(len(head))]  # fmt: skip
+    lines = [f"| {' | '.join(row)} |" for row in texts]
+    return "\n".join([lines[0], f"|{'|'.join(sides)}|", *lines[1:]])
+
+
+def latex(sweep: Sweep, by: str | Sequence[str], q: Sequence[float]) -> str:
+    head, *rows = table(sweep, by, q)
+    sides = "".join("l" if any(isinstance(row[k], str) and not str(row[k]).isdigit() for row in rows) else "r"
+                    for k in range(len(head)))  # fmt: skip
+    first, *others = [f"{' & '.join(map(_tex, row))} \\\\" for row in (head, *rows)]
+    return "\n".join([rf"\begin{{tabular}}{{{sides}}}", r"\toprule", first, r"\midrule", *others, r"\bottomrule",
+                      r"\end{tabular}"])  # fmt: skip
+
+
+def _text(cell: Cell) -> str:
+    if isinstance(cell, str):
+        return "".join(c if c.isprintable() else "\ufffd" for c in cell)
+    return "-" if np.isnan(cell) else "∞" if cell == np.inf else f"{cell:.5g}"
+
+
+def _tex(cell: Cell) -> str:
+    if isinstance(cell, str):
+        return "".join(_TEX.get(c, c) for c in _text(cell))
+    text = _text(cell)
+    power = re.fullmatch(r"(.*)e([-+])0*(\d+)", text)
+    if power is not None:
+        sign = "-" if power[2] == "-" else ""
+        return rf"${power[1]} \cdot 10^{{{sign}{power[3]}}}$"
+    return r"$\infty$" if text == "∞" else f"${text}$" if text.startswith("-") and text != "-" else text

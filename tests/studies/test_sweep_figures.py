@@ -1,0 +1,163 @@
+"""Figures and tables of sweeps: what they show of known rows, and what they say of those that failed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks.results import plots
+from blocks.studies.statistics import correlation
+from blocks.studies.sweep import Sweep
+from blocks.studies.sweep_figures import column, plot
+from blocks.text.errors import UsageError
+
+
+def made(scenarios: tuple[str, ...] = (), n: int = 200) -> Sweep:
+    """A sweep of known numbers; row 7 of each scenario diverged, row 8 ran out of its budget."""
+    copies = max(1, len(scenarios))
+    rng = np.random.default_rng(2)
+    J, case = rng.normal(0.27, 0.02, n), np.array(["a", "b"] * (n // 2), dtype=object)
+    t = np.linspace(0.0, 2.0, 41)
+    status = np.full(n, "ok", dtype="<U8")
+    status[7], status[8] = "diverged", "budget"
+    y = J[:, None] * (1.0 - np.exp(-3.0 * t))
+    y[7:9, 5:] = np.nan
+    y[7, 4] = 1e6
+    itae = np.where(status == "ok", 3.0 * J, np.nan)
+
+    def each(values: Any) -> Any:
+        return np.concatenate([values] * copies)
+
+    return Sweep(
+        "loop_$x", {"Jeq": each(J), "case": each(case)}, {"Jeq": "kg.m2", "ITAE": "m.s2", "plant.y": "m"}, scenarios,
+        np.repeat(np.arange(copies), n), each(np.arange(n)), each(np.arange(n)), each(status), ("",) * n * copies,
+        each(np.ones(n)), {"ITAE": each(itae), "_gm": each(np.where(J > 0.3, np.inf, J))}, t,
+        {"plant.y": each(y), "eso.z": each(np.stack([y, 2 * y], -1))},
+    )  # fmt: skip
+
+
+def texts(figure: Any) -> str:
+    import matplotlib.text
+
+    return "\n".join(each.get_text() for each in figure.findobj(matplotlib.text.Text))
+
+
+def test_bands_are_the_quantiles_of_the_rows_that_ran_and_failed_ones_are_seen_and_counted() -> None:
+    sweep = made()
+    figure = plot(sweep, ["plant.y", "eso.z[1]"], singles=2)
+    first, second = figure.axes
+    line = next(line for line in first.lines if line.get_label() == "median")
+    good = sweep.signals["plant.y"][sweep.status == "ok"]
+    assert np.allclose(line.get_ydata(), np.median(good, axis=0), rtol=1e-14)
+    outer = first.collections[2].get_paths()[0].vertices  # after the two of the legend
+    low, high = np.quantile(good[:, -1], [0.05, 0.95])
+    assert np.isclose(outer[outer[:, 0] == 2.0, 1].min(), low)
+    assert np.isclose(outer[outer[:, 0] == 2.0, 1].max(), high)
+    assert first.get_ylim()[1] < 1.0  # the row that runs away does not squeeze the others
+    shown = texts(figure)
+    for said in ("200 runs, of which 1 diverged, 1 over the budget", "plant.y [m]", "eso.z[1]", "failed, up to its end",
+                 "single runs", r"loop_\$x"):  # fmt: skip
+        assert said in shown
+    assert len([line for line in first.lines if line.get_linewidth() == 0.5]) == 2
+    assert second.get_xlabel() == "time [s]"
+
+
+def test_histograms_hold_all_rows_that_have_a_number_and_tell_the_others() -> None:
+    sweep = made()
+    figure = plot(sweep, "ITAE")
+    (axis,) = figure.axes
+    steps = [patch for patch in axis.patches if not patch.get_fill()]
+    assert sum(sum(patch.get_data().values) for patch in steps) == 198
+    assert "2 without a number" in texts(figure)
+    share = plot(sweep, "ITAE", kind="ecdf").axes[0].lines[0].get_ydata()
+    assert share[-1] == 198 / 200  # of all rows: a limit that 99 % keep is reached at 0.99
+
+
+def test_scatter_marks_rows_without_a_number_where_they_lie() -> None:
+    sweep = made()
+    figure = plot(sweep, "ITAE", against=["Jeq", "case"], kind="scatter")
+    first, second = figure.axes
+    points, crosses = first.lines
+    assert len(points.get_xdata()) == 198
+    assert sorted(crosses.get_xdata()) == sorted(sweep.varied["Jeq"][7:9])
+    assert "rank correlation 1.00" in texts(figure)
+    assert correlation(sweep.varied["Jeq"], column(sweep, "ITAE"), by_rank=True) == 1.0
+    assert [text.get_text() for text in second.get_xticklabels()] == ["a", "b"]
+
+
+@pytest.mark.parametrize("is_even", [True, False], ids=["ratios", "distances"])
+def test_a_heat_map_has_a_cell_for_each_point_of_a_grid(is_even: bool) -> None:
+    a, b = np.arange(1.0, 5.0), np.geomspace(1, 1000, 4) if is_even else np.array([1.0, 2.0, 4.0, 7.0])
+    x, y = (each.ravel() for each in np.meshgrid(a, b))
+    gm = x * np.log(y + 1)
+    gm[3], gm[5] = np.nan, np.inf
+    sweep = replace(made(), varied={"b0": x, "omega_o": y}, measures={"gm": gm}, scenario=np.zeros(16, dtype=int),
+                    status=np.full(16, "ok"), number=np.arange(16))  # fmt: skip
+    axis, *_ = plot(sweep, "gm", against=("b0", "omega_o")).axes
+    mesh = axis.collections[0]
+    shown = np.ma.filled(mesh.get_array(), np.nan)
+    assert shown.shape == (4, 4)
+    wanted = np.where(np.isfinite(gm), gm, np.nan).reshape(4, 4)
+    assert np.array_equal(shown, wanted, equal_nan=True)
+    marks = {line.get_label(): (line.get_xdata()[0], line.get_ydata()[0]) for line in axis.lines}
+    assert marks == {"rows without a number": (4.0, b[0]), "no limit": (2.0, b[1])}
+    assert (axis.get_yscale() == "log") is is_even
+
+
+def test_scenarios_stand_beside_each_other_and_all_figures_are_written(tmp_path: Path) -> None:
+    sweep = made(("quiet", "heavy"))
+    for k, given in enumerate((
+        {}, {"what": "ITAE"}, {"what": ["ITAE", "_gm"], "kind": "ecdf"}, {"what": "ITAE", "against": "Jeq"},
+        {"what": "ITAE", "against": ["Jeq", "case"]}, {"what": "Jeq"}, {"what": "case"},
+    )):  # fmt: skip
+        figure = sweep.plot(**given)
+        if not k:
+            assert plots.svg_text(figure) == plots.svg_text(sweep.plot(**given))
+        plots.save(figure, tmp_path / f"{k}.png")
+    assert len(sweep.plot("ITAE", against=("Jeq", "case")).axes) == 3  # two maps and their bar
+    assert "loop_\\$x, heavy: 200 runs" in texts(sweep["heavy"].plot("ITAE"))
+    nothing = sweep.taken(np.flatnonzero(sweep.status == "diverged"))
+    for against in (None, "Jeq", ["Jeq", "case"]):
+        plots.save(nothing.plot("ITAE", against), tmp_path / "none.png")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"what": "ITEA"}, "Did you mean 'ITAE'?"),
+        ({"what": "ITAE", "against": "Jeg"}, "Did you mean 'Jeq'?"),
+        ({"what": "ITAE", "kind": "pie"}, "There are bands"),
+        ({"what": "ITAE", "kind": "heat map"}, "is against two names"),
+        ({"what": "ITAE", "kind": "bands"}, "is no logged signal"),
+        ({"what": "eso.z[2]"}, "eso.z[1]"),
+    ],
+)
+def test_what_the_sweep_does_not_have_is_refused(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        made().plot(**given)
+    assert said in str(refused.value)
+
+
+def test_tables_tell_means_and_quantiles_by_scenario_and_medians_by_value() -> None:
+    sweep = made(("quiet", "heavy"))
+    head, rule, first, second, *rest = sweep.markdown(q=[0.5]).splitlines()
+    assert head == "| scenario | measure | unit | mean | 50 % | runs | without |"
+    assert rule == "|---|---|---|---:|---:|---:|---:|"
+    known = 3.0 * sweep["quiet"].varied["Jeq"][sweep["quiet"].status == "ok"]
+    assert first == f"| quiet | ITAE | m.s2 | {known.mean():.5g} | {np.median(known):.5g} | 200 | 2 |"
+    assert second.startswith("| quiet | _gm |  | ∞ |")
+    assert len(rest) == 2
+    by = made().markdown(by="case").splitlines()
+    assert by[0] == "| case | ITAE [m.s2] | _gm | runs | failed |"
+    assert [line.split(" | ")[-2:] for line in by[2:]] == [["100", "1 |"], ["100", "1 |"]]
+    tex = made().latex(q=[0.05]).splitlines()
+    assert tex[0] == r"\begin{tabular}{llrrrr}"
+    assert tex[2] == r"measure & unit & mean & 5 \% & runs & without \\"
+    assert tex[5].startswith(r"\_gm &  & $\infty$ &")
+    assert tex[-1] == r"\end{tabular}"
+    with pytest.raises(UsageError, match="is not varied"):
+        sweep.markdown(by="load")
