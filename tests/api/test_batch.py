@@ -8,7 +8,7 @@ import pytest
 
 from blocks import Diagram
 from blocks.api.batch import BatchRows
-from blocks.text.errors import BlocksError, SimulationError
+from blocks.text.errors import BlocksError
 from tests.support.documents import SHIPPED
 
 ROOT = Path(__file__).parents[2]
