@@ -30,14 +30,16 @@ PAPER = {
     "delta": 3.8831,
 }  # fmt: skip
 OVER = {
-    f"control_*.nlsef.{name}": (value / 2, value * 1.5) if "alpha" in name else (value / 4, value * 4)
+    f"control_*.nlsef.{name}": (
+        (value / 2, value * 2) if name.startswith("alpha") or name == "delta" else (value / 4, value * 10)
+    )
     for name, value in PAPER.items()
 }
-MINIMIZE = "quiet.ITAE_right + quiet.ITAE_left + 1e-3*(quiet.ISU_right + quiet.ISU_left)"
+MINIMIZE = "quiet.ITAE_right + quiet.ITAE_left"
 SUBJECT_TO = [
-    "noisy.variation_right + noisy.variation_left <= 285",  # the paper's: 302
-    "heavy.ITAE_right + heavy.ITAE_left <= 1.2",  # 1.95
-    "quiet.peak_e_theta <= 0.0033",
+    "noisy.variation_right + noisy.variation_left <= 275",  # the paper's: 302
+    "heavy.ITAE_right + heavy.ITAE_left <= 1.5",  # 1.95
+    "peak_u_right <= 8",  # 5.2
 ]
 BUDGET = 600
 JUDGED = (11, 12, 13)

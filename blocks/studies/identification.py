@@ -25,8 +25,8 @@ from ..text.csv_text import read_columns
 from ..text.errors import Fault, SimulationError, UsageError, did_you_mean
 from ..text.printable import legible
 from .gains_file import written
+from .search_space import Space
 from .tuned import aligned, short
-from .tuning import Space
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram

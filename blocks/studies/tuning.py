@@ -25,27 +25,24 @@ from ..api.batch import Batch
 from ..model.wires import BlockSource
 from ..results.results import Results
 from ..text.errors import Fault, UsageError, did_you_mean
-from ..text.printable import legible, quoted
+from ..text.printable import quoted
 from .gains_file import changes
 from .objectives import Constraint, Objective, constraints_of, objective_of
 from .optimizers import METHODS, Spent
+from .search_space import Space
 from .tuned import Candidates, Condition, Tuning
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
 
-__all__ = ["Problem", "Space", "problem_of", "tune"]
+__all__ = ["Problem", "problem_of", "tune"]
 
 Array = np.ndarray[Any, Any]
 _T = TypeVar("_T")
-FAR_APART = 10.0
-"""Bounds of which the upper is so many times the lower are searched on a logarithmic scale."""
 STEPS, LEAST_STEPS = 20, 10_000
 """A run of a candidate may take STEPS times the steps of the run of the diagram itself, and LEAST_STEPS more."""
 PENALTY = 10.0
 """What an excess of a constraint by all of its limit adds to the fitness, in parts of the objective of the diagram."""
-DIGITS = 6
-"""Significant digits of the values of candidates: what is run, told and written is the same."""
 CHANGE = 0.05
 """The relative change of each value for the sensitivities."""
 EFFORT = ("ISU", "total_variation")
@@ -94,58 +91,6 @@ def tune(
         seed=seed, parameters=parameters, variants=variants, engine=engine, trust=trust, settings=settings,
     )  # fmt: skip
     return problem.solve(threads=threads, progress=progress)
-
-
-@dataclass(frozen=True)
-class Space:
-    """The values that may be taken, as a cube: 0 stands for the lower bound, 1 for the upper one."""
-
-    low: Array
-    high: Array
-    is_log: Array
-
-    @classmethod
-    def of(cls, over: Mapping[str, Any]) -> Space:
-        """Raises UsageError (E501) with all bounds that are none."""
-        faults, bounds = [], []
-        for name, given in over.items():
-            try:
-                low, high = (float(bound) for bound in given)
-            except (TypeError, ValueError):
-                low = high = math.nan
-            if not -math.inf < low < high < math.inf:
-                cure = "Give the least and the largest value: (50, 600)."
-                faults.append(Fault("E501", legible(str(name)), f"has no two bounds, but {given!r}.", cure))
-            bounds.append((low, high))
-        if not over:
-            faults.append(Fault("E501", "over", "names no parameter.", 'As in over={"motor.Ra": (0.1, 0.2)}.'))
-        if faults:
-            raise UsageError(*faults)
-        low, high = np.array(bounds, dtype=float).T
-        return cls(low, high, (low > 0) & (high >= FAR_APART * low))
-
-    def values(self, cube: Array, digits: int = DIGITS) -> Array:
-        """The values (..., k) of points (..., k) of the cube, with so many significant digits."""
-        with np.errstate(all="ignore"):
-            logs = self.low * (self.high / self.low) ** cube
-        values = np.where(self.is_log, logs, self.low + (self.high - self.low) * cube)
-        values = np.array([float(f"{value:.{digits}g}") for value in values.flat]).reshape(values.shape)
-        clipped: Array = np.clip(values, self.low, self.high)
-        return clipped
-
-    def slopes(self, cube: Array) -> Array:
-        """The derivatives (k,) of the values at a point (k,) of the cube."""
-        with np.errstate(all="ignore"):
-            rates = np.log(self.high / self.low)
-        return np.where(self.is_log, self.values(cube) * rates, self.high - self.low)
-
-    def cube(self, values: Array) -> Array:
-        """The points of values; the nearest ones of those outside, the middle of those that are no numbers."""
-        inside = np.clip(values, self.low, self.high)
-        with np.errstate(all="ignore"):
-            logs = np.log(inside / self.low) / np.log(self.high / self.low)
-        cube = np.where(self.is_log, logs, (inside - self.low) / (self.high - self.low))
-        return np.where(np.isnan(values), 0.5, cube)
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ def test_a_sweep_without_a_row_that_ran_says_so(capsys: pytest.CaptureFixture[st
     assert status == 3
     assert entries[-1]["counts"] == {"refused": 2}
     status, entries = told(capsys, "--vary", "motor.Ra=normal:1,0.1", "--n", "3", "--sampler", "sobol", "--stop", "1")
-    assert entries[0]["code"] == "W501"
+    assert entries[0]["code"] == "W503"
     status, entries = told(capsys, "--vary", "motor.Ra=1", "--n", "1.5")
     assert (status, entries[0]["place"]) == (2, "--n")
 

@@ -1,0 +1,73 @@
+"""The values among which a tuning or a fit searches, as points of the unit cube."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..text.errors import Fault, UsageError
+from ..text.printable import legible
+
+__all__ = ["Space"]
+
+Array = np.ndarray[Any, Any]
+FAR_APART = 10.0
+"""Bounds of which the upper is so many times the lower are searched on a logarithmic scale."""
+DIGITS = 6
+"""Significant digits of the values of candidates: what is run, told and written is the same."""
+
+
+@dataclass(frozen=True)
+class Space:
+    """The values that may be taken, as a cube: 0 stands for the lower bound, 1 for the upper one."""
+
+    low: Array
+    high: Array
+    is_log: Array
+
+    @classmethod
+    def of(cls, over: Mapping[str, Any]) -> Space:
+        """Raises UsageError (E501) with all bounds that are none."""
+        faults, bounds = [], []
+        for name, given in over.items():
+            try:
+                low, high = (float(bound) for bound in given)
+            except (TypeError, ValueError):
+                low = high = math.nan
+            if not -math.inf < low < high < math.inf:
+                cure = "Give the least and the largest value: (50, 600)."
+                faults.append(Fault("E501", legible(str(name)), f"has no two bounds, but {given!r}.", cure))
+            bounds.append((low, high))
+        if not over:
+            faults.append(Fault("E501", "over", "names no parameter.", 'As in over={"motor.Ra": (0.1, 0.2)}.'))
+        if faults:
+            raise UsageError(*faults)
+        low, high = np.array(bounds, dtype=float).T
+        return cls(low, high, (low > 0) & (high >= FAR_APART * low))
+
+    def values(self, cube: Array, digits: int = DIGITS) -> Array:
+        """The values (..., k) of points (..., k) of the cube, with so many significant digits."""
+        with np.errstate(all="ignore"):
+            logs = self.low * (self.high / self.low) ** cube
+        values = np.where(self.is_log, logs, self.low + (self.high - self.low) * cube)
+        values = np.array([float(f"{value:.{digits}g}") for value in values.flat]).reshape(values.shape)
+        clipped: Array = np.clip(values, self.low, self.high)
+        return clipped
+
+    def slopes(self, cube: Array) -> Array:
+        """The derivatives (k,) of the values at a point (k,) of the cube."""
+        with np.errstate(all="ignore"):
+            rates = np.log(self.high / self.low)
+        return np.where(self.is_log, self.values(cube) * rates, self.high - self.low)
+
+    def cube(self, values: Array) -> Array:
+        """The points of values; the nearest ones of those outside, the middle of those that are no numbers."""
+        inside = np.clip(values, self.low, self.high)
+        with np.errstate(all="ignore"):
+            logs = np.log(inside / self.low) / np.log(self.high / self.low)
+        cube = np.where(self.is_log, logs, (inside - self.low) / (self.high - self.low))
+        return np.where(np.isnan(values), 0.5, cube)
