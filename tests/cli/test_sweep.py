@@ -27,8 +27,8 @@ NATIVE = pytest.mark.skipif(find_compiler() is None, reason="without a compiler 
 def test_what_varies_is_read_from_words() -> None:
     words = [
         "a=1,2,3", "b=linspace:4,20,9", "c=geomspace:1,100,3", "d=normal:0.27,0.02", "e=uniform:-1,1",
-        "f=loguniform:1,10", "g=truncatednormal:1,0.1,0.8,1.2", "h=lognorm:s=0.3,scale=2", "each(m_*.Ra)=uniform:1,2", "i=true,false",
-        "j=[1,2],[3,4]", "k=150 mOhm,0.2", "l=rk4",
+        "f=loguniform:1,10", "g=truncatednormal:1,0.1,0.8,1.2", "h=lognorm:s=0.3,scale=2", "each(m_*.Ra)=uniform:1,2",
+        "i=true,false", "j=[1,2],[3,4]", "k=150 mOhm,0.2", "l=rk4",
     ]  # fmt: skip
     vary = vary_of(words)
     assert vary.pop("b").tolist() == [4, 6, 8, 10, 12, 14, 16, 18, 20]
