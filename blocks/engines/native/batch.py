@@ -77,15 +77,26 @@ def run_rows(
     batch.is_by_one = int(bool(measures.paths))
     paths: list[dict[int, Array]] = [{} for _ in range(n)]
 
-    def work(engine: NativeEngine) -> None:
-        room = np.empty((len(times) + 1, 1 + width))
-        while True:
-            row = model.library.blocks_batch(ctypes.addressof(batch), engine.address, room.ctypes.data)
-            if row < 0:
-                return
-            paths[row] = engine.paths()
+    working, ended = [*engines], threading.Event()
+    memory = batch, kept, inputs, plan
 
-    is_cancelled, failure = _watched([threading.Thread(target=work, args=(e,)) for e in engines], batch, progress)
+    def work(engine: NativeEngine) -> None:
+        held = memory  # where Ctrl-C leaves the caller between two lines, C still writes here  # noqa: F841
+        room = np.empty((len(times) + 1, 1 + width))
+        try:
+            while (row := model.library.blocks_batch(ctypes.addressof(batch), engine.address, room.ctypes.data)) >= 0:
+                paths[row] = engine.paths()
+        finally:
+            working.remove(engine)
+            if not working:
+                ended.set()
+
+    try:
+        for engine in engines:
+            threading.Thread(target=work, args=(engine,)).start()
+        is_cancelled, failure = _watched(ended, batch, progress)
+    finally:
+        batch.is_cancelled = 1
     if failure is not None:
         raise failure
     found = [_row(plan, measures, kept, i, paths[i], budget) for i in range(n)]
@@ -118,16 +129,15 @@ def _begun(
 
 
 def _watched(
-    workers: list[threading.Thread], batch: Any, progress: Callable[[int], None] | None
+    ended: threading.Event, batch: Any, progress: Callable[[int], None] | None
 ) -> tuple[bool, BaseException | None]:
-    """Let them work. Whether Ctrl-C cut it short, and what `progress` raised."""
+    """Wait until all threads have ended. Whether Ctrl-C cut it short, and what `progress` raised."""
     is_cancelled, failure, told = False, None, -1
-    for worker in workers:
-        worker.start()
-    while any(worker.is_alive() for worker in workers):
+    # Not `Thread.join`: after Ctrl-C in it, Python 3.11 and 3.12 take a thread that works for one that has ended, and
+    # its memory would be freed.
+    while not ended.is_set():
         try:
-            for worker in workers:
-                worker.join(_LOOK)
+            ended.wait(_LOOK)
             if progress is not None and not batch.is_cancelled and batch.done != told:
                 told = batch.done
                 progress(told)
