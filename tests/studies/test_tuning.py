@@ -1,0 +1,230 @@
+"""Tuning: the optimisers find known optima, spend just their budget, and see what they should."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks import Constant, Diagram, FirstOrder, Gain, Integrator, ModelError, Noise, Step, Sum, UsageError
+from blocks.api.batch import Batch, BatchRows
+from blocks.cli import main
+from blocks.studies.objectives import constraints_of, objective_of
+from tests.support.places import ROOT
+
+
+def function(text: str, **values: float) -> Diagram:
+    """A diagram whose measure f is an expression of its parameters."""
+    diagram = Diagram("function")
+    for name, value in values.items():
+        diagram.parameter(name, value)
+    diagram.add("value", Constant(value=f"={text}"))
+    diagram.measure("f", "steady_state_error", "value.y")
+    return diagram
+
+
+def rosenbrock() -> Diagram:
+    return function("(1 - x)**2 + 100*(y - x**2)**2", x=-1.0, y=1.5)
+
+
+BOX = {"x": (-2.0, 2.0), "y": (-1.0, 3.0)}
+SHORT: dict[str, Any] = {"stop": 0.01, "method": "euler", "step": 0.01}
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, Any]]]:
+    """The number of rows and the seeds of each call of a batch."""
+    made: list[tuple[int, Any]] = []
+    run = Batch.__call__
+
+    def noted(self: Batch, table: Any, *, seeds: Any = None, **options: Any) -> BatchRows:
+        made.append((len(table), seeds))
+        return run(self, table, seeds=seeds, **options)
+
+    monkeypatch.setattr(Batch, "__call__", noted)
+    yield made
+
+
+@pytest.mark.parametrize(("method", "budget", "close"), [("cma", 400, 1e-3), ("de", 1200, 1e-3)])
+def test_the_minimum_of_rosenbrocks_function_is_found(method: str, budget: int, close: float) -> None:
+    tuning = rosenbrock().tune(minimize="f", over=BOX, method=method, budget=budget, seed=2, **SHORT)
+    assert tuning.objective < close
+    assert [tuning.values["x"], tuning.values["y"]] == pytest.approx([1.0, 1.0], abs=0.1)
+    assert tuning.objective_before == pytest.approx(29.0)
+    assert tuning.after["nominal"].measures["f"] == tuning.objective
+    again = rosenbrock().tune(minimize="f", over=BOX, method=method, budget=budget, seed=2, **SHORT)
+    assert again.values == tuning.values
+    assert np.array_equal(again.history.values, tuning.history.values)
+
+
+@pytest.mark.parametrize("method", ["cma", "de"])
+def test_a_budget_is_spent_to_the_candidate_in_every_scenario(method: str, calls: list[tuple[int, Any]]) -> None:
+    tuning = rosenbrock().tune(
+        minimize="a.f + b.f", over={"x": BOX["x"]}, scenarios={"a": {}, "b": {"y": 2}}, method=method, budget=37, **SHORT
+    )
+    assert len(tuning.history.objective) == 37
+    sensitivities = 2 * (2 * 1 + 1)
+    assert sum(n for n, _ in calls) == 2 * 37 + sensitivities
+    assert {seeds for _, seeds in calls} == {None}, "all see the seed of the diagram"
+
+
+def noisy() -> Diagram:
+    """A loop whose sensor may have noise."""
+    diagram = Diagram("noisy")
+    diagram.parameter("sigma", 0.0)
+    diagram.parameter("k", 2.0)
+    r, error, sensor = diagram.add("r", Step(at=0.0, after=1.0)), diagram.add("error", Sum(signs="+-")), Sum(signs="++")
+    control, plant = diagram.add("control", Gain(k="=k")), diagram.add("plant", FirstOrder())
+    measured, noise = diagram.add("sensor", sensor), diagram.add("noise", Noise(deviation="=sigma", period=0.01))
+    diagram.wire(error.u1, r.y)
+    diagram.wire(error.u2, measured.y)
+    diagram.wire(measured.u1, plant.y)
+    diagram.wire(measured.u2, noise.y)
+    diagram.wire(control.u, error.y)
+    diagram.wire(plant.u, control.y)
+    diagram.measure("IAE", "IAE", "plant.y", "r.y")
+    diagram.measure("variation", "total_variation", "control.y")
+    diagram.measure("largest", "peak", "control.y")
+    diagram.measure("late", "peak", "plant.y", start=5, stop=6)
+    return diagram
+
+
+NOISY: dict[str, Any] = {"over": {"k": (1.0, 50.0)}, "stop": 2.0, "budget": 12, "method": "de"}
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"minimize": "IAE"}, ["no scenario has noise", "nothing in them limits"]),
+        ({"minimize": "IAE + 0.1*variation"}, ["no scenario has noise"]),
+        ({"minimize": "IAE", "scenarios": {"noisy": {"sigma": 0.1}}}, ["nothing in them limits"]),
+        ({"minimize": "quiet.IAE + quiet.variation", "scenarios": {"quiet": {}, "noisy": {"sigma": 0.1}}},
+         ["no scenario has noise"]),
+        ({"minimize": "IAE", "scenarios": {"noisy": {"sigma": 0.1}}, "subject_to": ["noisy.variation <= 1e6"]}, []),
+        ({"minimize": "IAE", "scenarios": {"noisy": {"sigma": 0.1}}, "subject_to": "largest <= 1e6"}, []),
+    ],
+)  # fmt: skip
+def test_a_tuning_that_noise_and_effort_do_not_hold_back_is_told(given: dict[str, Any], told: list[str]) -> None:
+    warnings = noisy().tune(**given, **NOISY).warnings
+    assert [fault.code for fault in warnings] == (["W501"] if told else [])
+    for words in ("no scenario has noise", "nothing in them limits"):
+        assert (words in str(warnings)) == (words in told)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"minimize": "IEA"}, "minimize: the diagram has no measure 'IEA'. Did you mean 'IAE'?"),
+        ({"minimize": "nosy.IAE"}, "minimize: there is no scenario 'nosy'. Did you mean 'noisy'?"),
+        ({"minimize": "late"}, "noisy.late: can have no number: has no value: its window"),
+        ({"minimize": "IAE", "subject_to": ["noisy.late <= 1"]}, "noisy.late: can have no number"),
+        ({"minimize": "IAE", "subject_to": ["variation == 3"]}, "subject_to[0]: 'variation == 3' is no comparison"),
+        ({"minimize": "IAE", "subject_to": ["1 <= 2"]}, "subject_to[0]: '1 <= 2' reads no measure"),
+        ({"minimize": "2 IAE"}, "A product is written with *."),
+        ({"minimize": "IAE", "over": {"k": (5, 1)}}, "k: has no two bounds"),
+        ({"minimize": "IAE", "over": {"gain": (1, 5)}}, "there is no such parameter"),
+        ({"minimize": "IAE", "method": "least_squares"}, "Use Diagram.fit"),
+        ({"minimize": "IAE", "budget": 0}, "budget: is 0"),
+    ],
+)
+def test_what_can_have_no_number_is_refused_before_the_first_candidate(
+    given: dict[str, Any], said: str, calls: list[tuple[int, Any]]
+) -> None:
+    with pytest.raises((UsageError, ModelError)) as refused:
+        noisy().tune(**{**NOISY, "scenarios": {"quiet": {}, "noisy": {"sigma": 0.1}}, **given})
+    assert said in str(refused.value)
+    assert not calls
+
+
+def test_objectives_and_constraints_mean_what_is_written() -> None:
+    measured = {"a": {"x": np.array([1.0, 2.0]), "y": np.array([3.0, np.nan])},
+                "b": {"x": np.array([5.0, 4.0]), "y": np.array([1.0, 1.0])}}  # fmt: skip
+    read = ("x", "y"), ("a", "b")
+    assert objective_of("2*x + a.y", *read).values(measured).tolist()[:1] == [2 * 3.0 + 3.0]
+    assert np.isnan(objective_of("2*x + a.y", *read).values(measured)[1])
+    bare = constraints_of(["x <= 4", "b.x >= 2*a.x"], *read)
+    assert [constraint.scenario for constraint in bare] == ["a", "b", ""]
+    assert [constraint.excess(measured, 4.0).tolist() for constraint in bare] == [[0, 0], [0.25, 0], [0, 0]]
+    lost = constraints_of(["a.y <= 4"], *read)[0].excess(measured, 4.0)
+    assert lost.tolist() == [0.0, np.inf], "what has no number holds nothing"
+
+
+def test_the_best_value_lies_on_the_side_of_a_constraint_that_holds() -> None:
+    diagram = function("x", x=5.0)
+    diagram.add("square", Constant(value="=x**2"))
+    diagram.measure("g", "steady_state_error", "square.y")
+    tuning = diagram.tune(minimize="f", over={"x": (0.01, 10.0)}, subject_to=["g >= 9"], budget=120, **SHORT)
+    assert tuning.is_feasible
+    assert 3.0 <= tuning.values["x"] < 3.01
+    assert tuning.sensitivities["x"] == pytest.approx((-0.05, 0.05))
+    impossible = diagram.tune(minimize="f", over={"x": (0.01, 2.0)}, subject_to=["g >= 9"], budget=60, **SHORT)
+    assert not impossible.is_feasible
+    assert impossible.is_kept, "the diagram itself fulfils what no candidate does"
+
+
+def test_a_run_that_diverges_is_never_the_best_one() -> None:
+    diagram = Diagram("growth")
+    diagram.parameter("rate", 0.1)
+    x, gain = diagram.add("x", Integrator(y_start=1.0)), diagram.add("gain", Gain(k="=rate"))
+    diagram.wire(gain.u, x.y)
+    diagram.wire(x.u, gain.y)
+    diagram.measure("top", "peak", "x.y")
+    tuning = diagram.tune(minimize="-top", over={"rate": (-1.0, 40.0)}, budget=40, method="de", stop=100.0)
+    lost = tuning.history.status != "ok"
+    assert lost.any()
+    assert np.isnan(tuning.history.objective[lost]).all()
+    assert np.isfinite(tuning.objective)
+
+
+def test_values_are_written_and_nothing_else_of_the_file_changes(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "diagrams", tmp_path / "diagrams")
+    path = tmp_path / "diagrams" / "motor_pid.json"
+    old = path.read_text().replace('"kp": {"value": 20, "unit": "V.s/rad"', '"kp":   {"value": 20, "unit":  "mV.s/rad"')
+    path.write_text(old)
+    tuning = Diagram.load(path).tune(minimize="ITAE", over={"kp": (2, 60000), "motor.Ra": (0.1, 0.3)}, budget=8, seed=1)
+    edit = tuning.write(path)
+    new = path.read_text()
+    assert [change.old for change in edit.changes] == ["20", ""]
+    assert new == old.replace('"value": 20,', f'"value": {tuning.values["kp"]:g},').replace(
+        '"motor": {"type": "PMDCMotor"}',
+        f'"motor": {{"type": "PMDCMotor", "parameters": {{"Ra": {tuning.values["motor.Ra"]:g}}}}}',
+    )
+    assert Diagram.load(path).run().measures == tuning.after["nominal"].measures
+    edit.undone.write()
+    assert path.read_text() == old
+
+
+def test_wheels_that_share_a_file_get_one_value_or_none(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "diagrams" / "paper", tmp_path / "paper")
+    path = tmp_path / "paper" / "iadrc.json"
+    diagram = Diagram.load(path)
+    given: dict[str, Any] = {"minimize": "ITAE_left", "budget": 4, "stop": 3.0, "method": "de"}
+    tuning = diagram.tune(over={"control_left.nlsef.k1[0]": (100, 600)}, **given)
+    assert not tuning.is_kept
+    with pytest.raises(UsageError, match="would not give the tuned diagram"):
+        tuning.write(path)
+    tuning = diagram.tune(over={"control_*.nlsef.k1[0]": (100, 600)}, **given)
+    (changed,) = tuning.write(path).changes
+    assert (Path(changed.file).name, changed.old) == ("control_iadrc.json", "144.6642")
+    assert Diagram.load(path).run(stop=3.0).measures == tuning.after["nominal"].measures
+
+
+def test_the_command_tunes_writes_and_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "loop.json"
+    noisy().save(path)
+    command = ["tune", str(path), "--minimize", "quiet.IAE", "--over", "k=1,50", "--stop", "2", "--method", "de"]
+    command += ["--scenario", "quiet:", "--scenario", "noisy: sigma=0.1", "--subject-to", "noisy.variation <= 300"]
+    command += ["--budget", "10", "--write", "--report", str(tmp_path / "report"), "--json"]
+    assert main(command) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    done = lines[-1]
+    assert done["candidates"] == 10 and done["written"] and done["feasible"]
+    assert Diagram.load(path).run(stop=2.0).measures["IAE"] == done["objective"]
+    assert "noisy.variation &lt;= 300" in (tmp_path / "report" / "report.html").read_text()
+    assert (tmp_path / "report" / "search.png").stat().st_size > 1000
+    assert main([*command[:6], "--over", "k=1"]) == 2
