@@ -6,8 +6,8 @@ of its block types. Then go chunks of rows, each of some seconds of work: values
 knows by its hash. A row's numbers follow from its values and its seed alone, so that no chunks, workers or losses of
 workers change a bit.
 
-A worker that is lost is replaced by dask, which runs its chunks again. A chunk that has killed several is kept for the
-end, when nothing else is under way, and is halved there until the row that does it stands alone: it is "failed".
+A worker that is lost is replaced by dask, which runs its chunks again. Of a chunk whose workers died again and again,
+each row is run in a process of its own, and one that ends it is "failed".
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ from __future__ import annotations
 import hashlib
 import importlib
 import os
+import pickle
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -42,7 +45,7 @@ if TYPE_CHECKING:
     from ..contract.block import Block
     from ..results.provenance import Origin
 
-__all__ = ["Job", "Put", "run_on"]
+__all__ = ["Job", "Put", "run_on", "serve"]
 
 Array = np.ndarray[Any, Any]
 SECONDS = 2.0
@@ -208,6 +211,12 @@ class Job:
             known[key] = diagram.batch(list(self.names), parameters=parameters, trust=trust, **self.options)
         return known[key]
 
+    def failed(self, status: int) -> BatchRows:
+        """A row whose process ended with a status."""
+        message = f"E216 row: its process ended with status {status}. An FMU may crash, or memory be short."
+        measures = {name: np.full(1, np.nan) for name in self.options["measures"]}
+        return BatchRows(np.array(["failed"]), (message,), measures, np.empty(0), {}, np.zeros(1, np.int64))
+
 
 _made = threading.local()  # in a worker: a run is of one thread
 
@@ -248,14 +257,36 @@ def _run(
     if rows.interrupted:
         raise RuntimeError("the worker was interrupted")  # dask runs it again elsewhere
     if job.put is not None:
-        columns = dict(zip(job.names, table.T, strict=True))
         job.put.write({
-            "varied": columns, "scenario": np.full(len(rows), scenario), "number": numbers,
-            "seeds": seeds, "status": rows.status, "messages": rows.messages, "steps": rows.steps,
+            "varied": dict(zip(job.names, table.T, strict=True)), "scenario": np.full(len(rows), scenario),
+            "number": numbers, "seeds": seeds, "status": rows.status, "messages": rows.messages, "steps": rows.steps,
             "measures": rows.measures, "t": rows.t, "signals": rows.signals,
         })  # fmt: skip
         rows = replace(rows, t=np.empty(0), signals={})
     return rows, seconds
+
+
+def _run_apart(
+    job: Job, scenario: int, numbers: Array, table: Array, seeds: Array, budget: int | None
+) -> list[BatchRows]:
+    """Each row in a process of its own, which may die."""
+    made = []
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    for k in range(len(numbers)):
+        one = slice(k, k + 1)
+        with tempfile.TemporaryDirectory() as place:
+            path = Path(place) / "rows"
+            path.write_bytes(pickle.dumps((job, scenario, numbers[one], table[one], seeds[one], budget)))
+            command = f"from {__name__} import serve; serve({str(path)!r})"
+            status = subprocess.run([sys.executable, "-c", command], env=environment, check=False).returncode
+            made.append(job.failed(status) if status else pickle.loads(path.read_bytes())[0])
+    return made
+
+
+def serve(path: str) -> None:
+    """Run what a file says, and write what came out in its place."""
+    place = Path(path)
+    place.write_bytes(pickle.dumps(_run(*pickle.loads(place.read_bytes()))))
 
 
 # --- at home ---------------------------------------------------------------------------------------------------
@@ -318,10 +349,6 @@ def run_on(
     return True
 
 
-Chunk = tuple[int, Array]
-"""A scenario, and the numbers of rows."""
-
-
 class _Farm:
     """The chunks that are under way."""
 
@@ -339,8 +366,7 @@ class _Farm:
         self.progress = progress
         # A task of its own: it goes to each worker once, from another one that has it, and is made again when lost.
         self.held = client.submit(_same, job, pure=False)
-        self.under_way: dict[Any, Chunk] = {}
-        self.suspects: list[Chunk] = []
+        self.under_way: dict[Any, tuple[Array, bool]] = {}
         self.rows, self.seconds = 0, 0.0
         self._tell()
 
@@ -348,64 +374,50 @@ class _Farm:
         """Run all that is left. size: of chunks."""
         import distributed
 
-        as_completed, wait = (getattr(distributed, name) for name in ("as_completed", "wait"))  # they have no types
-        left, n, now = np.flatnonzero(self.made.status == "left"), self.made.n, 1
-        done = as_completed()
+        left, now = np.flatnonzero(self.made.status == "left"), 1
+        done: Any = distributed.as_completed()  # type: ignore[no-untyped-call]
         while len(left) or self.under_way:
             most = 2 * max(1, sum(self.client.nthreads().values()))
             while len(left) and len(self.under_way) < most:
-                scenario = int(left[0]) // n
-                numbers = left[: size or now] - scenario * n
-                numbers = numbers[numbers < n]
-                left = left[len(numbers) :]
-                done.add(self._submit((scenario, numbers)))
-            self._ended(next(done))
+                chunk = left[: size or now]
+                chunk = chunk[chunk // self.made.n == chunk[0] // self.made.n]
+                left = left[len(chunk) :]
+                done.add(self._submit(chunk))
+            future = next(done)
+            chunk, is_apart = self.under_way.pop(future)
+            try:
+                self._take(chunk, future.result())
+            except distributed.KilledWorker:
+                if is_apart:
+                    self._take(chunk, [self.job.failed(0)] * len(chunk))
+                else:
+                    done.add(self._submit(chunk, is_apart=True))
+            except (distributed.CancelledError, OSError) as error:
+                cure = "Begin it again: with out=, it goes on with the rows that are left."
+                message = f"dask gave rows up: {one_line(str(error)).rstrip('.')}."
+                raise UsageError(Fault("E501", "on", message, cure)) from None
             if self.rows:
                 now = max(1, min(GROWTH * now, int(SECONDS * self.rows / max(self.seconds, 1e-6))))
-        while self.suspects:
-            future = self._submit(self.suspects.pop())
-            wait(future)
-            self._ended(future, is_alone=True)
 
-    def _submit(self, chunk: Chunk) -> Any:
-        scenario, numbers = chunk
-        table, seeds = self.table[numbers], self.seeds[numbers]
-        future = self.client.submit(_run, self.held, scenario, numbers, table, seeds, self.budget, pure=False)
-        self.under_way[future] = chunk
+    def _submit(self, chunk: Array, *, is_apart: bool = False) -> Any:
+        scenario, numbers = int(chunk[0]) // self.made.n, chunk % self.made.n
+        given = (scenario, numbers, self.table[numbers], self.seeds[numbers], self.budget)
+        future = self.client.submit(_run_apart if is_apart else _run, self.held, *given, pure=False)
+        self.under_way[future] = chunk, is_apart
         return future
 
-    def _ended(self, future: Any, *, is_alone: bool = False) -> None:
-        from distributed import CancelledError, KilledWorker
-
-        scenario, numbers = self.under_way.pop(future)
-        try:
-            rows, seconds = future.result()
-        except KilledWorker:
-            half = len(numbers) // 2
-            if not is_alone:
-                self.suspects.append((scenario, numbers))
-                return
-            if half:
-                self.suspects += [(scenario, numbers[half:]), (scenario, numbers[:half])]
-                return
-            rows, seconds = self._killed(), 0.0
-        except (CancelledError, OSError) as error:
-            cure = "Begin it again: with out=, it goes on with the rows that are left."
-            message = f"dask gave rows up: {one_line(str(error)).rstrip('.')}."
-            raise UsageError(Fault("E501", "on", message, cure)) from None
-        self.rows, self.seconds = self.rows + len(numbers), self.seconds + seconds
-        self.made.keep(scenario * self.made.n + numbers, rows)
+    def _take(self, chunk: Array, given: tuple[BatchRows, float] | list[BatchRows]) -> None:
+        if isinstance(given, list):
+            for k, rows in enumerate(given):
+                self.made.keep(chunk[k : k + 1], rows)
+        else:
+            self.made.keep(chunk, given[0])
+            self.rows, self.seconds = self.rows + len(chunk), self.seconds + given[1]
         self._tell()
 
     def _tell(self) -> None:
         if self.progress is not None:
-            status = self.made.status
-            self.progress(int(np.count_nonzero(status != "left")), len(status))
-
-    def _killed(self) -> BatchRows:
-        message = "E216 row: each worker that ran it died. An FMU may crash, or the memory be short: run it by itself."
-        measures = {name: np.full(1, np.nan) for name in self.job.options["measures"]}
-        return BatchRows(np.array(["failed"]), (message,), measures, np.empty(0), {}, np.zeros(1, np.int64))
+            self.progress(int(np.count_nonzero(self.made.status != "left")), len(self.made.status))
 
     def end(self) -> None:
         if self.under_way:

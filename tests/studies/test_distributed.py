@@ -148,7 +148,7 @@ def test_a_row_that_kills_each_worker_is_failed_and_all_others_are_what_they_are
         far = d.sweep({"u": [*values[:5], 2.0, *values[5:]]}, on=client)
     assert far.counts() == {"ok": 9, "failed": 1}
     assert far.status[5] == "failed"
-    assert far.messages[5].startswith("E216 row: each worker that ran it died.")
+    assert far.messages[5].startswith("E216 row: its process ended with status 1.")
     good = far.taken(far.status == "ok")
     assert good.measures["last"].tolist() == good.varied["u"].tolist()
 
