@@ -54,11 +54,14 @@ def in_processes(
 ) -> Iterator[tuple[int, Alone | None]]:
     """What becomes of each row, as it is known; None where Ctrl-C ends it.
 
-    What cannot be pickled, as block types that were defined in a notebook, runs here, row after row.
+    What cannot be pickled, as block types that were defined in a notebook, runs here, row after row; so do all rows in
+    a process that may have none of its own, as a worker of dask.
     """
     try:
-        text = pickle.dumps(batch)
+        text = b"" if multiprocessing.current_process().daemon else pickle.dumps(batch)
     except Exception:  # pickle raises what the types raise
+        text = b""
+    if not text:
         yield from _here(batch, rows, budget)
         return
     tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()

@@ -169,6 +169,11 @@ class Diagram:
     def name(self) -> str:
         return self._draft.name
 
+    @property
+    def types(self) -> Mapping[str, type[Block]]:
+        """The block types that it knows, by name."""
+        return self._draft.types
+
     def parameter(self, name: str, value: Any, *, unit: str = "", doc: str = "") -> str:
         """A parameter of the diagram; returns "=name", which blocks take as a value."""
         self._draft.check_free(name, "parameter")
@@ -513,6 +518,7 @@ class Diagram:
         progress: Callable[[int, int], None] | None = None,
         out: str | Path | None = None,
         resume: bool = True,
+        on: Any = None,
         **settings: Any,
     ) -> Any:
         """Runs with varied parameters, as a table: a `Sweep`.
@@ -532,7 +538,9 @@ class Diagram:
 
         out: a Parquet file. Rows are written to its part, `out` and ".part", as they are done; where a part of this
         very sweep is there already, it goes on from it, bit for bit as if it had never stopped, unless `resume` is
-        False.
+        False. on: a client of dask.distributed, or the address of its scheduler: its workers run the rows, and give the
+        same bits where their machines are alike. `out` may then be a folder or a URL that they can write: rows stand
+        there with their signals, which do not come back.
 
         A row that fails or is refused has a status and a message, and all others run. Ctrl-C returns what is done
         (`sweep.interrupted`). Raises ModelError, UsageError (E501; E504; E506 where the part is of another sweep),
@@ -542,7 +550,7 @@ class Diagram:
             "sweep", self, vary,
             n=n, sampler=sampler, seed=seed, measures=measures, log=signal_names(log), margins=margins,
             scenarios=scenarios, parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads,
-            budget=budget, progress=progress, out=out, resume=resume, **settings,
+            budget=budget, progress=progress, out=out, resume=resume, on=on, **settings,
         )  # fmt: skip
 
     def tune(self, **options: Any) -> Any:

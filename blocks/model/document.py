@@ -36,6 +36,7 @@ __all__ = [
     "load",
     "loads",
     "relocated",
+    "self_contained",
     "to_document",
 ]
 
@@ -188,6 +189,28 @@ def dumps(value: DiagramValue) -> str:
         message = f"subdiagrams lie more than {DEEPEST} deep."
         raise ModelError(Fault("E008", value.name, message, "Put some of them beside each other."))
     return dumps_document(to_document(value))
+
+
+def self_contained(value: DiagramValue) -> DiagramValue:
+    """The value with the diagrams and the columns of other files in it, so that its text names no files but FMUs.
+
+    value: with its variants taken.
+    """
+
+    def parameters(table: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            name: {"value": list(raw.numbers), **{key: raw[key] for key in raw if key not in ("csv", "column")}}
+            if isinstance(raw, Column) else raw
+            for name, raw in table.items()
+        }  # fmt: skip
+
+    def whole(entry: BlockEntry) -> BlockEntry:
+        inner = entry.inner
+        diagram = None if inner is None else self_contained(relocated(inner, value.folder))
+        return replace(entry, diagram=diagram, loaded=None, parameters=parameters(entry.parameters))
+
+    blocks = {name: whole(entry) for name, entry in value.blocks.items()}
+    return replace(value, blocks=blocks, parameters=parameters(value.parameters))
 
 
 def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:

@@ -26,7 +26,7 @@ from ..text.errors import Fault, UsageError
 from ..text.plain_files import opened
 from ..text.printable import legible, one_line
 
-__all__ = ["SweepPart", "read", "write"]
+__all__ = ["SweepPart", "read", "read_rows", "told_of", "write"]
 
 Array = np.ndarray[Any, Any]
 FORMAT, VERSION = "blocks sweep", 1
@@ -64,6 +64,38 @@ def read(path: str | Path) -> dict[str, Any]:
     except (pa.ArrowException, OSError, KeyError, ValueError) as error:
         said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise refuse(f"is no file of a sweep: {one_line(said).rstrip(' .')}.") from None
+
+
+def read_rows(stream: BinaryIO, path: str, told: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a piece of a sweep, but for its signals. Raises UsageError (E506) where it is none of this one."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    refuse = _in_the_way(path)
+    try:
+        file = pq.ParquetFile(stream)
+        _check_same(_notes(file.schema_arrow, refuse), told, refuse)
+        names = [field.name for field in file.schema_arrow if field.metadata[b"kind"] != b"signal"]
+        return _sweep_of(file.read(columns=names), refuse)
+    except (pa.ArrowException, OSError) as error:
+        raise refuse(f"it is no file of a sweep: {one_line(str(error)).rstrip(' .')}.") from None
+
+
+def _check_same(notes: Mapping[str, Any], told: Mapping[str, Any], refuse: Refuse) -> None:
+    """Refuse what is there of another sweep."""
+    was, ours = _key(notes), _key(json.loads(json.dumps(told)))
+    different = [name for name in sorted({*was, *ours}) if was.get(name) != ours.get(name)]
+    if different:
+        cure = "Give what it was begun with; or begin anew (resume=False, --anew), which replaces it."
+        raise refuse(f"it is of a sweep that differs in its {', '.join(different)}.", cure)
+
+
+def _in_the_way(path: str | Path) -> Refuse:
+    def refuse(message: str, cure: str = "") -> UsageError:
+        cure = cure or "Move it away, or name another file."
+        return UsageError(Fault("E506", legible(str(path)), f"stands in the way: {message}", cure))
+
+    return refuse
 
 
 def _rows_of(sweep: Mapping[str, Any], told: Mapping[str, Any]) -> Any:
@@ -181,6 +213,12 @@ def _chunks(stream: BinaryIO, refuse: Refuse) -> tuple[Any, Iterator[tuple[Any, 
     return reader.schema, chunks()
 
 
+def told_of(origin: Origin | None, key: Mapping[str, Any]) -> dict[str, Any]:
+    """What a sweep is of, for the metadata of its files. origin: of a run; key: what else the rows follow from."""
+    texts = {name: repr(value) for name, value in key.items()}
+    return {"origin": {} if origin is None else origin.told(), "key": texts}
+
+
 def _key(told: Mapping[str, Any]) -> dict[str, Any]:
     """By what a sweep is known again, as messages name it."""
     origin = told.get("origin", {})
@@ -192,16 +230,15 @@ def _key(told: Mapping[str, Any]) -> dict[str, Any]:
 class SweepPart:
     """The file of a sweep that is under way. It is locked as long as it is open.
 
-    origin: of a run of the diagram; key: what else the rows follow from, as texts. resume: go on from a part of the
-    same sweep. found: the fields of the chunks that are there. Raises UsageError: E501 where it cannot be written,
-    E504, E506 where it is of another sweep.
+    told: what it is of. resume: go on from a part of the same sweep. found: the fields of the chunks that are there.
+    Raises UsageError: E501 where it cannot be written, E504, E506 where it is of another sweep.
     """
 
-    def __init__(self, target: str | Path, origin: Origin | None, key: Mapping[str, str], *, resume: bool) -> None:
+    def __init__(self, target: str | Path, told: Mapping[str, Any], *, resume: bool) -> None:
         known_ending(target, (".parquet",), "sweeps")
         optional("pyarrow", legible(str(target)))
         self.target, self.path = target, part_of(target)
-        self.told = {"origin": {} if origin is None else origin.told(), "key": dict(key)}
+        self.told = told
         self.end_of_rows = 0
         try:
             self.stream = held(self.path, os.O_RDWR | os.O_CREAT)
@@ -217,18 +254,11 @@ class SweepPart:
         """The chunks that are there already, where they are of this sweep."""
         import pyarrow as pa
 
-        def refuse(message: str, cure: str = "") -> UsageError:
-            cure = cure or "Move it away, or name another file."
-            return UsageError(Fault("E506", legible(str(self.path)), f"stands in the way: {message}", cure))
-
+        refuse = _in_the_way(self.path)
         schema, chunks = _chunks(self.stream, refuse)
         if not resume:
             return []
-        was, ours = _key(_notes(schema, refuse)), _key(json.loads(json.dumps(self.told)))
-        different = [name for name in sorted({*was, *ours}) if was.get(name) != ours.get(name)]
-        if different:
-            cure = "Give what it was begun with; or begin anew (resume=False, --anew), which replaces it."
-            raise refuse(f"it is of a sweep that differs in its {', '.join(different)}.", cure)
+        _check_same(_notes(schema, refuse), self.told, refuse)
         pieces = []
         for batch, end in chunks:
             pieces.append(_sweep_of(pa.Table.from_batches([batch]), refuse))

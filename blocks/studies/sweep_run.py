@@ -28,7 +28,7 @@ from ..text import units as unit_texts
 from ..text.errors import Fault, UsageError
 from .sampling import Rows, rows_of, seed_of
 from .sweep import Sweep
-from .sweep_file import SweepPart
+from .sweep_file import SweepPart, told_of
 from .sweep_margins import RowMargins, margins_of
 
 if TYPE_CHECKING:
@@ -62,9 +62,13 @@ def sweep(
     progress: Callable[[int, int], None] | None = None,
     out: str | Path | None = None,
     resume: bool = True,
+    on: Any = None,
     **settings: Any,
 ) -> Sweep:
     """What `Diagram.sweep` does."""
+    if on is not None and threads is not None:
+        cure = "Begin the workers with as many as they shall have: dask worker ADDRESS --nworkers 4 --nthreads 1."
+        raise UsageError(Fault("E501", "threads", "are those of the workers.", cure))
     asked = {"parameters": parameters, "engine": engine, "variants": variants, "trust": trust, **settings}
 
     def expand(pattern: str) -> list[str]:
@@ -101,16 +105,31 @@ def sweep(
 
     taken_measures = (*first.measures, *(margin.name for margin in wanted))
     made = _Made(diagram.name, rows, units, tuple(scenarios or ()), seeds, taken_measures, first.signals, again)
-    if out is not None:
-        key: dict[str, Any] = {"scenarios": given, "measures": first.measures, "signals": first.signals}
-        key |= {"margins": wanted} if wanted else {}
-        key |= {"budget": budget, "engine": start.statistics.engine, "varied rows": _digest(rows, seeds)}
-        made.part = SweepPart(out, start.origin, {name: repr(value) for name, value in key.items()}, resume=resume)
+    key: dict[str, Any] = {"scenarios": given, "measures": first.measures, "signals": first.signals}
+    key |= {"margins": wanted} if wanted else {}
+    key |= {"budget": budget, "engine": start.statistics.engine, "varied rows": _digest(rows, seeds)}
+    told = told_of(start.origin, key)
+    folder = "" if on is None or out is None or str(out).lower().endswith(".parquet") else str(out)
+    if out is not None and not folder:
+        made.part = SweepPart(out, told, resume=resume)
     try:
         for fields in made.part.found if made.part is not None else ():
             piece = Sweep(**fields)
             made.take(piece.scenario * rows.n + piece.number, piece)
-        _run(batches, beside, table, seeds, made, threads=threads, budget=budget, progress=progress)
+        if on is None:
+            _run(batches, beside, table, seeds, made, threads=threads, budget=budget, progress=progress)
+        else:
+            from .distributed import Job, Put, run_on
+
+            static = {name: getattr(made.begun, name) for name in ("name", "units", "scenarios", "base", "warnings")}
+            put = Put(folder, static, told) if folder else None
+            values = [{**(parameters or {}), **on_top} for on_top in given.values()]
+            options = {"measures": list(first.measures), "log": list(first.signals), "engine": engine}
+            job = Job.of(diagram, names, values, options, settings, wanted, variants=variants, put=put)
+            if start.origin is not None and (start.origin.equations, start.origin.values) != job.computed[1:]:
+                raise AssertionError("the text of the diagram says something else")
+            is_done = run_on(on, job, table, seeds, made, budget=budget, progress=progress, resume=resume)
+            made.interrupted = not is_done
         done = made.sweep()
         if made.part is not None:
             made.part.end(vars(done))

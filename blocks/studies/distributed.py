@@ -1,0 +1,425 @@
+"""Rows of sweeps on other machines, by dask.distributed: the only door to it.
+
+What goes out once is a Job: the diagram as one text, with the diagrams and columns of other files in it, and the names
+of its block types. Then go chunks of rows, each of some seconds of work: values and run seeds. What comes back are
+`BatchRows`, in any order. Each worker makes a Batch of the job, compiled once for its kind of machine, which the cache
+knows by its hash. A row's numbers follow from its values and its seed alone, so that no chunks, workers or losses of
+workers change a bit.
+
+A worker that is lost is replaced by dask, which runs its chunks again. Of a chunk whose workers died again and again,
+each row is run in a process of its own, and one that ends it is "failed".
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from ..api.batch import Batch, BatchRows
+from ..api.diagram import Diagram
+from ..model.block_types import library_types
+from ..model.diagram import DiagramValue
+from ..model.document import dumps, self_contained
+from ..model.variants import taken
+from ..results.table import optional
+from ..text.errors import Fault, FMUError, UsageError
+from ..text.printable import legible, one_line
+from .sweep import Sweep
+from .sweep_file import read_rows, write
+
+if TYPE_CHECKING:
+    from ..contract.block import Block
+    from ..results.provenance import Origin
+
+__all__ = ["Job", "Put", "run_on", "serve"]
+
+Array = np.ndarray[Any, Any]
+SECONDS = 2.0
+"""The work of a chunk. An empty task costs some 10 ms, and what a lost worker had begun is run again."""
+GROWTH = 8
+"""By how much chunks may grow from what is known of the rows so far."""
+FILE = "rows-{}.parquet"
+"""What a chunk is called in a folder."""
+MOST_BATCHES = 8
+"""How many a thread of a worker keeps ready."""
+
+
+# --- what goes out ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Put:
+    """Where workers write rows with their signals: a file for each chunk.
+
+    folder: a folder or a URL that all workers can write. fields: those of a Sweep that are the same for all rows; told:
+    what it is of, for the metadata.
+    """
+
+    folder: str
+    fields: Mapping[str, Any]
+    told: Mapping[str, Any]
+
+    def found(self, *, resume: bool) -> Iterator[Sweep]:
+        """The rows of files that are there, without signals; where it begins anew, the files are removed.
+
+        Raises UsageError (E506) where they are of another sweep.
+        """
+        system, root = self.opened()
+        for path in sorted(system.glob(f"{root}/{FILE.format('*')}")):
+            if not resume:
+                system.rm(path)
+                continue
+            with system.open(path, "rb") as stream:
+                yield Sweep(**read_rows(stream, path, self.told))
+
+    def write(self, fields: Mapping[str, Any]) -> None:
+        """Write a chunk. One that runs again, since its worker was lost, replaces its file by the same rows."""
+        numbers = fields["number"]
+        name = FILE.format(f"{int(fields['scenario'][0])}-{int(numbers[0]):09d}-{int(numbers[-1]):09d}")
+        system, root = self.opened()
+        with tempfile.TemporaryDirectory() as place:
+            is_local = "file" in system.protocol
+            path = Path(root if is_local else place) / name
+            write(path, {**self.fields, **fields}, self.told)
+            if not is_local:
+                system.put_file(str(path), f"{root}/{name}")
+
+    def opened(self) -> tuple[Any, str]:
+        """The file system and the folder in it, which is there from then on. Raises UsageError (E501)."""
+        from fsspec.core import url_to_fs
+
+        try:
+            system, root = url_to_fs(self.folder)
+            system.makedirs(root, exist_ok=True)
+        except (OSError, ValueError, ImportError) as error:
+            raise UsageError(Fault("E501", legible(self.folder), f"{one_line(str(error))}.")) from None
+        return system, root
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that a worker needs to know of a sweep but its rows.
+
+    text: of the diagram. folder: where the paths of FMUs begin. library: module and name of each block type that does
+    not ship. fmus: the SHA-256 of each FMU by its path. names: of the columns. scenarios: the parameters of each.
+    options: further arguments of `Diagram.batch`. key: of the job, by which a worker knows it again. computed: of the
+    release, the equations and the values of the first scenario, by which it is known that a worker computes the same.
+    """
+
+    text: str
+    folder: str
+    library: tuple[tuple[str, str], ...]
+    fmus: Mapping[str, str]
+    names: tuple[str, ...]
+    scenarios: tuple[Mapping[str, Any], ...]
+    options: Mapping[str, Any]
+    key: str
+    computed: tuple[str, ...] = ()
+    put: Put | None = None
+
+    @classmethod
+    def of(
+        cls,
+        diagram: Diagram,
+        names: Sequence[str],
+        scenarios: Sequence[Mapping[str, Any]],
+        options: Mapping[str, Any],
+        *,
+        variants: Mapping[str, str] | None = None,
+        origin: Origin | None = None,
+        put: Put | None = None,
+    ) -> Job:
+        """The job of a sweep. origin: of a run of the first scenario.
+
+        Raises ModelError, UsageError (E501) for block types that no worker could import.
+        """
+        value = self_contained(taken(diagram.value, variants))
+        used: dict[str, type[Block]] = {}
+        fmus: dict[str, str] = {}
+        for inside in _all(value):
+            for entry in inside.blocks.values():
+                if entry.fmu:
+                    path = os.path.abspath(os.path.join(inside.folder, entry.fmu))
+                    fmus[path] = _sha256(path)
+                elif entry.type:
+                    used[entry.type] = entry.cls or diagram.types[entry.type]
+        known = library_types()
+        own = [cls for name, cls in used.items() if known.get(name) is not cls]
+        for block in own:
+            if block.__module__ == "__main__" or "." in block.__qualname__:
+                message = f"stands in {block.__module__}, from which no worker can import it."
+                cure = "Put it at the top of a module, and give that to the workers: client.upload_file(...)."
+                raise UsageError(Fault("E501", block.__qualname__, message, cure))
+        library = tuple(sorted((block.__module__, block.__qualname__) for block in own))
+        key = uuid.uuid4().hex
+        job = cls(dumps(value), value.folder, library, fmus, tuple(names), tuple(scenarios), options, key, put=put)
+        job = replace(job, computed=job.digests(job.diagram()))
+        if origin is not None and (origin.equations, origin.values) != job.computed[1:]:
+            raise AssertionError("the text of the diagram says something else")
+        return job
+
+    def diagram(self) -> Diagram:
+        """The diagram, here. Raises UsageError (E501) where block types are missing, FMUError (E202) where FMUs are."""
+        types = []
+        for module, name in self.library:
+            try:
+                types.append(getattr(importlib.import_module(module), name))
+            except Exception as error:  # a module may raise anything
+                message = f"the worker {_host()} cannot import it: {type(error).__name__}: {error}."
+                raise UsageError(Fault("E501", f"{module}.{name}", message, "Try client.upload_file(...).")) from None
+        for path, digest in self.fmus.items():
+            if not os.path.exists(path) or _sha256(path) != digest:
+                what = "another FMU than that of the sweep" if os.path.exists(path) else "no file"
+                cure = "Put FMUs where all machines find them under one path."
+                raise FMUError(Fault("E202", legible(path), f"on the worker {_host()} this is {what}.", cure))
+        return Diagram.from_json(self.text, folder=self.folder, library=types)
+
+    def digests(self, diagram: Diagram) -> tuple[str, ...]:
+        """What `computed` is here."""
+        asked = {key: item for key, item in self.options.items() if key != "measures"}
+        begun = diagram.start(parameters=self.scenarios[0], trust=[*self.fmus], **asked)
+        origin = begun.results.origin
+        begun.leave()
+        return () if origin is None else (origin.versions["blocks"], origin.equations, origin.values)
+
+    def batch(self, scenario: int) -> Batch:
+        """The batch of a scenario, made once by each thread of a worker. Raises as `diagram` and `Diagram.batch`."""
+        known: dict[tuple[str, int], Batch] = _made.__dict__.setdefault("batches", {})
+        key = (self.key, scenario)
+        if key not in known:
+            while len(known) >= MOST_BATCHES:
+                del known[next(iter(known))]
+            diagram = self.diagram()
+            if self.digests(diagram) != self.computed:
+                message = f"the worker {_host()} has another release, or other equations or values."
+                raise UsageError(Fault("E501", diagram.name, message, "Install there what is installed here."))
+            parameters, trust = self.scenarios[scenario], [*self.fmus]
+            known[key] = diagram.batch(list(self.names), parameters=parameters, trust=trust, **self.options)
+        return known[key]
+
+    def failed(self, status: int) -> BatchRows:
+        """A row whose process ended with a status."""
+        message = f"E216 row: its process ended with status {status}. An FMU may crash, or memory be short."
+        measures = {name: np.full(1, np.nan) for name in self.options["measures"]}
+        return BatchRows(np.array(["failed"]), (message,), measures, np.empty(0), {}, np.zeros(1, np.int64))
+
+
+_made = threading.local()  # in a worker: a run is of one thread
+
+
+def _all(value: DiagramValue) -> Iterator[DiagramValue]:
+    yield value
+    for entry in value.blocks.values():
+        if isinstance(entry.diagram, DiagramValue):
+            yield from _all(entry.diagram)
+
+
+def _sha256(path: str) -> str:
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _host() -> str:
+    import socket
+
+    return f"{socket.gethostname()}:{os.getpid()}"
+
+
+# --- on a worker -----------------------------------------------------------------------------------------------
+
+
+def _same(job: Job) -> Job:
+    return job
+
+
+def _run(
+    job: Job, scenario: int, numbers: Array, table: Array, seeds: Array, budget: int | None
+) -> tuple[BatchRows, float]:
+    """Rows of a scenario, and how many seconds they took once all was compiled."""
+    batch = job.batch(scenario)
+    begun = time.perf_counter()
+    rows = batch(table, seeds=seeds, threads=1, budget=budget)
+    seconds = time.perf_counter() - begun
+    if rows.interrupted:
+        raise RuntimeError("the worker was interrupted")  # dask runs it again elsewhere
+    if job.put is not None:
+        job.put.write({
+            "varied": dict(zip(job.names, table.T, strict=True)), "scenario": np.full(len(rows), scenario),
+            "number": numbers, "seeds": seeds, "status": rows.status, "messages": rows.messages, "steps": rows.steps,
+            "measures": rows.measures, "t": rows.t, "signals": rows.signals,
+        })  # fmt: skip
+        rows = replace(rows, t=np.empty(0), signals={})
+    return rows, seconds
+
+
+def _run_apart(
+    job: Job, scenario: int, numbers: Array, table: Array, seeds: Array, budget: int | None
+) -> list[BatchRows]:
+    """Each row in a process of its own, which may die."""
+    made = []
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    for k in range(len(numbers)):
+        one = slice(k, k + 1)
+        with tempfile.TemporaryDirectory() as place:
+            path = Path(place) / "rows"
+            path.write_bytes(pickle.dumps((job, scenario, numbers[one], table[one], seeds[one], budget)))
+            command = f"from {__name__} import serve; serve({str(path)!r})"
+            status = subprocess.run([sys.executable, "-c", command], env=environment, check=False).returncode
+            made.append(job.failed(status) if status else pickle.loads(path.read_bytes())[0])
+    return made
+
+
+def serve(path: str) -> None:
+    """Run what a file says, and write what came out in its place."""
+    place = Path(path)
+    place.write_bytes(pickle.dumps(_run(*pickle.loads(place.read_bytes()))))
+
+
+# --- at home ---------------------------------------------------------------------------------------------------
+
+
+class Made(Protocol):
+    """Takes rows that are done. status: (scenarios * n,), the n rows of a scenario after those of the one before."""
+
+    n: int
+    status: Array
+
+    def take(self, at: Array, rows: Any) -> None: ...
+
+    def keep(self, at: Array, rows: BatchRows) -> None: ...
+
+
+def run_on(
+    on: Any,
+    job: Job,
+    table: Array,
+    seeds: Array,
+    made: Made,
+    *,
+    budget: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    resume: bool = True,
+    size: int | None = None,
+) -> bool:
+    """Run the rows that are "left" on the workers of a client; False where Ctrl-C ended it.
+
+    on: a `distributed.Client`, or the address of a scheduler. table, seeds: (n, columns) and (n,) of the rows, alike in
+    all scenarios. resume: take what is in the folder of `job.put`. size: of chunks in rows; None: SECONDS of work.
+    Raises what a worker refuses, UsageError (E501, E504, E506).
+    """
+    distributed = optional("distributed", "on", extra="dask")
+    client = on
+    if isinstance(on, str):
+        try:
+            client = distributed.Client(on, timeout=20)
+        except (OSError, ValueError) as error:
+            cure = "Begin one: dask scheduler, and on each machine: dask worker ADDRESS."
+            message = f"no scheduler answers: {one_line(str(error)).rstrip('.')}."
+            raise UsageError(Fault("E501", legible(on), message, cure)) from None
+    elif not isinstance(on, distributed.Client) or on.asynchronous:
+        cure = "Give a distributed.Client that waits, or the address of a scheduler."
+        raise UsageError(Fault("E501", "on", f"{on!r} is no client of dask.distributed.", cure))
+    try:
+        for rows in job.put.found(resume=resume) if job.put is not None else ():
+            made.take(rows.scenario * made.n + rows.number, rows)
+        farm = _Farm(client, job, table, seeds, made, budget, progress)
+        try:
+            farm.run(size)
+        finally:
+            farm.end()
+    except KeyboardInterrupt:
+        return False
+    finally:
+        if client is not on:
+            client.close()
+    return True
+
+
+class _Farm:
+    """The chunks that are under way."""
+
+    def __init__(
+        self,
+        client: Any,
+        job: Job,
+        table: Array,
+        seeds: Array,
+        made: Made,
+        budget: int | None,
+        progress: Callable[[int, int], None] | None,
+    ) -> None:
+        self.client, self.job, self.table, self.seeds, self.made, self.budget = client, job, table, seeds, made, budget
+        self.progress = progress
+        # A task of its own: it goes to each worker once, from another one that has it, and is made again when lost.
+        self.held = client.submit(_same, job, pure=False)
+        self.under_way: dict[Any, tuple[Array, bool]] = {}
+        self.rows, self.seconds = 0, 0.0
+        self._tell()
+
+    def run(self, size: int | None) -> None:
+        """Run all that is left. size: of chunks."""
+        import distributed
+
+        left, now = np.flatnonzero(self.made.status == "left"), 1
+        done: Any = distributed.as_completed()  # type: ignore[no-untyped-call]
+        while len(left) or self.under_way:
+            most = 2 * max(1, sum(self.client.nthreads().values()))
+            while len(left) and len(self.under_way) < most:
+                chunk = left[: size or now]
+                chunk = chunk[chunk // self.made.n == chunk[0] // self.made.n]
+                left = left[len(chunk) :]
+                done.add(self._submit(chunk))
+            future = next(done)
+            chunk, is_apart = self.under_way.pop(future)
+            try:
+                self._take(chunk, future.result())
+            except distributed.KilledWorker:
+                if is_apart:
+                    self._take(chunk, [self.job.failed(0)] * len(chunk))
+                else:
+                    done.add(self._submit(chunk, is_apart=True))
+            except (distributed.CancelledError, OSError) as error:
+                cure = "Begin it again: with out=, it goes on with the rows that are left."
+                message = f"dask gave rows up: {one_line(str(error)).rstrip('.')}."
+                raise UsageError(Fault("E501", "on", message, cure)) from None
+            if self.rows:
+                now = max(1, min(GROWTH * now, int(SECONDS * self.rows / max(self.seconds, 1e-6))))
+
+    def _submit(self, chunk: Array, *, is_apart: bool = False) -> Any:
+        scenario, numbers = int(chunk[0]) // self.made.n, chunk % self.made.n
+        given = (scenario, numbers, self.table[numbers], self.seeds[numbers], self.budget)
+        future = self.client.submit(_run_apart if is_apart else _run, self.held, *given, pure=False)
+        self.under_way[future] = chunk, is_apart
+        return future
+
+    def _take(self, chunk: Array, given: tuple[BatchRows, float] | list[BatchRows]) -> None:
+        if isinstance(given, list):
+            for k, rows in enumerate(given):
+                self.made.keep(chunk[k : k + 1], rows)
+        else:
+            self.made.keep(chunk, given[0])
+            self.rows, self.seconds = self.rows + len(chunk), self.seconds + given[1]
+        self._tell()
+
+    def _tell(self) -> None:
+        if self.progress is not None:
+            self.progress(int(np.count_nonzero(self.made.status != "left")), len(self.made.status))
+
+    def end(self) -> None:
+        if self.under_way:
+            self.client.cancel([*self.under_way])
+        self.held.release()
