@@ -1,7 +1,7 @@
 """What a Diagram can do by means of rooms above this one: found by name when it is first called.
 
 Sweeps and tunings are made of many runs, so that their rooms stand on this one; a person looks for them on the Diagram.
-This is the only way up, and `tests/project/test_layers.py` holds that nothing else takes it.
+This is the only way up, and `tests/project/test_project.py` holds that nothing else takes it.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import blocks
+from blocks.api import late
 from blocks.text.explanations import EXPLAINED
 from tests.support.places import ROOT
 
@@ -25,6 +27,18 @@ def test_every_public_name_is_there_and_the_list_is_sorted() -> None:
     assert set(blocks.__all__) <= set(dir(blocks))
     assert set(blocks.library.LIBRARY) <= set(blocks.__all__)
     assert all(getattr(blocks, name) is cls for name, cls in blocks.library.LIBRARY.items())
+
+
+def test_rooms_above_are_called_by_name_from_one_place() -> None:
+    """Imports by name are no way around the floors: rooms stand in api/late.py, modules that users name elsewhere."""
+    found = {
+        str(path.relative_to(ROOT / "blocks"))
+        for path in SOURCES
+        if "import_module(" in path.read_text(encoding="utf-8") and path.parent.name not in ("blocks", "cli", "library")
+    }
+    assert found == {"api/late.py", "model/modules.py", "studies/distributed.py"}
+    for name, module in late._MODULES.items():
+        assert callable(getattr(importlib.import_module(f"blocks.{module}"), name))
 
 
 def test_importing_blocks_loads_no_heavy_package() -> None:
