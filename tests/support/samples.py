@@ -81,7 +81,7 @@ def run_command(line: str) -> str:
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), contextlib.suppress(SystemExit):
         cli.main(words[1:])
     # Progress lines depend on the machine's speed.
-    told = [text for text in err.getvalue().splitlines() if not re.match(r"[0-9]+ %  t = ", text)]
+    told = [text for text in err.getvalue().splitlines() if not re.match(r"[0-9]+ %  (t = |[0-9]+ of )", text)]
     return "\n".join([*out.getvalue().splitlines(), *told])
 
 
