@@ -60,6 +60,8 @@ def add(verbs: Any) -> None:
     verb.add_argument("--budget", metavar="STEPS", help="the most steps of a run")
     verb.add_argument("--threads", metavar="N", help="how many runs at once (default: all cores)")
     verb.add_argument("-o", "--out", metavar="FILE", help="write all rows: .parquet; a part of it goes on where it was")
+    address = "run the rows on the workers of this scheduler of dask; --out may be a folder or a URL that they write"
+    verb.add_argument("--dask", metavar="ADDRESS", help=address)
     verb.add_argument("--anew", action="store_true", help="begin anew, also where a part of the file is there")
     takes_engine(verb)
     takes_variants(verb)
@@ -77,7 +79,8 @@ def _sweep(options: argparse.Namespace) -> int:
     settings = {key: number_of(key, getattr(options, key)) for key in ("rtol", "atol")}
     settings |= {key: time_of(key, getattr(options, key)) for key in ("start", "stop", "step", "every")}
     settings |= {"method": options.method}
-    if options.out:
+    is_file = not options.dask or (options.out or "").lower().endswith(".parquet")
+    if options.out and is_file:
         check_writable("--out", options.out, [options.diagram])
     progress = _Progress(options.json)
     begun = time.perf_counter()
@@ -100,6 +103,7 @@ def _sweep(options: argparse.Namespace) -> int:
             engine=options.engine,
             out=options.out,
             resume=not options.anew,
+            on=options.dask,
             progress=progress,
             **{key: value for key, value in settings.items() if value is not None},
         )
@@ -109,7 +113,7 @@ def _sweep(options: argparse.Namespace) -> int:
     _report(options, sweep, time.perf_counter() - begun)
     if sweep.interrupted:
         ended_at_once()
-        kept = f"; the same command goes on from {options.out}.part" if options.out else ""
+        kept = f"; the same command goes on from {options.out}{'.part' * is_file}" if options.out else ""
         say(f"interrupted: {counted(sweep.counts().get('left', 0), 'row')} not run{kept}")
         return INTERRUPTED
     return 0 if sweep.counts().get("ok") else 3

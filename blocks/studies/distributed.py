@@ -16,6 +16,7 @@ import hashlib
 import importlib
 import os
 import pickle
+import socket
 import subprocess
 import sys
 import tempfile
@@ -40,10 +41,10 @@ from ..text.errors import Fault, FMUError, UsageError
 from ..text.printable import legible, one_line
 from .sweep import Sweep
 from .sweep_file import read_rows, write
+from .sweep_margins import Margin, RowMargins
 
 if TYPE_CHECKING:
     from ..contract.block import Block
-    from ..results.provenance import Origin
 
 __all__ = ["Job", "Put", "run_on", "serve"]
 
@@ -56,6 +57,7 @@ FILE = "rows-{}.parquet"
 """What a chunk is called in a folder."""
 MOST_BATCHES = 8
 """How many a thread of a worker keeps ready."""
+_made = threading.local()  # in a worker: a run is of one thread
 
 
 # --- what goes out ---------------------------------------------------------------------------------------------
@@ -116,8 +118,9 @@ class Job:
 
     text: of the diagram. folder: where the paths of FMUs begin. library: module and name of each block type that does
     not ship. fmus: the SHA-256 of each FMU by its path. names: of the columns. scenarios: the parameters of each.
-    options: further arguments of `Diagram.batch`. key: of the job, by which a worker knows it again. computed: of the
-    release, the equations and the values of the first scenario, by which it is known that a worker computes the same.
+    options, settings: further arguments of `Diagram.batch`. key: by which a worker knows the job again. computed: of
+    the release, the equations and the values of the first scenario, by which it is known that a worker computes the
+    same.
     """
 
     text: str
@@ -127,9 +130,11 @@ class Job:
     names: tuple[str, ...]
     scenarios: tuple[Mapping[str, Any], ...]
     options: Mapping[str, Any]
+    settings: Mapping[str, Any]
+    margins: tuple[Margin, ...]
     key: str
-    computed: tuple[str, ...] = ()
     put: Put | None = None
+    computed: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -138,15 +143,13 @@ class Job:
         names: Sequence[str],
         scenarios: Sequence[Mapping[str, Any]],
         options: Mapping[str, Any],
+        settings: Mapping[str, Any],
+        margins: tuple[Margin, ...] = (),
         *,
         variants: Mapping[str, str] | None = None,
-        origin: Origin | None = None,
         put: Put | None = None,
     ) -> Job:
-        """The job of a sweep. origin: of a run of the first scenario.
-
-        Raises ModelError, UsageError (E501) for block types that no worker could import.
-        """
+        """The job of a sweep. Raises ModelError, UsageError (E501) for block types that no worker could import."""
         value = self_contained(taken(diagram.value, variants))
         used: dict[str, type[Block]] = {}
         fmus: dict[str, str] = {}
@@ -158,67 +161,66 @@ class Job:
                 elif entry.type:
                     used[entry.type] = entry.cls or diagram.types[entry.type]
         known = library_types()
-        own = [cls for name, cls in used.items() if known.get(name) is not cls]
+        own = [block for name, block in used.items() if known.get(name) is not block]
         for block in own:
             if block.__module__ == "__main__" or "." in block.__qualname__:
                 message = f"stands in {block.__module__}, from which no worker can import it."
                 cure = "Put it at the top of a module, and give that to the workers: client.upload_file(...)."
                 raise UsageError(Fault("E501", block.__qualname__, message, cure))
-        library = tuple(sorted((block.__module__, block.__qualname__) for block in own))
-        key = uuid.uuid4().hex
-        job = cls(dumps(value), value.folder, library, fmus, tuple(names), tuple(scenarios), options, key, put=put)
-        job = replace(job, computed=job.digests(job.diagram()))
-        if origin is not None and (origin.equations, origin.values) != job.computed[1:]:
-            raise AssertionError("the text of the diagram says something else")
-        return job
+        library = tuple(sorted((block.__module__, block.__name__) for block in own))
+        job = cls(
+            dumps(value), value.folder, library, fmus, tuple(names), tuple(scenarios), options, settings, margins,
+            uuid.uuid4().hex, put,
+        )  # fmt: skip
+        return replace(job, computed=job.digests(job.diagram()))
 
     def diagram(self) -> Diagram:
         """The diagram, here. Raises UsageError (E501) where block types are missing, FMUError (E202) where FMUs are."""
-        types = []
+        types, here = [], f"the worker {socket.gethostname()}:{os.getpid()}"
         for module, name in self.library:
             try:
                 types.append(getattr(importlib.import_module(module), name))
             except Exception as error:  # a module may raise anything
-                message = f"the worker {_host()} cannot import it: {type(error).__name__}: {error}."
+                message = f"{here} cannot import it: {type(error).__name__}: {one_line(str(error)).rstrip('.')}."
                 raise UsageError(Fault("E501", f"{module}.{name}", message, "Try client.upload_file(...).")) from None
         for path, digest in self.fmus.items():
             if not os.path.exists(path) or _sha256(path) != digest:
                 what = "another FMU than that of the sweep" if os.path.exists(path) else "no file"
                 cure = "Put FMUs where all machines find them under one path."
-                raise FMUError(Fault("E202", legible(path), f"on the worker {_host()} this is {what}.", cure))
-        return Diagram.from_json(self.text, folder=self.folder, library=types)
+                raise FMUError(Fault("E202", legible(path), f"for {here} this is {what}.", cure))
+        diagram = Diagram.from_json(self.text, folder=self.folder, library=types)
+        if self.computed and self.digests(diagram) != self.computed:
+            message = f"{here} has another release, or other equations or values."
+            raise UsageError(Fault("E501", diagram.name, message, "Install there what is installed here."))
+        return diagram
 
     def digests(self, diagram: Diagram) -> tuple[str, ...]:
         """What `computed` is here."""
-        asked = {key: item for key, item in self.options.items() if key != "measures"}
-        begun = diagram.start(parameters=self.scenarios[0], trust=[*self.fmus], **asked)
+        options = {"log": self.options["log"], "engine": self.options["engine"], **self.settings}
+        begun = diagram.start(parameters=self.scenarios[0], trust=[*self.fmus], **options)
         origin = begun.results.origin
         begun.leave()
         return () if origin is None else (origin.versions["blocks"], origin.equations, origin.values)
 
-    def batch(self, scenario: int) -> Batch:
-        """The batch of a scenario, made once by each thread of a worker. Raises as `diagram` and `Diagram.batch`."""
-        known: dict[tuple[str, int], Batch] = _made.__dict__.setdefault("batches", {})
+    def made(self, scenario: int) -> tuple[Batch, RowMargins | None]:
+        """What runs rows of a scenario, made once by each thread of a worker. Raises as `diagram`, `Diagram.batch`."""
+        known: dict[Any, tuple[Batch, RowMargins | None]] = _made.__dict__.setdefault("known", {})
         key = (self.key, scenario)
         if key not in known:
             while len(known) >= MOST_BATCHES:
                 del known[next(iter(known))]
             diagram = self.diagram()
-            if self.digests(diagram) != self.computed:
-                message = f"the worker {_host()} has another release, or other equations or values."
-                raise UsageError(Fault("E501", diagram.name, message, "Install there what is installed here."))
-            parameters, trust = self.scenarios[scenario], [*self.fmus]
-            known[key] = diagram.batch(list(self.names), parameters=parameters, trust=trust, **self.options)
+            asked = {"parameters": self.scenarios[scenario], "trust": [*self.fmus], **self.settings}
+            margins = RowMargins(diagram, self.margins, asked) if self.margins else None
+            known[key] = diagram.batch(list(self.names), **self.options, **asked), margins
         return known[key]
 
     def failed(self, status: int) -> BatchRows:
         """A row whose process ended with a status."""
         message = f"E216 row: its process ended with status {status}. An FMU may crash, or memory be short."
-        measures = {name: np.full(1, np.nan) for name in self.options["measures"]}
+        names = (*self.options["measures"], *(margin.name for margin in self.margins))
+        measures = {name: np.full(1, np.nan) for name in names}
         return BatchRows(np.array(["failed"]), (message,), measures, np.empty(0), {}, np.zeros(1, np.int64))
-
-
-_made = threading.local()  # in a worker: a run is of one thread
 
 
 def _all(value: DiagramValue) -> Iterator[DiagramValue]:
@@ -233,12 +235,6 @@ def _sha256(path: str) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _host() -> str:
-    import socket
-
-    return f"{socket.gethostname()}:{os.getpid()}"
-
-
 # --- on a worker -----------------------------------------------------------------------------------------------
 
 
@@ -250,12 +246,13 @@ def _run(
     job: Job, scenario: int, numbers: Array, table: Array, seeds: Array, budget: int | None
 ) -> tuple[BatchRows, float]:
     """Rows of a scenario, and how many seconds they took once all was compiled."""
-    batch = job.batch(scenario)
+    batch, margins = job.made(scenario)
     begun = time.perf_counter()
     rows = batch(table, seeds=seeds, threads=1, budget=budget)
+    rows = rows if margins is None else margins.beside(rows, batch, table, seeds)
     seconds = time.perf_counter() - begun
     if rows.interrupted:
-        raise RuntimeError("the worker was interrupted")  # dask runs it again elsewhere
+        raise OSError("a worker was interrupted")
     if job.put is not None:
         job.put.write({
             "varied": dict(zip(job.names, table.T, strict=True)), "scenario": np.full(len(rows), scenario),
@@ -321,7 +318,7 @@ def run_on(
     all scenarios. resume: take what is in the folder of `job.put`. size: of chunks in rows; None: SECONDS of work.
     Raises what a worker refuses, UsageError (E501, E504, E506).
     """
-    distributed = optional("distributed", "on", extra="dask")
+    distributed = optional("distributed", "on", "dask")
     client = on
     if isinstance(on, str):
         try:
@@ -333,93 +330,59 @@ def run_on(
     elif not isinstance(on, distributed.Client) or on.asynchronous:
         cure = "Give a distributed.Client that waits, or the address of a scheduler."
         raise UsageError(Fault("E501", "on", f"{on!r} is no client of dask.distributed.", cure))
+
+    def submit(chunk: Array, task: Callable[..., Any]) -> Any:
+        scenario, numbers = int(chunk[0]) // made.n, chunk % made.n
+        future = client.submit(task, held, scenario, numbers, table[numbers], seeds[numbers], budget, pure=False)
+        under_way[future] = chunk, task
+        return future
+
+    def tell() -> None:
+        if progress is not None:
+            progress(int(np.count_nonzero(made.status != "left")), len(made.status))
+
+    under_way: dict[Any, tuple[Array, Callable[..., Any]]] = {}
+    held: Any = None
     try:
         for rows in job.put.found(resume=resume) if job.put is not None else ():
             made.take(rows.scenario * made.n + rows.number, rows)
-        farm = _Farm(client, job, table, seeds, made, budget, progress)
-        try:
-            farm.run(size)
-        finally:
-            farm.end()
-    except KeyboardInterrupt:
-        return False
-    finally:
-        if client is not on:
-            client.close()
-    return True
-
-
-class _Farm:
-    """The chunks that are under way."""
-
-    def __init__(
-        self,
-        client: Any,
-        job: Job,
-        table: Array,
-        seeds: Array,
-        made: Made,
-        budget: int | None,
-        progress: Callable[[int, int], None] | None,
-    ) -> None:
-        self.client, self.job, self.table, self.seeds, self.made, self.budget = client, job, table, seeds, made, budget
-        self.progress = progress
+        tell()
         # A task of its own: it goes to each worker once, from another one that has it, and is made again when lost.
-        self.held = client.submit(_same, job, pure=False)
-        self.under_way: dict[Any, tuple[Array, bool]] = {}
-        self.rows, self.seconds = 0, 0.0
-        self._tell()
-
-    def run(self, size: int | None) -> None:
-        """Run all that is left. size: of chunks."""
-        import distributed
-
-        left, now = np.flatnonzero(self.made.status == "left"), 1
-        done: Any = distributed.as_completed()  # type: ignore[no-untyped-call]
-        while len(left) or self.under_way:
-            most = 2 * max(1, sum(self.client.nthreads().values()))
-            while len(left) and len(self.under_way) < most:
+        held = client.submit(_same, job, pure=False)
+        left, done = np.flatnonzero(made.status == "left"), distributed.as_completed()
+        count, seconds, now = 0, 0.0, 1
+        while len(left) or under_way:
+            most = 2 * max(1, sum(client.nthreads().values()))
+            while len(left) and len(under_way) < most:
                 chunk = left[: size or now]
-                chunk = chunk[chunk // self.made.n == chunk[0] // self.made.n]
+                chunk = chunk[chunk // made.n == chunk[0] // made.n]
                 left = left[len(chunk) :]
-                done.add(self._submit(chunk))
+                done.add(submit(chunk, _run))
             future = next(done)
-            chunk, is_apart = self.under_way.pop(future)
+            chunk, task = under_way.pop(future)
             try:
-                self._take(chunk, future.result())
+                ended = future.result()
             except distributed.KilledWorker:
-                if is_apart:
-                    self._take(chunk, [self.job.failed(0)] * len(chunk))
-                else:
-                    done.add(self._submit(chunk, is_apart=True))
+                if task is _run:
+                    done.add(submit(chunk, _run_apart))
+                    continue
+                ended = [job.failed(0)] * len(chunk)  # not even a process of its own helps
             except (distributed.CancelledError, OSError) as error:
                 cure = "Begin it again: with out=, it goes on with the rows that are left."
                 message = f"dask gave rows up: {one_line(str(error)).rstrip('.')}."
                 raise UsageError(Fault("E501", "on", message, cure)) from None
-            if self.rows:
-                now = max(1, min(GROWTH * now, int(SECONDS * self.rows / max(self.seconds, 1e-6))))
-
-    def _submit(self, chunk: Array, *, is_apart: bool = False) -> Any:
-        scenario, numbers = int(chunk[0]) // self.made.n, chunk % self.made.n
-        given = (scenario, numbers, self.table[numbers], self.seeds[numbers], self.budget)
-        future = self.client.submit(_run_apart if is_apart else _run, self.held, *given, pure=False)
-        self.under_way[future] = chunk, is_apart
-        return future
-
-    def _take(self, chunk: Array, given: tuple[BatchRows, float] | list[BatchRows]) -> None:
-        if isinstance(given, list):
-            for k, rows in enumerate(given):
-                self.made.keep(chunk[k : k + 1], rows)
-        else:
-            self.made.keep(chunk, given[0])
-            self.rows, self.seconds = self.rows + len(chunk), self.seconds + given[1]
-        self._tell()
-
-    def _tell(self) -> None:
-        if self.progress is not None:
-            self.progress(int(np.count_nonzero(self.made.status != "left")), len(self.made.status))
-
-    def end(self) -> None:
-        if self.under_way:
-            self.client.cancel([*self.under_way])
-        self.held.release()
+            if isinstance(ended, tuple):
+                made.keep(chunk, ended[0])
+                count, seconds = count + len(chunk), seconds + ended[1]
+                now = max(1, min(GROWTH * now, int(SECONDS * count / max(seconds, 1e-6))))
+            else:
+                for k, rows in enumerate(ended):
+                    made.keep(chunk[k : k + 1], rows)
+            tell()
+    except KeyboardInterrupt:
+        return False
+    finally:
+        client.cancel([*under_way])
+        if client is not on:
+            client.close()
+    return True
