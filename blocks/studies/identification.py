@@ -1,7 +1,7 @@
 """Parameters of a diagram from measured data: least squares, with what the data say about each of them.
 
     fit = diagram.fit("step.csv", over={"motor.Ra": (0.05, 0.5), "Jeq": (0.1, 1)}, compare={"motor.omega": "omega"})
-    print(fit); fit.write("motor.json")
+    fit.write("motor.json")
 
 References:
     G. A. F. Seber, C. J. Wild, Nonlinear Regression, Wiley, 1989, chapters 2 and 5.

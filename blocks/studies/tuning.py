@@ -6,7 +6,7 @@
         scenarios={"quiet": {}, "noisy": {"sigma": 0.001}},
         subject_to=["noisy.variation <= 75", "peak_e_theta <= 0.005"],
     )
-    print(tuning); tuning.write("loop.json")
+    tuning.write("loop.json")
 
 A candidate runs once in every scenario; a generation of candidates is one call of a `Batch` for each scenario.
 """

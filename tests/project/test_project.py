@@ -36,7 +36,7 @@ def test_rooms_above_are_called_by_name_from_one_place() -> None:
         for path in SOURCES
         if "import_module(" in path.read_text(encoding="utf-8") and path.parent.name not in ("blocks", "cli", "library")
     }
-    assert found == {"api/late.py", "model/modules.py", "studies/distributed.py"}
+    assert found == {"analysis/__init__.py", "api/late.py", "model/modules.py", "results/table.py", "studies/distributed.py"}
     for name, module in late._MODULES.items():
         assert callable(getattr(importlib.import_module(f"blocks.{module}"), name))
 
@@ -66,7 +66,7 @@ def test_a_plain_installation_brings_what_the_package_imports() -> None:
                 imported |= {alias.name.partition(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 imported.add(str(node.module).partition(".")[0])
-    optional = {"pandas", "pyarrow"}  # E504 tells what to install
+    optional = {"distributed", "fsspec", "pandas", "pyarrow"}  # E504 tells what to install
     assert named == imported - sys.stdlib_module_names - optional - {"blocks"}
 
 
