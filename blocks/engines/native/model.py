@@ -75,7 +75,7 @@ class Model(RuntimeTables):
         """At the start: where searches begin, the sides of crossings, and which of these are known."""
         self._of_measures: tuple[Any, Any, Measures] | None = None
         self._of_settings: tuple[Any, Any, int] | None = None  # of the last run
-        self.library = _prepared(load(_built(plan, units)))
+        self.library = _prepared(load(_built(plan, units)), has_batch=not plan.foreign)
         self.address = ctypes.cast(self.library["blocks_model"], ctypes.c_void_p).value
 
     @cached_property
@@ -142,8 +142,11 @@ def _built(plan: Plan, units: Sequence[TranslationUnit]) -> Path:
         raise CompilerError(replace(fault, message=message)) from None
 
 
-def _prepared(library: ctypes.CDLL) -> ctypes.CDLL:
-    """The library with the types of its functions. A mismatch of structures is a defect of this package."""
+def _prepared(library: ctypes.CDLL, *, has_batch: bool) -> ctypes.CDLL:
+    """The library with the types of its functions. A mismatch of structures is a defect of this package.
+
+    has_batch: one that FMUs take part in has no batch.
+    """
     c = ctypes
     sim = c.c_void_p
     for name, result, arguments in (
@@ -165,11 +168,9 @@ def _prepared(library: ctypes.CDLL) -> ctypes.CDLL:
         ("blocks_size", c.c_int64, [c.c_int32]),
         ("blocks_list_room", c.c_int, [sim, c.c_int64]),
         ("blocks_past_room", c.c_int, [sim, c.c_int64, c.c_int64]),
-        ("blocks_batch", c.c_int64, [sim, sim, sim]),
+        *([("blocks_batch", c.c_int64, [sim, sim, sim])] if has_batch else []),
     ):
-        function = getattr(library, name, None)
-        if function is None:  # what FMUs take part in has no batch
-            continue
+        function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
     sizes = [library.blocks_size(k) for k in (0, 1, 3)]
     if sizes != [c.sizeof(runtime_layout.STRUCTURES[f"Blocks{name}"]) for name in ("Sim", "Setup", "Memory")]:
