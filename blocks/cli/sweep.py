@@ -127,7 +127,10 @@ def _report(options: argparse.Namespace, sweep: Sweep, seconds: float) -> None:
         return
     for name, part in sweep.each_scenario():
         quantiles = {measure: values.tolist() for measure, values in part.quantiles().items()}
-        emit({"event": "scenario", "scenario": name or None, "counts": part.counts(), "quantiles": quantiles})
+        entry = {"event": "scenario", "scenario": name or None, "counts": part.counts(), "quantiles": quantiles}
+        indices = part.sobol() if sweep.base else {}
+        told = {of: {column: index._asdict() for column, index in each.items()} for of, each in indices.items()}
+        emit(entry | ({"sobol": told} if told else {}))
     done = {"event": "done", "rows": len(sweep), "counts": sweep.counts(), "out": options.out}
     emit({**done, "interrupted": sweep.interrupted, "seconds": round(seconds, 6)})
 

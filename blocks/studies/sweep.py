@@ -71,12 +71,13 @@ class Sweep:
             cure = did_you_mean(str(scenario), self.scenarios) or f"Scenarios: {', '.join(self.scenarios) or 'none'}."
             raise KeyError(f"there is no scenario {scenario!r}. {cure}")
         rows = np.flatnonzero(self.scenario == self.scenarios.index(scenario))
-        return replace(self.taken(rows), scenarios=(scenario,), scenario=np.zeros(len(rows), dtype=np.int64))
+        first = np.zeros(len(rows), dtype=np.int64)
+        return replace(self.taken(rows), scenarios=(scenario,), scenario=first, base=self.base)
 
     def taken(self, rows: Array) -> Sweep:
         """Some of the rows, by their places (m,) or by a mask (n,)."""
         rows = np.arange(len(self))[rows]
-        changed: dict[str, Any] = {"messages": tuple(self.messages[k] for k in rows.tolist())}
+        changed: dict[str, Any] = {"base": 0, "messages": tuple(self.messages[k] for k in rows.tolist())}
         for name in ("scenario", "number", "seeds", "status", "steps"):
             changed[name] = getattr(self, name)[rows]
         for name in ("varied", "measures", "signals"):
@@ -276,10 +277,18 @@ class Sweep:
                 known = str(np.count_nonzero(~np.isnan(part.measures[name])))
                 rows.append((f"{scenario}.{name}" if scenario else name, *numbers, known))
         lines += aligned(rows) if len(rows) > 1 else []
+        rows = [("variance of", "from", "first", "total")]
+        for scenario, part in self.each_scenario() if self.base else ():
+            for measure, indices in part.sobol().items():
+                for name, (*shares,) in indices.items():
+                    first, first_error, total, total_error = (f"{share:.2f}" for share in shares)
+                    shown = f"{scenario}.{measure}" if scenario else measure
+                    rows.append((shown, name, f"{first} ± {first_error}", f"{total} ± {total_error}"))
+        lines += aligned(rows) if len(rows) > 1 else []
         for name, count in self.counts().items():
-            first = next((k for k in np.flatnonzero(self.status == name) if self.messages[k]), None)
-            if name != "ok" and first is not None:
-                lines.append(f"  {count} {name}, as row {first}: {self.messages[first]}")
+            row = next((k for k in np.flatnonzero(self.status == name) if self.messages[k]), None)
+            if name != "ok" and row is not None:
+                lines.append(f"  {count} {name}, as row {row}: {self.messages[row]}")
         return "\n".join(lines)
 
     def __repr__(self) -> str:

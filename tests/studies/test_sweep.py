@@ -242,6 +242,8 @@ def test_sobol_indices_of_a_diagram_that_multiplies() -> None:
     np.testing.assert_allclose(sweep.measures["y"], sweep.varied["a.value"] ** 2 * sweep.varied["b.k"], rtol=1e-12)
     e, v = (1 / 3, 1 / 2), (4 / 45, 1 / 12)  # of a^2 and of b
     whole = v[0] * v[1] + v[0] * e[1] ** 2 + v[1] * e[0] ** 2
+    assert "variance of  from     first" in sweep.table()
+    assert sweep.taken(np.arange(9)).base == 0
     for name, k in (("a.value", 0), ("b.k", 1)):
         index = sweep.sobol()["y"][name]
         assert index.first == pytest.approx(v[k] * e[1 - k] ** 2 / whole, abs=0.03)
