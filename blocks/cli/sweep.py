@@ -31,7 +31,13 @@ if TYPE_CHECKING:
 
 __all__ = ["add"]
 
-DISTRIBUTIONS = ("Normal", "Uniform", "LogUniform", "Triangular", "TruncatedNormal")
+FORMS = {
+    "linspace": ("linspace", "FROM,TO,COUNT"), "geomspace": ("geomspace", "FROM,TO,COUNT"),
+    "normal": ("Normal", "MEAN,DEVIATION"), "uniform": ("Uniform", "LOW,HIGH"),
+    "loguniform": ("LogUniform", "LOW,HIGH"), "triangular": ("Triangular", "LOW,MODE,HIGH"),
+    "truncatednormal": ("TruncatedNormal", "MEAN,DEVIATION,LOW,HIGH"),
+}  # fmt: skip
+"""What stands behind the name of a grid or a distribution, and what it is called in numpy or `sampling`."""
 
 
 def add(verbs: Any) -> None:
@@ -191,27 +197,25 @@ def _values(place: str, text: str) -> Any:
     called = re.fullmatch(r"([A-Za-z_]\w*):(.*)", text)
     if called is None:
         return _listed(place, text)
-    kind, words = called[1], called[2].split(",") if called[2].strip() else []
-    named = dict(word.partition("=")[::2] for word in words if "=" in word)
-    numbers = [_number(place, word) for word in (named.values() if named else words)]
-    own = next((name for name in DISTRIBUTIONS if name.lower() == kind.lower()), None)
-    if kind in ("linspace", "geomspace"):
-        low, high, count = numbers if len(numbers) == 3 and not named else (0.0, 0.0, 0.0)
-        if count < 1 or count % 1 or (kind == "geomspace" and low * high <= 0):
-            what = f"{text!r} is not {kind}:FROM,TO,COUNT{' with numbers of one sign' if kind == 'geomspace' else ''}."
-            raise UsageError(Fault("E501", place, what, f"As in {kind}:1,20,9."))
-        return (np.linspace if kind == "linspace" else np.geomspace)(low, high, int(count))
-    if named and len(named) == len(words):
-        return sampling.Distribution(kind, **dict(zip(map(str.strip, named), numbers, strict=True)))
-    if own is None or named:
+    kind, words = called[1], called[2].split(",")
+    if all("=" in word for word in words):
+        named = dict(word.split("=", 1) for word in words)
+        return sampling.Distribution(kind, **{name.strip(): _number(place, word) for name, word in named.items()})
+    form = FORMS.get(kind.lower())
+    if form is None:
         cure = "As in normal:0.27,0.02, uniform:0.1,0.2, or lognorm:s=0.3,scale=2 for those of scipy.stats."
         raise UsageError(Fault("E501", place, f"{text!r} says no values.", cure))
-    try:
-        return getattr(sampling, own)(*numbers)
-    except TypeError:
-        wanted = {"Normal": "MEAN,DEVIATION", "Triangular": "LOW,MODE,HIGH"}.get(own, "LOW,HIGH")
-        wanted = "MEAN,DEVIATION,LOW,HIGH" if own == "TruncatedNormal" else wanted
-        raise UsageError(Fault("E501", place, f"{text!r} is not {kind}:{wanted}.")) from None
+    name, arguments = form
+    numbers = [_number(place, word) for word in words]
+    is_grid = name.endswith("space")
+    fits = len(numbers) == arguments.count(",") + 1
+    if not fits or (is_grid and (numbers[2] % 1 or numbers[2] < 1)):
+        raise UsageError(Fault("E501", place, f"{text!r} is not {kind}:{arguments}."))
+    if not is_grid:
+        return getattr(sampling, name)(*numbers)
+    if name == "geomspace" and numbers[0] * numbers[1] <= 0:
+        raise UsageError(Fault("E501", place, f"{text!r} goes through 0.", "Give numbers of one sign."))
+    return getattr(np, name)(numbers[0], numbers[1], int(numbers[2]))
 
 
 def _listed(place: str, text: str) -> list[Any]:

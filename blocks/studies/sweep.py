@@ -131,12 +131,17 @@ class Sweep:
 
         known = {"number": self.number, "status": self.status, "steps": self.steps, "seed": self.seeds}
         known["message"] = np.array(self.messages, dtype=object)
-        coords: dict[str, Any] = {"time": ("time", self.t, {"units": "s"})} if len(self.t) else {}
-        if self.scenarios:
-            coords["scenario"] = ("scenario", list(self.scenarios), {})
-        coords |= {name: variable(name, column) for name, column in self.varied.items()}
-        data = {name: variable(name, column) for name, column in {**known, **self.measures}.items()}
-        data |= {name: variable(name, column, "time") for name, column in self.signals.items()}
+        tables = (known, self.varied, self.measures, self.signals)
+        taken = ["time", "scenario", "row"]
+        named = iter(unique([*taken, *(name for table in tables for name in table)], longest=1000)[len(taken) :])
+        plain, coords, measured, recorded = (
+            {next(named): variable(name, column, *(["time"] if table is self.signals else []))
+             for name, column in table.items()}
+            for table in tables
+        )  # fmt: skip
+        data = {**plain, **measured, **recorded}
+        coords |= {"time": ("time", self.t, {"units": "s"})} if len(self.t) else {}
+        coords |= {"scenario": ("scenario", list(self.scenarios), {})} if self.scenarios else {}
         return xarray.Dataset(data, coords, attrs={"diagram": self.name})
 
     # --- statistics ---------------------------------------------------------------------------------------------

@@ -211,6 +211,20 @@ def test_the_dataset_has_dimensions_and_units(whole: Sweep) -> None:
     assert whole["loud"].dataset()["ITAE"].dims == ("scenario", "row")
 
 
+def test_a_measure_may_be_called_as_a_parameter_is(tmp_path: Path) -> None:
+    pytest.importorskip("xarray")
+    diagram = noisy()
+    diagram.measure("k", "peak", "out.y")
+    diagram.measure("status", "peak", "out.y", stop=0.5)
+    sweep = diagram.sweep({"k": [1.0, 2.0]}, engine="native")
+    for table in (sweep.frame, sweep.dataset()):
+        assert list(np.asarray(table["k"])) == [1.0, 2.0]
+        assert list(np.asarray(table["k_2"])) == list(sweep.measures["k"])
+        assert list(np.asarray(table["status"])) == ["ok", "ok"]
+    sweep.save(tmp_path / "a.parquet")
+    assert_same(Sweep.load(tmp_path / "a.parquet"), sweep)
+
+
 def test_statistics_are_of_one_scenario(whole: Sweep) -> None:
     with pytest.raises(UsageError, match=r'sweep\["quiet"\].quantiles\(\)'):
         whole.quantiles()
