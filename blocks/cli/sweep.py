@@ -67,6 +67,8 @@ def add(verbs: Any) -> None:
     verb.add_argument("--threads", metavar="N", help="how many runs at once (default: all cores)")
     verb.add_argument("-o", "--out", metavar="FILE", help="write all rows: .parquet; a part of it goes on where it was")
     address = "run the rows on the workers of this scheduler of dask; --out may be a folder or a URL that they write"
+    plot = "draw bands of --log over time, or histograms of the measures: .svg, .png, .pdf"
+    verb.add_argument("--plot", metavar="FILE", help=plot)
     verb.add_argument("--dask", metavar="ADDRESS", help=address)
     verb.add_argument("--anew", action="store_true", help="begin anew, also where a part of the file is there")
     takes_engine(verb)
@@ -79,6 +81,7 @@ def add(verbs: Any) -> None:
 
 def _sweep(options: argparse.Namespace) -> int:
     from ..api.diagram import Diagram
+    from ..results import plots
 
     vary = vary_of(options.vary)
     counts = {key: _count(key, getattr(options, key)) for key in ("n", "seed", "budget", "threads")}
@@ -88,6 +91,9 @@ def _sweep(options: argparse.Namespace) -> int:
     is_file = not options.dask or (options.out or "").lower().endswith(".parquet")
     if options.out and is_file:
         check_writable("--out", options.out, [options.diagram])
+    if options.plot:
+        check_writable("--plot", options.plot, [options.diagram])
+        plots.check_format(options.plot)
     progress = _Progress(options.json)
     begun = time.perf_counter()
     with waiting(f"reading and compiling {options.diagram}", quiet=options.json):
@@ -115,10 +121,12 @@ def _sweep(options: argparse.Namespace) -> int:
         )
     finally:
         progress.shown.clear()
+    ended_at_once()
     tell_faults(sweep.warnings, options.json)
     _report(options, sweep, time.perf_counter() - begun)
+    if options.plot and sweep.counts().get("ok"):
+        plots.save(sweep.plot(), options.plot)
     if sweep.interrupted:
-        ended_at_once()
         kept = f"; the same command goes on from {options.out}{'.part' * is_file}" if options.out else ""
         say(f"interrupted: {counted(sweep.counts().get('left', 0), 'row')} not run{kept}")
         return INTERRUPTED
@@ -130,6 +138,8 @@ def _report(options: argparse.Namespace, sweep: Sweep, seconds: float) -> None:
         print(printable(sweep.table()))
         if options.out:
             print(printable(f"  {counted(len(sweep), 'row')} in {options.out}"))
+        if options.plot and sweep.counts().get("ok"):
+            print(printable(f"  figure in {options.plot}"))
         return
     for name, part in sweep.each_scenario():
         quantiles = {measure: values.tolist() for measure, values in part.quantiles().items()}

@@ -91,6 +91,16 @@ def test_a_sweep_is_that_of_python(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 @NATIVE
+def test_bands_are_drawn_and_formats_are_checked_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    figure = tmp_path / "bands.png"
+    words = ["--vary", "kp=uniform:10,20", "--n", "8", "--log", "motor.omega"]
+    assert told(capsys, *words, "--plot", str(figure))[0] == 0
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    status, entries = told(capsys, *words, "--plot", str(tmp_path / "bands.doc"))
+    assert (status, entries[0]["code"]) == (2, "E501")
+
+
+@NATIVE
 def test_a_sweep_without_a_row_that_ran_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     status, entries = told(capsys, "--vary", "motor.Ra=-1,-2")
     assert status == 3
