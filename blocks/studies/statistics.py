@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["SobolIndex", "correlation", "quantiles", "ranks", "sobol_indices"]
+__all__ = ["SobolIndex", "correlation", "quantiles", "sobol_indices"]
 
 Array = np.ndarray[Any, Any]
 RESAMPLES = 200
@@ -34,13 +34,6 @@ def quantiles(values: Array, q: Array) -> Array:
     return made
 
 
-def ranks(x: Array) -> Array:
-    """Ranks of values; equal values share their mean rank."""
-    from scipy.stats import rankdata
-
-    return np.asarray(rankdata(x))
-
-
 def correlation(x: Array, y: Array, *, by_rank: bool = False) -> float:
     """The coefficient of Pearson of two columns (n,), or of Spearman (by_rank); nan where one of them is constant."""
     kept = np.isfinite(x) & np.isfinite(y)
@@ -48,7 +41,9 @@ def correlation(x: Array, y: Array, *, by_rank: bool = False) -> float:
     if len(x) < 2 or np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
         return float("nan")
     if by_rank:
-        x, y = ranks(x), ranks(y)
+        from scipy.stats import rankdata
+
+        x, y = rankdata(x), rankdata(y)  # equal values share their mean rank
     x, y = x - x.mean(), y - y.mean()
     x, y = x / np.abs(x).max(), y / np.abs(y).max()  # squares of what is tiny or huge stay numbers
     return float(np.clip(x @ y / np.sqrt((x @ x) * (y @ y)), -1.0, 1.0))

@@ -222,8 +222,8 @@ def told_of(origin: Origin | None, key: Mapping[str, Any]) -> dict[str, Any]:
 def _key(told: Mapping[str, Any]) -> dict[str, Any]:
     """By what a sweep is known again, as messages name it."""
     origin = told.get("origin", {})
-    known = {"settings": origin.get("settings"), "release of blocks": origin.get("versions", {}).get("blocks")}
-    known |= {"diagram": origin.get("sha256"), "equations": origin.get("equations"), "values": origin.get("values")}
+    known = {name: origin.get(name) for name in ("settings", "parameters", "equations", "values")}
+    known |= {"diagram": origin.get("sha256"), "release of blocks": origin.get("versions", {}).get("blocks")}
     return {**known, **told.get("key", {})}
 
 

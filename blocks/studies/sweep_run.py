@@ -22,6 +22,7 @@ from ..api.varied import columns_of
 from ..model.diagram import check_name
 from ..model.diagram_grammar import MEASURE_UNITS
 from ..model.flatten import Flat, element_of
+from ..model.raw_values import raw_of
 from ..model.trust import Paths
 from ..model.variants import taken
 from ..text import units as unit_texts
@@ -105,7 +106,7 @@ def sweep(
 
     taken_measures = (*first.measures, *(margin.name for margin in wanted))
     made = _Made(diagram.name, rows, units, tuple(scenarios or ()), seeds, taken_measures, first.signals, again)
-    key: dict[str, Any] = {"scenarios": given, "measures": first.measures, "signals": first.signals}
+    key: dict[str, Any] = {"scenarios": raw_of(given), "measures": first.measures, "signals": first.signals}
     key |= {"margins": wanted} if wanted else {}
     key |= {"budget": budget, "engine": start.statistics.engine, "varied rows": _digest(rows, seeds)}
     told = told_of(start.origin, key)
