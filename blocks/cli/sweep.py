@@ -8,8 +8,6 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted
 from .options import (
@@ -30,8 +28,6 @@ if TYPE_CHECKING:
     from ..studies.sweep import Sweep
 
 __all__ = ["add"]
-
-DISTRIBUTIONS = ("Normal", "Uniform", "LogUniform", "Triangular", "TruncatedNormal")
 
 
 def add(verbs: Any) -> None:
@@ -191,24 +187,10 @@ def _values(place: str, text: str) -> Any:
     kind, words = called[1], called[2].split(",") if called[2].strip() else []
     named = dict(word.partition("=")[::2] for word in words if "=" in word)
     numbers = [_number(place, word) for word in (named.values() if named else words)]
-    own = next((name for name in DISTRIBUTIONS if name.lower() == kind.lower()), None)
-    if kind in ("linspace", "geomspace"):
-        low, high, count = numbers if len(numbers) == 3 and not named else (0.0, 0.0, 0.0)
-        if count < 1 or count % 1 or (kind == "geomspace" and low * high <= 0):
-            what = f"{text!r} is not {kind}:FROM,TO,COUNT{' with numbers of one sign' if kind == 'geomspace' else ''}."
-            raise UsageError(Fault("E501", place, what, f"As in {kind}:1,20,9."))
-        return (np.linspace if kind == "linspace" else np.geomspace)(low, high, int(count))
-    if named and len(named) == len(words):
-        return sampling.Distribution(kind, **dict(zip(map(str.strip, named), numbers, strict=True)))
-    if own is None or named:
-        cure = "As in normal:0.27,0.02, uniform:0.1,0.2, or lognorm:s=0.3,scale=2 for those of scipy.stats."
-        raise UsageError(Fault("E501", place, f"{text!r} says no values.", cure))
-    try:
-        return getattr(sampling, own)(*numbers)
-    except TypeError:
-        wanted = {"Normal": "MEAN,DEVIATION", "Triangular": "LOW,MODE,HIGH"}.get(own, "LOW,HIGH")
-        wanted = "MEAN,DEVIATION,LOW,HIGH" if own == "TruncatedNormal" else wanted
-        raise UsageError(Fault("E501", place, f"{text!r} is not {kind}:{wanted}.")) from None
+    if named and len(named) != len(words):
+        raise UsageError(Fault("E501", place, f"{text!r} names some of its numbers only.", "Name all, or none."))
+    by_name = dict(zip(map(str.strip, named), numbers, strict=True)) if named else None
+    return sampling.named_values(place, kind, numbers if by_name is None else by_name, text)
 
 
 def _listed(place: str, text: str) -> list[Any]:

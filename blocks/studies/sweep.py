@@ -276,11 +276,17 @@ class Sweep:
                 known = str(np.count_nonzero(~np.isnan(part.measures[name])))
                 rows.append((f"{scenario}.{name}" if scenario else name, *numbers, known))
         lines += aligned(rows) if len(rows) > 1 else []
+        return "\n".join([*lines, *(f"  {line}" for line in self.failures())])
+
+    def failures(self) -> list[str]:
+        """By status how many rows have it, and why the first of them; also of rows that lack a number."""
+        told = []
         for name, count in self.counts().items():
-            first = next((k for k in np.flatnonzero(self.status == name) if self.messages[k]), None)
-            if name != "ok" and first is not None:
-                lines.append(f"  {count} {name}, as row {first}: {self.messages[first]}")
-        return "\n".join(lines)
+            speaking = [k for k in np.flatnonzero(self.status == name).tolist() if self.messages[k]]
+            if speaking:
+                rows = f"{len(speaking)} ok, but" if name == "ok" else f"{count} {name}, as"
+                told.append(f"{rows} row {speaking[0]}: {self.messages[speaking[0]]}")
+        return told
 
     def __repr__(self) -> str:
         return "\n".join([self.table(), *map(str, self.warnings)])

@@ -138,7 +138,7 @@ def _scenarios(sweep: Sweep) -> list[_Rows]:
     rows = []
     for k, name in enumerate(sweep.scenarios or ("",)):
         index = np.flatnonzero(sweep.scenario == k)
-        rows.append(_Rows(name, k, index, sweep.status[index] == "ok"))
+        rows.append(_Rows(name if len(sweep.scenarios) > 1 else "", k, index, sweep.status[index] == "ok"))
     return rows
 
 
