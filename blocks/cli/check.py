@@ -94,6 +94,7 @@ def _check_study(path: str, options: argparse.Namespace) -> int | None:
         return None
     head = ""
     if loaded is not None:
-        head = f"{loaded.name}: {counted(len(loaded.runs), 'run')}, {counted(len(loaded.claims), 'claim')}"
+        sweeps = f"{counted(len(loaded.sweeps), 'sweep')}, " if loaded.sweeps else ""
+        head = f"{loaded.name}: {counted(len(loaded.runs), 'run')}, {sweeps}{counted(len(loaded.claims), 'claim')}"
     _tell(path, options, [head], faults)
     return 2 if faults else 0

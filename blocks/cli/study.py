@@ -21,6 +21,7 @@ from .values import assignments
 if TYPE_CHECKING:
     from ..results.results import Results
     from ..studies.study import StudyResults
+    from ..studies.sweep import Sweep
 
 __all__ = ["add"]
 
@@ -48,7 +49,7 @@ def _study(options: argparse.Namespace) -> int:
     folder = Path(options.out) if options.out else Path("out") / loaded.name
     parameters = assignments("--set", options.parameters, "IADRC.torque=2")
     begun = None if options.json else lambda name: say(f"running {name}")
-    finished: dict[str, Results] = {}
+    finished: dict[str, Results | Sweep] = {}
 
     def ended(error: FMUError) -> int:
         """An FMU ends this process."""
@@ -73,22 +74,29 @@ def _study(options: argparse.Namespace) -> int:
 
 
 def _reported(
-    options: argparse.Namespace, study_results: StudyResults, folder: Path, finished: dict[str, Results]
+    options: argparse.Namespace, study_results: StudyResults, folder: Path, finished: dict[str, Results | Sweep]
 ) -> int:
     """Report the outcome of the study, and write its report. finished: emptied once the report is written."""
     from ..studies import report
 
-    for name, results in study_results.results.items():
-        tell_faults([replace(w, place=f"runs.{name}.{w.place}") for w in results.warnings], options.json)
+    for section, made in (("runs", study_results.results), ("sweeps", study_results.sweeps)):
+        for name, results in made.items():
+            tell_faults([replace(w, place=f"{section}.{name}.{w.place}") for w in results.warnings], options.json)
     for v in study_results.verdicts if options.json else ():
         claim = v.claim
         entry: dict[str, Any] = {
             "event": "claim",
-            "run": None if claim.change else claim.runs[0],
+            "run": None if claim.change or claim.sweep else claim.runs[0],
             "measure": claim.measure,
         }
         if claim.change:
             entry |= {"runs": list(claim.runs), "as": claim.change}
+        if claim.sweep:
+            kind, level = claim.statistic
+            entry |= {"sweep": claim.sweep, "scenario": claim.scenario or None}
+            entry |= {"statistic": kind} if kind in ("mean", "deviation") else {kind: level}
+        if claim.limit is not None:
+            entry |= {claim.limit[0]: claim.limit[1]}
         entry |= {"value": v.value, "published": claim.published, "ratio": v.ratio, "verdict": v.verdict or None}
         emit(entry | {"expected": v.is_expected})
     if study_results.missing:
@@ -109,6 +117,7 @@ def _reported(
                 "event": "done",
                 "fine": study_results.is_fine,
                 "reproduced": sum(v.verdict == "reproduced" for v in study_results.verdicts),
+                "held": sum(v.verdict == "holds" for v in study_results.verdicts),
                 "claims": sum(bool(v.verdict) for v in study_results.verdicts),
                 "unexpected": sum(not v.is_expected for v in study_results.verdicts),
                 "report": None if path is None else str(path),
@@ -127,24 +136,29 @@ def _reported(
     return 0 if study_results.is_fine else 1
 
 
-def _kept(results: Mapping[str, Results], folder: Path) -> dict[str, str]:
-    """Write runs that are done as `NAME.csv` where there is no report: into its folder, else into a temporary one."""
+def _kept(results: Mapping[str, Results | Sweep], folder: Path) -> dict[str, str]:
+    """Write runs that are done as `NAME.csv` where there is no report: into its folder, else into a temporary one.
+
+    Sweeps are written as Parquet.
+    """
+    from ..results.results import Results
     from ..studies import report
 
     paths: dict[str, str] = {}
-    for name, run_results in results.items():
+    for name, made in results.items():
+        file = f"{name}.{'csv' if isinstance(made, Results) else 'parquet'}"
         with contextlib.suppress(UsageError, OSError):
             try:
                 report.folder_for(folder)
-                run_results.save(folder / f"{name}.csv")
+                made.save(folder / file)
             except (UsageError, OSError):
                 folder = Path(tempfile.mkdtemp(prefix="blocks-study-"))
-                run_results.save(folder / f"{name}.csv")
-            paths[name] = str(folder / f"{name}.csv")
+                made.save(folder / file)
+            paths[name] = str(folder / file)
     return paths
 
 
-def _tell_kept(options: argparse.Namespace, finished: Mapping[str, Results], folder: Path) -> None:
+def _tell_kept(options: argparse.Namespace, finished: Mapping[str, Results | Sweep], folder: Path) -> None:
     kept = _kept(finished, folder)
     if kept:
         say("no report was written; the runs that are done are kept")
@@ -159,7 +173,7 @@ def _interrupted(options: argparse.Namespace, study_results: StudyResults, folde
     from ..studies import report
 
     ended_at_once()
-    kept = _kept(study_results.results, folder)
+    kept = _kept({**study_results.results, **study_results.sweeps}, folder)
     if options.json:
         emit({"event": "done", "interrupted": True, "missing": list(study_results.missing), "kept": kept})
     elif study_results.verdicts:

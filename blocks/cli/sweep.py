@@ -8,8 +8,6 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted
 from .options import (
@@ -30,14 +28,6 @@ if TYPE_CHECKING:
     from ..studies.sweep import Sweep
 
 __all__ = ["add"]
-
-FORMS = {
-    "linspace": ("linspace", "FROM,TO,COUNT"), "geomspace": ("geomspace", "FROM,TO,COUNT"),
-    "normal": ("Normal", "MEAN,DEVIATION"), "uniform": ("Uniform", "LOW,HIGH"),
-    "loguniform": ("LogUniform", "LOW,HIGH"), "triangular": ("Triangular", "LOW,MODE,HIGH"),
-    "truncatednormal": ("TruncatedNormal", "MEAN,DEVIATION,LOW,HIGH"),
-}  # fmt: skip
-"""What stands behind the name of a grid or a distribution, and what it is called in numpy or `sampling`."""
 
 
 def add(verbs: Any) -> None:
@@ -207,25 +197,13 @@ def _values(place: str, text: str) -> Any:
     called = re.fullmatch(r"([A-Za-z_]\w*):(.*)", text)
     if called is None:
         return _listed(place, text)
-    kind, words = called[1], called[2].split(",")
-    if all("=" in word for word in words):
-        named = dict(word.split("=", 1) for word in words)
-        return sampling.Distribution(kind, **{name.strip(): _number(place, word) for name, word in named.items()})
-    form = FORMS.get(kind.lower())
-    if form is None:
-        cure = "As in normal:0.27,0.02, uniform:0.1,0.2, or lognorm:s=0.3,scale=2 for those of scipy.stats."
-        raise UsageError(Fault("E501", place, f"{text!r} says no values.", cure))
-    name, arguments = form
-    numbers = [_number(place, word) for word in words]
-    is_grid = name.endswith("space")
-    fits = len(numbers) == arguments.count(",") + 1
-    if not fits or (is_grid and (numbers[2] % 1 or numbers[2] < 1)):
-        raise UsageError(Fault("E501", place, f"{text!r} is not {kind}:{arguments}."))
-    if not is_grid:
-        return getattr(sampling, name)(*numbers)
-    if name == "geomspace" and numbers[0] * numbers[1] <= 0:
-        raise UsageError(Fault("E501", place, f"{text!r} goes through 0.", "Give numbers of one sign."))
-    return getattr(np, name)(numbers[0], numbers[1], int(numbers[2]))
+    kind, words = called[1], called[2].split(",") if called[2].strip() else []
+    named = dict(word.partition("=")[::2] for word in words if "=" in word)
+    numbers = [_number(place, word) for word in (named.values() if named else words)]
+    if named and len(named) != len(words):
+        raise UsageError(Fault("E501", place, f"{text!r} names some of its numbers only.", "Name all, or none."))
+    by_name = dict(zip(map(str.strip, named), numbers, strict=True)) if named else None
+    return sampling.named_values(place, kind, numbers if by_name is None else by_name, text)
 
 
 def _listed(place: str, text: str) -> list[Any]:

@@ -251,11 +251,16 @@ class _Finder:
         bodies: dict[Any, Body | None] = {}
         study = Body(file, (), value)
         self.definitions(study, "run")
-        for name, run in table(value, "runs").items():
-            path, diagram = ("runs", name), _object(run).get("diagram")
+        runs = [("runs", studies.ONE_RUN, *item) for item in table(value, "runs").items()]
+        runs += [("sweeps", studies.ONE_SWEEP, *item) for item in table(value, "sweeps").items()]
+        for section, kind, name, run in runs:
+            path, diagram = (section, name), _object(run).get("diagram")
             body = self.documents.body(os.path.join(folder, diagram)) if isinstance(diagram, str) else None
             bodies[name] = body
-            self.names(studies.ONE_RUN, run, path, body, inner=body)
+            self.names(kind, run, path, body, inner=body)
+            for found in kind.walk(run, path):
+                if found.refers == "measure" and body is not None:
+                    self.plain([body], "measure", found.value, found.path)
             for key, variant in table(_object(run), "variants").items():
                 *_, block = key.split(".")
                 choices = [
@@ -272,7 +277,8 @@ class _Finder:
                 self.plain([study], "run", found.value, found.path)
             elif found.kind is studies.CLAIM:
                 claim = _object(found.value)
-                about = (bodies.get(run) for run in studies.named(claim) if isinstance(run, str))
+                runs_of = [claim["sweep"]] if "sweep" in claim else studies.named(claim)
+                about = (bodies.get(run) for run in runs_of if isinstance(run, str))
                 measured = [body for body in about if body is not None]
                 self.plain(measured, "measure", claim.get("measure"), (*found.path, "measure"))
             elif found.kind in (studies.LINE, studies.MARKER):

@@ -114,6 +114,14 @@ _VARIED = AnyOf(
     "uniform, loguniform [low, high]; triangular [low, mode, high]; truncatednormal [mean, deviation, low, high]; or "
     'a distribution of scipy.stats with its parameters, {"lognorm": {"s": 0.3, "scale": 2}}.',
 )  # fmt: skip
+
+
+def _varies(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+    if value.get("vary") == {}:
+        told.fault("E009", path, '"vary" is empty.')
+    return _values(value, path, told)
+
+
 ONE_SWEEP = Object(
     *_MODEL,
     Field("vary", Table(_VARIED, Text(refers="own parameter"), least=1), (
@@ -131,7 +139,7 @@ ONE_SWEEP = Object(
         *(field for field in SETTINGS.fields if field.key not in ("seed", "log")), doc=SETTINGS.doc
     )),
     DOC,
-    rules=[Rule(_values)],
+    rules=[Rule(_varies)],
     what='an object such as {"diagram": "loop.json", "vary": {...}}',
     name="one_sweep",
     doc="A sweep: runs of a diagram with varied parameters.",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import html
+import json
 import math
 import platform
 from collections.abc import Callable, Mapping, Sequence
@@ -22,14 +23,18 @@ from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.version import __version__
-from .study import StudyResults, Verdict
+from .study import Claim, StudyResults, Verdict
+from .study_sweeps import StudySweep, figure_of, plain
+from .sweep import QUANTILES, Sweep
+from .sweep_figures import told_rows
+from .sweep_tables import cell_text, table
 
 __all__ = ["folder_for", "markdown_table", "page", "summary_line", "table_text", "write"]
 
 Array = np.ndarray[Any, Any]
 MOST_POINTS = 2**24
 """Of the grid of a spectrum, which takes 1 GB with its transform."""
-GLYPHS = {"reproduced": "✓", "not reproduced": "✗", "": "·"}
+GLYPHS = {"reproduced": "✓", "not reproduced": "✗", "holds": "✓", "fails": "✗", "": "·"}
 
 
 # --- verdicts as text ------------------------------------------------------------------------------------------
@@ -37,11 +42,15 @@ GLYPHS = {"reproduced": "✓", "not reproduced": "✗", "": "·"}
 
 def summary_line(made: StudyResults) -> str:
     """The study in a sentence."""
-    judged = [v for v in made.verdicts if v.verdict]
+    judged = [v for v in made.verdicts if v.verdict and v.claim.limit is None]
+    limits = [v for v in made.verdicts if v.claim.limit is not None]
     good = sum(v.verdict == "reproduced" for v in judged)
+    reproduced = f"{good} of {len(judged)} published numbers reproduced within their tolerance"
+    parts = [reproduced] if judged or not limits else []
+    parts += [f"{sum(v.verdict == 'holds' for v in limits)} of {len(limits)} limits kept"] if limits else []
     unexpected = sum(not v.is_expected for v in made.verdicts)
     tail = "each verdict is the expected one" if not unexpected else f"{unexpected} unlike what the study expects"
-    return f"{good} of {len(judged)} published numbers reproduced within their tolerance; {tail}"
+    return "; ".join([*parts, tail])
 
 
 def _rows(verdicts: Sequence[Verdict]) -> list[tuple[str, ...]]:
@@ -52,13 +61,25 @@ def _rows(verdicts: Sequence[Verdict]) -> list[tuple[str, ...]]:
         mark = "" if v.is_expected else "  <- unexpected"
         rows.append(
             (
-                " / ".join(claim.runs), claim.label if not claim.change else f"{claim.measure}, {claim.change}",
-                "-" if claim.published is None else f"{claim.published:.7g}{unit}", f"{v.value:.6g}{unit}",
+                claim.of, claim.label if not claim.change else f"{claim.measure}, {claim.change}",
+                _wanted(claim, unit), _share(v.value) if claim.statistic[0] == "share" else f"{v.value:.6g}{unit}",
                 "-" if math.isnan(v.ratio) else f"{v.ratio:.4f}", f"{claim.tolerance:.3g}" if claim.published else "-",
                 f"{GLYPHS[v.verdict]} {v.verdict}{mark}".strip(),
             )
         )  # fmt: skip
     return rows
+
+
+def _wanted(claim: Claim, unit: str) -> str:
+    """The published number, or the limit."""
+    if claim.limit is None:
+        return "-" if claim.published is None else f"{claim.published:.7g}{unit}"
+    part = f"{_share(claim.statistic[1])} " if claim.statistic[0] == "share" else ""
+    return f"{part}{'≤' if claim.limit[0] == 'at_most' else '≥'} {claim.limit[1]:.7g}{unit}"
+
+
+def _share(part: float) -> str:
+    return f"{100 * part:.4g} %"
 
 
 _HEAD = ("run", "measure", "published", "here", "ratio", "tolerance", "verdict")
@@ -89,7 +110,8 @@ def _drawn(study_results: StudyResults, folder: Path) -> dict[str, str | Fault]:
     for i, entry in enumerate(study_results.study.figures):
         name = str(entry["name"])
         try:
-            figure = _figure(entry, study_results.results)
+            is_of_sweep = "sweep" in entry
+            figure = figure_of(entry, study_results.sweeps) if is_of_sweep else _figure(entry, study_results.results)
             drawn[name] = plots.svg_text(figure)
             plots.save(figure, folder / f"{name}.png")
         except BlocksError as error:
@@ -252,7 +274,7 @@ def _tables(study_results: StudyResults) -> list[str]:
     for source, verdicts in groups.items():
         rows = []
         for v, row in zip(verdicts, _rows(verdicts), strict=True):
-            kind = {"reproduced": "good", "not reproduced": "bad"}.get(v.verdict, "note")
+            kind = {"✓": "good", "✗": "bad"}.get(GLYPHS[v.verdict], "note")
             unexpected = "" if v.is_expected else " unexpected"
             cells = "".join(f"<td>{_escape(cell)}</td>" for cell in row[:2])
             cells += "".join(f'<td class="number">{_escape(cell)}</td>' for cell in row[2:6])
@@ -270,7 +292,7 @@ def _reasons(study_results: StudyResults) -> str:
     reasons: dict[str, list[str]] = {}
     for v in study_results.verdicts:
         if v.claim.reason:
-            reasons.setdefault(v.claim.reason, []).append(f"{' / '.join(v.claim.runs)} {v.claim.measure}")
+            reasons.setdefault(v.claim.reason, []).append(f"{v.claim.of} {v.claim.measure}")
     if not reasons:
         return ""
     items = "".join(f"<li><b>{_escape(', '.join(names))}</b>: {_escape(why)}</li>" for why, names in reasons.items())
@@ -318,22 +340,45 @@ def _own_ids(svg: str, prefix: str) -> str:
 
 def _runs(study_results: StudyResults, draw: Callable[[Any], str] | None) -> list[str]:
     parts, shown = [], set()
-    for entry in study_results.study.runs:
-        results = study_results.results[entry.name]
-        statistics = results.statistics
+    for entry in study_results.study.all_runs:
         said = {**entry.variants, **entry.parameters, **entry.settings}
         given = ", ".join(f"{key} = {_value(value)}" for key, value in said.items())
         parts.append(
             f"<h3>{_escape(entry.name)}: {_escape(entry.diagram)}</h3><p>{_escape(entry.doc)} "
-            f"{_escape(f'With {given}. ' if given else '')}{_escape(statistics.method)}, "
-            f"{statistics.steps} steps, {statistics.rejected} rejected, {len(results.events)} events.</p>"
+            f"{_escape(f'With {given}. ' if given else '')}"
         )
+        if isinstance(entry, StudySweep):
+            parts += _rows_of(entry, study_results.sweeps[entry.name])
+        else:
+            results = study_results.results[entry.name]
+            statistics = results.statistics
+            parts[-1] += (
+                f"{_escape(statistics.method)}, "
+                f"{statistics.steps} steps, {statistics.rejected} rejected, {len(results.events)} events.</p>"
+            )
         drawn = entry.diagram, *sorted(entry.variants.items())
         if draw is not None and drawn not in shown:
             shown.add(drawn)
             svg = _own_ids(draw(study_results.diagrams[entry.name]), f"d{len(shown)}-")
             parts.append(f'<div class="wide diagram">{svg}</div>')
     return parts
+
+
+def _rows_of(entry: StudySweep, sweep: Sweep) -> list[str]:
+    """What varied in a sweep, and the table of its measures."""
+    varied = "; ".join(f"{name}: {json.dumps(plain(raw), ensure_ascii=False)}" for name, raw in entry.vary.items())
+    words = [f"{key} {entry.options[key]}" for key in ("sampler", "seed") if key in entry.options]
+    said = f"Varied: {varied}. {told_rows(sweep)}{''.join(f', {word}' for word in words)}."
+    head, *rows = table(sweep, (), QUANTILES)
+    cells = ["".join(f"<th>{_escape(str(name))}</th>" for name in head)]
+    for row in rows:
+        kinds = ["" if isinstance(cell, str) and not cell.isdigit() else ' class="number"' for cell in row]
+        cells.append("".join(f"<td{k}>{_escape(cell_text(c))}</td>" for k, c in zip(kinds, row, strict=True)))
+    why = "".join(f"<li>{_escape(line)}</li>" for line in sweep.failures())
+    return [
+        f"{_escape(said)}</p>{f'<ul>{why}</ul>' if why else ''}",
+        f'<div class="wide"><table>{"".join(f"<tr>{row}</tr>" for row in cells)}</table></div>',
+    ]
 
 
 def _value(value: Any) -> str:
@@ -349,9 +394,10 @@ def _repeat(study_results: StudyResults, command: str) -> str:
             rows.append((name, version(name)))
         except PackageNotFoundError:
             continue
+    study = study_results.study
     paths = [
         Path(study_results.study.file),
-        *(Path(study_results.study.folder) / entry.diagram for entry in study_results.study.runs),
+        *(Path(study_results.study.folder) / entry.diagram for entry in study.all_runs),
     ]
     for path in dict.fromkeys(paths):
         rows.append((f"SHA-256 of {path.name}", hashlib.sha256(path.read_bytes()).hexdigest()[:16]))

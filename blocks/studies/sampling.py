@@ -19,16 +19,16 @@ from typing import Any
 
 import numpy as np
 
+from ..model.study_grammar import SAMPLERS
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import legible
 
 __all__ = [
     "SAMPLERS", "Distribution", "Each", "LogUniform", "Normal", "Rows", "Triangular", "TruncatedNormal", "Uniform",
-    "each", "rows_of", "seed_of", "unit_points",
+    "each", "named_values", "rows_of", "seed_of", "unit_points",
 ]  # fmt: skip
 
 Array = np.ndarray[Any, Any]
-SAMPLERS = ("random", "sobol", "halton", "lhs", "saltelli")
 MOST_ROWS = 10**8
 LEAST = 2.0**-53
 """Points lie so far from the sides of the unit cube, where many distributions are infinite."""
@@ -278,6 +278,37 @@ def _column(name: str, given: Any) -> Array:
     for k, item in enumerate(values):
         column[k] = item
     return column
+
+
+def named_values(place: str, kind: str, given: Sequence[float] | Mapping[str, float], text: str = "") -> Any:
+    """What a file or the command line names: linspace, geomspace, or a distribution with its numbers.
+
+    given: numbers in their order, or by name those of a distribution of scipy.stats. text: how it is written there.
+    Raises UsageError (E501).
+    """
+    text = text or f"{kind}:{','.join(f'{number:g}' for number in given if not isinstance(number, str))}"
+    if isinstance(given, Mapping):
+        return Distribution(kind, **given)
+    if kind in ("linspace", "geomspace"):
+        low, high, count = given if len(given) == 3 else (0.0, 0.0, 0.0)
+        if count < 1 or count % 1 or (kind == "geomspace" and low * high <= 0):
+            what = f"{text!r} is not {kind}:FROM,TO,COUNT{' with numbers of one sign' if kind == 'geomspace' else ''}."
+            raise _refused(place, what, f"As in {kind}:1,20,9.")
+        return (np.linspace if kind == "linspace" else np.geomspace)(low, high, int(count))
+    if kind.lower() not in _NAMED:
+        cure = "As in normal:0.27,0.02, uniform:0.1,0.2, or lognorm:s=0.3,scale=2 for those of scipy.stats."
+        raise _refused(place, f"{text!r} says no values.", cure)
+    law, wanted = _NAMED[kind.lower()]
+    try:
+        return law(*given)
+    except TypeError:
+        raise _refused(place, f"{text!r} is not {kind}:{wanted}.") from None
+
+
+_NAMED: Mapping[str, tuple[Callable[..., Distribution], str]] = {
+    "normal": (Normal, "MEAN,DEVIATION"), "uniform": (Uniform, "LOW,HIGH"), "loguniform": (LogUniform, "LOW,HIGH"),
+    "triangular": (Triangular, "LOW,MODE,HIGH"), "truncatednormal": (TruncatedNormal, "MEAN,DEVIATION,LOW,HIGH"),
+}  # fmt: skip
 
 
 def _refused(place: str, message: str, cure: str = "") -> UsageError:

@@ -1,9 +1,10 @@
-"""A study: several runs, their measures beside published numbers, and a verdict on each claim.
+"""A study: several runs and sweeps, their measures beside published numbers or limits, and a verdict on each claim.
 
-A study file names the runs (diagrams with parameters and settings), the claims (a measure of one run, or an
-improvement from one run to another, beside the published value with its source, a tolerance and the verdict that is
-expected), what was assumed, and the figures. It is judged by whether every claim has its expected verdict, so that a
-number that cannot be reproduced is stated with its reason rather than left out.
+A study file names the runs (diagrams with parameters and settings) and the sweeps, the claims (a measure of one run, an
+improvement from one run to another, or a statistic of a sweep, beside the published value with its source, a tolerance
+and the verdict that is expected; or with a limit), what was assumed, and the figures. It is judged by whether every
+claim has its expected verdict, so that a number that cannot be reproduced is stated with its reason rather than left
+out.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from ..model.diagram import FaultList, beside, is_name
 from ..model.diagram_grammar import DOC, SIGNAL
 from ..model.flatten import FlatSignal, element_of
 from ..model.project import Project, read_inside
-from ..model.study_grammar import ASSUMED, CLAIM, FORMAT, SETTINGS, STUDY, VERSION, named
+from ..model.study_grammar import ASSUMED, CLAIM, FORMAT, ONE_SWEEP, SETTINGS, STUDY, VERSION, named
 from ..results.results import Results
 from ..text import json_text, json_writer
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
@@ -29,6 +30,8 @@ from ..text.grammar import Steps
 from ..text.json_document import AT_KEY, Document, nearest, place_of
 from ..text.json_number import Number
 from ..text.printable import legible, quoted
+from .study_sweeps import StudySweep, faults_of, names_missing, run_sweep, statistic_of
+from .sweep import Sweep
 
 __all__ = [
     "Claim", "Run", "Study", "StudyResults", "Verdict", "canonical", "checked", "load", "prepared", "run",
@@ -51,8 +54,11 @@ class Run:
 class Claim:
     """A measure beside a published number. `runs` has one name, or two for a change from the first to the second in %.
 
-    change: "" for one run, "reduction" or "increase" for two. published: None where nothing was published (the value is
-    shown, and not judged). tolerance: the largest |value/published - 1| that counts as reproduced.
+    sweep: the name of one, in the place of runs, with a scenario ("": the rows of all); statistic: what of its rows is
+    claimed: ("quantile", q), ("mean", nan), ("deviation", nan) or ("share", part). limit: ("at_most", x) or
+    ("at_least", x), in the place of a published number. change: "" for one run, "reduction" or "increase" for two.
+    published: None where nothing was published (the value is shown, and not judged). tolerance: the largest
+    |value/published - 1| that counts as reproduced.
     """
 
     runs: tuple[str, ...]
@@ -64,9 +70,21 @@ class Claim:
     tolerance: float
     expected: str
     reason: str
+    sweep: str = ""
+    scenario: str = ""
+    statistic: tuple[str, float] = ("", math.nan)
+    limit: tuple[str, float] | None = None
+
+    @property
+    def of(self) -> str:
+        """The runs, or the sweep, that it is about."""
+        return "/".join(filter(None, (self.sweep, self.scenario))) if self.sweep else " / ".join(self.runs)
 
     @property
     def label(self) -> str:
+        if self.sweep:
+            kind, level = self.statistic
+            return f"{self.measure}, {f'{100 * level:g} % quantile' if kind == 'quantile' else kind}"
         if not self.change:
             return self.measure
         return f"{self.measure}, {self.change} from {self.runs[0]} to {self.runs[1]}"
@@ -81,12 +99,18 @@ class Study:
     doc: tuple[str, ...]
     source: str
     runs: tuple[Run, ...]
+    sweeps: tuple[StudySweep, ...]
     assumed: tuple[Mapping[str, str], ...]
     claims: tuple[Claim, ...]
     figures: tuple[Mapping[str, Any], ...]
     folder: str
     file: str
     positions: Mapping[Any, tuple[int, int]] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def all_runs(self) -> tuple[Run | StudySweep, ...]:
+        """The runs, then the sweeps."""
+        return *self.runs, *self.sweeps
 
     def fault(self, code: str, place: str, message: str, cure: str = "", path: Steps = ()) -> Fault:
         """A fault with its place in the file: that of `path`, or of the nearest thing around it."""
@@ -97,7 +121,10 @@ class Study:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A claim with what came out: the value, its ratio to the published one, and the verdict ("" where none is due)."""
+    """A claim with what came out: the value, its ratio to the published one, and the verdict ("" where none is due).
+
+    verdict: "reproduced" or "not reproduced"; of a limit "holds" or "fails".
+    """
 
     claim: Claim
     value: float
@@ -113,7 +140,8 @@ class Verdict:
 class StudyResults:
     """What a study gave. `is_fine` where every claim has the verdict that the file expects.
 
-    missing: the runs that were not made, or not finished, because of Ctrl-C; claims about them are not judged.
+    sweeps: by name. missing: the runs and sweeps that were not made, or not finished, because of Ctrl-C; claims about
+    them are not judged.
     """
 
     study: Study
@@ -122,6 +150,7 @@ class StudyResults:
     verdicts: tuple[Verdict, ...]
     seconds: float = 0.0
     missing: tuple[str, ...] = ()
+    sweeps: Mapping[str, Sweep] = field(default_factory=dict)
 
     @property
     def is_fine(self) -> bool:
@@ -180,12 +209,13 @@ def run(
     library: Any = (),
     parameters: Mapping[str, Any] | None = None,
     begun: Callable[[str], None] | None = None,
-    finished: Callable[[str, Results], None] | None = None,
+    finished: Callable[[str, Results | Sweep], None] | None = None,
     trust: Any = (),
 ) -> StudyResults:
     """Run everything and judge every claim.
 
-    parameters: values by "RUN.path" ("IADRC.torque") in place of the file's. begun: called with each run's name.
+    parameters: values by "RUN.path" ("IADRC.torque") in place of the file's; also of sweeps. begun: called with each
+    run's name.
     finished: called with its name and its results as soon as they are there, so that nothing is lost where a later run
     fails. trust: as of `Diagram.run`. Ctrl-C returns the runs that are done (`missing`). Raises ModelError, UsageError,
     and SimulationError.
@@ -196,6 +226,7 @@ def run(
     extra = _by_run(study, parameters or {})
     diagrams = prepared(study, library=library, parameters=parameters)
     results: dict[str, Results] = {}
+    sweeps: dict[str, Sweep] = {}
     with contextlib.suppress(KeyboardInterrupt):
         for entry in study.runs:
             if begun is not None:
@@ -207,15 +238,26 @@ def run(
             results[entry.name] = run_results
             if finished is not None:
                 finished(entry.name, run_results)
-    missing = tuple(entry.name for entry in study.runs if entry.name not in results)
-    verdicts = tuple(judge(claim, results) for claim in study.claims if not {*claim.runs} & {*missing})
-    return StudyResults(study, results, diagrams, verdicts, time.perf_counter() - start, missing)
+        for each in study.sweeps if len(results) == len(study.runs) else ():
+            if begun is not None:
+                begun(each.name)
+            given = {**each.parameters, **extra.get(each.name, {})}
+            swept = run_sweep(each, diagrams[each.name], given, trust)
+            if swept.interrupted:
+                break
+            sweeps[each.name] = swept
+            if finished is not None:
+                finished(each.name, swept)
+    missing = tuple(entry.name for entry in study.all_runs if entry.name not in {**results, **sweeps})
+    about = [claim for claim in study.claims if not {*claim.runs, claim.sweep} & {*missing}]
+    verdicts = tuple(judge(claim, results, sweeps) for claim in about)
+    return StudyResults(study, results, diagrams, verdicts, time.perf_counter() - start, missing, sweeps)
 
 
 def _by_run(study: Study, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Values by "RUN.path" as values by path, for each run. Raises ModelError (E106)."""
     values: dict[str, dict[str, Any]] = {}
-    names = [entry.name for entry in study.runs]
+    names = [entry.name for entry in study.all_runs]
     for key, value in parameters.items():
         name, _, path = key.partition(".")
         if name not in names or not path:
@@ -226,7 +268,7 @@ def _by_run(study: Study, parameters: Mapping[str, Any]) -> dict[str, dict[str, 
 
 
 def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] | None = None) -> dict[str, Diagram]:
-    """The diagrams of a study by run, with their variants: all that can be wrong is found before the first one runs.
+    """The diagrams of a study by run or sweep, with variants: all that can be wrong is found before the first one runs.
 
     parameters: as of `run`. Raises ModelError with the faults of all diagrams, of the values and settings that the
     runs give to them, and of claims about measures that they do not take.
@@ -247,13 +289,38 @@ def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] |
         except (ModelError, UsageError) as error:
             for fault in error.faults:
                 faults[fault if fault.file else _of_run(study, entry, fault)] = None
+    sweeps = {entry.name: entry for entry in study.sweeps}
+    for each in study.sweeps:
+        path: Steps = ("sweeps", each.name)
+        try:
+            diagram = Diagram.load(Path(study.folder) / each.diagram, library=library)
+            diagram = diagram.with_variants(each.variants) if each.variants else diagram
+            diagrams[each.name] = diagram
+            found = [*faults_of(each, diagram, {**each.parameters, **extra.get(each.name, {})})]
+        except (ModelError, UsageError) as error:
+            found = [(("diagram",), fault) for fault in error.faults]
+        for inside, fault in found:
+            if not fault.file:
+                where = (*path, *inside)
+                fault = study.fault(fault.code, place_of(where), fault.message, fault.cure, where)
+            faults[fault] = None
     for k, claim in enumerate(study.claims):
-        for name in claim.runs:
-            known = diagrams[name].value.measures if name in diagrams else {claim.measure: None}
+        if claim.scenario and claim.sweep in sweeps and claim.scenario not in sweeps[claim.sweep].scenarios:
+            message = f"the sweep {claim.sweep} has no scenario {quoted(claim.scenario)}."
+            cure = f"Scenarios: {', '.join(sweeps[claim.sweep].scenarios) or 'none'}."
+            faults[study.fault("E105", f"claims[{k}]", message, cure, ("claims", k, "scenario"))] = None
+        for name in (*claim.runs, *filter(None, (claim.sweep,))):
+            known: Collection[str] = diagrams[name].value.measures if name in diagrams else [claim.measure]
+            known = sweeps[name].measured(diagrams[name]) if name in sweeps and name in diagrams else known
             if claim.measure not in known:
                 cure = did_you_mean(claim.measure, known) or f"Measures: {', '.join(known) or 'none'}."
                 message = f"the diagram of {name} has no measure {quoted(claim.measure)}."
                 faults[study.fault("E105", f"claims[{k}]", message, cure, ("claims", k, "measure"))] = None
+    for i, figure in enumerate(study.figures):
+        entry_of = sweeps.get(figure.get("sweep", ""))
+        if entry_of is not None and entry_of.name in diagrams:
+            for fault in names_missing(entry_of, diagrams[entry_of.name], figure):
+                faults[study.fault("E105", f"figures[{i}]", fault.message, fault.cure, ("figures", i))] = None
     for place, item in _drawn(study):
         known = recorded.get(item.get("run", ""), {})
         if known and "signal" in item and element_of(item["signal"], known) is None:
@@ -268,7 +335,7 @@ def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] |
 def _drawn(study: Study) -> Iterator[tuple[Steps, Mapping[str, Any]]]:
     """The lines and markers of all figures, with their places in the file."""
     for i, figure in enumerate(study.figures):
-        for k, panel in enumerate(figure["panels"]):
+        for k, panel in enumerate(figure.get("panels", ())):
             for key in ("lines", "markers"):
                 for j, item in enumerate(panel.get(key, ())):
                     yield ("figures", i, "panels", k, key, j), item
@@ -285,13 +352,22 @@ def _of_run(study: Study, entry: Run, fault: Fault) -> Fault:
     return study.fault(fault.code, ".".join(map(str, (*path[:2], fault.place))), fault.message, fault.cure, path)
 
 
-def judge(claim: Claim, results: Mapping[str, Results]) -> Verdict:
+def judge(claim: Claim, results: Mapping[str, Results], sweeps: Mapping[str, Sweep] | None = None) -> Verdict:
     """The verdict on one claim."""
-    values = [results[name].measures[claim.measure] for name in claim.runs]
+    if claim.sweep:
+        sweep = (sweeps or {})[claim.sweep]
+        rows = (sweep[claim.scenario] if claim.scenario else sweep).measures[claim.measure]
+        values = [statistic_of(rows, claim.statistic, claim.limit)]
+    else:
+        values = [results[name].measures[claim.measure] for name in claim.runs]
     value = values[0]
     if claim.change:
         change = 100.0 * (values[1] - values[0]) / values[0] if values[0] else math.nan
         value = -change if claim.change == "reduction" else change
+    if claim.limit is not None:
+        kind, limit = ("at_least", claim.statistic[1]) if claim.statistic[0] == "share" else claim.limit
+        holds = value <= limit if kind == "at_most" else value >= limit  # false for NaN
+        return Verdict(claim, value, math.nan, "holds" if holds else "fails")
     if claim.published is None:
         return Verdict(claim, value, math.nan, "")
     ratio = value / claim.published
@@ -345,15 +421,19 @@ class _StudyReader:
         STUDY.check(value, (), self)
         entries = _object(value, "runs")
         runs = tuple(self.run(name, entry) for name, entry in entries.items())
-        places: list[tuple[Steps, Any]] = [
-            (("claims", k), name) for k, claim in enumerate(_items(value, "claims")) for name in named(claim)
-        ]
+        swept = _object(value, "sweeps")
+        sweeps = [self.sweep(name, entry) for name, entry in swept.items()]
+        places: list[tuple[Steps, Any, str]] = []
+        for k, claim in enumerate(_items(value, "claims")):
+            places += [(("claims", k), name, "run") for name in named(claim) if "sweep" not in claim]
+            places += [(("claims", k, "sweep"), claim["sweep"], "sweep")] if "sweep" in claim else []
         drawn = STUDY.by_key["figures"].kind.walk(value.get("figures"), ("figures",))
-        places += [(found.path, found.value) for found in drawn if found.refers == "run"]
-        for path, name in places:
-            if isinstance(name, str) and name not in entries:
-                cure = did_you_mean(name[:200], entries) or f"Runs: {', '.join([*entries][:20]) or 'none'}."
-                self.fault("E105", path, f"there is no run {quoted(name)}.", cure)
+        places += [(found.path, found.value, found.refers) for found in drawn if found.refers in ("run", "sweep")]
+        for path, name, what in places:
+            known = entries if what == "run" else swept
+            if isinstance(name, str) and name not in known:
+                cure = did_you_mean(name[:200], known) or f"{what.capitalize()}s: {', '.join([*known][:20]) or 'none'}."
+                self.fault("E105", path, f"there is no {what} {quoted(name)}.", cure)
         name, title = _text(value, "name") or self.path.stem, _text(value, "title")
         study = Study(
             name,
@@ -361,6 +441,7 @@ class _StudyReader:
             _lines(value),
             _text(value, "source"),
             runs,
+            tuple(entry for entry in sweeps if entry is not None),
             tuple({key: _text(entry, key) for key in ASSUMED.keys} for entry in _items(value, "assumed")),
             tuple(map(_claim, _items(value, "claims"))),
             tuple(_items(value, "figures")),
@@ -385,14 +466,32 @@ class _StudyReader:
         return Run(name, _text(entry, "diagram"), parameters, settings, " ".join(_lines(entry)), variants)
 
 
+    def sweep(self, name: str, entry: Any) -> StudySweep | None:
+        path = ("sweeps", name)
+        if not is_name(name):
+            self.fault("E111", path, f"{quoted(name)} is not a name.", "Use letters, digits and _.")
+        if name in _object(self.document.value, "runs"):
+            self.fault("E109", path, "the name is taken by a run.", "Name it otherwise.")
+        return StudySweep.of(name, entry, " ".join(_lines(entry))) if ONE_SWEEP.fits(entry) else None
+
+
 def _claim(entry: Mapping[str, Any]) -> Claim:
     published, tolerance = _number(entry, "published"), _number(entry, "tolerance")
     change, expected = (
         _text(entry, key) if CLAIM.by_key[key].kind.fits(entry.get(key)) else "" for key in ("as", "expect")
     )
     unit, source, reason = (_text(entry, key) for key in ("unit", "source", "reason"))
-    runs, measure = tuple(map(str, named(entry))), _text(entry, "measure")
-    return Claim(runs, measure, change, published, unit, source, tolerance or 0.0, expected, reason)
+    sweep, scenario = _text(entry, "sweep"), _text(entry, "scenario")
+    runs, measure = () if sweep else tuple(map(str, named(entry))), _text(entry, "measure")
+    levels = [(key, _number(entry, key)) for key in ("quantile", "share", "at_most", "at_least")]
+    known = [(key, level) for key, level in levels if level is not None]
+    told = (_text(entry, "statistic"), math.nan)
+    statistic = next((pair for pair in known if pair[0] in ("quantile", "share")), told)
+    limit = next((pair for pair in known if pair[0] in ("at_most", "at_least")), None)
+    return Claim(
+        runs, measure, change, published, unit, source, tolerance or 0.0, expected, reason,
+        sweep, scenario, statistic, limit,
+    )  # fmt: skip
 
 
 def _object(value: Mapping[str, Any], key: str) -> dict[str, Any]:

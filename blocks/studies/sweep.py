@@ -290,11 +290,17 @@ class Sweep:
                     shown = f"{scenario}.{measure}" if scenario else measure
                     rows.append((shown, name, f"{first} ± {first_error}", f"{total} ± {total_error}"))
         lines += aligned(rows) if len(rows) > 1 else []
+        return "\n".join([*lines, *(f"  {line}" for line in self.failures())])
+
+    def failures(self) -> list[str]:
+        """By status how many rows have it, and why the first of them; also of rows that lack a number."""
+        told = []
         for name, count in self.counts().items():
-            row = next((k for k in np.flatnonzero(self.status == name) if self.messages[k]), None)
-            if name != "ok" and row is not None:
-                lines.append(f"  {count} {name}, as row {row}: {self.messages[row]}")
-        return "\n".join(lines)
+            speaking = [k for k in np.flatnonzero(self.status == name).tolist() if self.messages[k]]
+            if speaking:
+                rows = f"{len(speaking)} ok, but" if name == "ok" else f"{count} {name}, as"
+                told.append(f"{rows} row {speaking[0]}: {self.messages[speaking[0]]}")
+        return told
 
     def __repr__(self) -> str:
         return "\n".join([self.table(), *map(str, self.warnings)])

@@ -138,7 +138,7 @@ def _scenarios(sweep: Sweep) -> list[_Rows]:
     rows = []
     for k, name in enumerate(sweep.scenarios or ("",)):
         index = np.flatnonzero(sweep.scenario == k)
-        rows.append(_Rows(name, k, index, sweep.status[index] == "ok"))
+        rows.append(_Rows(name if len(sweep.scenarios) > 1 else "", k, index, sweep.status[index] == "ok"))
     return rows
 
 
@@ -390,6 +390,8 @@ def _by_ratios(axis: Any) -> None:
 def _heat_maps(
     sweep: Sweep, names: Sequence[str], against: tuple[str, str], rows: Sequence[_Rows], bins: int | None
 ) -> Any:
+    from matplotlib.colors import LogNorm, Normalize
+
     down, across = len(names), len(rows)
     height = 0.6 + (3.6 if down * across == 1 else 2.9) * down
     figure, axes = new_figure(down, across, height=height, width=max(_WIDTH, 3.4 * across))
@@ -399,9 +401,11 @@ def _heat_maps(
         shown = values[np.concatenate([part.index for part in rows])]
         shown = shown[np.isfinite(shown)]
         limits = (float(shown.min()), float(shown.max())) if len(shown) else (0.0, 1.0)
+        # By ratios, where one row that runs away would leave all others one color.
+        norm = (LogNorm if 0 < 100 * limits[0] < limits[1] else Normalize)(*limits)
         for j, part in enumerate(rows):
             axis = axes[i, j]
-            image = _heat_map(axis, sweep, values, against, part, bins, limits)
+            image = _heat_map(axis, sweep, values, against, part, bins, norm)
             if across > 1:
                 axis.set_title(plain(part.name), fontsize=9, loc="left")
             axis.set_xlabel(_label(sweep, against[0]))
@@ -417,7 +421,7 @@ def _heat_maps(
 
 def _heat_map(
     axis: Any, sweep: Sweep, values: Array, against: tuple[str, str], part: _Rows, bins: int | None,
-    limits: tuple[float, float],
+    norm: Any,
 ) -> Any:  # fmt: skip
     """The median of each cell; a cross where a row of it has no number."""
     axis.grid(False)
@@ -445,9 +449,7 @@ def _heat_map(
             table[place] = np.median(known) if len(known) else np.nan
             missing[place] = len(known) < len(group)
     masked = np.ma.masked_invalid(table)
-    image = axis.pcolormesh(
-        edges[0], edges[1], masked, cmap="cividis", vmin=limits[0], vmax=limits[1], rasterized=masked.size > _MANY
-    )
+    image = axis.pcolormesh(edges[0], edges[1], masked, cmap="cividis", norm=norm, rasterized=masked.size > _MANY)
     for marks, text, color, label in (
         (missing, "x", BAD, "rows without a number"), (np.isposinf(table), "$\\infty$", INK, "no limit"),
     ):  # fmt: skip

@@ -12,7 +12,7 @@ from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import legible
 from .statistics import quantiles
 
-__all__ = ["latex", "markdown", "table"]
+__all__ = ["cell_text", "latex", "markdown", "table"]
 
 Array = np.ndarray[Any, Any]
 Sweep = Any  # a `Sweep`, whose module calls this one
@@ -65,7 +65,7 @@ def _with_unit(sweep: Sweep, name: str) -> str:
 
 def markdown(sweep: Sweep, by: str | Sequence[str], q: Sequence[float]) -> str:
     head, *rows = table(sweep, by, q)
-    texts = [[_text(cell).replace("|", r"\|") for cell in row] for row in (head, *rows)]
+    texts = [[cell_text(cell).replace("|", r"\|") for cell in row] for row in (head, *rows)]
     sides = ["---" if any(isinstance(row[k], str) and not str(row[k]).isdigit() for row in rows) else "---:"
              for k in range(len(head))]  # fmt: skip
     lines = [f"| {' | '.join(row)} |" for row in texts]
@@ -81,7 +81,8 @@ def latex(sweep: Sweep, by: str | Sequence[str], q: Sequence[float]) -> str:
                       r"\end{tabular}"])  # fmt: skip
 
 
-def _text(cell: Cell) -> str:
+def cell_text(cell: Cell) -> str:
+    """A cell as a text."""
     if isinstance(cell, str):
         return "".join(c if c.isprintable() else "\ufffd" for c in cell)
     return "-" if np.isnan(cell) else "∞" if cell == np.inf else f"{cell:.5g}"
@@ -89,8 +90,8 @@ def _text(cell: Cell) -> str:
 
 def _tex(cell: Cell) -> str:
     if isinstance(cell, str):
-        return "".join(_TEX.get(c, c) for c in _text(cell))
-    text = _text(cell)
+        return "".join(_TEX.get(c, c) for c in cell_text(cell))
+    text = cell_text(cell)
     power = re.fullmatch(r"(.*)e([-+])0*(\d+)", text)
     if power is not None:
         sign = "-" if power[2] == "-" else ""
