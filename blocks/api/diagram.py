@@ -553,13 +553,85 @@ class Diagram:
             budget=budget, progress=progress, out=out, resume=resume, on=on, **settings,
         )  # fmt: skip
 
-    def tune(self, **options: Any) -> Any:
-        """The best values of parameters: see `blocks.studies.tuning.tune`."""
-        return late("tune", self, **options)
+    def tune(
+        self,
+        *,
+        minimize: str,
+        over: Mapping[str, tuple[float, float]],
+        scenarios: Mapping[str, Mapping[str, Any]] | None = None,
+        subject_to: Sequence[str] = (),
+        method: str = "cma",
+        budget: int = 500,
+        seed: int = 1,
+        parameters: Mapping[str, Any] | None = None,
+        engine: str | None = None,
+        variants: Mapping[str, str] | None = None,
+        trust: Paths = (),
+        threads: int | None = None,
+        progress: Callable[[int, int], None] | None = None,
+        **settings: Any,
+    ) -> Any:
+        """A `Tuning`: the values within bounds for which `minimize` is least and all of `subject_to` hold.
 
-    def fit(self, data: Any, **options: Any) -> Any:
-        """Parameters from measured data: see `blocks.studies.identification.fit`."""
-        return late("fit", self, data, **options)
+        minimize: an expression over measures (that of diagram files); ITAE is the mean over the scenarios, noisy.ITAE
+        the measure in one of them. over: by parameter, pattern or element, as for `Diagram.batch`, the least and the
+        largest value, in the unit of the parameter; searched on a logarithmic scale where both are positive and the
+        upper is at least 10 times the lower. scenarios: by name, values of parameters; None: one, named nominal,
+        without any. subject_to: "noisy.variation <= 75"; one of bare names holds in each scenario. method: "cma"
+        (CMA-ES, package cma) or "de" (differential evolution of SciPy). budget: so many candidates are run, each once
+        in every scenario, all with the run seed of the diagram. seed: of the optimiser. The others as for
+        `Diagram.run`, and threads and progress as for a batch.
+
+        A candidate whose run fails, diverges or takes more than 20 times the steps of the diagram's own run (and 10,000
+        more) has no fitness. Of two candidates, one that fulfils all constraints is better than one that does not, then
+        the smaller sum of violations in parts of their limits, then the smaller objective. Where no candidate is better
+        than the diagram, its own values are the result. Ctrl-C ends it with what was found so far (`interrupted`).
+
+        Raises ModelError and UsageError before the first candidate, also for what can have no number: an unknown
+        measure or scenario, or a window that the run does not cover; SimulationError where the diagram itself does not
+        run.
+        """
+        return late(
+            "tune", self,
+            minimize=minimize, over=over, scenarios=scenarios, subject_to=subject_to, method=method, budget=budget,
+            seed=seed, parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads,
+            progress=progress, settings=settings,
+        )  # fmt: skip
+
+    def fit(
+        self,
+        data: Any,
+        *,
+        over: Mapping[str, tuple[float, float]],
+        compare: Mapping[str, str],
+        level: float = 0.95,
+        interpolation: str = "linear",
+        parameters: Mapping[str, Any] | None = None,
+        engine: str | None = None,
+        variants: Mapping[str, str] | None = None,
+        trust: Paths = (),
+        **settings: Any,
+    ) -> Any:
+        """A `Fit`: the values within bounds for which signals come nearest to measured data, by least squares.
+
+        data: a CSV file, or columns by name (a DataFrame too): `time` in s, one for each signal that is compared, and
+        one of the name of each input of the diagram that was recorded; further ones are left out. compare: by signal
+        the column with its measured values, in the unit of the signal; nan where there are none. Residuals are taken at
+        the times of the data, which the run hits; the run ends with the data. over: as of `Diagram.tune`. level: of the
+        intervals. interpolation: of recorded inputs, "linear" or "hold". The others as of `Diagram.run`.
+
+        The search begins at the values of the diagram and is local (SciPy's trust region): begin near the truth.
+        Residuals of several signals are weighed by their deviations, which a first fit estimates. Errors and intervals
+        (of Student's t) follow from the Jacobian at the estimate and the deviation of the residuals: they hold where
+        the model is right but for white noise of the sensors. Warnings (W502) tell of parameters that the data cannot
+        tell apart, that have no effect, or that lie at a bound. Raises ModelError, UsageError; SimulationError where
+        the diagram does not run.
+        """
+        return late(
+            "fit", self, data,
+            over=over, compare=compare, level=level, interpolation=interpolation, parameters=parameters, engine=engine,
+            variants=variants, trust=trust, **settings,
+        )  # fmt: skip
 
     # --- linear models -----------------------------------------------------------------------------------------
 

@@ -125,20 +125,7 @@ def fit(
     trust: Any = (),
     **settings: Any,
 ) -> Fit:
-    """The values within bounds for which signals come nearest to measured data, by least squares.
-
-    data: a CSV file, or columns by name (a DataFrame too): `time` in s, one for each signal that is compared, and one
-    of the name of each input of the diagram that was recorded; further ones are left out. compare: by signal the column
-    with its measured values, in the unit of the signal; nan where there are none. Residuals are taken at the times of
-    the data, which the run hits; the run ends with the data. over: as of `Diagram.tune`. level: of the intervals.
-    interpolation: of recorded inputs, "linear" or "hold". The others as of `Diagram.run`.
-
-    The search begins at the values of the diagram and is local (SciPy's trust region): begin near the truth. Residuals
-    of several signals are weighed by their deviations, which a first fit estimates. Errors and intervals (of Student's
-    t) follow from the Jacobian at the estimate and the deviation of the residuals: they hold where the model is right
-    but for white noise of the sensors. Warnings (W502) tell of parameters that the data cannot tell apart, that have no
-    effect, or that lie at a bound. Raises ModelError, UsageError; SimulationError where the diagram does not run.
-    """
+    """What `Diagram.fit` gives; its arguments."""
     from scipy import optimize, stats
 
     space = Space.of(over)

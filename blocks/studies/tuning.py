@@ -50,47 +50,10 @@ EFFORT = ("ISU", "total_variation")
 
 
 def tune(
-    diagram: Diagram,
-    *,
-    minimize: str,
-    over: Mapping[str, tuple[float, float]],
-    scenarios: Mapping[str, Mapping[str, Any]] | None = None,
-    subject_to: Sequence[str] = (),
-    method: str = "cma",
-    budget: int = 500,
-    seed: int = 1,
-    threads: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    variants: Mapping[str, str] | None = None,
-    engine: str | None = None,
-    trust: Any = (),
-    **settings: Any,
+    diagram: Diagram, *, threads: int | None = None, progress: Callable[[int, int], None] | None = None, **asked: Any
 ) -> Tuning:
-    """The values within bounds for which `minimize` is least and all of `subject_to` hold.
-
-    minimize: an expression over measures (that of diagram files); ITAE is the mean over the scenarios, noisy.ITAE the
-    measure in one of them. over: by parameter, pattern or element, as for `Diagram.batch`, the least and the largest
-    value, in the unit of the parameter; searched on a logarithmic scale where both are positive and the upper is at
-    least 10 times the lower. scenarios: by name, values of parameters; None: one, named nominal, without any.
-    subject_to: "noisy.variation <= 75"; one of bare names holds in each scenario. method: "cma" (CMA-ES, package cma)
-    or "de" (differential evolution of SciPy). budget: so many candidates are run, each once in every scenario, all with
-    the run seed of the diagram. seed: of the optimiser. The others as for `Diagram.run`, and threads and progress as
-    for a batch.
-
-    A candidate whose run fails, diverges or takes more than 20 times the steps of the diagram's own run (and 10,000
-    more) has no fitness. Of two candidates, one that fulfils all constraints is better than one that does not, then the
-    smaller sum of violations in parts of their limits, then the smaller objective. Where no candidate is better than
-    the diagram, its own values are the result. Ctrl-C ends it with what was found so far (`interrupted`).
-
-    Raises ModelError and UsageError before the first candidate, also for what can have no number: an unknown measure or
-    scenario, or a window that the run does not cover; SimulationError where the diagram itself does not run.
-    """
-    problem = problem_of(
-        diagram, minimize=minimize, over=over, scenarios=scenarios, subject_to=subject_to, method=method, budget=budget,
-        seed=seed, parameters=parameters, variants=variants, engine=engine, trust=trust, settings=settings,
-    )  # fmt: skip
-    return problem.solve(threads=threads, progress=progress)
+    """What `Diagram.tune` gives; its other arguments are those of `problem_of`."""
+    return problem_of(diagram, **asked).solve(threads=threads, progress=progress)
 
 
 @dataclass(frozen=True)
@@ -116,7 +79,8 @@ class Problem:
         """Run the optimiser. Raises UsageError (E501) where no candidate has a number."""
         search = _Search(self, threads, progress)
         start = self.space.cube(np.array(self.batch.nominal))
-        with contextlib.suppress(Spent):
+        # Optimisers compare fitnesses that may be infinite, or as large as numbers can be.
+        with contextlib.suppress(Spent), np.errstate(all="ignore"):
             METHODS[self.method](search, start, self.seed, self.budget)
         return search.tuning()
 

@@ -33,7 +33,7 @@ def rosenbrock() -> Diagram:
 
 
 BOX = {"x": (-2.0, 2.0), "y": (-1.0, 3.0)}
-SHORT: dict[str, Any] = {"stop": 0.01, "method": "euler", "step": 0.01}
+SHORT: dict[str, Any] = {"stop": 0.01}
 
 
 @pytest.fixture
@@ -223,7 +223,7 @@ def test_the_command_tunes_writes_and_reports(tmp_path: Path, capsys: pytest.Cap
     assert main(command) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     done = lines[-1]
-    assert done["candidates"] == 10 and done["written"] and done["feasible"]
+    assert (done["candidates"], done["written"], done["feasible"]) == (10, True, True)
     assert Diagram.load(path).run(stop=2.0).measures["IAE"] == done["objective"]
     assert "noisy.variation &lt;= 300" in (tmp_path / "report" / "report.html").read_text()
     assert (tmp_path / "report" / "search.png").stat().st_size > 1000
