@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import math
 import os
 import pickle
 import socket
@@ -49,10 +50,12 @@ if TYPE_CHECKING:
 __all__ = ["Job", "Put", "run_on", "serve"]
 
 Array = np.ndarray[Any, Any]
-SECONDS = 2.0
+SECONDS = 1.0, 5.0
 """The work of a chunk. An empty task costs some 10 ms, and what a lost worker had begun is run again."""
 GROWTH = 8
 """By how much chunks may grow from what is known of the rows so far."""
+SHARE = 4
+"""How many chunks a thread gets of what is left, so that all end together."""
 FILE = "rows-{}.parquet"
 """What a chunk is called in a folder."""
 MOST_BATCHES = 8
@@ -350,10 +353,11 @@ def run_on(
         # A task of its own: it goes to each worker once, from another one that has it, and is made again when lost.
         held = client.submit(_same, job, pure=False)
         left, done = np.flatnonzero(made.status == "left"), distributed.as_completed()
-        count, seconds, now = 0, 0.0, 1
+        count, seconds, now, threads, asked = 0, 0.0, 1, 1, -math.inf
         while len(left) or under_way:
-            most = 2 * max(1, sum(client.nthreads().values()))
-            while len(left) and len(under_way) < most:
+            if time.monotonic() - asked > 1.0:
+                threads, asked = max(1, sum(client.nthreads().values())), time.monotonic()
+            while len(left) and len(under_way) < 2 * threads:
                 chunk = left[: size or now]
                 chunk = chunk[chunk // made.n == chunk[0] // made.n]
                 left = left[len(chunk) :]
@@ -374,7 +378,8 @@ def run_on(
             if isinstance(ended, tuple):
                 made.keep(chunk, ended[0])
                 count, seconds = count + len(chunk), seconds + ended[1]
-                now = max(1, min(GROWTH * now, int(SECONDS * count / max(seconds, 1e-6))))
+                low, high = (bound * count / max(seconds, 1e-6) for bound in SECONDS)
+                now = max(1, int(min(GROWTH * now, high, max(low, len(left) / (SHARE * threads)))))
             else:
                 for k, rows in enumerate(ended):
                     made.keep(chunk[k : k + 1], rows)
