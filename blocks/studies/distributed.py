@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import math
 import os
 import pickle
 import socket
@@ -26,7 +27,7 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,13 +47,15 @@ from .sweep_margins import Margin, RowMargins
 if TYPE_CHECKING:
     from ..contract.block import Block
 
-__all__ = ["Job", "Put", "run_on", "serve"]
+__all__ = ["Chunk", "Job", "Put", "run_on", "serve"]
 
 Array = np.ndarray[Any, Any]
-SECONDS = 2.0
+SECONDS = 1.0, 5.0
 """The work of a chunk. An empty task costs some 10 ms, and what a lost worker had begun is run again."""
 GROWTH = 8
 """By how much chunks may grow from what is known of the rows so far."""
+SHARE = 4
+"""How many chunks a thread gets of what is left, so that all end together."""
 FILE = "rows-{}.parquet"
 """What a chunk is called in a folder."""
 MOST_BATCHES = 8
@@ -238,42 +241,52 @@ def _sha256(path: str) -> str:
 # --- on a worker -----------------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class Chunk:
+    """Rows of a scenario, by their numbers, with their values (m, columns) and seeds, and the budget of each."""
+
+    scenario: int
+    numbers: Array
+    table: Array
+    seeds: Array
+    budget: int | None
+
+    def row(self, k: int) -> Chunk:
+        numbers, table, seeds = (array[k : k + 1] for array in (self.numbers, self.table, self.seeds))
+        return replace(self, numbers=numbers, table=table, seeds=seeds)
+
+
 def _same(job: Job) -> Job:
     return job
 
 
-def _run(
-    job: Job, scenario: int, numbers: Array, table: Array, seeds: Array, budget: int | None
-) -> tuple[BatchRows, float]:
-    """Rows of a scenario, and how many seconds they took once all was compiled."""
-    batch, margins = job.made(scenario)
+def _run(job: Job, chunk: Chunk) -> tuple[BatchRows, float]:
+    """What became of rows, and how many seconds they took once all was compiled."""
+    batch, margins = job.made(chunk.scenario)
     begun = time.perf_counter()
-    rows = batch(table, seeds=seeds, threads=1, budget=budget)
-    rows = rows if margins is None else margins.beside(rows, batch, table, seeds)
+    rows = batch(chunk.table, seeds=chunk.seeds, threads=1, budget=chunk.budget)
+    rows = rows if margins is None else margins.beside(rows, batch, chunk.table, chunk.seeds)
     seconds = time.perf_counter() - begun
     if rows.interrupted:
         raise OSError("a worker was interrupted")
     if job.put is not None:
         job.put.write({
-            "varied": dict(zip(job.names, table.T, strict=True)), "scenario": np.full(len(rows), scenario),
-            "number": numbers, "seeds": seeds, "status": rows.status, "messages": rows.messages, "steps": rows.steps,
-            "measures": rows.measures, "t": rows.t, "signals": rows.signals,
+            "varied": dict(zip(job.names, chunk.table.T, strict=True)), "number": chunk.numbers, "seeds": chunk.seeds,
+            "scenario": np.full(len(rows), chunk.scenario), "status": rows.status, "messages": rows.messages,
+            "steps": rows.steps, "measures": rows.measures, "t": rows.t, "signals": rows.signals,
         })  # fmt: skip
         rows = replace(rows, t=np.empty(0), signals={})
     return rows, seconds
 
 
-def _run_apart(
-    job: Job, scenario: int, numbers: Array, table: Array, seeds: Array, budget: int | None
-) -> list[BatchRows]:
+def _run_apart(job: Job, chunk: Chunk) -> list[BatchRows]:
     """Each row in a process of its own, which may die."""
     made = []
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    for k in range(len(numbers)):
-        one = slice(k, k + 1)
+    for k in range(len(chunk.numbers)):
         with tempfile.TemporaryDirectory() as place:
-            path = Path(place) / "rows"
-            path.write_bytes(pickle.dumps((job, scenario, numbers[one], table[one], seeds[one], budget)))
+            path = Path(place) / "row"
+            path.write_bytes(pickle.dumps((job, chunk.row(k))))
             command = f"from {__name__} import serve; serve({str(path)!r})"
             status = subprocess.run([sys.executable, "-c", command], env=environment, check=False).returncode
             made.append(job.failed(status) if status else pickle.loads(path.read_bytes())[0])
@@ -281,7 +294,7 @@ def _run_apart(
 
 
 def serve(path: str) -> None:
-    """Run what a file says, and write what came out in its place."""
+    """Run the row of a file, and write what became of it in its place."""
     place = Path(path)
     place.write_bytes(pickle.dumps(_run(*pickle.loads(place.read_bytes()))))
 
@@ -289,23 +302,12 @@ def serve(path: str) -> None:
 # --- at home ---------------------------------------------------------------------------------------------------
 
 
-class Made(Protocol):
-    """Takes rows that are done. status: (scenarios * n,), the n rows of a scenario after those of the one before."""
-
-    n: int
-    status: Array
-
-    def take(self, at: Array, rows: Any) -> None: ...
-
-    def keep(self, at: Array, rows: BatchRows) -> None: ...
-
-
 def run_on(
     on: Any,
     job: Job,
     table: Array,
     seeds: Array,
-    made: Made,
+    made: Any,
     *,
     budget: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -315,8 +317,8 @@ def run_on(
     """Run the rows that are "left" on the workers of a client; False where Ctrl-C ended it.
 
     on: a `distributed.Client`, or the address of a scheduler. table, seeds: (n, columns) and (n,) of the rows, alike in
-    all scenarios. resume: take what is in the folder of `job.put`. size: of chunks in rows; None: SECONDS of work.
-    Raises what a worker refuses, UsageError (E501, E504, E506).
+    all scenarios. made: takes rows that are done (`sweep_run`). resume: take what is in the folder of `job.put`. size:
+    of chunks in rows; None: SECONDS of work. Raises what a worker refuses, UsageError (E501, E504, E506).
     """
     distributed = optional("distributed", "on", "dask")
     client = on
@@ -331,58 +333,60 @@ def run_on(
         cure = "Give a distributed.Client that waits, or the address of a scheduler."
         raise UsageError(Fault("E501", "on", f"{on!r} is no client of dask.distributed.", cure))
 
-    def submit(chunk: Array, task: Callable[..., Any]) -> Any:
-        scenario, numbers = int(chunk[0]) // made.n, chunk % made.n
-        future = client.submit(task, held, scenario, numbers, table[numbers], seeds[numbers], budget, pure=False)
-        under_way[future] = chunk, task
+    def submit(at: Array, task: Callable[..., Any]) -> Any:
+        scenario, numbers = int(at[0]) // made.n, at % made.n
+        chunk = Chunk(scenario, numbers, table[numbers], seeds[numbers], budget)
+        future = client.submit(task, held, chunk, pure=False)
+        under_way[future] = at, task
         return future
-
-    def tell() -> None:
-        if progress is not None:
-            progress(int(np.count_nonzero(made.status != "left")), len(made.status))
 
     under_way: dict[Any, tuple[Array, Callable[..., Any]]] = {}
     held: Any = None
     try:
         for rows in job.put.found(resume=resume) if job.put is not None else ():
             made.take(rows.scenario * made.n + rows.number, rows)
-        tell()
         # A task of its own: it goes to each worker once, from another one that has it, and is made again when lost.
         held = client.submit(_same, job, pure=False)
         left, done = np.flatnonzero(made.status == "left"), distributed.as_completed()
-        count, seconds, now = 0, 0.0, 1
-        while len(left) or under_way:
-            most = 2 * max(1, sum(client.nthreads().values()))
-            while len(left) and len(under_way) < most:
-                chunk = left[: size or now]
-                chunk = chunk[chunk // made.n == chunk[0] // made.n]
-                left = left[len(chunk) :]
-                done.add(submit(chunk, _run))
+        ready = len(made.status) - len(left)
+        count, seconds, now, threads, asked = 0, 0.0, 1, 1, -math.inf
+        while True:
+            if progress is not None:
+                progress(ready, len(made.status))
+            if not len(left) and not under_way:
+                return True
+            if time.monotonic() - asked > 1.0:
+                threads, asked = max(1, sum(client.nthreads().values())), time.monotonic()
+            while len(left) and len(under_way) < 2 * threads:
+                at = left[: size or now]
+                at = at[at // made.n == at[0] // made.n]
+                left = left[len(at) :]
+                done.add(submit(at, _run))
             future = next(done)
-            chunk, task = under_way.pop(future)
+            at, task = under_way.pop(future)
             try:
                 ended = future.result()
             except distributed.KilledWorker:
                 if task is _run:
-                    done.add(submit(chunk, _run_apart))
+                    done.add(submit(at, _run_apart))
                     continue
-                ended = [job.failed(0)] * len(chunk)  # not even a process of its own helps
+                ended = [job.failed(-9)] * len(at)  # not even processes of their own help
             except (distributed.CancelledError, OSError) as error:
                 cure = "Begin it again: with out=, it goes on with the rows that are left."
                 message = f"dask gave rows up: {one_line(str(error)).rstrip('.')}."
                 raise UsageError(Fault("E501", "on", message, cure)) from None
             if isinstance(ended, tuple):
-                made.keep(chunk, ended[0])
-                count, seconds = count + len(chunk), seconds + ended[1]
-                now = max(1, min(GROWTH * now, int(SECONDS * count / max(seconds, 1e-6))))
+                made.keep(at, ended[0])
+                count, seconds = count + len(at), seconds + ended[1]
+                low, high = (bound * count / max(seconds, 1e-6) for bound in SECONDS)
+                now = max(1, int(min(GROWTH * now, high, max(low, len(left) / (SHARE * threads)))))
             else:
                 for k, rows in enumerate(ended):
-                    made.keep(chunk[k : k + 1], rows)
-            tell()
+                    made.keep(at[k : k + 1], rows)
+            ready += len(at)
     except KeyboardInterrupt:
         return False
     finally:
         client.cancel([*under_way])
         if client is not on:
             client.close()
-    return True

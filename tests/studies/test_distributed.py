@@ -29,6 +29,7 @@ from blocks import (
     fmu,
     output,
 )
+from blocks.cli import main
 from blocks.studies import distributed as module
 from blocks.studies.distributed import Job
 from tests.studies.test_sweep import VARY, asked, assert_same, noisy
@@ -216,3 +217,17 @@ def test_workers_write_the_rows_with_their_signals_and_a_sweep_goes_on_from_them
         noisy().sweep(VARY, **ASKED, on=client, out=str(place), budget=1000)
     noisy().sweep(VARY, **ASKED, on=client, out=str(place), budget=1000, resume=False)
     assert len(list(place.glob("*.parquet"))) == 6
+
+
+def test_the_command_gives_by_the_address_of_a_scheduler_what_it_gives_here(
+    client: distributed.Client, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "noisy.json"
+    noisy().save(path)
+    words = ["sweep", str(path), "--vary", "k=normal:2,0.3", "--n", "5", "--out"]
+    address = str(client.scheduler_info()["address"])
+    assert main([*words, str(tmp_path / "here.parquet")]) == 0
+    here = capsys.readouterr().out.replace("here", "far")
+    assert main([*words, str(tmp_path / "far.parquet"), "--dask", address]) == 0
+    assert capsys.readouterr().out == here
+    assert_same(Sweep.load(tmp_path / "here.parquet"), Sweep.load(tmp_path / "far.parquet"))
