@@ -116,6 +116,8 @@ def _sweep(options: argparse.Namespace) -> int:
     _report(options, sweep, time.perf_counter() - begun)
     if options.plot and sweep.counts().get("ok"):
         plots.save(sweep.plot(), options.plot)
+        if not options.json:
+            print(printable(f"  figure in {options.plot}"))
     if sweep.interrupted:
         kept = f"; the same command goes on from {options.out}{'.part' * is_file}" if options.out else ""
         say(f"interrupted: {counted(sweep.counts().get('left', 0), 'row')} not run{kept}")
@@ -128,8 +130,6 @@ def _report(options: argparse.Namespace, sweep: Sweep, seconds: float) -> None:
         print(printable(sweep.table()))
         if options.out:
             print(printable(f"  {counted(len(sweep), 'row')} in {options.out}"))
-        if options.plot and sweep.counts().get("ok"):
-            print(printable(f"  figure in {options.plot}"))
         return
     for name, part in sweep.each_scenario():
         quantiles = {measure: values.tolist() for measure, values in part.quantiles().items()}

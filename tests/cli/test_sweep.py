@@ -115,8 +115,8 @@ def test_a_sweep_without_a_row_that_ran_says_so(capsys: pytest.CaptureFixture[st
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path: Path) -> None:
     out = tmp_path / "rows.parquet"
-    words = [sys.executable, "-m", "blocks", "sweep", MOTOR, "--vary", "kp=uniform:10,20", "--n", "600"]
-    words += ["--engine", "native", "--set", "control.Tf=0.002", "--out", str(out)]
+    words = [sys.executable, "-m", "blocks", "sweep", MOTOR, "--vary", "kp=uniform:10,20", "--n", "400"]
+    words += ["--engine", "native", "--set", "control.Tf=0.01", "--out", str(out)]
     run = subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     part = Path(f"{out}.part")
@@ -133,6 +133,6 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path: Path) 
     assert again.returncode == 0, again.stderr
     assert "rows are there already" in again.stderr
     whole = Sweep.load(out)
-    assert whole.counts() == {"ok": 600}
+    assert whole.counts() == {"ok": 400}
     done = half.status == "ok"
     np.testing.assert_array_equal(half.measures["ITAE"][done], whole.measures["ITAE"][done])
