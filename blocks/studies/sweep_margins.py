@@ -76,13 +76,14 @@ class Margin:
         known = seen.margins(self)
         if not known.stable:
             shown = ", ".join(f"{pole:.4g}" for pole in known.unstable[:3])
-            raise AnalysisError(Fault("E705", self.loop, f"the closed loop is not stable (poles {shown})."))
+            message, cure = f"the closed loop is not stable (poles {shown}).", "Only stable loops have margins."
+            raise AnalysisError(Fault("E705", self.loop, message, cure))
         value = _BY_LOOP[self.type](known)
         if value is None and self.type in _ENDLESS and not (known.several_rates and self.type == "delay_margin"):
             return np.inf
         if value is None or np.isnan(value):
             what = "a loop of several rates has none" if known.several_rates else "the loop has none"
-            raise AnalysisError(Fault("E705", self.loop, f"{what} ({self.type})."))
+            raise AnalysisError(Fault("E705", self.loop, f"{what} ({self.type}).", "Ask for another margin."))
         return float(value)
 
 
@@ -191,7 +192,8 @@ def _of_poles(kind: str, model: Transfer) -> float:
         with np.errstate(divide="ignore", invalid="ignore"):
             roots = np.log(roots) / model.dt
     if not len(roots):
-        raise AnalysisError(Fault("E705", model.name, "there are no poles on the way."))
+        cure = "Name an input that passes a state on its way."
+        raise AnalysisError(Fault("E705", model.name, "there are no poles on the way.", cure))
     if kind == "slowest_pole":
         return float(roots.real.max())
     sizes = np.abs(roots)

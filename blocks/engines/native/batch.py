@@ -167,6 +167,7 @@ def _why(plan: Plan, kept: dict[str, Array], i: int) -> Fault:
     """Why a row came to no end, in brief: a run of its own tells more."""
     t, status = float(kept["ended"][i]), int(kept["status"][i])
     if status == _NO_MEMORY:
-        return Fault("E311", plan.name, f"no memory is left, at t = {t:.10g} s.")
+        cure = "Run fewer rows at once (threads=1), or log less."
+        return Fault("E311", plan.name, f"no memory is left, at t = {t:.10g} s.", cure)
     cure = "Run the row by itself, which tells more."
     return in_brief(plan, int(kept["failure"][i]), int(kept["culprit"][i]), t, cure)
