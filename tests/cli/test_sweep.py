@@ -112,6 +112,7 @@ def test_a_sweep_without_a_row_that_ran_says_so(capsys: pytest.CaptureFixture[st
 
 
 @NATIVE
+@pytest.mark.long
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path: Path) -> None:
     out = tmp_path / "rows.parquet"
