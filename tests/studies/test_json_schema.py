@@ -103,7 +103,7 @@ def test_a_schema_is_one_by_its_metaschema_and_has_no_word_that_means_nothing(ki
     known |= {"properties", "patternProperties", "additionalProperties", "propertyNames", "required", "items"}
     known |= {"anyOf", "oneOf", "allOf", "not", "if", "then", "else", "dependentRequired", "pattern", "minLength"}
     known |= {"maxLength", "minItems", "maxItems", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"}
-    known |= {"minProperties"}
+    known |= {"minProperties", "maxProperties"}
     for node in schemas(made):
         assert set(node) <= known
         if "$ref" in node:
@@ -176,7 +176,7 @@ def test_every_key_has_a_valid_form(tmp_path: Path) -> None:
 
     known = {key for kind in (g.DIAGRAM, g.BLOCK, g.VARIANT, g.INPUT, g.RUN, g.MEASURE) for key in kind.keys}
     assert {*known, *g.TABLE} - {"fmu", *g.OPTIONS} <= set(keys(CONTROLLED))
-    of_study = (s.STUDY, s.ONE_RUN, s.CLAIM, s.FIGURE, s.PANEL, s.MARKER)
+    of_study = (s.STUDY, s.ONE_RUN, s.CLAIM, s.FIGURE, s.PANEL, s.MARKER, s.ONE_SWEEP, s.MARGIN, s.SWEEP_FIGURE)
     assert {key for kind in of_study for key in kind.keys} <= set(keys(STUDY))
 
 
