@@ -34,6 +34,7 @@ from blocks.model.settings import read_settings
 from blocks.model.values import value_of
 from blocks.model.variants import taken
 from blocks.studies import json_schema, study
+from blocks.studies.study_sweeps import StudySweep
 from blocks.text.errors import BlocksError
 from blocks.text.units import parse
 from tests.support.documents import CONTROLLED, NESTED, SHIPPED, STUDY, diagrams, document, mutated
@@ -440,9 +441,11 @@ def judged_study(source: dict[str, Any], folder: Path) -> tuple[bool, set[str]]:
     path.write_text(json.dumps(source), encoding="utf-8")
     try:
         made = study.load(path)
-        for run in made.runs:
-            values = [value_of(raw, "", {}) for raw in run.parameters.values()]
-            if len(values) != len(run.parameters) or read_settings(run.settings)[1]:
+        for run in made.all_runs:
+            tables = [run.parameters, *(run.scenarios.values() if isinstance(run, StudySweep) else ())]
+            for raw in (raw for table in tables for raw in table.values()):
+                value_of(raw, "", {})
+            if read_settings(run.settings)[1]:
                 return False, {""}
     except BlocksError as error:
         return False, {fault.code for fault in error.faults}
