@@ -102,14 +102,22 @@ MARGIN = Object(
     Field("held", Table(AnyOf(NUMBER, FLAG, ListOf(NUMBER)), Text(refers="input")), "Values of its inputs."),
     Field("at", TIME, "The time at which the row is linearized, as it stands then in a run; left out: its start."),
     Field("pade", Scalar(low=0, high=20, is_whole=True), "The order of the models of exact delays.", 0),
-    rules=[Rule(_margin)],
+    rules=[Rule(_margin, lambda _: {
+        "oneOf": [
+            {"required": ["loop"], "not": {"anyOf": [{"required": ["from"]}, {"required": ["to"]}]}},
+            {"required": ["from", "to"], "not": {"required": ["loop"]}},
+        ],
+        "if": {"required": ["from"]},
+        "then": {"properties": {"type": {"enum": [*_OF_ENDS]}}},
+    })],
     what='an object such as {"type": "gain_margin", "loop": "control.u"}',
     name="margin",
     doc="A margin, a pole or a bandwidth of each row, by linearizing it.",
 )  # fmt: skip
+_SUCH = 'a list of values, or such as {"normal": [0.27, 0.02]}'
 _VARIED = AnyOf(
-    ListOf(AnyOf(PLAIN, QUANTITY), 1), Table(AnyOf(ListOf(NUMBER), Table(NUMBER)), least=1),
-    what='a list of values, or such as {"normal": [0.27, 0.02]}', name="varied",
+    ListOf(AnyOf(PLAIN, QUANTITY), 1), Table(AnyOf(ListOf(NUMBER), Table(NUMBER)), least=1, most=1, what=_SUCH),
+    what=_SUCH, name="varied",
     doc="Values in the unit of the parameter: a list; linspace, geomspace [from, to, count]; normal [mean, deviation]; "
     "uniform, loguniform [low, high]; triangular [low, mode, high]; truncatednormal [mean, deviation, low, high]; or "
     'a distribution of scipy.stats with its parameters, {"lognorm": {"s": 0.3, "scale": 2}}.',
@@ -172,11 +180,13 @@ def _claim(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
         if ("runs" in value) != ("as" in value):
             what = 'two runs are compared "as" a "reduction" or an "increase"; one run has no "as".'
             told.fault("E004", path, what)
+    if "sweep" not in value and {*_STATISTICS, "scenario"} & value.keys():
+        told.fault("E009", path, f'{", ".join(_STATISTICS)} and scenario are of a "sweep".')
     limits = [key for key in _LIMITS if key in value]
     if limits:
         if len(limits) > 1 or "published" in value or "tolerance" in value:
             told.fault("E009", path, 'a claim has one of "at_most", "at_least" and "published" with its "tolerance".')
-        if value.get("expect") not in ("holds", "fails"):
+        if value.get("expect", "reproduced") in ("reproduced", "not reproduced"):
             told.fault("E009", path, 'a claim with a limit states what to "expect": "holds" or "fails".')
     elif "published" not in value:
         if "expect" in value or "tolerance" in value:
@@ -185,7 +195,7 @@ def _claim(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
     else:
         if "tolerance" not in value:
             told.fault("E009", path, 'a claim states its "tolerance" between 0 and 1, as in 0.05.')
-        if value.get("expect") not in ("reproduced", "not reproduced"):
+        if value.get("expect", "holds") in ("holds", "fails"):
             told.fault("E009", path, 'a claim states what to "expect": "reproduced" or "not reproduced".')
     if value.get("expect") in ("not reproduced", "fails") and not (isinstance(reason, str) and reason):
         what = 'a number that is "not reproduced"' if value["expect"] != "fails" else "a limit that fails"

@@ -63,8 +63,6 @@ class StudySweep:
         vary: dict[Any, Any] = {}
         for name, raw in self.vary.items():
             pattern = re.fullmatch(r"each\((.*)\)", name)
-            if isinstance(raw, Mapping) and len(raw) != 1:
-                raise UsageError(Fault("E501", name, "one name says how it varies.", 'As in {"normal": [0.27, 0.02]}.'))
             if isinstance(raw, Mapping):
                 (kind, given), *_ = raw.items()
                 values = named_values(name, kind, plain(given))

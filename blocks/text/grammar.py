@@ -378,11 +378,13 @@ class Table(Kind):
     what: str = field(default="an object {...}", kw_only=True)
     tells: bool = field(default=True, kw_only=True)
     least: int = field(default=0, kw_only=True)
+    most: int | None = field(default=None, kw_only=True)
     reserved: tuple[str, str] | None = field(default=None, kw_only=True)
     types = (dict,)
 
     def check(self, value: Any, path: Steps, told: Told) -> None:
-        if not isinstance(value, dict):
+        is_full = self.most is not None and isinstance(value, dict) and not self.least <= len(value) <= self.most
+        if not isinstance(value, dict) or is_full:
             return self.refuse(value, path, told)
         simple, names = self.kind.simple, self.names if self.tells else None
         for name, entry in value.items():
@@ -409,7 +411,8 @@ class Table(Kind):
         names: Schema = {} if self.names is None else self.names.body({})
         names = {word: end for word, end in names.items() if word != "type"}
         names |= {} if self.reserved is None else {"not": {"const": self.reserved[0]}}
-        words = {"minProperties": self.least, "propertyNames": names, "additionalProperties": self.kind.schema(defs)}
+        words = {"minProperties": self.least, "maxProperties": self.most, "propertyNames": names}
+        words["additionalProperties"] = self.kind.schema(defs)
         return {"type": "object"} | {word: value for word, value in words.items() if value}
 
 

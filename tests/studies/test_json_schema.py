@@ -34,6 +34,7 @@ from blocks.model.settings import read_settings
 from blocks.model.values import value_of
 from blocks.model.variants import taken
 from blocks.studies import json_schema, study
+from blocks.studies.study_sweeps import StudySweep
 from blocks.text.errors import BlocksError
 from blocks.text.units import parse
 from tests.support.documents import CONTROLLED, NESTED, SHIPPED, STUDY, diagrams, document, mutated
@@ -103,7 +104,7 @@ def test_a_schema_is_one_by_its_metaschema_and_has_no_word_that_means_nothing(ki
     known |= {"properties", "patternProperties", "additionalProperties", "propertyNames", "required", "items"}
     known |= {"anyOf", "oneOf", "allOf", "not", "if", "then", "else", "dependentRequired", "pattern", "minLength"}
     known |= {"maxLength", "minItems", "maxItems", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"}
-    known |= {"minProperties"}
+    known |= {"minProperties", "maxProperties"}
     for node in schemas(made):
         assert set(node) <= known
         if "$ref" in node:
@@ -176,7 +177,7 @@ def test_every_key_has_a_valid_form(tmp_path: Path) -> None:
 
     known = {key for kind in (g.DIAGRAM, g.BLOCK, g.VARIANT, g.INPUT, g.RUN, g.MEASURE) for key in kind.keys}
     assert {*known, *g.TABLE} - {"fmu", *g.OPTIONS} <= set(keys(CONTROLLED))
-    of_study = (s.STUDY, s.ONE_RUN, s.CLAIM, s.FIGURE, s.PANEL, s.MARKER)
+    of_study = (s.STUDY, s.ONE_RUN, s.CLAIM, s.FIGURE, s.PANEL, s.MARKER, s.ONE_SWEEP, s.MARGIN, s.SWEEP_FIGURE)
     assert {key for kind in of_study for key in kind.keys} <= set(keys(STUDY))
 
 
@@ -440,9 +441,11 @@ def judged_study(source: dict[str, Any], folder: Path) -> tuple[bool, set[str]]:
     path.write_text(json.dumps(source), encoding="utf-8")
     try:
         made = study.load(path)
-        for run in made.runs:
-            values = [value_of(raw, "", {}) for raw in run.parameters.values()]
-            if len(values) != len(run.parameters) or read_settings(run.settings)[1]:
+        for run in made.all_runs:
+            tables = [run.parameters, *(run.scenarios.values() if isinstance(run, StudySweep) else ())]
+            for raw in (raw for table in tables for raw in table.values()):
+                value_of(raw, "", {})
+            if read_settings(run.settings)[1]:
                 return False, {""}
     except BlocksError as error:
         return False, {fault.code for fault in error.faults}

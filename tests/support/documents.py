@@ -176,12 +176,29 @@ STUDY = {
         },
         "b": {"diagram": "d.json"},
     },
+    "sweeps": {
+        "c": {
+            "diagram": "d.json", "parameters": {"k": 1}, "variants": {"m": "fmu"}, "settings": {"rtol": 1e-5},
+            "doc": "x",
+            "vary": {"a": [1, {"value": 2, "unit": "s"}], "b*.k": {"normal": [0, 1]}, "each(p)": {"lognorm": {"s": 1}}},
+            "n": 10, "sampler": "sobol", "seed": 1, "measures": ["m"], "log": ["s"], "budget": 100,
+            "scenarios": {"q": {}, "h": {"k": 2}},
+            "margins": {
+                "gm": {"type": "gain_margin", "loop": "u", "openings": ["v"], "amplitude": {"e": 0.1}, "at": 1,
+                       "pade": 2, "sigma": {"e": {"value": 1, "unit": "V"}}, "overrides": {"q": 1}, "held": {"r": 1}},
+                "bw": {"type": "bandwidth", "from": "r", "to": "y"},
+            },
+        },
+    },
     "assumed": [{"what": "w", "why": "y", "contradicts": "c"}],
     "claims": [
         {"run": "a", "measure": "m", "published": 1.5, "unit": "V", "source": "t", "tolerance": 0.1,
          "expect": "not reproduced", "reason": "r"},
         {"runs": ["a", "b"], "as": "increase", "measure": "m"},
         {"run": "b", "measure": "m", "x-a": 1},
+        {"sweep": "c", "scenario": "q", "measure": "m", "share": 0.9, "at_most": 1, "expect": "holds"},
+        {"sweep": "c", "measure": "gm", "quantile": 0, "at_least": 1, "expect": "fails", "reason": "r"},
+        {"sweep": "c", "measure": "m", "statistic": "mean", "published": 1, "tolerance": 0.1, "expect": "reproduced"},
     ],
     "figures": [
         {
@@ -193,7 +210,9 @@ STUDY = {
                     "band": [0, 1], "inset": [0, 1, 0, 1], "log": True, "height": 2,
                 }
             ],
-        }
+        },
+        {"name": "g", "title": "t", "doc": "d", "sweep": "c", "scenario": "q", "of": "m", "against": ["a", "b"],
+         "kind": "heat map", "bins": 9},
     ],
 }  # fmt: skip
 
