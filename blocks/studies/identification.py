@@ -23,10 +23,10 @@ from ..results import plots
 from ..results.results import Results
 from ..text.csv_text import read_columns
 from ..text.errors import Fault, SimulationError, UsageError, did_you_mean
-from ..text.printable import legible
+from ..text.printable import aligned, legible
 from .gains_file import written
 from .search_space import Space
-from .tuned import aligned, short
+from .tuned import short
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
@@ -83,8 +83,8 @@ class Fit:
             told = f"{most[2]:+.3f} with {most[1]}" if most else "-"
             rows.append((name, short(self.nominal[name]), short(value), self.units[name] or "-",
                          f"{short(low)} ... {short(high)}", told))  # fmt: skip
-        signals: list[tuple[str, ...]] = [(name, short(value)) for name, value in self.deviations.items()]
-        return f"{aligned(head, rows)}\n\n{aligned(('signal', 'deviation of residuals'), signals)}"
+        signals = [("signal", "deviation of residuals"), *((name, short(x)) for name, x in self.deviations.items())]
+        return "\n".join([*aligned([head, *rows]), "", *aligned(signals)])
 
     def write(self, path: str | Path) -> Edit:
         """Put the estimates into the diagram file, as `Tuning.write` does."""

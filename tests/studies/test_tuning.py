@@ -233,7 +233,7 @@ def test_the_command_tunes_writes_and_reports(tmp_path: Path, capsys: pytest.Cap
     path = tmp_path / "loop.json"
     noisy().save(path)
     command = ["tune", str(path), "--minimize", "quiet.IAE", "--over", "k=1,50", "--stop", "2", "--method", "de"]
-    command += ["--scenario", "quiet:", "--scenario", "noisy: sigma=0.1", "--subject-to", "noisy.variation <= 300"]
+    command += ["--scenario", "quiet:", "--scenario", "noisy:sigma=0.1", "--subject-to", "noisy.variation <= 300"]
     command += ["--budget", "10", "--write", "--report", str(tmp_path / "report"), "--json"]
     assert main(command) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
