@@ -119,6 +119,7 @@ def fit(
     compare: Mapping[str, str],
     level: float = 0.95,
     interpolation: str = "linear",
+    inputs: Mapping[str, Any] | None = None,
     parameters: Mapping[str, Any] | None = None,
     variants: Mapping[str, str] | None = None,
     engine: str | None = None,
@@ -134,14 +135,15 @@ def fit(
     varied = columns_of(list(over), value, diagram.flatten(parameters=parameters, variants=variants))
     t = columns["time"]
     measured = {signal: columns[column] for signal, column in compare.items()}
-    inputs = {name: (t, columns[name], interpolation) for name in value.inputs if name in columns}
+    tracks = {name: (t, columns[name], interpolation) for name in value.inputs if name in columns}
+    tracks = {**tracks, **(inputs or {})}
     grid = _grid(diagram, t, settings)
     model = diagram.prepare(
         parameters=parameters, variants=variants, engine=engine, trust=trust, log=list(compare), **settings, **grid
     )
 
     def run(values: Array | None) -> Results:
-        return model.run(parameters={} if values is None else raw_values(varied, values.tolist()), inputs=inputs)
+        return model.run(parameters={} if values is None else raw_values(varied, values.tolist()), inputs=tracks)
 
     before = run(None)
     known = {name: np.isfinite(data) for name, data in measured.items()}
