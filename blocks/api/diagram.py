@@ -606,6 +606,7 @@ class Diagram:
         compare: Mapping[str, str],
         level: float = 0.95,
         interpolation: str = "linear",
+        inputs: Mapping[str, Any] | None = None,
         parameters: Mapping[str, Any] | None = None,
         engine: str | None = None,
         variants: Mapping[str, str] | None = None,
@@ -618,7 +619,8 @@ class Diagram:
         one of the name of each input of the diagram that was recorded; further ones are left out. compare: by signal
         the column with its measured values, in the unit of the signal; nan where there are none. Residuals are taken at
         the times of the data, which the run hits; the run ends with the data. over: as of `Diagram.tune`. level: of the
-        intervals. interpolation: of recorded inputs, "linear" or "hold". The others as of `Diagram.run`.
+        intervals. interpolation: of recorded inputs, "linear" or "hold". inputs: of the run, beside those. The others
+        as of `Diagram.run`.
 
         The search begins at the values of the diagram and is local (SciPy's trust region): begin near the truth.
         Residuals of several signals are weighed by their deviations, which a first fit estimates. Errors and intervals
@@ -629,8 +631,8 @@ class Diagram:
         """
         return late(
             "fit", self, data,
-            over=over, compare=compare, level=level, interpolation=interpolation, parameters=parameters, engine=engine,
-            variants=variants, trust=trust, **settings,
+            over=over, compare=compare, level=level, interpolation=interpolation, inputs=inputs, parameters=parameters,
+            engine=engine, variants=variants, trust=trust, **settings,
         )  # fmt: skip
 
     # --- linear models -----------------------------------------------------------------------------------------

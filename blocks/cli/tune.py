@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
 from .apply import change_entry, change_line
 from .options import takes_json, takes_library, takes_parameters, takes_several, takes_trust, takes_variants
-from .output import emit, printable, say, tell_faults
-from .signals import INTERRUPTED
+from .output import Progress, emit, printable, say, tell_faults
+from .signals import INTERRUPTED, ended_at_once
+from .sweep import scenarios_of
 from .values import assignments, number_of, time_of, variants_of
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ def add(verbs: Any) -> None:
     tune.add_argument("--minimize", metavar="EXPR", required=True, help='over measures: "ITAE_right + 1e-3*ISU_right"')
     over = "the bounds of a parameter, a pattern (control_*.eso.Ka) or an element (pid.k[0]); again for more"
     takes_several(tune, "--over", "NAME=LOW,HIGH", over, required=True)
-    scenario = 'values of parameters that belong together, "noisy: sigma=0.001; stop=20 s"; again for more'
-    takes_several(tune, "--scenario", "NAME:KEY=VALUE;...", scenario, dest="scenarios")
+    scenario = "parameters under which every candidate runs, noisy:sigma=0.001,stop=20; quiet: for none; again for more"
+    takes_several(tune, "--scenario", "NAME:SETTINGS", scenario, dest="scenarios")
     takes_several(tune, "--subject-to", "CONSTRAINT", 'such as "noisy.variation <= 75"; again for more')
     tune.add_argument("--method", metavar="M", default="cma", help="cma (CMA-ES) or de (differential evolution)")
     tune.add_argument("--budget", metavar="N", default="500", help="how many candidates are run (default: 500)")
@@ -57,7 +57,7 @@ def _tune(options: argparse.Namespace) -> int:
     diagram = Diagram.load(options.diagram, library=options.library)
     problem = problem_of(
         diagram, minimize=options.minimize, over=dict(_bounds(item) for item in options.over),
-        scenarios=dict(_scenario(item) for item in options.scenarios), subject_to=options.subject_to,
+        scenarios=scenarios_of(options.scenarios), subject_to=options.subject_to,
         method=options.method, budget=_whole("budget", options.budget), seed=_whole("seed", options.seed),
         parameters=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
         variants=variants_of(options.variants), trust=options.trust,
@@ -65,7 +65,18 @@ def _tune(options: argparse.Namespace) -> int:
     )  # fmt: skip
     tell_faults(problem.warnings, options.json)
     threads = None if options.threads is None else _whole("threads", options.threads)
-    tuning = problem.solve(threads=threads, progress=None if options.json else _Progress())
+    shown = Progress(options.json)
+
+    def told(done: int, total: int) -> None:
+        if done and shown.is_due() and not options.json:
+            text = f"{done} of {total} candidates  {shown.seconds * (total - done) / done:.0f} s left"
+            shown.show(done / total, text, text)
+
+    try:
+        tuning = problem.solve(threads=threads, progress=told)
+    finally:
+        shown.clear()
+    ended_at_once()
     return _told(options, tuning)
 
 
@@ -102,20 +113,6 @@ def _told(options: argparse.Namespace, tuning: Tuning) -> int:
     return 0 if tuning.is_feasible else 1
 
 
-class _Progress:
-    """A line on stderr every ten seconds."""
-
-    def __init__(self) -> None:
-        self.begun = self.said = time.perf_counter()
-
-    def __call__(self, done: int, total: int) -> None:
-        now = time.perf_counter()
-        if now - self.said > 10 and done:
-            self.said = now
-            left = (now - self.begun) * (total - done) / done
-            say(f"{done} of {total} candidates, {left:.0f} s left")
-
-
 def _whole(option: str, text: str) -> int:
     number = number_of(option, text)
     if isinstance(number, dict) or not float(number).is_integer():
@@ -133,13 +130,3 @@ def _bounds(item: str) -> tuple[str, tuple[float, float]]:
     if not separator or not name.strip():
         raise UsageError(Fault("E501", f"--over {item}", "is not NAME=LOW,HIGH.", 'As in --over "kp=1,100".'))
     return name.strip(), (low, high)
-
-
-def _scenario(item: str) -> tuple[str, dict[str, Any]]:
-    """NAME: KEY=VALUE; KEY=VALUE."""
-    name, _, text = (part.strip() for part in item.partition(":"))
-    if not name.isidentifier():
-        cure = 'As in --scenario "noisy: sigma=0.001; stop=20 s".'
-        raise UsageError(Fault("E501", f"--scenario {item}", "has no name of letters, digits and _.", cure))
-    given = [part.strip() for part in text.split(";") if part.strip()]
-    return name, assignments(f"--scenario {name}:", given, "sigma=0.001")

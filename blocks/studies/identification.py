@@ -23,10 +23,10 @@ from ..results import plots
 from ..results.results import Results
 from ..text.csv_text import read_columns
 from ..text.errors import Fault, SimulationError, UsageError, did_you_mean
-from ..text.printable import legible
+from ..text.printable import aligned, legible
 from .gains_file import written
 from .search_space import Space
-from .tuned import aligned, short
+from .tuned import short
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
@@ -83,8 +83,8 @@ class Fit:
             told = f"{most[2]:+.3f} with {most[1]}" if most else "-"
             rows.append((name, short(self.nominal[name]), short(value), self.units[name] or "-",
                          f"{short(low)} ... {short(high)}", told))  # fmt: skip
-        signals: list[tuple[str, ...]] = [(name, short(value)) for name, value in self.deviations.items()]
-        return f"{aligned(head, rows)}\n\n{aligned(('signal', 'deviation of residuals'), signals)}"
+        signals = [("signal", "deviation of residuals"), *((name, short(x)) for name, x in self.deviations.items())]
+        return "\n".join([*aligned([head, *rows]), "", *aligned(signals)])
 
     def write(self, path: str | Path) -> Edit:
         """Put the estimates into the diagram file, as `Tuning.write` does."""
@@ -119,6 +119,7 @@ def fit(
     compare: Mapping[str, str],
     level: float = 0.95,
     interpolation: str = "linear",
+    inputs: Mapping[str, Any] | None = None,
     parameters: Mapping[str, Any] | None = None,
     variants: Mapping[str, str] | None = None,
     engine: str | None = None,
@@ -134,14 +135,15 @@ def fit(
     varied = columns_of(list(over), value, diagram.flatten(parameters=parameters, variants=variants))
     t = columns["time"]
     measured = {signal: columns[column] for signal, column in compare.items()}
-    inputs = {name: (t, columns[name], interpolation) for name in value.inputs if name in columns}
+    tracks = {name: (t, columns[name], interpolation) for name in value.inputs if name in columns}
+    tracks = {**tracks, **(inputs or {})}
     grid = _grid(diagram, t, settings)
     model = diagram.prepare(
         parameters=parameters, variants=variants, engine=engine, trust=trust, log=list(compare), **settings, **grid
     )
 
     def run(values: Array | None) -> Results:
-        return model.run(parameters={} if values is None else raw_values(varied, values.tolist()), inputs=inputs)
+        return model.run(parameters={} if values is None else raw_values(varied, values.tolist()), inputs=tracks)
 
     before = run(None)
     known = {name: np.isfinite(data) for name, data in measured.items()}

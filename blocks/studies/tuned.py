@@ -15,6 +15,7 @@ from ..results import plots
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.errors import Fault
+from ..text.printable import aligned
 from .gains_file import written
 from .report import folder_for, page
 from .search_space import Space
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from ..api.diagram import Diagram
     from ..editing.edits import Edit
 
-__all__ = ["Candidates", "Condition", "Tuning", "aligned", "short"]
+__all__ = ["Candidates", "Condition", "Tuning", "short"]
 
 Array = np.ndarray[Any, Any]
 MOST_SIGNALS = 4
@@ -128,8 +129,7 @@ class Tuning:
 
     def table(self) -> str:
         """What was found, as text: values, measures before and after, constraints."""
-        parts = [aligned(head, rows) for head, rows in self.tables()]
-        return "\n\n".join(part for part in parts if part)
+        return "\n\n".join("\n".join(aligned([head, *rows])) for head, rows in self.tables() if rows)
 
     def markdown(self) -> str:
         """The same as Markdown tables."""
@@ -212,15 +212,6 @@ def _change(before: float, after: float) -> str:
     return _percent((after - before) / abs(before)) if before else "-"
 
 
-def aligned(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    """A table as text; "" where it has no rows."""
-    if not rows:
-        return ""
-    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
-    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in [head, *rows])
-    return "\n".join(line.rstrip() for line in lines)
-
-
 # --- figures and the report ------------------------------------------------------------------------------------
 
 
@@ -301,10 +292,11 @@ def _runs_figure(tuning: Tuning, scenario: str) -> Any:
     """Recorded signals of a scenario before and after; None where none was recorded."""
     before, after = tuning.before[scenario], tuning.after[scenario]
     read = {name for name in before.names if before[name].ndim == 1}
-    controlled = [spec["of"] for spec in tuning.diagram.to_json().get("measures", {}).values()]
-    names = [name for name in dict.fromkeys([*controlled, *before.names]) if name in read][:MOST_SIGNALS]
+    asked = " ".join([tuning.minimize, *(condition.text for condition in tuning.conditions)])
+    specs = sorted(tuning.diagram.to_json().get("measures", {}).items(), key=lambda item: item[0] not in asked)
+    names = [name for name in dict.fromkeys([*(spec["of"] for _, spec in specs), *before.names]) if name in read]
     parts = []
-    for name in names:
+    for name in names[:MOST_SIGNALS]:
         unit = f" [{before[name].unit}]" if before[name].unit else ""
         lines = (
             plots.Line(before.t, np.asarray(before[name]), "before", 0),

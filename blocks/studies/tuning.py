@@ -81,7 +81,10 @@ class Problem:
         start = self.space.cube(np.array(self.batch.nominal))
         # Optimisers compare fitnesses that may be infinite, or as large as numbers can be.
         with contextlib.suppress(Spent), np.errstate(all="ignore"):
-            METHODS[self.method](search, start, self.seed, self.budget)
+            try:
+                METHODS[self.method](search, start, self.seed, self.budget)
+            except KeyboardInterrupt:
+                search.is_interrupted = True
         return search.tuning()
 
     @property
@@ -289,15 +292,14 @@ class _Search:
         nominal = np.array(problem.batch.nominal)
         scaled = zip(problem.constraints, self.scales, strict=True)
         excess = sum(float(each.excess(before, scale)[0]) for each, scale in scaled)
-        index = history.best
-        if index is None:
+        index, has_own = history.best, not np.isnan(nominal).any()
+        if index is None and not has_own:
             message = f"none of {len(history.objective)} candidates has a number."
             cure = "Move the bounds towards values with which the diagram runs."
             raise UsageError(Fault("E501", problem.diagram.name, message, cure))
-        found = (history.excess[index], history.objective[index])
-        is_better = found < (excess, self.base) or not (math.isfinite(excess) and math.isfinite(self.base))
-        values = history.values[index] if is_better or np.isnan(nominal).any() else nominal
-        is_kept = not (is_better or np.isnan(nominal).any())
+        found = (math.inf, math.inf) if index is None else (history.excess[index], history.objective[index])
+        is_kept = index is None or (has_own and (excess, self.base) <= found)
+        values = nominal if index is None or is_kept else history.values[index]
         given = {} if is_kept else problem.batch.parameters(values.tolist())
         after = {name: problem.run(name, given) for name in problem.scenarios}
         conditions = []

@@ -41,7 +41,7 @@ from tests.support.places import ROOT
 
 Array = np.ndarray[Any, Any]
 
-OTHERS = ("study.json", "iadrc_fmu.json")  # a master steps the second one
+OTHERS = ("study.json", "tuned.json", "iadrc_fmu.json")  # a master steps the second one
 DIAGRAMS = sorted(path for path in (ROOT / "diagrams").rglob("*.json") if path.name not in OTHERS)
 SOLVE = {"loops": "solve"}
 

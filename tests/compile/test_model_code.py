@@ -66,7 +66,7 @@ from tests.support.library_variants import VARIANTS
 from tests.support.places import ROOT
 
 RUNTIME = ROOT / "blocks" / "compile" / "c" / "runtime"
-OTHERS = ("study.json", "iadrc_fmu.json")  # a master steps the second one
+OTHERS = ("study.json", "tuned.json", "iadrc_fmu.json")  # a master steps the second one
 DIAGRAMS = sorted(path for path in (ROOT / "diagrams").rglob("*.json") if path.name not in OTHERS)
 FLAGS = ["-std=c11", "-O1", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared"]
 STRICT = ["-Wall", "-Wextra", "-Werror", "-Wno-unused-function"]

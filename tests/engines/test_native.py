@@ -61,11 +61,12 @@ from blocks.engines import selection as engines
 from blocks.engines.native import engine as native_engine
 from blocks.engines.run.snapshot import frozen
 from blocks.library import LIBRARY
+from tests.support.documents import SHIPPED
 from tests.support.library_variants import VARIANTS
 from tests.support.marks import long_but
 from tests.support.places import ROOT
 
-DIAGRAMS = sorted(path for path in (ROOT / "diagrams").rglob("*.json") if path.name != "study.json")
+DIAGRAMS = SHIPPED
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 CLOSE = 1e-12
 

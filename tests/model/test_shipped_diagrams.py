@@ -11,10 +11,11 @@ from blocks.contract.resolution import resolve
 from blocks.library import LIBRARY
 from blocks.model import document
 from blocks.model.flatten import Flat
+from tests.support.documents import SHIPPED
 from tests.support.places import ROOT
 
 FOLDER = ROOT / "diagrams"
-FILES = sorted(path for path in FOLDER.rglob("*.json") if path.name != "study.json")
+FILES = SHIPPED
 PAPER = ("adrc", "iadrc")
 MEASURES = ["OPI_x", "OPI_y", "OPI_theta", "ITAE_right", "ISU_right", "ITAE_left", "ISU_left", "peak_e_theta"]
 

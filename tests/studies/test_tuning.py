@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,12 @@ from blocks.api.batch import Batch, BatchRows
 from blocks.cli import main
 from blocks.studies.objectives import constraints_of, objective_of
 from tests.support.places import ROOT
+
+
+@pytest.fixture(autouse=True)
+def native(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows run in threads by the native engine; by another one they run in processes, which start anew each time."""
+    monkeypatch.setenv("BLOCKS_ENGINE", "native")
 
 
 def function(text: str, **values: float) -> Diagram:
@@ -37,7 +42,7 @@ SHORT: dict[str, Any] = {"stop": 0.01}
 
 
 @pytest.fixture
-def calls(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, Any]]]:
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, Any]]:
     """The number of rows and the seeds of each call of a batch."""
     made: list[tuple[int, Any]] = []
     run = Batch.__call__
@@ -47,7 +52,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, Any]]]:
         return run(self, table, seeds=seeds, **options)
 
     monkeypatch.setattr(Batch, "__call__", noted)
-    yield made
+    return made
 
 
 @pytest.mark.parametrize(("method", "budget", "close"), [("cma", 400, 1e-3), ("de", 1200, 1e-3)])
@@ -65,7 +70,8 @@ def test_the_minimum_of_rosenbrocks_function_is_found(method: str, budget: int, 
 @pytest.mark.parametrize("method", ["cma", "de"])
 def test_a_budget_is_spent_to_the_candidate_in_every_scenario(method: str, calls: list[tuple[int, Any]]) -> None:
     tuning = rosenbrock().tune(
-        minimize="a.f + b.f", over={"x": BOX["x"]}, scenarios={"a": {}, "b": {"y": 2}}, method=method, budget=37, **SHORT
+        minimize="a.f + b.f", over={"x": BOX["x"]}, scenarios={"a": {}, "b": {"y": 2}}, method=method, budget=37,
+        **SHORT,
     )
     assert len(tuning.history.objective) == 37
     sensitivities = 2 * (2 * 1 + 1)
@@ -119,12 +125,12 @@ def test_a_tuning_that_noise_and_effort_do_not_hold_back_is_told(given: dict[str
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"minimize": "IEA"}, "minimize: the diagram has no measure 'IEA'. Did you mean 'IAE'?"),
-        ({"minimize": "nosy.IAE"}, "minimize: there is no scenario 'nosy'. Did you mean 'noisy'?"),
+        ({"minimize": "IEA"}, "minimize: the diagram has no measure \"IEA\". Did you mean 'IAE'?"),
+        ({"minimize": "nosy.IAE"}, "minimize: there is no scenario \"nosy\". Did you mean 'noisy'?"),
         ({"minimize": "late"}, "noisy.late: can have no number: has no value: its window"),
         ({"minimize": "IAE", "subject_to": ["noisy.late <= 1"]}, "noisy.late: can have no number"),
-        ({"minimize": "IAE", "subject_to": ["variation == 3"]}, "subject_to[0]: 'variation == 3' is no comparison"),
-        ({"minimize": "IAE", "subject_to": ["1 <= 2"]}, "subject_to[0]: '1 <= 2' reads no measure"),
+        ({"minimize": "IAE", "subject_to": ["variation == 3"]}, 'subject_to[0]: "variation == 3" is no comparison'),
+        ({"minimize": "IAE", "subject_to": ["1 <= 2"]}, 'subject_to[0]: "1 <= 2" reads no measure'),
         ({"minimize": "2 IAE"}, "A product is written with *."),
         ({"minimize": "IAE", "over": {"k": (5, 1)}}, "k: has no two bounds"),
         ({"minimize": "IAE", "over": {"gain": (1, 5)}}, "there is no such parameter"),
@@ -155,16 +161,25 @@ def test_objectives_and_constraints_mean_what_is_written() -> None:
 
 
 def test_the_best_value_lies_on_the_side_of_a_constraint_that_holds() -> None:
-    diagram = function("x", x=5.0)
-    diagram.add("square", Constant(value="=x**2"))
-    diagram.measure("g", "steady_state_error", "square.y")
+    def square(x: float) -> Diagram:
+        diagram = function("x", x=x)
+        diagram.add("square", Constant(value="=x**2"))
+        diagram.measure("g", "steady_state_error", "square.y")
+        return diagram
+
+    diagram = square(5.0)
     tuning = diagram.tune(minimize="f", over={"x": (0.01, 10.0)}, subject_to=["g >= 9"], budget=120, **SHORT)
     assert tuning.is_feasible
     assert 3.0 <= tuning.values["x"] < 3.01
     assert tuning.sensitivities["x"] == pytest.approx((-0.05, 0.05))
-    impossible = diagram.tune(minimize="f", over={"x": (0.01, 2.0)}, subject_to=["g >= 9"], budget=60, **SHORT)
-    assert not impossible.is_feasible
-    assert impossible.is_kept, "the diagram itself fulfils what no candidate does"
+    out_of_reach: dict[str, Any] = {"minimize": "f", "over": {"x": (0.01, 2.0)}, "subject_to": ["g >= 9"], "budget": 30}
+    kept = diagram.tune(**out_of_reach, **SHORT)
+    assert kept.is_kept, "the diagram itself fulfils what no candidate does"
+    assert kept.is_feasible
+    assert not kept.parameters
+    nearest = square(1.0).tune(**out_of_reach, **SHORT)
+    assert not nearest.is_feasible
+    assert nearest.values["x"] == pytest.approx(2.0, abs=0.01)
 
 
 def test_a_run_that_diverges_is_never_the_best_one() -> None:
@@ -218,7 +233,7 @@ def test_the_command_tunes_writes_and_reports(tmp_path: Path, capsys: pytest.Cap
     path = tmp_path / "loop.json"
     noisy().save(path)
     command = ["tune", str(path), "--minimize", "quiet.IAE", "--over", "k=1,50", "--stop", "2", "--method", "de"]
-    command += ["--scenario", "quiet:", "--scenario", "noisy: sigma=0.1", "--subject-to", "noisy.variation <= 300"]
+    command += ["--scenario", "quiet:", "--scenario", "noisy:sigma=0.1", "--subject-to", "noisy.variation <= 300"]
     command += ["--budget", "10", "--write", "--report", str(tmp_path / "report"), "--json"]
     assert main(command) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]

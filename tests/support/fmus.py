@@ -35,7 +35,7 @@ DIAGRAMS = ROOT / "diagrams"
 FILES = sorted(
     path.relative_to(DIAGRAMS).with_suffix("").as_posix()
     for path in DIAGRAMS.rglob("*.json")
-    if path.stem not in ("study", "iadrc_fmu")  # an FMU holds no FMUs
+    if path.stem not in ("study", "tuned", "iadrc_fmu")  # an FMU holds no FMUs
 )
 """Every diagram of the repository that can be exported, as "paper/robot"."""
 

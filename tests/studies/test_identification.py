@@ -1,0 +1,132 @@
+"""Identification: true values lie in their intervals as often as they should, and what the data do not say is told."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks import Diagram, Fit, PMDCMotor, UsageError
+
+TRUTH = {"motor.Ra": 0.2, "motor.La": 0.7, "motor.Jeq": 0.3, "motor.Beq": 0.35}
+OVER = {"motor.Ra": (0.05, 1.0), "motor.La": (0.2, 2.0), "motor.Jeq": (0.1, 1.0), "motor.Beq": (0.1, 1.0)}
+T = np.round(np.arange(0, 501) * 0.02, 12)
+V = np.select([T < 1, T < 5], [0.0, 6.0], -2.0)
+SPEED, CURRENT = 0.01, 0.05
+
+
+@pytest.fixture(autouse=True)
+def native(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows run in threads by the native engine; by another one they run in processes, which start anew each time."""
+    monkeypatch.setenv("BLOCKS_ENGINE", "native")
+
+
+def plant() -> Diagram:
+    diagram = Diagram("plant")
+    v, motor = diagram.input("v", unit="V"), diagram.add("motor", PMDCMotor())
+    diagram.wire(motor.v, v)
+    return diagram
+
+
+@cache
+def quiet() -> tuple[Any, Any]:
+    results = plant().run(parameters=TRUTH, inputs={"v": (T, V, "hold")}, stop=10.0, every=0.02, rtol=1e-9, atol=1e-12)
+    return np.asarray(results["motor.omega"]), np.asarray(results["motor.i"])
+
+
+def recorded(seed: int, *, keep: Any = slice(None)) -> dict[str, Any]:
+    """A noisy step."""
+    draw, (omega, i) = np.random.default_rng(seed), quiet()
+    omega, i = omega + SPEED * draw.standard_normal(len(T)), i + CURRENT * draw.standard_normal(len(T))
+    return {"time": T[keep], "v": V[keep], "speed": omega[keep], "current": i[keep]}
+
+
+def fitted(data: Any, over: Any = OVER, signals: tuple[str, ...] = ("omega", "i")) -> Fit:
+    columns = {"motor.omega": "speed", "motor.i": "current"}
+    compare = {f"motor.{name}": columns[f"motor.{name}"] for name in signals}
+    made: Fit = plant().fit(data, over=over, compare=compare, interpolation="hold")
+    return made
+
+
+def test_true_values_lie_in_95_percent_intervals_about_so_often() -> None:
+    fits = [fitted(recorded(seed)) for seed in range(8)]
+    inside = sum(fit.intervals[k][0] <= true <= fit.intervals[k][1] for fit in fits for k, true in TRUTH.items())
+    # 32 intervals: fewer than 27 inside has a probability of 0.2 % where 95 % are.
+    assert inside >= 27
+    for fit in fits:
+        assert not fit.warnings
+        assert fit.deviations == pytest.approx({"motor.omega": SPEED, "motor.i": CURRENT}, rel=0.15)
+    # The spread of the estimates is what their standard errors say (8 of them know it to a quarter or so).
+    for name in TRUTH:
+        spread = np.std([fit.values[name] for fit in fits], ddof=1)
+        assert 0.4 < spread / np.mean([fit.errors[name] for fit in fits]) < 2.0
+
+
+def test_intervals_are_those_of_linear_regression_where_the_model_is_linear_in_its_parameter() -> None:
+    from blocks import Gain
+
+    draw, t = np.random.default_rng(3), np.linspace(0, 5, 101)
+    u = np.sin(t)
+    y = 1.7 * u + 0.1 * draw.standard_normal(101)
+    fit = Diagram.alone(Gain(k=1)).fit(
+        {"time": t, "u": u, "y": y}, over={"Gain.k": (0.5, 3.0)}, compare={"Gain.y": "y"}
+    )
+    slope = u @ y / (u @ u)
+    error = np.sqrt(np.sum((y - slope * u) ** 2) / 100 / (u @ u))
+    assert fit.values["Gain.k"] == pytest.approx(slope, rel=5e-6), "six digits"
+    assert fit.errors["Gain.k"] == pytest.approx(error, rel=1e-5)
+    assert fit.intervals["Gain.k"][1] - slope == pytest.approx(1.983972 * error, rel=1e-4), "t of 100 degrees"
+
+
+def test_a_speed_alone_does_not_tell_four_parameters_apart() -> None:
+    fit = fitted(recorded(1), signals=("omega",))
+    (warning,) = fit.warnings
+    assert warning.code == "W502"
+    assert all(name in f"{warning.place}: {warning.message}" for name in TRUTH)
+    assert fit.intervals["motor.Ra"][0] < 0
+    three = fitted(recorded(1), {name: OVER[name] for name in list(OVER)[:1]}, signals=("omega",))
+    assert not three.warnings
+
+
+def test_what_has_no_effect_is_told() -> None:
+    over = {"motor.Ra": OVER["motor.Ra"], "motor.i_start": (-1e-9, 1e-9)}
+    codes = [(fault.code, fault.place) for fault in fitted(recorded(1), over).warnings]
+    assert ("W502", "motor.i_start") in codes
+
+
+def test_data_of_a_file_with_uneven_times_and_gaps_are_fitted_and_written(tmp_path: Path) -> None:
+    keep = np.sort(np.random.default_rng(5).choice(len(T), 300, replace=False))
+    data = recorded(2, keep=keep)
+    data["current"] = np.where(np.arange(300) % 7 == 0, np.nan, data["current"])
+    rows = [",".join(data), *(",".join("" if np.isnan(x) else repr(float(x)) for x in row)
+                              for row in zip(*data.values(), strict=True))]  # fmt: skip
+    (tmp_path / "step.csv").write_text("\n".join(rows))
+    plant().save(tmp_path / "plant.json")
+    fit = Diagram.load(tmp_path / "plant.json").fit(
+        tmp_path / "step.csv", over=OVER, compare={"motor.omega": "speed", "motor.i": "current"}, interpolation="hold"
+    )
+    # Inputs are held from row to row here, so that edges of the voltage lie up to some samples off.
+    for name, true in TRUTH.items():
+        assert fit.values[name] == pytest.approx(true, rel=0.25)
+    fit.write(tmp_path / "plant.json")
+    again = Diagram.load(tmp_path / "plant.json").flatten().blocks[0].resolved.values
+    assert {name: float(again[name.split(".")[1]].value) for name in fit.values} == pytest.approx(dict(fit.values))
+    assert "data - fit" in fit.plot().axes[1].get_ylabel()
+
+
+@pytest.mark.parametrize(
+    ("data", "compare", "said"),
+    [
+        ({"time": [0, 1, 2], "v": [0, 1, 2]}, {"motor.omega": "speed"}, "has no column speed"),
+        ({"time": [0, 2, 1], "v": [0, 1, 2], "speed": [0, 1, 2]}, {"motor.omega": "speed"}, "times must rise"),
+        ({"time": [0.0], "speed": [0.0]}, {"motor.omega": "speed"}, "fewer than two rows"),
+        ("nowhere.csv", {"motor.omega": "speed"}, "cannot be read"),
+        ({"time": [0, 1]}, {}, "names no signal"),
+    ],
+)
+def test_data_that_cannot_be_compared_are_refused(data: Any, compare: dict[str, str], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        plant().fit(data, over={"motor.Ra": (0.1, 1)}, compare=compare)
