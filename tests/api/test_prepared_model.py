@@ -27,7 +27,8 @@ from blocks import (
     subdiagram,
 )
 from blocks.text.errors import BlocksError
-from tests.support.documents import SHIPPED
+from tests.support.documents import SHIPPED, is_unlike
+from tests.support.marks import long_but
 
 ROOT = Path(__file__).parents[2]
 OUTSIDE = 2.0
@@ -75,7 +76,7 @@ def same(ours: Results, anew: Results) -> None:
 # --- the same bits -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", long_but(SHIPPED, is_unlike), ids=lambda path: path.stem)
 def test_runs_of_a_prepared_model_are_fresh_runs(path: Path) -> None:
     """Of all shipped diagrams: in turn, with other times, logs and parameters, and the first again."""
     diagram = Diagram.load(path)

@@ -728,7 +728,7 @@ def test_any_list_of_edits_does_what_it_says_and_is_undone_to_the_same_bytes(
         assert list(json.loads(new)) == list(documents.DIAGRAM.ordered(json.loads(new)))
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(DIAGRAMS), st.randoms(use_true_random=False))
 def test_after_removing_any_entries_nothing_names_them(path: Path, chance: random.Random) -> None:
     value = json.loads(path.read_text())
