@@ -428,6 +428,7 @@ def test_divisions_by_parameters_become_products_but_for_rounding(tmp_path: Path
     assert any(emit(plan, method="rk4").source != exact[name] for name, plan in plans.items())
 
 
+@pytest.mark.long
 def test_every_block_gives_what_the_reference_gives(tmp_path: Path) -> None:
     plans = {f"{name}_{k}": alone(name, given).plan() for k, (name, given) in enumerate(VARIANTS)}
     check_all(witnesses(tmp_path, plans))

@@ -52,6 +52,7 @@ from blocks.fmi.library import folders, suffix
 from blocks.model.fmu_block import fmu_type
 from blocks.text.errors import FMUError, ModelError, SimulationError, UsageError
 from tests.support.fmus import DIAGRAMS
+from tests.support.marks import long
 from tests.support.model_exchange import live
 from tests.support.zoo import zoo
 
@@ -215,7 +216,7 @@ def test_a_motor_in_a_loop_is_the_native_one(path: Path, method: str, engine: st
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [long(2), 3])
 @pytest.mark.parametrize("name", ["ball", "pulse", "sampled"])
 def test_events_are_those_of_the_native_block(
     made: Callable[[str, int], Path], name: str, fmi: int, method: str, engine: str
@@ -532,7 +533,7 @@ def looped(fmi: int, **parameters: Any) -> Diagram:
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [long(2), 3])
 def test_a_loop_through_an_fmu_is_solved(fmi: int, method: str, engine: str) -> None:
     r = looped(fmi).run(stop=1.0, loops="solve", engine=engine, log=["z.x", "sum.y"], **METHODS[method])
     exact = 0.5 + (0.5 - 0.5) * np.exp(-4 / 3 * r.t)
@@ -654,7 +655,7 @@ def test_an_interrupt_comes_between_steps(fmi: int, engine: str) -> None:
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [long(2), 3])
 def test_arrays(fmi: int, method: str, engine: str, tmp_path: Path) -> None:
     """FMI 3 has vectors of states, inputs and outputs, FMI 2 their elements; dependencies go element by element."""
     matrices: dict[str, Any] = {

@@ -13,8 +13,9 @@ from blocks.compile.plan import Plan
 from blocks.engines.prepared import Prepared
 from blocks.library import LIBRARY
 from blocks.text.errors import ModelError
-from tests.support.documents import SHIPPED
+from tests.support.documents import SHIPPED, is_unlike
 from tests.support.library_variants import VARIANTS
+from tests.support.marks import long_but
 
 FIELDS = [field.name for field in dataclasses.fields(Plan) if field.compare and field.name != "signals"]
 
@@ -92,7 +93,7 @@ def test_other_values_of_a_block_make_the_plan_that_is_made_anew(name: str) -> N
         compared(diagram, {"stop": 1.0}, chance, 12)
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", long_but(SHIPPED, is_unlike), ids=lambda path: path.stem)
 def test_other_values_in_a_shipped_diagram_make_the_plan_that_is_made_anew(path: Any) -> None:
     diagram = Diagram.load(path)
     if not isinstance(diagram.check(), Plan):

@@ -191,11 +191,13 @@ def agree(ours: Results, theirs: Results, wiring: Wiring, tolerance: float) -> N
     assert np.max(np.abs(mine[-1] - its[-1]) / size) < tolerance
 
 
-QUICK = settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+LONG, QUICK = (
+    settings(max_examples=count, deadline=None, suppress_health_check=list(HealthCheck)) for count in (25, 12)
+)
 
 
 @pytest.mark.long
-@QUICK
+@LONG
 @given(wirings(), st.randoms(use_true_random=False), st.sampled_from(RUNS))
 def test_the_order_in_which_blocks_and_wires_are_added_changes_nothing(
     wiring: Wiring, rng: random.Random, chosen: tuple[dict[str, Any], float]
@@ -205,7 +207,7 @@ def test_the_order_in_which_blocks_and_wires_are_added_changes_nothing(
 
 
 @pytest.mark.long
-@QUICK
+@LONG
 @given(wirings(), st.randoms(use_true_random=False), st.sampled_from(RUNS))
 def test_a_part_in_a_subdiagram_is_what_it_was_inlined(
     wiring: Wiring, rng: random.Random, chosen: tuple[dict[str, Any], float]

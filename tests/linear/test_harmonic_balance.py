@@ -161,6 +161,7 @@ def test_a_loop_of_five_laws_answers_a_disturbance_as_its_sweeps(input: str, amp
     assert degrees < LOOP_DEG
 
 
+@pytest.mark.long
 @needs_compiler
 def test_an_exported_observer_gives_by_co_simulation_what_the_describing_function_predicts(tmp_path: Path) -> None:
     observer = Diagram.alone(blocks.SMESO(gains=GAINS))

@@ -37,7 +37,7 @@ def run_json(name: str, *options: str, capsys: pytest.CaptureFixture[str]) -> di
 
 @pytest.mark.parametrize("name", [long("adrc"), "iadrc"])
 def test_the_command_gives_all_eight_measures_of_a_column(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    done = run_json(name, capsys=capsys)
+    done = run_json(name, "--engine", "auto", capsys=capsys)
     assert done["event"] == "done"
     assert done["t"] == 100.0
     assert set(done["measures"]) == set(CONVERGED[name])
@@ -102,7 +102,7 @@ def test_theorem_1_gives_what_the_observer_estimates() -> None:
 
 def test_parameters_of_the_diagram_do_what_they_say() -> None:
     diagram = Diagram.load(PAPER / "iadrc.json")
-    short = {"stop": 30.0, "every": 0.5}
+    short: dict[str, Any] = {"stop": 30.0, "every": 0.5, "engine": "auto"}
     plain = diagram.run(**short)
     without = diagram.run(**short, parameters={"torque": 0.0})
     assert np.ptp(without["heading_error.y"]) < 1e-9 < np.ptp(plain["heading_error.y"])
@@ -121,7 +121,7 @@ def test_parameters_of_the_diagram_do_what_they_say() -> None:
 
 
 def test_the_torque_edges_are_hit_exactly() -> None:
-    results = Diagram.load(PAPER / "adrc.json").run(stop=60.0, every=1.0, log=["disturbance.y"])
+    results = Diagram.load(PAPER / "adrc.json").run(stop=60.0, every=1.0, log=["disturbance.y"], engine="auto")
     jumps = [
         t
         for t, a, b in zip(results.t[1:], results["disturbance.y"][:-1], results["disturbance.y"][1:], strict=True)

@@ -2,6 +2,7 @@
 
 import json
 import random
+from pathlib import Path
 from typing import Any
 
 from hypothesis import strategies as st
@@ -10,6 +11,16 @@ from tests.support.places import ROOT
 
 FOLDER = ROOT / "diagrams"
 SHIPPED = sorted(path for path in FOLDER.rglob("*.json") if '"blocks-diagram"' in path.read_text(encoding="utf-8"))
+ALIKE = (
+    "adrc/adrc_1", "adrc/adrc_2", "adrc/mass_position", "analysis/leso_pd", "analysis/smeso_gains_pd", "paper/adrc",
+    "paper/control_adrc", "paper/wheel_adrc",
+)  # fmt: skip
+"""Those that are built of the same blocks as others: what takes long is looked at there, here by `make test-long`."""
+
+
+def is_unlike(path: Path) -> bool:
+    """Whether a diagram is built as no other one is."""
+    return path.relative_to(FOLDER).with_suffix("").as_posix() not in ALIKE
 
 
 def document(**sections: Any) -> dict[str, Any]:
