@@ -23,6 +23,7 @@ from ..engines.run.many_runs import cores, over_budget, times_of
 from ..engines.run.memory_estimate import check
 from ..engines.selection import compiled_model
 from ..model.diagram import DiagramValue
+from ..model.diagram_grammar import LARGEST_SEED
 from ..model.resolver import resolver_of
 from ..model.trust import Paths
 from ..results.results import Results
@@ -129,6 +130,7 @@ class Batch:
         self.measures, self.signals = tuple(kept.measures), tuple(first.plan.log)
         self.shapes = {name: first.plan.signal(name).shape for name in self.signals}
         self.times = times_of(run.start, every, run.stop) if every and self.signals else np.empty(0)
+        self._clock = run.start, every, run.stop
         self._kept, self._resolver, self._parameters, self._settings = kept, resolver, parameters, settings
         self._engine, self._trust = engine, trust
         self._is_native = compiled_model(first.plan, engine=engine) is not None
@@ -154,6 +156,9 @@ class Batch:
     def single(self, row: Sequence[Any] | Mapping[str, Any], seed: int | None = None) -> Results:
         """Run one row by itself, with all measures and with what the diagram records. Raises as `Diagram.run`."""
         values = [row[name] for name in self.columns] if isinstance(row, Mapping) else row
+        if len(values) != len(self.columns):
+            message = f"there are {len(values)} values for {len(self.columns)} columns."
+            raise UsageError(Fault("E501", "row", message, f"The columns: {', '.join(self.columns)}."))
         given = {} if seed is None else {"seed": seed}
         return self._whole.run(parameters=raw_values(self._columns, values), **given)  # type: ignore[arg-type]
 
@@ -174,9 +179,9 @@ class Batch:
         Ctrl-C ends it: what was not run is "left".
         """
         rows = self._rows(table)
-        if seeds is not None and len(seeds) != len(rows):
-            message = f"there are {len(seeds)} seeds for {len(rows)} rows."
-            raise UsageError(Fault("E501", "seeds", message, "Give one for each row, or none."))
+        _check_count("threads", threads)
+        _check_count("budget", budget)
+        seeds = None if seeds is None else _checked_seeds(seeds, len(rows))
         made = _Made(self, len(rows), seeds, budget)
         try:
             given = [{**self._parameters, **raw} for raw in self._given(rows, made)]
@@ -235,6 +240,13 @@ class Batch:
         settings = self._settings if seed is None else {**self._settings, "seed": seed}
         return Prepared.of(self._kept, self._resolver, given, settings, trust=self._trust)
 
+    def _check_times(self, plan: Plan | Coupling) -> None:
+        """Raise UsageError (E501) where a row would record its signals on a grid of its own."""
+        run = plan.settings
+        if self.signals and (run.start, run.every, run.stop) != self._clock:
+            message = "the times of the run follow from its values, and signals come out on one grid for all rows."
+            raise UsageError(Fault("E501", "row", message, "Log no signals, or give start, stop and every."))
+
     def _at_once(
         self, given: Sequence[dict[str, Any]], places: Sequence[int], work: _Work, threads: int | None
     ) -> None:
@@ -257,7 +269,7 @@ class Batch:
                     made.fail(i, "refused", error)
                     continue
                 form = form or own
-                if own.model is not form.model:
+                if own.model is not form.model or not form.rebinding.is_possible:
                     others[i] = own
                     continue
                 row = own.prepared.plan.parameters  # type: ignore[union-attr]
@@ -276,6 +288,7 @@ class Batch:
     def _form(self, prepared: Prepared) -> _Form:
         plan = prepared.plan
         assert isinstance(plan, Plan)
+        self._check_times(plan)
         names = {path for paths in self.targets for path in paths} - {*(self._fixed or ())}
         inputs = read_inputs(plan, dict(plan.settings.inputs), interpolation="linear")
         model = compiled_model(plan, engine=self._engine)
@@ -288,6 +301,8 @@ class Batch:
 
         made, plan = work.made, form.prepared.plan
         assert isinstance(plan, Plan)
+        if not places:
+            return
         before = work.done
         ended = run_rows(
             plan, form.inputs, form.model, np.array(table).reshape(len(table), -1),
@@ -326,6 +341,7 @@ class Batch:
         settings = {} if seed is None else {"seed": seed}
         try:
             held.append(self._model.run_of(given, settings, RunOptions(progress=watch)))
+            self._check_times(held[0].plan)
         except BlocksError as error:
             return Alone.failed(error, is_refused=not isinstance(error, (SimulationError, FMUError)))
         try:
@@ -369,12 +385,12 @@ class Batch:
             if extra:
                 message = f"the batch has no column {', '.join(map(legible, extra))}."
                 raise UsageError(Fault("E501", "table", message, f"Its columns: {', '.join(self.columns)}."))
-            columns = [list(table[name]) for name in self.columns]
+            columns = [_listed(name, table[name]) for name in self.columns]
             if len({len(column) for column in columns}) > 1:
                 message = "the columns have different lengths."
                 raise UsageError(Fault("E501", "table", message, "Give each column a value for each row."))
             return [list(row) for row in zip(*columns, strict=True)]
-        rows = [list(row) for row in table]
+        rows = [_listed(f"row {i}", row) for i, row in enumerate(_listed("table", table))]
         for i, row in enumerate(rows):
             if len(row) != len(self.columns):
                 message = f"row {i} has {len(row)} values, and the batch {len(self.columns)} columns."
@@ -406,7 +422,7 @@ class _Form:
 class _Made:
     """The rows of a batch, as far as they are there."""
 
-    def __init__(self, batch: Batch, n: int, seeds: Sequence[int] | Array | None, budget: int | None) -> None:
+    def __init__(self, batch: Batch, n: int, seeds: Sequence[int] | None, budget: int | None) -> None:
         self.batch, self.seeds, self.budget = batch, seeds, budget
         self.status = np.full(n, "left", dtype="<U8")
         self.messages = [""] * n
@@ -418,7 +434,7 @@ class _Made:
         self.interrupted = False
 
     def seed(self, i: int) -> int | None:
-        return None if self.seeds is None else int(self.seeds[i])
+        return None if self.seeds is None else self.seeds[i]
 
     def fail(self, i: int, status: str, error: Exception) -> None:
         fault = error.faults[0] if isinstance(error, BlocksError) else Fault("E501", "row", str(error))
@@ -474,6 +490,37 @@ def _why_processes(plan: Plan | Coupling, *, is_native: bool) -> str:
     if plan.settings.method == "radau":
         return "radau integrates in Python"
     return "" if is_native else "the reference engine runs it"
+
+
+def _check_count(name: str, given: Any) -> None:
+    """Raise UsageError (E501) for what is neither None nor an integer from 1 on."""
+    if given is not None and (isinstance(given, bool) or not isinstance(given, (int, np.integer)) or given < 1):
+        raise UsageError(Fault("E501", name, f"must be an integer from 1 on, not {legible(repr(given))}."))
+
+
+def _checked_seeds(given: Any, n: int) -> list[int]:
+    """The seeds of n rows. Raises UsageError (E501)."""
+    seeds = [seed.item() if isinstance(seed, np.generic) else seed for seed in _listed("seeds", given)]
+    if len(seeds) != n:
+        message = f"there are {len(seeds)} seeds for {counted(n, 'row')}."
+        raise UsageError(Fault("E501", "seeds", message, "Give one for each row, or none."))
+    for i, seed in enumerate(seeds):
+        if type(seed) is not int or not 0 <= seed <= LARGEST_SEED:
+            message = f"must be integers from 0 to 2^53, but that of row {i} is {legible(repr(seed))}."
+            raise UsageError(Fault("E501", "seeds", message))
+    return seeds
+
+
+def _listed(name: str, given: Any) -> list[Any]:
+    """What a table, a row or a column holds, one by one. Raises UsageError (E501)."""
+    try:
+        if isinstance(given, (str, bytes)):
+            raise TypeError
+        return list(given)
+    except TypeError:
+        message = f"must be a list or an array, not {legible(repr(given))}."
+        cure = "A table is a list of rows, or a mapping of columns."
+        raise UsageError(Fault("E501", name, message, cure)) from None
 
 
 def _picked(value: DiagramValue, measures: Sequence[str] | None) -> DiagramValue:

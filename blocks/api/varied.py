@@ -17,6 +17,7 @@ import numpy as np
 
 from ..model.diagram import DiagramValue
 from ..model.flatten import Flat
+from ..model.raw_values import raw_of
 from ..model.values import Absent, value_of
 from ..text.element_names import element_names
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
@@ -71,6 +72,9 @@ class _Known:
 
 def columns_of(names: Sequence[str], value: DiagramValue, flat: Flat) -> tuple[Column, ...]:
     """The columns of these names. Raises UsageError (E501, E106) for what names nothing, or names twice."""
+    if isinstance(names, str):
+        message, cure = "is one name, not a list of names.", f'As in ["{legible(names)}"].'
+        raise UsageError(Fault("E501", legible(names), message, cure))
     known = dict(_parameters(value, flat))
     columns: list[Column] = []
     taken: dict[tuple[str, int | None], str] = {}
@@ -113,7 +117,7 @@ def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
     elements: dict[str, list[Any]] = {}
     shapes: dict[str, tuple[str, tuple[int, ...]]] = {}
     for column, raw in zip(columns, row, strict=True):
-        raw = raw.item() if isinstance(raw, np.generic) else raw
+        raw = raw if type(raw) is float else raw_of(raw)
         is_plain = type(raw) is float and math.isfinite(raw)
         for target in column.targets:
             if target.element is None:

@@ -119,6 +119,8 @@ class Rebinding:
 
         given: raw values of the same parameters. seed: of the run.
         """
+        if not self.is_possible:
+            return None
         s = self.numbers.copy()
         for setting, unit in self.leaves:
             values = _numbers(given[setting.path], unit, setting.shape)

@@ -13,9 +13,11 @@ from blocks import (
     FirstOrder,
     Gain,
     Integrator,
+    LookupTable,
     Noise,
     Parameter,
     Product,
+    Ramp,
     Relay,
     Sine,
     Stepped,
@@ -170,6 +172,43 @@ def test_a_row_that_fails_leaves_the_others_as_they_are() -> None:
     assert short.messages[3].startswith("E313 square")
 
 
+def test_rows_that_are_all_refused_are_refused_again() -> None:
+    batch = noisy().batch(["lag.T"])
+    assert batch([[0.1]]).status.tolist() == ["ok"]
+    assert batch([[float("nan")], [-1.0]]).status.tolist() == ["refused", "refused"]
+
+
+def test_a_form_that_begins_with_an_expression_takes_no_row_for_it() -> None:
+    table = [[0.05, 3.0], [0.04, "=2+1"], [0.04, 5.0], [0.04, 7.0]]
+    rows = noisy().batch(["hold.period", "wave.omega"], log=["hold.y"])(table)
+    for i, (period, omega) in enumerate(table):
+        same(rows, i, noisy(), parameters={"hold.period": period, "wave.omega": omega}, log=["hold.y"])
+
+
+def test_arrays_that_print_alike_are_told_apart() -> None:
+    d = Diagram("curve")
+    d.add("ramp", Ramp())
+    d.add("curve", LookupTable(points=np.linspace(0.0, 1.0, 1500), values=np.zeros(1500)))
+    d.wire("curve.u", "ramp.y")
+    d.measure("peak", "peak", of="curve.y")
+    tall = np.zeros(1500)
+    tall[700] = 3.0
+    rows = d.batch(["curve.values"], stop=1.0)([[np.zeros(1500)], [tall]])
+    assert rows.measures["peak"] == pytest.approx([0.0, 3.0])
+
+
+def test_rows_with_times_of_their_own_record_no_signals() -> None:
+    d = noisy()
+    d.parameter("T", 2.0, unit="s")
+    d.settings(stop="=T")
+    rows = d.batch(["T"], log=["lag.y"])([[2.0], [1.0]])
+    assert rows.status.tolist() == ["ok", "refused"]
+    assert rows.messages[1].startswith("E501 row: the times of the run follow")
+    rows = d.batch(["T"])([[2.0], [1.0]])
+    for i, T in enumerate((2.0, 1.0)):
+        same(rows, i, d, parameters={"T": T})
+
+
 def test_a_row_that_never_ends_is_cut_short() -> None:
     d = noisy()
     d.settings(stop=1e9)
@@ -247,6 +286,7 @@ def test_stiff_rows_are_those_of_runs() -> None:
         "twice": ({"names": ["lag.T", "l*.T"]}, "E501 .*is varied by lag.T already"),
         "element": ({"names": ["lag.T[0]"]}, "E501 .*name it alone"),
         "measure": ({"names": [], "measures": ["effor"]}, "E501 effor.*effort"),
+        "one name": ({"names": "lag.T"}, "E501 lag.T: is one name"),
         "jumps": ({"names": [], "jumps": True}, "E501 jumps"),
         "given": ({"names": ["lag.T"], "parameters": {"lag.T": 1.0}}, "E501 lag.T"),
         "setting": ({"names": [], "stp": 1.0}, "E501 stp"),
@@ -263,7 +303,14 @@ def test_what_cannot_be_a_batch_is_refused(given: dict[str, Any], told: str) -> 
         ([[1.0, 2.0]], {}, "row 0 has 2 values"),
         ({"lag.K": [1.0]}, {}, "no such column"),
         ({"lag.T": [1.0], "x": [1.0]}, {}, "no column x"),
+        ([1.0, 2.0], {}, "row 0: must be a list or an array"),
+        ("abc", {}, "table: must be a list or an array"),
+        ({"lag.T": 1.0}, {}, "lag.T: must be a list or an array"),
         ([[1.0]], {"seeds": [1, 2]}, "2 seeds for 1 row"),
+        ([[1.0], [1.0]], {"seeds": [1, -2]}, "integers from 0 to 2.53, but that of row 1 is -2"),
+        ([[1.0]], {"seeds": [1.5]}, "integers from 0 to 2.53, but that of row 0 is 1.5"),
+        ([[1.0]], {"threads": 0}, "threads: must be an integer from 1 on"),
+        ([[1.0]], {"budget": -5}, "budget: must be an integer from 1 on"),
     ],
 )
 def test_a_table_that_does_not_fit_is_refused(table: Any, more: dict[str, Any], told: str) -> None:

@@ -120,7 +120,8 @@ def _begun(
         "status": np.zeros(n, dtype=np.int32), "failure": np.zeros(n, dtype=np.int32),
         "culprit": np.zeros(n, dtype=np.int32),
     }  # fmt: skip
-    batch = runtime_layout.BlocksBatch(nrows=n, nstops=len(kept["stops"]), ngrid=grid, budget=budget or 0)
+    most = min(budget or 0, 2**63 - 1)
+    batch = runtime_layout.BlocksBatch(nrows=n, nstops=len(kept["stops"]), ngrid=grid, budget=most)
     sim = engine.sim
     batch.start, batch.count, batch.exact, batch.crossing = sim.t, sim.count, sim.exact, sim.crossing
     for name, values in kept.items():
