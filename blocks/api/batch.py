@@ -311,8 +311,8 @@ class Batch:
         for i, row, values in zip(places, ended.rows, ended.signals, strict=True):
             if row is not None:
                 status = "ok" if row.is_done else "budget" if row.is_over else None
-                made.take(i, row.steps, row.measures, row.fault, status)
                 made.record(i, values)
+                made.take(i, row.steps, row.measures, row.fault, status)
         made.interrupted |= ended.is_cancelled
         work.tell(before + sum(row is not None for row in ended.rows))
 
@@ -326,8 +326,8 @@ class Batch:
             if ended is None:
                 made.interrupted = True
                 return
-            made.take(i, ended.steps, ended.measures, ended.fault, ended.status)
             made.record(i, ended.signals)
+            made.take(i, ended.steps, ended.measures, ended.fault, ended.status)
             work.tell(work.done + 1)
 
     def alone(self, given: Mapping[str, Any], seed: int | None, budget: int | None) -> Alone:
@@ -446,16 +446,20 @@ class _Made:
         """status: None where the code of the fault says it."""
         if status is None:
             status = "diverged" if fault is not None and fault.code in _NUMERIC else "failed"
-        self.status[i], self.steps[i] = status, steps
+        self.steps[i] = steps
         self.messages[i] = "" if fault is None else f"{fault.code} {fault.place}: {fault.message}"
         for name, value in measures.items():
             self.measures[name][i] = value
+        self.status[i] = status  # last: where Ctrl-C comes between two lines, the row is left
 
     def record(self, i: int, values: Array) -> None:
         if len(values):
             self.recorded[i, : len(values)] = values
 
     def rows(self) -> BatchRows:
+        for values in (*self.measures.values(), self.recorded) if self.interrupted else ():
+            values[self.status == "left"] = np.nan
+        self.steps[self.status == "left"] = 0
         signals, first = {}, 0
         for name, shape in self.batch.shapes.items():
             size = math.prod(shape)

@@ -54,8 +54,9 @@ def in_processes(
 ) -> Iterator[tuple[int, Alone | None]]:
     """What becomes of each row, as it is known; None where Ctrl-C ends it.
 
-    What cannot be pickled, as block types that were defined in a notebook, runs here, row after row; so do all rows in
-    a process that may have none of its own, as a worker of dask.
+    What cannot be pickled runs here, row after row; so do all rows in a process that may have none of its own, as a
+    worker of dask, and where processes cannot begin: block types that were defined in a notebook are not known there,
+    and a script that does not ask for __name__ == "__main__" would run in each of them.
     """
     try:
         text = b"" if multiprocessing.current_process().daemon else pickle.dumps(batch)
@@ -67,19 +68,28 @@ def in_processes(
     tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
     for row in rows:
         tasks.put(row)
-    done: queue.SimpleQueue[tuple[int, Alone]] = queue.SimpleQueue()
+    done: queue.SimpleQueue[tuple[int, Alone] | None] = queue.SimpleQueue()
+    left = {row[0]: row for row in rows}
     workers = [_Worker(text, budget, tasks, done) for _ in range(max(1, min(count, len(rows))))]
     try:
-        for _ in rows:
-            while True:
-                with contextlib.suppress(queue.Empty):
-                    yield done.get(timeout=0.1)
-                    break
+        working = len(workers)
+        while left and working:
+            try:
+                ended = done.get(timeout=0.1)
+            except queue.Empty:
+                continue
+            if ended is None:
+                working -= 1
+            else:
+                del left[ended[0]]
+                yield ended
     except KeyboardInterrupt:
         yield -1, None
+        return
     finally:
         for worker in workers:
             worker.end()
+    yield from _here(batch, [*left.values()], budget)
 
 
 def _here(batch: Rows, rows: Sequence[Task], budget: int | None) -> Iterator[tuple[int, Alone | None]]:
@@ -103,6 +113,12 @@ class _Worker:
         threading.Thread(target=self._work, daemon=True).start()
 
     def _work(self) -> None:
+        try:
+            self._take_rows()
+        finally:
+            self.done.put(None)
+
+    def _take_rows(self) -> None:
         connection: Connection | None = None
         while not self.is_ended:
             try:
@@ -111,6 +127,8 @@ class _Worker:
                 break
             if connection is None:
                 connection = self._begun()
+            if connection is None:
+                return
             try:
                 connection.send((*task[1:], self.budget))
                 self.done.put((task[0], connection.recv()))
@@ -120,12 +138,17 @@ class _Worker:
         if connection is not None:
             connection.close()
 
-    def _begun(self) -> Connection:
+    def _begun(self) -> Connection | None:
+        """A process that waits for rows; None where it cannot begin."""
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs, self.text), daemon=True)
         self.process.start()
         theirs.close()
+        try:
+            ours.recv()
+        except (EOFError, OSError):
+            return None
         return ours
 
     def _death(self) -> Alone:
@@ -144,6 +167,7 @@ def _serve(connection: Connection, text: bytes) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who gives rows hears it
     batch = pickle.loads(text)
     with contextlib.suppress(EOFError, OSError):
+        connection.send("ready")
         while True:
             given, seed, budget = connection.recv()
             connection.send(batch.alone(given, seed, budget))

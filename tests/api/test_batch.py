@@ -1,6 +1,8 @@
 """Batches: each row is the run that it stands for, bit for bit, whatever runs beside it."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -269,6 +271,29 @@ def test_programs_run_in_processes_and_one_that_dies_takes_its_row_alone() -> No
     assert "exit code 7" in rows.messages[1]
     assert "four" in rows.messages[2]
     assert rows.signals["program.y"][3].tolist() == [0.0, 1.0, 2.0]
+
+
+UNKNOWN_ELSEWHERE = """
+from blocks import Block, Diagram, Parameter, Stepped, stepper
+class Mine(Block):
+    k = Parameter(1.0)
+    y = Stepped(0.0)
+    @stepper(every=0.25)
+    def program(k):
+        return Program(k)
+class Program:
+    def __init__(self, k): self.k = k
+    def step(self, t): return self.k
+d = Diagram("mine")
+d.add("mine", Mine())
+d.measure("p", "peak", of="mine.y")
+print(d.batch(["mine.k"], stop=1.0)([[2.0], [3.0]], threads=1).measures["p"].tolist())
+"""
+
+
+def test_rows_run_here_where_processes_do_not_know_the_types() -> None:
+    done = subprocess.run([sys.executable, "-c", UNKNOWN_ELSEWHERE], capture_output=True, text=True, timeout=60)
+    assert done.stdout == "[2.0, 3.0]\n", done.stderr[-2000:]
 
 
 def test_stiff_rows_are_those_of_runs() -> None:
