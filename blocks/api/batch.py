@@ -155,7 +155,7 @@ class Batch:
 
     def single(self, row: Sequence[Any] | Mapping[str, Any], seed: int | None = None) -> Results:
         """Run one row by itself, with all measures and with what the diagram records. Raises as `Diagram.run`."""
-        values = [row[name] for name in self.columns] if isinstance(row, Mapping) else row
+        values = self._rows({name: [value] for name, value in row.items()})[0] if isinstance(row, Mapping) else row
         if len(values) != len(self.columns):
             message = f"there are {len(values)} values for {len(self.columns)} columns."
             raise UsageError(Fault("E501", "row", message, f"The columns: {', '.join(self.columns)}."))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -124,7 +124,11 @@ def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
                 given[target.path] = raw
                 continue
             flat, shape = target.whole
-            number = to_si(raw, target.unit) if is_plain else value_of(raw, target.unit, {}).value
+            try:
+                number = to_si(raw, target.unit) if is_plain else value_of(raw, target.unit, {}).value
+            except ModelError as error:
+                placed = [replace(fault, place=fault.place or column.name) for fault in error.faults]
+                raise ModelError(*placed) from None
             elements.setdefault(target.path, list(flat))[target.element] = number
             shapes[target.path] = si_text(target.unit), shape
     for path, values in elements.items():

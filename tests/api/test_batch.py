@@ -174,6 +174,17 @@ def test_a_row_that_fails_leaves_the_others_as_they_are() -> None:
     assert short.messages[3].startswith("E313 square")
 
 
+def test_what_is_wrong_with_an_element_names_its_column() -> None:
+    d = Diagram("curve")
+    d.add("ramp", Ramp())
+    d.add("curve", LookupTable())
+    d.wire("curve.u", "ramp.y")
+    batch = d.batch(["curve.values[1]"], stop=1.0)
+    assert batch([[float("nan")]]).messages == ("E107 curve.values[1]: must be a finite number, not nan.",)
+    with pytest.raises(UsageError, match=r"E501 curve.values\[1\]: the table has no such column"):
+        batch.single({})
+
+
 def test_rows_that_are_all_refused_are_refused_again() -> None:
     batch = noisy().batch(["lag.T"])
     assert batch([[0.1]]).status.tolist() == ["ok"]
