@@ -129,6 +129,7 @@ def test_a_row_that_kills_each_worker_is_failed_and_all_others_are_what_they_are
     assert good.measures["last"].tolist() == good.varied["u"].tolist()
 
 
+@pytest.mark.long
 def test_margins_and_rows_that_are_refused_come_back(
     client: distributed.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -238,6 +239,7 @@ def test_workers_write_the_rows_with_their_signals_and_a_sweep_goes_on_from_them
     assert len(list(place.glob("*.parquet"))) == 6
 
 
+@pytest.mark.long
 def test_the_command_gives_by_the_address_of_a_scheduler_what_it_gives_here(
     client: distributed.Client, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
