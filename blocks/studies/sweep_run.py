@@ -125,7 +125,9 @@ def sweep(
             static = {name: getattr(made.begun, name) for name in ("name", "units", "scenarios", "base", "warnings")}
             put = Put(folder, static, told) if folder else None
             values = [{**(parameters or {}), **on_top} for on_top in given.values()]
-            options = {"measures": list(first.measures), "log": list(first.signals), "engine": engine}
+            # By name: a worker without a compiler refuses, and does not take the other engine.
+            options: dict[str, Any] = {"measures": list(first.measures), "log": list(first.signals)}
+            options["engine"] = start.statistics.engine
             job = Job.of(diagram, names, values, options, settings, wanted, variants=variants, put=put)
             if start.origin is not None and (start.origin.equations, start.origin.values) != job.computed[1:]:
                 raise AssertionError("the text of the diagram says something else")

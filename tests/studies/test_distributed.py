@@ -129,6 +129,26 @@ def test_a_row_that_kills_each_worker_is_failed_and_all_others_are_what_they_are
     assert good.measures["last"].tolist() == good.varied["u"].tolist()
 
 
+@pytest.mark.long
+def test_margins_and_rows_that_are_refused_come_back(
+    client: distributed.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    d = Diagram.load(ROOT / "diagrams" / "motor_pid.json")
+    vary = {"motor.Ra": [0.15, -0.2, 0.16], "kp": [0.5, 1.0]}
+    given: dict[str, Any] = {"margins": {"phase": {"type": "phase_margin", "loop": "control.y"}}, "stop": 0.5}
+    in_chunks(1, monkeypatch)
+    far, here = d.sweep(vary, **given, on=client), d.sweep(vary, **given)
+    assert here.counts() == {"ok": 4, "refused": 2}
+    assert np.isfinite(here.measures["phase"]).any()
+    assert_same(far, here)
+
+
+@pytest.mark.long
+def test_fmus_run_in_the_worker(client: distributed.Client) -> None:
+    d = Diagram.load(ROOT / "diagrams" / "paper" / "iadrc_fmu.json")
+    assert_same(d.sweep({"torque": [0.0, 2.0]}, stop=0.5, on=client), d.sweep({"torque": [0.0, 2.0]}, stop=0.5))
+
+
 def test_what_no_worker_could_do_is_refused(client: distributed.Client, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="E501 threads: are those of the workers"):
         noisy().sweep(VARY, n=2, on=client, threads=2)
@@ -219,6 +239,7 @@ def test_workers_write_the_rows_with_their_signals_and_a_sweep_goes_on_from_them
     assert len(list(place.glob("*.parquet"))) == 6
 
 
+@pytest.mark.long
 def test_the_command_gives_by_the_address_of_a_scheduler_what_it_gives_here(
     client: distributed.Client, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
