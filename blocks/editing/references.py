@@ -42,6 +42,7 @@ _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 # What the last name of a text may be, in this diagram and in one inside of it; the first that exists counts.
 _Last: TypeAlias = tuple[tuple[Kind, ...], tuple[Kind, ...]]
 _PARAMETER: _Last = (("parameter",), ("parameter",))
+_SHOWN: _Last = (("measure", "parameter", "output", "input", "block"), ("output", "block", "input", "parameter"))
 _PORT: _Last = (("output", "input"), ())
 _LAST: Mapping[str, _Last] = {
     "sink": (("block", "output", "input", "parameter"), ("input", "output")),
@@ -281,6 +282,11 @@ class _Finder:
                 about = (bodies.get(run) for run in runs_of if isinstance(run, str))
                 measured = [body for body in about if body is not None]
                 self.plain(measured, "measure", claim.get("measure"), (*found.path, "measure"))
+            elif found.kind is studies.SWEEP_FIGURE:
+                figure = _object(found.value)
+                for key in ("of", "against"):
+                    for inside in studies.SWEEP_FIGURE.by_key[key].kind.walk(figure.get(key), (*found.path, key)):
+                        self.text(bodies.get(figure.get("sweep")), inside.value, inside.path, _SHOWN)
             elif found.kind in (studies.LINE, studies.MARKER):
                 run = _object(found.value).get("run")
                 body = bodies.get(run) if isinstance(run, str) else None

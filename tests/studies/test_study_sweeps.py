@@ -169,3 +169,16 @@ def test_the_study_of_the_motor_holds(tmp_path: Path) -> None:
     path = ROOT / "diagrams" / "adrc" / "study.json"
     assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 0
     assert len([*(tmp_path / "out").glob("*.png")]) == 6
+
+
+def test_names_in_sweeps_follow_a_rename_of_the_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("motor_speed.json", "adrc_2.json", "study.json"):
+        (tmp_path / name).write_bytes((ROOT / "diagrams" / "adrc" / name).read_bytes())
+    monkeypatch.chdir(tmp_path)
+    for old, new in (("motor", "drive"), ("control", "law"), ("omega_o", "fast"), ("noise", "hum")):
+        assert main(["rename", "motor_speed.json", old, new, "--project"]) == 0
+    _, faults = study.checked(tmp_path / "study.json")
+    assert faults == []
+    text = (tmp_path / "study.json").read_text(encoding="utf-8")
+    for word in ('"drive.Jeq": {', '"loop": "law.u"', '["drive.omega", "law.u"]', '["b0", "fast"]', '{"hum": 0.005}'):
+        assert word in text
