@@ -13,6 +13,7 @@ import pytest
 from blocks import Constant, Diagram, FirstOrder, Gain, Integrator, ModelError, Noise, Step, Sum, UsageError
 from blocks.api.batch import Batch, BatchRows
 from blocks.cli import main
+from blocks.studies import study
 from blocks.studies.objectives import constraints_of, objective_of
 from tests.support.places import ROOT
 
@@ -227,6 +228,18 @@ def test_wheels_that_share_a_file_get_one_value_or_none(tmp_path: Path) -> None:
     (changed,) = tuning.write(path).changes
     assert (Path(changed.file).name, changed.old) == ("control_iadrc.json", "144.6642")
     assert Diagram.load(path).run(stop=3.0).measures == tuning.after["nominal"].measures
+
+
+@pytest.mark.long
+def test_the_papers_controller_with_tuned_gains_keeps_what_its_study_claims() -> None:
+    made = study.run(study.load(ROOT / "diagrams" / "paper" / "tuned.json"))
+    assert made.is_fine
+    limits = [verdict for verdict in made.verdicts if verdict.claim.expected == "holds"]
+    assert len(limits) == 3 * 2 + 3 * 3 * 2, "of three seeds of the optimiser, under three of the noise"
+    # Both wheels together: at least half of the ITAE of the paper's gains.
+    total = {k: r.measures["ITAE_right"] + r.measures["ITAE_left"] for k, r in made.results.items()}
+    for k in (1, 2, 3):
+        assert total[f"tuned_{k}_quiet"] <= 0.5 * total["paper_quiet"]
 
 
 def test_the_command_tunes_writes_and_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
