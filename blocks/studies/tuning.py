@@ -299,7 +299,7 @@ class _Search:
             cure = "Move the bounds towards values with which the diagram runs."
             raise UsageError(Fault("E501", problem.diagram.name, message, cure))
         found = (math.inf, math.inf) if index is None else (history.excess[index], history.objective[index])
-        is_kept = index is None or (has_own and (excess, self.base) <= found)
+        is_kept = index is None or (has_own and bool((excess, self.base) <= found))
         values = nominal if index is None or is_kept else history.values[index]
         given = {} if is_kept else problem.batch.parameters(values.tolist())
         after = {name: problem.run(name, given) for name in problem.scenarios}
