@@ -16,7 +16,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -150,10 +150,8 @@ def problem_of(
     ]
     if faults:
         raise UsageError(*faults)
-    problem = Problem(
-        diagram, objective, constraints, scenarios, batches, space, before, method, budget, seed, given, ()
-    )
-    return Problem(**{**vars(problem), "warnings": _warnings(problem, needed)})
+    problem = replace(problem, before=before)
+    return replace(problem, warnings=_warnings(problem, needed))
 
 
 def measured(results: Mapping[str, Results]) -> dict[str, dict[str, Array]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -146,6 +147,12 @@ def test_what_can_have_no_number_is_refused_before_the_first_candidate(
         noisy().tune(**{**NOISY, "scenarios": {"quiet": {}, "noisy": {"sigma": 0.1}}, **given})
     assert said in str(refused.value)
     assert not calls
+
+
+def test_a_missing_package_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cma", None)
+    with pytest.raises(UsageError, match=r'E504 .*cma is needed and not installed.*blocks-cosim\[tune\]'):
+        rosenbrock().tune(minimize="f", over=BOX, **SHORT)
 
 
 def test_objectives_and_constraints_mean_what_is_written() -> None:
