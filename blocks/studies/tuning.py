@@ -16,15 +16,16 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from ..api.batch import Batch
+from ..model.flatten import Flat
 from ..model.wires import BlockSource
 from ..results.results import Results
-from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import quoted
 from .gains_file import changes
 from .objectives import Constraint, Objective, constraints_of, objective_of
@@ -149,10 +150,8 @@ def problem_of(
     ]
     if faults:
         raise UsageError(*faults)
-    problem = Problem(
-        diagram, objective, constraints, scenarios, batches, space, before, method, budget, seed, given, ()
-    )
-    return Problem(**{**vars(problem), "warnings": _warnings(problem, needed)})
+    problem = replace(problem, before=before)
+    return replace(problem, warnings=_warnings(problem, needed))
 
 
 def measured(results: Mapping[str, Results]) -> dict[str, dict[str, Array]]:
@@ -196,16 +195,16 @@ def _has_noise(problem: Problem, needed: Mapping[str, Sequence[str]]) -> bool:
 
 def _limits_effort(problem: Problem, needed: Mapping[str, Sequence[str]]) -> bool:
     """Whether a measure that counts is one of effort, or one of a tuned block's output against nothing."""
-    given = problem.given
-    rows = [problem.space.values(np.full(len(problem.space.low), x)) for x in (0.25, 0.75)]
-    flats = [
-        problem.diagram.flatten(
-            parameters={**given["parameters"], **problem.batch.parameters(row.tolist())}, variants=given["variants"]
-        )
-        for row in rows
-    ]
-    first, second = flats
-    tuned = {name.rpartition(".")[0] for name in changes(first, second)}
+    given, space = problem.given, problem.space
+
+    def flat(values: Mapping[str, Any]) -> Flat:
+        return problem.diagram.flatten(parameters={**given["parameters"], **values}, variants=given["variants"])
+
+    first, tuned = flat({}), set[str]()
+    for share in (0.25, 0.75):
+        with contextlib.suppress(ModelError):  # values that a block refuses, as candidates may be
+            row = space.values(np.full(len(space.low), share)).tolist()
+            tuned |= {name.rpartition(".")[0] for name in changes(first, flat(problem.batch.parameters(row)))}
     names = {measure for each in needed.values() for measure in each}
     for spec in first.measures:
         if spec.name not in names:
@@ -298,7 +297,7 @@ class _Search:
             cure = "Move the bounds towards values with which the diagram runs."
             raise UsageError(Fault("E501", problem.diagram.name, message, cure))
         found = (math.inf, math.inf) if index is None else (history.excess[index], history.objective[index])
-        is_kept = index is None or (has_own and (excess, self.base) <= found)
+        is_kept = index is None or (has_own and bool((excess, self.base) <= found))
         values = nominal if index is None or is_kept else history.values[index]
         given = {} if is_kept else problem.batch.parameters(values.tolist())
         after = {name: problem.run(name, given) for name in problem.scenarios}
