@@ -46,6 +46,8 @@ STATUSES = ("ok", "diverged", "budget", "refused", "failed", "left")
 it may; its values are refused, and it did not run; something else failed, as an FMU; it was not reached."""
 GRID = 200
 """Intervals of the grid on which signals are recorded where the diagram says none."""
+PIECE = 2**26
+"""Bytes of rows of parameters that are bound at once, and then run."""
 MOST_FORMS = 8
 """Forms of the model, for other structural values, that are kept ready."""
 _NUMERIC = ("E301", "E303", "E304", "E305", "E306", "E307", "E308", "E309")
@@ -254,15 +256,34 @@ class Batch:
         made = work.made
         key = self._key(given[places[0]])
         form = self._forms.pop(key, None)
+        while places and not made.interrupted:
+            size = PIECE // (8 * (1 if form is None else len(form.base))) + 1
+            form = self._piece(form, given, places[:size], work, threads)
+            places = places[size:]
+        if form is not None:
+            self._forms[key] = form
+        while len(self._forms) > MOST_FORMS:
+            del self._forms[next(iter(self._forms))]
+
+    def _piece(
+        self, form: _Form | None, given: Sequence[dict[str, Any]], places: Sequence[int], work: _Work,
+        threads: int | None,
+    ) -> _Form | None:  # fmt: skip
+        """Bind and run some rows; the form that they are of, once there is one."""
+        made = work.made
         bound: list[int] = []
-        table: list[tuple[float, ...]] = []
+        table = np.empty((0, 0))
         others: dict[int, _Form] = {}  # rows that need a form of their own
         for i in places:
             if made.status[i] != "left":
                 continue
-            seed = made.seed(i)
-            row = None if form is None else form.rebinding.row(given[i], form.seed if seed is None else seed)
-            if row is None:
+            seed, is_bound = made.seed(i), False
+            if form is not None:
+                if not len(table):
+                    table = np.tile(form.base, (len(places), 1))
+                own_seed = form.seed if seed is None else seed
+                is_bound = form.rebinding.fill(table[len(bound)], given[i], own_seed)
+            if not is_bound:
                 try:
                     own = self._form(self._flattened(given[i], seed))
                 except BlocksError as error:
@@ -272,18 +293,16 @@ class Batch:
                 if own.model is not form.model or not form.rebinding.is_possible:
                     others[i] = own
                     continue
-                row = own.prepared.plan.parameters  # type: ignore[union-attr]
+                if not len(table):
+                    table = np.tile(form.base, (len(places), 1))
+                table[len(bound)] = own.base
             bound.append(i)
-            table.append(row)
-        if form is None:
-            return
-        self._forms[key] = form
-        while len(self._forms) > MOST_FORMS:
-            del self._forms[next(iter(self._forms))]
-        self._run(form, bound, table, work, threads)
+        if form is not None:
+            self._run(form, bound, table[: len(bound)], work, threads)
         for i, own in others.items():
             if not made.interrupted:
-                self._run(own, [i], [own.prepared.plan.parameters], work, 1)  # type: ignore[union-attr]
+                self._run(own, [i], own.base[None], work, 1)
+        return form
 
     def _form(self, prepared: Prepared) -> _Form:
         plan = prepared.plan
@@ -292,10 +311,10 @@ class Batch:
         names = {path for paths in self.targets for path in paths} - {*(self._fixed or ())}
         inputs = read_inputs(plan, dict(plan.settings.inputs), interpolation="linear")
         model = compiled_model(plan, engine=self._engine)
-        return _Form(prepared, prepared.rebinding(names), model, inputs)
+        return _Form(prepared, prepared.rebinding(names), model, inputs, np.array(plan.parameters))
 
     def _run(
-        self, form: _Form, places: list[int], table: list[tuple[float, ...]], work: _Work, threads: int | None
+        self, form: _Form, places: list[int], table: Array, work: _Work, threads: int | None
     ) -> None:
         from ..engines.native.batch import run_rows
 
@@ -305,7 +324,7 @@ class Batch:
             return
         before = work.done
         ended = run_rows(
-            plan, form.inputs, form.model, np.array(table).reshape(len(table), -1),
+            plan, form.inputs, form.model, table,
             threads=threads, budget=made.budget, progress=lambda done: work.tell(before + done),
         )  # fmt: skip
         for i, row, values in zip(places, ended.rows, ended.signals, strict=True):
@@ -413,6 +432,7 @@ class _Form:
     rebinding: Rebinding
     model: Any
     inputs: InputTable
+    base: Array  # the row p
 
     @property
     def seed(self) -> int:

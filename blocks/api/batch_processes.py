@@ -154,7 +154,7 @@ class _Worker:
     def _death(self) -> Alone:
         self.process.join(5.0)
         message = f"the process of this row ended, with exit code {self.process.exitcode}."
-        return Alone(0, {}, Fault("E206", "row", message, "An FMU may have crashed: run the row by itself."), "failed")
+        return Alone(0, {}, Fault("E216", "row", message, "An FMU may have crashed: run the row by itself."), "failed")
 
     def end(self) -> None:
         self.is_ended = True

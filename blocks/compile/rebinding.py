@@ -8,7 +8,7 @@ then. So nothing that it gives differs from a Plan made anew.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, MutableSequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from ..text.errors import ModelError
 from ..text.units import to_si
 from .bindings import bindings
 from .plan import Plan
-from .setting_programs import Setting, evaluated, numbers, placed
+from .setting_programs import Setting, evaluated, numbers, put
 
 __all__ = ["Rebinding"]
 
@@ -119,31 +119,36 @@ class Rebinding:
 
         given: raw values of the same parameters. seed: of the run.
         """
+        row = list(self.parameters)
+        return tuple(row) if self.fill(row, given, seed) else None
+
+    def fill(self, row: MutableSequence[float], given: Mapping[str, Any], seed: int) -> bool:
+        """Put the same into a row that holds `parameters`; False, and nothing is changed, where `row` gives None."""
         if not self.is_possible:
-            return None
+            return False
         s = self.numbers.copy()
         for setting, unit in self.leaves:
             values = _numbers(given[setting.path], unit, setting.shape)
             if values is None or not _allowed(setting, values):
-                return None
+                return False
             s[setting.first : setting.first + len(values)] = values
         try:
             for setting in self.bound:
                 for k, program in enumerate(setting.elements or ()):
                     s[setting.first + k] = evaluated(program, s, is_strict=True)
                     if s[setting.first + k] == 0.0 and setting.path in self.defaults:
-                        return None  # a function of numpy may give it another sign
+                        return False  # a function of numpy may give it another sign
                 if not _allowed(setting, s[setting.first : setting.first + len(setting.values)]):
-                    return None
+                    return False
             if not all(check.holds(s) for check in self.checks):
-                return None
+                return False
         except Exception:  # what Python refuses, flattening tells; a requirement may raise anything
-            return None
-        row = placed([*(leaf for leaf, _ in self.leaves), *self.bound], s, self.parameters)
+            return False
+        put([*(leaf for leaf, _ in self.leaves), *self.bound], s, row)
         for stream, places in self.streams if seed != self.seed else ():
-            for place in places:
-                row[place] = number_of(seed, stream)
-        return tuple(row)
+            for index in places:
+                row[index] = number_of(seed, stream)
+        return True
 
 
 class _Requirement:

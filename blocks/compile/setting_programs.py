@@ -7,13 +7,13 @@ max, and in the order in which they are written, so that C computes the same bit
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, MutableSequence, Sequence
 from dataclasses import dataclass
 
 from ..contract.scalars import OPERATIONS, Scalar
 from ..contract.tape import TapeNode
 
-__all__ = ["Program", "Setting", "computed", "evaluated", "numbers", "placed", "program_of", "recorded"]
+__all__ = ["Program", "Setting", "computed", "evaluated", "numbers", "program_of", "put", "recorded"]
 
 # --- programs --------------------------------------------------------------------------------------------------
 
@@ -129,11 +129,9 @@ def computed(settings: Sequence[Setting], s: Sequence[float]) -> list[float]:
     return values
 
 
-def placed(settings: Sequence[Setting], s: Sequence[float], p: Sequence[float]) -> list[float]:
-    """The row p with the numbers of settings in their places."""
-    row = list(p)
+def put(settings: Iterable[Setting], s: Sequence[float], row: MutableSequence[float]) -> None:
+    """Put the numbers of settings into their places in the row p."""
     for setting in settings:
         for k, places in enumerate(setting.places):
-            for place in places if setting.first >= 0 else ():
-                row[place] = s[setting.first + k]
-    return row
+            for index in places if setting.first >= 0 else ():
+                row[index] = s[setting.first + k]
