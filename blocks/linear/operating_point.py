@@ -150,7 +150,7 @@ class _Equations:
         self.direct = [reference in self.by or reference.row in "xdukh" for reference in self.wanted]
         of += [r for r, is_direct in zip(self.wanted, self.direct, strict=True) if not is_direct]
         self.jacobian = PlanJacobian(plan, of, self.by) if by else None
-        self.program = point.engine.compiled.program(f"operating_{id(self)}", [*of])
+        self.program = point.engine.compiled.program("operating", [*of])
 
     def rates(self, point: Point) -> Array:
         """dx/dt, then the changes of discretes at their next tick."""
