@@ -29,7 +29,7 @@ from ..model.trust import Paths
 from ..results.results import Results
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import counted, legible
-from .batch_processes import Alone, in_processes
+from .batch_processes import Alone, Worker, in_processes
 from .prepared_model import PreparedModel
 from .run import Run, RunOptions
 from .values import check_settings, time_of
@@ -139,12 +139,13 @@ class Batch:
         self._why = _why_processes(first.plan, is_native=self._is_native)
         self._forms: dict[str, _Form] = {}  # by the values that fix more than numbers; the last used one goes last
         self._fixed: list[str] | None = None  # the parameters that do
+        self._workers: list[Worker] = []  # processes that wait for rows
         given = {key: value for key, value in settings.items() if key not in ("log", "jumps")}
         self._whole = PreparedModel(value, types, parameters=parameters, engine=engine, trust=trust, settings=given)
         self._model = PreparedModel(kept, types, parameters=parameters, engine=engine, trust=trust, settings=settings)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_forms": {}, "_fixed": None}
+        return {**vars(self), "_forms": {}, "_workers": [], "_fixed": None}
 
     @property
     def nominal(self) -> tuple[float, ...]:
@@ -341,7 +342,7 @@ class Batch:
         """Run the rows in processes of their own."""
         made = work.made
         rows = [(i, raw, made.seed(i)) for i, raw in enumerate(given) if made.status[i] == "left"]
-        for i, ended in in_processes(self, rows, made.budget, threads or cores()):
+        for i, ended in in_processes(self, rows, made.budget, threads or cores(), self._workers):
             if ended is None:
                 made.interrupted = True
                 return

@@ -1,6 +1,6 @@
 """Rows of a batch in processes of their own: for FMUs, programs in Python and engines that hold Python's lock.
 
-Each process takes row after row. One that dies takes its row with it, and another one goes on with the rest.
+Each process takes row after row, also of later calls. One that dies takes its row with it, and another one goes on.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 from ..text.errors import BlocksError, Fault
 
-__all__ = ["Alone", "Rows", "in_processes"]
+__all__ = ["Alone", "Rows", "Worker", "in_processes"]
 
 Array = np.ndarray[Any, Any]
 
@@ -50,14 +50,17 @@ Task = tuple[int, dict[str, Any], int | None]
 
 
 def in_processes(
-    batch: Rows, rows: Sequence[Task], budget: int | None, count: int
+    batch: Rows, rows: Sequence[Task], budget: int | None, count: int, workers: list[Worker]
 ) -> Iterator[tuple[int, Alone | None]]:
     """What becomes of each row, as it is known; None where Ctrl-C ends it.
+
+    workers: those of the batch that wait for rows, and will do so again afterwards.
 
     What cannot be pickled runs here, row after row; so do all rows in a process that may have none of its own, as a
     worker of dask, and where processes cannot begin: block types that were defined in a notebook are not known there,
     and a script that does not ask for __name__ == "__main__" would run in each of them.
     """
+    count = max(1, min(count, len(rows)))
     try:
         text = b"" if multiprocessing.current_process().daemon else pickle.dumps(batch)
     except Exception:  # pickle raises what the types raise
@@ -65,15 +68,17 @@ def in_processes(
     if not text:
         yield from _here(batch, rows, budget)
         return
+    mine = [workers.pop() if workers else Worker(text) for _ in range(count)]  # other threads may run other rows
     tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
     for row in rows:
         tasks.put(row)
     done: queue.SimpleQueue[tuple[int, Alone] | None] = queue.SimpleQueue()
     left = {row[0]: row for row in rows}
-    workers = [_Worker(text, budget, tasks, done) for _ in range(max(1, min(count, len(rows))))]
+    for worker in mine:
+        threading.Thread(target=_work, args=(worker, tasks, done, budget), daemon=True).start()
     try:
-        working = len(workers)
-        while left and working:
+        working = count
+        while working:
             try:
                 ended = done.get(timeout=0.1)
             except queue.Empty:
@@ -87,8 +92,11 @@ def in_processes(
         yield -1, None
         return
     finally:
-        for worker in workers:
-            worker.end()
+        if left:  # they are not waited for
+            for worker in mine:
+                worker.end()
+        else:
+            workers += mine
     yield from _here(batch, [*left.values()], budget)
 
 
@@ -101,45 +109,30 @@ def _here(batch: Rows, rows: Sequence[Task], budget: int | None) -> Iterator[tup
             return
 
 
-class _Worker:
-    """A process, and the thread that gives it rows."""
+class Worker:
+    """A process that runs one row after the other; another one takes its place where it dies."""
 
-    def __init__(
-        self, text: bytes, budget: int | None, tasks: queue.SimpleQueue[Task], done: queue.SimpleQueue[Any]
-    ) -> None:
-        self.text, self.budget, self.tasks, self.done = text, budget, tasks, done
+    def __init__(self, text: bytes) -> None:
+        """text: the batch."""
+        self.text = text
         self.process: Any = None
+        self.connection: Connection | None = None
         self.is_ended = False
-        threading.Thread(target=self._work, daemon=True).start()
 
-    def _work(self) -> None:
+    def run(self, task: Task, budget: int | None) -> Alone | None:
+        """What becomes of a row; None where no process can begin."""
+        connection = self.connection or self._begun()
+        if connection is None:
+            return None
         try:
-            self._take_rows()
-        finally:
-            self.done.put(None)
-
-    def _take_rows(self) -> None:
-        connection: Connection | None = None
-        while not self.is_ended:
-            try:
-                task = self.tasks.get_nowait()
-            except queue.Empty:
-                break
-            if connection is None:
-                connection = self._begun()
-            if connection is None:
-                return
-            try:
-                connection.send((*task[1:], self.budget))
-                self.done.put((task[0], connection.recv()))
-            except (EOFError, OSError):
-                connection = None
-                self.done.put((task[0], self._death()))
-        if connection is not None:
-            connection.close()
+            connection.send((*task[1:], budget))
+            ended: Alone = connection.recv()
+        except (EOFError, OSError):
+            self.connection = None
+            return self._death()
+        return ended
 
     def _begun(self) -> Connection | None:
-        """A process that waits for rows; None where it cannot begin."""
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs, self.text), daemon=True)
@@ -149,6 +142,7 @@ class _Worker:
             ours.recv()
         except (EOFError, OSError):
             return None
+        self.connection = ours
         return ours
 
     def _death(self) -> Alone:
@@ -160,6 +154,21 @@ class _Worker:
         self.is_ended = True
         if self.process is not None and self.process.is_alive():
             self.process.terminate()
+
+
+def _work(worker: Worker, tasks: queue.SimpleQueue[Task], done: queue.SimpleQueue[Any], budget: int | None) -> None:
+    """Give rows to a worker until there are none left."""
+    try:
+        while not worker.is_ended:
+            task = tasks.get_nowait()
+            ended = worker.run(task, budget)
+            if ended is None:
+                return
+            done.put((task[0], ended))
+    except queue.Empty:
+        pass
+    finally:
+        done.put(None)
 
 
 def _serve(connection: Connection, text: bytes) -> None:
