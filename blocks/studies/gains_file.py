@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["Values", "changes", "written"]
 
 CLOSE = 1e-12
-"""By how much a value may be off, which is written in another unit."""
+"""By how much a value may be off, which is written in another unit, with 13 digits."""
 
 
 class Values(Protocol):
@@ -93,7 +93,7 @@ def _new(
         there = str(entry.get("unit", unit))
         entry, place = entry.get("value"), (*place, "value")
         if there != unit:
-            value = float(f"{value * (to_si(1.0, unit) / to_si(1.0, there)):.12g}")
+            value = float(f"{value * (to_si(1.0, unit) / to_si(1.0, there)):.13g}")
     for index in element:
         if not isinstance(entry, list):
             return place, None

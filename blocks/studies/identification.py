@@ -130,6 +130,10 @@ def fit(
     from scipy import optimize, stats
 
     space = Space.of(over)
+    if not isinstance(compare, Mapping):
+        raise UsageError(Fault("E501", "compare", "must map signals to columns.", 'As in {"motor.omega": "omega"}.'))
+    if isinstance(level, bool) or not isinstance(level, (int, float)) or not 0 < level < 1:
+        raise UsageError(Fault("E501", "level", f"is {legible(repr(level))}.", "Give a share of 1, such as 0.95."))
     columns = _columns(data, diagram, compare)
     value = taken(diagram.value, variants)
     varied = columns_of(list(over), value, diagram.flatten(parameters=parameters, variants=variants))
@@ -147,6 +151,15 @@ def fit(
 
     before = run(None)
     known = {name: np.isfinite(data) for name, data in measured.items()}
+    for name in compare:
+        if before[name].ndim != 1:
+            message, cure = "is a vector.", f'Compare its elements, as in "{name}[0]".'
+            raise UsageError(Fault("E501", legible(str(name)), message, cure))
+    for name, column in compare.items():
+        count = sum(map(np.count_nonzero, known.values())) if known[name].any() else 0
+        if count < len(over):
+            message = f"has {count} numbers for {len(over)} parameters."
+            raise UsageError(Fault("E501", legible(str(column)), message, "Give more rows."))
     weights = {name: 1.0 / (float(np.std(data[known[name]])) or 1.0) for name, data in measured.items()}
 
     def residuals(cube: Array) -> Array:
@@ -175,7 +188,7 @@ def fit(
         parts, used = zip(known, np.split(found.fun, ends[:-1]), strict=True), len(start) / len(found.fun)
         deviations = {name: _deviation(part, used) / weights[name] for name, part in parts}
         if len(compare) > 1:
-            weights = {name: 1.0 / (deviation or 1.0) for name, deviation in deviations.items()}
+            weights = {name: 1.0 / (deviation if deviation > 0 else 1.0) for name, deviation in deviations.items()}
     values = space.values(found.x)
     after, names = run(values), list(over)
     free = len(found.fun) - len(names)
@@ -209,7 +222,7 @@ def at_times(results: Results, name: str, t: Array) -> Array:
 
 def _deviation(rest: Array, used: float) -> float:
     """The deviation of residuals, of whose degrees of freedom this part is used up."""
-    return math.sqrt(float(rest @ rest) / max(len(rest) * (1.0 - used), 1e-300))
+    return math.sqrt(float(rest @ rest) / (len(rest) * (1.0 - used))) if used < 1 else math.nan
 
 
 def _judged(slopes: Array, s: float) -> tuple[Array, Array, list[list[int]]]:
@@ -297,7 +310,14 @@ def _columns(data: Any, diagram: Diagram, compare: Mapping[str, str]) -> dict[st
     if faults:
         raise UsageError(*faults)
     wanted = {*needed, *(name for name in diagram.value.inputs if name in known)}
-    columns = {name: np.asarray(table[name], dtype=float) for name in known if name in wanted}
+    try:
+        columns = {name: np.asarray(table[name], dtype=float) for name in known if name in wanted}
+    except (TypeError, ValueError) as error:
+        raise UsageError(Fault("E501", place, f"holds what is no number: {legible(str(error))}.")) from None
+    for name, column in columns.items():
+        if column.shape != columns["time"].shape or column.ndim != 1:
+            message = f"has {column.shape} numbers in its column {legible(name)}, and {columns['time'].shape} times."
+            raise UsageError(Fault("E501", place, message, "Give one number for each time."))
     if len(columns["time"]) < 2 or not np.isfinite(columns["time"]).all():
         raise UsageError(Fault("E501", place, "has fewer than two rows, or a time that is no number."))
     return columns

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..results.table import optional
+from ..text.errors import BlocksError
 
 __all__ = ["METHODS", "Spent"]
 
@@ -69,10 +70,15 @@ def differential_evolution(evaluate: Evaluate, start: Array, seed: int, budget: 
         strata = np.array([draw.permutation(members) for _ in range(count)]).T
         first = (strata + draw.random((members, count))) / members
         first[0] = start
-        optimize.differential_evolution(
-            lambda x: evaluate(np.atleast_2d(x.T)), [(0.0, 1.0)] * count, init=first, maxiter=budget, polish=False,
-            vectorized=True, updating="deferred", seed=draw, tol=1e-9,
-        )  # fmt: skip
+        try:
+            optimize.differential_evolution(
+                lambda x: evaluate(np.atleast_2d(x.T)), [(0.0, 1.0)] * count, init=first, maxiter=budget, polish=False,
+                vectorized=True, updating="deferred", seed=draw, tol=1e-9,
+            )  # fmt: skip
+        except RuntimeError as error:  # SciPy hides errors of its function, where they are ValueErrors
+            if isinstance(error.__cause__, BlocksError):
+                raise error.__cause__ from None
+            raise
 
 
 METHODS = {"cma": cma, "de": differential_evolution}

@@ -186,6 +186,8 @@ def rows_of(vary: Any, *, n: int | None, sampler: str, seed: int, expand: Callab
     base = 0
     if sampler == "saltelli":
         base = _saltelli_base(n, drawn, listed)
+    if (n or 1) * max(1, len(drawn)) > MOST_ROWS:
+        raise _refused("n", f"asks for {n} draws of {len(drawn)} values; {MOST_ROWS} numbers are the most.")
     points, warnings = unit_points(n or 1, len(drawn), sampler, int(seed))
     columns = {name: np.asarray(law.ppf(points[:, k]), dtype=float) for k, (name, law) in enumerate(drawn.items())}
     for name, column in columns.items():
@@ -291,7 +293,7 @@ def named_values(place: str, kind: str, given: Sequence[float] | Mapping[str, fl
         return Distribution(kind, **given)
     if kind in ("linspace", "geomspace"):
         low, high, count = given if len(given) == 3 else (0.0, 0.0, 0.0)
-        if count < 1 or count % 1 or (kind == "geomspace" and low * high <= 0):
+        if not 1 <= count <= MOST_ROWS or count % 1 or (kind == "geomspace" and low * high <= 0):
             what = f"{text!r} is not {kind}:FROM,TO,COUNT{' with numbers of one sign' if kind == 'geomspace' else ''}."
             raise _refused(place, what, f"As in {kind}:1,20,9.")
         return (np.linspace if kind == "linspace" else np.geomspace)(low, high, int(count))

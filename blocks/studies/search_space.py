@@ -32,6 +32,8 @@ class Space:
     @classmethod
     def of(cls, over: Mapping[str, Any]) -> Space:
         """Raises UsageError (E501) with all bounds that are none."""
+        if not isinstance(over, Mapping):
+            raise UsageError(Fault("E501", "over", "must map names to bounds.", 'As in over={"motor.Ra": (0.1, 0.2)}.'))
         faults, bounds = [], []
         for name, given in over.items():
             try:

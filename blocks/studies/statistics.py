@@ -25,12 +25,28 @@ class SobolIndex(NamedTuple):
 
 
 def quantiles(values: Array, q: Array) -> Array:
-    """Quantiles over the rows of values (n, ...): (len(q), ...); nan where no row has a number."""
+    """Quantiles over the rows of values (n, ...): (len(q), ...); nan where no row has a number. inf is one."""
     some = ~np.isnan(values).all(axis=0)
     made = np.full((len(q), *values.shape[1:]), np.nan)
     if some.ndim == 0:
-        return np.asarray(np.nanquantile(values, q, axis=0)) if some else made
-    made[:, some] = np.nanquantile(values[:, some], q, axis=0)
+        return _quantiles(values, q) if some else made
+    made[:, some] = _quantiles(values[:, some], q)
+    return made
+
+
+def _quantiles(values: Array, q: Array) -> Array:
+    if not np.isinf(values).any():
+        return np.asarray(np.nanquantile(values, q, axis=0))
+    # NumPy gives nan beside an infinite value, also at a number.
+    return np.asarray(np.apply_along_axis(_beside_infinite, 0, values, q))
+
+
+def _beside_infinite(values: Array, q: Array) -> Array:
+    known = np.sort(values[~np.isnan(values)])
+    place = (len(known) - 1) * q
+    low, high = known[np.floor(place).astype(int)], known[np.ceil(place).astype(int)]
+    with np.errstate(invalid="ignore"):
+        made: Array = np.where(low == high, low, low + (high - low) * (place % 1.0))
     return made
 
 

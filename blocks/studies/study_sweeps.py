@@ -18,6 +18,7 @@ from ..text.grammar import Steps
 from ..text.json_number import Number
 from ..text.printable import quoted
 from .sampling import each, named_values
+from .statistics import quantiles
 from .sweep import Sweep
 from .sweep_margins import RowMargins, margins_of
 
@@ -146,17 +147,20 @@ def statistic_of(values: Array, statistic: tuple[str, float], limit: tuple[str, 
     """What a claim asks of a measure (n,): ("quantile", q), ("mean", nan), ("deviation", nan); or ("share", part): the
     share of all rows within the limit, ("at_most", x) or ("at_least", x).
 
-    Rows without a number count in shares alone, where they are not within the limit.
+    A row without a number keeps no limit: it is not in the share; in a quantile it lies beyond all others; and with it
+    neither mean nor deviation have a number. Without a limit the other rows count.
     """
     kind, level = statistic
-    if kind == "share" and limit is not None:
+    if limit is not None and kind == "share":
         within = values <= limit[1] if limit[0] == "at_most" else values >= limit[1]
         return float(np.count_nonzero(within) / max(1, len(values)))
-    known = values[~np.isnan(values)]
+    if limit is not None and kind == "quantile":
+        values = np.where(np.isnan(values), np.inf if limit[0] == "at_most" else -np.inf, values)
+    known = values if limit is not None else values[~np.isnan(values)]
     if not len(known):
         return float("nan")
     if kind == "quantile":
-        return float(np.quantile(known, level))
+        return float(quantiles(known, np.array([level]))[0])
     return float(known.mean() if kind == "mean" else known.std(ddof=min(1, len(known) - 1)))
 
 

@@ -8,6 +8,7 @@ of rows in an Arrow IPC stream, as `results.arrow` keeps those of runs.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -61,7 +62,7 @@ def read(path: str | Path) -> dict[str, Any]:
         return _sweep_of(table, refuse)
     except UsageError:
         raise
-    except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+    except (pa.ArrowException, OSError, LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
         said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise refuse(f"is no file of a sweep: {one_line(said).rstrip(' .')}.") from None
 
@@ -240,6 +241,8 @@ class SweepPart:
         self.target, self.path = target, part_of(target)
         self.told = told
         self.end_of_rows = 0
+        if os.path.isdir(target):  # it would be known when all rows are done
+            raise refused(target, IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR)))
         try:
             self.stream = held(self.path, os.O_RDWR | os.O_CREAT)
         except OSError as error:

@@ -22,11 +22,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from ..api.batch import Batch
-from ..model.flatten import Flat
+from ..model.flatten import Flat, element_of
 from ..model.wires import BlockSource
 from ..results.results import Results
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
-from ..text.printable import quoted
+from ..text.printable import legible, quoted
 from .gains_file import changes
 from .objectives import Constraint, Objective, constraints_of, objective_of
 from .optimizers import METHODS, Spent
@@ -46,6 +46,7 @@ PENALTY = 10.0
 """What an excess of a constraint by all of its limit adds to the fitness, in parts of the objective of the diagram."""
 CHANGE = 0.05
 """The relative change of each value for the sensitivities."""
+_SCENARIOS = 'As in scenarios={"quiet": {}, "noisy": {"sigma": 0.001}}.'
 EFFORT = ("ISU", "total_variation")
 """Measures that limit a control, of whatever signal."""
 
@@ -122,6 +123,13 @@ def problem_of(
         raise UsageError(Fault("E501", "method", f"there is no method {quoted(str(method))}.", cure))
     if not isinstance(budget, int) or isinstance(budget, bool) or budget < 1:
         raise UsageError(Fault("E501", "budget", f"is {budget!r}.", "Give a number of candidates, such as 500."))
+    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+        raise UsageError(Fault("E501", "seed", f"must be an integer from 0 on, not {legible(repr(seed))}."))
+    if scenarios is not None and not isinstance(scenarios, Mapping):
+        raise UsageError(Fault("E501", "scenarios", "must map names to parameters.", _SCENARIOS))
+    for name, on_top in (scenarios or {}).items():
+        if not isinstance(on_top, Mapping):
+            raise UsageError(Fault("E501", f"scenarios.{name}", "must map parameters to values.", _SCENARIOS))
     scenarios = dict(scenarios) if scenarios else {"nominal": {}}
     measures = tuple(diagram.value.measures)
     objective = objective_of(minimize, measures, tuple(scenarios))
@@ -207,9 +215,10 @@ def _limits_effort(problem: Problem, needed: Mapping[str, Sequence[str]]) -> boo
             tuned |= {name.rpartition(".")[0] for name in changes(first, flat(problem.batch.parameters(row)))}
     names = {measure for each in needed.values() for measure in each}
     for spec in first.measures:
-        if spec.name not in names:
+        signal = element_of(spec.of, first.signals)
+        if spec.name not in names or signal is None:
             continue
-        sources = (source for source in first.signals[spec.of].sources if isinstance(source, BlockSource))
+        sources = (source for source in signal.sources if isinstance(source, BlockSource))
         of = {first.blocks[source.block].path for source in sources}
         if spec.type in EFFORT or (spec.against == 0.0 and of & tuned):
             return True
@@ -297,7 +306,8 @@ class _Search:
             cure = "Move the bounds towards values with which the diagram runs."
             raise UsageError(Fault("E501", problem.diagram.name, message, cure))
         found = (math.inf, math.inf) if index is None else (history.excess[index], history.objective[index])
-        is_kept = index is None or (has_own and bool((excess, self.base) <= found))
+        # A pattern whose values differ has none of its own to show, but they may be the best.
+        is_kept = index is None or bool((excess, self.base) <= found)
         values = nominal if index is None or is_kept else history.values[index]
         given = {} if is_kept else problem.batch.parameters(values.tolist())
         after = {name: problem.run(name, given) for name in problem.scenarios}
@@ -318,7 +328,7 @@ class _Search:
             scenarios=problem.scenarios, objective_before=self.base,
             objective=float(problem.objective.values(measured(after))[0]), before=problem.before, after=after,
             conditions=tuple(conditions),
-            sensitivities={} if self.is_interrupted else self.sensitivities(values),
+            sensitivities={} if self.is_interrupted or (is_kept and not has_own) else self.sensitivities(values),
             history=history, warnings=problem.warnings, interrupted=self.is_interrupted, is_kept=is_kept,
             targets=named(batch.targets),
         )  # fmt: skip

@@ -125,8 +125,17 @@ def test_data_of_a_file_with_uneven_times_and_gaps_are_fitted_and_written(tmp_pa
         ({"time": [0.0], "speed": [0.0]}, {"motor.omega": "speed"}, "fewer than two rows"),
         ("nowhere.csv", {"motor.omega": "speed"}, "cannot be read"),
         ({"time": [0, 1]}, {}, "names no signal"),
+        ({"time": [0, 1]}, ["motor.omega"], "compare: must map"),
+        ({"time": [0, 1], "v": [0, 1], "speed": [np.nan] * 2}, {"motor.omega": "speed"}, "speed: has 0 numbers for 1"),
+        ({"time": [0, 1], "v": [0, 1], "speed": [1]}, {"motor.omega": "speed"}, "one number for each time"),
+        ({"time": [0, 1], "v": [0, 1], "speed": ["a", 1]}, {"motor.omega": "speed"}, "holds what is no number"),
     ],
 )
 def test_data_that_cannot_be_compared_are_refused(data: Any, compare: dict[str, str], said: str) -> None:
     with pytest.raises(UsageError, match=said):
         plant().fit(data, over={"motor.Ra": (0.1, 1)}, compare=compare)
+
+
+def test_a_level_is_a_share() -> None:
+    with pytest.raises(UsageError, match="level: is 95"):
+        plant().fit({"time": [0, 1]}, over={"motor.Ra": (0.1, 1)}, compare={}, level=95)

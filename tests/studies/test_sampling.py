@@ -125,6 +125,7 @@ def test_seeds_of_rows_are_fixed_for_all_time() -> None:
         ({"a": Normal(0, 1)}, 100, "saltelli", "must be a power of 2, not 100. n=64 makes 192 rows"),
         ({"a": [1, 2]}, 64, "saltelli", "need a distribution"),
         ({"a": Normal(0, 1)}, 0, "random", "n: must be an integer above 0"),
+        ({"a": Normal(0, 1)}, 10**13, "random", "n: asks for"),
         ([{"a": 1}, {"b": 1}], None, "random", "table of rows with equal names"),
         ([{"a": 1}], 4, "random", "the rows are given"),
     ],

@@ -93,6 +93,15 @@ def test_rows_without_a_number_keep_no_limit() -> None:
     assert statistic_of(values, ("share", 0.9), ("at_least", 2.0)) == 0.5
     assert statistic_of(values, ("quantile", 0.5), None) == 2.0
     assert np.isnan(statistic_of(np.full(2, np.nan), ("mean", np.nan), None))
+    # A limit is not kept by the rows that are left.
+    lost = np.array([1.0, 2.0, np.nan, 1.5, 1.0])
+    assert statistic_of(lost, ("quantile", 1.0), ("at_most", 3.0)) == np.inf
+    assert statistic_of(lost, ("quantile", 0.0), ("at_least", 0.5)) == -np.inf
+    assert statistic_of(lost, ("quantile", 0.5), ("at_most", 3.0)) == 1.5
+    assert np.isnan(statistic_of(lost, ("mean", np.nan), ("at_most", 3.0)))
+    # Loops that bear any gain.
+    assert statistic_of(np.array([1.0, 2.0, np.inf]), ("quantile", 0.5), None) == 2.0
+    assert statistic_of(np.array([1.0, 2.0, np.inf]), ("quantile", 0.75), ("at_least", 1.0)) == np.inf
     limit = study.Claim((), "dip", "", None, "", "", 0.0, "holds", "", "many", "", ("mean", np.nan), ("at_most", 1.0))
     sweep = Diagram.load(MASS).sweep({"mass": [1.0]}, stop=0.1)
     empty = replace(sweep, measures={"dip": np.array([np.nan])})

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Constant, Diagram, FirstOrder, Gain, Integrator, ModelError, Noise, Step, Sum, UsageError
+from blocks import Constant, Diagram, FirstOrder, Gain, Integrator, ModelError, Mux, Noise, Step, Sum, UsageError
 from blocks.api.batch import Batch, BatchRows
 from blocks.cli import main
 from blocks.studies import study
@@ -138,6 +138,9 @@ def test_a_tuning_that_noise_and_effort_do_not_hold_back_is_told(given: dict[str
         ({"minimize": "IAE", "over": {"gain": (1, 5)}}, "there is no such parameter"),
         ({"minimize": "IAE", "method": "least_squares"}, "Use Diagram.fit"),
         ({"minimize": "IAE", "budget": 0}, "budget: is 0"),
+        ({"minimize": "IAE", "seed": -1}, "seed: must be an integer from 0 on"),
+        ({"minimize": "IAE", "scenarios": {"noisy": 3}}, "scenarios.noisy: must map"),
+        ({"minimize": "IAE", "over": "k"}, "over: must map"),
     ],
 )
 def test_what_can_have_no_number_is_refused_before_the_first_candidate(
@@ -188,6 +191,38 @@ def test_the_best_value_lies_on_the_side_of_a_constraint_that_holds() -> None:
     nearest = square(1.0).tune(**out_of_reach, **SHORT)
     assert not nearest.is_feasible
     assert nearest.values["x"] == pytest.approx(2.0, abs=0.01)
+
+
+def test_a_pattern_whose_values_differ_is_kept_where_nothing_is_better() -> None:
+    diagram = Diagram("two")
+    for name, value in (("x_1", 2.0), ("x_2", -1.0)):
+        diagram.add(name, Constant(value=value))
+    diagram.add("square", Sum(signs="++"))
+    diagram.wire("square.u1", "x_1.y")
+    diagram.wire("square.u2", "x_2.y")
+    diagram.measure("f", "steady_state_error", "square.y")
+    tuning = diagram.tune(minimize="abs(f - 1)", over={"x_*.value": (5.0, 6.0)}, budget=5, method="de", **SHORT)
+    assert tuning.is_kept
+    assert not tuning.parameters
+    assert tuning.objective == tuning.objective_before == 0.0
+    assert "nothing better" in repr(tuning)
+    assert tuning.markdown()
+    assert tuning.plot()
+
+
+def test_measures_of_elements_and_bounds_with_values_that_are_refused() -> None:
+    diagram = function("x", x=1.0)
+    diagram.add("both", Mux())
+    diagram.wire("both.u1", "value.y")
+    diagram.wire("both.u2", "value.y")
+    diagram.measure("first", "peak", "both.y[0]")
+    diagram.add("lag", FirstOrder(T="=x"))
+    diagram.wire("lag.u", "value.y")
+    tuning = diagram.tune(minimize="first", over={"x": (-1.0, 1.5)}, budget=10, method="de", **SHORT)
+    assert tuning.values["x"] > 0
+    assert "refused" in tuning.history.status
+    with pytest.raises(UsageError, match="threads: must be"):
+        diagram.tune(minimize="first", over={"x": (0.5, 1.5)}, budget=10, method="de", threads=0, **SHORT)
 
 
 def test_a_run_that_diverges_is_never_the_best_one() -> None:
