@@ -56,7 +56,7 @@ def _tune(options: argparse.Namespace) -> int:
 
     diagram = Diagram.load(options.diagram, library=options.library)
     problem = problem_of(
-        diagram, minimize=options.minimize, over=dict(_bounds(item) for item in options.over),
+        diagram, minimize=options.minimize, over=_over(options.over),
         scenarios=scenarios_of(options.scenarios), subject_to=options.subject_to,
         method=options.method, budget=_whole("budget", options.budget), seed=_whole("seed", options.seed),
         parameters=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
@@ -118,6 +118,16 @@ def _whole(option: str, text: str) -> int:
     if isinstance(number, dict) or not float(number).is_integer():
         raise UsageError(Fault("E501", f"--{option}", f"{text!r} is no integer."))
     return int(number)
+
+
+def _over(items: Sequence[str]) -> dict[str, tuple[float, float]]:
+    over: dict[str, tuple[float, float]] = {}
+    for item in items:
+        name, bounds = _bounds(item)
+        if name in over:
+            raise UsageError(Fault("E501", f"--over {item}", "has bounds already.", "Give each name once."))
+        over[name] = bounds
+    return over
 
 
 def _bounds(item: str) -> tuple[str, tuple[float, float]]:

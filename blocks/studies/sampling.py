@@ -25,7 +25,7 @@ from ..text.printable import legible
 
 __all__ = [
     "SAMPLERS", "Distribution", "Each", "LogUniform", "Normal", "Rows", "Triangular", "TruncatedNormal", "Uniform",
-    "each", "named_values", "rows_of", "seed_of", "unit_points",
+    "check_draws", "each", "named_values", "rows_of", "seed_of", "unit_points",
 ]  # fmt: skip
 
 Array = np.ndarray[Any, Any]
@@ -181,13 +181,7 @@ def rows_of(vary: Any, *, n: int | None, sampler: str, seed: int, expand: Callab
                 listed[name] = _column(str(name), what)
                 if not len(listed[name]):
                     raise _refused(legible(str(name)), "has no value.", "Give a list of some, or a distribution.")
-    if drawn and n is None:
-        raise _refused("n", f"says how many rows are drawn for {', '.join(map(str, drawn))}.", "As in n=1000.")
-    base = 0
-    if sampler == "saltelli":
-        base = _saltelli_base(n, drawn, listed)
-    if (n or 1) * max(1, len(drawn)) > MOST_ROWS:
-        raise _refused("n", f"asks for {n} draws of {len(drawn)} values; {MOST_ROWS} numbers are the most.")
+    base = check_draws({**drawn, **listed}, n, sampler)
     points, warnings = unit_points(n or 1, len(drawn), sampler, int(seed))
     columns = {name: np.asarray(law.ppf(points[:, k]), dtype=float) for k, (name, law) in enumerate(drawn.items())}
     for name, column in columns.items():
@@ -240,6 +234,17 @@ def unit_points(n: int, dimensions: int, sampler: str, seed: int) -> tuple[Array
         mixed = [np.where(np.arange(dimensions) == k, b, a) for k in range(dimensions)]
         points = np.concatenate([a, b, *mixed])
     return np.clip(points, LEAST, 1.0 - LEAST), warnings
+
+
+def check_draws(vary: Mapping[Any, Any], n: int | None, sampler: str) -> int:
+    """Whether so many can be drawn; gives `Rows.base`. Raises UsageError (E501)."""
+    drawn = {name: what for name, what in vary.items() if callable(getattr(what, "ppf", None))}
+    listed = {name: what for name, what in vary.items() if name not in drawn}
+    if drawn and n is None:
+        raise _refused("n", f"says how many rows are drawn for {', '.join(map(str, drawn))}.", "As in n=1000.")
+    if (n or 1) * max(1, len(drawn)) > MOST_ROWS:
+        raise _refused("n", f"asks for {n} draws of {len(drawn)} values; {MOST_ROWS} numbers are the most.")
+    return _saltelli_base(n, drawn, listed) if sampler == "saltelli" else 0
 
 
 def _saltelli_base(n: int | None, drawn: Mapping[str, Any], listed: Mapping[str, Array]) -> int:

@@ -17,7 +17,7 @@ from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.grammar import Steps
 from ..text.json_number import Number
 from ..text.printable import quoted
-from .sampling import each, named_values
+from .sampling import check_draws, each, named_values
 from .statistics import quantiles
 from .sweep import Sweep
 from .sweep_margins import RowMargins, margins_of
@@ -103,9 +103,20 @@ def faults_of(entry: StudySweep, diagram: Diagram, parameters: Mapping[str, Any]
         except BlocksError as error:
             yield ("vary", name), error.faults[0]
     try:
-        entry.varied()
+        varied = entry.varied()
     except UsageError as error:
         yield ("vary", error.faults[0].place), error.faults[0]
+        varied = {}
+    for name, law in zip(entry.vary, varied.values(), strict=False):
+        if callable(getattr(law, "ppf", None)):
+            try:
+                law.ppf(np.array([0.5]))
+            except UsageError as error:
+                yield ("vary", name), error.faults[0]
+    try:
+        check_draws(varied, entry.options.get("n"), entry.options.get("sampler", "random"))
+    except UsageError as error:
+        yield ("n",), error.faults[0]
     for k, name in enumerate(entry.options.get("measures", ())):
         if name not in diagram.value.measures:
             yield ("measures", k), _unknown(name, diagram.value.measures, "measure of the diagram")

@@ -298,3 +298,7 @@ def test_the_command_tunes_writes_and_reports(tmp_path: Path, capsys: pytest.Cap
     assert "noisy.variation &lt;= 300" in (tmp_path / "report" / "report.html").read_text()
     assert (tmp_path / "report" / "search.png").stat().st_size > 1000
     assert main([*command[:6], "--over", "k=1"]) == 2
+    assert main([*command[:6], "--over", "k=2,3"]) == 2, "bounds of one name twice"
+    capsys.readouterr()
+    assert main([*command[:12], "--budget", "3", "--json"]) == 0
+    assert isinstance(json.loads(capsys.readouterr().out.splitlines()[-1])["kept"], bool)
