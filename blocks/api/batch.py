@@ -103,6 +103,10 @@ class Batch:
     ) -> None:
         settings = {"log": list(log), **(settings or {})}
         check_settings(settings)
+        if "inputs" in settings:
+            message = "rows take the inputs that the diagram gives: its defaults, and those of its run."
+            cure = "Let a parameter say what shall vary, or give them by Diagram.settings(inputs=...)."
+            raise UsageError(Fault("E501", "inputs", message, cure))
         if settings.get("jumps"):
             message = "signals come out on one grid for all rows, without rows of their own for jumps."
             raise UsageError(Fault("E501", "jumps", message, "Leave it out, or run a row by itself."))
@@ -552,6 +556,8 @@ def _picked(value: DiagramValue, measures: Sequence[str] | None) -> DiagramValue
     """The diagram with the measures that are asked for. Raises UsageError (E501)."""
     if measures is None:
         return value
+    if isinstance(measures, str):
+        raise UsageError(Fault("E501", "measures", "is one text.", f'Give a list: measures=["{legible(measures)}"].'))
     for name in measures:
         if name not in value.measures:
             cure = did_you_mean(str(name), value.measures) or f"Measures: {', '.join(value.measures) or 'none'}."

@@ -323,6 +323,8 @@ def test_stiff_rows_are_those_of_runs() -> None:
         "element": ({"names": ["lag.T[0]"]}, "E501 .*name it alone"),
         "measure": ({"names": [], "measures": ["effor"]}, "E501 effor.*effort"),
         "one name": ({"names": "lag.T"}, "E501 lag.T: is one name"),
+        "text": ({"names": [], "measures": "ise"}, "E501 measures"),
+        "inputs": ({"names": [], "inputs": {"u": 1.0}}, "E501 inputs"),
         "jumps": ({"names": [], "jumps": True}, "E501 jumps"),
         "given": ({"names": ["lag.T"], "parameters": {"lag.T": 1.0}}, "E501 lag.T"),
         "setting": ({"names": [], "stp": 1.0}, "E501 stp"),
