@@ -487,9 +487,9 @@ class Diagram:
 
         names: of its columns: parameters by path ("motor.Ra"), one value for all that a pattern names
         ("control_*.eso.Ka"; * stands for a part of one name), or elements ("pid.k[0]"). measures: which ones; None:
-        all. log: signals that come out on a grid: that of `every`, else of 200 intervals. Inputs are those of the diagram
-        and of its run; other arguments as of `run`.
-        Each row gives bit for bit what `run` gives with its values. Raises ModelError, UsageError, CompilerError.
+        all. log: signals that come out on a grid: that of `every`, else of 200 intervals. Inputs are those of the
+        diagram and of its run; other arguments as of `run`. Each row gives bit for bit what `run` gives with its
+        values. Raises ModelError, UsageError, CompilerError.
         """
         from .batch import Batch
 
