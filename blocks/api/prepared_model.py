@@ -43,9 +43,9 @@ class PreparedModel:
 
     Values of tunable parameters and start values, inputs, and of the settings start, stop, step, rtol, atol, every,
     jumps, stops and seed cost nothing beyond the run. What fixes more than numbers makes a new form of the model, of
-    which the last 8 are kept: structural parameters, sizes, periods, delays, tables, texts, which elements of a matrix are
-    0; parameters that measures, the times of the run or nominal sizes are computed from; other names of parameters than
-    in the runs before; log, method, loops, master. A form for FMUs is prepared once too, but these begin as new
+    which the last 8 are kept: structural parameters, sizes, periods, delays, tables, texts, which elements of a matrix
+    are 0; parameters that measures, the times of the run or nominal sizes are computed from; other names of parameters
+    than in the runs before; log, method, loops, master. A form for FMUs is prepared once too, but these begin as new
     ones in each run. A model pickles as what it is made of, and is prepared again where it is loaded.
     """
 
