@@ -19,3 +19,13 @@ pytest.register_assert_rewrite("tests.support")
 # What is started in the background of a shell has Ctrl-C ignored, and so would all that tests start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def native(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The native engine, by which rows of values run in threads; by another one they run in processes."""
+    from blocks.compile.toolchain.compiler import find_compiler
+
+    if find_compiler() is None:
+        pytest.skip("there is no C compiler")
+    monkeypatch.setenv("BLOCKS_ENGINE", "native")

@@ -37,6 +37,8 @@ from tests.support.fatal import Fatal
 from tests.support.marks import long
 from tests.support.places import ROOT
 
+pytestmark = pytest.mark.usefixtures("native")
+
 ASKED = {key: value for key, value in asked.items() if key != "threads"}
 ROBOT = ROOT / "diagrams" / "paper" / "iadrc.json"  # with diagrams of other files
 

@@ -17,6 +17,8 @@ from blocks.studies.sampling import Normal
 from blocks.studies.study_sweeps import statistic_of
 from tests.support.places import ROOT
 
+pytestmark = pytest.mark.usefixtures("native")
+
 MASS = str(ROOT / "diagrams" / "adrc" / "mass_position.json")
 SWEEP: dict[str, Any] = {
     "diagram": MASS,

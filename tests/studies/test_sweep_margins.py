@@ -15,6 +15,8 @@ from blocks.studies.sweep import Sweep
 from blocks.text.errors import UsageError
 from tests.support.places import ROOT
 
+pytestmark = pytest.mark.usefixtures("native")
+
 MASS = ROOT / "diagrams" / "adrc" / "mass_position.json"
 LOOP = {
     name: {"type": name, "loop": "control.u"}
