@@ -94,7 +94,8 @@ def _check_study(path: str, options: argparse.Namespace) -> int | None:
         return None
     head = ""
     if loaded is not None:
-        sweeps = f"{counted(len(loaded.sweeps), 'sweep')}, " if loaded.sweeps else ""
-        head = f"{loaded.name}: {counted(len(loaded.runs), 'run')}, {sweeps}{counted(len(loaded.claims), 'claim')}"
+        parts = (("sweep", loaded.sweeps), ("tuning", loaded.tunings))
+        many = "".join(f"{counted(len(entries), word)}, " for word, entries in parts if entries)
+        head = f"{loaded.name}: {counted(len(loaded.runs), 'run')}, {many}{counted(len(loaded.claims), 'claim')}"
     _tell(path, options, [head], faults)
     return 2 if faults else 0

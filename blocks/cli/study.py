@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..results.results import Results
     from ..studies.study import StudyResults
     from ..studies.sweep import Sweep
+    from ..studies.tuned import Tuning
 
 __all__ = ["add"]
 
@@ -49,7 +50,7 @@ def _study(options: argparse.Namespace) -> int:
     folder = Path(options.out) if options.out else Path("out") / loaded.name
     parameters = assignments("--set", options.parameters, "IADRC.torque=2")
     begun = None if options.json else lambda name: say(f"running {name}")
-    finished: dict[str, Results | Sweep] = {}
+    finished: dict[str, Results | Sweep | Tuning] = {}
 
     def ended(error: FMUError) -> int:
         """An FMU ends this process."""
@@ -74,23 +75,30 @@ def _study(options: argparse.Namespace) -> int:
 
 
 def _reported(
-    options: argparse.Namespace, study_results: StudyResults, folder: Path, finished: dict[str, Results | Sweep]
+    options: argparse.Namespace,
+    study_results: StudyResults,
+    folder: Path,
+    finished: dict[str, Results | Sweep | Tuning],
 ) -> int:
     """Report the outcome of the study, and write its report. finished: emptied once the report is written."""
     from ..studies import report
 
-    for section, made in (("runs", study_results.results), ("sweeps", study_results.sweeps)):
+    sections: dict[str, Mapping[str, Results | Sweep | Tuning]]
+    sections = {"runs": study_results.results, "sweeps": study_results.sweeps, "tunings": study_results.tunings}
+    for section, made in sections.items():
         for name, results in made.items():
             tell_faults([replace(w, place=f"{section}.{name}.{w.place}") for w in results.warnings], options.json)
     for v in study_results.verdicts if options.json else ():
         claim = v.claim
         entry: dict[str, Any] = {
             "event": "claim",
-            "run": None if claim.change or claim.sweep else claim.runs[0],
+            "run": claim.runs[0] if len(claim.runs) == 1 else None,
             "measure": claim.measure,
         }
         if claim.change:
-            entry |= {"runs": list(claim.runs), "as": claim.change}
+            entry |= {"runs": list(claim.runs), "as": claim.change} if claim.runs else {"as": claim.change}
+        if claim.tuning:
+            entry |= {"tuning": claim.tuning, "scenario": claim.scenario or None}
         if claim.sweep:
             kind, level = claim.statistic
             entry |= {"sweep": claim.sweep, "scenario": claim.scenario or None}
@@ -136,29 +144,38 @@ def _reported(
     return 0 if study_results.is_fine else 1
 
 
-def _kept(results: Mapping[str, Results | Sweep], folder: Path) -> dict[str, str]:
+def _kept(results: Mapping[str, Results | Sweep | Tuning], folder: Path) -> dict[str, str]:
     """Write runs that are done as `NAME.csv` where there is no report: into its folder, else into a temporary one.
 
-    Sweeps are written as Parquet.
+    Sweeps are written as Parquet, of tunings the report, into a folder NAME.
     """
-    from ..results.results import Results
-    from ..studies import report
+    from ..studies import report_page
 
     paths: dict[str, str] = {}
     for name, made in results.items():
-        file = f"{name}.{'csv' if isinstance(made, Results) else 'parquet'}"
         with contextlib.suppress(UsageError, OSError):
             try:
-                report.folder_for(folder)
-                made.save(folder / file)
+                report_page.folder_for(folder)
+                path = _saved(made, folder / name)
             except (UsageError, OSError):
                 folder = Path(tempfile.mkdtemp(prefix="blocks-study-"))
-                made.save(folder / file)
-            paths[name] = str(folder / file)
+                path = _saved(made, folder / name)
+            paths[name] = str(path)
     return paths
 
 
-def _tell_kept(options: argparse.Namespace, finished: Mapping[str, Results | Sweep], folder: Path) -> None:
+def _saved(made: Results | Sweep | Tuning, path: Path) -> Path:
+    from ..results.results import Results
+    from ..studies.tuned import Tuning
+
+    if isinstance(made, Tuning):
+        return made.report(path)
+    path = path.with_suffix(".csv" if isinstance(made, Results) else ".parquet")
+    made.save(path)
+    return path
+
+
+def _tell_kept(options: argparse.Namespace, finished: Mapping[str, Results | Sweep | Tuning], folder: Path) -> None:
     kept = _kept(finished, folder)
     if kept:
         say("no report was written; the runs that are done are kept")
@@ -173,7 +190,7 @@ def _interrupted(options: argparse.Namespace, study_results: StudyResults, folde
     from ..studies import report
 
     ended_at_once()
-    kept = _kept({**study_results.results, **study_results.sweeps}, folder)
+    kept = _kept({**study_results.results, **study_results.sweeps, **study_results.tunings}, folder)
     if options.json:
         emit({"event": "done", "interrupted": True, "missing": list(study_results.missing), "kept": kept})
     elif study_results.verdicts:

@@ -254,13 +254,16 @@ class _Finder:
         self.definitions(study, "run")
         runs = [("runs", studies.ONE_RUN, *item) for item in table(value, "runs").items()]
         runs += [("sweeps", studies.ONE_SWEEP, *item) for item in table(value, "sweeps").items()]
+        runs += [("tunings", studies.ONE_TUNING, *item) for item in table(value, "tunings").items()]
         for section, kind, name, run in runs:
             path, diagram = (section, name), _object(run).get("diagram")
             body = self.documents.body(os.path.join(folder, diagram)) if isinstance(diagram, str) else None
             bodies[name] = body
             self.names(kind, run, path, body, inner=body)
             for found in kind.walk(run, path):
-                if found.refers == "measure" and body is not None:
+                if found.refers == "measures":
+                    self.measures(body, found.value, found.path)
+                elif found.refers == "measure" and body is not None:
                     self.plain([body], "measure", found.value, found.path)
             for key, variant in table(_object(run), "variants").items():
                 *_, block = key.split(".")
@@ -281,6 +284,8 @@ class _Finder:
                 runs_of = [claim["sweep"]] if "sweep" in claim else studies.named(claim)
                 about = (bodies.get(run) for run in runs_of if isinstance(run, str))
                 measured = [body for body in about if body is not None]
+                if "tuning" in claim:
+                    self.measures(bodies.get(str(claim["tuning"])), claim.get("measure"), (*found.path, "measure"))
                 self.plain(measured, "measure", claim.get("measure"), (*found.path, "measure"))
             elif found.kind is studies.SWEEP_FIGURE:
                 figure = _object(found.value)
@@ -352,6 +357,14 @@ class _Finder:
             elif port and ("type" not in entry or "." not in rest):
                 meanings.open.add((at, port.end()))
         return bodies
+
+    def measures(self, body: Body | None, text: Any, path: Steps) -> None:
+        """Collect the measures that an expression or a constraint of a tuning reads, as in noisy.ITAE <= 3."""
+        meanings = _Meanings()
+        for start, end, name in expressions.names_at(text) if body is not None and isinstance(text, str) else ():
+            if body is not None and name in body.names("measure") and not text.startswith(".", end):
+                meanings.add(start, end, Target(body.file, body.scope, "measure", name))
+        self.keep(path, False, meanings)
 
     def expression(self, body: Body | None, found: Found) -> None:
         """Collect the parameters that an expression reads."""

@@ -12,8 +12,8 @@ from .diagram import is_name
 from .diagram_grammar import DOC, FILLED, FLAG, NAMES, NUMBER, OPEN_DOC, PLAIN, QUANTITY, RUN, TEXT, TIME, header
 
 __all__ = [
-    "ASSUMED", "CLAIM", "FIGURE", "FORMAT", "LINE", "MARGIN", "MARGINS", "MARKER", "ONE_RUN", "ONE_SWEEP", "PANEL",
-    "SAMPLERS", "SETTINGS", "STUDY", "SWEEP_FIGURE", "SWEEP_FIGURES", "VERSION", "named",
+    "ASSUMED", "CLAIM", "FIGURE", "FORMAT", "LINE", "MARGIN", "MARGINS", "MARKER", "ONE_RUN", "ONE_SWEEP", "ONE_TUNING",
+    "OPTIMIZERS", "PANEL", "SAMPLERS", "SETTINGS", "STUDY", "SWEEP_FIGURE", "SWEEP_FIGURES", "VERSION", "named",
 ]  # fmt: skip
 
 FORMAT, VERSION = "blocks-study", 1
@@ -125,11 +125,13 @@ _VARIED = AnyOf(
 
 
 def _varies(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
-    if value.get("vary") == {}:
-        told.fault("E009", path, '"vary" is empty.')
+    for key in ("vary", "over"):
+        if value.get(key) == {}:
+            told.fault("E009", path, f'"{key}" is empty.')
     return _values(value, path, told)
 
 
+_OF_ROWS = Object(*(field for field in SETTINGS.fields if field.key not in ("seed", "log")), doc=SETTINGS.doc)
 ONE_SWEEP = Object(
     *_MODEL,
     Field("vary", Table(_VARIED, Text(refers="own parameter"), least=1), (
@@ -143,9 +145,7 @@ ONE_SWEEP = Object(
     Field("margins", Table(MARGIN, NAMES, is_open=True), "Of the linear model of each row, by name."),
     Field("scenarios", Table(_PARAMETERS, NAMES), "By name, parameters set on top; all rows run in each."),
     Field("budget", Scalar(low=1, is_whole=True), "The most steps of a run."),
-    Field("settings", Object(
-        *(field for field in SETTINGS.fields if field.key not in ("seed", "log")), doc=SETTINGS.doc
-    )),
+    Field("settings", _OF_ROWS),
     DOC,
     rules=[Rule(_varies)],
     what='an object such as {"diagram": "loop.json", "vary": {...}}',
@@ -154,9 +154,45 @@ ONE_SWEEP = Object(
     is_open=True,
 )  # fmt: skip
 
+# --- tunings ---------------------------------------------------------------------------------------------------
+
+OPTIMIZERS = ("cma", "de")
+_MEASURES = Text(is_empty=False, refers="measures")
+
+
+def _numbers(count: int) -> ListOf:
+    return ListOf(NUMBER, count, count, what=f"a list of {count} numbers", is_even=True)
+
+
+ONE_TUNING = Object(
+    *_MODEL,
+    Field("minimize", _MEASURES, (
+        'An expression over measures: "ITAE + 1e-3*noisy.ISU"; a bare name is the mean over the scenarios.'
+    ), required=True),
+    Field("over", Table(_numbers(2), Text(refers="own parameter"), least=1), (
+        'The least and the largest value, by path ("motor.Ra"), pattern ("motor_*.Ra") or element ("pid.k[0]").'
+    ), required=True),
+    Field("subject_to", ListOf(_MEASURES), (
+        'Constraints: "noisy.variation <= 75"; one of bare names holds in each scenario.'
+    )),
+    Field("scenarios", Table(_PARAMETERS, NAMES), (
+        "By name, parameters set on top; each candidate runs in all. Left out: one, named nominal."
+    )),
+    Field("method", Choice(OPTIMIZERS), "CMA-ES (package cma), or differential evolution.", "cma"),
+    Field("budget", Scalar(low=1, is_whole=True), "How many candidates are run.", 500),
+    Field("seed", Scalar(low=0, is_whole=True), "Of the optimiser.", 1),
+    Field("settings", _OF_ROWS),
+    DOC,
+    rules=[Rule(_varies)],
+    what='an object such as {"diagram": "loop.json", "minimize": "ITAE", "over": {...}}',
+    name="one_tuning",
+    doc="A tuning: a search for values of parameters that make measures small.",
+    is_open=True,
+)  # fmt: skip
+
 # --- claims ----------------------------------------------------------------------------------------------------
 
-_RUN_NAME, _SWEEP_NAME = Text(refers="run"), Text(refers="sweep")
+_RUN_NAME, _SWEEP_NAME, _TUNING_NAME = Text(refers="run"), Text(refers="sweep"), Text(refers="tuning")
 _STATISTICS = ("quantile", "statistic", "share")
 _LIMITS = ("at_most", "at_least")
 
@@ -172,6 +208,9 @@ def _claim(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
     runs, reason = named(value), value.get("reason")
     if "sweep" in value:
         _of_sweep(value, path, told)
+    elif "tuning" in value:
+        if {"run", "runs"} & value.keys():
+            told.fault("E009", path, 'a claim names a "tuning", or runs.')
     elif not runs:
         told.fault("E009", path, 'a claim names one "run", or two "runs" in a list.')
     else:
@@ -204,7 +243,7 @@ def _claim(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
 
 
 def _of_sweep(value: Mapping[str, Any], path: Steps, told: Told) -> None:
-    if {"run", "runs", "as"} & value.keys():
+    if {"run", "runs", "as", "tuning"} & value.keys():
         told.fault("E009", path, 'a claim names a "sweep", or runs.')
     if sum(key in value for key in _STATISTICS) != 1:
         told.fault("E009", path, f"a claim about a sweep has one of {', '.join(_STATISTICS)}.")
@@ -217,8 +256,14 @@ CLAIM = Object(
     Field("runs", ListOf(_RUN_NAME, 2, 2), "Two runs, whose change in % the claim is about."),
     Field("sweep", _SWEEP_NAME, "The sweep about whose rows the claim is."),
     Field("scenario", Text(refers="scenario"), "One of its scenarios; left out: the rows of all."),
-    Field("measure", Text(is_empty=False, refers="measure"), "A measure, or a margin of the sweep.", required=True),
-    Field("as", Choice(("reduction", "increase")), "The change from the first to the second run."),
+    Field("tuning", _TUNING_NAME, "The tuning about whose best values the claim is."),
+    Field("measure", Text(is_empty=False, refers="measure"), (
+        'A measure, or a margin of the sweep; of a tuning, one in a scenario ("noisy.variation"), the mean over all '
+        'scenarios ("variation"), or what is minimized ("objective").'
+    ), required=True),
+    Field("as", Choice(("reduction", "increase")), (
+        "The change from the first to the second run; of a tuning, from before to after."
+    )),
     Field("quantile", Scalar(low=0, high=1), "Of a sweep: the claim is about this quantile; 0.5: the median."),
     Field("statistic", Choice(("mean", "deviation")), "Of a sweep: its mean or standard deviation."),
     Field("share", Scalar(low=0, high=1), (
@@ -239,12 +284,13 @@ CLAIM = Object(
     )),
     Field("reason", TEXT, "Why a number is not reproduced, or a limit fails."),
     rules=[Rule(_claim, lambda _: {
-        "oneOf": [{"required": [key]} for key in ("run", "runs", "sweep")],
+        "oneOf": [{"required": [key]} for key in ("run", "runs", "sweep", "tuning")],
         "dependentRequired": {
-            "runs": ["as"], "as": ["runs"], "published": ["tolerance", "expect"], "tolerance": ["published"],
+            "runs": ["as"], "published": ["tolerance", "expect"], "tolerance": ["published"],
             **{key: ["sweep"] for key in ("scenario", *_STATISTICS)}, **{key: ["expect"] for key in _LIMITS},
         },
         "allOf": [
+            {"if": {"required": ["as"]}, "then": {"anyOf": [{"required": [key]} for key in ("runs", "tuning")]}},
             {"if": {"properties": {"expect": {"enum": ["not reproduced", "fails"]}}, "required": ["expect"]},
              "then": {"properties": {"reason": {"minLength": 1}}, "required": ["reason"]}},
             {"if": {"required": ["sweep"]}, "then": {"oneOf": [{"required": [key]} for key in _STATISTICS]}},
@@ -299,10 +345,6 @@ MARKER = Object(
     name="marker",
     doc="A point: the largest value of a signal, or a place.",
 )  # fmt: skip
-
-
-def _numbers(count: int) -> ListOf:
-    return ListOf(NUMBER, count, count, what=f"a list of {count} numbers", is_even=True)
 
 
 def _objects(kind: Kind, least: int = 0, *, is_open: bool = True) -> ListOf:
@@ -371,6 +413,7 @@ STUDY = Object(
     Field("source", TEXT, "What is studied: a paper, a book."),
     Field("runs", Table(ONE_RUN, NAMES, tells=False, is_open=True), "The runs, by name."),
     Field("sweeps", Table(ONE_SWEEP, NAMES, tells=False, is_open=True), "Sweeps, by name: runs that vary."),
+    Field("tunings", Table(ONE_TUNING, NAMES, tells=False, is_open=True), "Tunings, by name."),
     Field("assumed", _objects(ASSUMED), "What the source leaves open."),
     Field("claims", _objects(CLAIM), "Measures beside published numbers."),
     Field("figures", _objects(AnyOf(SWEEP_FIGURE, FIGURE)), "Figures of the report."),

@@ -102,14 +102,21 @@ class Constraint:
         return [*_reads(self.left, (self.scenario,)), *_reads(self.right, (self.scenario,))]
 
 
-def objective_of(text: str, measures: Sequence[str], scenarios: Sequence[str]) -> Objective:
-    """The objective of a text. Raises UsageError and ModelError with all that is wrong with its names."""
+def objective_of(
+    text: str, measures: Sequence[str], scenarios: Sequence[str], *, unknown: str = "E501"
+) -> Objective:
+    """The objective of a text. unknown: the code of names that mean nothing.
+
+    Raises UsageError and ModelError with all that is wrong with its names.
+    """
     expression = _parsed("minimize", text)
-    _check(_faults("minimize", text, expression.names, measures, scenarios))
+    _check(_faults("minimize", text, expression.names, measures, scenarios, unknown))
     return Objective(expression)
 
 
-def constraints_of(texts: Sequence[str], measures: Sequence[str], scenarios: Sequence[str]) -> tuple[Constraint, ...]:
+def constraints_of(
+    texts: Sequence[str], measures: Sequence[str], scenarios: Sequence[str], *, unknown: str = "E501"
+) -> tuple[Constraint, ...]:
     """The constraints of texts; one of bare names is one for each scenario. Raises as `objective_of`."""
     if isinstance(texts, str):
         texts = (texts,)
@@ -123,7 +130,7 @@ def constraints_of(texts: Sequence[str], measures: Sequence[str], scenarios: Seq
             faults.append(Fault("E501", place, message, 'As in "noisy.variation <= 75".'))
             continue
         left, right = (_parsed(place, side) for side in text.split(signs[0]))
-        faults += _faults(place, text, (*left.names, *right.names), measures, scenarios)
+        faults += _faults(place, text, (*left.names, *right.names), measures, scenarios, unknown)
         if signs[0].startswith(">"):
             left, right = right, left
         is_bare = any("." not in name for name in (*left.names, *right.names))
@@ -143,7 +150,7 @@ def _parsed(place: str, text: str) -> Expression:
 
 
 def _faults(
-    place: str, text: str, names: Sequence[str], measures: Sequence[str], scenarios: Sequence[str]
+    place: str, text: str, names: Sequence[str], measures: Sequence[str], scenarios: Sequence[str], unknown: str
 ) -> list[Fault]:
     """Names that mean no measure, or no scenario."""
     faults = []
@@ -151,10 +158,10 @@ def _faults(
         scenario, _, measure = name.rpartition(".")
         if scenario and scenario not in scenarios:
             cure = did_you_mean(scenario, scenarios) or f"Scenarios: {', '.join(scenarios)}."
-            faults.append(Fault("E501", place, f"there is no scenario {quoted(scenario)}.", cure))
+            faults.append(Fault(unknown, place, f"there is no scenario {quoted(scenario)}.", cure))
         elif measure not in measures:
             cure = did_you_mean(measure, measures) or f"Measures: {', '.join(measures) or 'none'}."
-            faults.append(Fault("E501", place, f"the diagram has no measure {quoted(measure)}.", cure))
+            faults.append(Fault(unknown, place, f"the diagram has no measure {quoted(measure)}.", cure))
     if not names:
         faults.append(Fault("E501", place, f"{quoted(text)} reads no measure.", f"Measures: {', '.join(measures)}."))
     return faults

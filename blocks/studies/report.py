@@ -6,12 +6,12 @@ It asks for nothing from any network, follows the reader's light or dark setting
 from __future__ import annotations
 
 import hashlib
-import html
 import json
 import math
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -22,14 +22,20 @@ from ..results import plots
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
+from ..text.grammar import Steps
+from ..text.json_document import place_of
 from ..text.version import __version__
+from .report_page import escaped as _escape
+from .report_page import folder_for, page
 from .study import Claim, StudyResults, Verdict
 from .study_sweeps import StudySweep, figure_of, plain
+from .study_tunings import StudyTuning
 from .sweep import QUANTILES, Sweep
 from .sweep_figures import told_rows
 from .sweep_tables import cell_text, table
+from .tuned import Tuning
 
-__all__ = ["folder_for", "markdown_table", "page", "summary_line", "table_text", "write"]
+__all__ = ["markdown_table", "summary_line", "table_text", "write"]
 
 Array = np.ndarray[Any, Any]
 MOST_POINTS = 2**24
@@ -105,21 +111,28 @@ def markdown_table(made: StudyResults) -> str:
 
 
 def _drawn(study_results: StudyResults, folder: Path) -> dict[str, str | Fault]:
-    """The study's figures by name, as SVG; PNG files of them are written. In place of one that failed: its fault."""
+    """The study's figures by name, and those of its tunings by "tuning.NAME", as SVG; PNG files of them are written.
+
+    In place of one that failed: its fault.
+    """
     drawn: dict[str, str | Fault] = {}
+    asked: list[tuple[str, Steps, Callable[[], Any]]] = []
     for i, entry in enumerate(study_results.study.figures):
-        name = str(entry["name"])
+        made = partial(figure_of, entry, study_results.sweeps)
+        made = made if "sweep" in entry else partial(_figure, entry, study_results.results)
+        asked.append((str(entry["name"]), ("figures", i), made))
+    asked += [(f"tuning.{name}", ("tunings", name), tuning.plot) for name, tuning in study_results.tunings.items()]
+    for name, path, draw in asked:
         try:
-            is_of_sweep = "sweep" in entry
-            figure = figure_of(entry, study_results.sweeps) if is_of_sweep else _figure(entry, study_results.results)
+            figure = draw()
             drawn[name] = plots.svg_text(figure)
             plots.save(figure, folder / f"{name}.png")
         except BlocksError as error:
-            drawn[name] = replace(error.faults[0], place=f"figures[{i}] {error.faults[0].place}")
+            drawn[name] = replace(error.faults[0], place=f"{place_of(path)} {error.faults[0].place}")
         except Exception as error:  # whatever it is, the rest of the report is written
             message = f"{name} cannot be drawn ({type(error).__name__}: {' '.join(str(error).split())[:200]})."
             cure = "Change what it shows, or leave it out."
-            drawn[name] = study_results.study.fault("E501", f"figures[{i}]", message, cure, ("figures", i))
+            drawn[name] = study_results.study.fault("E501", place_of(path), message, cure, path)
     return drawn
 
 
@@ -218,14 +231,6 @@ def write(
     return path
 
 
-def folder_for(folder: Path) -> None:
-    """Make a folder where there is none. Raises UsageError (E501)."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(Fault("E501", str(folder), f"cannot be made: {error.strerror}.")) from None
-
-
 # --- the page --------------------------------------------------------------------------------------------------
 
 
@@ -248,21 +253,11 @@ def _html_text(
         "<h2>Figures</h2>" if study.figures else "",
         *_figures(study_results, drawn),
         "<h2>What was run</h2>",
-        *_runs(study_results, draw),
+        *_runs(study_results, drawn, draw),
         "<h2>How to repeat it</h2>",
         _repeat(study_results, command),
     ]
     return page(study.title, parts)
-
-
-def page(title: str, parts: Sequence[str]) -> str:
-    """A report as one HTML text, of parts that are HTML."""
-    body = "\n".join(part for part in parts if part)
-    return _PAGE.format(title=_escape(title), style=_STYLE, body=body)
-
-
-def _escape(text: str) -> str:
-    return html.escape("".join(c if c.isprintable() else "�" for c in text))
 
 
 def _tables(study_results: StudyResults) -> list[str]:
@@ -314,14 +309,7 @@ def _assumptions(assumed: Sequence[Mapping[str, str]]) -> str:
 def _figures(study_results: StudyResults, drawn: Mapping[str, str | Fault]) -> list[str]:
     parts = []
     for index, entry in enumerate(study_results.study.figures):
-        drawing = drawn[str(entry["name"])]
-        if isinstance(drawing, Fault):
-            shown = f'<p class="against">Not drawn: {_escape(drawing.message)}</p>'
-        else:
-            svg = _own_ids(drawing, f"f{index}-")
-            for style, (color, _) in enumerate(plots.STYLES):
-                svg = svg.replace(color, f"var(--c{style})")  # lighter on a dark page
-            shown = f'<div class="plot">{svg}</div>'
+        shown = _plot(drawn[str(entry["name"])], f"f{index}-")
         title, doc = str(entry.get("title", entry["name"])), entry.get("doc", "")
         doc = doc if isinstance(doc, str) else " ".join(doc)
         parts.append(
@@ -331,6 +319,15 @@ def _figures(study_results: StudyResults, drawn: Mapping[str, str | Fault]) -> l
     return parts
 
 
+def _plot(drawing: str | Fault, prefix: str) -> str:
+    if isinstance(drawing, Fault):
+        return f'<p class="against">Not drawn: {_escape(drawing.message)}</p>'
+    svg = _own_ids(drawing, prefix)
+    for style, (color, _) in enumerate(plots.STYLES):
+        svg = svg.replace(color, f"var(--c{style})")  # lighter on a dark page
+    return f'<div class="plot">{svg}</div>'
+
+
 def _own_ids(svg: str, prefix: str) -> str:
     """The ids of one SVG made unique, as a page holds several."""
     return (
@@ -338,7 +335,9 @@ def _own_ids(svg: str, prefix: str) -> str:
     )
 
 
-def _runs(study_results: StudyResults, draw: Callable[[Any], str] | None) -> list[str]:
+def _runs(
+    study_results: StudyResults, plotted: Mapping[str, str | Fault], draw: Callable[[Any], str] | None
+) -> list[str]:
     parts, shown = [], set()
     for entry in study_results.study.all_runs:
         said = {**entry.variants, **entry.parameters, **entry.settings}
@@ -349,6 +348,9 @@ def _runs(study_results: StudyResults, draw: Callable[[Any], str] | None) -> lis
         )
         if isinstance(entry, StudySweep):
             parts += _rows_of(entry, study_results.sweeps[entry.name])
+        elif isinstance(entry, StudyTuning):
+            parts += _search_of(study_results.tunings[entry.name])
+            parts.append(f"<figure>{_plot(plotted[f'tuning.{entry.name}'], f't{len(parts)}-')}</figure>")
         else:
             results = study_results.results[entry.name]
             statistics = results.statistics
@@ -381,6 +383,21 @@ def _rows_of(entry: StudySweep, sweep: Sweep) -> list[str]:
     ]
 
 
+def _search_of(tuning: Tuning) -> list[str]:
+    """What a tuning looked for, and its tables, before and after."""
+    names = ", ".join(tuning.scenarios)
+    said = f"Minimized: {tuning.minimize}. {len(tuning.history.objective)} candidates in {names}, {tuning.method}, "
+    kept = " No candidate was better than the diagram itself." if tuning.is_kept else ""
+    parts = [f"{_escape(f'{said}seed {tuning.seed}.{kept}')}</p>"]
+    parts += [f'<p class="against">{_escape(str(warning))}</p>' for warning in tuning.warnings]
+    for head, rows in tuning.tables():
+        lines = ["".join(f"<th>{_escape(cell)}</th>" for cell in head)]
+        lines += ["".join(f"<td>{_escape(cell)}</td>" for cell in row) for row in rows]
+        table_of = "".join(f"<tr>{line}</tr>" for line in lines)
+        parts += [f'<div class="wide"><table>{table_of}</table></div>'] if rows else []
+    return parts
+
+
 def _value(value: Any) -> str:
     if isinstance(value, Mapping) and "value" not in value:  # the settings of the master
         return ", ".join(f"{key} {_value(item)}" for key, item in value.items())
@@ -406,53 +423,3 @@ def _repeat(study_results: StudyResults, command: str) -> str:
             rows.append((f"SHA-256 of the equations of {name}", results.origin.equations[:16]))
     cells = "".join(f"<tr><td>{_escape(a)}</td><td><code>{_escape(b)}</code></td></tr>" for a, b in rows)
     return f'<div class="wide"><table class="plain">{cells}</table></div>'
-
-
-_PAGE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<title>{title}</title>
-<style>{style}</style>
-</head>
-<body>
-<main>
-{body}
-</main>
-</body>
-</html>
-"""
-
-_STYLE = """
-:root { --ink: #1e293b; --soft: #64748b; --line: #cbd5e1; --paper: #ffffff; --good: #1d4ed8; --bad: #b45309;
-  --c0: #b45309; --c1: #1d4ed8; --c2: #0f766e; --c3: #7e22ce; --c4: #64748b; --c5: #be123c; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e2e8f0; --soft: #94a3b8; --line: #475569; --paper: #0f172a; --good: #93c5fd; --bad: #fbbf24;
-    --c0: #fbbf24; --c1: #93c5fd; --c2: #5eead4; --c3: #d8b4fe; --c4: #94a3b8; --c5: #fda4af; }
-}
-* { box-sizing: border-box; }
-body { margin: 0; background: var(--paper); color: var(--ink); font: 16px/1.5 system-ui, sans-serif; }
-main { max-width: 60rem; margin: 0 auto; padding: 1.5rem 1rem 4rem; }
-h1 { font-size: 1.5rem; line-height: 1.25; } h2 { margin-top: 2.2rem; border-bottom: 1px solid var(--line);
-  font-size: 1.2rem; }
-h3 { font-size: 1rem; margin: 1.2rem 0 0.3rem; overflow-wrap: anywhere; }
-.verdict { font-weight: 600; padding: 0.6rem 0.8rem; border-left: 4px solid var(--good);
-  background: color-mix(in srgb, var(--good) 8%, transparent); }
-.verdict.odd { border-color: var(--bad); background: color-mix(in srgb, var(--bad) 12%, transparent); }
-.source, figcaption, caption { color: var(--soft); }
-.wide { overflow-x: auto; } table { border-collapse: collapse; margin: 0.8rem 0; font-size: 0.9rem; }
-caption { text-align: left; padding-bottom: 0.2rem; }
-th, td { padding: 0.2rem 0.7rem 0.2rem 0; text-align: left; border-bottom: 1px solid var(--line);
-  white-space: nowrap; }
-td.number { font-variant-numeric: tabular-nums; text-align: right; }
-td.good { color: var(--good); } td.bad { color: var(--bad); } td.unexpected { font-weight: 700;
-  text-decoration: underline; }
-.against { color: var(--bad); } figure { margin: 1.2rem 0; break-inside: avoid; } .plot svg { width: 100%;
-  height: auto; display: block; }
-.diagram svg { max-width: 100%; height: auto; } code { overflow-wrap: anywhere; white-space: normal; }
-@media (max-width: 40rem) { .diagram svg { min-width: 44rem; max-width: none; } .plot { overflow-x: auto; }
-  .plot svg { min-width: 30rem; } }
-@media print { body { font-size: 11px; } main { max-width: none; padding: 0; } .wide { overflow: visible; } }
-"""

@@ -1,10 +1,10 @@
-"""A study: several runs and sweeps, their measures beside published numbers or limits, and a verdict on each claim.
+"""A study: runs, sweeps and tunings, their measures beside published numbers or limits, and a verdict on each claim.
 
-A study file names the runs (diagrams with parameters and settings) and the sweeps, the claims (a measure of one run, an
-improvement from one run to another, or a statistic of a sweep, beside the published value with its source, a tolerance
-and the verdict that is expected; or with a limit), what was assumed, and the figures. It is judged by whether every
-claim has its expected verdict, so that a number that cannot be reproduced is stated with its reason rather than left
-out.
+A study file names the runs (diagrams with parameters and settings), the sweeps and the tunings, the claims (a measure
+of one run, an improvement from one run to another, a statistic of a sweep, or what a tuning reached, beside the
+published value with its source, a tolerance and the verdict that is expected; or with a limit), what was assumed, and
+the figures. It is judged by whether every claim has its expected verdict, so that a number that cannot be reproduced is
+stated with its reason rather than left out.
 """
 
 from __future__ import annotations
@@ -22,16 +22,19 @@ from ..model.diagram import FaultList, beside, is_name
 from ..model.diagram_grammar import DOC, SIGNAL
 from ..model.flatten import FlatSignal, element_of
 from ..model.project import Project, read_inside
-from ..model.study_grammar import ASSUMED, CLAIM, FORMAT, ONE_SWEEP, SETTINGS, STUDY, VERSION, named
+from ..model.study_grammar import ASSUMED, CLAIM, FORMAT, ONE_SWEEP, ONE_TUNING, SETTINGS, STUDY, VERSION, named
 from ..results.results import Results
 from ..text import json_text, json_writer
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
-from ..text.grammar import Steps
+from ..text.grammar import Kind, Steps
 from ..text.json_document import AT_KEY, Document, nearest, place_of
 from ..text.json_number import Number
 from ..text.printable import legible, quoted
-from .study_sweeps import StudySweep, faults_of, names_missing, run_sweep, statistic_of
+from . import study_sweeps, study_tunings
+from .study_sweeps import StudySweep, names_missing, run_sweep, statistic_of
+from .study_tunings import StudyTuning, limits_of, run_tuning, values_of
 from .sweep import Sweep
+from .tuned import Tuning
 
 __all__ = [
     "Claim", "Run", "Study", "StudyResults", "Verdict", "canonical", "checked", "load", "prepared", "run",
@@ -57,6 +60,7 @@ class Claim:
     sweep: the name of one, in the place of runs, with a scenario ("": the rows of all); statistic: what of its rows is
     claimed: ("quantile", q), ("mean", nan), ("deviation", nan) or ("share", part). limit: ("at_most", x) or
     ("at_least", x), in the place of a published number. change: "" for one run, "reduction" or "increase" for two.
+    tuning: the name of one, in the place of runs; with a change it is that from before to after, else the value after.
     published: None where nothing was published (the value is shown, and not judged). tolerance: the largest
     |value/published - 1| that counts as reproduced.
     """
@@ -74,11 +78,17 @@ class Claim:
     scenario: str = ""
     statistic: tuple[str, float] = ("", math.nan)
     limit: tuple[str, float] | None = None
+    tuning: str = ""
+
+    @property
+    def many(self) -> str:
+        """The sweep or the tuning that it is about."""
+        return self.sweep or self.tuning
 
     @property
     def of(self) -> str:
-        """The runs, or the sweep, that it is about."""
-        return "/".join(filter(None, (self.sweep, self.scenario))) if self.sweep else " / ".join(self.runs)
+        """The runs, the sweep or the tuning that it is about."""
+        return "/".join(filter(None, (self.many, self.scenario))) if self.many else " / ".join(self.runs)
 
     @property
     def label(self) -> str:
@@ -87,7 +97,8 @@ class Claim:
             return f"{self.measure}, {f'{100 * level:g} % quantile' if kind == 'quantile' else kind}"
         if not self.change:
             return self.measure
-        return f"{self.measure}, {self.change} from {self.runs[0]} to {self.runs[1]}"
+        first, second = self.runs or ("before", "after")
+        return f"{self.measure}, {self.change} from {first} to {second}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +111,7 @@ class Study:
     source: str
     runs: tuple[Run, ...]
     sweeps: tuple[StudySweep, ...]
+    tunings: tuple[StudyTuning, ...]
     assumed: tuple[Mapping[str, str], ...]
     claims: tuple[Claim, ...]
     figures: tuple[Mapping[str, Any], ...]
@@ -108,9 +120,9 @@ class Study:
     positions: Mapping[Any, tuple[int, int]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
-    def all_runs(self) -> tuple[Run | StudySweep, ...]:
-        """The runs, then the sweeps."""
-        return *self.runs, *self.sweeps
+    def all_runs(self) -> tuple[Run | StudySweep | StudyTuning, ...]:
+        """The runs, then the sweeps, then the tunings."""
+        return *self.runs, *self.sweeps, *self.tunings
 
     def fault(self, code: str, place: str, message: str, cure: str = "", path: Steps = ()) -> Fault:
         """A fault with its place in the file: that of `path`, or of the nearest thing around it."""
@@ -140,7 +152,8 @@ class Verdict:
 class StudyResults:
     """What a study gave. `is_fine` where every claim has the verdict that the file expects.
 
-    sweeps: by name. missing: the runs and sweeps that were not made, or not finished, because of Ctrl-C; claims about
+    verdicts: on the claims, then on the constraints of tunings, which are expected to hold. sweeps, tunings: by name.
+    missing: the runs, sweeps and tunings that were not made, or not finished, because of Ctrl-C; claims about
     them are not judged.
     """
 
@@ -151,6 +164,7 @@ class StudyResults:
     seconds: float = 0.0
     missing: tuple[str, ...] = ()
     sweeps: Mapping[str, Sweep] = field(default_factory=dict)
+    tunings: Mapping[str, Tuning] = field(default_factory=dict)
 
     @property
     def is_fine(self) -> bool:
@@ -209,24 +223,27 @@ def run(
     library: Any = (),
     parameters: Mapping[str, Any] | None = None,
     begun: Callable[[str], None] | None = None,
-    finished: Callable[[str, Results | Sweep], None] | None = None,
+    finished: Callable[[str, Results | Sweep | Tuning], None] | None = None,
     trust: Any = (),
 ) -> StudyResults:
     """Run everything and judge every claim.
 
-    parameters: values by "RUN.path" ("IADRC.torque") in place of the file's; also of sweeps. begun: called with each
-    run's name.
-    finished: called with its name and its results as soon as they are there, so that nothing is lost where a later run
-    fails. trust: as of `Diagram.run`. Ctrl-C returns the runs that are done (`missing`). Raises ModelError, UsageError,
-    and SimulationError.
+    parameters: values by "RUN.path" ("IADRC.torque") in place of the file's; also of sweeps and tunings. begun: called
+    with each run's name. finished: called with its name and its results as soon as they are there, so that nothing is
+    lost where a later run fails. trust: as of `Diagram.run`. Ctrl-C returns the runs that are done (`missing`). Raises
+    ModelError, UsageError (E504 before the first run, where a tuning needs a package that is missing), and
+    SimulationError.
     """
     import time
 
     start = time.perf_counter()
     extra = _by_run(study, parameters or {})
     diagrams = prepared(study, library=library, parameters=parameters)
+    for tuned in study.tunings:
+        study_tunings.needs(tuned)
     results: dict[str, Results] = {}
     sweeps: dict[str, Sweep] = {}
+    tunings: dict[str, Tuning] = {}
     with contextlib.suppress(KeyboardInterrupt):
         for entry in study.runs:
             if begun is not None:
@@ -248,10 +265,27 @@ def run(
             sweeps[each.name] = swept
             if finished is not None:
                 finished(each.name, swept)
-    missing = tuple(entry.name for entry in study.all_runs if entry.name not in {**results, **sweeps})
-    about = [claim for claim in study.claims if not {*claim.runs, claim.sweep} & {*missing}]
-    verdicts = tuple(judge(claim, results, sweeps) for claim in about)
-    return StudyResults(study, results, diagrams, verdicts, time.perf_counter() - start, missing, sweeps)
+        for tuned in study.tunings if len(results) + len(sweeps) == len(study.runs) + len(study.sweeps) else ():
+            if begun is not None:
+                begun(tuned.name)
+            given = {**tuned.parameters, **extra.get(tuned.name, {})}
+            tuning = run_tuning(tuned, diagrams[tuned.name], given, trust)
+            if tuning.interrupted or any(r.interrupted for r in (*tuning.before.values(), *tuning.after.values())):
+                break
+            tunings[tuned.name] = tuning
+            if finished is not None:
+                finished(tuned.name, tuning)
+    missing = tuple(entry.name for entry in study.all_runs if entry.name not in {**results, **sweeps, **tunings})
+    about = [claim for claim in study.claims if not {*claim.runs, claim.many} & {*missing}]
+    verdicts = [judge(claim, results, sweeps, tunings) for claim in about]
+    for name, tuning in tunings.items():
+        for scenario, text, limit, value in limits_of(tuning):
+            constraint = Claim(
+                (), text, "", None, "", "", 0.0, "holds", "", scenario=scenario, limit=limit, tuning=name
+            )
+            verdicts.append(_within(constraint, value, limit))
+    seconds = time.perf_counter() - start
+    return StudyResults(study, results, diagrams, tuple(verdicts), seconds, missing, sweeps, tunings)
 
 
 def _by_run(study: Study, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -268,7 +302,7 @@ def _by_run(study: Study, parameters: Mapping[str, Any]) -> dict[str, dict[str, 
 
 
 def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] | None = None) -> dict[str, Diagram]:
-    """The diagrams of a study by run or sweep, with variants: all that can be wrong is found before the first one runs.
+    """The diagrams of a study by run, sweep or tuning, with variants; what can be wrong is found before any runs.
 
     parameters: as of `run`. Raises ModelError with the faults of all diagrams, of the values and settings that the
     runs give to them, and of claims about measures that they do not take.
@@ -290,13 +324,19 @@ def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] |
             for fault in error.faults:
                 faults[fault if fault.file else _of_run(study, entry, fault)] = None
     sweeps = {entry.name: entry for entry in study.sweeps}
-    for each in study.sweeps:
-        path: Steps = ("sweeps", each.name)
+    many: dict[str, StudySweep | StudyTuning] = {entry.name: entry for entry in study.sweeps}
+    many |= {entry.name: entry for entry in study.tunings}
+    for each in many.values():
+        path: Steps = ("sweeps" if isinstance(each, StudySweep) else "tunings", each.name)
         try:
             diagram = Diagram.load(Path(study.folder) / each.diagram, library=library)
             diagram = diagram.with_variants(each.variants) if each.variants else diagram
             diagrams[each.name] = diagram
-            found = [*faults_of(each, diagram, {**each.parameters, **extra.get(each.name, {})})]
+            given = {**each.parameters, **extra.get(each.name, {})}
+            if isinstance(each, StudySweep):
+                found = [*study_sweeps.faults_of(each, diagram, given)]
+            else:
+                found = [*study_tunings.faults_of(each, diagram, given)]
         except (ModelError, UsageError) as error:
             found = [(("diagram",), fault) for fault in error.faults]
         for inside, fault in found:
@@ -309,9 +349,9 @@ def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] |
             message = f"the sweep {claim.sweep} has no scenario {quoted(claim.scenario)}."
             cure = f"Scenarios: {', '.join(sweeps[claim.sweep].scenarios) or 'none'}."
             faults[study.fault("E105", f"claims[{k}]", message, cure, ("claims", k, "scenario"))] = None
-        for name in (*claim.runs, *filter(None, (claim.sweep,))):
+        for name in (*claim.runs, *filter(None, (claim.many,))):
             known: Collection[str] = diagrams[name].value.measures if name in diagrams else [claim.measure]
-            known = sweeps[name].measured(diagrams[name]) if name in sweeps and name in diagrams else known
+            known = many[name].measured(diagrams[name]) if name in many and name in diagrams else known
             if claim.measure not in known:
                 cure = did_you_mean(claim.measure, known) or f"Measures: {', '.join(known) or 'none'}."
                 message = f"the diagram of {name} has no measure {quoted(claim.measure)}."
@@ -352,27 +392,37 @@ def _of_run(study: Study, entry: Run, fault: Fault) -> Fault:
     return study.fault(fault.code, ".".join(map(str, (*path[:2], fault.place))), fault.message, fault.cure, path)
 
 
-def judge(claim: Claim, results: Mapping[str, Results], sweeps: Mapping[str, Sweep] | None = None) -> Verdict:
+def judge(
+    claim: Claim,
+    results: Mapping[str, Results],
+    sweeps: Mapping[str, Sweep] | None = None,
+    tunings: Mapping[str, Tuning] | None = None,
+) -> Verdict:
     """The verdict on one claim."""
     if claim.sweep:
         sweep = (sweeps or {})[claim.sweep]
         rows = (sweep[claim.scenario] if claim.scenario else sweep).measures[claim.measure]
         values = [statistic_of(rows, claim.statistic, claim.limit)]
+    elif claim.tuning:
+        values = values_of((tunings or {})[claim.tuning], claim.measure)
     else:
         values = [results[name].measures[claim.measure] for name in claim.runs]
-    value = values[0]
+    value = values[-1]
     if claim.change:
         change = 100.0 * (values[1] - values[0]) / values[0] if values[0] else math.nan
         value = -change if claim.change == "reduction" else change
     if claim.limit is not None:
-        kind, limit = ("at_least", claim.statistic[1]) if claim.statistic[0] == "share" else claim.limit
-        holds = value <= limit if kind == "at_most" else value >= limit  # false for NaN
-        return Verdict(claim, value, math.nan, "holds" if holds else "fails")
+        return _within(claim, value, ("at_least", claim.statistic[1]) if claim.statistic[0] == "share" else claim.limit)
     if claim.published is None:
         return Verdict(claim, value, math.nan, "")
     ratio = value / claim.published
     fits = abs(ratio - 1.0) <= claim.tolerance  # false for NaN
     return Verdict(claim, value, ratio, "reproduced" if fits else "not reproduced")
+
+
+def _within(claim: Claim, value: float, limit: tuple[str, float]) -> Verdict:
+    holds = value <= limit[1] if limit[0] == "at_most" else value >= limit[1]  # false for NaN
+    return Verdict(claim, value, math.nan, "holds" if holds else "fails")
 
 
 @dataclass
@@ -421,16 +471,17 @@ class _StudyReader:
         STUDY.check(value, (), self)
         entries = _object(value, "runs")
         runs = tuple(self.run(name, entry) for name, entry in entries.items())
-        swept = _object(value, "sweeps")
-        sweeps = [self.sweep(name, entry) for name, entry in swept.items()]
+        swept, tuned = _object(value, "sweeps"), _object(value, "tunings")
+        sweeps = [StudySweep.of(*item) for item in self.many("sweeps", ONE_SWEEP, entries)]
+        tunings = [StudyTuning.of(*item) for item in self.many("tunings", ONE_TUNING, {**entries, **swept})]
         places: list[tuple[Steps, Any, str]] = []
         for k, claim in enumerate(_items(value, "claims")):
             places += [(("claims", k), name, "run") for name in named(claim) if "sweep" not in claim]
-            places += [(("claims", k, "sweep"), claim["sweep"], "sweep")] if "sweep" in claim else []
+            places += [(("claims", k, what), claim[what], what) for what in ("sweep", "tuning") if what in claim]
         drawn = STUDY.by_key["figures"].kind.walk(value.get("figures"), ("figures",))
         places += [(found.path, found.value, found.refers) for found in drawn if found.refers in ("run", "sweep")]
         for path, name, what in places:
-            known = entries if what == "run" else swept
+            known = {"run": entries, "sweep": swept, "tuning": tuned}[what]
             if isinstance(name, str) and name not in known:
                 cure = did_you_mean(name[:200], known) or f"{what.capitalize()}s: {', '.join([*known][:20]) or 'none'}."
                 self.fault("E105", path, f"there is no {what} {quoted(name)}.", cure)
@@ -441,7 +492,8 @@ class _StudyReader:
             _lines(value),
             _text(value, "source"),
             runs,
-            tuple(entry for entry in sweeps if entry is not None),
+            tuple(sweeps),
+            tuple(tunings),
             tuple({key: _text(entry, key) for key in ASSUMED.keys} for entry in _items(value, "assumed")),
             tuple(map(_claim, _items(value, "claims"))),
             tuple(_items(value, "figures")),
@@ -465,14 +517,17 @@ class _StudyReader:
         parameters, variants = _object(entry, "parameters"), _object(entry, "variants")
         return Run(name, _text(entry, "diagram"), parameters, settings, " ".join(_lines(entry)), variants)
 
-
-    def sweep(self, name: str, entry: Any) -> StudySweep | None:
-        path = ("sweeps", name)
-        if not is_name(name):
-            self.fault("E111", path, f"{quoted(name)} is not a name.", "Use letters, digits and _.")
-        if name in _object(self.document.value, "runs"):
-            self.fault("E109", path, "the name is taken by a run.", "Name it otherwise.")
-        return StudySweep.of(name, entry, " ".join(_lines(entry))) if ONE_SWEEP.fits(entry) else None
+    def many(self, section: str, kind: Kind, taken: Collection[str]) -> Iterator[tuple[str, dict[str, Any], str]]:
+        """Name, entry and doc of each sweep or tuning that can be read. taken: names of runs, and of sweeps."""
+        for name, entry in _object(self.document.value, section).items():
+            path = (section, name)
+            if not is_name(name):
+                self.fault("E111", path, f"{quoted(name)} is not a name.", "Use letters, digits and _.")
+            if name in taken:
+                what = "run" if name in _object(self.document.value, "runs") else "sweep"
+                self.fault("E109", path, f"the name is taken by a {what}.", "Name it otherwise.")
+            if kind.fits(entry):
+                yield name, entry, " ".join(_lines(entry))
 
 
 def _claim(entry: Mapping[str, Any]) -> Claim:
@@ -490,7 +545,7 @@ def _claim(entry: Mapping[str, Any]) -> Claim:
     limit = next((pair for pair in known if pair[0] in ("at_most", "at_least")), None)
     return Claim(
         runs, measure, change, published, unit, source, tolerance or 0.0, expected, reason,
-        sweep, scenario, statistic, limit,
+        sweep, scenario, statistic, limit, _text(entry, "tuning"),
     )  # fmt: skip
 
 

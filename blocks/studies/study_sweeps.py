@@ -1,17 +1,20 @@
-"""Sweeps of study files: read, checked before the first run, run; and what claims ask of their rows."""
+"""Sweeps of study files: read, checked before the first run, run; and what claims ask of their rows.
+
+What they share with tunings (`study_tunings`) stands here too.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from ..api.diagram import Diagram
 from ..api.varied import columns_of
-from ..model.flatten import element_of
+from ..model.flatten import Flat, element_of
 from ..model.trust import Paths
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.grammar import Steps
@@ -22,15 +25,19 @@ from .statistics import quantiles
 from .sweep import Sweep
 from .sweep_margins import RowMargins, margins_of
 
-__all__ = ["StudySweep", "faults_of", "figure_of", "names_missing", "plain", "run_sweep", "statistic_of"]
+__all__ = ["ManyRuns", "StudySweep", "faults_of", "figure_of", "names_missing", "plain", "run_sweep", "statistic_of"]
 
 Array = np.ndarray[Any, Any]
 _OPTIONS = ("n", "sampler", "seed", "budget", "measures", "log", "margins", "scenarios")
 
 
 @dataclass(frozen=True, slots=True)
-class StudySweep:
-    """A sweep of a study, as its file says it. options: those of `Diagram.sweep` that are no settings of runs."""
+class ManyRuns:
+    """A sweep or a tuning of a study, as its file says it: runs of one diagram with other values of parameters.
+
+    vary: what is said of the values, by path. options: the other arguments of `Diagram.sweep` or `Diagram.tune` that
+    are no settings of runs.
+    """
 
     name: str
     diagram: str
@@ -42,18 +49,49 @@ class StudySweep:
     variants: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, name: str, entry: Mapping[str, Any], doc: str) -> StudySweep:
-        """The sweep of an object that the grammar has checked."""
-        options = {key: plain(entry[key]) for key in _OPTIONS if key in entry and key != "scenarios"}
+    def read(cls, name: str, entry: Mapping[str, Any], doc: str, vary: str, keys: Collection[str]) -> Self:
+        """That of an object which the grammar has checked. vary, keys: where its values, and its options, stand."""
+        options = {key: plain(entry[key]) for key in keys if key in entry}
         options |= {key: int(options[key]) for key in ("n", "seed", "budget") if key in options}
         if "scenarios" in entry:
             options["scenarios"] = entry["scenarios"]
         parameters, settings, variants = (dict(entry.get(key, {})) for key in ("parameters", "settings", "variants"))
-        return cls(name, entry["diagram"], entry["vary"], options, parameters, settings, doc, variants)
+        return cls(name, entry["diagram"], entry[vary], options, parameters, settings, doc, variants)
 
     @property
     def scenarios(self) -> dict[str, Mapping[str, Any]]:
         return dict(self.options.get("scenarios", {}))
+
+    def flattened(
+        self, diagram: Diagram, parameters: Mapping[str, Any]
+    ) -> tuple[list[Flat], list[tuple[Steps, Fault]]]:
+        """The diagram in each scenario, and what is wrong there, each with its place in the entry.
+
+        parameters: of all rows.
+        """
+        flats, faults = list[Flat](), list[tuple[Steps, Fault]]()
+        for name, on_top in (self.scenarios or {"": {}}).items():
+            try:
+                flats.append(diagram.flatten(parameters={**parameters, **on_top}, settings=self.settings))
+            except BlocksError as error:
+                for fault in error.faults:
+                    word = fault.place.removeprefix("run.")
+                    sections = {"scenarios": on_top, "parameters": self.parameters, "settings": self.settings}
+                    section = next((key for key, table in sections.items() if word in table), "")
+                    steps = (section, name, word) if section == "scenarios" else (section, word) if section else ()
+                    faults.append((steps, fault))
+        return flats, faults
+
+
+class StudySweep(ManyRuns):
+    """A sweep of a study."""
+
+    __slots__ = ()
+
+    @classmethod
+    def of(cls, name: str, entry: Mapping[str, Any], doc: str) -> StudySweep:
+        """The sweep of an object that the grammar has checked."""
+        return cls.read(name, entry, doc, "vary", _OPTIONS)
 
     def measured(self, diagram: Diagram) -> list[str]:
         """The names of its measures and margins."""
@@ -84,16 +122,8 @@ def plain(value: Any) -> Any:
 
 def faults_of(entry: StudySweep, diagram: Diagram, parameters: Mapping[str, Any]) -> Iterator[tuple[Steps, Fault]]:
     """What is wrong with a sweep of a diagram, each with its place in the entry. parameters: of all rows."""
-    flats = []
-    for name, on_top in (entry.scenarios or {"": {}}).items():
-        try:
-            flats.append(diagram.flatten(parameters={**parameters, **on_top}, settings=entry.settings))
-        except BlocksError as error:
-            for fault in error.faults:
-                word = fault.place.removeprefix("run.")
-                sections = {"scenarios": on_top, "parameters": entry.parameters, "settings": entry.settings}
-                section = next((key for key, table in sections.items() if word in table), "")
-                yield ((section, name, word) if section == "scenarios" else (section, word) if section else ()), fault
+    flats, faults = entry.flattened(diagram, parameters)
+    yield from faults
     if not flats:
         return
     for name in entry.vary:

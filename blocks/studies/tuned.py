@@ -17,7 +17,7 @@ from ..text.atomic_write import write_atomically
 from ..text.errors import Fault
 from ..text.printable import aligned
 from .gains_file import written
-from .report import folder_for, page
+from .report_page import folder_for, page
 from .search_space import Space
 
 if TYPE_CHECKING:

@@ -34,7 +34,7 @@ from blocks.model.settings import read_settings
 from blocks.model.values import value_of
 from blocks.model.variants import taken
 from blocks.studies import json_schema, study
-from blocks.studies.study_sweeps import StudySweep
+from blocks.studies.study_sweeps import ManyRuns
 from blocks.text.errors import BlocksError
 from blocks.text.units import parse
 from tests.support.documents import CONTROLLED, NESTED, SHIPPED, STUDY, diagrams, document, mutated
@@ -177,7 +177,8 @@ def test_every_key_has_a_valid_form(tmp_path: Path) -> None:
 
     known = {key for kind in (g.DIAGRAM, g.BLOCK, g.VARIANT, g.INPUT, g.RUN, g.MEASURE) for key in kind.keys}
     assert {*known, *g.TABLE} - {"fmu", *g.OPTIONS} <= set(keys(CONTROLLED))
-    of_study = (s.STUDY, s.ONE_RUN, s.CLAIM, s.FIGURE, s.PANEL, s.MARKER, s.ONE_SWEEP, s.MARGIN, s.SWEEP_FIGURE)
+    of_study = (s.STUDY, s.ONE_RUN, s.CLAIM, s.FIGURE, s.PANEL, s.MARKER, s.ONE_SWEEP, s.ONE_TUNING, s.MARGIN,
+                s.SWEEP_FIGURE)
     assert {key for kind in of_study for key in kind.keys} <= set(keys(STUDY))
 
 
@@ -442,7 +443,7 @@ def judged_study(source: dict[str, Any], folder: Path) -> tuple[bool, set[str]]:
     try:
         made = study.load(path)
         for run in made.all_runs:
-            tables = [run.parameters, *(run.scenarios.values() if isinstance(run, StudySweep) else ())]
+            tables = [run.parameters, *(run.scenarios.values() if isinstance(run, ManyRuns) else ())]
             for raw in (raw for table in tables for raw in table.values()):
                 value_of(raw, "", {})
             if read_settings(run.settings)[1]:

@@ -201,12 +201,21 @@ STUDY = {
             },
         },
     },
+    "tunings": {
+        "d": {
+            "diagram": "d.json", "parameters": {"k": 1}, "variants": {"m": "fmu"}, "settings": {"rtol": 1e-5},
+            "doc": "x", "minimize": "q.m + 2*m", "over": {"a": [1, 2], "b*.k": [0, 1e3]}, "subject_to": ["m <= 3"],
+            "scenarios": {"q": {}, "h": {"k": 2}}, "method": "de", "budget": 40, "seed": 2,
+        },
+    },
     "assumed": [{"what": "w", "why": "y", "contradicts": "c"}],
     "claims": [
         {"run": "a", "measure": "m", "published": 1.5, "unit": "V", "source": "t", "tolerance": 0.1,
          "expect": "not reproduced", "reason": "r"},
         {"runs": ["a", "b"], "as": "increase", "measure": "m"},
         {"run": "b", "measure": "m", "x-a": 1},
+        {"tuning": "d", "measure": "objective", "as": "reduction", "at_least": 50, "expect": "holds"},
+        {"tuning": "d", "measure": "q.m"},
         {"sweep": "c", "scenario": "q", "measure": "m", "share": 0.9, "at_most": 1, "expect": "holds"},
         {"sweep": "c", "measure": "gm", "quantile": 0, "at_least": 1, "expect": "fails", "reason": "r"},
         {"sweep": "c", "measure": "m", "statistic": "mean", "published": 1, "tolerance": 0.1, "expect": "reproduced"},

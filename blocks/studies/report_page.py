@@ -1,0 +1,80 @@
+"""A page of a report: one HTML text with its style, that asks for nothing from any network."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..text.errors import Fault, UsageError
+
+__all__ = ["escaped", "folder_for", "page"]
+
+
+def folder_for(folder: Path) -> None:
+    """Make a folder where there is none. Raises UsageError (E501)."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(Fault("E501", str(folder), f"cannot be made: {error.strerror}.")) from None
+
+
+def page(title: str, parts: Sequence[str]) -> str:
+    """A report as one HTML text, of parts that are HTML."""
+    body = "\n".join(part for part in parts if part)
+    return _PAGE.format(title=escaped(title), style=_STYLE, body=body)
+
+
+def escaped(text: str) -> str:
+    """A text as HTML."""
+    return html.escape("".join(c if c.isprintable() else "�" for c in text))
+
+
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<title>{title}</title>
+<style>{style}</style>
+</head>
+<body>
+<main>
+{body}
+</main>
+</body>
+</html>
+"""
+
+_STYLE = """
+:root { --ink: #1e293b; --soft: #64748b; --line: #cbd5e1; --paper: #ffffff; --good: #1d4ed8; --bad: #b45309;
+  --c0: #b45309; --c1: #1d4ed8; --c2: #0f766e; --c3: #7e22ce; --c4: #64748b; --c5: #be123c; }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e2e8f0; --soft: #94a3b8; --line: #475569; --paper: #0f172a; --good: #93c5fd; --bad: #fbbf24;
+    --c0: #fbbf24; --c1: #93c5fd; --c2: #5eead4; --c3: #d8b4fe; --c4: #94a3b8; --c5: #fda4af; }
+}
+* { box-sizing: border-box; }
+body { margin: 0; background: var(--paper); color: var(--ink); font: 16px/1.5 system-ui, sans-serif; }
+main { max-width: 60rem; margin: 0 auto; padding: 1.5rem 1rem 4rem; }
+h1 { font-size: 1.5rem; line-height: 1.25; } h2 { margin-top: 2.2rem; border-bottom: 1px solid var(--line);
+  font-size: 1.2rem; }
+h3 { font-size: 1rem; margin: 1.2rem 0 0.3rem; overflow-wrap: anywhere; }
+.verdict { font-weight: 600; padding: 0.6rem 0.8rem; border-left: 4px solid var(--good);
+  background: color-mix(in srgb, var(--good) 8%, transparent); }
+.verdict.odd { border-color: var(--bad); background: color-mix(in srgb, var(--bad) 12%, transparent); }
+.source, figcaption, caption { color: var(--soft); }
+.wide { overflow-x: auto; } table { border-collapse: collapse; margin: 0.8rem 0; font-size: 0.9rem; }
+caption { text-align: left; padding-bottom: 0.2rem; }
+th, td { padding: 0.2rem 0.7rem 0.2rem 0; text-align: left; border-bottom: 1px solid var(--line);
+  white-space: nowrap; }
+td.number { font-variant-numeric: tabular-nums; text-align: right; }
+td.good { color: var(--good); } td.bad { color: var(--bad); } td.unexpected { font-weight: 700;
+  text-decoration: underline; }
+.against { color: var(--bad); } figure { margin: 1.2rem 0; break-inside: avoid; } .plot svg { width: 100%;
+  height: auto; display: block; }
+.diagram svg { max-width: 100%; height: auto; } code { overflow-wrap: anywhere; white-space: normal; }
+@media (max-width: 40rem) { .diagram svg { min-width: 44rem; max-width: none; } .plot { overflow-x: auto; }
+  .plot svg { min-width: 30rem; } }
+@media print { body { font-size: 11px; } main { max-width: none; padding: 0; } .wide { overflow: visible; } }
+"""
