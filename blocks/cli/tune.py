@@ -32,7 +32,7 @@ def add(verbs: Any) -> None:
     tune.add_argument("--minimize", metavar="EXPR", required=True, help='over measures: "ITAE_right + 1e-3*ISU_right"')
     over = "the bounds of a parameter, a pattern (control_*.eso.Ka) or an element (pid.k[0]); again for more"
     takes_several(tune, "--over", "NAME=LOW,HIGH", over, required=True)
-    scenario = "parameters under which every candidate runs, noisy:sigma=0.001,stop=20; quiet: for none; again for more"
+    scenario = "parameters under which every candidate runs, noisy:sigma=0.001,load=2; quiet: for none; again for more"
     takes_several(tune, "--scenario", "NAME:SETTINGS", scenario, dest="scenarios")
     takes_several(tune, "--subject-to", "CONSTRAINT", 'such as "noisy.variation <= 75"; again for more')
     tune.add_argument("--method", metavar="M", default="cma", help="cma (CMA-ES) or de (differential evolution)")
@@ -40,7 +40,7 @@ def add(verbs: Any) -> None:
     tune.add_argument("--seed", metavar="N", default="1", help="seed of the optimiser (default: 1)")
     tune.add_argument("--threads", metavar="N", help="how many runs at once (default: all cores)")
     tune.add_argument("--stop", metavar="T", help="stop time in s")
-    tune.add_argument("--write", action="store_true", help="write the values into DIAGRAM, where constraints hold")
+    tune.add_argument("--write", action="store_true", help="write the values into DIAGRAM, where all constraints hold")
     tune.add_argument("--report", metavar="DIR", help="write report.html and its figures into a folder")
     takes_parameters(tune)
     takes_variants(tune)
@@ -84,7 +84,7 @@ def _told(options: argparse.Namespace, tuning: Tuning) -> int:
     """Report what was found, and write it; returns the exit code."""
     changes: Sequence[Any] = ()
     report = None if options.report is None else tuning.report(options.report)
-    is_written = options.write and tuning.is_feasible and not tuning.is_kept
+    is_written = options.write and tuning.is_feasible and not (tuning.is_kept or tuning.interrupted)
     if is_written:
         changes = tuning.write(options.diagram).changes
     if options.json:
@@ -95,10 +95,11 @@ def _told(options: argparse.Namespace, tuning: Tuning) -> int:
         emit({
             "event": "done", "objective": tuning.objective, "before": tuning.objective_before,
             "values": dict(tuning.values), "feasible": tuning.is_feasible, "kept": tuning.is_kept,
-            "candidates": len(tuning.history.objective), "interrupted": tuning.interrupted, "written": is_written,
+            "candidates": tuning.ran, "interrupted": tuning.interrupted, "written": is_written,
             "report": None if report is None else str(report),
         })  # fmt: skip
     else:
+        print(printable(tuning.head))
         print(printable(tuning.table()))
         if tuning.is_kept:
             print("no candidate was better than the diagram itself")
@@ -106,10 +107,12 @@ def _told(options: argparse.Namespace, tuning: Tuning) -> int:
             print(printable(change_line(change)))
         if report is not None:
             print(printable(f"report: {report}"))
+    if tuning.interrupted:
+        unwritten = "; nothing was written, the values so far are in the table" if options.write else ""
+        say(f"interrupted after {tuning.ran} of {tuning.budget} candidates{unwritten}")
+        return INTERRUPTED
     if options.write and not is_written:
         say("nothing was written: " + ("constraints are violated" if not tuning.is_feasible else "the values are kept"))
-    if tuning.interrupted:
-        return INTERRUPTED
     return 0 if tuning.is_feasible else 1
 
 

@@ -14,9 +14,12 @@ import pytest
 from blocks import Constant, Diagram, FirstOrder, Gain, Integrator, ModelError, Noise, Step, Sum, UsageError
 from blocks.api.batch import Batch, BatchRows
 from blocks.cli import main
+from blocks.compile.toolchain.compiler import find_compiler
 from blocks.studies import study
 from blocks.studies.objectives import constraints_of, objective_of
 from tests.support.places import ROOT
+
+pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
 
 
 @pytest.fixture(autouse=True)
@@ -263,3 +266,26 @@ def test_the_command_tunes_writes_and_reports(tmp_path: Path, capsys: pytest.Cap
     assert "noisy.variation &lt;= 300" in (tmp_path / "report" / "report.html").read_text()
     assert (tmp_path / "report" / "search.png").stat().st_size > 1000
     assert main([*command[:6], "--over", "k=1"]) == 2
+
+
+def test_an_interrupted_tuning_says_so_and_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "loop.json"
+    noisy().save(path)
+    before, run, calls = path.read_bytes(), Batch.__call__, list[int]()
+
+    def broken(self: Batch, table: Any, **options: Any) -> BatchRows:
+        calls.append(len(table))
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return run(self, table, **options)
+
+    monkeypatch.setattr(Batch, "__call__", broken)
+    command = ["tune", str(path), "--minimize", "IAE", "--over", "k=1,50", "--stop", "2", "--budget", "500", "--write"]
+    assert main(command) == 130
+    out, err = capsys.readouterr()
+    ran = sum(calls[:2])
+    assert out.startswith(f"noisy: {ran} of 500 candidates in 1 scenario, method cma, seed 1; interrupted\n")
+    assert f"interrupted after {ran} of 500 candidates; nothing was written" in err
+    assert path.read_bytes() == before
