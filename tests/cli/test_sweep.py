@@ -65,6 +65,9 @@ def test_scenarios_are_read_from_words() -> None:
     assert {name: list(given) for name, given in scenarios_of(words).items()} == {
         "quiet": [], "heavy": ["load", "pid.k", "torque"],
     }  # fmt: skip
+    for word in ("noisy", "heavy torque=6", ":torque=6"):
+        with pytest.raises(UsageError, match=f"--scenario {word}: is not NAME:SETTINGS. As in "):
+            scenarios_of([word])
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, list[dict[str, Any]]]:
