@@ -12,10 +12,12 @@ from .options import takes_json, takes_library, takes_parameters, takes_several,
 from .output import Progress, emit, printable, say, tell_faults
 from .signals import INTERRUPTED, ended_at_once
 from .sweep import scenarios_of
-from .values import assignments, number_of, time_of, variants_of
+from .values import as_options, assignments, number_of, time_of, variants_of
 
 if TYPE_CHECKING:
+    from ..api.diagram import Diagram
     from ..studies.tuned import Tuning
+    from ..studies.tuning import Problem
 
 __all__ = ["add"]
 
@@ -52,17 +54,12 @@ def add(verbs: Any) -> None:
 
 def _tune(options: argparse.Namespace) -> int:
     from ..api.diagram import Diagram
-    from ..studies.tuning import problem_of
 
     diagram = Diagram.load(options.diagram, library=options.library)
-    problem = problem_of(
-        diagram, minimize=options.minimize, over=dict(_bounds(item) for item in options.over),
-        scenarios=scenarios_of(options.scenarios), subject_to=options.subject_to,
-        method=options.method, budget=_whole("budget", options.budget), seed=_whole("seed", options.seed),
-        parameters=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
-        variants=variants_of(options.variants), trust=options.trust,
-        settings={} if options.stop is None else {"stop": time_of("stop", options.stop)},
-    )  # fmt: skip
+    places = {name: f"--{name}" for name in ("minimize", "method", "budget", "seed", "threads")}
+    places |= {f"subject_to[{k}]": f"--subject-to {text}" for k, text in enumerate(options.subject_to)}
+    with as_options(places):
+        problem = _problem(options, diagram)
     tell_faults(problem.warnings, options.json)
     threads = None if options.threads is None else _whole("threads", options.threads)
     shown = Progress(options.json)
@@ -78,6 +75,19 @@ def _tune(options: argparse.Namespace) -> int:
         shown.clear()
     ended_at_once()
     return _told(options, tuning)
+
+
+def _problem(options: argparse.Namespace, diagram: Diagram) -> Problem:
+    from ..studies.tuning import problem_of
+
+    return problem_of(
+        diagram, minimize=options.minimize, over=dict(_bounds(item) for item in options.over),
+        scenarios=scenarios_of(options.scenarios), subject_to=options.subject_to,
+        method=options.method, budget=_whole("budget", options.budget), seed=_whole("seed", options.seed),
+        parameters=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
+        variants=variants_of(options.variants), trust=options.trust,
+        settings={} if options.stop is None else {"stop": time_of("stop", options.stop)},
+    )  # fmt: skip
 
 
 def _told(options: argparse.Namespace, tuning: Tuning) -> int:
@@ -130,6 +140,7 @@ def _bounds(item: str) -> tuple[str, tuple[float, float]]:
         low, high = (float(part) for part in text.split(","))
     except ValueError:
         separator = ""
-    if not separator or not name.strip():
-        raise UsageError(Fault("E501", f"--over {item}", "is not NAME=LOW,HIGH.", 'As in --over "kp=1,100".'))
+    if not separator or not name.strip() or not low < high:
+        message = "is not NAME=LOW,HIGH, the lower bound first."
+        raise UsageError(Fault("E501", f"--over {item}", message, 'As in --over "kp=1,100".'))
     return name.strip(), (low, high)

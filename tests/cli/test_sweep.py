@@ -112,6 +112,9 @@ def test_a_sweep_without_a_row_that_ran_says_so(capsys: pytest.CaptureFixture[st
     assert entries[0]["code"] == "W503"
     status, entries = told(capsys, "--vary", "motor.Ra=1", "--n", "1.5")
     assert (status, entries[0]["place"]) == (2, "--n")
+    status, entries = told(capsys, "--vary", "kp=normal:1,0.1")
+    assert [entries[0][key] for key in ("place", "cure")] == ["--n", "As in --n 1000."]
+    assert told(capsys, "--vary", "kp=1", "--log", "nope")[1][0]["place"] == "--log"
 
 
 @NATIVE

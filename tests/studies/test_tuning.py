@@ -136,6 +136,8 @@ def test_a_tuning_that_noise_and_effort_do_not_hold_back_is_told(given: dict[str
         ({"minimize": "late"}, "noisy.late: can have no number: has no value: its window"),
         ({"minimize": "IAE", "subject_to": ["noisy.late <= 1"]}, "noisy.late: can have no number"),
         ({"minimize": "IAE", "subject_to": ["variation == 3"]}, 'subject_to[0]: "variation == 3" is no comparison'),
+        ({"minimize": "IAE", "subject_to": ["variation <= 2 rad/s"]},
+         'subject_to[0]: "2 rad/s" is a number with a unit. A limit is a bare number in the unit of the measure: 2.'),
         ({"minimize": "IAE", "subject_to": ["1 <= 2"]}, 'subject_to[0]: "1 <= 2" reads no measure'),
         ({"minimize": "2 IAE"}, "A product is written with *."),
         ({"minimize": "IAE", "over": {"k": (5, 1)}}, "k: has no two bounds"),
@@ -290,3 +292,19 @@ def test_an_interrupted_tuning_says_so_and_writes_nothing(
     assert out.startswith(f"noisy: {ran} of 500 candidates in 1 scenario, method cma, seed 1; interrupted\n")
     assert f"interrupted after {ran} of 500 candidates; nothing was written" in err
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--over", "k=50,1"], "--over k=50,1: is not NAME=LOW,HIGH, the lower bound first."),
+        (["--over", "k=1,5", "--subject-to", "IAE <= 2 %"], '--subject-to IAE <= 2 %: "2 %" is a number with a unit.'),
+        (["--over", "k=1,5", "--method", "no"], "--method: there is no method"),
+    ],
+)
+def test_messages_name_the_options(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    noisy().save(path := tmp_path / "loop.json")
+    assert main(["tune", str(path), "--minimize", "IAE", "--stop", "2", *words]) == 2
+    assert said in capsys.readouterr().err
