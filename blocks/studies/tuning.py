@@ -172,7 +172,9 @@ def _warnings(problem: Problem, needed: Mapping[str, Sequence[str]]) -> tuple[Fa
     if has_noise and is_limited:
         return ()
     if is_limited:
-        message = "no scenario has noise that reaches the objective or a constraint: it limits no gain, as it would then."
+        message = (
+            "no scenario has noise that reaches the objective or a constraint: the best gains may be useless with it."
+        )
         cure = f"Add {scenario}."
     elif has_noise:
         message = (
