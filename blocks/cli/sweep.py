@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
@@ -22,12 +22,14 @@ from .options import (
 )
 from .output import Progress, emit, printable, say, tell_faults, waiting
 from .signals import INTERRUPTED, ended_at_once
-from .values import assignments, check_writable, number_of, parsed, time_of, variants_of
+from .values import as_options, assignments, check_writable, number_of, parsed, time_of, variants_of
 
 if TYPE_CHECKING:
     from ..studies.sweep import Sweep
 
 __all__ = ["add"]
+_WORDS = {r"\bn=(\d+)": r"--n \1", r"^Leave n out": "Leave --n out", r"resume=False, --anew": "--anew"}
+"""How the command line says what messages tell of arguments of Python."""
 
 
 def add(verbs: Any) -> None:
@@ -89,26 +91,27 @@ def _sweep(options: argparse.Namespace) -> int:
     with waiting(f"reading and compiling {options.diagram}", quiet=options.json):
         diagram = Diagram.load(options.diagram, library=options.library)
     try:
-        sweep = diagram.sweep(
-            vary,
-            n=counts["n"],
-            seed=counts["seed"] or 0,
-            threads=counts["threads"],
-            budget=counts["budget"],
-            sampler=options.sampler,
-            measures=options.measure,
-            log=options.log,
-            scenarios=scenarios_of(options.scenario),
-            parameters=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
-            variants=variants_of(options.variants),
-            trust=options.trust,
-            engine=options.engine,
-            out=options.out,
-            resume=not options.anew,
-            on=options.dask,
-            progress=progress,
-            **{key: value for key, value in settings.items() if value is not None},
-        )
+        with as_options(_arguments(options, vary), _WORDS):
+            sweep = diagram.sweep(
+                vary,
+                n=counts["n"],
+                seed=counts["seed"] or 0,
+                threads=counts["threads"],
+                budget=counts["budget"],
+                sampler=options.sampler,
+                measures=options.measure,
+                log=options.log,
+                scenarios=scenarios_of(options.scenario),
+                parameters=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
+                variants=variants_of(options.variants),
+                trust=options.trust,
+                engine=options.engine,
+                out=options.out,
+                resume=not options.anew,
+                on=options.dask,
+                progress=progress,
+                **{key: value for key, value in settings.items() if value is not None},
+            )
     finally:
         progress.shown.clear()
     ended_at_once()
@@ -123,6 +126,13 @@ def _sweep(options: argparse.Namespace) -> int:
         say(f"interrupted: {counted(sweep.counts().get('left', 0), 'row')} not run{kept}")
         return INTERRUPTED
     return 0 if sweep.counts().get("ok") else 3
+
+
+def _arguments(options: argparse.Namespace, vary: Mapping[Any, Any]) -> dict[str, str]:
+    """The options by the places of faults of `Diagram.sweep`, as far as what varies is not called so."""
+    named = {name: f"--{name}" for name in ("n", "seed", "budget", "threads", "vary")}
+    named |= {"run.log": "--log", "on": "--dask", options.sampler: f"--sampler {options.sampler}"}
+    return {place: option for place, option in named.items() if place not in vary}
 
 
 def _report(options: argparse.Namespace, sweep: Sweep, seconds: float) -> None:
@@ -232,7 +242,10 @@ def scenarios_of(items: Sequence[str]) -> dict[str, dict[str, Any]]:
     """The --scenario options: values by parameter, by the name of the scenario; one that stands again has more."""
     scenarios: dict[str, dict[str, Any]] = {}
     for item in items:
-        name, _, text = item.partition(":")
+        name, separator, text = item.partition(":")
+        if not separator or not name.strip():
+            cure = 'As in --scenario "heavy:load=2,torque=3"; "quiet:" sets nothing.'
+            raise UsageError(Fault("E501", f"--scenario {item}", "is not NAME:SETTINGS.", cure))
         given = re.split(r",(?=[A-Za-z_][\w.\[\]]*=)", text) if text.strip() else []
         scenarios.setdefault(name.strip(), {}).update(assignments(f"--scenario {name}:", given, "load=2"))
     return scenarios

@@ -12,10 +12,12 @@ from .options import takes_json, takes_library, takes_parameters, takes_several,
 from .output import Progress, emit, printable, say, tell_faults
 from .signals import INTERRUPTED, ended_at_once
 from .sweep import scenarios_of
-from .values import assignments, number_of, time_of, variants_of
+from .values import as_options, assignments, number_of, time_of, variants_of
 
 if TYPE_CHECKING:
+    from ..api.diagram import Diagram
     from ..studies.tuned import Tuning
+    from ..studies.tuning import Problem
 
 __all__ = ["add"]
 
@@ -32,7 +34,7 @@ def add(verbs: Any) -> None:
     tune.add_argument("--minimize", metavar="EXPR", required=True, help='over measures: "ITAE_right + 1e-3*ISU_right"')
     over = "the bounds of a parameter, a pattern (control_*.eso.Ka) or an element (pid.k[0]); again for more"
     takes_several(tune, "--over", "NAME=LOW,HIGH", over, required=True)
-    scenario = "parameters under which every candidate runs, noisy:sigma=0.001,stop=20; quiet: for none; again for more"
+    scenario = "parameters under which every candidate runs, noisy:sigma=0.001,load=2; quiet: for none; again for more"
     takes_several(tune, "--scenario", "NAME:SETTINGS", scenario, dest="scenarios")
     takes_several(tune, "--subject-to", "CONSTRAINT", 'such as "noisy.variation <= 75"; again for more')
     tune.add_argument("--method", metavar="M", default="cma", help="cma (CMA-ES) or de (differential evolution)")
@@ -40,7 +42,7 @@ def add(verbs: Any) -> None:
     tune.add_argument("--seed", metavar="N", default="1", help="seed of the optimiser (default: 1)")
     tune.add_argument("--threads", metavar="N", help="how many runs at once (default: all cores)")
     tune.add_argument("--stop", metavar="T", help="stop time in s")
-    tune.add_argument("--write", action="store_true", help="write the values into DIAGRAM, where constraints hold")
+    tune.add_argument("--write", action="store_true", help="write the values into DIAGRAM, where all constraints hold")
     tune.add_argument("--report", metavar="DIR", help="write report.html and its figures into a folder")
     takes_parameters(tune)
     takes_variants(tune)
@@ -52,17 +54,12 @@ def add(verbs: Any) -> None:
 
 def _tune(options: argparse.Namespace) -> int:
     from ..api.diagram import Diagram
-    from ..studies.tuning import problem_of
 
     diagram = Diagram.load(options.diagram, library=options.library)
-    problem = problem_of(
-        diagram, minimize=options.minimize, over=_over(options.over),
-        scenarios=scenarios_of(options.scenarios), subject_to=options.subject_to,
-        method=options.method, budget=_whole("budget", options.budget), seed=_whole("seed", options.seed),
-        parameters=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
-        variants=variants_of(options.variants), trust=options.trust,
-        settings={} if options.stop is None else {"stop": time_of("stop", options.stop)},
-    )  # fmt: skip
+    places = {name: f"--{name}" for name in ("minimize", "method", "budget", "seed", "threads")}
+    places |= {f"subject_to[{k}]": f"--subject-to {text}" for k, text in enumerate(options.subject_to)}
+    with as_options(places):
+        problem = _problem(options, diagram)
     tell_faults(problem.warnings, options.json)
     threads = None if options.threads is None else _whole("threads", options.threads)
     shown = Progress(options.json)
@@ -80,11 +77,24 @@ def _tune(options: argparse.Namespace) -> int:
     return _told(options, tuning)
 
 
+def _problem(options: argparse.Namespace, diagram: Diagram) -> Problem:
+    from ..studies.tuning import problem_of
+
+    return problem_of(
+        diagram, minimize=options.minimize, over=_over(options.over),
+        scenarios=scenarios_of(options.scenarios), subject_to=options.subject_to,
+        method=options.method, budget=_whole("budget", options.budget), seed=_whole("seed", options.seed),
+        parameters=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
+        variants=variants_of(options.variants), trust=options.trust,
+        settings={} if options.stop is None else {"stop": time_of("stop", options.stop)},
+    )  # fmt: skip
+
+
 def _told(options: argparse.Namespace, tuning: Tuning) -> int:
     """Report what was found, and write it; returns the exit code."""
     changes: Sequence[Any] = ()
     report = None if options.report is None else tuning.report(options.report)
-    is_written = options.write and tuning.is_feasible and not tuning.is_kept
+    is_written = options.write and tuning.is_feasible and not (tuning.is_kept or tuning.interrupted)
     if is_written:
         changes = tuning.write(options.diagram).changes
     if options.json:
@@ -95,10 +105,11 @@ def _told(options: argparse.Namespace, tuning: Tuning) -> int:
         emit({
             "event": "done", "objective": tuning.objective, "before": tuning.objective_before,
             "values": dict(tuning.values), "feasible": tuning.is_feasible, "kept": tuning.is_kept,
-            "candidates": len(tuning.history.objective), "interrupted": tuning.interrupted, "written": is_written,
+            "candidates": tuning.ran, "interrupted": tuning.interrupted, "written": is_written,
             "report": None if report is None else str(report),
         })  # fmt: skip
     else:
+        print(printable(tuning.head))
         print(printable(tuning.table()))
         if tuning.is_kept:
             print("no candidate was better than the diagram itself")
@@ -106,10 +117,12 @@ def _told(options: argparse.Namespace, tuning: Tuning) -> int:
             print(printable(change_line(change)))
         if report is not None:
             print(printable(f"report: {report}"))
+    if tuning.interrupted:
+        unwritten = "; nothing was written, the values so far are in the table" if options.write else ""
+        say(f"interrupted after {tuning.ran} of {tuning.budget} candidates{unwritten}")
+        return INTERRUPTED
     if options.write and not is_written:
         say("nothing was written: " + ("constraints are violated" if not tuning.is_feasible else "the values are kept"))
-    if tuning.interrupted:
-        return INTERRUPTED
     return 0 if tuning.is_feasible else 1
 
 
@@ -137,6 +150,7 @@ def _bounds(item: str) -> tuple[str, tuple[float, float]]:
         low, high = (float(part) for part in text.split(","))
     except ValueError:
         separator = ""
-    if not separator or not name.strip():
-        raise UsageError(Fault("E501", f"--over {item}", "is not NAME=LOW,HIGH.", 'As in --over "kp=1,100".'))
+    if not separator or not name.strip() or not low < high:
+        message = "is not NAME=LOW,HIGH, the lower bound first."
+        raise UsageError(Fault("E501", f"--over {item}", message, 'As in --over "kp=1,100".'))
     return name.strip(), (low, high)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from ..text.errors import Fault, ModelError, UsageError
 
-__all__ = ["assignments", "check_writable", "number_of", "parsed", "raw_number", "time_of", "variants_of"]
+__all__ = [
+    "as_options", "assignments", "check_writable", "number_of", "parsed", "raw_number", "time_of", "variants_of",
+]  # fmt: skip
 
 _QUANTITY = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(\S.*?)?\s*\Z")
 
@@ -90,6 +93,27 @@ def _parsed(place: str, text: str) -> Any:
         return parsed(text)
     except ModelError as error:
         raise ModelError(*(replace(fault, place=f"{place} {fault.place}".rstrip()) for fault in error.faults)) from None
+
+
+@contextlib.contextmanager
+def as_options(options: Mapping[str, str], words: Mapping[str, str] | None = None) -> Iterator[None]:
+    """What is wrong with an argument of Python is told of its option. words: in messages and cures, by patterns."""
+
+    def told(text: str) -> str:
+        for pattern, word in (words or {}).items():
+            text = re.sub(pattern, word, text)
+        return text
+
+    try:
+        yield
+    except (ModelError, UsageError) as error:
+        faults = (
+            replace(
+                fault, place=options.get(fault.place, fault.place), message=told(fault.message), cure=told(fault.cure)
+            )
+            for fault in error.faults
+        )
+        raise type(error)(*faults) from None
 
 
 def variants_of(items: Sequence[str]) -> dict[str, str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from ..contract.expressions import Expression, PostfixStep, parse
 from ..contract.scalars import OPERATIONS
+from ..text import units
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import quoted
 
@@ -25,6 +27,7 @@ Array = np.ndarray[Any, Any]
 Measured = Mapping[str, Mapping[str, Array]]
 """Measures (n,) by scenario and name."""
 
+_QUANTITY = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(\S+)\s*")
 _COMPARED = re.compile(r"<=|>=|==|!=|<|>|=")
 
 
@@ -146,7 +149,17 @@ def _parsed(place: str, text: str) -> Expression:
     try:
         return parse(text.strip(), has_parts=True)
     except ModelError as error:
+        if (quantity := _QUANTITY.fullmatch(text)) and _is_unit(quantity[2]):
+            message = f"{quoted(text.strip())} is a number with a unit."
+            cure = f"A limit is a bare number in the unit of the measure: {quantity[1]}."
+            raise UsageError(Fault("E501", place, message, cure)) from None
         raise UsageError(*(Fault("E501", place, fault.message, fault.cure) for fault in error.faults)) from None
+
+
+def _is_unit(text: str) -> bool:
+    with suppress(ModelError):
+        return bool(units.parse(text))
+    return False
 
 
 def _faults(

@@ -68,8 +68,9 @@ class Sweep:
     def __getitem__(self, scenario: str) -> Sweep:
         """The rows of one scenario. Raises KeyError."""
         if scenario not in self.scenarios:
-            cure = did_you_mean(str(scenario), self.scenarios) or f"Scenarios: {', '.join(self.scenarios) or 'none'}."
-            raise KeyError(f"there is no scenario {scenario!r}. {cure}")
+            known = f"Scenarios: {', '.join(self.scenarios) or 'none'}."
+            cure = did_you_mean(str(scenario), self.scenarios)
+            raise KeyError(f"there is no scenario {scenario!r}. {cure}{' ' if cure else ''}{known}")
         rows = np.flatnonzero(self.scenario == self.scenarios.index(scenario))
         first = np.zeros(len(rows), dtype=np.int64)
         return replace(self.taken(rows), scenarios=(scenario,), scenario=first, base=self.base)
@@ -191,7 +192,7 @@ class Sweep:
                 return known[name]
         names = [*self.measures, *self.signals, *self.varied]
         cure = did_you_mean(str(name), names) or f"There are {', '.join(names)}."
-        raise KeyError(f"the sweep has no {name!r}. {cure}")
+        raise KeyError(f"the sweep has no {name!r}. {cure} A signal must be logged: sweep(..., log=[...]).")
 
     def _one_scenario(self, what: str) -> None:
         if len(self.scenarios) > 1:
@@ -285,10 +286,10 @@ class Sweep:
         rows = [("variance of", "from", "first", "total")]
         for scenario, part in self.each_scenario() if self.base else ():
             for measure, indices in part.sobol().items():
-                for name, (*shares,) in indices.items():
-                    first, first_error, total, total_error = (f"{share:.2f}" for share in shares)
+                for name, index in indices.items():
                     shown = f"{scenario}.{measure}" if scenario else measure
-                    rows.append((shown, name, f"{first} ± {first_error}", f"{total} ± {total_error}"))
+                    shares = _share(index.first, index.first_error), _share(index.total, index.total_error)
+                    rows.append((shown, name, *shares))
         lines += aligned(rows) if len(rows) > 1 else []
         return "\n".join([*lines, *(f"  {line}" for line in self.failures())])
 
@@ -304,6 +305,11 @@ class Sweep:
 
     def __repr__(self) -> str:
         return "\n".join([self.table(), *map(str, self.warnings)])
+
+
+def _share(value: float, error: float) -> str:
+    """A Sobol index; of so few rows that it has no error it says nothing."""
+    return f"{value:.2f} ± {error:.2f}" if np.isfinite(value) and np.isfinite(error) else "-"
 
 
 def _span(column: Array) -> str:

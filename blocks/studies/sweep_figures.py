@@ -33,6 +33,7 @@ BAD = "#be123c"
 """The color of rows that failed."""
 _WORDS = {"budget": "over the budget", "left": "not run"}
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+_LOGGED = " Add a signal to `log` to draw it."
 _WIDTH, _HEIGHT = 7.2, 2.4  # inches of a figure, and of a row of panels
 _MOST_BINS = 60
 _MOST_VALUES = 60
@@ -95,6 +96,11 @@ def column(sweep: Sweep, name: str) -> Array:
     raise _unknown(name, [*sweep.measures, *sweep.varied], "measure and no parameter")
 
 
+def _drawn(sweep: Sweep, name: str) -> None:
+    if name not in sweep.measures and name not in sweep.varied:
+        raise _unknown(name, [*sweep.measures, *sweep.varied], "measure and no parameter", _LOGGED)
+
+
 def told_rows(sweep: Sweep) -> str:
     """How many rows there are, and what became of those that did not run to their end."""
     counts = {_WORDS.get(name, name): count for name, count in sweep.counts().items() if name != "ok"}
@@ -106,9 +112,9 @@ def _names(given: str | Sequence[str] | Any) -> list[str]:
     return [given] if isinstance(given, str) else [str(name) for name in given]
 
 
-def _unknown(name: str, known: Sequence[str], what: str) -> UsageError:
+def _unknown(name: str, known: Sequence[str], what: str, more: str = "") -> UsageError:
     cure = did_you_mean(name[:200], known) or f"There are {', '.join(known) or 'none'}."
-    return UsageError(Fault("E501", legible(name), f"is no {what} of the sweep.", cure))
+    return UsageError(Fault("E501", legible(name), f"is no {what} of the sweep.", cure + more))
 
 
 def _kind(sweep: Sweep, what: Sequence[str], against: Sequence[str], kind: str | None) -> str:
@@ -126,9 +132,9 @@ def _kind(sweep: Sweep, what: Sequence[str], against: Sequence[str], kind: str |
         raise UsageError(Fault("E501", "against", f"the figure ({kind}) {needs}.", cure))
     for name, fits in zip(what, is_signal, strict=True):
         if kind == "bands" and not fits:
-            raise _unknown(name, list(sweep.signals), "logged signal")
+            raise _unknown(name, list(sweep.signals), "logged signal", _LOGGED)
         if kind != "bands":
-            column(sweep, name)
+            _drawn(sweep, name)
     for name in against:
         column(sweep, name)
     return kind

@@ -87,6 +87,8 @@ def _check_same(notes: Mapping[str, Any], told: Mapping[str, Any], refuse: Refus
     was, ours = _key(notes), _key(json.loads(json.dumps(told)))
     different = [name for name in sorted({*was, *ours}) if was.get(name) != ours.get(name)]
     if different:
+        if "n" in different and "varied rows" in different:
+            different.remove("varied rows")  # they are others with another n
         cure = "Give what it was begun with; or begin anew (resume=False, --anew), which replaces it."
         raise refuse(f"it is of a sweep that differs in its {', '.join(different)}.", cure)
 

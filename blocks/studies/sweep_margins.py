@@ -91,7 +91,10 @@ def margins_of(given: Mapping[str, Mapping[str, Any]]) -> tuple[Margin, ...]:
     """What `margins=` says, by the rules of study files. Raises UsageError (E501)."""
     made = []
     for name, entry in given.items():
-        MARGIN.check(entry, (str(name),), _Refusing())
+        told = _Told()
+        MARGIN.check(entry, (str(name),), told)
+        if told.faults:  # a key that is not known tells more than that another one is missing
+            raise UsageError(*(told.strays or told.faults))
         point = {key: entry[key] for key in _OF_POINT if key in entry}
         how = {key: entry[key] for key in _OF_LOOP if key in entry}
         ends = str(entry.get("from", "")), str(entry.get("to", ""))
@@ -99,11 +102,16 @@ def margins_of(given: Mapping[str, Mapping[str, Any]]) -> tuple[Margin, ...]:
     return tuple(made)
 
 
-class _Refusing:
-    """Refuses the first fault."""
+class _Told:
+    """The faults of an entry, and those of them at its keys."""
+
+    def __init__(self) -> None:
+        self.faults: list[Fault] = []
+        self.strays: list[Fault] = []
 
     def fault(self, code: str, path: Steps, message: str, cure: str = "", *, at_key: bool = False) -> None:
-        raise UsageError(Fault("E501", legible(".".join(map(str, ("margins", *path)))), message, cure))
+        self.faults.append(Fault("E501", legible(".".join(map(str, ("margins", *path)))), message, cure))
+        self.strays += self.faults[-1:] if at_key else []
 
     def guess(self, word: str, known: Collection[str]) -> str:
         return did_you_mean(word[:200], known, quote='"')

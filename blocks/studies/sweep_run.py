@@ -108,7 +108,7 @@ def sweep(
     made = _Made(diagram.name, rows, units, tuple(scenarios or ()), seeds, taken_measures, first.signals, again)
     key: dict[str, Any] = {"scenarios": raw_of(given), "measures": first.measures, "signals": first.signals}
     key |= {"margins": wanted} if wanted else {}
-    key |= {"budget": budget, "engine": start.statistics.engine, "varied rows": _digest(rows, seeds)}
+    key |= {"n": n, "budget": budget, "engine": start.statistics.engine, "varied rows": _digest(rows, seeds)}
     told = told_of(start.origin, key)
     folder = "" if on is None or out is None or str(out).lower().endswith(".parquet") else str(out)
     if out is not None and not folder:

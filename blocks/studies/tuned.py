@@ -15,7 +15,7 @@ from ..results import plots
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.errors import Fault
-from ..text.printable import aligned
+from ..text.printable import aligned, counted
 from .gains_file import written
 from .report_page import folder_for, page
 from .search_space import Space
@@ -119,6 +119,20 @@ class Tuning:
     def is_feasible(self) -> bool:
         return all(condition.holds for condition in self.conditions)
 
+    @property
+    def head(self) -> str:
+        """What was run, in a line."""
+        return (
+            f"{self.diagram.name}: {self.ran} of {counted(self.budget, 'candidate')} in "
+            f"{counted(len(self.scenarios), 'scenario')}, method {self.method}, seed {self.seed}"
+            f"{'; interrupted' if self.interrupted else ''}"
+        )
+
+    @property
+    def ran(self) -> int:
+        """How many candidates have run in every scenario."""
+        return int(np.count_nonzero(self.history.status != "left"))
+
     def rows(self) -> list[tuple[str, str, float, float]]:
         """Scenario, measure, before and after: of all measures in all scenarios."""
         return [
@@ -193,7 +207,7 @@ class Tuning:
         )
 
     def __str__(self) -> str:
-        told = [self.table(), *map(str, self.warnings)]
+        told = [self.head, self.table(), *map(str, self.warnings)]
         if self.is_kept:
             told.append("No candidate was better than the diagram itself: its values are kept.")
         return "\n\n".join(told)
@@ -324,8 +338,7 @@ def _report(tuning: Tuning, folder: Path) -> Path:
         f'<p class="verdict {kind}">{html.escape(told)}; '
         + ("all constraints hold.</p>" if tuning.is_feasible else "constraints are violated.</p>"),
         *(f'<p class="against">{html.escape(str(warning))}</p>' for warning in tuning.warnings),
-        f"<p>{len(tuning.history.objective)} candidates in {len(tuning.scenarios)} scenarios, method "
-        f"{tuning.method}, seed {tuning.seed}.</p>",
+        f"<p>{html.escape(tuning.head)}.</p>",
         *(_scenario(name, values) for name, values in tuning.scenarios.items()),
     ]
     titles = ("Values", "Measures", "Constraints")

@@ -175,17 +175,28 @@ def measured(results: Mapping[str, Results]) -> dict[str, dict[str, Array]]:
 
 def _warnings(problem: Problem, needed: Mapping[str, Sequence[str]]) -> tuple[Fault, ...]:
     """W501 where nothing that is asked for depends on noise, or nothing limits the effort of the control."""
-    missing = []
-    if not _has_noise(problem, needed):
-        missing.append("no scenario has noise that reaches the objective or a constraint")
-    if not _limits_effort(problem, needed):
-        missing.append("nothing in them limits or weighs what the tuned blocks put out")
-    if not missing:
+    scenario, limit = "a scenario with noise at the sensor", "a limit such as noisy.variation <= 75 (total_variation)"
+    has_noise, is_limited = _has_noise(problem, needed), _limits_effort(problem, needed)
+    if has_noise and is_limited:
         return ()
-    message = (
-        f"{', and '.join(missing)}: the best values are then those of the highest gains, which noise makes useless."
-    )
-    cure = "Add a scenario with noise at the sensor, and a limit such as noisy.variation <= 75 (total_variation)."
+    if is_limited:
+        message = (
+            "no scenario has noise that reaches the objective or a constraint: the best gains may be useless with it."
+        )
+        cure = f"Add {scenario}."
+    elif has_noise:
+        message = (
+            "nothing in the objective or the constraints limits or weighs what the tuned blocks put out: "
+            "the best values may turn the noise into a control that chatters."
+        )
+        cure = f"Add {limit}."
+    else:
+        message = (
+            "no scenario has noise that reaches the objective or a constraint, and nothing in them limits or weighs "
+            "what the tuned blocks put out: the best values are then those of the highest gains, which noise makes "
+            "useless."
+        )
+        cure = f"Add {scenario}, and {limit}."
     return (Fault("W501", problem.diagram.name, message, cure),)
 
 

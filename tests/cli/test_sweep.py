@@ -65,6 +65,9 @@ def test_scenarios_are_read_from_words() -> None:
     assert {name: list(given) for name, given in scenarios_of(words).items()} == {
         "quiet": [], "heavy": ["load", "pid.k", "torque"],
     }  # fmt: skip
+    for word in ("noisy", "heavy torque=6", ":torque=6"):
+        with pytest.raises(UsageError, match=f"--scenario {word}: is not NAME:SETTINGS. As in "):
+            scenarios_of([word])
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, list[dict[str, Any]]]:
@@ -109,6 +112,9 @@ def test_a_sweep_without_a_row_that_ran_says_so(capsys: pytest.CaptureFixture[st
     assert entries[0]["code"] == "W503"
     status, entries = told(capsys, "--vary", "motor.Ra=1", "--n", "1.5")
     assert (status, entries[0]["place"]) == (2, "--n")
+    status, entries = told(capsys, "--vary", "kp=normal:1,0.1")
+    assert [entries[0][key] for key in ("place", "cure")] == ["--n", "As in --n 1000."]
+    assert told(capsys, "--vary", "kp=1", "--log", "nope")[1][0]["place"] == "--log"
 
 
 @NATIVE

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 from blocks import Diagram, Fit, PMDCMotor, UsageError
+from blocks.compile.toolchain.compiler import find_compiler
+
+pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
 
 TRUTH = {"motor.Ra": 0.2, "motor.La": 0.7, "motor.Jeq": 0.3, "motor.Beq": 0.35}
 OVER = {"motor.Ra": (0.05, 1.0), "motor.La": (0.2, 2.0), "motor.Jeq": (0.1, 1.0), "motor.Beq": (0.1, 1.0)}

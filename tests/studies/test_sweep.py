@@ -167,11 +167,12 @@ def test_a_part_of_another_sweep_is_not_gone_on_from(tmp_path: Path, monkeypatch
     noisy().sweep(VARY, **asked, out=out, progress=interrupt(9))
     for change, word in (
         ({"seed": 4}, "varied rows"),
+        ({"n": 5}, r"its n\. "),
         ({"every": 0.5}, "settings"),
         ({"scenarios": {"quiet": {}}}, "scenarios"),
         ({"measures": ["ITAE"]}, "measures"),
     ):
-        with pytest.raises(UsageError, match=f"E506 .*differs in its .*{word}"):
+        with pytest.raises(UsageError, match=f"E506 .*differs in .*{word}"):
             noisy().sweep(VARY, **{**asked, **change}, out=out)
     anew = noisy().sweep(VARY, **{**asked, "seed": 4}, out=out, resume=False)
     assert anew.counts() == {"ok": 24}
@@ -234,6 +235,8 @@ def test_statistics_are_of_one_scenario(whole: Sweep) -> None:
     assert set(loud.correlations()) == {"top", "ITAE"}
     with pytest.raises(UsageError, match="not drawn for Sobol"):
         loud.sobol()
+    with pytest.raises(KeyError, match=r"Did you mean 'loud'\? Scenarios: quiet, loud"):
+        whole["lod"]
     with pytest.raises(KeyError, match="Did you mean 'top'"):
         loud.quantiles("topp")
 

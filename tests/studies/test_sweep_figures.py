@@ -134,6 +134,7 @@ def test_scenarios_stand_beside_each_other_and_all_figures_are_written(tmp_path:
         ({"what": "ITAE", "kind": "heat map"}, "is against two names"),
         ({"what": "ITAE", "kind": "bands"}, "is no logged signal"),
         ({"what": "eso.z[2]"}, "eso.z[1]"),
+        ({"what": "plant.u"}, "Add a signal to `log` to draw it."),
     ],
 )
 def test_what_the_sweep_does_not_have_is_refused(given: dict[str, Any], said: str) -> None:

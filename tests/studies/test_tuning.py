@@ -14,9 +14,12 @@ import pytest
 from blocks import Constant, Diagram, FirstOrder, Gain, Integrator, ModelError, Mux, Noise, Step, Sum, UsageError
 from blocks.api.batch import Batch, BatchRows
 from blocks.cli import main
+from blocks.compile.toolchain.compiler import find_compiler
 from blocks.studies import study
 from blocks.studies.objectives import constraints_of, objective_of
 from tests.support.places import ROOT
+
+pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
 
 
 @pytest.fixture(autouse=True)
@@ -108,9 +111,9 @@ NOISY: dict[str, Any] = {"over": {"k": (1.0, 50.0)}, "stop": 2.0, "budget": 12, 
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ({"minimize": "IAE"}, ["no scenario has noise", "nothing in them limits"]),
+        ({"minimize": "IAE"}, ["no scenario has noise", "nothing in"]),
         ({"minimize": "IAE + 0.1*variation"}, ["no scenario has noise"]),
-        ({"minimize": "IAE", "scenarios": {"noisy": {"sigma": 0.1}}}, ["nothing in them limits"]),
+        ({"minimize": "IAE", "scenarios": {"noisy": {"sigma": 0.1}}}, ["nothing in"]),
         ({"minimize": "quiet.IAE + quiet.variation", "scenarios": {"quiet": {}, "noisy": {"sigma": 0.1}}},
          ["no scenario has noise"]),
         ({"minimize": "IAE", "scenarios": {"noisy": {"sigma": 0.1}}, "subject_to": ["noisy.variation <= 1e6"]}, []),
@@ -120,8 +123,9 @@ NOISY: dict[str, Any] = {"over": {"k": (1.0, 50.0)}, "stop": 2.0, "budget": 12, 
 def test_a_tuning_that_noise_and_effort_do_not_hold_back_is_told(given: dict[str, Any], told: list[str]) -> None:
     warnings = noisy().tune(**given, **NOISY).warnings
     assert [fault.code for fault in warnings] == (["W501"] if told else [])
-    for words in ("no scenario has noise", "nothing in them limits"):
-        assert (words in str(warnings)) == (words in told)
+    cures = "Add a scenario with noise", "a limit such as"
+    for words, cure in zip(("no scenario has noise", "nothing in"), cures, strict=True):
+        assert [words in str(warnings), cure in str(warnings)] == [words in told] * 2
 
 
 @pytest.mark.parametrize(
@@ -132,6 +136,8 @@ def test_a_tuning_that_noise_and_effort_do_not_hold_back_is_told(given: dict[str
         ({"minimize": "late"}, "noisy.late: can have no number: has no value: its window"),
         ({"minimize": "IAE", "subject_to": ["noisy.late <= 1"]}, "noisy.late: can have no number"),
         ({"minimize": "IAE", "subject_to": ["variation == 3"]}, 'subject_to[0]: "variation == 3" is no comparison'),
+        ({"minimize": "IAE", "subject_to": ["variation <= 2 rad/s"]},
+         'subject_to[0]: "2 rad/s" is a number with a unit. A limit is a bare number in the unit of the measure: 2.'),
         ({"minimize": "IAE", "subject_to": ["1 <= 2"]}, 'subject_to[0]: "1 <= 2" reads no measure'),
         ({"minimize": "2 IAE"}, "A product is written with *."),
         ({"minimize": "IAE", "over": {"k": (5, 1)}}, "k: has no two bounds"),
@@ -302,3 +308,42 @@ def test_the_command_tunes_writes_and_reports(tmp_path: Path, capsys: pytest.Cap
     capsys.readouterr()
     assert main([*command[:12], "--budget", "3", "--json"]) == 0
     assert isinstance(json.loads(capsys.readouterr().out.splitlines()[-1])["kept"], bool)
+
+
+def test_an_interrupted_tuning_says_so_and_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "loop.json"
+    noisy().save(path)
+    before, run, calls = path.read_bytes(), Batch.__call__, list[int]()
+
+    def broken(self: Batch, table: Any, **options: Any) -> BatchRows:
+        calls.append(len(table))
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return run(self, table, **options)
+
+    monkeypatch.setattr(Batch, "__call__", broken)
+    command = ["tune", str(path), "--minimize", "IAE", "--over", "k=1,50", "--stop", "2", "--budget", "500", "--write"]
+    assert main(command) == 130
+    out, err = capsys.readouterr()
+    ran = sum(calls[:2])
+    assert out.startswith(f"noisy: {ran} of 500 candidates in 1 scenario, method cma, seed 1; interrupted\n")
+    assert f"interrupted after {ran} of 500 candidates; nothing was written" in err
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--over", "k=50,1"], "--over k=50,1: is not NAME=LOW,HIGH, the lower bound first."),
+        (["--over", "k=1,5", "--subject-to", "IAE <= 2 %"], '--subject-to IAE <= 2 %: "2 %" is a number with a unit.'),
+        (["--over", "k=1,5", "--method", "no"], "--method: there is no method"),
+    ],
+)
+def test_messages_name_the_options(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    noisy().save(path := tmp_path / "loop.json")
+    assert main(["tune", str(path), "--minimize", "IAE", "--stop", "2", *words]) == 2
+    assert said in capsys.readouterr().err
