@@ -269,12 +269,12 @@ CLAIM = Object(
     Field("share", Scalar(low=0, high=1), (
         "Of a sweep: so many of all rows, at least, keep the limit; a row without a number does not."
     )),
-    Field("at_most", NUMBER, "A limit of the value, in the unit of the measure; of a change in %."),
+    Field("at_most", NUMBER, "A limit of the value, in the unit of the claim."),
     Field("at_least", NUMBER, "The same, from below."),
     Field("published", Scalar(what="a number other than 0, as there is no ratio to it", other=0), (
         "The published number; left out, the value is only shown."
     )),
-    Field("unit", TEXT, "Its unit, for the report."),
+    Field("unit", TEXT, "The unit of its numbers, and of the value."),
     Field("source", TEXT, "Where it was published."),
     Field("tolerance", Scalar(what="a number between 0 and 1, as in 0.05", above=0, below=1), (
         "The largest deviation of value/published from 1 that counts as reproduced."

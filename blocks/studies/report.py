@@ -24,6 +24,7 @@ from ..text.atomic_write import write_atomically
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.grammar import Steps
 from ..text.json_document import place_of
+from ..text.printable import counted
 from ..text.version import __version__
 from .report_page import escaped as _escape
 from .report_page import folder_for, page
@@ -68,7 +69,7 @@ def _rows(verdicts: Sequence[Verdict]) -> list[tuple[str, ...]]:
         rows.append(
             (
                 claim.of, claim.label if not claim.change else f"{claim.measure}, {claim.change}",
-                _wanted(claim, unit), _share(v.value) if claim.statistic[0] == "share" else f"{v.value:.6g}{unit}",
+                _wanted(claim, unit), _here(v, unit),
                 "-" if math.isnan(v.ratio) else f"{v.ratio:.4f}", f"{claim.tolerance:.3g}" if claim.published else "-",
                 f"{GLYPHS[v.verdict]} {v.verdict}{mark}".strip(),
             )
@@ -82,6 +83,15 @@ def _wanted(claim: Claim, unit: str) -> str:
         return "-" if claim.published is None else f"{claim.published:.7g}{unit}"
     part = f"{_share(claim.statistic[1])} " if claim.statistic[0] == "share" else ""
     return f"{part}{'≤' if claim.limit[0] == 'at_most' else '≥'} {claim.limit[1]:.7g}{unit}"
+
+
+def _here(v: Verdict, unit: str) -> str:
+    """The value; of a sweep also how many rows have a number, where some have none."""
+    known, count = v.rows
+    rows = f" ({known} of {counted(count, 'row')})" if known < count else ""
+    if v.claim.statistic[0] == "share":
+        return _share(v.value) + rows
+    return (f"{v.value:.6g}{unit}" if math.isfinite(v.value) else cell_text(v.value)) + rows
 
 
 def _share(part: float) -> str:

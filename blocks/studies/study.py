@@ -16,6 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..api.diagram import Diagram
 from ..model import migrations
 from ..model.diagram import FaultList, beside, is_name
@@ -24,7 +26,7 @@ from ..model.flatten import FlatSignal, element_of
 from ..model.project import Project, read_inside
 from ..model.study_grammar import ASSUMED, CLAIM, FORMAT, ONE_SWEEP, ONE_TUNING, SETTINGS, STUDY, VERSION, named
 from ..results.results import Results
-from ..text import json_text, json_writer
+from ..text import json_text, json_writer, units
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.grammar import Kind, Steps
 from ..text.json_document import AT_KEY, Document, nearest, place_of
@@ -34,6 +36,8 @@ from . import study_sweeps, study_tunings
 from .study_sweeps import StudySweep, names_missing, run_sweep, statistic_of
 from .study_tunings import StudyTuning, limits_of, run_tuning, values_of
 from .sweep import Sweep
+from .sweep_margins import margins_of
+from .sweep_run import units_of_measures
 from .tuned import Tuning
 
 __all__ = [
@@ -135,13 +139,15 @@ class Study:
 class Verdict:
     """A claim with what came out: the value, its ratio to the published one, and the verdict ("" where none is due).
 
-    verdict: "reproduced" or "not reproduced"; of a limit "holds" or "fails".
+    verdict: "reproduced" or "not reproduced"; of a limit "holds" or "fails". rows: how many of a sweep have a number,
+    and how many it has; (0, 0) for runs.
     """
 
     claim: Claim
     value: float
     ratio: float
     verdict: str
+    rows: tuple[int, int] = (0, 0)
 
     @property
     def is_expected(self) -> bool:
@@ -238,7 +244,7 @@ def run(
 
     start = time.perf_counter()
     extra = _by_run(study, parameters or {})
-    diagrams = prepared(study, library=library, parameters=parameters)
+    diagrams, known = _prepared(study, library, parameters)
     for tuned in study.tunings:
         study_tunings.needs(tuned)
     results: dict[str, Results] = {}
@@ -277,7 +283,7 @@ def run(
                 finished(tuned.name, tuning)
     missing = tuple(entry.name for entry in study.all_runs if entry.name not in {**results, **sweeps, **tunings})
     about = [claim for claim in study.claims if not {*claim.runs, claim.many} & {*missing}]
-    verdicts = [judge(claim, results, sweeps, tunings) for claim in about]
+    verdicts = [judge(claim, results, sweeps, tunings, factor=_factor(claim, known)) for claim in about]
     for name, tuning in tunings.items():
         for scenario, text, limit, value in limits_of(tuning):
             constraint = Claim(
@@ -305,9 +311,18 @@ def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] |
     """The diagrams of a study by run, sweep or tuning, with variants; what can be wrong is found before any runs.
 
     parameters: as of `run`. Raises ModelError with the faults of all diagrams, of the values and settings that the
-    runs give to them, and of claims about measures that they do not take.
+    runs give to them, and of claims about measures that they do not take, or in units of other quantities.
     """
+    return _prepared(study, library, parameters)[0]
+
+
+_Units = dict[str, dict[str, str]]
+"""Of measures, by run or sweep: "1" where they have none, "" where it is not known."""
+
+
+def _prepared(study: Study, library: Any, parameters: Mapping[str, Any] | None) -> tuple[dict[str, Diagram], _Units]:
     faults: dict[Fault, None] = {}
+    measured: _Units = {}
     diagrams: dict[str, Diagram] = {}
     recorded: dict[str, dict[str, FlatSignal]] = {}
     extra = _by_run(study, parameters or {})
@@ -318,6 +333,7 @@ def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] |
             given = {**entry.parameters, **extra.get(entry.name, {})}
             flat = diagram.flatten(parameters=given, settings=entry.settings)
             diagrams[entry.name] = diagram
+            measured[entry.name] = units_of_measures(flat, plain="1")
             elements = {signal: element_of(signal, flat.signals) for signal in flat.log}
             recorded[entry.name] = {signal: element for signal, element in elements.items() if element is not None}
         except (ModelError, UsageError) as error:
@@ -337,6 +353,11 @@ def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] |
                 found = [*study_sweeps.faults_of(each, diagram, given)]
             else:
                 found = [*study_tunings.faults_of(each, diagram, given)]
+            if not found:
+                of_margins = each.options.get("margins", {}) if isinstance(each, StudySweep) else {}
+                flat = diagram.flatten(parameters=given, settings=each.settings)
+                measured[each.name] = units_of_measures(flat, plain="1")
+                measured[each.name] |= {margin.name: margin.unit or "1" for margin in margins_of(of_margins)}
         except (ModelError, UsageError) as error:
             found = [(("diagram",), fault) for fault in error.faults]
         for inside, fault in found:
@@ -356,6 +377,12 @@ def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] |
                 cure = did_you_mean(claim.measure, known) or f"Measures: {', '.join(known) or 'none'}."
                 message = f"the diagram of {name} has no measure {quoted(claim.measure)}."
                 faults[study.fault("E105", f"claims[{k}]", message, cure, ("claims", k, "measure"))] = None
+        try:
+            _factor(claim, measured)
+        except ModelError as error:
+            for fault in error.faults:
+                message = f"the unit of {claim.measure}: {fault.message}"
+                faults[study.fault(fault.code, f"claims[{k}].unit", message, fault.cure, ("claims", k, "unit"))] = None
     for i, figure in enumerate(study.figures):
         entry_of = sweeps.get(figure.get("sweep", ""))
         if entry_of is not None and entry_of.name in diagrams:
@@ -369,7 +396,17 @@ def prepared(study: Study, *, library: Any = (), parameters: Mapping[str, Any] |
             faults[study.fault("E105", place_of(place), message, cure, (*place, "signal"))] = None
     if faults:
         raise ModelError(*faults)
-    return diagrams
+    return diagrams, measured
+
+
+def _factor(claim: Claim, measured: _Units) -> float:
+    """What makes a measure, or a change in %, a number in the unit of the claim. Raises ModelError (E104, E114).
+
+    1 where either unit is not known.
+    """
+    known = measured.get(claim.many or next(iter(claim.runs), ""), {})
+    measure = claim.measure.rpartition(".")[2] if claim.tuning else claim.measure  # of a scenario
+    return units.scale("%" if claim.change else known.get(measure, ""), claim.unit)
 
 
 def _drawn(study: Study) -> Iterator[tuple[Steps, Mapping[str, Any]]]:
@@ -397,32 +434,37 @@ def judge(
     results: Mapping[str, Results],
     sweeps: Mapping[str, Sweep] | None = None,
     tunings: Mapping[str, Tuning] | None = None,
+    *,
+    factor: float = 1.0,
 ) -> Verdict:
-    """The verdict on one claim."""
+    """The verdict on one claim. factor: what makes its measure, or its change in %, a number in its unit."""
+    rows = (0, 0)
     if claim.sweep:
         sweep = (sweeps or {})[claim.sweep]
-        rows = (sweep[claim.scenario] if claim.scenario else sweep).measures[claim.measure]
-        values = [statistic_of(rows, claim.statistic, claim.limit)]
+        column = (sweep[claim.scenario] if claim.scenario else sweep).measures[claim.measure]
+        rows = int(np.count_nonzero(~np.isnan(column))), len(column)
+        values = [statistic_of(column * factor, claim.statistic, claim.limit)]
     elif claim.tuning:
         values = values_of((tunings or {})[claim.tuning], claim.measure)
     else:
         values = [results[name].measures[claim.measure] for name in claim.runs]
-    value = values[-1]
+    value = values[-1] if claim.sweep else values[-1] * factor
     if claim.change:
         change = 100.0 * (values[1] - values[0]) / values[0] if values[0] else math.nan
-        value = -change if claim.change == "reduction" else change
+        value = (-change if claim.change == "reduction" else change) * factor
     if claim.limit is not None:
-        return _within(claim, value, ("at_least", claim.statistic[1]) if claim.statistic[0] == "share" else claim.limit)
+        limit = ("at_least", claim.statistic[1]) if claim.statistic[0] == "share" else claim.limit
+        return _within(claim, value, limit, rows)
     if claim.published is None:
-        return Verdict(claim, value, math.nan, "")
+        return Verdict(claim, value, math.nan, "", rows)
     ratio = value / claim.published
     fits = abs(ratio - 1.0) <= claim.tolerance  # false for NaN
-    return Verdict(claim, value, ratio, "reproduced" if fits else "not reproduced")
+    return Verdict(claim, value, ratio, "reproduced" if fits else "not reproduced", rows)
 
 
-def _within(claim: Claim, value: float, limit: tuple[str, float]) -> Verdict:
+def _within(claim: Claim, value: float, limit: tuple[str, float], rows: tuple[int, int] = (0, 0)) -> Verdict:
     holds = value <= limit[1] if limit[0] == "at_most" else value >= limit[1]  # false for NaN
-    return Verdict(claim, value, math.nan, "holds" if holds else "fails")
+    return Verdict(claim, value, math.nan, "holds" if holds else "fails", rows)
 
 
 @dataclass

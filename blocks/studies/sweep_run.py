@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from ..api.diagram import Diagram
     from ..results.results import Results
 
-__all__ = ["sweep"]
+__all__ = ["sweep", "units_of_measures"]
 
 Array = np.ndarray[Any, Any]
 CHUNK = 2.0
@@ -96,7 +96,7 @@ def sweep(
     begun = diagram.start(**{**asked, "parameters": {**(parameters or {}), **next(iter(given.values()))}, "log": log})
     start = begun.results
     begun.leave()
-    units = _units_of_measures(diagram.flatten(parameters=parameters, variants=variants, settings=settings))
+    units = units_of_measures(diagram.flatten(parameters=parameters, variants=variants, settings=settings))
     units |= {margin.name: margin.unit for margin in wanted}
     units |= dict(zip(names, first.units, strict=True)) | {name: start.columns[name][2] for name in first.signals}
     table = _table(rows)
@@ -156,14 +156,14 @@ def _scenarios(
     return dict(scenarios)
 
 
-def _units_of_measures(flat: Flat) -> dict[str, str]:
-    """The units of measures, in SI; "" where that of the signal is not known."""
+def units_of_measures(flat: Flat, *, plain: str = "") -> dict[str, str]:
+    """The units of measures, in SI; "" where that of the signal is not known. plain: of measures that have none."""
     told = {}
     for measure in flat.measures:
         signal, (of_signal, of_time) = element_of(measure.of, flat.signals), MEASURE_UNITS.get(measure.type, (0, 0))
         powers = ((unit_texts.si_text(signal.unit) if signal and signal.unit else "", of_signal), ("s", of_time))
         parts = [unit_texts.power(unit, power) for unit, power in powers if power]
-        told[measure.name] = reduce(unit_texts.product, parts) if parts else ""
+        told[measure.name] = reduce(unit_texts.product, parts) if parts else plain
     return told
 
 

@@ -85,7 +85,7 @@ def cell_text(cell: Cell) -> str:
     """A cell as a text."""
     if isinstance(cell, str):
         return "".join(c if c.isprintable() else "\ufffd" for c in cell)
-    return "-" if np.isnan(cell) else "∞" if cell == np.inf else f"{cell:.5g}"
+    return "-" if np.isnan(cell) else ("∞" if cell > 0 else "-∞") if np.isinf(cell) else f"{cell:.5g}"
 
 
 def _tex(cell: Cell) -> str:
@@ -96,4 +96,5 @@ def _tex(cell: Cell) -> str:
     if power is not None:
         sign = "-" if power[2] == "-" else ""
         return rf"${power[1]} \cdot 10^{{{sign}{power[3]}}}$"
-    return r"$\infty$" if text == "∞" else f"${text}$" if text.startswith("-") and text != "-" else text
+    text = text.replace("∞", r"\infty")
+    return f"${text}$" if text == r"\infty" or (text.startswith("-") and text != "-") else text

@@ -340,3 +340,35 @@ def test_runs_that_are_done_are_kept_whatever_fails_after_them(
     alone = run(study.prepared(study.load(path))["soft"], parameters=loaded.parameters, **dict(loaded.settings))
     alone.save(tmp_path / "alone.csv")
     assert Path(kept["soft"]).read_bytes() == (tmp_path / "alone.csv").read_bytes()
+
+
+def test_a_claim_is_shown_and_judged_in_its_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    claims: list[dict[str, Any]] = [
+        {"run": "stiff", "measure": "dip", "at_most": 50, "unit": "mrad/s", "expect": "fails", "reason": "It dips."},
+        {"run": "stiff", "measure": "dip", "published": 0.894, "unit": "rpm", "tolerance": 0.01, "expect": "reproduced"},
+        {"run": "stiff", "measure": "overshoot", "unit": "%"},
+        {"runs": ["soft", "stiff"], "measure": "dip", "as": "reduction", "unit": "%"},
+        {"runs": ["soft", "stiff"], "measure": "dip", "as": "reduction"},
+    ]
+    loaded = study.load(motor_study(tmp_path / "study.json", claims=claims))
+    made = study.run(loaded)
+    measures, soft = (made.results[name].measures for name in ("stiff", "soft"))
+    values = [verdict.value for verdict in made.verdicts]
+    assert values[0] == pytest.approx(1000 * measures["dip"])
+    assert values[1] == pytest.approx(measures["dip"] * 60 / (2 * np.pi))
+    assert values[2] == 100 * measures["overshoot"]
+    assert values[3] == values[4] == pytest.approx(100 * (1 - measures["dip"] / soft["dip"]))
+    assert made.is_fine
+    assert " mrad/s " in report.table_text(made)
+
+    wrong = [("dip", "V", "E104", "different quantities"), ("dip", "bananas", "E114", "bananas"),
+             ("overshoot", "s", "E104", "different"), ("dip", "1/s", "E104", "different")]  # fmt: skip
+    claims = [{"run": "stiff", "measure": measure, "at_most": 1, "unit": unit, "expect": "holds"}
+              for measure, unit, *_ in wrong]  # fmt: skip
+    _, faults = study.checked(motor_study(tmp_path / "wrong.json", claims=claims))
+    assert [(fault.code, fault.place) for fault in faults] == [
+        (code, f"claims[{k}].unit") for k, (*_, code, _) in enumerate(wrong)
+    ]
+    assert all(said in fault.message and fault.line for fault, (*_, said) in zip(faults, wrong, strict=True))
+    assert main(["study", str(tmp_path / "wrong.json"), "--out", str(tmp_path / "out")]) != 0
+    assert "claims[0].unit" in capsys.readouterr().err

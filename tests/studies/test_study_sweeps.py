@@ -12,7 +12,7 @@ import pytest
 
 from blocks import Diagram
 from blocks.cli import main
-from blocks.studies import json_schema, study
+from blocks.studies import json_schema, report, study
 from blocks.studies.sampling import Normal
 from blocks.studies.study_sweeps import statistic_of
 from tests.support.places import ROOT
@@ -108,6 +108,15 @@ def test_rows_without_a_number_keep_no_limit() -> None:
     sweep = Diagram.load(MASS).sweep({"mass": [1.0]}, stop=0.1)
     empty = replace(sweep, measures={"dip": np.array([np.nan])})
     assert study.judge(limit, {}, {"many": empty}).verdict == "fails"
+    eight = Diagram.load(MASS).sweep({"mass": [1.0] * 8}, stop=0.1)
+    made = replace(eight, measures={"dip": np.array([0.5] * 6 + [np.nan] * 2)})
+    worst = study.judge(replace(limit, statistic=("quantile", 1.0)), {}, {"many": made})
+    assert (worst.value, worst.verdict, worst.rows) == (np.inf, "fails", (6, 8))
+    shown = study.judge(replace(limit, statistic=("quantile", 0.5), unit="mrad/s"), {}, {"many": made}, factor=1000.0)
+    loaded = study.load(ROOT / "diagrams" / "adrc" / "study.json")
+    told = report.table_text(study.StudyResults(loaded, {}, {}, (worst, shown)))
+    assert "∞ (6 of 8 rows)" in told
+    assert "500 mrad/s (6 of 8 rows)" in told
 
 
 def changed(**entries: Any) -> dict[str, Any]:
