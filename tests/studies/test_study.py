@@ -345,11 +345,12 @@ def test_runs_that_are_done_are_kept_whatever_fails_after_them(
 def test_a_claim_is_shown_and_judged_in_its_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     claims: list[dict[str, Any]] = [
         {"run": "stiff", "measure": "dip", "at_most": 50, "unit": "mrad/s", "expect": "fails", "reason": "It dips."},
-        {"run": "stiff", "measure": "dip", "published": 0.894, "unit": "rpm", "tolerance": 0.01, "expect": "reproduced"},
+        {"run": "stiff", "measure": "dip", "published": 0.894, "unit": "rpm", "tolerance": 0.01,
+         "expect": "reproduced"},
         {"run": "stiff", "measure": "overshoot", "unit": "%"},
         {"runs": ["soft", "stiff"], "measure": "dip", "as": "reduction", "unit": "%"},
         {"runs": ["soft", "stiff"], "measure": "dip", "as": "reduction"},
-    ]
+    ]  # fmt: skip
     loaded = study.load(motor_study(tmp_path / "study.json", claims=claims))
     made = study.run(loaded)
     measures, soft = (made.results[name].measures for name in ("stiff", "soft"))
