@@ -202,7 +202,8 @@ def statistic_of(values: Array, statistic: tuple[str, float], limit: tuple[str, 
         return float("nan")
     if kind == "quantile":
         return float(quantiles(known, np.array([level]))[0])
-    return float(known.mean() if kind == "mean" else known.std(ddof=min(1, len(known) - 1)))
+    with np.errstate(invalid="ignore"):  # beside an infinite value there is no deviation
+        return float(known.mean() if kind == "mean" else known.std(ddof=min(1, len(known) - 1)))
 
 
 def figure_of(entry: Mapping[str, Any], sweeps: Mapping[str, Sweep]) -> Any:

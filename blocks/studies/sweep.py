@@ -20,6 +20,7 @@ from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import aligned, counted, legible
 from . import statistics
 from .sweep_file import read, write
+from .sweep_tables import cell_text
 
 if TYPE_CHECKING:
     from ..results.results import Results
@@ -279,7 +280,7 @@ class Sweep:
         rows = [("measure", *(f"{100 * q:g} %" for q in QUANTILES), "rows")]
         for scenario, part in self.each_scenario():
             for name, values in part.quantiles().items():
-                numbers = [f"{value:.5g}" if np.isfinite(value) else "-" for value in values.tolist()]
+                numbers = map(cell_text, values.tolist())
                 known = str(np.count_nonzero(~np.isnan(part.measures[name])))
                 rows.append((f"{scenario}.{name}" if scenario else name, *numbers, known))
         lines += aligned(rows) if len(rows) > 1 else []

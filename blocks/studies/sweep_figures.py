@@ -253,9 +253,12 @@ def _distributions(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], ki
                 _bars(axis, own, edges, part, is_alone=len(rows) == 1)
         axis.set_xlabel(_label(sweep, name))
         axis.set_ylabel("share of all runs" if kind == "ecdf" else "runs")
-        missing = int(sum(np.count_nonzero(~np.isfinite(values[part.index])) for part in rows))
-        if missing:
-            axis.set_title(f"{missing:,} without a number", fontsize=SMALL, loc="right", color=BAD)
+        missing, endless = np.count_nonzero(np.isnan(values)), np.count_nonzero(np.isinf(values))
+        told = [f"{missing:,} without a number"] if missing else []
+        told += [f"{endless:,} without a limit ($\\infty$)"] if endless else []
+        if told:
+            axis.set_title(", ".join(told), fontsize=SMALL, loc="right", color=BAD if missing else INK)
+        _tell_none(axis, values)
         if labels is not None:
             axis.set_xticks(range(len(labels)), labels)
         if kind == "ecdf":
@@ -263,6 +266,13 @@ def _distributions(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], ki
     _titled(figure, sweep)
     _legend(figure, axes[0], 3)
     return finished(figure)
+
+
+def _tell_none(axis: Any, values: Array) -> None:
+    """In place of an empty axis, that no row has a number to draw."""
+    if not np.isfinite(values).any():
+        told = "no row has a limit" if np.isinf(values).any() else "no row has a number"
+        axis.text(0.5, 0.5, told, transform=axis.transAxes, ha="center", va="center", color=INK)
 
 
 def _edges(values: Array, bins: int | None) -> Array:
@@ -328,7 +338,9 @@ def _scatter(sweep: Sweep, names: Sequence[str], against: Sequence[str], rows: S
             every = np.concatenate([part.index for part in rows])
             for part in rows:
                 _points(axis, _spread(x, x_labels)[part.index], y[part.index], part)
-            _crosses(axis, x[every][~np.isfinite(y[every])])
+            _crosses(axis, x[every][np.isnan(y[every])])
+            _crosses(axis, x[every][np.isinf(y[every])], endless=True)
+            _tell_none(axis, y)
             related = correlation(x[every], y[every], by_rank=True)
             if len(rows) == 1 and x_labels is None and y_labels is None and np.isfinite(related):
                 axis.set_title(f"rank correlation {related:.2f}", fontsize=SMALL, loc="right", color=INK)
@@ -357,12 +369,14 @@ def _points(axis: Any, x: Array, y: Array, part: _Rows) -> None:
     )  # fmt: skip
 
 
-def _crosses(axis: Any, x: Array) -> None:
-    """Rows without a number, on the upper edge, where they lie along x."""
+def _crosses(axis: Any, x: Array, *, endless: bool = False) -> None:
+    """Rows without a number, or without a limit, on the upper edge, where they lie along x."""
     if len(x):
         axis.plot(
-            x, np.full(len(x), 0.985), "x", color=BAD, markersize=4, markeredgewidth=0.9, clip_on=False,
-            transform=axis.get_xaxis_transform(), label="rows without a number", rasterized=len(x) > _MANY,
+            x, np.full(len(x), 0.985), marker="$\\infty$" if endless else "x", linestyle="none",
+            color=INK if endless else BAD, markersize=6 if endless else 4, markeredgewidth=0.9 * (not endless),
+            clip_on=False, transform=axis.get_xaxis_transform(), rasterized=len(x) > _MANY,
+            label="no limit" if endless else "rows without a number",
         )  # fmt: skip
 
 
@@ -419,6 +433,10 @@ def _heat_maps(
                 axis.set_ylabel(_label(sweep, against[1]))
         bar = figure.colorbar(image, ax=list(axes[i]), pad=0.02)
         bar.set_label(_label(sweep, name), color=INK)
+        if not len(shown):  # a scale of nothing would be one of no color
+            bar.ax.set_visible(False)
+            why = "no row has a limit" if np.isinf(values).any() else "no row has a number"
+            axes[i, -1].set_title(plain(f"{name}: {why}"), fontsize=SMALL, loc="right", color=INK)
         bar.outline.set_edgecolor(INK)
     _titled(figure, sweep)
     _legend(figure, axes[0, 0], 4)
@@ -452,7 +470,8 @@ def _heat_map(
         if len(group):
             known = own[group][~np.isnan(own[group])]
             place = np.unravel_index(flat[group[0]], shape)
-            table[place] = np.median(known) if len(known) else np.nan
+            with np.errstate(invalid="ignore"):  # inf beside -inf
+                table[place] = np.median(known) if len(known) else np.nan
             missing[place] = len(known) < len(group)
     masked = np.ma.masked_invalid(table)
     image = axis.pcolormesh(edges[0], edges[1], masked, cmap="cividis", norm=norm, rasterized=masked.size > _MANY)

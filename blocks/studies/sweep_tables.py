@@ -36,7 +36,8 @@ def _by_measure(sweep: Sweep, q: Array) -> Iterator[list[Cell]]:
     for scenario, part in sweep.each_scenario():
         for name, values in part.measures.items():
             known = values[~np.isnan(values)]
-            mean = float(known.mean()) if len(known) else np.nan
+            with np.errstate(invalid="ignore"):  # inf beside -inf
+                mean = float(known.mean()) if len(known) else np.nan
             levels = quantiles(values, q).tolist()
             counts = f"{len(values)}", f"{len(values) - len(known)}"
             yield [*([scenario] if first else []), name, sweep.units.get(name, ""), mean, *levels, *counts]

@@ -162,3 +162,26 @@ def test_tables_tell_means_and_quantiles_by_scenario_and_medians_by_value() -> N
     assert tex[-1] == r"\end{tabular}"
     with pytest.raises(UsageError, match="is not varied"):
         sweep.markdown(by="load")
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_endless_values_are_told_as_such_and_not_as_missing_ones() -> None:
+    n = 200
+    sweep = made(n=n)
+    some = np.where(np.arange(n) < 150, np.inf, 2.0)
+    some[3] = -np.inf
+    grid = {"a": np.arange(n) % 2 + 1.0, "b": np.arange(n) % 3 + 1.0}
+    sweep = replace(sweep, measures={"all": np.full(n, np.inf), "some": some}, varied={**sweep.varied, **grid})
+    assert "all      ∞    ∞" in sweep.table()
+    assert sweep.quantiles("some", q=[0.0, 0.1, 0.5])["some"].tolist() == [-np.inf, 2.0, np.inf]
+    assert "| some |  | - | 2 | ∞ | ∞ |" in sweep.markdown()
+    assert r"$-\infty$" in sweep.latex(q=[0.0])
+    told = texts(sweep.plot(["all", "some"]))
+    assert "200 without a limit" in told
+    assert "150 without a limit" in told
+    assert "no row has a limit" in told
+    assert "without a number" not in told
+    assert "all: no row has a limit" in texts(sweep.plot("all", against=("a", "b")))
+    assert "no row has a limit" in texts(sweep.plot("all", against="a"))
+    empty = replace(sweep, measures={"all": np.full(n, np.nan)})
+    assert "no row has a number" in texts(empty.plot("all"))
