@@ -55,6 +55,17 @@ class Distribution:
     def __repr__(self) -> str:
         return f"Distribution({', '.join([repr(self.name), *(f'{key}={value:g}' for key, value in self.parameters)])})"
 
+    def cause(self) -> tuple[str, str] | None:
+        """Why one of those that have names of their own has no values, and the cure; None where it has some."""
+        known = {"loc": 0.0, "scale": 1.0, **dict(self.parameters)}
+        if self.name in ("norm", "truncnorm") and known["scale"] <= 0:
+            return f"the deviation {known['scale']:g} is not above 0", "Give one above 0."
+        if self.name in ("uniform", "triang") and known["scale"] <= 0:
+            return f"{known['loc']:g} is not below {known['loc'] + known['scale']:g}", "Give LOW before HIGH."
+        if self.name == "loguniform" and not 0 < known.get("a", 1.0) < known.get("b", math.inf):
+            return f"{known['a']:g} is not above 0 and below {known['b']:g}", "Give LOW before HIGH, both above 0."
+        return None
+
     def ppf(self, points: Array) -> Array:
         """Values below which lie these shares of the distribution: the shape of `points`. Raises UsageError (E501)."""
         from scipy import stats
@@ -70,7 +81,8 @@ class Distribution:
             wanted = [*(law.shapes or "").replace(",", " ").split(), "loc", "scale"]
             raise _refused(repr(self), f"its parameters are {', '.join(wanted)}.") from None
         if not math.isfinite(frozen.ppf(0.5)):
-            raise _refused(repr(self), "has no values for these parameters.", "See its page in scipy.stats.")
+            cause, cure = self.cause() or ("", "See its page in scipy.stats.")
+            raise _refused(repr(self), f"has no values for these parameters{cause and ': ' + cause}.", cure)
         return np.asarray(frozen.ppf(points), dtype=float)
 
 
@@ -307,9 +319,12 @@ def named_values(place: str, kind: str, given: Sequence[float] | Mapping[str, fl
         raise _refused(place, f"{text!r} says no values.", cure)
     law, wanted = _NAMED[kind.lower()]
     try:
-        return law(*given)
+        made = law(*given)
     except TypeError:
         raise _refused(place, f"{text!r} is not {kind}:{wanted}.") from None
+    if (told := made.cause()) is not None:
+        raise _refused(place, f"{text!r} has no values for these numbers: {told[0]}.", told[1])
+    return made
 
 
 _NAMED: Mapping[str, tuple[Callable[..., Distribution], str]] = {
