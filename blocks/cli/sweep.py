@@ -218,8 +218,24 @@ def _values(place: str, text: str) -> Any:
 
 def _listed(place: str, text: str) -> list[Any]:
     """Values between commas: numbers, maybe with units, texts, or JSON lists for vectors."""
-    values = parsed(f"[{text}]") if text.startswith("[") else [parsed(word.strip()) for word in text.split(",")]
-    return [_plain(value) for value in values]
+    if text.startswith("["):
+        return [_plain(value) for value in parsed(f"[{text}]")]
+    return [_plain(_quantity(place, word.strip())) for word in text.split(",")]
+
+
+def _quantity(place: str, word: str) -> Any:
+    """One value. What follows a number is a unit. Raises UsageError (E501)."""
+    from ..text import units
+    from ..text.errors import ModelError
+
+    value = parsed(word)
+    try:
+        if isinstance(value, dict):
+            units.parse(str(value["unit"]))
+    except ModelError:
+        cure = "A range is linspace:FROM,TO,COUNT; a unit stands after a space, as in 160 mOhm."
+        raise UsageError(Fault("E501", place, f"{word!r} is not a number, nor one with a unit.", cure)) from None
+    return value
 
 
 def _plain(value: Any) -> Any:

@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +27,7 @@ from ..model.raw_values import raw_of
 from ..model.trust import Paths
 from ..model.variants import taken
 from ..text import units as unit_texts
-from ..text.errors import Fault, UsageError
+from ..text.errors import Fault, ModelError, UsageError
 from .sampling import Rows, rows_of, seed_of
 from .sweep import Sweep
 from .sweep_file import SweepPart, told_of
@@ -93,6 +94,8 @@ def sweep(
         for on_top in (given.values() if wanted else ())
     ]
     first = batches[0]
+    own = zip(rows.columns.items(), first.units, strict=True)
+    rows = replace(rows, columns={name: _in_unit(name, column, unit) for (name, column), unit in own})
     begun = diagram.start(**{**asked, "parameters": {**(parameters or {}), **next(iter(given.values()))}, "log": log})
     start = begun.results
     begun.leave()
@@ -165,6 +168,28 @@ def units_of_measures(flat: Flat, *, plain: str = "") -> dict[str, str]:
         parts = [unit_texts.power(unit, power) for unit, power in powers if power]
         told[measure.name] = reduce(unit_texts.product, parts) if parts else plain
     return told
+
+
+def _in_unit(name: str, column: Array, unit: str) -> Array:
+    """A column whose values have units, as numbers in that of the parameter. Raises ModelError (E104, E114).
+
+    It stays as it is given where that is not known, and where some values are no numbers.
+    """
+    quantities = [isinstance(item, Mapping) and {*item} <= {"value", "unit", "doc"} for item in column]
+    if column.dtype.kind == "f" or not unit or not any(quantities):
+        return column
+    made = []
+    for item, is_quantity in zip(column.tolist(), quantities, strict=True):
+        value, own = (item.get("value"), str(item.get("unit", ""))) if is_quantity else (item, "")
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            return column  # vectors and texts stay as they are given
+        try:
+            exact = unit_texts.scale_exact(own, unit)
+            by = unit_texts.scale(own, unit)
+        except ModelError as error:
+            raise ModelError(*(replace(fault, place=name) for fault in error.faults)) from None
+        made.append(float(value) * by if exact is None else float(Fraction(repr(float(value))) * exact))
+    return np.array(made)
 
 
 def _table(rows: Rows) -> Array:

@@ -13,7 +13,21 @@ import numpy as np
 import pandas
 import pytest
 
-from blocks import Constant, Diagram, FirstOrder, Gain, Noise, Normal, Power, Product, Sweep, Uniform, UsageError, each
+from blocks import (
+    Constant,
+    Diagram,
+    FirstOrder,
+    Gain,
+    ModelError,
+    Noise,
+    Normal,
+    Power,
+    Product,
+    Sweep,
+    Uniform,
+    UsageError,
+    each,
+)
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.studies import sweep_run
 from blocks.studies.sampling import seed_of
@@ -287,3 +301,15 @@ def test_arguments_that_cannot_be_meant(tmp_path: Path) -> None:
     ):
         with pytest.raises(UsageError, match=said):
             noisy().sweep(VARY, n=2, **given)
+
+
+def test_values_with_units_are_numbers_in_that_of_the_parameter() -> None:
+    given = [{"value": 1500, "unit": "mV"}, 2.5, {"value": 0.003, "unit": "kV"}]
+    sweep = noisy().sweep({"k": given}, stop=0.2)
+    assert sweep.varied["k"].tolist() == [1.5, 2.5, 3.0]
+    assert sweep.units["k"] == "V"
+    same = noisy().sweep({"k": [1.5, 2.5, 3.0]}, stop=0.2)
+    np.testing.assert_array_equal(sweep.measures["ITAE"], same.measures["ITAE"])
+    assert sweep.correlations()["ITAE"]["k"] > 0.9
+    with pytest.raises(ModelError, match="E104 k: A and V are different quantities"):
+        noisy().sweep({"k": [{"value": 1, "unit": "A"}]}, stop=0.2)
