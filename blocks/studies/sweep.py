@@ -263,7 +263,8 @@ class Sweep:
 
     @classmethod
     def load(cls, path: str | Path) -> Sweep:
-        """The sweep in a file that `save` or `out=` wrote, or in the part that one that was killed has left.
+        """The sweep in a file that `save` or `out=` wrote, in the part that one that was killed has left, or in a
+        folder that workers wrote, without the rows that are missing.
 
         Raises UsageError (E503, E504).
         """

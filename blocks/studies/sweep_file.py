@@ -46,12 +46,17 @@ def write(path: str | Path, sweep: Mapping[str, Any], told: Mapping[str, Any] | 
 
 
 def read(path: str | Path) -> dict[str, Any]:
-    """The fields of the sweep of a file, or of the part of one. Raises UsageError (E503, E504)."""
+    """The fields of the sweep of a file, of the part of one, or of a folder of files that workers wrote.
+
+    Raises UsageError (E503, E504).
+    """
     optional("pyarrow", legible(str(path)))
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     refuse = refusal(path)
+    if os.path.isdir(path):
+        return _read_folder(Path(path), refuse)
     try:
         with opened(path) as stream:
             if target_of(path) is None:
@@ -65,6 +70,40 @@ def read(path: str | Path) -> dict[str, Any]:
     except (pa.ArrowException, OSError, LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
         said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise refuse(f"is no file of a sweep: {one_line(said).rstrip(' .')}.") from None
+
+
+def _read_folder(folder: Path, refuse: Refuse) -> dict[str, Any]:
+    """The rows of all files of a folder, in their order; those that are missing are left out."""
+    files = sorted(folder.glob("rows-*.parquet"))
+    if not files:
+        raise refuse("holds no rows of a sweep (rows-*.parquet).", "Name a file, or the folder that workers wrote.")
+    pieces = [read(file) for file in files]
+    first = next((piece for piece in pieces if len(piece["t"])), pieces[0])
+    shapes = {name: values.shape[1:] for name, values in first["signals"].items()}
+    for file, piece in zip(files, pieces, strict=True):
+        if not len(piece["t"]):  # none of its rows was run
+            piece["signals"] = {name: np.full((len(piece["number"]), *shape), np.nan) for name, shape in shapes.items()}
+            piece["t"] = first["t"]
+        is_same = all(list(piece[key]) == list(first[key]) for key in ("varied", "measures", "signals", "scenarios"))
+        if not (is_same and piece["name"] == first["name"] and np.array_equal(piece["t"], first["t"])):
+            raise refuse(f"holds files of several sweeps: {file.name} differs.", "Load one of its files.")
+    number, scenario = (np.concatenate([piece[key] for piece in pieces]) for key in ("number", "scenario"))
+    _, rows = np.unique(np.stack([scenario, number]), axis=1, return_index=True)
+
+    def joined(columns: list[Array]) -> Array:
+        made = np.concatenate(columns)[rows]
+        is_plain = made.dtype == object and all(type(item) is float for item in made)
+        return made.astype(float) if is_plain else made
+
+    whole = dict(first)
+    for key in ("scenario", "number", "seeds", "status", "steps"):
+        whole[key] = joined([piece[key] for piece in pieces])
+    for key in ("varied", "measures", "signals"):
+        whole[key] = {name: joined([piece[key][name] for piece in pieces]) for name in first[key]}
+    messages = [message for piece in pieces for message in piece["messages"]]
+    whole["messages"] = tuple(messages[k] for k in rows.tolist())
+    whole["interrupted"] = any(piece["interrupted"] for piece in pieces)
+    return whole
 
 
 def read_rows(stream: BinaryIO, path: str, told: Mapping[str, Any]) -> dict[str, Any]:

@@ -313,3 +313,14 @@ def test_values_with_units_are_numbers_in_that_of_the_parameter() -> None:
     assert sweep.correlations()["ITAE"]["k"] > 0.9
     with pytest.raises(ModelError, match="E104 k: A and V are different quantities"):
         noisy().sweep({"k": [{"value": 1, "unit": "A"}]}, stop=0.2)
+
+
+def test_the_files_of_a_folder_are_one_sweep(whole: Sweep, tmp_path: Path) -> None:
+    for low, high in ((5, 24), (0, 5), (3, 8)):  # also rows that two files hold
+        whole.taken(np.arange(low, high)).save(tmp_path / f"rows-0-{low:09d}-{high - 1:09d}.parquet")
+    assert_same(Sweep.load(tmp_path), whole)
+    noisy().sweep({"k": [1.0]}, stop=0.1).save(tmp_path / "rows-1-000000000-000000000.parquet")
+    with pytest.raises(UsageError, match=r"E503 .*several sweeps: rows-1-.* differs"):
+        Sweep.load(tmp_path)
+    with pytest.raises(UsageError, match=r"E503 .*holds no rows of a sweep"):
+        Sweep.load(tmp_path.parent / tmp_path.name / "..")
