@@ -11,6 +11,7 @@ import pytest
 
 from blocks import Diagram
 from blocks.analysis import bandwidth, margins, poles
+from blocks.model.study_grammar import MARGINS
 from blocks.studies.sweep import Sweep
 from blocks.text.errors import UsageError
 from tests.support.places import ROOT
@@ -124,3 +125,9 @@ def test_what_is_no_margin_is_refused_before_the_first_run(entry: dict[str, Any]
         Diagram.load(MASS).sweep({"mass": [1.0]}, margins={"gm": entry})
     assert refused.value.code == "E501"
     assert said in str(refused.value)
+
+
+def test_the_page_about_many_runs_names_all_types() -> None:
+    page = (ROOT / "docs" / "many_runs.md").read_text(encoding="utf-8")
+    for name, what in MARGINS.items():
+        assert f"| `{name}` | {what} |" in page.replace(r"\|", "|")
