@@ -57,12 +57,16 @@ _COLUMNS = 1500
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One curve: x and y of shape (n,), what it is, and the number of its style (None: dotted ink)."""
+    """One curve: x and y of shape (n,), what it is, and the number of its style (None: dotted ink).
+
+    look: "line"; "wide", pale below the others, which it may equal; or "points".
+    """
 
     x: Array
     y: Array
     label: str
     style: int | None = 0
+    look: str = "line"
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +169,12 @@ def _curves(part: Panel, axis: Any) -> None:
             pattern = "solid"  # nothing to tell it from
         width = 0.9 if line.style is None else 1.3
         x, y = _thinned(line.x, line.y)
-        axis.plot(x, y, color=color, linestyle=pattern, linewidth=width, label=plain(line.label))
+        look: dict[str, Any] = {"linestyle": pattern, "linewidth": width}
+        if line.look == "wide":
+            look = {"linestyle": "solid", "linewidth": 4.0, "alpha": 0.4}
+        elif line.look == "points":
+            look = {"linestyle": "none", "marker": "o", "markersize": 2.2, "markeredgewidth": 0, "alpha": 0.7}
+        axis.plot(x, y, color=color, label=plain(line.label), **look)
 
 
 def _inset(part: Panel, axis: Any) -> None:

@@ -98,13 +98,14 @@ class Fit:
         for name, data in self.measured.items():
             unit = f" [{self.after[name].unit}]" if self.after[name].unit else ""
             lines = (
-                plots.Line(self.t, data, "data", 4),
-                plots.Line(self.before.t, np.asarray(self.before[name]), "before", 0),
+                plots.Line(self.before.t, np.asarray(self.before[name]), "before", 0, "wide"),
+                plots.Line(self.t, data, "data", 4, "points"),
                 plots.Line(self.after.t, np.asarray(self.after[name]), "fit", 1),
             )
             parts.append(plots.Panel(lines, f"{name}{unit}", height=1.5))
             rest = data - at_times(self.after, name, self.t)
-            parts.append(plots.Panel((plots.Line(self.t, rest, f"data - fit{unit}", 4),), f"data - fit{unit}"))
+            points = plots.Line(self.t, rest, f"data - fit{unit}", 4, "points")
+            parts.append(plots.Panel((points,), f"data - fit{unit}"))
         return plots.panels(parts, xlabel="time [s]")
 
     def __str__(self) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..frequency.figure_look import FAINT, SMALL, finished, new_figure
+from ..frequency.figure_look import SMALL, finished, new_figure
 from ..model.study_grammar import SWEEP_FIGURES
 from ..results.plots import INK, STYLES, defaults, plain
 from ..text.element_names import element_names
@@ -159,10 +159,15 @@ def _titled(figure: Any, sweep: Sweep) -> None:
     figure.suptitle(plain(f"{name}: {told_rows(sweep)}"), fontsize=10, x=0.01, ha="left", color=INK)
 
 
-def _legend(figure: Any, axis: Any, columns: int = 6) -> None:
-    """The legend of one pair of axes, below all of them, where it hides nothing."""
+def _legend(figure: Any, axis: Any, columns: int = 6, groups: Sequence[str] = ()) -> None:
+    """The legend of one pair of axes, below all of them, where it hides nothing. groups: beginnings of its labels."""
     handles, labels = axis.get_legend_handles_labels()
     if handles:
+
+        def place(pair: tuple[Any, str]) -> float:
+            return next((k for k, group in enumerate(groups) if pair[1].startswith(group)), 0.5)  # below the first
+
+        handles, labels = zip(*sorted(zip(handles, labels, strict=True), key=place), strict=True)
         figure.legend(
             handles, labels, loc="outside lower center", ncols=columns, fontsize=SMALL, frameon=False, labelcolor=INK
         )
@@ -176,8 +181,10 @@ def _bands(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], singles: i
     several = len(rows) > 1
     figure, axes = new_figure(len(signals), 1, height=0.95 + _HEIGHT * len(signals), width=_WIDTH, share=True)
     for axis, (name, values) in zip(np.ravel(axes), signals, strict=True):
-        for look, label in (({"alpha": 0.18}, "5 to 95 %"), ({"alpha": 0.32}, "25 to 75 %")):
-            axis.fill_between([], [], [], color=FAINT if several else rows[0].color, linewidth=0, label=label, **look)
+        for part in rows:
+            of = f"{part.name}: " if several else ""
+            for look, label in (({"alpha": 0.18}, "5 to 95 %"), ({"alpha": 0.32}, "25 to 75 %")):
+                axis.fill_between([], [], [], color=part.color, linewidth=0, label=plain(of + label), **look)
         for part in rows:
             _band(axis, sweep.t, values[part.index], part, 0 if several else singles)
         _lines_of_failed(axis, sweep.t, values, rows)
@@ -186,7 +193,7 @@ def _bands(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], singles: i
     axes = np.ravel(axes)
     axes[-1].set_xlabel("time [s]")
     _titled(figure, sweep)
-    _legend(figure, axes[0], 3 if several else 6)
+    _legend(figure, axes[0], len(rows) if several else 6, [plain(f"{part.name}: ") for part in rows if several])
     return finished(figure)
 
 
@@ -420,7 +427,7 @@ def _heat_maps(
         values, _ = _numbers(column(sweep, name))
         shown = values[np.concatenate([part.index for part in rows])]
         shown = shown[np.isfinite(shown)]
-        limits = (float(shown.min()), float(shown.max())) if len(shown) else (0.0, 1.0)
+        limits, extend = _color_limits(shown)
         # By ratios, where one row that runs away would leave all others one color.
         norm = (LogNorm if 0 < 100 * limits[0] < limits[1] else Normalize)(*limits)
         for j, part in enumerate(rows):
@@ -431,7 +438,7 @@ def _heat_maps(
             axis.set_xlabel(_label(sweep, against[0]))
             if j == 0:
                 axis.set_ylabel(_label(sweep, against[1]))
-        bar = figure.colorbar(image, ax=list(axes[i]), pad=0.02)
+        bar = figure.colorbar(image, ax=list(axes[i]), pad=0.02, extend=extend)
         bar.set_label(_label(sweep, name), color=INK)
         if not len(shown):  # a scale of nothing would be one of no color
             bar.ax.set_visible(False)
@@ -441,6 +448,19 @@ def _heat_maps(
     _titled(figure, sweep)
     _legend(figure, axes[0, 0], 4)
     return finished(figure)
+
+
+def _color_limits(values: Array) -> tuple[tuple[float, float], str]:
+    """Where the colors of finite values begin and end, and at which ends the bar has an arrow.
+
+    Values far beyond 2 to 98 % of all have the color of the end.
+    """
+    if not len(values):
+        return (0.0, 1.0), "neither"
+    least, low, high, most = np.quantile(values, (0.0, 0.02, 0.98, 1.0)).tolist()
+    is_low, is_high = low - least > high - low > 0, most - high > high - low > 0
+    limits = low if is_low else least, high if is_high else most
+    return limits, ("neither", "min", "max", "both")[is_low + 2 * is_high]
 
 
 def _heat_map(

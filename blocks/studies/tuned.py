@@ -88,8 +88,8 @@ class Tuning:
     values: the best value of each parameter, pattern or element of `bounds`, in its unit; nominal: that of the diagram.
     parameters: the same as `Diagram.run(parameters=...)` takes them. before, after: by scenario the run of the diagram
     and that of the best values, with all measures. sensitivities: the relative change of the objective where one value
-    is 5 % smaller, and 5 % larger. is_kept: nothing better than the diagram itself was found. is_feasible: all
-    constraints hold.
+    is 5 % smaller, and 5 % larger, whether the constraints hold then or not. is_kept: nothing better than the diagram
+    itself was found. is_feasible: all constraints hold.
     """
 
     diagram: Diagram = field(repr=False)
@@ -173,7 +173,7 @@ class Tuning:
             for c in self.conditions
         ]
         return [
-            (("parameter", "before", "after", "unit", "bounds", "objective at -5 % / +5 %"), values),
+            (("parameter", "before", "after", "unit", "bounds", "objective at -5 % / +5 %, constraints aside"), values),
             (("scenario", "measure", "before", "after", "change"), measures),
             (("scenario", "constraint", "before", "after", "verdict"), conditions),
         ]
@@ -253,7 +253,7 @@ def _figure(tuning: Tuning) -> Any:
         widths = [100 * tuning.sensitivities.get(name, (np.nan, np.nan))[k] for name in names]
         slopes.barh(rows + 0.18 * (2 * k - 1), widths, 0.34, color=colors[3 * k + 2], label=label)
     slopes.axvline(0, color="#94a3b8", linewidth=0.8)
-    slopes.set_xlabel("change of the objective [%]")
+    slopes.set_xlabel("change of the objective,\nconstraints aside [%]")
     slopes.set_yticks(rows, [])
     slopes.legend(fontsize=8, frameon=False, labelcolor=plots.INK, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
     for axis in (bounds, slopes):
@@ -313,7 +313,7 @@ def _runs_figure(tuning: Tuning, scenario: str) -> Any:
     for name in names[:MOST_SIGNALS]:
         unit = f" [{before[name].unit}]" if before[name].unit else ""
         lines = (
-            plots.Line(before.t, np.asarray(before[name]), "before", 0),
+            plots.Line(before.t, np.asarray(before[name]), "before", 0, "wide"),
             plots.Line(after.t, np.asarray(after[name]), "after", 1),
         )
         parts.append(plots.Panel(lines, f"{name}{unit}"))

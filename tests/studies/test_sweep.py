@@ -275,6 +275,9 @@ def test_sobol_indices_of_a_diagram_that_multiplies() -> None:
     whole = v[0] * v[1] + v[0] * e[1] ** 2 + v[1] * e[0] ** 2
     assert "variance of  from     first" in sweep.table()
     assert sweep.taken(np.arange(9)).base == 0
+    few = diagram.sweep(vary, n=1, sampler="saltelli", engine="native").table()
+    assert "nan" not in few
+    assert "variance of  from     first  total\n" in few
     for name, k in (("a.value", 0), ("b.k", 1)):
         index = sweep.sobol()["y"][name]
         assert index.first == pytest.approx(v[k] * e[1 - k] ** 2 / whole, abs=0.03)

@@ -89,6 +89,18 @@ def test_scatter_marks_rows_without_a_number_where_they_lie() -> None:
     assert [text.get_text() for text in second.get_xticklabels()] == ["a", "b"]
 
 
+def test_one_outlier_does_not_take_the_colors_of_a_heat_map() -> None:
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(10.0), np.arange(10.0)))
+    gm = 1.0 + x
+    for outlier, extend in ((5.0, "neither"), (1e6, "max")):
+        gm[44] = outlier
+        count = {name: np.arange(100) for name in ("number", "seeds", "steps")}
+        sweep = replace(made(), varied={"b0": x, "omega_o": y}, measures={"gm": gm}, scenario=np.zeros(100, dtype=int),
+                        status=np.full(100, "ok"), messages=("",) * 100, **count)  # fmt: skip
+        mesh = plot(sweep, "gm", against=("b0", "omega_o")).axes[0].collections[0]
+        assert (mesh.norm.vmin, mesh.norm.vmax, mesh.colorbar.extend) == (1.0, 10.0, extend)
+
+
 @pytest.mark.parametrize("is_even", [True, False], ids=["ratios", "distances"])
 def test_a_heat_map_has_a_cell_for_each_point_of_a_grid(is_even: bool) -> None:
     a, b = np.arange(1.0, 5.0), np.geomspace(1, 1000, 4) if is_even else np.array([1.0, 2.0, 4.0, 7.0])
