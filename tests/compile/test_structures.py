@@ -81,7 +81,7 @@ def test_every_field_is_where_the_compiler_puts_it(
 ) -> None:
     lines = told(made)
     assert sum("." not in line for line in lines) >= least
-    assert of_the_compiler(f'#include "{header}"', lines, tmp_path) == lines
+    assert of_the_compiler(f'#include "{header}"\n#include "batch.h"', lines, tmp_path) == lines
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc")

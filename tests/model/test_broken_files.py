@@ -15,8 +15,11 @@ import pytest
 from blocks.model import document
 from blocks.studies import study
 from blocks.text.errors import ModelError
-from tests.support.documents import CONTROLLED, STUDY
+from tests.support.documents import CONTROLLED
+from tests.support.documents import STUDY as WHOLE_STUDY
 
+STUDY: dict[str, Any] = {key: part for key, part in WHOLE_STUDY.items() if key not in ("sweeps", "tunings")}
+STUDY |= {"claims": WHOLE_STUDY["claims"][:3], "figures": WHOLE_STUDY["figures"][:1]}
 FMU = {"fmu": "../x.fmu", "kind": "ME", "isolate": True, "timeout": 10, "parameters": {"a[1]": 1}}
 FMU_VARIANT = {"fmu": "y.fmu", "kind": "CS", "ports": {"a": "b"}}
 DIAGRAM = {**CONTROLLED, "blocks": {**CONTROLLED["blocks"], "f": {**FMU, "variants": {"v": FMU_VARIANT}}}}

@@ -117,7 +117,7 @@ def meaning_of_diagram(path: Path) -> dict[str, Any]:
 def meaning_of_study(path: Path) -> dict[str, Any]:
     loaded = study.load(path)
     told = {key: getattr(loaded, key) for key in ("name", "title", "doc", "source", "assumed", "figures")}
-    told |= {key: [asdict(one) for one in getattr(loaded, key)] for key in ("runs", "claims")}
+    told |= {key: [asdict(one) for one in getattr(loaded, key)] for key in ("runs", "sweeps", "tunings", "claims")}
     made = study.run(loaded)
     return plain(told | {"verdicts": [[one.value, one.verdict] for one in made.verdicts], "is_fine": made.is_fine})  # type: ignore[no-any-return]
 
