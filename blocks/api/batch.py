@@ -139,8 +139,10 @@ class Batch:
         self._clock = run.start, every, run.stop
         self._kept, self._resolver, self._parameters, self._settings = kept, resolver, parameters, settings
         self._engine, self._trust = engine, trust
-        self._is_native = compiled_model(first.plan, engine=engine) is not None
-        self._why = _why_processes(first.plan, is_native=self._is_native)
+        is_native = compiled_model(first.plan, engine=engine) is not None
+        self._why = _why_processes(first.plan, is_native=is_native)
+        numbers = len(first.plan.parameters) if isinstance(first.plan, Plan) else 0
+        self._most = PIECE // (8 * max(1, numbers)) + 1  # rows that are bound at once
         self._forms: dict[str, _Form] = {}  # by the values that fix more than numbers; the last used one goes last
         self._fixed: list[str] | None = None  # the parameters that do
         self._workers: list[Worker] = []  # processes that wait for rows
@@ -262,9 +264,8 @@ class Batch:
         key = self._key(given[places[0]])
         form = self._forms.pop(key, None)
         while places and not made.interrupted:
-            size = PIECE // (8 * (1 if form is None else len(form.base))) + 1
-            form = self._piece(form, given, places[:size], work, threads)
-            places = places[size:]
+            form = self._piece(form, given, places[: self._most], work, threads)
+            places = places[self._most :]
         if form is not None:
             self._forms[key] = form
         while len(self._forms) > MOST_FORMS:
@@ -330,7 +331,7 @@ class Batch:
         before = work.done
         ended = run_rows(
             plan, form.inputs, form.model, table,
-            threads=threads, budget=made.budget, progress=lambda done: work.tell(before + done),
+            grid=len(self.times), threads=threads, budget=made.budget, progress=lambda done: work.tell(before + done),
         )  # fmt: skip
         for i, row, values in zip(places, ended.rows, ended.signals, strict=True):
             if row is not None:

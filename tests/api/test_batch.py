@@ -28,6 +28,7 @@ from blocks import (
     ZeroOrderHold,
     stepper,
 )
+from blocks.api import batch as batches
 from blocks.api.batch import BatchRows
 from blocks.text.errors import BlocksError, UsageError
 from tests.support.documents import SHIPPED
@@ -121,11 +122,13 @@ def rows_of(count: int) -> list[list[float]]:
     return [[3.0 + i, 0.05 + 0.01 * i, (0.05, 0.04)[i % 2]] for i in range(count)]
 
 
-def test_threads_order_and_neighbours_change_no_bit() -> None:
+def test_threads_order_pieces_and_neighbours_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     batch, table = noisy().batch(NAMES, log=["lag.y", "hold.y"]), rows_of(12)
     whole = batch(table, seeds=range(12), threads=1)
-    for threads in (2, 5):
-        again = batch(table, seeds=range(12), threads=threads)
+    monkeypatch.setattr(batches, "PIECE", 1)
+    pieces = noisy().batch(NAMES, log=["lag.y", "hold.y"])
+    for threads, other in ((2, batch), (5, batch), (2, pieces)):
+        again = other(table, seeds=range(12), threads=threads)
         assert again.signals["lag.y"].tobytes() == whole.signals["lag.y"].tobytes()
         assert all(again.measures[name].tobytes() == column.tobytes() for name, column in whole.measures.items())
     assert {*whole.status} == {"ok"}

@@ -17,7 +17,7 @@ from ...compile.c import runtime_layout
 from ...compile.inputs import InputTable
 from ...compile.plan import Plan
 from ...text.errors import Fault
-from ..run.many_runs import cores, over_budget, times_of
+from ..run.many_runs import cores, over_budget
 from ..run.measures import Measures
 from .engine import NativeEngine, in_brief
 from .model import Model
@@ -56,24 +56,22 @@ def run_rows(
     model: Model,
     table: Array,
     *,
+    grid: int,
     threads: int | None = None,
     budget: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Ended:
-    """Run all rows of parameters (n, np). plan: that of the first. progress: called with how many rows are done.
+    """Run all rows of parameters (n, np). plan: that of the first. grid: how many rows of signals each has. progress:
+    called with how many rows are done.
 
     Ctrl-C, and what `progress` raises, let no further row begin; after the latter it is raised again.
     """
     table = np.ascontiguousarray(table, dtype=float)
     n, width = len(table), len(model.logged)
-    run = plan.settings
-    times = np.empty(0)
-    if width and run.every is not None and run.stop is not None:
-        times = times_of(run.start, run.every, run.stop)
     measures = model.measures_of(plan)
     count = max(1, min(n, threads or cores()))
     engines = [NativeEngine(plan, inputs, is_silent=not width, model=model) for _ in range(count)]
-    batch, kept = _begun(plan, engines[0], table, len(times), budget)
+    batch, kept = _begun(plan, engines[0], table, grid, budget)
     batch.is_by_one = int(bool(measures.paths))
     paths: list[dict[int, Array]] = [{} for _ in range(n)]
 
@@ -82,7 +80,7 @@ def run_rows(
 
     def work(engine: NativeEngine) -> None:
         held = memory  # where Ctrl-C leaves the caller between two lines, C still writes here  # noqa: F841
-        room = np.empty((len(times) + 1, 1 + width))
+        room = np.empty((grid + 1, 1 + width))
         try:
             while (row := model.library.blocks_batch(ctypes.addressof(batch), engine.address, room.ctypes.data)) >= 0:
                 paths[row] = engine.paths()
