@@ -19,7 +19,7 @@ from ..compile.inputs import InputTable, read_inputs
 from ..compile.plan import Plan
 from ..compile.rebinding import Rebinding
 from ..engines.prepared import Prepared
-from ..engines.run.many_runs import cores, over_budget, times_of
+from ..engines.run.many_runs import Row, cores, times_of
 from ..engines.run.memory_estimate import check
 from ..engines.selection import compiled_model
 from ..model.diagram import DiagramValue
@@ -29,7 +29,7 @@ from ..model.trust import Paths
 from ..results.results import Results
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import counted, legible
-from .batch_processes import Alone, Worker, in_processes
+from .batch_processes import Worker, in_processes
 from .prepared_model import PreparedModel
 from .run import Run, RunOptions
 from .values import check_settings, time_of
@@ -329,17 +329,15 @@ class Batch:
         if not places:
             return
         before = work.done
-        ended = run_rows(
+        rows, is_cancelled = run_rows(
             plan, form.inputs, form.model, table,
             grid=len(self.times), threads=threads, budget=made.budget, progress=lambda done: work.tell(before + done),
         )  # fmt: skip
-        for i, row, values in zip(places, ended.rows, ended.signals, strict=True):
+        for i, row in zip(places, rows, strict=True):
             if row is not None:
-                status = "ok" if row.is_done else "budget" if row.is_over else None
-                made.record(i, values)
-                made.take(i, row.steps, row.measures, row.fault, status)
-        made.interrupted |= ended.is_cancelled
-        work.tell(before + sum(row is not None for row in ended.rows))
+                made.take(i, row)
+        made.interrupted |= is_cancelled
+        work.tell(before + sum(row is not None for row in rows))
 
     # --- one by one ----------------------------------------------------------------------------------------------
 
@@ -351,11 +349,10 @@ class Batch:
             if ended is None:
                 made.interrupted = True
                 return
-            made.record(i, ended.signals)
-            made.take(i, ended.steps, ended.measures, ended.fault, ended.status)
+            made.take(i, ended)
             work.tell(work.done + 1)
 
-    def alone(self, given: Mapping[str, Any], seed: int | None, budget: int | None) -> Alone:
+    def alone(self, given: Mapping[str, Any], seed: int | None, budget: int | None) -> Row:
         """Run one row here, by raw values of all parameters that are given. Ctrl-C goes through."""
         held: list[Run] = []
 
@@ -368,23 +365,23 @@ class Batch:
             held.append(self._model.run_of(given, settings, RunOptions(progress=watch)))
             self._check_times(held[0].plan)
         except BlocksError as error:
-            return Alone.failed(error, is_refused=not isinstance(error, (SimulationError, FMUError)))
+            return Row.failed(error, is_refused=not isinstance(error, (SimulationError, FMUError)))
         try:
             results = held[0].finish()
         except _OverBudget:
-            return self._over(budget)
+            return Row.over(self.name, budget)
         except BlocksError as error:
             if budget is not None and held[0].tried > budget:
-                return self._over(budget)
-            found, partial = Alone.failed(error, is_refused=False), getattr(error, "results", None)
+                return Row.over(self.name, budget)
+            found, partial = Row.failed(error, is_refused=False), getattr(error, "results", None)
             return replace(found, steps=held[0].tried, signals=self._recorded(partial))
         if results.interrupted:
             raise KeyboardInterrupt
         steps = results.statistics.steps + results.statistics.rejected
         if budget is not None and steps > budget:
-            return self._over(budget)
+            return Row.over(self.name, budget)
         faults = [fault for fault in results.warnings if fault.code == "W301"]
-        return Alone(
+        return Row(
             steps, dict(results.measures), faults[0] if faults else None, "ok", self._recorded(results)
         )
 
@@ -421,9 +418,6 @@ class Batch:
                 message = f"row {i} has {len(row)} values, and the batch {len(self.columns)} columns."
                 raise UsageError(Fault("E501", "table", message, f"The columns: {', '.join(self.columns)}."))
         return rows
-
-    def _over(self, budget: int | None) -> Alone:
-        return Alone(budget or 0, {}, over_budget(self.name, budget), "budget")
 
 
 class _OverBudget(Exception):
@@ -464,23 +458,20 @@ class _Made:
 
     def fail(self, i: int, status: str, error: Exception) -> None:
         fault = error.faults[0] if isinstance(error, BlocksError) else Fault("E501", "row", str(error))
-        self.take(i, 0, {}, fault, status)
+        self.take(i, Row(0, {}, fault, status))
 
-    def take(
-        self, i: int, steps: int, measures: Mapping[str, float], fault: Fault | None, status: str | None
-    ) -> None:
-        """status: None where the code of the fault says it."""
+    def take(self, i: int, row: Row) -> None:
+        """What became of row i."""
+        fault, status = row.fault, row.status
         if status is None:
             status = "diverged" if fault is not None and fault.code in _NUMERIC else "failed"
-        self.steps[i] = steps
+        if len(row.signals):
+            self.recorded[i, : len(row.signals)] = row.signals
+        self.steps[i] = row.steps
         self.messages[i] = "" if fault is None else f"{fault.code} {fault.place}: {fault.message}"
-        for name, value in measures.items():
+        for name, value in row.measures.items():
             self.measures[name][i] = value
         self.status[i] = status  # last: where Ctrl-C comes between two lines, the row is left
-
-    def record(self, i: int, values: Array) -> None:
-        if len(values):
-            self.recorded[i, : len(values)] = values
 
     def rows(self) -> BatchRows:
         for values in (*self.measures.values(), self.recorded) if self.interrupted else ():

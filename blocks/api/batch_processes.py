@@ -12,37 +12,19 @@ import queue
 import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
-import numpy as np
+from ..engines.run.many_runs import Row
+from ..text.errors import Fault
 
-from ..text.errors import BlocksError, Fault
-
-__all__ = ["Alone", "Rows", "Worker", "in_processes"]
-
-Array = np.ndarray[Any, Any]
-
-@dataclass(frozen=True, slots=True)
-class Alone:
-    """What became of a row that was run by itself."""
-
-    steps: int
-    measures: Mapping[str, float]
-    fault: Fault | None
-    status: str | None
-    signals: Array = field(default_factory=lambda: np.empty((0, 0)))  # (rows, elements of all), as far as it came
-
-    @classmethod
-    def failed(cls, error: BlocksError, *, is_refused: bool) -> Alone:
-        return cls(0, {}, error.faults[0], "refused" if is_refused else None)
+__all__ = ["Rows", "Worker", "in_processes"]
 
 
 class Rows(Protocol):
     """What runs one row by itself: a Batch."""
 
-    def alone(self, given: Mapping[str, Any], seed: int | None, budget: int | None) -> Alone: ...
+    def alone(self, given: Mapping[str, Any], seed: int | None, budget: int | None) -> Row: ...
 
 
 Task = tuple[int, dict[str, Any], int | None]
@@ -51,7 +33,7 @@ Task = tuple[int, dict[str, Any], int | None]
 
 def in_processes(
     batch: Rows, rows: Sequence[Task], budget: int | None, count: int, workers: list[Worker]
-) -> Iterator[tuple[int, Alone | None]]:
+) -> Iterator[tuple[int, Row | None]]:
     """What becomes of each row, as it is known; None where Ctrl-C ends it.
 
     workers: those of the batch that wait for rows, and will do so again afterwards.
@@ -72,7 +54,7 @@ def in_processes(
     tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
     for row in rows:
         tasks.put(row)
-    done: queue.SimpleQueue[tuple[int, Alone] | None] = queue.SimpleQueue()
+    done: queue.SimpleQueue[tuple[int, Row] | None] = queue.SimpleQueue()
     left = {row[0]: row for row in rows}
     for worker in mine:
         threading.Thread(target=_work, args=(worker, tasks, done, budget), daemon=True).start()
@@ -100,7 +82,7 @@ def in_processes(
     yield from _here(batch, [*left.values()], budget)
 
 
-def _here(batch: Rows, rows: Sequence[Task], budget: int | None) -> Iterator[tuple[int, Alone | None]]:
+def _here(batch: Rows, rows: Sequence[Task], budget: int | None) -> Iterator[tuple[int, Row | None]]:
     for i, given, seed in rows:
         try:
             yield i, batch.alone(given, seed, budget)
@@ -119,14 +101,14 @@ class Worker:
         self.connection: Connection | None = None
         self.is_ended = False
 
-    def run(self, task: Task, budget: int | None) -> Alone | None:
+    def run(self, task: Task, budget: int | None) -> Row | None:
         """What becomes of a row; None where no process can begin."""
         connection = self.connection or self._begun()
         if connection is None:
             return None
         try:
             connection.send((*task[1:], budget))
-            ended: Alone = connection.recv()
+            ended: Row = connection.recv()
         except (EOFError, OSError):
             self.connection = None
             return self._death()
@@ -145,10 +127,10 @@ class Worker:
         self.connection = ours
         return ours
 
-    def _death(self) -> Alone:
+    def _death(self) -> Row:
         self.process.join(5.0)
         message = f"the process of this row ended, with exit code {self.process.exitcode}."
-        return Alone(0, {}, Fault("E216", "row", message, "An FMU may have crashed: run the row by itself."), "failed")
+        return Row(0, {}, Fault("E216", "row", message, "An FMU may have crashed: run the row by itself."), "failed")
 
     def end(self) -> None:
         self.is_ended = True

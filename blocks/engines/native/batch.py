@@ -8,7 +8,6 @@ from __future__ import annotations
 import ctypes
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,37 +16,17 @@ from ...compile.c import runtime_layout
 from ...compile.inputs import InputTable
 from ...compile.plan import Plan
 from ...text.errors import Fault
-from ..run.many_runs import cores, over_budget
+from ..run.many_runs import Row, cores
 from ..run.measures import Measures
 from .engine import NativeEngine, in_brief
 from .model import Model
 
-__all__ = ["Ended", "Row", "run_rows"]
+__all__ = ["run_rows"]
 
 Array = np.ndarray[Any, Any]
 _KEPT = 8  # numbers of a measure
 _LEFT, _DONE, _FAILED, _BUDGET, _NO_MEMORY = range(5)
 _LOOK = 0.05  # s, after which progress is told and Ctrl-C seen
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """What became of a row: its measures by name, and what went wrong: why a run failed or a measure has no value."""
-
-    is_done: bool
-    is_over: bool
-    steps: int
-    measures: dict[str, float]
-    fault: Fault | None
-
-
-@dataclass(frozen=True, slots=True)
-class Ended:
-    """rows: None where one was not reached. signals: (n, g, elements of all that is logged), nan beyond its end."""
-
-    rows: list[Row | None]
-    signals: Array
-    is_cancelled: bool
 
 
 def run_rows(
@@ -60,9 +39,10 @@ def run_rows(
     threads: int | None = None,
     budget: int | None = None,
     progress: Callable[[int], None] | None = None,
-) -> Ended:
+) -> tuple[list[Row | None], bool]:
     """Run all rows of parameters (n, np). plan: that of the first. grid: how many rows of signals each has. progress:
-    called with how many rows are done.
+    called with how many rows are done. Gives what became of each (None where it was not reached), and whether Ctrl-C
+    cut it short.
 
     Ctrl-C, and what `progress` raises, let no further row begin; after the latter it is raised again.
     """
@@ -97,8 +77,7 @@ def run_rows(
         batch.is_cancelled = 1
     if failure is not None:
         raise failure
-    found = [_row(plan, measures, kept, i, paths[i], budget) for i in range(n)]
-    return Ended(found, kept["signals"], is_cancelled)
+    return [_row(plan, measures, kept, i, paths[i], budget) for i in range(n)], is_cancelled
 
 
 def _begun(
@@ -155,11 +134,12 @@ def _row(
     if status == _LEFT:
         return None
     if status == _BUDGET:
-        return Row(False, True, budget or 0, {}, over_budget(plan.name, budget))
+        return Row.over(plan.name, budget)
+    signals = kept["signals"][i]
     if status != _DONE:
-        return Row(False, False, steps, {}, _why(plan, kept, i))
+        return Row(steps, {}, _why(plan, kept, i), None, signals)
     values, faults = measures.kept(kept["measured"][i], paths).results(float(kept["ended"][i]))
-    return Row(True, False, steps, values, faults[0] if faults else None)
+    return Row(steps, values, faults[0] if faults else None, "ok", signals)
 
 
 def _why(plan: Plan, kept: dict[str, Array], i: int) -> Fault:

@@ -1,31 +1,53 @@
-"""What many runs share: how many run at once, how many steps each may take, and when their signals are recorded."""
+"""What many runs share: what becomes of each, how many run at once, and when their signals are recorded."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
 from ...compile.time_grid import Grid
-from ...text.errors import Fault
+from ...text.errors import BlocksError, Fault
 
-__all__ = ["cores", "over_budget", "times_of"]
+__all__ = ["Row", "cores", "times_of"]
 
 Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What became of one run of many.
+
+    measures: by name; none where it failed. fault: why it failed, or why a measure has no value. status: of
+    `api.batch.STATUSES`; None where the code of the fault says it. signals: (rows, elements of all that is logged), as
+    far as it came.
+    """
+
+    steps: int
+    measures: Mapping[str, float]
+    fault: Fault | None
+    status: str | None
+    signals: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+    @classmethod
+    def failed(cls, error: BlocksError, *, is_refused: bool) -> Row:
+        return cls(0, {}, error.faults[0], "refused" if is_refused else None)
+
+    @classmethod
+    def over(cls, place: str, budget: int | None) -> Row:
+        """One that was cut short. When it was does not count: that depends on when the clock was looked at."""
+        cure = "Give it more steps, or look at its values: such a run may be stiff, or chatter."
+        return cls(budget or 0, {}, Fault("E313", place, f"takes more than {budget} steps.", cure), "budget")
 
 
 def cores() -> int:
     """How many threads or processes can run at once."""
     known = getattr(os, "sched_getaffinity", None)
     return len(known(0)) if known is not None else os.cpu_count() or 1
-
-
-def over_budget(place: str, budget: int | None) -> Fault:
-    """Why a run was cut short. When it was does not count: that depends on when the clock was looked at."""
-    cure = "Give it more steps, or look at its values: such a run may be stiff, or chatter."
-    return Fault("E313", place, f"takes more than {budget} steps.", cure)
 
 
 def times_of(start: Fraction, every: Fraction, stop: Fraction) -> Array:
