@@ -33,7 +33,8 @@ from blocks.model import diagram_grammar as g
 from blocks.model import study_grammar as s
 from blocks.text.explanations import EXPLAINED
 from blocks.text.grammar import Object
-from tests.support.samples import ROOT, Page, workplace
+from tests.support.marks import long_but
+from tests.support.samples import PAGES, ROOT, Page, workplace
 
 DOCS = ROOT / "docs"
 sys.path.insert(0, str(DOCS / "_ext"))
@@ -43,14 +44,19 @@ import docstrings  # noqa: E402
 import formulas  # noqa: E402
 import reference  # noqa: E402
 
-PAGES = sorted(path.name for path in DOCS.glob("*.md"))
+QUICK = {"gallery/index.md"}
+"""Pages of subfolders whose samples every run of the tests executes; those of the others take long together."""
+
 UPDATE = bool(os.environ.get("UPDATE_DOCS"))
 
 
 # --- samples ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize(
+    "name",
+    long_but([path.relative_to(DOCS).as_posix() for path in PAGES], lambda name: "/" not in name or name in QUICK),
+)
 def test_the_samples_of_a_page_run_and_print_what_it_says(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -38,7 +38,7 @@ from blocks.studies.study_sweeps import ManyRuns
 from blocks.text.errors import BlocksError
 from blocks.text.units import parse
 from tests.support.documents import CONTROLLED, NESTED, SHIPPED, STUDY, diagrams, document, mutated
-from tests.support.samples import FENCE, ROOT
+from tests.support.samples import FENCE, PAGES, ROOT
 
 STUDIES = sorted(path for path in (ROOT / "diagrams").rglob("*.json") if path not in SHIPPED)
 STRUCTURE = {"E003", "E004", "E005", "E006", "E009", "E111"}
@@ -151,7 +151,7 @@ def test_what_ships_is_valid(path: Path) -> None:
 
 def test_the_samples_of_the_pages_are_valid() -> None:
     count = 0
-    for page in [*(ROOT / "docs").glob("*.md"), ROOT / "README.md"]:
+    for page in [*PAGES, ROOT / "README.md"]:
         for match in FENCE.finditer(page.read_text(encoding="utf-8")):
             if match["kind"].endswith("json") and '"format": "blocks-' in match["body"]:
                 made = json.loads(match["body"])
