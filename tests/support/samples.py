@@ -47,7 +47,8 @@ TABLE = re.compile(r"(?P<head><!-- begin: (?P<command>blocks [^>]*) -->\n)(?P<bo
 TIMES = re.compile(r"done in [0-9.]+ s: [0-9]+ steps, [0-9]+ rejected")
 ENGINE = re.compile(r"  (?:native|reference)  (?=\S+ \.\.\. )")  # of a run's first line: by whether there is a compiler
 BARS = "▁▂▃▄▅▆▇█"
-PAGES = sorted(path for place in (".", "gallery", "paths", "tutorials") for path in (ROOT / "docs" / place).glob("*.md"))
+FOLDERS = (".", "gallery", "paths", "tutorials")
+PAGES = sorted(path for folder in FOLDERS for path in (ROOT / "docs" / folder).glob("*.md"))
 """The pages of the documentation that people write; those of docs/library are made."""
 
 
