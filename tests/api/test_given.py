@@ -68,7 +68,7 @@ def test_a_text_stays_a_text_where_the_parameter_is_one() -> None:
     d.input("u", default=0.0)
     d.wire("gain.u", "u")
     d.parameter("mode", "slow")
-    with pytest.raises(ModelError, match="E107 gain.k: must be a number, not the text '2'"):
+    with pytest.raises(ModelError, match="not the text"):
         d.run(stop=1, parameters={"gain.k": "2"})
     assert d.start(stop=1, parameters={"mode": "2 mH"}).prepared.parameters == {"mode": "2 mH"}
 
