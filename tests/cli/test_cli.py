@@ -323,7 +323,7 @@ def test_list_finds_types_by_what_they_say_and_by_the_words_of_simulink(capsys: 
     assert "Simulink's Scope: No block" in capsys.readouterr().out
     for wrong in (["--search", "zzz"], ["--search", " "], ["Gain", "--search", "gain"]):
         assert main(["list", *wrong]) == 2
-        assert capsys.readouterr().err.startswith(f"E501 --search {wrong[-1]}")
+        assert capsys.readouterr().err.startswith(f"E501 --search {wrong[-1]}".strip())
 
 
 def test_control_characters_in_names_do_not_reach_the_terminal(
