@@ -24,6 +24,7 @@ from ..engines.run.memory_estimate import check
 from ..engines.selection import compiled_model
 from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import LARGEST_SEED
+from ..model.raw_values import given_values
 from ..model.resolver import resolver_of
 from ..model.trust import Paths
 from ..results.results import Results
@@ -113,7 +114,8 @@ class Batch:
         if value.run.get("jumps"):
             settings["jumps"] = False
         kept = _picked(value, measures)
-        resolver, parameters = resolver_of(dict(types)), dict(parameters or {})
+        resolver = resolver_of(dict(types))
+        parameters = {**given_values(kept, resolver, parameters or {})}
         first = Prepared.of(kept, resolver, parameters, settings, trust=trust)
         run = first.plan.settings
         if run.stop is None:
@@ -216,7 +218,7 @@ class Batch:
         """The raw values of each row by path; {} where they are refused."""
         for i, row in enumerate(rows):
             try:
-                yield raw_values(self._columns, row)
+                yield {**given_values(self._kept, self._resolver, raw_values(self._columns, row))}
             except (ModelError, UsageError, ValueError, TypeError) as error:
                 made.fail(i, "refused", error)
                 yield {}

@@ -1,9 +1,13 @@
-"""The block types that there are, and what each of them says of itself."""
+"""The block types that there are, what each of them says of itself, and Simulink's words for them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from typing import Any, NamedTuple
 
 from ..contract.block import Block
@@ -11,7 +15,7 @@ from ..model.block_types import Library, library_types
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import legible
 
-__all__ = ["Catalog", "ParameterRow", "PortRow", "Sheet", "measures"]
+__all__ = ["Catalog", "Found", "ParameterRow", "PortRow", "Sheet", "Word", "measures", "word_of", "words"]
 
 
 class PortRow(NamedTuple):
@@ -44,6 +48,30 @@ class Sheet:
     parameters: tuple[ParameterRow, ...]
 
 
+class Word(NamedTuple):
+    """A word of Simulink. here: what stands for it. blocks: types that do. see: a place of the documentation."""
+
+    name: str
+    here: str
+    blocks: tuple[str, ...]
+    see: str
+
+    @property
+    def meant(self) -> tuple[str, ...]:
+        """The type of this name alone, where there is one; else all."""
+        same = [name for name in self.blocks if _plain(name) == _plain(self.name)]
+        return tuple(same) or self.blocks
+
+
+class Found(NamedTuple):
+    """A block type with its group, the first line of its doc, and the words of Simulink by which it was found."""
+
+    name: str
+    group: str
+    doc: str
+    words: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True)
 class Catalog:
     """Block types by name."""
@@ -62,9 +90,63 @@ class Catalog:
 
             return _sheet(fmu_type(name))
         if name not in self.types:
-            cure = did_you_mean(name[:200], self.types) or "`blocks list` names them all."
+            near = did_you_mean(name[:200], (*self.types, *self.groups(), *words()))
+            cure = f"{near} `blocks list --search WORD` finds types by what they say, `blocks list` names them all."
             raise UsageError(Fault("E103", legible(name), "there is no such block type.", cure))
         return _sheet(self.types[name])
+
+    def groups(self) -> dict[str, list[Found]]:
+        """The block types by group: the modules that hold them."""
+        groups: dict[str, list[Found]] = {}
+        for name, cls in self.types.items():
+            group = cls.__module__.rpartition(".")[2]
+            groups.setdefault(group, []).append(Found(name, group, cls.declaration.doc.partition("\n")[0]))
+        return dict(sorted(groups.items()))
+
+    def search(self, text: str) -> tuple[list[Found], list[Word]]:
+        """The block types that say all words of a text: in name, group, first line, ports, parameters, or as words of
+        Simulink; those that have them in their names first. And what is said of words of Simulink that name no type.
+        """
+        asked = text.lower().split()
+        told = [word for word in words().values() if _says(asked, word.name)]
+        ranked = []
+        for found in (found for members in self.groups().values() for found in members):
+            names = tuple(word.name for word in told if found.name in word.meant)
+            own = " ".join(_texts(self.types[found.name], found))
+            if names or _says(asked, own):
+                ranked.append((not _says(asked, found.name), not names, found._replace(words=names)))
+        ranked.sort(key=lambda item: item[:2])
+        return [found for *_, found in ranked], [word for word in told if not word.blocks]
+
+
+def _texts(cls: type[Block], found: Found) -> Iterator[str]:
+    """What a type is found by."""
+    declaration = cls.declaration
+    yield from (re.sub(r"(?<=[a-z])(?=[A-Z])", " ", found.name), *found[:3])
+    for table in (declaration.inputs, declaration.outputs, declaration.states, declaration.settable):
+        for name, variable in table.items():
+            yield f"{name} {variable.doc}"
+
+
+def _says(asked: list[str], text: str) -> bool:
+    """Whether each word that is asked for begins one of the text."""
+    return all(re.search(rf"\b{re.escape(word)}", text.lower()) for word in asked)
+
+
+@cache
+def words() -> Mapping[str, Word]:
+    """What stands for a word of Simulink."""
+    text = resources.files(__package__).joinpath("simulink_words.json").read_text(encoding="utf-8")
+    return {name: Word(name, raw["here"], tuple(raw["blocks"]), raw["see"]) for name, raw in json.loads(text).items()}
+
+
+def word_of(name: str) -> Word | None:
+    """What stands for a word of Simulink, however its letters and spaces are written; None where it is none."""
+    return next((word for word in words().values() if _plain(word.name) == _plain(name)), None)
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\W_]", "", name.lower())
 
 
 def measures() -> Mapping[str, str]:

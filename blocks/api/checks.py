@@ -12,10 +12,10 @@ from ..compile.plan_builder import plan
 from ..model.diagram import DiagramValue, beside
 from ..model.flatten import Flat, flatten
 from ..model.hierarchy import Resolver
-from ..model.raw_values import raw_of
+from ..model.raw_values import given_values, raw_of
 from ..model.variants import taken
 from ..text.errors import Fault, ModelError
-from .ports import plain_log
+from .ports import plain_settings
 from .values import check_settings
 
 __all__ = ["checked", "coupled_block", "faults_beside", "flat_of", "refuse_fmus", "single_plan"]
@@ -29,9 +29,10 @@ def flat_of(
     variants: Mapping[str, str] | None = None,
 ) -> Flat:
     """A diagram without hierarchy. Raises ModelError with all faults, UsageError (E501)."""
-    overrides = {name: raw_of(raw) for name, raw in (parameters or {}).items()}
     check_settings(settings or {})
-    return flatten(taken(value, variants), resolver, overrides=overrides, settings=plain_log(settings or {}))
+    value = taken(value, variants)
+    overrides = {name: raw_of(raw) for name, raw in given_values(value, resolver, parameters or {}).items()}
+    return flatten(value, resolver, overrides=overrides, settings=plain_settings(settings or {}))
 
 
 def coupled_block(flat: Flat) -> str:

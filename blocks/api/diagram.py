@@ -48,7 +48,7 @@ from .draft import Draft
 from .entries import as_name, input_entry, input_like, parameter_entry
 from .last_made import LastMade, names_files
 from .late import late
-from .ports import Handle, PortName, plain_log, signal_names, sink_text, source_text, text_of
+from .ports import Handle, PortName, plain_settings, signal_names, sink_text, source_text, text_of
 from .values import check_settings
 
 if TYPE_CHECKING:
@@ -325,7 +325,7 @@ class Diagram:
         loops, log, master.
         """
         check_settings(run)
-        entries = documents.entries(run={key: raw_of(value) for key, value in plain_log(run).items()})
+        entries = documents.entries(run={key: raw_of(value) for key, value in plain_settings(run).items()})
         self._draft.put("run", entries.run)
 
     # --- verbs -------------------------------------------------------------------------------------------------
@@ -452,7 +452,7 @@ class Diagram:
 
         value, types = taken(self.value, variants), self._draft.types
         return PreparedModel(
-            value, types, parameters=parameters, engine=engine, trust=trust, settings=plain_log(settings)
+            value, types, parameters=parameters, engine=engine, trust=trust, settings=plain_settings(settings)
         ).ready()
 
     def _prepared(self, engine: str | None, trust: Paths) -> PreparedModel:
@@ -812,4 +812,4 @@ def run_of(
     from .run import started
 
     resolver = resolver_of(dict(diagram._draft.types))  # what is added to the diagram afterwards does not reach the run
-    return started(taken(diagram.value), resolver, parameters, plain_log(settings), options, flat)
+    return started(taken(diagram.value), resolver, parameters, plain_settings(settings), options, flat)

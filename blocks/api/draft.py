@@ -12,7 +12,7 @@ from ..model import document as documents
 from ..model.block_ports import Ports, Probe, port_units
 from ..model.diagram import BASE, BlockEntry, DiagramValue, check_name
 from ..model.hierarchy import Resolver
-from ..model.raw_values import raw_of
+from ..model.raw_values import given_values, raw_of
 from ..model.resolver import resolver_of
 from ..text.errors import Fault, ModelError
 from .entries import block_entry, checked_entry
@@ -114,6 +114,8 @@ class Draft:
             entry = BlockEntry(diagram=documents.relocated(source.value, self.folder))
         else:
             entry = BlockEntry(diagram=source, loaded=documents.load(Path(self.folder) / source))
+        if entry.inner is not None:
+            given = {**given_values(entry.inner, self.resolver, given)}
         return checked_entry(name, entry, given, self.folder, doc=doc, control=control or {}, stream=stream)
 
     def ports(self, name: str, entry: BlockEntry) -> Ports:

@@ -19,7 +19,7 @@ from ..contract.enumerations import Enumeration, enumeration_of
 from ..contract.interface import Port
 from ..model import document as documents
 from ..model.diagram import BlockEntry, is_name
-from ..model.raw_values import raw_of
+from ..model.raw_values import given_value, raw_of
 from ..text import units
 from ..text.errors import Fault, UsageError
 from ..text.printable import quoted
@@ -103,7 +103,8 @@ def block_entry(name: str, block: object, folder: str) -> tuple[dict[str, Any], 
         raise UsageError(Fault("E501", name, f"{quoted(repr(block))} is not a block.", cure))
     known = type(block).declaration.parameters
     # None stands for what is not given; a file leaves it out.
-    given = {k: raw_of(v) for k, v in block.parameters.items() if v is not None or known[k].default is not None}
+    said = {k: v for k, v in block.parameters.items() if v is not None or known[k].default is not None}
+    given = {name: given_value(value, known[name]) for name, value in said.items()}
     return given, _entry_of(type(block), folder)
 
 

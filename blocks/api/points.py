@@ -20,7 +20,7 @@ from ..model.variants import taken
 from ..text.errors import AnalysisError, Fault, UsageError
 from .checks import coupled_block, flat_of
 from .last_made import LastMade, names_files
-from .ports import plain_log
+from .ports import plain_settings
 from .run import Run, RunOptions, engine_of, started
 from .values import at_rest, time_of
 
@@ -88,7 +88,7 @@ def _standing(
     likes = [form for form in kept if form.is_current]
 
     def begun(parameters: Mapping[str, Any], settings: Mapping[str, Any], given: RunOptions, flat: Any = None) -> Run:
-        run = started(value, resolver, parameters, plain_log(settings), given, flat, likes)
+        run = started(value, resolver, parameters, plain_settings(settings), given, flat, likes)
         form = run.prepared
         is_kept = isinstance(form.plan, Plan) and not form.plan.foreign and not names_files(given_value)
         if is_kept and not any(like.alike is form.alike for like in likes):
@@ -96,7 +96,7 @@ def _standing(
             last.keep("standing", key, tuple(likes[:MOST_KEPT]))
         return run
 
-    asked = plain_log({**settings, **silent})
+    asked = plain_settings({**settings, **silent})
     like = next((form for form in likes if form.with_values(parameters, asked) is not None), None)
     flat = flat_of(value, resolver, parameters, asked) if like is None else like.structure
     coupled = coupled_block(flat)

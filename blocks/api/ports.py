@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from ..model.block_ports import listed
+from ..model.settings import TIMES
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import quoted
+from ..text.quantity_text import read_quantity
 
-__all__ = ["Handle", "PortName", "plain_log", "signal_names", "sink_text", "source_text", "text_of"]
-
+__all__ = ["Handle", "PortName", "plain_settings", "signal_names", "sink_text", "source_text", "text_of"]
 
 
 class Named(Protocol):
@@ -124,9 +125,10 @@ def signal_names(names: PortName | str | Sequence[PortName | str]) -> list[str]:
     return [str(name) for name in name_list]
 
 
-def plain_log(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a run, with the signals to record as texts; they may be given as ports."""
+def plain_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a run as a file has them: what is logged as texts, also where it is ports, times as quantities."""
+    plain = {key: read_quantity(raw) if key in TIMES else raw for key, raw in settings.items()}
     log = settings.get("log")
-    if not isinstance(log, (list, tuple)):
-        return dict(settings)
-    return {**settings, "log": [name.text if isinstance(name, PortName) else name for name in log]}
+    if isinstance(log, (list, tuple)):
+        plain["log"] = [name.text if isinstance(name, PortName) else name for name in log]
+    return plain

@@ -22,7 +22,7 @@ from ..model.resolver import resolver_of
 from ..model.trust import Paths
 from ..results.results import Results
 from ..text.errors import Fault, UsageError
-from .ports import plain_log
+from .ports import plain_settings
 from .run import Run, RunOptions, started
 from .values import check_settings
 
@@ -116,7 +116,7 @@ class PreparedModel:
         """A run with these parameters and settings on top of what was prepared, at its start."""
         if isinstance(parameters, Mapping):
             parameters = {**self._parameters, **_own(parameters)}
-        settings = {**self._settings, **_own(plain_log(settings))}
+        settings = {**self._settings, **_own(plain_settings(settings))}
         options = replace(options, engine=self._engine, trust=self._trust)
         known = self._kept()
         run = started(self._value, self._resolver, parameters, settings, options, likes=known)

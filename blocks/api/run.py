@@ -27,7 +27,7 @@ from ..engines.selection import simulation
 from ..model.diagram import DiagramValue
 from ..model.flatten import Flat
 from ..model.hierarchy import Resolver
-from ..model.raw_values import raw_of
+from ..model.raw_values import given_values, raw_of
 from ..model.settings import RunSettings
 from ..model.trust import Paths
 from ..results.arrow import Part, target_of
@@ -37,6 +37,7 @@ from ..text.atomic_write import write_atomically
 from ..text.element_names import indexed
 from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import quoted
+from ..text.quantity_text import read_quantity
 from .origin import origin_of
 from .streaming import Streaming, part_to_resume
 from .values import check_settings, time_of
@@ -79,6 +80,7 @@ def started(
     if not isinstance(parameters, Mapping):
         message = f"{type(parameters).__name__} is no mapping of values by path."
         raise UsageError(Fault("E501", "parameters", message, 'As in parameters={"motor.Ra": 1.2}.'))
+    parameters = given_values(value, resolver, parameters)
     resume = options.resume
     sources = options.inputs if isinstance(options.inputs, (list, tuple)) else [options.inputs]
     part: Part | None = None
@@ -400,7 +402,7 @@ class Run:
                 if isinstance(value, Mapping) and "value" not in value:
                     raise UsageError(Fault("E502", name, 'a quantity is {"value": ..., "unit": "..."}.'))
                 try:
-                    self._simulation.set_input(index, constant(value, shape, unit, type_))
+                    self._simulation.set_input(index, constant(_given_input(value, type_), shape, unit, type_))
                 except ValueError as error:
                     message = error.faults[0].message if isinstance(error, ModelError) else str(error)
                     raise UsageError(Fault("E502", name, message)) from None
@@ -453,11 +455,17 @@ def _named_inputs(given: Any, plan: Plan | Coupling) -> dict[str, Any]:
         if isinstance(source, (str, Path)):
             named.update(read_csv(source, plan))  # type: ignore[arg-type]
         elif isinstance(source, Mapping):
-            named.update(source)
+            types = {name: type_ for name, _, _, type_, _ in plan.inputs}
+            named.update({name: _given_input(value, types.get(name, "")) for name, value in source.items()})
         elif source is not None:
             message = f"{type(source).__name__} is neither a mapping of values by name nor the path of a file."
             raise UsageError(Fault("E501", "inputs", message, 'As in inputs={"r": 1.0}.'))
     return named
+
+
+def _given_input(value: Any, type_: str) -> Any:
+    """The value of an input as it is given; "2 mV" is a quantity."""
+    return read_quantity(value) if type_ in ("real", "int") else value
 
 
 def _input_table(

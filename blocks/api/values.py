@@ -15,6 +15,7 @@ from ..model.flatten import Flat
 from ..model.settings import seconds
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible
+from ..text.quantity_text import read_quantity
 
 __all__ = ["at_rest", "check_settings", "time_of"]
 
@@ -22,7 +23,7 @@ __all__ = ["at_rest", "check_settings", "time_of"]
 def time_of(place: str, raw: Any) -> Fraction:
     """A time in s, exactly. place: what an error names. Raises UsageError (E501)."""
     try:
-        return seconds(raw)
+        return seconds(read_quantity(raw))
     except ValueError as error:
         message = error.faults[0].message if isinstance(error, ModelError) else str(error)
         raise UsageError(Fault("E501", place, message)) from None

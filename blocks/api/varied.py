@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,9 +18,10 @@ from ..model.diagram import DiagramValue
 from ..model.flatten import Flat
 from ..model.raw_values import raw_of
 from ..model.values import Absent, value_of
-from ..text.element_names import element_names
+from ..text.element_names import element_names, matching
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible
+from ..text.quantity_text import read_quantity
 from ..text.units import si_text, to_si
 
 __all__ = ["Column", "Target", "columns_of", "names_of", "raw_values"]
@@ -98,11 +98,7 @@ def columns_of(names: Sequence[str], value: DiagramValue, flat: Flat) -> tuple[C
 def names_of(name: str, known: Mapping[str, Any]) -> list[str]:
     """The parameters that a name or a pattern names, without elements. Raises UsageError (E106) where there is none."""
     path, _ = _split(name)
-    if "*" not in path:
-        found = [path] if path in known else []
-    else:
-        form = re.compile("[^.]*".join(map(re.escape, path.split("*"))))
-        found = [each for each in known if form.fullmatch(each)]
+    found = matching(path, known) if "*" in path else [path] if path in known else []
     if not found:
         what = "names no parameter" if "*" in path else "there is no such parameter"
         alike = [each for each in known if each.rpartition(".")[2] == path.rpartition(".")[2]]
@@ -125,7 +121,7 @@ def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
                 continue
             flat, shape = target.whole
             try:
-                number = to_si(raw, target.unit) if is_plain else value_of(raw, target.unit, {}).value
+                number = to_si(raw, target.unit) if is_plain else value_of(read_quantity(raw), target.unit, {}).value
             except ModelError as error:
                 placed = [replace(fault, place=fault.place or column.name) for fault in error.faults]
                 raise ModelError(*placed) from None

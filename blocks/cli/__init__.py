@@ -36,12 +36,23 @@ BROKEN = 70
 """The exit code of a fault of blocks itself, as sysexits.h has it (EX_SOFTWARE)."""
 STDOUT = "stdout"
 COMMANDS = {
-    "run": "run", "sweep": "sweep", "study": "study", "tune": "tune", "compare": "compare", "check": "check",
+    "new": "new", "run": "run", "sweep": "sweep", "study": "study", "tune": "tune", "compare": "compare", "check": "check",
     "diff": "diff", "fmt": "fmt", "rename": "rename", "apply": "apply", "draw": "draw", "list": "listing",
     "schema": "schema", "export": "export", "fmu": "fmu", "linearize": "linearize", "observer": "linearize",
     "explain": "explain", "doctor": "doctor",
 }  # fmt: skip
 """The module of each command, in the order of `blocks --help`."""
+FIRST_STEPS = """\
+first steps:
+  blocks new robot                        make a project that runs: cd robot, then
+  blocks run diagrams/loop.json --library robot --plot loop.svg
+                                          simulate a diagram, and draw its signals
+  blocks check diagrams/loop.json --library robot
+                                          tell all that is wrong with it
+  blocks list --search "rate limit"       find block types; `blocks list PID` tells about one
+  blocks explain E102                     what an error means, and what to do
+
+`blocks COMMAND --help` tells what a command takes."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -202,7 +213,9 @@ def _parser(command: str = "") -> argparse.ArgumentParser:
         _Parser(prog="blocks").error(f"argument COMMAND: invalid choice: {command!r} (choose from {known})")
     from ..text.version import __version__
 
-    parser = _Parser(prog="blocks", description="Simulate and check block diagrams of control systems.")
+    about = "Simulate and check block diagrams of control systems."
+    as_it_is = argparse.RawDescriptionHelpFormatter
+    parser = _Parser(prog="blocks", description=about, epilog=FIRST_STEPS, formatter_class=as_it_is)
     parser.add_argument("--version", action="version", version=f"blocks {__version__}")
     verbs: Any = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for module in dict.fromkeys([COMMANDS[command]] if command in COMMANDS else COMMANDS.values()):

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
+from ..text.errors import Fault, UsageError
 from ..text.printable import aligned
 from .options import takes_json, takes_library
 from .output import emit, printable
 
 if TYPE_CHECKING:
-    from ..api.catalog import Sheet
+    from ..api.catalog import Catalog, Found, Sheet, Word
 
 __all__ = ["add"]
 
@@ -19,16 +21,17 @@ def add(verbs: Any) -> None:
     listing = verbs.add_parser(
         "list",
         help="list the block library, or tell about one block",
-        description="List the block types, or one type's ports and parameters.",
+        description="List the block types, those of a group, or one type's ports and parameters; find types by words.",
     )
-    listing.add_argument("block", metavar="BLOCK", nargs="?", help="a block type, an FMU, or `measures`")
+    listing.add_argument("block", metavar="BLOCK", nargs="?", help="a block type, a group, an FMU, `measures`, or Simulink's word")
+    listing.add_argument("--search", metavar="TEXT", help="block types that say these words, Simulink's among them")
     takes_json(listing)
     listing.set_defaults(verb=_list)
     takes_library(listing)
 
 
 def _list(options: argparse.Namespace) -> int:
-    from ..api.catalog import Catalog, measures
+    from ..api.catalog import Catalog, measures, word_of
 
     catalog = Catalog.of(options.library)
     if options.block == "measures":
@@ -38,23 +41,59 @@ def _list(options: argparse.Namespace) -> int:
             else:
                 print(f"{name.ljust(16)}  {what}")
         return 0
-    if options.block is None:
-        groups: dict[str, list[Any]] = {}
-        for cls in catalog.types.values():
-            groups.setdefault(cls.__module__.rpartition(".")[2], []).append(cls)
+    if options.search is not None:
+        return _found(catalog, options)
+    groups = catalog.groups()
+    if options.block is None or (options.block in groups and options.block not in catalog.types):
         width = max(map(len, catalog.types))
-        for group, members in sorted(groups.items()):
+        for group, members in groups.items():
+            if options.block not in (None, group):
+                continue
             if not options.json:
                 print(f"{group}")
-            for cls in members:
-                first = cls.declaration.doc.partition("\n")[0]
-                if options.json:
-                    emit({"type": cls.__name__, "group": group, "doc": first})
-                else:
-                    print(printable(f"  {cls.__name__.ljust(width)}  {first}"))
+            _rows(members, width, options.json)
         return 0
-    _tell(catalog.sheet(options.block), options.json)
+    word = None if options.block in catalog.types else word_of(options.block)
+    if word is not None:
+        _tell_words([word], options.json)
+    else:
+        _tell(catalog.sheet(options.block), options.json)
     return 0
+
+
+def _found(catalog: Catalog, options: argparse.Namespace) -> int:
+    """What `--search` finds. Raises UsageError (E501) where that is nothing."""
+    if options.block is not None or not options.search.split():
+        what, cure = "takes one text, and no block type.", 'As in blocks list --search "rate limit".'
+        raise UsageError(Fault("E501", f"--search {options.search}", what, cure))
+    found, words = catalog.search(options.search)
+    if not found and not words:
+        message, cure = "no block type says this, and no word of Simulink.", "`blocks list` names all types."
+        raise UsageError(Fault("E501", f"--search {options.search}", message, cure))
+    _rows(found, max((len(each.name) for each in found), default=0), options.json)
+    _tell_words(words, options.json)
+    return 0
+
+
+def _rows(found: Iterable[Found], width: int, as_json: bool) -> None:
+    for name, group, doc, words in found:
+        if as_json:
+            emit({"type": name, "group": group, "doc": doc, **({"simulink": list(words)} if words else {})})
+        else:
+            told = f"  (Simulink: {', '.join(words)})" if words else ""
+            print(printable(f"  {name.ljust(width)}  {doc}{told}"))
+
+
+def _tell_words(words: Iterable[Word], as_json: bool) -> None:
+    """What stands for words of Simulink."""
+    for word in words:
+        if as_json:
+            emit({"simulink": word.name, "here": word.here, "blocks": list(word.blocks), "see": word.see})
+            continue
+        print(printable(f"Simulink's {word.name}: {word.here}"))
+        for name in word.blocks:
+            print(printable(f"  blocks list {name}"))
+        print(printable(f"  documentation: {word.see}"))
 
 
 def _tell(sheet: Sheet, as_json: bool) -> None:

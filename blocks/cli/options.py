@@ -47,7 +47,7 @@ def takes_run(run: argparse.ArgumentParser) -> None:
     inputs = "inputs over time (columns time,NAME,...), or one constant input; again for more"
     takes_several(run, "--input", "FILE.csv|NAME=VALUE", inputs)
     run.add_argument("--hold", action="store_true", help="hold the values of --input instead of joining them by lines")
-    log = "record this signal (again for more) in place of the file's choice"
+    log = "record this signal, or all that a pattern names (motor.*; again for more), in place of the file's choice"
     takes_several(run, "--log", "SIGNAL", log, default=None)
     master = "a setting of the master: step=0.001, steps.motor=0.002, algorithm=gauss-seidel, order=2, tolerance=1e-6, "
     takes_several(run, "--master", "KEY=VALUE", f"{master}couple=each, iterations=50; again for more")

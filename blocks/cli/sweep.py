@@ -50,7 +50,8 @@ def add(verbs: Any) -> None:
     verb.add_argument("--sampler", metavar="S", default="random", help=samplers)
     verb.add_argument("--seed", metavar="N", help="seed of the draws and of all runs, an integer (default: 0)")
     takes_several(verb, "--measure", "M", "take this measure (again for more; without one: all)", default=None)
-    takes_several(verb, "--log", "SIGNAL", "keep this signal on a grid, in the file; again for more")
+    log = "keep this signal, or all that a pattern names, on a grid, in the file; again for more"
+    takes_several(verb, "--log", "SIGNAL", log)
     scenario = "parameters set on top, for which all rows run once more: heavy:load=2,torque=3; quiet: for none"
     takes_several(verb, "--scenario", "NAME:SETTINGS", scenario)
     takes_parameters(verb)

@@ -15,18 +15,15 @@ __all__ = [
     "as_options", "assignments", "check_writable", "number_of", "parsed", "raw_number", "time_of", "variants_of",
 ]  # fmt: skip
 
-_QUANTITY = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(\S.*?)?\s*\Z")
-
 
 def parsed(text: str) -> Any:
     """The value of --set: a number, a number with a unit, true, false, a JSON list, or a text."""
-    from ..text.json_number import Number, spelled
     from ..text.json_text import read
+    from ..text.quantity_text import quantity_in
 
-    match = _QUANTITY.match(text)
-    if match:
-        number = Number(spelled(match[1]))
-        return {"value": number, "unit": match[2]} if match[2] else number
+    if found := quantity_in(text):
+        number, unit = found
+        return {"value": number, "unit": unit} if unit else number
     if text in ("true", "false"):
         return text == "true"
     if text.startswith("["):
@@ -82,8 +79,10 @@ def assignments(option: str, items: Sequence[str], example: str) -> dict[str, An
 def _parsed(place: str, text: str) -> Any:
     """The value of an option; faults name the option. A decimal comma is reported as such."""
     if re.match(r"\s*[-+]?[0-9]*,[0-9]", text):
+        from ..text.quantity_text import quantity_in
+
         point, several = text.strip().replace(",", ".", 1), f"[{text.strip()}]"
-        ways = [point] if (quantity := _QUANTITY.match(point)) and not re.search(r"^\.|,", quantity[2] or "") else []
+        ways = [point] if (found := quantity_in(point)) and not re.search(r"^\.|,", found[1]) else []
         number = r"\s*-?(0|[1-9][0-9]*)(\.[0-9]+)?([eE][-+]?[0-9]+)?\s*"
         if re.fullmatch(rf"\[{number}(,{number})+\]", several) and place.startswith(("--set", "--input")):
             ways.append(f"{several} for several values")

@@ -294,6 +294,8 @@ class _NoNumber(ValueError):
     def cure(self) -> str:
         """What the text was probably meant to be."""
         match = re.fullmatch(r"([-+]?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]+)?) *([^\W\d_]\S*|%)?", self.text[:60])
+        if re.match(r"[-+]?[0-9]+,[0-9]", self.text[:60]):
+            return f"Decimals stand after a point: {self.text[:60].replace(',', '.', 1)}."
         if match is None:
             return 'An expression begins with =, as in "=2*gain".'
         quantity = f'{{"value": {match[1]}, "unit": "{match[2]}"}}'

@@ -24,7 +24,7 @@ from ..model.diagram_grammar import RUN
 from ..model.fingerprint import fingerprint
 from ..model.flatten import Flat, flatten
 from ..model.hierarchy import Resolver
-from ..model.raw_values import raw_of
+from ..model.raw_values import given_values, raw_of
 from ..model.settings import TIMES, RunSettings, read_settings
 from ..model.trust import Paths, check_trust
 from ..model.values import expressions_in
@@ -105,6 +105,7 @@ class Prepared:
         """trust: FMUs, or folders of them, that may be loaded though they lie outside of the project. flat: the flat
         model, where it is known. Raises ModelError with all faults of the diagram, and for an FMU that is not trusted.
         """
+        parameters = given_values(value, resolver, parameters)
         flat = flat or _flattened(value, resolver, parameters, settings)
         check_trust(value, trust)
         outside = outside_of(block.interface.declaration for block in flat.blocks)
@@ -155,7 +156,8 @@ class Prepared:
         Raises ModelError, and UsageError (E502) where there is none of that name, (E117) where it cannot change in a
         run.
         """
-        parameters = {**self.parameters, name: copy.deepcopy(value)}
+        value = given_values(self.value, self.resolver, {name: copy.deepcopy(value)})[name]
+        parameters = {**self.parameters, name: value}
         quick = self._bound(parameters, self.plan.settings, tunable=name)
         if quick is not None:
             return replace(self, parameters=parameters, plan=quick)

@@ -232,7 +232,8 @@ RUN = Object(
         "error: algebraic loops are errors; solve: they are solved at every step."
     ), "error"),
     _later("log", ListOf(SIGNAL_NAME, what="a list of signal names", is_even=True), (
-        'Signals to record: "motor.omega", an element "z[0]", all outputs of a block "motor".'
+        'Signals to record: "motor.omega", an element "z[0]", all outputs of a block "motor", '
+        'or a pattern, in which * stands for a part of one name: "motor_*.omega".'
     )),
     Field("master", MASTER),
     DOC,

@@ -20,7 +20,7 @@ from ..contract.expressions import exact_decimal
 from ..contract.interface import Interface, Port, Value
 from ..contract.resolution import Resolved, resolve
 from ..text import units
-from ..text.element_names import indexed
+from ..text.element_names import indexed, matching
 from ..text.errors import Fault, ModelError
 from ..text.gc_pause import paused
 from ..text.json_document import AT_KEY
@@ -201,6 +201,11 @@ def element_of(name: str, signals: Mapping[str, FlatSignal]) -> FlatSignal | Non
     if signal is None or index is None or len(signal.shape) != 1 or index >= signal.shape[0]:
         return None
     return FlatSignal(name, (signal.sources[index],), (), (signal.units[index],), signal.type)
+
+
+def _blocks_around(signal: str) -> list[str]:
+    """The paths of the blocks and subdiagrams that a signal lies in: "a", "a.b" of "a.b.y"."""
+    return [signal[:k] for k, letter in enumerate(signal) if letter == "."]
 
 
 def _replaced(run: Mapping[str, Any], path: tuple[str | int, ...], time: Fraction | None) -> dict[str, Any]:
@@ -434,7 +439,7 @@ class _Flattener:
         return names if port in ports else [*names, own]
 
     def log(self, signals: _Signals) -> tuple[str, ...]:
-        """The names to record: signals, elements of them, or all outputs of a block."""
+        """The names to record: signals, elements of them, all outputs of a block, or what a pattern names of these."""
         if self.settings.log is None:
             return tuple(name for name in signals if name not in signals.told_when_asked)
         names: dict[str, None] = {}
@@ -442,7 +447,7 @@ class _Flattener:
             if element_of(name, signals) is not None:
                 names[name] = None
                 continue
-            below = self.signals_of(name, signals)
+            below = self.signals_like(name, signals) if "*" in name else self.signals_of(name, signals)
             names.update(dict.fromkeys(below))
             if not below and not self.is_lost(name):
                 spot = None if "log" in self.given else ("run", "log", index)
@@ -450,13 +455,25 @@ class _Flattener:
                 near = self.faults.guess(name.rpartition(".")[2], [signal.rpartition(".")[2] for signal in beside])
                 inside = (f"{child}.{name}" for child in islice(self.root.children, 100))
                 same = next((signal for signal in inside if signal in signals), None)
-                cure = f"Did you mean '{same}'?" if same else self.faults.guess(name, signals)
+                guess = "" if "*" in name else self.faults.guess(name, signals)
+                cure = f"Did you mean '{same}'?" if same else guess
                 known = [*islice(signals, 20)]
                 cure = cure or f"Signals: {', '.join(known)}{', ...' if len(signals) > len(known) else ''}."
                 cure = f"Signals there: {', '.join(beside[:20])}." if beside else cure
                 cure = self.faults.guess(name, beside) + " " + cure if near else cure
-                self.tell(self.root, "E105", "run.log", f"there is no signal {quoted(name)}.", cure, spot)
+                what = "no signal and no block is called" if "*" in name else "there is no signal"
+                self.tell(self.root, "E105", "run.log", f"{what} {quoted(name)}.", cure, spot)
         return tuple(names)
+
+    def signals_like(self, pattern: str, signals: _Signals) -> list[str]:
+        """The names of all signals that a pattern names; where it names none, those of the blocks that it names."""
+        base, bracket, index = pattern.partition("[")
+        open_ = [name for name in signals if name not in signals.told_when_asked]
+        found = [name + bracket + index for name in matching(base, open_)]
+        if bracket or found:
+            return [name for name in found if element_of(name, signals) is not None]
+        blocks = {*matching(base, dict.fromkeys(part for name in open_ for part in _blocks_around(name)))}
+        return [name for name in open_ if not blocks.isdisjoint(_blocks_around(name))]
 
     def signals_of(self, path: str, signals: _Signals) -> list[str]:
         """The names of all signals of a block; none where there is no such block."""

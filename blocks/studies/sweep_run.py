@@ -28,6 +28,7 @@ from ..model.trust import Paths
 from ..model.variants import taken
 from ..text import units as unit_texts
 from ..text.errors import Fault, ModelError, UsageError
+from ..text.quantity_text import read_quantity
 from .sampling import Rows, rows_of, seed_of
 from .sweep import Sweep
 from .sweep_file import SweepPart, told_of
@@ -175,6 +176,8 @@ def _in_unit(name: str, column: Array, unit: str) -> Array:
 
     It stays as it is given where that is not known, and where some values are no numbers.
     """
+    if unit and column.dtype.kind == "O":
+        column = np.fromiter(map(read_quantity, column), dtype=object, count=len(column))
     quantities = [isinstance(item, Mapping) and {*item} <= {"value", "unit", "doc"} for item in column]
     if column.dtype.kind == "f" or not unit or not any(quantities):
         return column

@@ -1,12 +1,13 @@
-"""The names of the elements of a signal: u[0], u[1] of a vector, M[0,1] of a matrix."""
+"""The names of the elements of a signal: u[0], u[1] of a vector, M[0,1] of a matrix; and patterns of names."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
-__all__ = ["element_names", "indexed"]
+__all__ = ["element_names", "indexed", "matching"]
 
 _INDEX = re.compile(r"(.*)\[(0|[1-9][0-9]{0,6})\]\Z", re.DOTALL)
 
@@ -20,3 +21,9 @@ def indexed(text: str) -> tuple[str, int | None]:
     """A signal's text and the element that it names: "z[0]" -> ("z", 0). An element has one spelling only."""
     match = _INDEX.match(text) if text.endswith("]") else None
     return (match[1], int(match[2])) if match else (text, None)
+
+
+def matching(pattern: str, names: Iterable[str]) -> list[str]:
+    """The names that a pattern names; * stands for a part of one name between dots: "motor_*.omega"."""
+    form = re.compile("[^.]*".join(map(re.escape, pattern.split("*"))))
+    return [name for name in names if form.fullmatch(name)]

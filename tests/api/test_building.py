@@ -29,8 +29,11 @@ add("a", 3.0)
     UsageError: E501 a: "3.0" is not a block. Add a Block, a Diagram or a subdiagram(...).
 add("a", Gain(k="fast"))
     ModelError: E107 a.k: must be a number, not the text 'fast'. An expression begins with =, as in "=2*gain".
-add("a", Gain(k="2 mV"))
-    ModelError: E107 a.k: must be a number, not the text '2 mV'. Write {"value": 2, "unit": "mV"}.
+add("a", Gain(k="2,5 mV"))
+    ModelError: E107 a.k: must be a number, not the text '2,5 mV'. Decimals stand after a point: 2.5 mV.
+add("a", PMDCMotor(La="2 mV"))
+    ModelError: E104 a.La: [mV] is given where [H] is needed: they are different quantities. A number without a unit is
+    meant in H.
 add("a", Gain(k=True))
     ModelError: E107 a.k: must be a number, not True.
 add("a", Gain(k=[1.0, 2.0]))

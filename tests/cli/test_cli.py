@@ -301,6 +301,29 @@ def test_list_names_every_block_and_tells_about_one(capsys: pytest.CaptureFixtur
     assert "Did you mean 'Gain'?" in capsys.readouterr().err
     assert main(["list", "measures"]) == 0
     assert "ITAE" in capsys.readouterr().out
+    assert main(["list", "logic"]) == 0
+    out = capsys.readouterr().out
+    assert "SwitchAbove" in out
+    assert "Gain" not in out
+
+
+def test_list_finds_types_by_what_they_say_and_by_the_words_of_simulink(capsys: pytest.CaptureFixture[str]) -> None:
+    from blocks.api.catalog import words
+    from blocks.library import LIBRARY
+
+    assert all(set(word.blocks) <= set(LIBRARY) for word in words().values())
+    for text, first in [("rate limit", "RateLimiter"), ("bandwidth observer", "LESO"), ("white noise", "Noise")]:
+        assert main(["list", "--search", text]) == 0
+        assert first in capsys.readouterr().out.split()[:8], text
+    assert main(["list", "to workspace"]) == 0
+    assert capsys.readouterr().out.startswith("Simulink's To Workspace: No block: name the signals by `log`")
+    assert main(["list", "Scope", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["simulink"] == "Scope"
+    assert main(["list", "--search", "scope"]) == 0
+    assert "Simulink's Scope: No block" in capsys.readouterr().out
+    for wrong in (["--search", "zzz"], ["--search", " "], ["Gain", "--search", "gain"]):
+        assert main(["list", *wrong]) == 2
+        assert capsys.readouterr().err.startswith(f"E501 --search {wrong[-1]}".strip())
 
 
 def test_control_characters_in_names_do_not_reach_the_terminal(

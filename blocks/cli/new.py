@@ -1,0 +1,104 @@
+"""`blocks new`."""
+
+from __future__ import annotations
+
+import argparse
+import keyword
+import os
+import re
+import sys
+from collections.abc import Iterator
+from importlib import resources, util
+from pathlib import Path
+from typing import Any
+
+from ..text.errors import Fault, UsageError
+from ..text.printable import legible
+from .output import printable
+
+__all__ = ["add"]
+
+TEMPLATE = "project"
+"""The folder of the files, which are data: `NAME` stands for the name, `dot-` for a dot, and each ends with `.txt`."""
+SCHEMA = "schemas/diagram.schema.json"
+
+
+def add(verbs: Any) -> None:
+    new = verbs.add_parser(
+        "new",
+        help="make a project that runs: a block of your own, a diagram, tests",
+        description="Make a folder with a project that runs at once: a module with a block type, a diagram with it, "
+        "tests, a place for FMUs, a README, and what GitHub and VS Code need.",
+    )
+    new.add_argument("name", metavar="NAME", help="its name, or the path of its folder: new, or empty")
+    new.add_argument("--dry-run", action="store_true", help="name the files that would be made, and make none")
+    new.set_defaults(verb=_new)
+
+
+def _new(options: argparse.Namespace) -> int:
+    folder = Path(options.name)
+    name = folder.name
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        what = "is there already, and it is not empty." if folder.is_dir() else "is a file."
+        raise UsageError(Fault("E501", legible(options.name), what, "Take another name; nothing was written."))
+    _check_name(name)
+    files = {place.replace("NAME", name): text.replace("NAME", name) for place, text in _template()}
+    if not options.dry_run:
+        for place, text in files.items():
+            _write(folder / place, text)
+        _write(folder / SCHEMA, _schema(folder / f"{name}.py"))
+    print(printable(f"{folder}{' would hold:' if options.dry_run else ''}"))
+    for place in sorted([*files, SCHEMA]):
+        print(printable(f"  {place}"))
+    if not options.dry_run:
+        print(printable(f"next:\n  cd {folder}\n  blocks run diagrams/loop.json --library {name} --plot loop.svg"))
+        print("  python -m pytest")
+    return 0
+
+
+def _check_name(name: str) -> None:
+    """Refuse what cannot be the name of a module of its own. Raises UsageError (E501)."""
+    meant = re.sub(r"\W+", "_", name.lower(), flags=re.ASCII).strip("_")
+    cure = "Take another name, as in blocks new robot."
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,99}", name) or keyword.iskeyword(name):
+        cure = f"Did you mean {meant}?" if re.fullmatch(r"[a-z]\w*", meant) and meant != name else cure
+        what = "is no name of a module: small letters, digits and _, with a letter first."
+        raise UsageError(Fault("E501", legible(name), what, cure))
+    found = util.find_spec(name)  # a folder without a module has no origin
+    if name in ("tests", *sys.builtin_module_names) or (found is not None and found.origin):
+        raise UsageError(Fault("E501", name, "is the name of a module that is there already.", cure))
+
+
+def _template() -> Iterator[tuple[str, str]]:
+    """The places of the files, from the folder of the project on, and their texts."""
+
+    def inside(folder: Any, prefix: str) -> Iterator[tuple[str, str]]:
+        for entry in sorted(folder.iterdir(), key=lambda each: str(each.name)):
+            place = prefix + re.sub(r"^dot-", ".", entry.name)
+            if entry.is_dir():
+                yield from inside(entry, f"{place}/")
+            else:
+                yield place.removesuffix(".txt"), entry.read_text(encoding="utf-8")
+
+    yield from inside(resources.files(__package__).joinpath(TEMPLATE), "")
+
+
+def _write(path: Path, text: str) -> None:
+    from ..text.atomic_write import write_atomically
+
+    os.makedirs(path.parent, exist_ok=True)
+    with write_atomically(path) as stream:
+        stream.write(text)
+
+
+def _schema(path: Path) -> str:
+    """The JSON Schema of diagrams with the block types of a module, which is the template's."""
+    from ..api.catalog import Catalog
+    from ..studies.json_schema import text_of
+
+    spec = util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return text_of("diagram", Catalog.of(module).types)

@@ -1,0 +1,29 @@
+"""Quantities as people write them: `2 mH`, `-0.5 1/s`."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from .json_number import Number, spelled
+
+__all__ = ["DECIMAL", "quantity_in", "read_quantity"]
+
+DECIMAL = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_split = re.compile(rf"\s*({DECIMAL})\s*(\S.*?)?\s*\Z").match
+
+
+def quantity_in(text: str) -> tuple[Number, str] | None:
+    """The number and the unit ("" where there is none) of a text; None where it does not begin with a number.
+
+    The unit is not looked at. Raises ModelError (E004) for a number out of the range of a double.
+    """
+    match = _split(text)
+    return (Number(spelled(match[1])), match[2] or "") if match else None
+
+
+def read_quantity(raw: Any) -> Any:
+    """A text such as "2 mH" as the quantity of a file, {"value": 2, "unit": "mH"}; any other value as it is."""
+    found = quantity_in(raw) if isinstance(raw, str) else None
+    is_quantity = found is not None and found[1] and found[1][0] != ","
+    return {"value": found[0], "unit": found[1]} if found and is_quantity else raw
