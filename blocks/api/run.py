@@ -252,6 +252,9 @@ class Run:
         part = None if self._streaming is None else self._streaming.part
         return None if part is None or part.state is None else part.path
 
+    def __repr__(self) -> str:
+        return f"<Run of {self._prepared.plan.name} at t = {self.t:.10g} s>"
+
     @property
     @_by_one_thread
     def given(self) -> dict[str, str]:
@@ -441,7 +444,7 @@ def tolerances_of_fmus(run: Run) -> list[float] | None:
     plan = run.plan
     if isinstance(plan, Plan):
         return None
-    from ..engines.master.report import own_tolerance
+    from ..compile.outline import own_tolerance
 
     return sorted({value for unit in plan.units if (value := own_tolerance(unit, plan)) is not None})
 
