@@ -34,6 +34,7 @@ from ..results.arrow import Part, target_of
 from ..results.provenance import Origin
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
+from ..text.brief import UnknownName
 from ..text.element_names import indexed
 from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import quoted
@@ -421,7 +422,7 @@ class Run:
         whole = signals.get(base)
         is_element = whole is not None and index is not None and len(whole.shape) == 1 and index < whole.shape[0]
         if name not in signals and not is_element:
-            raise KeyError(f"there is no signal {quoted(name)}. {did_you_mean(name[:200], signals)}".strip())
+            raise UnknownName(f"there is no signal {quoted(name)}. {did_you_mean(name[:200], signals)}".strip())
         signal = self._prepared.plan.signal(name)
         values = self._simulation.values(signal.references)
         return np.array(values).reshape(signal.shape) if signal.shape else float(values[0])

@@ -25,6 +25,7 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
+from ..text.brief import UnknownPort
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from .class_body import Body, check_parts, declare
 from .declaration import Declaration
@@ -179,7 +180,7 @@ class Block(metaclass=BlockMeta):
                 "Add the block to a diagram and take the port of what `add` returns."
             )
         cure = did_you_mean(name, d.parameters) or f"Parameters: {', '.join(d.parameters) or 'none'}."
-        raise AttributeError(f"{block} has no parameter '{name}'. {cure}")
+        raise UnknownPort(f"{block} has no parameter '{name}'. {cure}")
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(

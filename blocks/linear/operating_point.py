@@ -20,6 +20,7 @@ import numpy as np
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan, Reference
 from ..text import units
+from ..text.brief import UnknownName
 from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
 from ..text.printable import quoted
 from ..text.shown import Part, Shown, Table
@@ -76,7 +77,7 @@ class OperatingPoint(Shown):
             if quantity.name == name:
                 return quantity.value
         known = [quantity.name for quantity in (*self.inputs, *self.states, *self.outputs)]
-        raise KeyError(f"there is no quantity {quoted(name)}. {did_you_mean(name[:200], known)}".strip())
+        raise UnknownName(f"there is no quantity {quoted(name)}. {did_you_mean(name[:200], known)}".strip())
 
     @property
     def residuals(self) -> dict[str, float]:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TextIO, overload
 import numpy as np
 
 from ..text.atomic_write import write_atomically
+from ..text.brief import UnknownName
 from ..text.element_names import element_names, indexed
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import counted
@@ -210,7 +211,7 @@ class Results(Shown):
                 if len(shape) == 1 and index < shape[0]:
                     return Signal(self._block(first + index, 1)[:, 0], self.t, unit, name)
             cure = f"{did_you_mean(name, self.columns)} Recorded: {', '.join(self.columns)}."
-            raise KeyError(f"there is no recorded signal {name!r}. {cure.strip()}")
+            raise UnknownName(f"there is no recorded signal {name!r}. {cure.strip()}")
         first, shape, unit = self.columns[name]
         block = self._block(first, math.prod(shape))
         return Signal(block.reshape(len(block), *shape), self.t, unit, name)

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..api.batch import STATUSES
 from ..results.table import optional, unique
+from ..text.brief import UnknownName
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import counted, legible
 from ..text.shown import Part, Shown, Table, as_text
@@ -72,7 +73,7 @@ class Sweep(Shown):
         if scenario not in self.scenarios:
             known = f"Scenarios: {', '.join(self.scenarios) or 'none'}."
             cure = did_you_mean(str(scenario), self.scenarios)
-            raise KeyError(f"there is no scenario {scenario!r}. {cure}{' ' if cure else ''}{known}")
+            raise UnknownName(f"there is no scenario {scenario!r}. {cure}{' ' if cure else ''}{known}")
         rows = np.flatnonzero(self.scenario == self.scenarios.index(scenario))
         first = np.zeros(len(rows), dtype=np.int64)
         return replace(self.taken(rows), scenarios=(scenario,), scenario=first, base=self.base)
@@ -194,7 +195,7 @@ class Sweep(Shown):
                 return known[name]
         names = [*self.measures, *self.signals, *self.varied]
         cure = did_you_mean(str(name), names) or f"There are {', '.join(names)}."
-        raise KeyError(f"the sweep has no {name!r}. {cure} A signal must be logged: sweep(..., log=[...]).")
+        raise UnknownName(f"the sweep has no {name!r}. {cure} A signal must be logged: sweep(..., log=[...]).")
 
     def _one_scenario(self, what: str) -> None:
         if len(self.scenarios) > 1:
