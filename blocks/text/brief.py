@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Iterator
 from itertools import pairwise
 from types import FrameType, TracebackType
+from typing import Any
 
 __all__ = ["Brief", "UnknownName", "UnknownPort"]
 
@@ -20,7 +21,7 @@ class Brief(BaseException):
     """An error of which a notebook shows the user's lines only."""
 
     def _render_traceback_(self) -> list[str]:
-        shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+        shell: Any = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
         show = getattr(getattr(shell, "InteractiveTB", None), "structured_traceback", None)
         if show is None:
             return traceback.format_exception(self)
@@ -42,13 +43,10 @@ class Brief(BaseException):
 
 
 class UnknownName(Brief, KeyError):
-    """A KeyError whose text is its message, without quotes around it."""
-
-    def __str__(self) -> str:
-        return str(self.args[0])
+    """A KeyError."""
 
     def __reduce__(self) -> tuple[type[KeyError], tuple[str]]:
-        return KeyError, (str(self),)
+        return KeyError, self.args
 
 
 class UnknownPort(Brief, AttributeError):
@@ -65,24 +63,19 @@ for _error, _known in ((UnknownName, KeyError), (UnknownPort, AttributeError)):
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:
     """An error, what it came from, and so on."""
-    told: set[int] = set()
-    while error is not None and id(error) not in told:
-        told.add(id(error))
+    told: list[BaseException] = []
+    while error is not None and error not in told:
+        told.append(error)
         yield error
         error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
 
 
 def _of_user(trace: TracebackType | None) -> TracebackType | None:
     """The same without frames of this package, of the standard library and of IPython."""
-    kept = []
-    while trace is not None:
-        if not _is_hidden(trace.tb_frame):
-            kept.append(trace)
-        trace = trace.tb_next
-    made: TracebackType | None = None
-    for trace in reversed(kept):
-        made = TracebackType(made, trace.tb_frame, trace.tb_lasti, trace.tb_lineno)
-    return made
+    if trace is None:
+        return None
+    rest = _of_user(trace.tb_next)
+    return rest if _is_hidden(trace.tb_frame) else TracebackType(rest, trace.tb_frame, trace.tb_lasti, trace.tb_lineno)
 
 
 def _is_hidden(frame: FrameType) -> bool:
