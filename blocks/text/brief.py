@@ -28,18 +28,17 @@ class Brief(BaseException):
         if shell.InteractiveTB.mode == "Verbose":
             return list(show(type(self), self, self.__traceback__, tb_offset=1))
         chain = list(_chain(self))
-        known = [(error, error.__traceback__, error.__cause__, error.__suppress_context__) for error in chain]
+        known = [(one, one.__traceback__, one.__cause__, one.__suppress_context__) for one in chain]
         try:
-            for error in chain:
-                error.__traceback__ = _of_user(error.__traceback__)
-            for error, cause in pairwise(chain):
+            for one in chain:
+                one.__traceback__ = _of_user(one.__traceback__)
+            for one, cause in pairwise(chain):
                 if cause.__traceback__ is None:  # what happened within this package is in the message
-                    error.__cause__, error.__suppress_context__ = None, True
+                    one.__cause__, one.__suppress_context__ = None, True
             return list(show(type(self), self, self.__traceback__, tb_offset=0))
         finally:
-            for error, trace, cause, suppressed in known:
-                error.__traceback__, error.__cause__ = trace, cause
-                error.__suppress_context__ = suppressed
+            for one, trace, came_from, is_suppressed in known:
+                one.__traceback__, one.__cause__, one.__suppress_context__ = trace, came_from, is_suppressed
 
 
 class UnknownName(Brief, KeyError):
