@@ -30,6 +30,7 @@ from ..model.trust import Paths
 from ..results.results import Results
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import counted, legible
+from ..text.shown import Part, Shown, Table
 from .batch_processes import Worker, in_processes
 from .prepared_model import PreparedModel
 from .run import Run, RunOptions
@@ -54,8 +55,8 @@ MOST_FORMS = 8
 _NUMERIC = ("E301", "E303", "E304", "E305", "E306", "E307", "E308", "E309")
 
 
-@dataclass(frozen=True)
-class BatchRows:
+@dataclass(frozen=True, repr=False)
+class BatchRows(Shown):
     """What became of n rows.
 
     status: (n,) of STATUSES. messages: why, "" where there is nothing to say. measures: (n,) each, nan where a row has
@@ -76,13 +77,21 @@ class BatchRows:
     def __len__(self) -> int:
         return len(self.status)
 
-    def __repr__(self) -> str:
+    def parts(self) -> Iterator[Part]:
+        """How many rows have each status, the ends of their measures, and why the first of them failed."""
         counts = {name: int(np.count_nonzero(self.status == name)) for name in STATUSES}
         told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-        return f"<BatchRows {told or 'none'}>"
+        yield f"<BatchRows {told or 'none'}>"
+        rows = [("measure", "min", "max", "rows")]
+        for name, values in self.measures.items():
+            known = values[~np.isnan(values)]
+            ends = (f"{known.min():.5g}", f"{known.max():.5g}") if len(known) else ("-", "-")
+            rows.append((name, *ends, str(len(known))))
+        yield from [Table(rows)] if self.measures else []
+        yield from [f"  row {k}: {text}" for k, text in enumerate(self.messages) if text][:1]
 
 
-class Batch:
+class Batch(Shown):
     """A diagram of which rows of values are run; see `Diagram.batch`. It stays what it was when it was made.
 
     columns: their names. targets: of each column the parameters that it sets. units: of each column, that of its bare
@@ -151,6 +160,16 @@ class Batch:
         given = {key: value for key, value in settings.items() if key not in ("log", "jumps")}
         self._whole = PreparedModel(value, types, parameters=parameters, engine=engine, trust=trust, settings=given)
         self._model = PreparedModel(kept, types, parameters=parameters, engine=engine, trust=trust, settings=settings)
+
+    def parts(self) -> Iterator[Part]:
+        """What its columns set, and what comes out."""
+        yield f"<Batch of {self.name}: {counted(len(self.columns), 'column')}>"
+        rows = [("column", "unit", "of the diagram", "sets")]
+        for name, unit, value, targets in zip(self.columns, self.units, self.nominal, self.targets, strict=True):
+            known = "-" if math.isnan(value) else f"{value:.5g}"
+            rows.append((name, unit or "-", known, counted(len(targets), "parameter")))
+        yield Table(rows)
+        yield f"  measures: {', '.join(self.measures) or 'none'}; signals: {', '.join(self.signals) or 'none'}"
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_forms": {}, "_workers": [], "_fixed": None}

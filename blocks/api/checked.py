@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..compile.coupling import Coupling
-from ..compile.plan import AlgebraicLoop, Plan, Reference
-from ..compile.scheduler import schedule
-from ..compile.tick_stages import stages_of, tick_program
-from ..engines.master.report import lines
+from ..compile.outline import order, rates
+from ..compile.plan import Plan
 from ..engines.selection import check_room
 from ..model.block_types import Library
 from ..model.trust import Found, found, to_be_refused
@@ -18,9 +16,6 @@ from ..text.errors import BlocksError, Fault
 from .diagram import Diagram
 
 __all__ = ["Checked", "checked"]
-
-MOST_SHOWN = 60
-"""Blocks that a line of an order names."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +41,8 @@ class Checked:
 
     def order(self) -> Iterator[str]:
         """How it is computed, in lines; none where that is not known."""
-        if isinstance(self.plan, Plan):
-            yield from _order(self.plan)
-        elif self.plan is not None:
-            yield from lines(self.plan)
+        if self.plan is not None:
+            yield from order(self.plan)
 
 
 def checked(path: str | Path, *, library: Library, variants: Callable[[], Mapping[str, str]]) -> Checked:
@@ -82,56 +75,10 @@ def checked(path: str | Path, *, library: Library, variants: Callable[[], Mappin
     whole = Checked(fmus=tuple(fmus), faults=faults, untrusted=untrusted, plan=plan)
     if isinstance(plan, Plan):
         count = sum(not instance.hidden for instance in plan.instances)
-        return replace(whole, name=plan.name, blocks=count, states=len(plan.states), rates=tuple(_rates(plan)))
+        return replace(whole, name=plan.name, blocks=count, states=len(plan.states), rates=tuple(rates(plan)))
     if flat is not None:
         return replace(whole, name=flat.name, blocks=sum(not block.hidden for block in flat.blocks))
     if diagram is not None:
         value = diagram.value
         return replace(whole, name=value.name, blocks=len(value.blocks), wires=len(value.wires))
     return whole
-
-
-def _order(plan: Plan) -> Iterator[str]:
-    """How a diagram is computed."""
-    program = schedule(plan, [*(Reference("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
-    instances = (plan.instances[step.instance] for step in program.order)
-    order = list(dict.fromkeys(instance.path for instance in instances if not instance.hidden))
-    if order:
-        yield f"order: {_chain(order)}"
-    for number, rate in enumerate(plan.rates):
-        ticked = _at_ticks(plan, number)
-        if ticked:
-            yield f"at ticks of {plan.tick_time(rate.period):g} s: {_chain(ticked)}"
-    loops = [step for step in program.steps if isinstance(step, AlgebraicLoop)]
-    for loop in loops:
-        names = [plan.node_name(node) for node in loop.nodes]
-        yield f"solved together: {', '.join(names)}"
-    if not loops:
-        yield "no algebraic loop"
-
-
-def _chain(order: Sequence[str]) -> str:
-    more = f" > ... ({len(order) - MOST_SHOWN} more)" if len(order) > MOST_SHOWN else ""
-    return " > ".join(order[:MOST_SHOWN]) + more
-
-
-def _at_ticks(plan: Plan, number: int) -> list[str]:
-    """The blocks that are computed at the ticks of a rate, in order: those with sampled outputs, each after those that
-    it needs, and programs; then all others."""
-    instances: list[int] = []
-    for stage in stages_of(plan, frozenset([number])):
-        slots = frozenset(slot for slot in stage if slot >= 0)
-        nodes = {plan.held_nodes[slot][0] for slot in slots}
-        for step in tick_program(plan, sorted(slots)).order:
-            instances += [step.instance for node in step.nodes if node in nodes]
-        instances += [plan.steppers[-1 - key].instance for key in sorted(stage, reverse=True) if key < 0]
-    instances += [node[0] for node, _ in plan.rates[number].nexts]
-    return list(dict.fromkeys(plan.instances[k].path for k in instances if not plan.instances[k].hidden))
-
-
-def _rates(plan: Plan) -> Iterator[str]:
-    if plan.states or not plan.rates:
-        yield "continuous"
-    for rate in plan.rates:
-        offset = f" from {plan.tick_time(rate.offset):g} s" if rate.offset else ""
-        yield f"{plan.tick_time(rate.period):g} s{offset}"

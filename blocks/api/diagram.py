@@ -41,6 +41,7 @@ from ..model.resolver import resolver_of
 from ..model.variants import Swap, taken
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
+from ..text.brief import UnknownName
 from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.printable import legible
 from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan
@@ -252,7 +253,7 @@ class Diagram:
         blocks = self._draft.section("blocks")
         if name not in blocks:
             cure = did_you_mean(name, blocks) or f"Blocks: {', '.join(blocks) or 'none'}."
-            raise KeyError(f"there is no block {name!r}. {cure}")
+            raise UnknownName(f"there is no block {name!r}. {cure}")
         return Handle(self, name, *self._draft.ports(name, blocks[name]))
 
     def wire(self, sink: PortName | str, source: PortName | str) -> None:

@@ -4,8 +4,8 @@
     "point"    the point that was asked for last: many transfers of one point are computed from one
     "standing" what the last points were made of: others differ in values of parameters
 
-Nothing else is kept. What is kept here follows from its key alone, so that it is never wrong to keep it or to lose it;
-a copy or a pickle of a diagram has none of it.
+Nothing else is kept. What is kept here follows from its key and the block classes alone, so that it is never wrong to
+keep it or to lose it; a copy or a pickle of a diagram has none of it.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import threading
 from typing import Any
 
+from ..contract.block import BlockMeta
 from ..model.diagram import DiagramValue
 
 __all__ = ["LastMade", "names_files"]
@@ -30,13 +31,13 @@ class LastMade:
 
     def keep(self, what: str, key: Any, made: Any) -> None:
         with self._lock:
-            self._made[what] = (key, made)
+            self._made[what] = ((key, BlockMeta.renewals), made)
 
     def known(self, what: str, key: Any) -> Any:
         """The last one, where it was made for this key; else None."""
         with self._lock:
             known, kept = self._made.get(what, (None, None))
-        return kept if key is not None and key == known else None
+        return kept if key is not None and (key, BlockMeta.renewals) == known else None
 
 
 def names_files(value: DiagramValue) -> bool:

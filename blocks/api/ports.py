@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 from ..model.block_ports import listed
 from ..model.settings import TIMES
+from ..text.brief import UnknownPort
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import quoted
 from ..text.quantity_text import read_quantity
@@ -67,10 +68,10 @@ class Handle:
                 return PortName(self._diagram, f"{self._name}.{port}", is_input, table[port])
         known = (*self._inputs, *self._outputs)
         fault = Fault("E105", self._name, f"there is no port {quoted(port)}.", did_you_mean(port, known))
-        raise AttributeError(f"{fault} Inputs: {listed(self._inputs)}. Outputs: {listed(self._outputs)}.")
+        raise UnknownPort(f"{fault} Inputs: {listed(self._inputs)}. Outputs: {listed(self._outputs)}.")
 
     def __setattr__(self, port: str, value: Any) -> None:
-        raise AttributeError(f"a port is wired by diagram.wire({self._name}.{port}, source), not assigned.")
+        raise UnknownPort(f"a port is wired by diagram.wire({self._name}.{port}, source), not assigned.")
 
     def __reduce__(self) -> Any:
         return Handle, (self._diagram, self._name, self._inputs, self._outputs)

@@ -34,6 +34,7 @@ from ..results.arrow import Part, target_of
 from ..results.provenance import Origin
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
+from ..text.brief import UnknownName
 from ..text.element_names import indexed
 from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import quoted
@@ -254,6 +255,9 @@ class Run:
         part = None if self._streaming is None else self._streaming.part
         return None if part is None or part.state is None else part.path
 
+    def __repr__(self) -> str:
+        return f"<Run of {self._prepared.plan.name} at t = {self.t:.10g} s>"
+
     @property
     @_by_one_thread
     def given(self) -> dict[str, str]:
@@ -420,7 +424,7 @@ class Run:
         whole = signals.get(base)
         is_element = whole is not None and index is not None and len(whole.shape) == 1 and index < whole.shape[0]
         if name not in signals and not is_element:
-            raise KeyError(f"there is no signal {quoted(name)}. {did_you_mean(name[:200], signals)}".strip())
+            raise UnknownName(f"there is no signal {quoted(name)}. {did_you_mean(name[:200], signals)}".strip())
         signal = self._prepared.plan.signal(name)
         values = self._simulation.values(signal.references)
         return np.array(values).reshape(signal.shape) if signal.shape else float(values[0])
@@ -443,7 +447,7 @@ def tolerances_of_fmus(run: Run) -> list[float] | None:
     plan = run.plan
     if isinstance(plan, Plan):
         return None
-    from ..engines.master.report import own_tolerance
+    from ..compile.outline import own_tolerance
 
     return sorted({value for unit in plan.units if (value := own_tolerance(unit, plan)) is not None})
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import sys
 import time
@@ -313,6 +312,7 @@ def _report(
 
 def _report_lines(options: argparse.Namespace, run: Run, results: Results, seconds: float, t: float) -> Iterator[str]:
     from ..api.run import tolerances_of_fmus
+    from ..results.results import measured
 
     statistics, settings = results.statistics, run.settings
     accuracy = (
@@ -336,5 +336,4 @@ def _report_lines(options: argparse.Namespace, run: Run, results: Results, secon
         width = max(map(len, results.measures))
         yield "  measures"
         for name, value in results.measures.items():
-            # NaN: the run does not cover the window (see its warning), or the signal did not settle.
-            yield f"    {name.ljust(width)}  {value:.7g}" if math.isfinite(value) else f"    {name.ljust(width)}  -"
+            yield f"    {name.ljust(width)}  {measured(value)}"

@@ -31,6 +31,7 @@ from ..model.flatten import (
 )
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault, ModelError
+from ..text.shown import Part, Shown
 from .plan import Plan, PlanInput, PlanSignal, Reference
 from .plan_builder import plan
 from .scheduler import components
@@ -134,6 +135,21 @@ class CoupledUnit:
         return [slot for slot in self.slots_in if any(self.continuous[slot.first : slot.first + slot.size])]
 
     @property
+    def way(self) -> str:
+        """How the course of an input over a step reaches it: exactly, by derivatives or by intermediate update; by its
+        mean (of second order at best); or not, where nothing of it moves."""
+        if self.foreign is None:
+            return "exact"
+        if not any(self.continuous):
+            return "hold"
+        interface, fmi = self.foreign.interface, self.foreign.description.fmi
+        if fmi == 2 and interface.input_derivatives:
+            return "derivatives"
+        if fmi == 3 and interface.intermediate_update and all(slot.variable.intermediate for slot in self.moving):
+            return "intermediate"
+        return "mean"
+
+    @property
     def can_go_back(self) -> bool:
         """Whether its state can be saved and restored, as far as that is known before it runs."""
         if self.plan is not None:
@@ -162,8 +178,8 @@ Stage = Get | CouplingLoop
 Group = tuple[int, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Coupling:
+@dataclass(frozen=True, eq=False, repr=False)
+class Coupling(Shown):
     """A diagram ready for a master. What a Plan says of a diagram, this says too, under the same names.
 
     stages: how all elements are computed from the states of the units, in order. order: of the units, each after those
@@ -183,6 +199,21 @@ class Coupling:
     measures: tuple[MeasureSpec, ...]
     warnings: tuple[Fault, ...]
     at: Mapping[BlockSource, int]
+
+    def tolerance_of(self, unit: CoupledUnit) -> float | None:
+        """The tolerance given to an FMU for its own solver: that of the user, else the one that it declares; None: none
+        is given, and it uses its own."""
+        if self.settings.gives_rtol:
+            return self.settings.rtol
+        assert unit.foreign is not None
+        own = unit.foreign.description.experiment.tolerance
+        return own if own is not None and own > 0 else None
+
+    def parts(self) -> Iterator[Part]:
+        """What `check` shows."""
+        from .outline import outline
+
+        return outline(self)
 
     @property
     def signals(self) -> Mapping[str, FlatSignal]:

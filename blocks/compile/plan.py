@@ -24,7 +24,7 @@ This module has data and look-ups in it only. `scheduler` orders programs, `tick
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -33,6 +33,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ..contract.tape import Tape
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault
+from ..text.shown import Part, Shown
 
 if TYPE_CHECKING:
     from ..model.fmu_block import Foreign
@@ -280,8 +281,8 @@ NOTHING = Program((), {}, {}, ())
 """The program that computes nothing."""
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class Plan(Shown):
     """A diagram ready to run. Frozen: everything that changes during a run is in a Snapshot."""
 
     name: str
@@ -355,6 +356,12 @@ class Plan:
             for node, _ in (*rate.outputs, *rate.nexts):
                 labels[self.instances[node.instance].path] = label
         return labels
+
+    def parts(self) -> Iterator[Part]:
+        """What `check` shows."""
+        from .outline import outline
+
+        return outline(self)
 
     def signal(self, name: str) -> PlanSignal:
         """A signal by name or element ("z[0]"); the name must exist."""

@@ -21,10 +21,12 @@ from __future__ import annotations
 
 import inspect
 import keyword
+import sys
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
+from ..text.brief import UnknownPort
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from .class_body import Body, check_parts, declare
 from .declaration import Declaration
@@ -43,6 +45,8 @@ class BlockMeta(type):
     """Reads a class body once, refuses what it must not say, and keeps the rest as a Declaration."""
 
     declaration: Declaration
+    renewals = 0
+    """How often a class has got something of the one that stands in its place now."""
 
     @classmethod
     def __prepare__(mcs, name: str, bases: tuple[type, ...], /, abstract: bool = False, **options: Any) -> Any:
@@ -86,9 +90,20 @@ class BlockMeta(type):
         super().__init__(name, bases, dict(body))
 
     def __setattr__(cls, name: str, value: Any) -> None:
+        if cls._is_followed(name, value):
+            BlockMeta.renewals += 1
+            return super().__setattr__(name, value)
         if "declaration" in cls.__dict__ or is_abstract(cls):
             raise AttributeError(f"{cls.__name__} is declared; a block class cannot be changed afterwards.")
         super().__setattr__(name, value)
+
+    def _is_followed(cls, name: str, value: Any) -> bool:
+        """Whether the module of this class has been loaded anew, and this attribute is that of the class in its place.
+
+        IPython's autoreload gives them all to the classes of before, which diagrams and a person's names refer to.
+        """
+        other = getattr(sys.modules.get(cls.__module__), cls.__qualname__, None)
+        return isinstance(other, BlockMeta) and other is not cls and getattr(other, name, cls) is value
 
     def __delattr__(cls, name: str) -> None:
         raise AttributeError(f"{cls.__name__} is declared; a block class cannot be changed afterwards.")
@@ -179,7 +194,7 @@ class Block(metaclass=BlockMeta):
                 "Add the block to a diagram and take the port of what `add` returns."
             )
         cure = did_you_mean(name, d.parameters) or f"Parameters: {', '.join(d.parameters) or 'none'}."
-        raise AttributeError(f"{block} has no parameter '{name}'. {cure}")
+        raise UnknownPort(f"{block} has no parameter '{name}'. {cure}")
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(

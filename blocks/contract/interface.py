@@ -81,7 +81,7 @@ class Interface:
         self.structural = dict(structural)
         self.patterns = dict(patterns)
         self._shapes: dict[Variable, tuple[int, ...]] = {}
-        self.key = (cls, tuple(sorted(self.structural.items())), tuple(sorted(self.patterns.items())))
+        self.key = (cls.declaration, tuple(sorted(self.structural.items())), tuple(sorted(self.patterns.items())))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Interface) and self.key == other.key

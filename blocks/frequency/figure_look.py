@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..results import plots
 from ..results.plots import INK, STYLES, ink, plain
 from .systems import Source
 
@@ -48,10 +49,7 @@ class Shown:
 
 
 def new_figure(rows: int, columns: int, *, height: float, width: float = 7.2, share: bool = False) -> tuple[Any, Any]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    figure.patch.set_alpha(0.0)
+    figure = plots.new_figure(width, height)
     axes = figure.subplots(rows, columns, sharex="col" if share else False)
     for axis in np.ravel(axes):
         axis.grid(True, **_GRID)
@@ -101,7 +99,7 @@ def finished(figure: Any, named: Any = None, shown: Sequence[Shown] = ()) -> Any
     if len(shown) > 1:
         named.legend(fontsize=SMALL, frameon=False, loc="best", labelcolor=INK)
     elif shown and shown[0].name:
-        named.set_title(shown[0].label, fontsize=10, loc="left")
+        named.set_title(shown[0].label, fontsize=10, loc="left", color=INK)
     for axis in figure.axes:
         ink(axis, which="both", labelsize=9)
         for spine in axis.spines.values():

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..text.errors import AnalysisError, Fault, UsageError
+from ..text.shown import Part, Shown, Table
 from .lapack import eigenvectors
 from .lifted import MOST_GAIN, Factored, Lifted, gain_borders, phase_borders
 from .realization import Realization, balanced, equivalent, growth, period
@@ -34,8 +35,8 @@ _TOUCH = 1e-10
 _MOST = 6  # crossings in a line of the table
 
 
-@dataclass(frozen=True, slots=True)
-class Margins:
+@dataclass(frozen=True, slots=True, repr=False)
+class Margins(Shown):
     """Margins of a loop, and whether the closed loop is stable; without that, they are distances and no margins.
 
     stable: None where it is not known (measured data without `unstable_poles`); unstable: closed-loop poles that do
@@ -140,6 +141,11 @@ class Margins:
 
     def __str__(self) -> str:
         return "\n".join(f"{name:<16}{text}" for name, text in _table(self))
+
+    __repr__ = __str__
+
+    def parts(self) -> tuple[Part]:
+        return (Table(_table(self), has_head=False),)
 
 
 def _finite(value: float | None) -> float | None:

@@ -17,7 +17,7 @@ McGraw-Hill 1968; K. J. Astrom, R. M. Murray, Feedback Systems, section 10.5.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -28,6 +28,8 @@ from ..frequency.delayed import DelayedModel
 from ..frequency.response import poles, response
 from ..frequency.systems import frd
 from ..text.errors import AnalysisError, Fault, UsageError
+from ..text.printable import counted
+from ..text.shown import Part, Shown
 from .linearization import Linearization
 from .signals import Names, listed, place, places
 from .sinusoidal_gains import Laws, Rest, gain_matrix
@@ -40,6 +42,8 @@ _CLOSE = 1e-10
 _ROUNDS = 200
 _LEAST, _MOST = 1e-12, 1e5
 """The range of amplitudes in a search, relative to the signal without the laws."""
+MOST = 40
+"""Signals that a Linearizer names."""
 
 
 @dataclass(frozen=True)
@@ -290,7 +294,7 @@ def _followed(laws: Laws, free: Array, G: Array, part: float) -> Solution | None
     return now if part == 1.0 else None
 
 
-class Linearizer(Linearization):
+class Linearizer(Linearization, Shown):
     """Slopes at a point, wired anew for each transfer that is asked for.
 
     amplitude: by signal, the amplitude of a sine there: laws of that signal are replaced by their describing functions.
@@ -298,6 +302,16 @@ class Linearizer(Linearization):
     in its place (of python-control, or a matrix of gains), from its inputs to its outputs as declared. Raises
     UsageError (E501) and AnalysisError (E704) where they do not fit.
     """
+
+    def parts(self) -> Iterator[Part]:
+        """Where it stands, what has no slope there, and the signals that it can be asked for."""
+        plan, point = self.graph.plan, self.slopes.point
+        yield f"<Linearizer of {plan.name} at t = {point.t:g} s: {counted(len(plan.states), 'state')}>"
+        inputs = ", ".join(known.name for known in plan.inputs)
+        yield f"  inputs: {inputs or 'none'}"
+        yield f"  signals: {', '.join(list(plan.signals)[:MOST])}{', ...' if len(plan.signals) > MOST else ''}"
+        laws = dict.fromkeys(f"{plan.node_name(self.graph.nodes[law.node])} ({law.kind})" for law in self.slopes.laws)
+        yield from [f"  no slope here: {', '.join(laws)}"] if laws else []
 
     def harmonic_response(
         self, input: str, outputs: Names, omega: Any, *, amplitude: float, openings: Names = ()

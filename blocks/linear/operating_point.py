@@ -11,7 +11,7 @@ Bound-Constrained Minimization Problems, SIAM Journal on Scientific Computing 21
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,8 +20,10 @@ import numpy as np
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan, Reference
 from ..text import units
+from ..text.brief import UnknownName
 from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
 from ..text.printable import quoted
+from ..text.shown import Part, Shown, Table
 from .point import Point
 
 __all__ = ["Free", "OperatingPoint", "Quantity", "search", "standing"]
@@ -56,8 +58,8 @@ class Quantity:
     wanted: float | None = None
 
 
-@dataclass(frozen=True)
-class OperatingPoint:
+@dataclass(frozen=True, repr=False)
+class OperatingPoint(Shown):
     """Where a diagram stands: inputs, states and outputs by name, in SI, with what remains of the search.
 
     point: the memory of the plan there, for `linearize(at=...)`; None where FMUs of Co-Simulation hide theirs.
@@ -75,7 +77,7 @@ class OperatingPoint:
             if quantity.name == name:
                 return quantity.value
         known = [quantity.name for quantity in (*self.inputs, *self.states, *self.outputs)]
-        raise KeyError(f"there is no quantity {quoted(name)}. {did_you_mean(name[:200], known)}".strip())
+        raise UnknownName(f"there is no quantity {quoted(name)}. {did_you_mean(name[:200], known)}".strip())
 
     @property
     def residuals(self) -> dict[str, float]:
@@ -86,6 +88,15 @@ class OperatingPoint:
                 block = quantity.name.rpartition(".")[0]
                 residuals[block] = max(residuals.get(block, 0.0), abs(quantity.rate - quantity.wanted))
         return residuals
+
+    def parts(self) -> Iterator[Part]:
+        yield f"operating point of {self.name} at t = {self.t:g} s"
+        rows = [("", "name", "value", "unit", "", "rate")]
+        for title, quantities in (("input", self.inputs), ("state", self.states), ("output", self.outputs)):
+            for q in quantities:
+                rate = "" if q.rate is None else f"{q.rate:.3g}" + (" (any)" if q.wanted is None else "")
+                rows.append((title, q.name, f"{q.value:.8g}", q.unit or "-", q.role, rate))
+        yield Table(rows)
 
     def __str__(self) -> str:
         rows = [f"operating point of {self.name} at t = {self.t:g} s"]

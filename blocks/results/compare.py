@@ -11,7 +11,7 @@ such curves is largest. A value that is not finite is equal to nothing, itself i
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ import numpy as np
 
 from ..text import units
 from ..text.errors import BlocksError, Fault, UsageError
-from ..text.printable import aligned
+from ..text.shown import Part, Shown, Table, as_text
 from .provenance import Origin
 from .results import Results
 
@@ -47,8 +47,8 @@ class Difference:
     is_within: bool
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Shown):
     """All signals that A and B have in common, in the order of A.
 
     only_a, only_b: signals that the other one lacks; they do not count. start, stop: the interval in s that both have.
@@ -86,15 +86,19 @@ class Comparison:
 
     def table(self) -> str:
         """A line for each signal, those beyond the tolerance marked."""
+        return as_text([self._table()])
+
+    def _table(self) -> Table:
         rows = [("signal", "unit", "difference", "of range", "at t", "")]
         for difference in self.differences:
             numbers = (f"{difference.absolute:.5g}", f"{difference.relative:.5g}", f"{difference.t:.10g}")
             rows.append((difference.name, difference.unit or "-", *numbers, "" if difference.is_within else "✗"))
-        return "\n".join(aligned(rows))
+        return Table(rows)
 
-    def __repr__(self) -> str:
+    def parts(self) -> Iterator[Part]:
         verdict = "within" if self.is_within else "beyond"
-        return f"<Comparison: {len(self.differences)} signals, {verdict} {self.tolerance:g}>\n{self.table()}"
+        yield f"<Comparison: {len(self.differences)} signals, {verdict} {self.tolerance:g}>"
+        yield self._table()
 
 
 def compare(

@@ -1,9 +1,9 @@
 """Figures of signals over time and over frequency, made with matplotlib.
 
-Figures are made without pyplot and without its global state: the result is a `matplotlib.figure.Figure`, which
-notebooks show and `savefig` writes. `svg_text` gives an SVG in the text color of the page around it, light or dark.
-They look the same everywhere: a matplotlibrc, of the user or of the current folder, changes nothing (`defaults`). Names
-and labels are text, and never formulas (`plain`).
+Figures are made without pyplot and without its global state: `new_figure` is where all come from. It is a
+`matplotlib.figure.Figure` (`results.figure`), which notebooks show and `savefig` writes. `svg_text` gives an SVG in the
+text color of the page around it, light or dark. They look the same everywhere: a matplotlibrc, of the user or of the
+current folder, changes nothing (`defaults`). Names and labels are text, and never formulas (`plain`).
 """
 
 from __future__ import annotations
@@ -31,10 +31,12 @@ __all__ = [
     "check_format",
     "defaults",
     "ink",
+    "new_figure",
     "panels",
     "plain",
     "save",
     "svg_text",
+    "written",
 ]
 
 Array = np.ndarray[Any, Any]
@@ -121,20 +123,26 @@ def plain(text: str) -> str:
     return ("\u200b" if text.startswith("_") else "") + text.replace("$", "\\$")
 
 
+def new_figure(width: float, height: float) -> Any:
+    """An empty figure of this size in inches, without a background."""
+    from .figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    figure.patch.set_alpha(0.0)
+    return figure
+
+
 @defaults()
 def panels(parts: Sequence[Panel], *, xlabel: str, title: str = "") -> Any:
     """A figure with panels below each other on one x axis."""
-    from matplotlib.figure import Figure
-
     heights = [part.height for part in parts]
-    figure = Figure(figsize=(_WIDTH, _HEIGHT * sum(heights) + 0.6), layout="constrained")
-    figure.patch.set_alpha(0.0)
+    figure = new_figure(_WIDTH, _HEIGHT * sum(heights) + 0.6)
     axes = figure.subplots(len(parts), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
     for part, axis in zip(parts, axes, strict=True):
         _draw(part, axis)
     axes[-1].set_xlabel(plain(xlabel))
     if title:
-        axes[0].set_title(plain(title), fontsize=10, loc="left")
+        axes[0].set_title(plain(title), fontsize=10, loc="left", color=INK)
     for axis in axes:
         ink(axis)
     return figure
@@ -220,7 +228,7 @@ def svg_text(figure: Any) -> str:
     """The figure as an <svg> element in the text color of the page; the same bytes each time."""
     stream = io.StringIO()
     with defaults({"svg.hashsalt": "blocks", "svg.fonttype": "none"}):
-        _write(figure, stream, "svg", {"Date": None, "Creator": None}, dpi=figure.dpi)
+        written(figure, stream, "svg", {"Date": None, "Creator": None}, dpi=figure.dpi)
     text = stream.getvalue()
     text = text[text.index("<svg") :].replace(INK, "currentColor")
     head, rest = text.split(">", 1)
@@ -244,10 +252,10 @@ def save(figure: Any, path: str | Path) -> None:
             if isinstance(color, str) and color == INK:
                 getattr(artist, put)("#000000")
     with write_atomically(path) as stream:
-        _write(figure, stream.buffer, ending[1:], FORMATS[ending], dpi=150)
+        written(figure, stream.buffer, ending[1:], FORMATS[ending], dpi=150)
 
 
-def _write(figure: Any, stream: Any, format: str, metadata: Mapping[str, Any], *, dpi: float) -> None:
+def written(figure: Any, stream: Any, format: str, metadata: Mapping[str, Any], *, dpi: float) -> None:
     """As `figure.savefig`, which draws each figure twice, first to lay it out. Lines to an inset need that."""
     from matplotlib.backends import backend_agg, backend_svg
 

@@ -11,17 +11,21 @@ from typing import Any, NamedTuple, TextIO, overload
 import numpy as np
 
 from ..text.atomic_write import write_atomically
+from ..text.brief import UnknownName
 from ..text.element_names import element_names, indexed
 from ..text.errors import Fault, UsageError, did_you_mean
-from ..text.printable import aligned
+from ..text.printable import counted
+from ..text.shown import Part, Shown, Table, as_html, as_text
 from . import files
 from .provenance import Origin
 
-__all__ = ["Event", "Events", "Results", "Signal", "Statistics", "spark_line"]
+__all__ = ["Event", "Events", "Results", "Signal", "Statistics", "measured", "spark_line"]
 
 Array = np.ndarray[Any, Any]
 BARS = "▁▂▃▄▅▆▇█"
 SPARKS = 10
+MOST = 40
+"""Signals that a table names."""
 
 
 class Event(NamedTuple):
@@ -114,13 +118,30 @@ class Signal(np.ndarray[Any, Any]):
         self.unit = getattr(other, "unit", "")
         self.name = getattr(other, "name", "")
 
+    def _parts(self) -> tuple[Part, ...]:
+        """What it shows of itself; nothing where it is not the whole signal."""
+        if self.ndim == 0 or len(self) != len(self.t) or not len(self):
+            return ()
+        rest = self.shape[1:]
+        block = np.asarray(self).reshape(len(self), math.prod(rest))
+        columns = {self.name: (0, rest, self.unit)}
+        results = Results("", self.t, block, columns)
+        return f"{counted(len(self), 'row')}, {self.t[0]:g} ... {self.t[-1]:g} s", results.summary_table()
+
+    def __repr__(self) -> str:
+        parts = self._parts()
+        return f"<Signal: {as_text(parts)}>" if parts else super().__repr__()
+
+    def _repr_html_(self) -> str | None:
+        return as_html(parts) if (parts := self._parts()) else None
+
     def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
         # What is computed from a signal is an array of numbers; it no longer has this signal's unit and name.
         return array[()] if return_scalar else np.asarray(array)
 
 
-@dataclass(frozen=True)
-class Results:
+@dataclass(frozen=True, repr=False)
+class Results(Shown):
     """Recorded signals of one run, by name.
 
     t: times in s, shape (rows,); a jump stands as two rows of one time, the left and the right value, but on a grid
@@ -190,14 +211,24 @@ class Results:
                 if len(shape) == 1 and index < shape[0]:
                     return Signal(self._block(first + index, 1)[:, 0], self.t, unit, name)
             cure = f"{did_you_mean(name, self.columns)} Recorded: {', '.join(self.columns)}."
-            raise KeyError(f"there is no recorded signal {name!r}. {cure.strip()}")
+            raise UnknownName(f"there is no recorded signal {name!r}. {cure.strip()}")
         first, shape, unit = self.columns[name]
         block = self._block(first, math.prod(shape))
         return Signal(block.reshape(len(block), *shape), self.t, unit, name)
 
-    def __repr__(self) -> str:
-        warnings = "".join(f"\n{fault}" for fault in self.warnings)
-        return f"<Results of {self.diagram}: {len(self.columns)} signals, {self.rows} rows>\n{self.table()}{warnings}"
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.columns)
+
+    def parts(self) -> Iterator[Part]:
+        """What it shows of itself: signals, measures and warnings."""
+        ended = f", interrupted at t = {self.span[1]:.10g} s" if self.interrupted else ""
+        yield f"<Results of {self.diagram}: {len(self.columns)} signals, {self.rows} rows{ended}>"
+        yield self.summary_table()
+        hidden = len(self.flat_columns()) - MOST
+        yield from [f"  ... and {hidden} more"] if hidden > 0 else []
+        if self.measures:
+            yield Table([("measure", "value"), *((name, measured(value)) for name, value in self.measures.items())])
+        yield from map(str, self.warnings)
 
     def flat_columns(self) -> list[tuple[str, int, str]]:
         """(name, column, unit) of every recorded element."""
@@ -216,16 +247,20 @@ class Results:
             for name, k, unit in self.flat_columns()
         }
 
-    def table(self, *, most: int = 40) -> str:
+    def table(self, *, most: int = MOST) -> str:
         """The summary as text, with a spark line for each signal."""
+        hidden = len(self.flat_columns()) - most
+        return as_text([self.summary_table(most), *([f"  ... and {hidden} more"] if hidden > 0 else [])])
+
+    def summary_table(self, most: int = MOST) -> Table:
+        """The same as a table, of the first `most` elements."""
         rows: list[tuple[str, ...]] = [("signal", "unit", "min", "max", "end", "")]
         ends = self._ends() if self.rows else ()
         for name, column, unit in self.flat_columns()[: most if ends else 0]:
             low, high, end, picked = (part[..., column] for part in ends)
             numbers = (_short(float(value)) for value in (low, high, end))
             rows.append((name, unit or "-", *numbers, _bars(picked, float(low), float(high))))
-        hidden = len(self.flat_columns()) - most
-        return "\n".join([*aligned(rows), *([f"  ... and {hidden} more"] if hidden > 0 else [])])
+        return Table(rows)
 
     def _ends(self) -> tuple[Array, Array, Array, Array]:
         """Least, largest and last value of each element (elements,), and its values at ten times (10, elements)."""
@@ -341,6 +376,11 @@ class Results:
 
 def _short(value: float) -> str:
     return f"{value:.5g}"
+
+
+def measured(value: float) -> str:
+    """The value of a measure. NaN: the run does not cover its window (see its warning), or nothing settled."""
+    return f"{value:.7g}" if math.isfinite(value) else "-"
 
 
 def spark_line(t: Array, values: Array) -> str:

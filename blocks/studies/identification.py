@@ -23,7 +23,8 @@ from ..results import plots
 from ..results.results import Results
 from ..text.csv_text import read_columns
 from ..text.errors import Fault, SimulationError, UsageError, did_you_mean
-from ..text.printable import aligned, legible
+from ..text.printable import legible
+from ..text.shown import Part, Shown, Table, as_text
 from .gains_file import written
 from .search_space import Space
 from .tuned import short
@@ -44,8 +45,8 @@ ALIKE, NEARLY = 0.99, 0.05
 1, they are told not to be told apart."""
 
 
-@dataclass(frozen=True)
-class Fit:
+@dataclass(frozen=True, repr=False)
+class Fit(Shown):
     """The outcome of `Diagram.fit`, for k parameters and n samples.
 
     values: the estimates, in the units of the parameters; nominal: the values of the diagram. errors: standard errors.
@@ -73,6 +74,12 @@ class Fit:
 
     def table(self) -> str:
         """Estimates with their intervals, and deviations of the residuals, as text."""
+        return "\n\n".join(as_text([table]) for table in self._tables())
+
+    def parts(self) -> list[Part]:
+        return [*self._tables(), *map(str, self.warnings)]
+
+    def _tables(self) -> tuple[Table, Table]:
         head = ("parameter", "before", "estimate", "unit", f"{100 * self.level:g} % interval", "correlation")
         names, rows = list(self.values), list[tuple[str, ...]]()
         for i, (name, value) in enumerate(self.values.items()):
@@ -84,7 +91,7 @@ class Fit:
             rows.append((name, short(self.nominal[name]), short(value), self.units[name] or "-",
                          f"{short(low)} ... {short(high)}", told))  # fmt: skip
         signals = [("signal", "deviation of residuals"), *((name, short(x)) for name, x in self.deviations.items())]
-        return "\n".join([*aligned([head, *rows]), "", *aligned(signals)])
+        return Table([head, *rows]), Table(signals)
 
     def write(self, path: str | Path) -> Edit:
         """Put the estimates into the diagram file, as `Tuning.write` does."""
@@ -109,7 +116,7 @@ class Fit:
         return plots.panels(parts, xlabel="time [s]")
 
     def __str__(self) -> str:
-        return "\n\n".join([self.table(), *map(str, self.warnings)])
+        return "\n\n".join(as_text([part]) for part in self.parts())
 
 
 def fit(

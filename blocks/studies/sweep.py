@@ -16,8 +16,10 @@ import numpy as np
 
 from ..api.batch import STATUSES
 from ..results.table import optional, unique
+from ..text.brief import UnknownName
 from ..text.errors import Fault, UsageError, did_you_mean
-from ..text.printable import aligned, counted, legible
+from ..text.printable import counted, legible
+from ..text.shown import Part, Shown, Table, as_text
 from . import statistics
 from .sweep_file import read, write
 from .sweep_tables import cell_text
@@ -32,7 +34,7 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sweep:
+class Sweep(Shown):
     """The rows of a sweep, tidy: all of the first scenario, then all of the second.
 
     varied: by column (n,), floats, or objects for values that are no numbers. units: by column and signal. scenarios:
@@ -71,7 +73,7 @@ class Sweep:
         if scenario not in self.scenarios:
             known = f"Scenarios: {', '.join(self.scenarios) or 'none'}."
             cure = did_you_mean(str(scenario), self.scenarios)
-            raise KeyError(f"there is no scenario {scenario!r}. {cure}{' ' if cure else ''}{known}")
+            raise UnknownName(f"there is no scenario {scenario!r}. {cure}{' ' if cure else ''}{known}")
         rows = np.flatnonzero(self.scenario == self.scenarios.index(scenario))
         first = np.zeros(len(rows), dtype=np.int64)
         return replace(self.taken(rows), scenarios=(scenario,), scenario=first, base=self.base)
@@ -193,7 +195,7 @@ class Sweep:
                 return known[name]
         names = [*self.measures, *self.signals, *self.varied]
         cure = did_you_mean(str(name), names) or f"There are {', '.join(names)}."
-        raise KeyError(f"the sweep has no {name!r}. {cure} A signal must be logged: sweep(..., log=[...]).")
+        raise UnknownName(f"the sweep has no {name!r}. {cure} A signal must be logged: sweep(..., log=[...]).")
 
     def _one_scenario(self, what: str) -> None:
         if len(self.scenarios) > 1:
@@ -272,19 +274,25 @@ class Sweep:
 
     def table(self) -> str:
         """What was varied, quantiles of the measures, and what became of the rows, as text."""
+        return as_text(self._told())
+
+    def parts(self) -> list[Part]:
+        return [*self._told(), *map(str, self.warnings)]
+
+    def _told(self) -> list[Part]:
         runs = f"{counted(len(self) // max(1, len(self.scenarios)), 'row')}"
         runs += f" x {counted(len(self.scenarios), 'scenario')}" if self.scenarios else ""
         told = ", ".join(f"{count} {name}" for name, count in self.counts().items())
         rows: list[tuple[str, ...]] = [("varied", "unit", "values")]
         rows += [(name, self.units.get(name) or "-", _span(column)) for name, column in self.varied.items()]
-        lines = [f"{self.name}: {runs}; {told or 'none'}", *(aligned(rows) if self.varied else [])]
+        parts: list[Part] = [f"{self.name}: {runs}; {told or 'none'}", *([Table(rows)] if self.varied else [])]
         rows = [("measure", *(f"{100 * q:g} %" for q in QUANTILES), "rows")]
         for scenario, part in self.each_scenario():
             for name, values in part.quantiles().items():
                 numbers = map(cell_text, values.tolist())
                 known = str(np.count_nonzero(~np.isnan(part.measures[name])))
                 rows.append((f"{scenario}.{name}" if scenario else name, *numbers, known))
-        lines += aligned(rows) if len(rows) > 1 else []
+        parts += [Table(rows)] if len(rows) > 1 else []
         rows = [("variance of", "from", "first", "total")]
         for scenario, part in self.each_scenario() if self.base else ():
             for measure, indices in part.sobol().items():
@@ -292,8 +300,8 @@ class Sweep:
                     shown = f"{scenario}.{measure}" if scenario else measure
                     shares = _share(index.first, index.first_error), _share(index.total, index.total_error)
                     rows.append((shown, name, *shares))
-        lines += aligned(rows) if len(rows) > 1 else []
-        return "\n".join([*lines, *(f"  {line}" for line in self.failures())])
+        parts += [Table(rows)] if len(rows) > 1 else []
+        return [*parts, *(f"  {line}" for line in self.failures())]
 
     def failures(self) -> list[str]:
         """By status how many rows have it, and why the first of them; also of rows that lack a number."""
@@ -305,8 +313,8 @@ class Sweep:
                 told.append(f"{rows} row {speaking[0]}: {self.messages[speaking[0]]}")
         return told
 
-    def __repr__(self) -> str:
-        return "\n".join([self.table(), *map(str, self.warnings)])
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.scenarios)
 
 
 def _share(value: float, error: float) -> str:

@@ -15,7 +15,8 @@ from ..results import plots
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.errors import Fault
-from ..text.printable import aligned, counted
+from ..text.printable import counted
+from ..text.shown import Part, Shown, Table, as_text
 from .gains_file import written
 from .report_page import folder_for, page
 from .search_space import Space
@@ -81,8 +82,8 @@ class Condition:
         return self.left <= self.right
 
 
-@dataclass(frozen=True)
-class Tuning:
+@dataclass(frozen=True, repr=False)
+class Tuning(Shown):
     """The outcome of `Diagram.tune`.
 
     values: the best value of each parameter, pattern or element of `bounds`, in its unit; nominal: that of the diagram.
@@ -143,7 +144,7 @@ class Tuning:
 
     def table(self) -> str:
         """What was found, as text: values, measures before and after, constraints."""
-        return "\n\n".join("\n".join(aligned([head, *rows])) for head, rows in self.tables() if rows)
+        return "\n\n".join(as_text([Table([head, *rows])]) for head, rows in self.tables() if rows)
 
     def markdown(self) -> str:
         """The same as Markdown tables."""
@@ -198,19 +199,13 @@ class Tuning:
         """Write `report.html` with tables and figures (SVG, PNG) into a folder; returns its path."""
         return _report(self, Path(folder))
 
-    def __repr__(self) -> str:
-        found = "nothing better than the diagram" if self.is_kept else f"{self.minimize} = {self.objective:.6g}"
-        state = "" if self.is_feasible else ", constraints violated"
-        return (
-            f"<Tuning of {self.diagram.name}: {found} ({self.objective_before:.6g} before{state}), "
-            f"{len(self.history.objective)} candidates>"
-        )
-
     def __str__(self) -> str:
-        told = [self.head, self.table(), *map(str, self.warnings)]
-        if self.is_kept:
-            told.append("No candidate was better than the diagram itself: its values are kept.")
-        return "\n\n".join(told)
+        return "\n\n".join(as_text([part]) for part in self.parts())
+
+    def parts(self) -> list[Part]:
+        tables = (Table([head, *rows]) for head, rows in self.tables() if rows)
+        kept = ["No candidate was better than the diagram itself: its values are kept."] if self.is_kept else []
+        return [self.head, *tables, *map(str, self.warnings), *kept]
 
 
 def short(value: float) -> str:
@@ -232,11 +227,8 @@ def _change(before: float, after: float) -> str:
 @plots.defaults()
 def _figure(tuning: Tuning) -> Any:
     """The objective of all candidates, where the values lie in their bounds, and the sensitivities."""
-    from matplotlib.figure import Figure
-
     names = list(tuning.values)
-    made = Figure(figsize=(7.2, 3.4 + 0.26 * len(names)), layout="constrained")
-    made.patch.set_alpha(0.0)
+    made = plots.new_figure(7.2, 3.4 + 0.26 * len(names))
     grid = made.add_gridspec(2, 2, height_ratios=(2.6, 0.6 + 0.26 * len(names)))
     _history(tuning, made.add_subplot(grid[0, :]))
     rows, colors = np.arange(len(names)), [color for color, _ in plots.STYLES]
@@ -291,7 +283,7 @@ def _history(tuning: Tuning, axis: Any) -> None:
                   label=label, clip_on=False)  # fmt: skip
     axis.set_xlabel("candidate")
     axis.set_ylabel("objective")
-    axis.set_title(plots.plain(tuning.minimize[:90]), fontsize=9, loc="left")
+    axis.set_title(plots.plain(tuning.minimize[:90]), fontsize=9, loc="left", color=plots.INK)
     axis.legend(fontsize=8, frameon=False, labelcolor=plots.INK, loc="upper right")
     axis.grid(True, color="#94a3b8", alpha=0.35, linewidth=0.5)
     plots.ink(axis)

@@ -21,6 +21,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from .brief import Brief
+
 __all__ = [
     "NOT_FINITE",
     "OVERFLOW",
@@ -76,7 +78,7 @@ class Fault:
         return replace(self, file=file, line=line, column=column)
 
 
-class BlocksError(Exception):
+class BlocksError(Brief, Exception):
     """Something this package refuses or cannot do; `faults` says what, one entry each."""
 
     exit_status = 2

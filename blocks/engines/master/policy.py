@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...compile.coupling import Coupling
-from .stepped_units import tolerance_of
 
 __all__ = ["Policy"]
 
@@ -42,7 +41,7 @@ class Policy:
     def of(cls, coupling: Coupling, can_save: Sequence[bool]) -> Policy:
         """can_save: of each unit, whether it can go back."""
         settings, master = coupling.settings, coupling.settings.master
-        own = (tolerance_of(unit, coupling) for unit in coupling.units if unit.foreign is not None)
+        own = (coupling.tolerance_of(unit) for unit in coupling.units if unit.foreign is not None)
         tolerance, is_doubled = master.tolerance or 0.0, master.tolerance is not None and all(can_save)
         span = 1.0 if settings.stop is None else float(settings.stop) - float(settings.start)
         shortest = float(coupling.shortest)

@@ -282,7 +282,7 @@ class FmuUnit(Running):
         self.unit, self.coupling = unit, coupling
         self.interface = unit.foreign.interface
         self.u = [0.0] * len(unit.links)
-        self.way = way_of(unit)
+        self.way = unit.way
         self.courses: Sequence[Course] = ()
         self.t = math.nan
         self.is_asked = False  # whether the FMU has asked for event mode
@@ -304,7 +304,7 @@ class FmuUnit(Running):
         self.scales = [slot.scale for slot in unit.slots_out for _ in range(slot.size)]
 
     def start(self, t: float, stop: float | None) -> None:
-        experiment = t, stop, tolerance_of(self.unit, self.coupling)
+        experiment = t, stop, self.coupling.tolerance_of(self.unit)
         self.one.set_up_experiment(*experiment)
         set_up(self.one, self.unit)
         self.one.enter_initialization(*experiment)
@@ -561,28 +561,3 @@ def too_short(coupling: Coupling, element: int, t: float, h: float) -> Simulatio
     message = f"at t = {t} s the communication step fell to {h:.3g} s, and its error is still larger than {tolerance}."
     cure = "Use a larger tolerance of the master, or fixed steps (--master step=H): what gives it is no more exact."
     return SimulationError(Fault("E301", coupling.elements[element].name, message, cure))
-
-
-def tolerance_of(unit: CoupledUnit, coupling: Coupling) -> float | None:
-    """The tolerance given to an FMU for its own solver: that of the user, else the one that it declares; None: none
-    is given, and it uses its own."""
-    if coupling.settings.gives_rtol:
-        return coupling.settings.rtol
-    assert unit.foreign is not None
-    own = unit.foreign.description.experiment.tolerance
-    return own if own is not None and own > 0 else None
-
-
-def way_of(unit: CoupledUnit) -> str:
-    """How the course of an input over a step reaches a unit: exactly, by derivatives or by intermediate update; by its
-    mean (of second order at best); or not, where nothing of it moves."""
-    if unit.foreign is None:
-        return "exact"
-    if not any(unit.continuous):
-        return "hold"
-    interface, fmi = unit.foreign.interface, unit.foreign.description.fmi
-    if fmi == 2 and interface.input_derivatives:
-        return "derivatives"
-    if fmi == 3 and interface.intermediate_update and all(slot.variable.intermediate for slot in unit.moving):
-        return "intermediate"
-    return "mean"
