@@ -27,13 +27,14 @@ from ..text.json_document import place_of
 from ..text.printable import counted
 from ..text.version import __version__
 from .report_page import escaped as _escape
-from .report_page import folder_for, page
+from .report_page import folder_for, own_ids, page, plotted, table
 from .study import Claim, StudyResults, Verdict
 from .study_sweeps import StudySweep, figure_of, plain
 from .study_tunings import StudyTuning
 from .sweep import QUANTILES, Sweep
 from .sweep_figures import told_rows
-from .sweep_tables import cell_text, table
+from .sweep_tables import cell_text
+from .sweep_tables import table as sweep_table
 from .tuned import Tuning
 
 __all__ = ["markdown_table", "summary_line", "table_text", "write"]
@@ -277,19 +278,12 @@ def _tables(study_results: StudyResults) -> list[str]:
         groups.setdefault(v.claim.source, []).append(v)
     tables = []
     for source, verdicts in groups.items():
-        rows = []
-        for v, row in zip(verdicts, _rows(verdicts), strict=True):
-            kind = {"✓": "good", "✗": "bad"}.get(GLYPHS[v.verdict], "note")
-            unexpected = "" if v.is_expected else " unexpected"
-            cells = "".join(f"<td>{_escape(cell)}</td>" for cell in row[:2])
-            cells += "".join(f'<td class="number">{_escape(cell)}</td>' for cell in row[2:6])
-            rows.append(f'<tr>{cells}<td class="{kind}{unexpected}">{_escape(row[6])}</td></tr>')
-        head = "".join(f"<th>{name}</th>" for name in _HEAD)
-        caption = f"<caption>{_escape(source)}</caption>" if source else ""
-        tables.append(
-            f'<div class="wide"><table>{caption}<thead><tr>{head}</tr></thead>'
-            f"<tbody>{''.join(rows)}</tbody></table></div>"
-        )
+        rows = _rows(verdicts)
+        kinds = {}
+        for v, row in zip(verdicts, rows, strict=True):
+            kind = {"✓": "good", "✗": "bad"}.get(GLYPHS[v.verdict], "none")
+            kinds[row[-1]] = kind if v.is_expected else f"{kind} unexpected"
+        tables.append(table(_HEAD, rows, caption=source, kinds=kinds))
     return tables
 
 
@@ -332,17 +326,7 @@ def _figures(study_results: StudyResults, drawn: Mapping[str, str | Fault]) -> l
 def _plot(drawing: str | Fault, prefix: str) -> str:
     if isinstance(drawing, Fault):
         return f'<p class="against">Not drawn: {_escape(drawing.message)}</p>'
-    svg = _own_ids(drawing, prefix)
-    for style, (color, _) in enumerate(plots.STYLES):
-        svg = svg.replace(color, f"var(--c{style})")  # lighter on a dark page
-    return f'<div class="plot">{svg}</div>'
-
-
-def _own_ids(svg: str, prefix: str) -> str:
-    """The ids of one SVG made unique, as a page holds several."""
-    return (
-        svg.replace('id="', f'id="{prefix}').replace("url(#", f"url(#{prefix}").replace('href="#', f'href="#{prefix}')
-    )
+    return plotted(drawing, prefix)
 
 
 def _runs(
@@ -371,7 +355,7 @@ def _runs(
         drawn = entry.diagram, *sorted(entry.variants.items())
         if draw is not None and drawn not in shown:
             shown.add(drawn)
-            svg = _own_ids(draw(study_results.diagrams[entry.name]), f"d{len(shown)}-")
+            svg = own_ids(draw(study_results.diagrams[entry.name]), f"d{len(shown)}-")
             parts.append(f'<div class="wide diagram">{svg}</div>')
     return parts
 
@@ -381,15 +365,11 @@ def _rows_of(entry: StudySweep, sweep: Sweep) -> list[str]:
     varied = "; ".join(f"{name}: {json.dumps(plain(raw), ensure_ascii=False)}" for name, raw in entry.vary.items())
     words = [f"{key} {entry.options[key]}" for key in ("sampler", "seed") if key in entry.options]
     said = f"Varied: {varied}. {told_rows(sweep)}{''.join(f', {word}' for word in words)}."
-    head, *rows = table(sweep, (), QUANTILES)
-    cells = ["".join(f"<th>{_escape(str(name))}</th>" for name in head)]
-    for row in rows:
-        kinds = ["" if isinstance(cell, str) and not cell.isdigit() else ' class="number"' for cell in row]
-        cells.append("".join(f"<td{k}>{_escape(cell_text(c))}</td>" for k, c in zip(kinds, row, strict=True)))
+    head, *rows = [[cell_text(cell) for cell in row] for row in sweep_table(sweep, (), QUANTILES)]
     why = "".join(f"<li>{_escape(line)}</li>" for line in sweep.failures())
     return [
         f"{_escape(said)}</p>{f'<ul>{why}</ul>' if why else ''}",
-        f'<div class="wide"><table>{"".join(f"<tr>{row}</tr>" for row in cells)}</table></div>',
+        table(head, rows),
     ]
 
 
@@ -400,12 +380,7 @@ def _search_of(tuning: Tuning) -> list[str]:
     kept = " No candidate was better than the diagram itself." if tuning.is_kept else ""
     parts = [f"{_escape(f'{said}seed {tuning.seed}.{kept}')}</p>"]
     parts += [f'<p class="against">{_escape(str(warning))}</p>' for warning in tuning.warnings]
-    for head, rows in tuning.tables():
-        lines = ["".join(f"<th>{_escape(cell)}</th>" for cell in head)]
-        lines += ["".join(f"<td>{_escape(cell)}</td>" for cell in row) for row in rows]
-        table_of = "".join(f"<tr>{line}</tr>" for line in lines)
-        parts += [f'<div class="wide"><table>{table_of}</table></div>'] if rows else []
-    return parts
+    return [*parts, *(table(head, rows) for head, rows in tuning.tables() if rows)]
 
 
 def _value(value: Any) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ from ..text.errors import Fault
 from ..text.printable import counted
 from ..text.shown import Part, Shown, Table, as_text
 from .gains_file import written
-from .report_page import folder_for, page
+from .report_page import escaped, folder_for, page, plotted, table
 from .search_space import Space
 
 if TYPE_CHECKING:
@@ -320,29 +319,26 @@ def _report(tuning: Tuning, folder: Path) -> Path:
     shown = {}
     for k, (name, made) in enumerate(figures.items()):
         if made is not None:
-            shown[name] = plots.svg_text(made).replace('id="', f'id="f{k}-').replace("url(#", f"url(#f{k}-")
-            shown[name] = shown[name].replace('href="#', f'href="#f{k}-')
+            shown[name] = plotted(plots.svg_text(made), f"f{k}-")
             plots.save(made, folder / f"{name}.png")
     kind = "fine" if tuning.is_feasible else "odd"
     told = f"{tuning.minimize}: {tuning.objective_before:.5g} before, {tuning.objective:.5g} after"
     parts = [
-        f"<h1>Tuning of {html.escape(tuning.diagram.name)}</h1>",
-        f'<p class="verdict {kind}">{html.escape(told)}; '
+        f"<h1>Tuning of {escaped(tuning.diagram.name)}</h1>",
+        f'<p class="verdict {kind}">{escaped(told)}; '
         + ("all constraints hold.</p>" if tuning.is_feasible else "constraints are violated.</p>"),
-        *(f'<p class="against">{html.escape(str(warning))}</p>' for warning in tuning.warnings),
-        f"<p>{html.escape(tuning.head)}.</p>",
+        *(f'<p class="against">{escaped(str(warning))}</p>' for warning in tuning.warnings),
+        f"<p>{escaped(tuning.head)}.</p>",
         *(_scenario(name, values) for name, values in tuning.scenarios.items()),
     ]
     titles = ("Values", "Measures", "Constraints")
     for title, (head, rows) in zip(titles, tuning.tables(), strict=True):
         if rows:
-            parts.append(f"<h2>{title}</h2>")
-            lines = [_row(head, "th"), *(_row(row, "td") for row in rows)]
-            parts.append(f'<div class="wide"><table>{"".join(lines)}</table></div>')
+            parts += [f"<h2>{title}</h2>", table(head, rows)]
     parts.append("<h2>Figures</h2>")
     for name, svg in shown.items():
-        caption = f"<figcaption><b>{html.escape(name.replace('_', ' '))}</b></figcaption>"
-        parts.append(f'<figure>{caption}<div class="plot">{svg}</div></figure>')
+        caption = f"<figcaption><b>{escaped(name.replace('_', ' '))}</b></figcaption>"
+        parts.append(f"<figure>{caption}{svg}</figure>")
     path = folder / "report.html"
     with write_atomically(path) as stream:
         stream.write(page(f"Tuning of {tuning.diagram.name}", parts))
@@ -351,8 +347,4 @@ def _report(tuning: Tuning, folder: Path) -> Path:
 
 def _scenario(name: str, values: Any) -> str:
     given = ", ".join(f"{key} = {value}" for key, value in values.items()) or "as the diagram is"
-    return f"<p>Scenario <b>{html.escape(name)}</b>: {html.escape(given)}.</p>"
-
-
-def _row(cells: Any, kind: str) -> str:
-    return f"<tr>{''.join(f'<{kind}>{html.escape(cell)}</{kind}>' for cell in cells)}</tr>"
+    return f"<p>Scenario <b>{escaped(name)}</b>: {escaped(given)}.</p>"
