@@ -67,14 +67,16 @@ _PLACES = {
 
 # The names of the library, written out so that they are known without loading it.
 _LIBRARY = (
-    "INLSEF", "INTD", "LESO", "LSEF", "NESO", "NLSEF", "PID", "SMESO", "Abs", "Atan2", "Backlash", "BouncingBall",
-    "Chirp", "Compare", "CompareToConstant", "Constant", "Counter", "DeadZone", "Delay", "Demux", "Derivative",
-    "DiscreteESO", "DiscreteINLSEF", "DiscreteINTD", "DiscreteIntegrator", "DiscretePID", "DiscreteSMESO",
-    "DiscreteStateSpace", "DiscreteTransferFunction", "Disturbance", "Divide", "EdgeDetect", "Exp", "Expression",
-    "FirstOrder", "Gain", "Integrator", "InvertedPendulum", "Kinematics", "LeadLag", "LimitedIntegrator", "Log",
+    "INLSEF", "INTD", "LESO", "LSEF", "NESO", "NLSEF", "PID", "PRBS", "SMESO", "Abs", "Atan2", "Backlash", "Biquad",
+    "BouncingBall", "Chirp", "Clarke", "Compare", "CompareToConstant", "Constant", "Counter", "DeadZone", "Delay",
+    "Demux", "Derivative", "DiscreteESO", "DiscreteINLSEF", "DiscreteINTD", "DiscreteIntegrator", "DiscretePID",
+    "DiscreteSMESO", "DiscreteStateSpace", "DiscreteTransferFunction", "Disturbance", "Divide", "DotProduct",
+    "EdgeDetect", "Exp", "Expression", "FIRFilter", "FirstOrder", "FirstOrderHold", "Gain", "Integrator",
+    "InverseClarke", "InversePark", "InvertedPendulum", "Kinematics", "LeadLag", "LimitedIntegrator", "Log",
     "Logic", "LookupTable", "LookupTable2D", "MassSpringDamper", "MatchedDisturbance", "MatrixGain", "MinMax",
-    "Mux", "Noise", "PMDCMotor", "Power", "Product", "Pulse", "Quantizer", "QuarterCar", "Ramp", "RateLimiter",
-    "Relay", "ResettableIntegrator", "Saturation", "Sawtooth", "SecondOrder", "Selector", "Sign", "Sine", "Sqrt",
+    "MovingAverage", "MultiportSwitch", "Multisine", "Mux", "Noise", "Norm", "PMDCMotor", "Park", "Polynomial",
+    "Power", "Product", "Pulse", "Quantizer", "QuarterCar", "Ramp", "RateLimiter", "RateTransition", "Relay",
+    "ResettableIntegrator", "Saturation", "Sawtooth", "SecondOrder", "Selector", "Sign", "Sine", "Sqrt",
     "SquareWave", "StateSpace", "Step", "Sum", "Switch", "SwitchAbove", "Table", "TrackingDifferentiator",
     "TransferFunction", "TransportDelay", "Trapezoid", "Trigonometry", "UnitDelay", "WheelMixing", "ZeroOrderHold",
     "ZeroPoleGain",

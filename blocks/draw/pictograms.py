@@ -20,6 +20,18 @@ PICTOGRAMS: dict[str, tuple[tuple[str, str], ...]] = {
         ("thin", "M-16 0H16"),
         ("line", "M-16 2L-14 -6L-12 4L-10 -3L-8 9L-5 -10L-3 5L-1 -2L2 8L4 -5L6 3L8 -11L11 7L13 -2L16 4"),
     ),
+    "PRBS": (_CORNER, ("line", "M-16 8H-12V-8H-8V8H-1V-8H5V8H8V-8H10V8H15")),
+    "Multisine": (
+        ("thin", "M-16 0H16"),
+        ("line", "M-16 0C-14 -12 -11 -12 -9 -2S-5 6 -3 1S0 -4 2 3S6 13 9 2S13 -9 16 0"),
+    ),
+    "ZeroOrderHold": (_CORNER, ("line", "M-16 8H-10V2H-4V-6H2V-9H8V-3H14")),
+    "FirstOrderHold": (_CORNER, ("line", "M-16 8L-10 3L-4 -7L2 -10L8 -4L14 -2")),
+    "MovingAverage": (
+        ("thin", "M-16 -13V12H16M-15 4L-13 -5L-10 6L-7 -9L-4 2L-1 -11L2 1L5 -9L9 2L12 -8"),
+        ("line", "M-15 2C-8 0 -4 -4 14 -4"),
+    ),
+    "Polynomial": (_CROSS, ("line", "M-15 11C-9 -22 3 26 15 -11")),
     "Saturation": (_CROSS, ("line", "M-17 9H-9L9 -9H17")),
     "DeadZone": (_CROSS, ("line", "M-16 11L-6 0H6L16 -11")),
     "Relay": (_CROSS, ("line", "M-16 9H6V-9M-6 9V-9H16")),

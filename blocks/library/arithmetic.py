@@ -1,10 +1,12 @@
-"""Arithmetic: sums, gains and products of signals."""
+"""Arithmetic: sums, gains, products and sizes of signals."""
+
+import numpy as np
 
 from ..contract.block import Block
 from ..contract.equations import output, requires
 from ..contract.variables import Input, Parameter
 
-__all__ = ["Gain", "MatrixGain", "Product", "Sum"]
+__all__ = ["DotProduct", "Gain", "MatrixGain", "Norm", "Product", "Sum"]
 
 
 class Sum(Block):
@@ -82,3 +84,40 @@ class Product(Block):
         for operation, factor in zip(operations, u, strict=True):
             product = product * factor if operation == "*" else product / factor
         return product
+
+
+class DotProduct(Block):
+    """y = the scalar product of two vectors, u1[0] u2[0] + u1[1] u2[1] and so on.
+
+    The units of the inputs are free.
+    """
+
+    size = Parameter(2, structural=True, type="int", min=1, doc="number of elements of each vector")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    u1 = Input(shape=lambda size: size, doc="vector")
+    u2 = Input(shape=lambda size: size, doc="vector")
+
+    @output(unit=unit, doc="scalar product of the inputs")
+    def y(u1, u2):
+        return u1 @ u2
+
+
+class Norm(Block):
+    """y = |u|, the norm of a vector.
+
+    kind "2": sqrt(u[0]^2 + u[1]^2 + ...), the length; "1": |u[0]| + |u[1]| + ...; "inf": the largest |u[k]|.
+
+    The slope jumps at u = 0; that of "1" where an element changes its sign, that of "inf" where another one takes the
+    lead. These corners are not located.
+    """
+
+    kind = Parameter("2", structural=True, choices=("2", "1", "inf"), doc="norm: Euclidean, sum, maximum")
+    size = Parameter(2, structural=True, type="int", min=1, doc="number of elements")
+    unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
+    u = Input(shape=lambda size: size, unit=unit, doc="vector")
+
+    @output(unit=unit, doc="norm of the input")
+    def y(u, kind):
+        if kind == "2":
+            return np.sqrt(u @ u)
+        return np.sum(np.abs(u)) if kind == "1" else np.max(np.abs(u))

@@ -12,7 +12,7 @@ from ..contract.equations import crossing, output, requires
 from ..contract.scalars import OPERATIONS
 from ..contract.variables import Input, Parameter
 
-__all__ = ["Abs", "Atan2", "Divide", "Exp", "Log", "MinMax", "Power", "Sign", "Sqrt", "Trigonometry"]
+__all__ = ["Abs", "Atan2", "Divide", "Exp", "Log", "MinMax", "Polynomial", "Power", "Sign", "Sqrt", "Trigonometry"]
 
 NEVER = 1.0
 """The value of a crossing that a form of a block has no use for: its side does not change."""
@@ -102,6 +102,29 @@ class Power(Block):
     @output(unit=unit, doc="power of the input")
     def y(u, exponent, form):
         return np.power(u, exponent) if form == "plain" else np.sign(u) * np.power(np.abs(u), exponent)
+
+
+class Polynomial(Block):
+    """y = c[0] u^n + c[1] u^(n-1) + ... + c[n], coefficients from the highest power down, as numpy.polyval has them.
+
+    The powers are those of the number in SI units. It is computed by Horner's rule.
+    """
+
+    c = Parameter([1.0, 0.0], shape="m", doc="coefficients, that of the highest power first")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    u = Input(unit=unit_u, doc="input")
+
+    @requires("c must not be empty")
+    def is_given(m):
+        return m > 0
+
+    @output(unit=unit, doc="value of the polynomial")
+    def y(u, c, m):
+        value = c[0]
+        for k in range(1, m):
+            value = value * u + c[k]
+        return value
 
 
 class Divide(Block):

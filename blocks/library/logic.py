@@ -4,9 +4,10 @@ import numpy as np
 
 from ..contract.block import Block
 from ..contract.equations import crossing, output, requires
+from ..contract.table_lookup import search
 from ..contract.variables import Discrete, Input, Parameter
 
-__all__ = ["Compare", "CompareToConstant", "Counter", "EdgeDetect", "Logic", "Switch", "SwitchAbove"]
+__all__ = ["Compare", "CompareToConstant", "Counter", "EdgeDetect", "Logic", "MultiportSwitch", "Switch", "SwitchAbove"]
 
 # Not "==", which in a diagram file begins a text that is no expression.
 _OPERATORS = ("<", "<=", ">", ">=", "equal", "unequal")
@@ -147,6 +148,41 @@ class SwitchAbove(Block):
     @output(unit=unit, doc="the chosen input")
     def y(u, above):
         return np.where(above, u[0], u[1])
+
+
+class MultiportSwitch(Block):
+    """y = u1 where index is 1, u2 where it is 2, ...: the input whose number is nearest to index, halfway the higher.
+
+    An index below 1 chooses the first input, one above `size` the last. The instants at which another input is chosen
+    are located, and a jump of index may pass over many.
+    """
+
+    size = Parameter(3, structural=True, type="int", min=1, doc="number of inputs to choose from")
+    unit = Parameter("", structural=True, type="string", doc='unit of u1, u2, ... and y; "": unknown')
+    u = Input(shape=lambda size: size, ports="u{}", unit=unit, doc="inputs to choose from")
+    index = Input(doc="number of the input that y is, from 1 on")
+    chosen = Discrete(1, type="int", doc="number of the chosen input")
+
+    @crossing(direction="up")
+    def above(index, chosen, size):
+        return np.where(chosen < size, index - (chosen + 0.5), -1.0)
+
+    @crossing(direction="down")
+    def below(index, chosen):
+        return np.where(chosen > 1, index - (chosen - 0.5), 1.0)
+
+    @chosen.initial
+    @above.reset(chosen)
+    @below.reset(chosen)
+    def nearest(index, size):
+        return 1.0 + search(np.arange(1.5, size), index)
+
+    @output(unit=unit, doc="the chosen input")
+    def y(u, chosen, size):
+        value = u[0]
+        for k in range(1, size):
+            value = np.where(chosen > k, u[k], value)
+        return value
 
 
 class EdgeDetect(Block):

@@ -6,7 +6,7 @@ from ..contract.block import Block
 from ..contract.equations import output
 from ..contract.variables import Discrete, Input, Parameter
 
-__all__ = ["Delay", "UnitDelay", "ZeroOrderHold"]
+__all__ = ["Delay", "FirstOrderHold", "RateTransition", "UnitDelay", "ZeroOrderHold"]
 
 
 class ZeroOrderHold(Block):
@@ -24,6 +24,101 @@ class ZeroOrderHold(Block):
     @output(unit=unit, every=period, offset=offset, start=y_start, doc="sampled and held input")
     def y(u):
         return u
+
+
+class FirstOrderHold(Block):
+    """y = begin + slope (t - at): a straight line from each tick on, of the slope between the last two samples of u.
+
+    form: "predictive" begins at the sample u[k], and the line goes on as it came, so that y jumps at ticks; "delayed"
+    begins at the sample before, u[k-1], and reaches u[k] one tick later, so that y is continuous. A ramp passes the
+    predictive form without error from its second sample on, and the delayed form a period late.
+
+    Before the first tick y is y_start. From the first tick on the predictive form, which knows one sample, holds it;
+    the delayed form goes there from y_start. In a loop of sampled blocks both need a UnitDelay: the slope follows u at
+    once.
+    """
+
+    form = Parameter("predictive", structural=True, choices=("predictive", "delayed"), doc="where a line begins")
+    period = Parameter(unit="s", positive=True, doc="time between two ticks")
+    offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
+    unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
+    y_start = Parameter(0.0, unit=unit, doc="y before the first tick")
+    u = Input(unit=unit, doc="input")
+    last = Discrete(unit=unit, doc="input at the last tick")
+    sampled = Discrete(type="bool", doc="whether there was a tick")
+
+    @last.initial
+    def start(y_start):
+        return y_start
+
+    @last.next(every=period, offset=offset)
+    def sample(u):
+        return u
+
+    @sampled.next(every=period, offset=offset)
+    def has_sampled():
+        return np.True_
+
+    @output(unit="s", every=period, offset=offset, doc="time of the last tick")
+    def at(t):
+        return t
+
+    @output(unit=unit, every=period, offset=offset, start=y_start, doc="y at the last tick")
+    def begin(u, last, form):
+        return u if form == "predictive" else last
+
+    @output(unit=unit / "s", every=period, offset=offset, doc="rise per second since the last tick")
+    def slope(u, last, sampled, period, form):
+        rise = (u - last) / period
+        return np.where(sampled, rise, 0.0) if form == "predictive" else rise
+
+    @output(unit=unit, doc="line through the samples")
+    def y(t, at, begin, slope):
+        return begin + slope * (t - at)
+
+
+class RateTransition(Block):
+    """y = u of a task that ticks with period_u, as a task that ticks with `period` receives it.
+
+    Ticks are exact and their order is known, so that no value is ever torn or lost between rates, and a wire is enough
+    for an ideal transfer: at common ticks u passes at once. On a computer, u of a slow task is not ready by then.
+
+    mode: "hold" gives u at each tick of the receiver: from a fast task, which is done before a slow one begins. "delay"
+    gives what u was at the last tick but one of the sender: from a slow task, which has all of period_u to compute; y
+    does not depend on u at once. Left out, it is "delay" from slow to fast, else "hold".
+
+    This is what code generators make of tasks with priorities by rate. The periods may have any ratio. y is y_start
+    until the first value has come.
+    """
+
+    mode = Parameter(
+        lambda period_u, period: "delay" if period_u > period else "hold",
+        structural=True, choices=("hold", "delay"), doc="how u is handed over; left out: delay from slow to fast",
+    )  # fmt: skip
+    period_u = Parameter(unit="s", positive=True, doc="time between two ticks of the sender")
+    period = Parameter(unit="s", positive=True, doc="time between two ticks of the receiver")
+    offset_u = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick of the sender")
+    offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick of the receiver")
+    unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
+    y_start = Parameter(0.0, unit=unit, doc="y until the first value of u has come")
+    u = Input(unit=unit, doc="input")
+    x = Discrete(unit=unit, doc="input at the last tick of the sender")
+
+    @x.initial
+    def start(y_start):
+        return y_start
+
+    @x.next(every=period_u, offset=offset_u)
+    def sample(u):
+        return u
+
+    @output(unit=unit, every=period_u, offset=offset_u, start=y_start, doc="what the sender has finished")
+    def finished(x):
+        return x
+
+    @output(unit=unit, every=period, offset=offset, start=y_start, doc="what the receiver has")
+    def y(u, finished, mode):
+        return u if mode == "hold" else finished
 
 
 class UnitDelay(Block):

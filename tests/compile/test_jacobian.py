@@ -134,10 +134,10 @@ def test_every_diagram_has_the_jacobian_that_differences_give(path: Path) -> Non
 def test_every_block_has_the_jacobian_that_differences_give(name: str, given: dict[str, Any]) -> None:
     """By its states and by its inputs."""
     d = Diagram("one")
-    d.add("b", LIBRARY[name](**given))
+    d.add("block", LIBRARY[name](**given))
     for port, what in resolved(name, given).interface.inputs.items():
         size = what.size if what.shape else None
-        d.wire(f"b.{port}", d.input(port, type=what.type, size=size, default=True if what.type == "bool" else 1.0))
+        d.wire(f"block.{port}", d.input(port, type=what.type, size=size, default=True if what.type == "bool" else 1.0))
     assert_exact(d.plan(), name)
 
 

@@ -34,6 +34,7 @@ from blocks import (
     MatrixGain,
     MinMax,
     ModelError,
+    MultiportSwitch,
     Mux,
     Power,
     Product,
@@ -567,6 +568,44 @@ def test_units_of_functions() -> None:
     d.wire("sine.u", "angle.y")
     with pytest.raises(ModelError, match="E104"):
         d.check()
+
+
+def test_a_multiport_switch_changes_where_its_index_passes_a_half() -> None:
+    d = Diagram("ports")
+    switch = d.add("switch", MultiportSwitch(size=4))
+    for k in range(4):
+        d.wire(f"switch.u{k + 1}", d.add(f"c{k + 1}", Constant(value=10.0 * (k + 1))).y)
+    d.wire(switch.index, d.add("index", Sine(amplitude=3.0, bias=2.0)).y)
+    results = d.run(stop=2.0 * math.pi, every=0.01)
+    index = 2.0 + 3.0 * np.sin(np.asarray(results.t))
+    assert results["switch.y"] == pytest.approx(10.0 * np.clip(np.floor(index + 0.5), 1.0, 4.0))
+    rising = [math.asin(x) for x in (0.5 / 3.0, 1.5 / 3.0)]
+    falling = [math.pi - math.asin(x) for x in (1.5 / 3.0, 0.5 / 3.0, -0.5 / 3.0)]
+    located = [*rising, *falling, 2.0 * math.pi - math.asin(0.5 / 3.0)]
+    assert times(results, "switch") == pytest.approx(located, abs=LOCATED)
+
+
+@pytest.mark.parametrize(
+    ("index", "chosen"), [(-7.0, 1), (1.5, 2), (math.nextafter(1.5, 0.0), 1), (3.0, 3), (2.5, 3), (1e9, 3)]
+)
+def test_a_multiport_switch_begins_with_the_input_nearest_to_its_index(index: float, chosen: int) -> None:
+    d = Diagram("jump")
+    switch = d.add("switch", MultiportSwitch())
+    for k in range(3):
+        d.wire(f"switch.u{k + 1}", d.add(f"c{k + 1}", Constant(value=k + 1.0)).y)
+    d.wire(switch.index, d.add("index", Step(at=1.0, before=2.0, after=index)).y)
+    assert d.run(stop=2.0)["switch.y"][-1] == d.run(start=1.0, stop=2.0)["switch.y"][0] == chosen
+
+
+def test_polynomials_dot_products_and_norms_are_those_of_numpy() -> None:
+    random = np.random.default_rng(5)
+    for size in (1, 2, 5):
+        u, v, c = random.normal(size=(3, size))
+        assert evaluate("Polynomial", {"c": c}, u=1.7)["y"] == pytest.approx([np.polyval(c, 1.7)], rel=EXACT)
+        assert evaluate("DotProduct", {"size": size}, u1=u, u2=v)["y"] == pytest.approx([np.dot(u, v)], abs=EXACT)
+        for kind, order in (("2", 2), ("1", 1), ("inf", np.inf)):
+            made = evaluate("Norm", {"kind": kind, "size": size}, u=u)["y"]
+            assert made == pytest.approx([np.linalg.norm(u, order)], rel=EXACT)
 
 
 # --- matrices and selectors ------------------------------------------------------------------------------------

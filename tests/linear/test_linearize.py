@@ -136,8 +136,9 @@ def alone(block: Block, **values: Any) -> Diagram:
     d = Diagram("alone")
     d.add("b", block)
     for port, what in interface_of(block).inputs.items():
-        default = values.get(port, True if what.type == "bool" else 1.0)
-        d.wire(f"b.{port}", d.input(port, type=what.type, size=what.size if what.shape else None, default=default))
+        default, size = values.get(port, True if what.type == "bool" else 1.0), what.size if what.shape else None
+        name = port if port != "b" else "phase_b"
+        d.wire(f"b.{port}", d.input(name, type=what.type, size=size, default=default))
     return d
 
 
