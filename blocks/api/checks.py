@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from ..compile.coupling import Coupling, couple
+from ..compile.outline import outline
 from ..compile.plan import Plan
 from ..compile.plan_builder import plan
 from ..model.diagram import DiagramValue, beside
@@ -64,7 +65,7 @@ def refuse_fmus(flat: Flat) -> None:
 def checked(value: DiagramValue, resolver: Resolver, variants: Mapping[str, str] | None) -> Plan | Coupling:
     """The Plan of a diagram, or the Coupling where a master is needed. Raises ModelError with every static fault."""
     try:
-        return couple(flat_of(value, resolver, variants=variants))
+        return replace(couple(flat_of(value, resolver, variants=variants)), outline=outline)
     except ModelError as error:
         if any(fault.path[:1] != ("run",) for fault in error.faults):
             raise

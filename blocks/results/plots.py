@@ -36,7 +36,6 @@ __all__ = [
     "plain",
     "save",
     "svg_text",
-    "written",
 ]
 
 Array = np.ndarray[Any, Any]
@@ -52,6 +51,9 @@ STYLES = (
 )
 # Format of a picture: what keeps the date out of it, so that one figure gives the same bytes each time.
 FORMATS: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
+# In a notebook: text and background, light and dark, and the colors of STYLES upon dark.
+_PAGES = (("#1f2937", "#ffffff"), ("#e5e7eb", "#111827"))
+_BRIGHT = ("#fbbf24", "#7aa2ff", "#34d399", "#c4b5fd", "#cbd5e1", "#fb7185")
 INK = "#010203"  # stands for the page's text color until `svg_text` puts it in
 _WIDTH, _HEIGHT = 7.2, 2.1  # inches of one panel
 _COLUMNS = 1500
@@ -129,6 +131,7 @@ def new_figure(width: float, height: float) -> Any:
 
     figure = Figure(figsize=(width, height), layout="constrained")
     figure.patch.set_alpha(0.0)
+    figure.forms = {"image/svg+xml": _shown_svg, "image/png": _shown_png, "text/plain": repr}
     return figure
 
 
@@ -228,12 +231,42 @@ def svg_text(figure: Any) -> str:
     """The figure as an <svg> element in the text color of the page; the same bytes each time."""
     stream = io.StringIO()
     with defaults({"svg.hashsalt": "blocks", "svg.fonttype": "none"}):
-        written(figure, stream, "svg", {"Date": None, "Creator": None}, dpi=figure.dpi)
+        _write(figure, stream, "svg", {"Date": None, "Creator": None}, dpi=figure.dpi)
     text = stream.getvalue()
     text = text[text.index("<svg") :].replace(INK, "currentColor")
     head, rest = text.split(">", 1)
     # Fixed sizes in points would not shrink on a phone; the view box keeps the proportions.
     return re.sub(r' (?:width|height)="[^"]*"', "", head) + ">" + rest
+
+
+def _shown_svg(figure: Any) -> str:
+    """As `svg_text` on a background of its own, light or dark, whichever the reader prefers.
+
+    A notebook does not tell a picture whether it is dark; drawings of diagrams do the same.
+    """
+    body, rules = svg_text(figure), []
+    for page, colors in zip(_PAGES, ([color for color, _ in STYLES], _BRIGHT), strict=True):
+        named = "".join(f";--c{n}:{color}" for n, color in enumerate(colors))
+        rules.append(f".blocks-figure{{color:{page[0]};background:{page[1]};--paper:{page[1]}{named}}}")
+    for n, (color, _) in enumerate(STYLES):
+        body = body.replace(color, f"var(--c{n},{color})")
+    width, height = (round(100 * size) for size in figure.get_size_inches())
+    style = f"<style>{rules[0]}@media (prefers-color-scheme:dark){{{rules[1]}}}</style>"
+    size = f'<svg class="blocks-figure" width="{width}" height="{height}" style="max-width:100%;height:auto"'
+    head, rest = body.removeprefix("<svg").split(">", 1)
+    return f"{size}{head}>{style}{rest}"
+
+
+@defaults()
+def _shown_png(figure: Any) -> bytes:
+    """On white, for what shows no SVG."""
+    alpha, stream = figure.patch.get_alpha(), io.BytesIO()
+    try:
+        figure.patch.set_alpha(1.0)
+        _write(figure, stream, "png", {}, dpi=100)
+    finally:
+        figure.patch.set_alpha(alpha)
+    return stream.getvalue()
 
 
 def check_format(path: str | Path) -> str:
@@ -252,10 +285,10 @@ def save(figure: Any, path: str | Path) -> None:
             if isinstance(color, str) and color == INK:
                 getattr(artist, put)("#000000")
     with write_atomically(path) as stream:
-        written(figure, stream.buffer, ending[1:], FORMATS[ending], dpi=150)
+        _write(figure, stream.buffer, ending[1:], FORMATS[ending], dpi=150)
 
 
-def written(figure: Any, stream: Any, format: str, metadata: Mapping[str, Any], *, dpi: float) -> None:
+def _write(figure: Any, stream: Any, format: str, metadata: Mapping[str, Any], *, dpi: float) -> None:
     """As `figure.savefig`, which draws each figure twice, first to lay it out. Lines to an inset need that."""
     from matplotlib.backends import backend_agg, backend_svg
 

@@ -29,7 +29,7 @@ LEAST = 200
 """Plans of fewer instances are not cached."""
 
 # Of the Plan: what emission does not read, and what is digested in another form below.
-_UNREAD = frozenset({"parameters", "nominal", "signals", "log", "measures", "warnings"})
+_UNREAD = frozenset({"parameters", "nominal", "signals", "log", "measures", "warnings", "outline"})
 _UNREAD |= {"starting", "start", "continuous", "unknowns"}  # what follows from the rest
 _TOLD = frozenset({"instances", "steppers", "foreign", "settings"})
 
