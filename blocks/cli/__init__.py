@@ -36,10 +36,10 @@ BROKEN = 70
 """The exit code of a fault of blocks itself, as sysexits.h has it (EX_SOFTWARE)."""
 STDOUT = "stdout"
 COMMANDS = {
-    "new": "new", "run": "run", "sweep": "sweep", "study": "study", "tune": "tune", "compare": "compare", "check": "check",
-    "diff": "diff", "fmt": "fmt", "rename": "rename", "apply": "apply", "draw": "draw", "list": "listing",
-    "schema": "schema", "export": "export", "fmu": "fmu", "linearize": "linearize", "observer": "linearize",
-    "explain": "explain", "doctor": "doctor",
+    "new": "new", "run": "run", "sweep": "sweep", "study": "study", "tune": "tune", "compare": "compare",
+    "check": "check", "diff": "diff", "fmt": "fmt", "rename": "rename", "apply": "apply", "draw": "draw",
+    "list": "listing", "schema": "schema", "export": "export", "fmu": "fmu", "linearize": "linearize",
+    "observer": "linearize", "explain": "explain", "doctor": "doctor",
 }  # fmt: skip
 """The module of each command, in the order of `blocks --help`."""
 FIRST_STEPS = """\

@@ -23,7 +23,8 @@ def add(verbs: Any) -> None:
         help="list the block library, or tell about one block",
         description="List the block types, those of a group, or one type's ports and parameters; find types by words.",
     )
-    listing.add_argument("block", metavar="BLOCK", nargs="?", help="a block type, a group, an FMU, `measures`, or Simulink's word")
+    what = "a block type, a group of them, an FMU, `measures`, or a word of Simulink"
+    listing.add_argument("block", metavar="BLOCK", nargs="?", help=what)
     listing.add_argument("--search", metavar="TEXT", help="block types that say these words, Simulink's among them")
     takes_json(listing)
     listing.set_defaults(verb=_list)

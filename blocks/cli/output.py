@@ -62,6 +62,13 @@ class Progress:
         """Since it began."""
         return time.perf_counter() - self.begun
 
+    def left(self, share: float) -> str:
+        """How long the rest takes if it goes on as up to a share: "12 s left"; "" where nothing is known."""
+        whole = round(self.seconds * (1 - share) / share) if share > 0 else -1
+        if whole < 0:
+            return ""
+        return f"{f'{whole} s' if whole < 120 else _minutes(whole)} left"
+
     def is_due(self) -> bool:
         """Whether it is time to show something again."""
         now = time.perf_counter()
@@ -84,6 +91,10 @@ class Progress:
     def clear(self) -> None:
         if self.is_drawn:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def _minutes(seconds: int) -> str:
+    return f"{seconds // 60} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def silence(stream: TextIO) -> None:

@@ -260,21 +260,23 @@ def _shown(options: argparse.Namespace, plan: Any) -> list[str]:
 
 
 class _Progress:
-    """How far a run is: its time, and how it goes beside real time."""
+    """How far a run is: its time, how it goes beside real time, and how long it will go on."""
 
     def __init__(self, quiet: bool) -> None:
-        self.shown = Progress(quiet)
+        self.quiet, self.shown = quiet, Progress(quiet)
         self.start = self.stop = 0.0
 
     def span(self, start: float, stop: float) -> None:
         self.start, self.stop = start, stop
+        self.shown = Progress(self.quiet)  # what it took to prepare the run is no measure of what is left
 
     def __call__(self, t: float) -> None:
         if self.stop <= self.start or not self.shown.is_due():
             return
         speed = (t - self.start) / self.shown.seconds
         share = (t - self.start) / (self.stop - self.start)
-        self.shown.show(share, f"t = {t:.4g} s  {speed:.3g}x real time", f"t = {t:.6g} s")
+        left = self.shown.left(share)
+        self.shown.show(share, f"t = {t:.4g} s  {speed:.3g}x real time  {left}", f"t = {t:.6g} s  {left}")
 
     def clear(self) -> None:
         self.shown.clear()

@@ -165,16 +165,8 @@ class _Progress:
             if done:
                 say(f"{done} of {total} rows are there already")
         if self.shown.is_due() and done > self.first:
-            left = self.shown.seconds * (total - done) / (done - self.first)
-            text = f"{done} of {total} rows  {_lasting(left)} left"
+            text = f"{done} of {total} rows  {self.shown.left((done - self.first) / (total - self.first))}"
             self.shown.show(done / total, text, text)
-
-
-def _lasting(seconds: float) -> str:
-    whole = round(seconds)
-    if whole < 120:
-        return f"{whole} s"
-    return f"{whole // 60} min" if whole < 7200 else f"{whole / 3600:.1f} h"
 
 
 def _count(option: str, text: str | None) -> int | None:

@@ -66,7 +66,7 @@ def _tune(options: argparse.Namespace) -> int:
 
     def told(done: int, total: int) -> None:
         if done and shown.is_due() and not options.json:
-            text = f"{done} of {total} candidates  {shown.seconds * (total - done) / done:.0f} s left"
+            text = f"{done} of {total} candidates  {shown.left(done / total)}"
             shown.show(done / total, text, text)
 
     try:

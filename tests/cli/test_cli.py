@@ -1181,3 +1181,18 @@ def test_a_stdout_that_is_full_or_closed_or_left_is_told_as_such(unbuffered: str
     done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, cwd=ROOT, env=environment, text=True)
     os.close(write)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+# --- progress ---------------------------------------------------------------------------------------------------
+
+
+def test_progress_tells_how_long_the_rest_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    from blocks.cli.output import Progress
+
+    shown = Progress(quiet=True)
+    for share, seconds, told in [
+        (0.25, 10.0, "30 s left"), (0.5, 119.0, "119 s left"), (0.1, 60.0, "9 min left"), (0.01, 150.0, "4.1 h left"),
+        (0.0, 1.0, ""), (1.0, 5.0, "0 s left"),
+    ]:  # fmt: skip
+        monkeypatch.setattr(Progress, "seconds", seconds)
+        assert shown.left(share) == told
