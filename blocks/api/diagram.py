@@ -752,7 +752,7 @@ class Diagram:
         handle = diagram.add(kind, block)
         ports = interface_of(diagram.value, kind, diagram._draft.resolver)
         for port in ports.inputs.values():
-            whole = diagram.input(as_name(port.name), **input_like(port, is_foreign=foreign is not None))
+            whole = diagram.input(as_name(port.name), **input_like(port))
             diagram.wire(f"{kind}.{port.name}", whole)
         for port in ports.outputs.values():
             if port.name not in handle._inputs:

@@ -67,12 +67,12 @@ def input_entry(
     return entry
 
 
-def input_like(port: Port, *, is_foreign: bool) -> dict[str, Any]:
-    """What `Diagram.input` is to be given for an input that stands for this one. is_foreign: of an FMU."""
+def input_like(port: Port) -> dict[str, Any]:
+    """What `Diagram.input` is to be given for an input that stands for this one."""
     unit = port.declared[0] if port.declared else ""
     kind: str | Enumeration = enumeration_of(port.type) or port.type
     default: Any = None
-    if is_foreign and port.default is not None:  # what an FMU starts with is what it is given
+    if port.default is not None:
         values = [item != 0.0 if kind == "bool" else item / units.to_si(1.0, unit) for item in port.default]
         default = np.reshape(values, port.shape) if len(set(values)) > 1 else values[0]
     size = (port.shape[0] if len(port.shape) == 1 else port.shape) if port.shape else None
