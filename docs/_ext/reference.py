@@ -644,6 +644,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("builder-inited", begin)
     app.add_css_file("drawings.css")
     app.add_lexer("output", TextLexer)
+    app.add_lexer("csv", TextLexer)
     for name, directive in {
         "block": BlockDirective,
         "codes": CodesDirective,
