@@ -51,7 +51,7 @@ demo: $(STAMP)
 	@$(PY) -m blocks run diagrams/paper/iadrc.json
 	@echo "== the paper's numbers and ours: diagrams/paper/study.json"
 	@$(PY) -m blocks study diagrams/paper/study.json
-	@echo "Next: activate the environment in .venv and read README.md (the five-minute tour)."
+	@echo "Next: activate the environment in .venv and read docs/start.md (five minutes), or open the documentation: make docs."
 
 lint: ruff mypy layers
 

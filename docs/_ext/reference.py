@@ -8,6 +8,7 @@ Directives of this extension:
     {codes}                      error codes: cause, cure and example
     {keys} RUN                   the keys of an object of a file, from the grammar; lines "key: text" say more of one
     {measures}, {units}, {functions}    tables
+    {simulink-words}             what stands for Simulink's words, from blocks/api/simulink_words.json
     {python} Diagram             a public name, with its methods
     {drawing} diagrams/x.json    a diagram, drawn
     {plot} diagrams/x.json       a run of it, plotted: `signals` names the panels
@@ -295,7 +296,14 @@ class ModuleDirective(Reference):
 
 class LibraryDirective(Reference):
     def run(self) -> list[nodes.Node]:
-        made: list[nodes.Node] = []
+        glance = [
+            (
+                [nodes.Text(module_texts(name)[0])],
+                self.parse_inline(", ".join(f"[{cls.__name__}](#block-{cls.__name__.lower()})" for cls in classes))[0],
+            )
+            for name, classes in modules().items()
+        ]
+        made: list[nodes.Node] = [nodes.rubric("", "At a glance"), table(("", "blocks"), glance, (20, 80))]
         for name, classes in modules().items():
             title, _ = module_texts(name)
             rows = []
@@ -346,7 +354,13 @@ def usage_of(verb: str, parser: argparse.ArgumentParser) -> str:
 class CommandsDirective(Reference):
     def run(self) -> list[nodes.Node]:
         self.depend(cli.main)
-        made: list[nodes.Node] = []
+        glance = []
+        for verb, parser in verbs().items():
+            told = re.split(r"(?<=[.:;])\s", parser.description or "")[0].rstrip(".:;")
+            place = f"blocks-{verb.replace(' ', '-')}"
+            link = nodes.reference("", "", *code(f"blocks {verb}"), refid=place, internal=True)
+            glance.append(([link], inline(told, None)))
+        made: list[nodes.Node] = [table(("command", "what it does"), glance, (30, 70))]
         for verb, parser in verbs().items():
             made.append(self.section(verb, parser))
         return made
@@ -451,6 +465,23 @@ class KeysDirective(Reference):
 class MeasuresDirective(Reference):
     def run(self) -> list[nodes.Node]:
         return [table(("type", "value"), [(code(name), inline(doc, None)) for name, doc in MEASURES.items()], (25, 75))]
+
+
+class SimulinkWordsDirective(Reference):
+    def run(self) -> list[nodes.Node]:
+        path = Path(blocks.__file__).resolve().parent / "api" / "simulink_words.json"
+        self.env.note_dependency(str(path))
+        told: dict[tuple[str, ...], list[str]] = {}
+        for word, entry in json.loads(path.read_text(encoding="utf-8")).items():
+            told.setdefault((entry["here"], entry["see"], *entry["blocks"]), []).append(word)
+        rows = []
+        for (here, see, *types), words in told.items():
+            linked = [f"[{name}](#block-{name.lower()})" for name in types]
+            place, _, anchor = see.partition("#")
+            name = (anchor.replace("-", " ") or place.removesuffix(".md").replace("_", " ")).capitalize()
+            more = [] if place == "library.md" else [f"[{name}]({see})"]
+            rows.append((", ".join(words), inline(here, None), self.parse_inline(", ".join([*linked, *more]))[0]))
+        return [table(("in Simulink", "here", "see"), rows, (25, 50, 25))]
 
 
 class UnitsDirective(Reference):
@@ -619,6 +650,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
         "module-text": ModuleDirective,
         "plot": PlotDirective,
         "python": PythonDirective,
+        "simulink-words": SimulinkWordsDirective,
         "units": UnitsDirective,
     }.items():
         app.add_directive(name, directive)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import os
 import re
 import shutil
@@ -472,3 +473,16 @@ def test_every_link_inside_the_site_leads_somewhere(site: Path) -> None:
             assert target.exists(), (path.name, value)
             if tag == "a" and parts.fragment and target in pages:
                 assert unquote(parts.fragment) in pages[target].ids, (path.name, value)
+
+
+def test_simulinks_words_lead_to_blocks_and_pages_that_are_there(site: Path) -> None:
+    words = json.loads((ROOT / "blocks" / "api" / "simulink_words.json").read_text(encoding="utf-8"))
+    assert {"Scope", "Clock", "Fcn", "Memory", "To Workspace", "Goto", "Rate Transition", "S-Function"} <= set(words)
+    assert list(words) == sorted(words, key=str.lower)
+    for word, entry in words.items():
+        assert set(entry) == {"here", "blocks", "see"}, word
+        assert set(entry["blocks"]) <= set(LIBRARY), word
+        name, _, anchor = entry["see"].partition("#")
+        text = (site / name).with_suffix(".html").read_text(encoding="utf-8")
+        assert not anchor or f'id="{anchor}"' in text, (word, entry["see"])
+        assert word in (site / "glossary.html").read_text(encoding="utf-8").replace("&amp;", "&"), word

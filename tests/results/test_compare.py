@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from blocks import Diagram, Integrator, ModelError, Results, Step, UsageError
 from blocks.results.compare import compare
 from blocks.results.provenance import Origin
 from blocks.results.results import Statistics
-from tests.support.places import ROOT
 
 EPS = float(np.finfo(float).eps)
 
@@ -315,20 +313,6 @@ def test_a_run_is_as_near_to_a_finer_one_as_its_steps_allow() -> None:
     made = compare(diagram.run(stop=1.0), diagram.run(stop=1.0, method="rk4", step=0.0625), tolerance=1e-14)
     assert made.is_interpolated
     assert made.is_within, made
-
-
-def test_the_readmes_comparison_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    root = ROOT
-    blocks = re.findall(r"^```python\n(.*?)^```$", (root / "README.md").read_text(encoding="utf-8"), re.M | re.S)
-    (code,) = (block for block in blocks if "import compare" in block)
-    (tmp_path / "diagrams").symlink_to(root / "diagrams")
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {}
-    exec(compile(code, "README.md", "exec"), names)
-    assert capsys.readouterr().out.startswith("True control.y ")
-    assert names["frame"].attrs["units"]["motor.omega"] == "rad/s"
 
 
 def test_files_are_compared_by_their_paths(tmp_path: Path) -> None:
