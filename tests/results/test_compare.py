@@ -327,7 +327,7 @@ def test_the_readmes_comparison_runs(
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     exec(compile(code, "README.md", "exec"), names)
-    assert capsys.readouterr().out.startswith("True control.y ")
+    assert capsys.readouterr().out.startswith("True control.u ")
     assert names["frame"].attrs["units"]["motor.omega"] == "rad/s"
 
 
