@@ -63,7 +63,7 @@ def _parameters(draft: MigratedDocument, at: Path) -> Any:
     given = _table(draft, at).setdefault("parameters", {})
     if isinstance(given, dict):
         new = {"unit": "unit_u", "unit_u": "unit", "integral_start": "u_start"}
-        draft.rewrite((*at, "parameters"), [(new[key] if key in new else key, value, key) for key, value in given.items()])
+        draft.rewrite((*at, "parameters"), [(str(new.get(key, key)), value, key) for key, value in given.items()])
         given.setdefault("c", Number("1"))
     return draft.at((*at, "parameters", "unit")) or ""
 
