@@ -892,7 +892,7 @@ def test_check_takes_several_files_and_studies(tmp_path: Path, capsys: pytest.Ca
     paper = str(DIAGRAMS / "paper" / "study.json")
     assert main(["check", MOTOR, paper]) == 0
     told = capsys.readouterr().out
-    assert "motor_pid: 5 blocks" in told
+    assert "motor_pid: 4 blocks" in told
     assert "paper: 8 runs, 27 claims" in told
     assert main(["check", MOTOR, str(broken), BALL]) == 2
     told = capsys.readouterr().out
