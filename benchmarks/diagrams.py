@@ -99,7 +99,7 @@ def save_p2(count: int, folder: Path) -> Path:
     blocks = ",\n".join(f'  "loop{number}": {{"diagram": "loop.json"}}' for number in range(count))
     log = ", ".join(f'"{name}"' for name in p2_log(count))
     run = f'{{"stop": 10, "method": "rk4", "step": 0.001, "every": 0.01, "log": [{log}]}}'
-    head = '{\n "format": "blocks-diagram",\n "version": 1,\n "name": "p2",\n'
+    head = '{\n "format": "blocks-diagram",\n "version": 2,\n "name": "p2",\n'
     text = f'{head} "blocks": {{\n{blocks}\n }},\n "run": {run}\n}}\n'
     path = folder / "p2.json"
     path.write_text(text, encoding="utf-8")
@@ -127,9 +127,8 @@ def loops(count: int) -> Diagram:
             pairs += [(eso.y, motor.omega), (eso.u, law.u), (motor.v, law.u)]
         else:
             kp, ki, kd, Tf = PID_GAINS
-            error = diagram.add(f"error{k}", Sum(signs="+-", unit="rad/s"))
-            pid = diagram.add(f"pid{k}", PID(kp=kp, ki=ki, kd=kd, Tf=Tf, unit="V", unit_u="rad/s"))
-            pairs = [(error.u1, speed.y), (error.u2, motor.omega), (pid.u, error.y), (motor.v, pid.y)]
+            pid = diagram.add(f"pid{k}", PID(kp=kp, ki=ki, kd=kd, c=1.0, Tf=Tf, unit="rad/s", unit_u="V"))
+            pairs = [(pid.r, speed.y), (pid.y, motor.omega), (motor.v, pid.u)]
         if k % CHAIN:
             brake = diagram.add(f"brake{k}", Gain(k=COUPLING, unit="N.m", unit_u="rad/s"))
             pairs += [(brake.u, motors[-1].omega), (motor.tau, brake.y)]

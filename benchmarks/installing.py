@@ -1,10 +1,10 @@
-"""The wheel in clean environments of every supported Python that is there: does it install, how large is it, does it work?
+"""The wheel in clean environments of every supported Python that is there: size, imports, and whether it works.
 
 python -m benchmarks.installing [--tools] [PYTHON ...]
 
-Builds the wheel, and for each Python makes an environment, installs the wheel with what it depends on, and runs commands
-in a folder with diagrams alone. --tools runs the wheel by pipx and uvx as well, which are installed into an environment of
-their own. Needs an index of packages, and nothing but Python itself; a minute for each Python.
+Builds the wheel, and for each Python makes an environment, installs the wheel with what it depends on, and runs
+commands in a folder with diagrams alone. --tools runs the wheel by pipx and uvx as well, which are installed into an
+environment of their own. Needs an index of packages, and nothing but Python itself; a minute for each Python.
 """
 
 from __future__ import annotations

@@ -275,7 +275,6 @@ _SYMBOLS: dict[str, tuple[Callable[[Values, Names, Names], Shape], float, float]
     "Gain": (_gain, 1, 1),
     "Integrator": (lambda _, inputs, outputs: _fraction("1", "s", inputs, outputs, 14), 1, 1),
     "Mux": (_bar, inf, inf),
-    "PID": (lambda _, inputs, outputs: boxed(60, 40, inputs, outputs, middle("PID", 0, 13)), 1, 1),
     "Product": (_product, 10_000, 1),
     "StateSpace": (_state_space, inf, inf),
     "Sum": (_sum, 10_000, 1),

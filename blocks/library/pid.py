@@ -25,59 +25,87 @@ def _filter_time(kp, kd):
 
 
 class PID(Block):
-    """y = sat(kp u + ki integral of u + kd s/(Tf s + 1) u), with anti-windup by back-calculation.
+    """u = sat(kp (b r - y) + integral + kd s/(Tf s + 1) (c r - y)): r is wanted, y is measured.
 
-        v = kp u + integral + kd (u - smoothed)/Tf,   y = v within lower ... upper, else the limit
-        d integral/dt = ki u + (y - v)/Tt             0 where ki = 0
-        d smoothed/dt = (u - smoothed)/Tf
+        v = kp (b r - y) + integral + kd (c r - y - smoothed)/Tf,   u = v within lower ... upper, else the limit
+        d integral/dt = ki (r - y) + (u - v)/Tt       0 where ki = 0
+        d smoothed/dt = (c r - y - smoothed)/Tf
 
-    u is the control error. Without given limits y is unlimited. Tf defaults to kd/kp/10 and Tt to the integral time
-    kp/ki (1 s where that is not a time). A jump of u passes through kd/Tf.
+    Anti-windup is by back-calculation. b and c weigh r: with c = 0 the derivative is that of the measurement alone, so
+    that a step of r gives no kick; with c = 1 the step passes through kd/Tf. smoothed begins at smoothed_start, 0
+    unless given, so that a y which begins elsewhere is a jump to the derivative.
 
-    References: K. J. Åström, T. Hägglund, Advanced PID Control, ISA 2006, section 3.5.
+    Tf defaults to kd/kp/10 and Tt to the integral time kp/ki (1 s where that is not a time). Without given limits u is
+    unlimited.
+
+    While `manual` is above 0, u is u_manual within the limits, and the integral nears what makes v = u, with the time
+    constant Tt: the controller then goes on from there without a bump. With ki = 0 the integral stays at u_start.
+
+    DiscretePID is the same at ticks, with the same names.
+
+    References: K. J. Åström, T. Hägglund, Advanced PID Control, ISA 2006, sections 3.4 and 3.5.
     """
 
-    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit = Parameter("", structural=True, type="string", doc='unit of r and y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    kp = Parameter(1.0, unit=unit / unit_u, doc="proportional gain")
-    ki = Parameter(0.0, unit=unit / unit_u / "s", doc="integral gain")
-    kd = Parameter(0.0, unit=unit / unit_u * "s", doc="derivative gain")
+    kp = Parameter(1.0, unit=unit_u / unit, doc="proportional gain")
+    ki = Parameter(0.0, unit=unit_u / unit / "s", doc="integral gain")
+    kd = Parameter(0.0, unit=unit_u / unit * "s", doc="derivative gain")
+    b = Parameter(1.0, doc="weight of r in the proportional part")
+    c = Parameter(0.0, doc="weight of r in the derivative part")
     Tf = Parameter(_filter_time, unit="s", positive=True, doc="time constant of the derivative's filter")
     Tt = Parameter(_tracking_time, unit="s", positive=True, doc="tracking time of the anti-windup")
-    lower = Parameter(-UNLIMITED, unit=unit, doc="smallest y")
-    upper = Parameter(UNLIMITED, unit=unit, doc="largest y")
-    u = Input(unit=unit_u, doc="control error")
-    integral = State(unit=unit, doc="integral part of y")
-    smoothed = State(unit=unit_u, doc="filtered input, from which the derivative is taken")
+    lower = Parameter(-UNLIMITED, unit=unit_u, doc="smallest u")
+    upper = Parameter(UNLIMITED, unit=unit_u, doc="largest u")
+    u_start = Parameter(0.0, unit=unit_u, doc="integral part at the start")
+    r = Input(unit=unit, doc="wanted value")
+    y = Input(unit=unit, doc="measured value")
+    manual = Input(0.0, doc="above 0: u is u_manual")
+    u_manual = Input(0.0, unit=unit_u, doc="control by hand")
+    integral = State(unit=unit_u, doc="integral part of u")
+    smoothed = State(unit=unit, doc="filtered c r - y, from which the derivative is taken")
 
     @requires("lower must be below upper")
     def is_ordered(lower, upper):
         return lower < upper
 
-    @local(unit=unit, doc="output before its limits")
-    def v(u, integral, smoothed, kp, kd, Tf):
-        return kp * u + integral + kd * (u - smoothed) / Tf
+    @local(unit=unit_u, doc="control before its limits, as the equations have it")
+    def v(r, y, integral, smoothed, kp, kd, b, c, Tf):
+        return kp * (b * r - y) + integral + kd * (c * r - y - smoothed) / Tf
+
+    # A manual of 0 is automatic, and no side changes while it is not wired.
+    @crossing
+    def by_hand(manual):
+        return np.where(manual > 0.0, manual, -UNLIMITED)
+
+    @local(unit=unit_u, doc="control before its limits, from the equations or by hand")
+    def asked(v, by_hand, u_manual):
+        return np.where(by_hand, u_manual, v)
 
     @crossing
-    def above(v, upper):
-        return v - upper
+    def above(asked, upper):
+        return asked - upper
 
     @crossing
-    def below(v, lower):
-        return lower - v
+    def below(asked, lower):
+        return lower - asked
 
-    @output(unit=unit, doc="control")
-    def y(v, above, below, lower, upper):
-        return np.where(above, upper, np.where(below, lower, v))
+    @output(unit=unit_u, doc="control")
+    def u(asked, above, below, lower, upper):
+        return np.where(above, upper, np.where(below, lower, asked))
+
+    @integral.initial
+    def bias(u_start):
+        return u_start
 
     @integral.derivative
-    def dintegral(u, v, y, ki, Tt):
+    def dintegral(r, y, v, u, by_hand, ki, Tt):
         # Without an integral part, back-calculation would make one.
-        return np.where(ki == 0.0, 0.0, ki * u + (y - v) / Tt)
+        return np.where(ki == 0.0, 0.0, np.where(by_hand, 0.0, ki * (r - y)) + (u - v) / Tt)
 
     @smoothed.derivative
-    def dsmoothed(u, smoothed, Tf):
-        return (u - smoothed) / Tf
+    def dsmoothed(r, y, smoothed, c, Tf):
+        return (c * r - y - smoothed) / Tf
 
 
 def _pull(kp, ki, period):
@@ -104,7 +132,7 @@ class DiscretePID(Block):
 
     The integral is by forward differences, with anti-windup by back-calculation; the filtered derivative is by backward
     differences, which are stable for every Tf from 0 on. b and c weigh r: with c = 0 the derivative is that of the
-    measurement alone, so that a step of r gives no kick; with b = c = 1 all acts on the error, as in PID.
+    measurement alone, so that a step of r gives no kick; with b = c = 1 all acts on the error.
 
     Tf defaults to kd/kp/10 and Tt to the integral time kp/ki (1 s where that is not a time), but not below the
     period. Without given limits u is unlimited.

@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 FORMAT = "blocks-diagram"
-VERSION = 1
+VERSION = 2
 BASE = "base"
 """The name that stands for a block itself where one of its variants is chosen."""
 DEEPEST = 30

@@ -59,23 +59,21 @@ def loop() -> Diagram:
     made = Diagram("speed_loop")
     kp = made.parameter("kp", 2.0, unit="V.s/rad", doc="gain")
     r = made.input("r", unit="rad/s")
-    error = made.add("error", Sum(signs="+-", unit="rad/s"))
-    control = made.add("control", PID(kp=kp, ki=5, unit="V", unit_u="rad/s"))
+    control = made.add("control", PID(kp=kp, ki=5, unit="rad/s", unit_u="V"))
     motor = made.add("motor", PMDCMotor(), at=(340, 80), doc="the plant")
-    made.wire(error.u1, r)
-    made.wire(error.u2, motor.omega)
-    made.wire(control.u, error.y)
-    made.wire(motor.v, control.y)
+    made.wire(control.r, r)
+    made.wire(control.y, motor.omega)
+    made.wire(motor.v, control.u)
     made.output("speed", motor.omega)
     made.measure("ITAE", "ITAE", motor.omega, r, start=0.1)
-    made.settings(stop=1.0, rtol=1e-6, log=[motor.omega, "control.y"])
+    made.settings(stop=1.0, rtol=1e-6, log=[motor.omega, "control.u"])
     return made
 
 
 LOOP = """\
 {
  "format": "blocks-diagram",
- "version": 1,
+ "version": 2,
  "name": "speed_loop",
  "parameters": {
   "kp": {"value": 2.0, "unit": "V.s/rad", "doc": "gain"}
@@ -87,17 +85,15 @@ LOOP = """\
   "speed": "motor.omega"
  },
  "blocks": {
-  "error": {"type": "Sum", "parameters": {"signs": "+-", "unit": "rad/s"}},
-  "control": {"type": "PID", "parameters": {"kp": "=kp", "ki": 5, "unit": "V", "unit_u": "rad/s"}},
+  "control": {"type": "PID", "parameters": {"kp": "=kp", "ki": 5, "unit": "rad/s", "unit_u": "V"}},
   "motor": {"type": "PMDCMotor", "doc": "the plant"}
  },
  "wires": {
-  "error.u1": "r",
-  "error.u2": "motor.omega",
-  "control.u": "error.y",
-  "motor.v": "control.y"
+  "control.r": "r",
+  "control.y": "motor.omega",
+  "motor.v": "control.u"
  },
- "run": {"stop": 1.0, "rtol": 1e-06, "log": ["motor.omega", "control.y"]},
+ "run": {"stop": 1.0, "rtol": 1e-06, "log": ["motor.omega", "control.u"]},
  "measures": {
   "ITAE": {"type": "ITAE", "of": "motor.omega", "against": "r", "from": 0.1}
  },
@@ -624,7 +620,7 @@ def test_a_bouncing_ball_takes_its_parameters_by_path() -> None:
 
 
 def test_a_diagram_shows_what_it_holds() -> None:
-    assert repr(loop()) == ("<Diagram speed_loop: 3 blocks, 4 wires>\n  error: Sum\n  control: PID\n  motor: PMDCMotor")
+    assert repr(loop()) == ("<Diagram speed_loop: 2 blocks, 3 wires>\n  control: PID\n  motor: PMDCMotor")
 
 
 @pytest.mark.parametrize(
@@ -634,7 +630,7 @@ def test_a_diagram_shows_what_it_holds() -> None:
 def test_what_follows_from_a_section_that_could_not_be_read_is_not_told(section: str, value: Any) -> None:
     document = {
         "format": "blocks-diagram",
-        "version": 1,
+        "version": 2,
         "parameters": {"k": 1},
         "inputs": {"u": {}},
         "blocks": {"g": {"type": "Gain", "parameters": {"k": "=k"}}},

@@ -35,7 +35,7 @@ MOTOR = str(DIAGRAMS / "motor_pid.json")
 
 def write(path: Path, **parts: Any) -> str:
     path.write_text(
-        json.dumps({"format": "blocks-diagram", "version": 1, "name": path.stem, **parts}), encoding="utf-8"
+        json.dumps({"format": "blocks-diagram", "version": 2, "name": path.stem, **parts}), encoding="utf-8"
     )
     return str(path)
 
@@ -253,7 +253,7 @@ def test_check_tells_order_and_rates(capsys: pytest.CaptureFixture[str]) -> None
 def test_check_tells_all_faults_with_their_places(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "broken.json"
     path.write_text(
-        '{"format": "blocks-diagram", "version": 1, "name": "broken",\n'
+        '{"format": "blocks-diagram", "version": 2, "name": "broken",\n'
         ' "blocks": {"a": {"type": "Gain"},\n'
         '            "b": {"type": "Gian"}},\n'
         ' "wires": {"a.x": "b.y"}}\n',
@@ -437,7 +437,7 @@ def drawn(path: Path) -> list[str]:
 
 def test_plot_shows_four_signals_or_those_of_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "x.svg"
-    names = ["speed.y", "motor.omega", "motor.i", "control.y", "load.y"]
+    names = ["speed.y", "motor.omega", "motor.i", "control.u", "load.y"]
     assert main(["run", MOTOR, "--stop", "3", "--plot", str(target)]) == 0
     assert [name for name in names if any(name in text for text in drawn(target))] == names[:4]
     logged = [word for name in names for word in ("--log", name)]
@@ -691,7 +691,7 @@ def test_settings_of_the_master_are_given_one_by_one(capsys: pytest.CaptureFixtu
 
 # --- what a terminal shows -------------------------------------------------------------------------------------
 
-BROKEN = """{"format": "blocks-diagram", "version": 1, "name": "broken",
+BROKEN = """{"format": "blocks-diagram", "version": 2, "name": "broken",
  "blocks": {
   "a": {"type": "Gian"},
   "b": {"type": "Gain", "parametres": {"k": 1}}
@@ -752,7 +752,7 @@ def test_the_lines_of_other_commands_stand_on_stderr(tmp_path: Path) -> None:
 
 def test_a_faulty_line_is_shown_as_far_as_it_fits_and_obeys_no_escape(tmp_path: Path) -> None:
     long = tmp_path / "long.json"
-    text = '{"format": "blocks-diagram", "version": 1, "doc": "' + 300 * "\u00e9\u202e" + '", "bolcks": {}}'
+    text = '{"format": "blocks-diagram", "version": 2, "doc": "' + 300 * "\u00e9\u202e" + '", "bolcks": {}}'
     long.write_text(text, encoding="utf-8")
     fault = Fault("E003", "bolcks", "the key is not known", file=str(long), line=1, column=text.index('"bolcks"') + 1)
     shown, mark = Excerpts().of(fault)
@@ -892,7 +892,7 @@ def test_check_takes_several_files_and_studies(tmp_path: Path, capsys: pytest.Ca
     paper = str(DIAGRAMS / "paper" / "study.json")
     assert main(["check", MOTOR, paper]) == 0
     told = capsys.readouterr().out
-    assert "motor_pid: 5 blocks" in told
+    assert "motor_pid: 4 blocks" in told
     assert "paper: 8 runs, 27 claims" in told
     assert main(["check", MOTOR, str(broken), BALL]) == 2
     told = capsys.readouterr().out
@@ -1098,7 +1098,7 @@ def test_a_slip_of_the_text_hides_no_fault_of_meaning(tmp_path: Path, capsys: py
     path = tmp_path / "slip.json"
     text = """{
  // my diagram
- "format": "blocks-diagram", "version": 1,
+ "format": "blocks-diagram", "version": 2,
  "blocks": {"g": {"type": "Gian"}, "h": {"type": "Gain", "parameters": {"kk": 1}}},
  "wires": {"h.u": "zzz.y"}, "bogus": 1
 }

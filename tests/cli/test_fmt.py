@@ -30,11 +30,11 @@ STUDIES = [path for path in SHIPPED if '"blocks-study"' in path.read_text(encodi
 
 UGLY = """{"wires": {"g.u": "r"}, "x-own": {"b": 1.50, "a": []}, "blocks": {
     "g": {"x-note": "mine", "parameters": {"k": 2.50}, "doc": "", "type": "Gain"}},
-  "inputs": {"r": {}}, "measures": {}, "version": 1, "run": {"stop": 1e0, "log": ["g.y"]}, "format": "blocks-diagram"}
+  "inputs": {"r": {}}, "measures": {}, "version": 2, "run": {"stop": 1e0, "log": ["g.y"]}, "format": "blocks-diagram"}
 """
 FORMATTED = """{
  "format": "blocks-diagram",
- "version": 1,
+ "version": 2,
  "name": "diagram",
  "inputs": {
   "r": {}
@@ -168,7 +168,7 @@ def test_programs_are_told_about_each_file(path: Path, capsys: pytest.CaptureFix
     status, out, err = out_of(capsys, "fmt", "--check", "--json", str(path))
     assert (status, err) == (1, "")
     assert [json.loads(line) for line in out.splitlines()] == [
-        {"event": "file", "file": str(path), "canonical": False, "version": 1},
+        {"event": "file", "file": str(path), "canonical": False, "version": 2},
         {"event": "done", "files": 1, "changed": 1, "check": True},
     ]
 
@@ -183,7 +183,7 @@ def test_programs_are_told_about_each_file(path: Path, capsys: pytest.CaptureFix
         ('"inputs": {"r": {}}', '"inputs": {"r": {}}, "inputs": {}', "E002"),
         ('"measures"', '"measure"', "E003"),
         ('"g.u": "r"', '"g.u": 7', "E004"),
-        ('"version": 1', '"version": 2', "E005"),
+        ('"version": 2', '"version": 3', "E005"),
         ('"format": "blocks-diagram"', '"format": "diagram"', "E006"),
         ('"type": "Gain"', '"x-type": "Gain"', "E009"),
         ('"g": {', '"a b": {', "E111"),
@@ -329,8 +329,8 @@ def test_a_file_that_another_program_changes_meanwhile_is_left_as_that_left_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "x.json"
-    path.write_text('{"format": "blocks-diagram", "version": 1, "name": "x"}\n', encoding="utf-8")
-    changed = '{"format": "blocks-diagram", "version": 1, "name": "y"}\n'
+    path.write_text('{"format": "blocks-diagram", "version": 2, "name": "x"}\n', encoding="utf-8")
+    changed = '{"format": "blocks-diagram", "version": 2, "name": "y"}\n'
     made = dumps
 
     def late(value: Any) -> str:
@@ -347,7 +347,7 @@ def test_a_file_that_another_program_changes_meanwhile_is_left_as_that_left_it(
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may give files to others")
 def test_a_file_keeps_its_owner(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
-    path.write_text('{"format": "blocks-diagram", "version": 1, "name": "x"}\n', encoding="utf-8")
+    path.write_text('{"format": "blocks-diagram", "version": 2, "name": "x"}\n', encoding="utf-8")
     os.chown(path, 1234, 1234)
     path.chmod(0o640)
     assert main(["fmt", str(path)]) == 0

@@ -174,7 +174,7 @@ def of_file(path: Path) -> Bound:
 
 
 def made(**sections: Any) -> DiagramValue:
-    return document.from_document({"format": "blocks-diagram", "version": 1, "name": "d", **sections})
+    return document.from_document({"format": "blocks-diagram", "version": 2, "name": "d", **sections})
 
 
 def bound(overrides: dict[str, Any] | None = None, /, **sections: Any) -> Bound:
@@ -639,11 +639,13 @@ def functions() -> Bound:
 def large() -> Bound:
     """Many blocks alike, so that loops over tables compute them, and some that differ."""
     blocks: dict[str, Any] = {}
+    wires: dict[str, str] = {}
     for n in range(60):
         blocks[f"pid{n}"] = {"type": "PID", "parameters": {"kp": f"=K*{n + 1}.5", "ki": f"=K/{n + 2}", "kd": 0.1 + n}}
+        wires |= {f"pid{n}.r": "u", f"pid{n}.y": "u", f"g{n}.u": "u", f"f{n}.u": "u"}
         blocks[f"g{n}"] = {"type": "Gain", "parameters": {"k": "=K" if n % 2 else "=K" + "+K" * n}}
         blocks[f"f{n}"] = {"type": "Gain", "parameters": {"k": f"=K**{n % 5} + sin({n}*K)"}}
-    return bound(parameters={"K": 1.25}, inputs={"u": {}}, blocks=blocks, wires={f"{name}.u": "u" for name in blocks})
+    return bound(parameters={"K": 1.25}, inputs={"u": {}}, blocks=blocks, wires=wires)
 
 
 def test_every_function_of_expressions_is_computed_as_flattening_computes_it() -> None:

@@ -39,7 +39,7 @@ def resolver() -> Any:
 
 
 def document(**sections: Any) -> dict[str, Any]:
-    return {"format": "blocks-diagram", "version": 1, "name": "d", **sections}
+    return {"format": "blocks-diagram", "version": 2, "name": "d", **sections}
 
 
 def loop(**changes: Any) -> dict[str, Any]:
@@ -50,7 +50,7 @@ def loop(**changes: Any) -> dict[str, Any]:
         outputs={"omega": "motor.omega"},
         blocks={
             "error": {"type": "Sum", "parameters": {"signs": "+-", "unit": "rad/s"}},
-            "control": {"type": "PID", "parameters": {"kp": "=kp", "ki": 30, "unit": "V", "unit_u": "rad/s"}},
+            "control": {"type": "Gain", "parameters": {"k": "=kp", "unit": "V", "unit_u": "rad/s"}},
             "motor": {"type": "PMDCMotor", "parameters": {"Ra": {"value": 1200, "unit": "mOhm"}}},
         },
         wires={"error.u1": "r", "error.u2": "motor.omega", "control.u": "error.y", "motor.v": "control.y"},

@@ -31,7 +31,7 @@ DIAGRAMS = sorted(path for path in (ROOT / "diagrams").rglob("*.json") if '"bloc
 LOOP = """\
 {
  "format": "blocks-diagram",
- "version": 1,
+ "version": 2,
  "name": "loop",
  "parameters": {
   "k": 2.50,
@@ -169,7 +169,7 @@ def test_what_would_compute_something_else_is_refused(tmp_path: Path) -> None:
     block = {"type": "Constant", "parameters": {"value": "=k"}}
     inner = {"parameters": {"k": 1}, "outputs": {"y": "g.y"}, "blocks": {"g": block}}
     text = json.dumps(
-        {"format": "blocks-diagram", "version": 1, "blocks": {"part": {"diagram": inner, "parameters": {"k": 5}}}}
+        {"format": "blocks-diagram", "version": 2, "blocks": {"part": {"diagram": inner, "parameters": {"k": 5}}}}
     )
     fault = refused(tmp_path, text, {"in": "part", "remove": "parameters.k"})
     assert fault.code == "E501"
@@ -260,7 +260,7 @@ def test_variants_are_renamed_and_removed_with_the_choices_of_them(tmp_path: Pat
 # --- several blocks --------------------------------------------------------------------------------------------
 
 NOISY = {
-    "format": "blocks-diagram", "version": 1, "parameters": {"k": {"value": 200, "unit": "mV"}, "b": "=k/2"},
+    "format": "blocks-diagram", "version": 2, "parameters": {"k": {"value": 200, "unit": "mV"}, "b": "=k/2"},
     "inputs": {"r": {"size": 2, "default": [1, 2], "unit": "V"}},
     "outputs": {"y": "sum.y"},
     "blocks": {
@@ -306,7 +306,7 @@ def test_a_group_computes_what_its_blocks_did_and_can_be_undone(names: list[str]
 
 def test_a_group_in_a_subdiagram_of_a_file_is_told_where_its_names_are_used(tmp_path: Path) -> None:
     outer = {
-        "format": "blocks-diagram", "version": 1,
+        "format": "blocks-diagram", "version": 2,
         "blocks": {"part": {"diagram": "d.json", "parameters": {"k": 3}}},
         "run": {"stop": 1, "log": ["part.lag.y", "part.gain", "part.y"]},
     }  # fmt: skip
@@ -382,7 +382,7 @@ def test_pasted_entries_get_names_that_are_free(tmp_path: Path) -> None:
 
 
 def test_operations_reach_the_file_of_a_subdiagram_and_other_files(tmp_path: Path) -> None:
-    top = {"format": "blocks-diagram", "version": 1, "blocks": {"part": {"diagram": "d.json"}}}
+    top = {"format": "blocks-diagram", "version": 2, "blocks": {"part": {"diagram": "d.json"}}}
     path = project(tmp_path, top=top, d=LOOP, study=STUDY)
     operations = [
         {"in": "part", "set": "blocks.lag.parameters.T", "to": 9},
@@ -406,7 +406,7 @@ def test_an_edit_that_is_written_already_stays_where_it_is_written_again(tmp_pat
 
 def test_files_that_are_named_are_edited_and_no_others(tmp_path: Path) -> None:
     outer = {
-        "format": "blocks-diagram", "version": 1, "blocks": {"part": {"diagram": "d.json"}},
+        "format": "blocks-diagram", "version": 2, "blocks": {"part": {"diagram": "d.json"}},
         "run": {"log": ["part.y", "part.u"]},
     }  # fmt: skip
     path = project(tmp_path, top=outer, d=LOOP, other=outer)
@@ -483,7 +483,7 @@ def test_all_files_are_written_or_none(how: str, tmp_path: Path, monkeypatch: py
         ({"set": "run.stop.x", "to": 1}, "E105", "nothing can stand"),
         ({"set": "blocks.lag.doc", "to": True}, "E004", "after the edit"),
         ({"set": "run.log[7]", "to": "r"}, "E105", "3 entries"),
-        ({"set": "version", "to": 2}, "E005", "after the edit"),
+        ({"set": "version", "to": 3}, "E005", "after the edit"),
         ({"set": "run.stop", "to": float("nan")}, "E004", "finite"),
         ({"add": "blocks.lag", "value": {"type": "Gain"}}, "E109", "stands there already"),
         ({"add": "blocks.a b", "value": {"type": "Gain"}}, "E105", "is no place"),
@@ -536,7 +536,7 @@ def within(*, doc: str = "", **inner: Any) -> str:
     """A diagram with an inline subdiagram."""
     part: dict[str, Any] = {"diagram": {"blocks": {"a": {"type": "Constant"}, "b": {"type": "Gain"}}, **inner}}
     part |= {"doc": doc} if doc else {}
-    return json.dumps({"format": "blocks-diagram", "version": 1, "blocks": {"p": part}})
+    return json.dumps({"format": "blocks-diagram", "version": 2, "blocks": {"p": part}})
 
 
 @pytest.mark.parametrize(
@@ -572,7 +572,7 @@ def test_what_ungrouping_would_lose_is_told(lost: Any, tmp_path: Path) -> None:
     "operation", [{"group": ["a"], "as": "q"}, {"ungroup": "p"}, {"swap": "a", "for": {"type": "Step"}}]
 )
 def test_what_moves_blocks_needs_a_file_in_order(wrong: Any, operation: Any, tmp_path: Path) -> None:
-    value = {"format": "blocks-diagram", "version": 1, "blocks": {"a": {"type": "Gain"}, "p": {"diagram": {}}}, **wrong}
+    value = {"format": "blocks-diagram", "version": 2, "blocks": {"a": {"type": "Gain"}, "p": {"diagram": {}}}, **wrong}
     assert refused(tmp_path, json.dumps(value), operation).code.startswith("E0")
 
 
@@ -581,7 +581,7 @@ def test_a_subdiagram_may_be_called_as_the_words_of_the_file(name: str, tmp_path
     noise = {"type": "Noise", "parameters": {"period": 0.1}}
     inner = {"blocks": {"n": noise, "g": {"type": "Gain"}}, "wires": {"g.u": "n.y"}}
     text = json.dumps(
-        {"format": "blocks-diagram", "version": 1, "blocks": {name: {"diagram": inner}},
+        {"format": "blocks-diagram", "version": 2, "blocks": {name: {"diagram": inner}},
          "run": {"stop": 1, "log": [f"{name}.g.y"]}}
     )  # fmt: skip
     new = edited(tmp_path, text, {"in": name, "group": ["n"], "as": "q"}, {"in": name, "rename": "blocks.g", "to": "h"})
@@ -592,7 +592,7 @@ def test_a_subdiagram_may_be_called_as_the_words_of_the_file(name: str, tmp_path
 def test_random_numbers_stay_where_streams_are_named_and_where_files_are_used(tmp_path: Path) -> None:
     noise = {"type": "Noise", "parameters": {"period": 0.1}}
     value = {
-        "format": "blocks-diagram", "version": 1, "blocks": {"n": {**noise, "stream": "x"}, "h": {"type": "Gain"}},
+        "format": "blocks-diagram", "version": 2, "blocks": {"n": {**noise, "stream": "x"}, "h": {"type": "Gain"}},
         "outputs": {"y": "n.y"}, "run": {"stop": 1, "log": ["n.y"]},
     }  # fmt: skip
     text = json.dumps(value)

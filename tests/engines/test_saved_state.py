@@ -48,7 +48,7 @@ def mixed() -> Diagram:
     """States, ticks, noise, events, a delay, a limiter, a loop that is solved, and measures of all kinds."""
     d = Diagram("mixed")
     r, noise = d.add("r", Pulse(on=0.35, off=1.2)), d.add("noise", Noise(period=0.07, deviation=0.1))
-    error, pid = d.add("error", Sum(signs="+--")), d.add("pid", PID(kp=2.0, ki=1.0, kd=0.1, lower=-3.0, upper=3.0))
+    sensor, pid = d.add("sensor", Sum()), d.add("pid", PID(kp=2.0, ki=1.0, kd=0.1, c=1.0, lower=-3.0, upper=3.0))
     hold, late = d.add("hold", ZeroOrderHold(period=0.05)), d.add("late", TransportDelay(delay=0.13))
     limiter, plant = (
         d.add("limiter", RateLimiter(rising=20.0)),
@@ -57,11 +57,11 @@ def mixed() -> Diagram:
     delay = d.add("delay", UnitDelay(period=0.1))
     d.add("ball", BouncingBall(h_start=0.3))
     loop, gain = d.add("loop", Sum()), d.add("gain", Gain(k=-0.5))
-    d.wire(error.u1, r.y)
-    d.wire(error.u2, plant.y)
-    d.wire(error.u3, noise.y)
-    d.wire(pid.u, error.y)
-    d.wire(hold.u, pid.y)
+    d.wire(sensor.u1, plant.y)
+    d.wire(sensor.u2, noise.y)
+    d.wire(pid.r, r.y)
+    d.wire(pid.y, sensor.y)
+    d.wire(hold.u, pid.u)
     d.wire(late.u, hold.y)
     d.wire(limiter.u, late.y)
     d.wire(plant.u, limiter.y)

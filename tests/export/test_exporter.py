@@ -1221,7 +1221,7 @@ def test_inputs_that_are_set_in_event_mode_act_there_and_between_as_in_a_run() -
 
 
 def test_an_intermediate_update_after_each_step_changes_nothing() -> None:
-    fmu, names = of_file("motor_pid", 3), ["omega", "control.y"]
+    fmu, names = of_file("motor_pid", 3), ["omega", "control.u"]
     points = [k * 0.5 for k in range(7)]
     expected = plain(fmu, points, names)
     times: list[float] = []

@@ -330,8 +330,10 @@ def test_units_follow_from_that_of_the_output() -> None:
         "r1": "rad/s", "r2": "rad/s2", "z1": "rad/s", "z2": "rad/s2", "z3": "rad/s3", "u": "V", "I": "rad",
     }  # fmt: skip
     assert feedback.declared_units(feedback.declaration.parameters["b0"]) == ("rad/(s3.V)",)
-    assert ports(resolved("PID", {"unit": "V", "unit_u": "rad/s"}).interface) == {"u": "rad/s", "y": "V"}
-    pid = resolved("PID", {"unit": "V", "unit_u": "rad/s"}).interface
+    assert ports(resolved("PID", {"unit": "rad/s", "unit_u": "V"}).interface) == {
+        "r": "rad/s", "y": "rad/s", "manual": "", "u_manual": "V", "u": "V",
+    }  # fmt: skip
+    pid = resolved("PID", {"unit": "rad/s", "unit_u": "V"}).interface
     for key, unit in {"kp": "V.s/rad", "ki": "V/rad", "kd": "V.s2/rad"}.items():
         assert units.same_quantity(pid.declared_units(pid.declaration.parameters[key])[0], unit)
 
@@ -423,12 +425,13 @@ def test_only_what_passes_through_at_once_is_feedthrough() -> None:
 
 def test_a_limited_pid_takes_back_what_the_limit_cuts_off() -> None:
     pid = {"kp": 2.0, "ki": 4.0, "upper": 3.0}
-    made = evaluate("PID", pid, u=5.0, integral=1.0, smoothed=5.0, above=np.True_, below=np.False_)
+    given = {"r": 8.0, "y": 3.0, "manual": 0.0, "u_manual": 0.0, "smoothed": 5.0}
+    given |= {"by_hand": np.False_, "above": np.True_, "below": np.False_}
+    made = evaluate("PID", pid, integral=1.0, **given)
     assert made["v"] == 11.0
-    assert made["y"] == 3.0
+    assert made["u"] == 3.0
     assert made["derivative:integral"] == 4.0 * 5.0 + (3.0 - 11.0) / 0.5  # Tt = kp/ki
-    sides = {"above": np.True_, "below": np.False_}
-    without = evaluate("PID", {**pid, "ki": 0.0}, u=5.0, integral=0.0, smoothed=5.0, **sides)
+    without = evaluate("PID", {**pid, "ki": 0.0}, integral=0.0, **given)
     assert without["derivative:integral"] == 0.0
 
 

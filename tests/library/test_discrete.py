@@ -298,20 +298,13 @@ def held(A: Array, b: Array, h: float) -> tuple[Array, Array]:
 
 
 def pid_loop(control: Any, wanted: Any, **run: Any) -> Results:
-    """A DiscretePID, or a PID of the error, before an oscillator."""
+    """A DiscretePID or a PID before an oscillator."""
     d = Diagram("loop")
     made, plant = d.add("control", control), d.add("plant", TransferFunction(num=[3.0], den=[1.0, 1.2, 1.0]))
     source = d.add("wanted", wanted)
-    if isinstance(control, PID):
-        error = d.add("error", Sum(signs="+-"))
-        d.wire(error.u1, source.y)
-        d.wire(error.u2, plant.y)
-        d.wire(made.u, error.y)
-        d.wire(plant.u, made.y)
-    else:
-        d.wire(made.r, source.y)
-        d.wire(made.y, plant.y)
-        d.wire(plant.u, made.u)
+    d.wire(made.r, source.y)
+    d.wire(made.y, plant.y)
+    d.wire(plant.u, made.u)
     return d.run(**{**TIGHT, **run})
 
 
@@ -356,7 +349,7 @@ def test_a_discrete_pid_nears_the_continuous_one_with_its_period(limits: dict[st
     def seen(results: Results) -> Array:
         return np.asarray(results["plant.y"][np.searchsorted(results.t, times)])
 
-    expected = seen(pid_loop(PID(**gains, **limits), wanted, stop=6.0, every=0.5))
+    expected = seen(pid_loop(PID(b=1.0, c=1.0, **gains, **limits), wanted, stop=6.0, every=0.5))
     errors = []
     for h in (0.02, 0.01, 0.005):
         block = DiscretePID(period=h, b=1.0, c=1.0, **gains, **limits)

@@ -200,18 +200,17 @@ def test_a_saturation_cuts_a_sine_at_the_instants_of_its_inverse() -> None:
 def pid_loop(pid: PID) -> Results:
     """An oscillator under a PID controller: 2 is wanted from 0.5 s to 4 s."""
     d = Diagram("loop")
-    wanted, error = d.add("wanted", Pulse(height=2.0, on=0.5, off=4.0)), d.add("error", Sum(signs="+-"))
+    wanted = d.add("wanted", Pulse(height=2.0, on=0.5, off=4.0))
     control, plant = d.add("control", pid), d.add("plant", TransferFunction(num=[3.0], den=[1.0, 1.2, 1.0]))
-    d.wire(error.u1, wanted.y)
-    d.wire(error.u2, plant.y)
-    d.wire(control.u, error.y)
-    d.wire(plant.u, control.y)
+    d.wire(control.r, wanted.y)
+    d.wire(control.y, plant.y)
+    d.wire(plant.u, control.u)
     return d.run(stop=6.0, every=0.25, **TIGHT)
 
 
 def test_a_pid_without_limits_is_linear() -> None:
     kp, ki, kd, Tf = 4.0, 3.0, 1.5, 0.05
-    results = pid_loop(PID(kp=kp, ki=ki, kd=kd, Tf=Tf))
+    results = pid_loop(PID(kp=kp, ki=ki, kd=kd, c=1.0, Tf=Tf))
     # States: plant x1, x2 (y = 3 x1), integral, smoothed; v = (kp + kd/Tf) e + integral - kd/Tf smoothed.
     gain = kp + kd / Tf
     A = np.array([
@@ -228,7 +227,7 @@ def test_a_pid_without_limits_is_linear() -> None:
 
 def test_a_limited_pid_is_that_of_equations_written_by_hand() -> None:
     kp, ki, kd, Tf, Tt, upper, lower = 4.0, 3.0, 1.5, 0.05, 0.4, 1.0, -0.2
-    results = pid_loop(PID(kp=kp, ki=ki, kd=kd, Tf=Tf, Tt=Tt, lower=lower, upper=upper))
+    results = pid_loop(PID(kp=kp, ki=ki, kd=kd, c=1.0, Tf=Tf, Tt=Tt, lower=lower, upper=upper))
 
     def control(t: float, x: Array) -> tuple[float, float, float]:
         e = (2.0 if t < 4.0 else 0.0) - 3.0 * x[0]
@@ -247,9 +246,9 @@ def test_a_limited_pid_is_that_of_equations_written_by_hand() -> None:
             x = expected.y[:, k]
             if t == round(t, 2):
                 assert at(results, "plant.y", t) == pytest.approx(3.0 * x[0], abs=1e-6)
-                assert at(results, "control.y", t) == pytest.approx(control(t, x)[2], abs=1e-6)
-    assert np.max(results["control.y"]) == pytest.approx(upper, abs=1e-9)
-    assert np.min(results["control.y"]) == pytest.approx(lower, abs=1e-9)
+                assert at(results, "control.u", t) == pytest.approx(control(t, x)[2], abs=1e-6)
+    assert np.max(results["control.u"]) == pytest.approx(upper, abs=1e-9)
+    assert np.min(results["control.u"]) == pytest.approx(lower, abs=1e-9)
     assert at(results, "plant.y", 3.75) == pytest.approx(2.0, abs=0.1)  # no windup: it is there soon after the limit
 
 

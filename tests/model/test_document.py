@@ -32,7 +32,7 @@ GAIN = {"type": "Gain"}
 
 def text(*lines: str) -> str:
     """A diagram's text from the lines behind its header: the first one given is line 3."""
-    return "\n".join(['{"format": "blocks-diagram",', ' "version": 1,', *lines]) + "\n"
+    return "\n".join(['{"format": "blocks-diagram",', ' "version": 2,', *lines]) + "\n"
 
 
 def faults(source: str | dict[str, Any]) -> list[tuple[str, str, int, int]]:
@@ -61,13 +61,13 @@ def project(folder: Path, **texts: dict[str, Any]) -> Path:
 
 
 def test_a_file_without_a_format_is_refused_with_how_to_begin() -> None:
-    fault = only('{"version": 1}')
+    fault = only('{"version": 2}')
     assert (fault.code, fault.message) == ("E009", 'the key "format" is missing.')
     assert 'Begin with {"format": "blocks-diagram"' in fault.cure
 
 
 def test_a_file_of_another_format_is_refused() -> None:
-    fault = only('{"format": "flow-chart", "version": 1}')
+    fault = only('{"format": "flow-chart", "version": 2}')
     assert (fault.code, fault.place, fault.line, fault.column) == ("E006", "format", 1, 12)
 
 
@@ -78,12 +78,12 @@ def test_a_file_that_is_no_object_is_refused(value: Any) -> None:
 
 def test_a_later_version_asks_for_an_update_and_another_one_does_not() -> None:
     later, odd, bool_ = (
-        only(json.dumps({"format": "blocks-diagram", "version": version})) for version in (2, "1", True)
+        only(json.dumps({"format": "blocks-diagram", "version": version})) for version in (3, "1", True)
     )
     assert [fault.code for fault in (later, odd, bool_)] == ["E005"] * 3
     assert "Update blocks" in later.cure
-    assert odd.cure == bool_.cure == 'Write "version": 1.'
-    assert "reads version 1" in only('{"format": "blocks-diagram", "version": 0.5}').cure
+    assert odd.cure == bool_.cure == 'Write "version": 2.'
+    assert "reads version 2" in only('{"format": "blocks-diagram", "version": 0.5}').cure
     assert only('{"format": "blocks-diagram"}').message == 'the key "version" is missing.'
 
 
@@ -92,12 +92,12 @@ def test_a_fault_of_the_first_two_keys_hides_no_other() -> None:
     for header in ('{"format": "blocks-diagram", ', '{"format": "blocks-diagram", "version": "1", ', "{"):
         assert [fault[0] for fault in faults(header + wrong)][1:] == ["E003"]
     # What another version means by its keys is not known.
-    for header in ('{"format": "blocks-diagram", "version": 99, ', '{"format": "blocks-dia", "version": 1, '):
+    for header in ('{"format": "blocks-diagram", "version": 99, ', '{"format": "blocks-dia", "version": 2, '):
         assert len(faults(header + wrong)) == 1
 
 
 def test_slips_of_the_text_hide_no_fault_of_the_structure() -> None:
-    text = "\ufeff" + """{"format": "blocks-diagram", "version": 1, // a loop
+    text = "\ufeff" + """{"format": "blocks-diagram", "version": 2, // a loop
  "blocks": {
   "g": {"type": "Gain", "k": 1,},
   "h": {"typ": "Gain", 'parameters': {"k": 1e999}}
@@ -651,7 +651,7 @@ def test_what_a_file_says_of_an_fmu_is_kept_as_it_is_written() -> None:
         '  "motor": {"fmu": "../fmus/X.fmu", "kind": "CS", "isolate": true, "timeout": 1e1, "doc": "a plant", '
         '"parameters": {"Ra": 0.20, "body.m[1]": {"value": 5, "unit": "g"}}, "x-own": 1}\n'
     )
-    source = '{\n "format": "blocks-diagram",\n "version": 1,\n "name": "d",\n "blocks": {\n' + line + " }\n}\n"
+    source = '{\n "format": "blocks-diagram",\n "version": 2,\n "name": "d",\n "blocks": {\n' + line + " }\n}\n"
     value = loads(source)
     assert dumps(value) == source
     entry = value.blocks["motor"]

@@ -14,7 +14,7 @@ from blocks.model.fingerprint import fingerprint
 
 PART = {
     "format": "blocks-diagram",
-    "version": 1,
+    "version": 2,
     "name": "part",
     "parameters": {"k": 2},
     "inputs": {"u": {}},
@@ -24,7 +24,7 @@ PART = {
 }
 WHOLE = {
     "format": "blocks-diagram",
-    "version": 1,
+    "version": 2,
     "name": "whole",
     "inputs": {"r": {"default": 1}},
     "blocks": {"part": {"diagram": "part.json", "parameters": {"k": 3}}},
@@ -62,7 +62,7 @@ def test_a_fingerprint_is_the_sha_256_of_the_diagram_with_its_subdiagrams(tmp_pa
     }
     whole = {
         "format": "blocks-diagram",
-        "version": 1,
+        "version": 2,
         "name": "whole",
         "inputs": {"r": {"default": 1.0}},
         "blocks": {"part": {"diagram": part, "parameters": {"k": 3.0}}},
@@ -105,7 +105,7 @@ def test_so_does_a_subdiagram_in_a_file_of_its_own(path: str, value: Any, tmp_pa
         ("blocks/part/x-note", "kept"),
         ("inputs/r/x-note", "kept"),
         ("run/x-note", "kept"),
-        ("$schema", "diagram-1.schema.json"),
+        ("$schema", "diagram-2.schema.json"),
     ],
 )
 def test_documentation_layout_and_spelling_do_not(path: str, value: Any, tmp_path: Path) -> None:

@@ -214,7 +214,7 @@ OLD = """{
 """
 NEW = """{
  "format": "blocks-diagram",
- "version": 1,
+ "version": 2,
  "name": "old",
  "inputs": {
   "u": {"default": 2}
@@ -257,7 +257,7 @@ def faults(text: str) -> list[tuple[str, tuple[str | int, ...], int, int]]:
 def test_an_older_file_is_what_the_newest_version_says_of_it() -> None:
     old, new = Diagram.from_json(OLD), Diagram.from_json(NEW)
     assert old.value == new.value
-    assert (old.value.version, new.value.version) == (0, 1)
+    assert (old.value.version, new.value.version) == (0, 2)
     results = old.run(engine="reference")
     assert results["g.y"][-1] == 6.0
     assert results.t[-1] == 0.1
@@ -301,14 +301,14 @@ def test_check_warns_of_an_older_file_and_fmt_brings_it_up_to_date(
     path.write_text(OLD, encoding="utf-8")
     assert main(["check", str(path)]) == 0
     out = capsys.readouterr().out
-    assert f"W103 {path}:2:41 version: the file is of version 0; the newest is 1." in out
+    assert f"W103 {path}:2:41 version: the file is of version 0; the newest is 2." in out
     assert "0 errors, 1 warning" in out
     assert main(["fmt", "--check", str(path)]) == 1
     assert capsys.readouterr().out == f"{path}: is not canonical, of version 0\n"
     assert main(["rename", str(path), "g", "h"]) == 2
     assert f"blocks fmt {path}" in capsys.readouterr().err
     assert main(["fmt", str(path)]) == 0
-    assert capsys.readouterr().out == f"{path}: formatted, brought from version 0 to 1\n"
+    assert capsys.readouterr().out == f"{path}: formatted, brought from version 0 to 2\n"
     assert path.read_text(encoding="utf-8") == NEW
     assert main(["check", str(path)]) == 0
     assert "W103" not in capsys.readouterr().out
@@ -318,7 +318,7 @@ def test_check_warns_of_an_older_file_and_fmt_brings_it_up_to_date(
 def test_a_subdiagram_file_may_be_older_than_the_file_that_names_it(tmp_path: Path) -> None:
     (tmp_path / "old.json").write_text(OLD, encoding="utf-8")
     blocks = {name: {"diagram": "old.json"} for name in ("a", "b")}
-    text = json.dumps({"format": "blocks-diagram", "version": 1, "blocks": blocks, "wires": {"a.u": "c.y"}})
+    text = json.dumps({"format": "blocks-diagram", "version": 2, "blocks": blocks, "wires": {"a.u": "c.y"}})
     text = text.replace('{"a"', '{"c": {"type": "Sine"}, "a"')
     warnings = Diagram.from_json(text, folder=tmp_path).flatten().warnings
     assert [(one.code, one.line, Path(one.file).name) for one in warnings] == [("W103", 2, "old.json")]
@@ -327,7 +327,7 @@ def test_a_subdiagram_file_may_be_older_than_the_file_that_names_it(tmp_path: Pa
 def test_a_version_that_no_step_begins_at_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     assert faults(OLD) == [("E005", ("version",), 2, 41)]
     monkeypatch.setitem(migrations.DIAGRAM, 0, from_0)
-    for version in ("-1", "0.5", "2", "true", '"0"', "1e300", "null"):
+    for version in ("-1", "0.5", "3", "true", '"0"', "1e300", "null"):
         assert ("E005", ("version",), 2, 41) in faults(OLD.replace('"version": 0', f'"version": {version}'))
 
 

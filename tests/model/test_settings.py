@@ -200,7 +200,7 @@ def test_all_faults_are_told_at_once() -> None:
 
 
 def faults_of(run: str, **settings: Any) -> tuple[Fault, ...]:
-    source = f'{{"format": "blocks-diagram",\n "version": 1,\n "run": {run}}}'
+    source = f'{{"format": "blocks-diagram",\n "version": 2,\n "run": {run}}}'
     with pytest.raises(ModelError) as caught:
         flatten(document.loads(source, file="d.json"), LIBRARY.__getitem__, settings=settings)
     return caught.value.faults
@@ -301,7 +301,7 @@ def test_a_setting_of_the_master_on_top_replaces_that_one_only() -> None:
 
 LAG = {
     "format": "blocks-diagram",
-    "version": 1,
+    "version": 2,
     "blocks": {"one": {"type": "Constant"}, "lag": {"type": "Integrator"}},
     "wires": {"lag.u": "one.y"},
 }

@@ -137,7 +137,7 @@ def test_margins_and_rows_that_are_refused_come_back(
 ) -> None:
     d = Diagram.load(ROOT / "diagrams" / "motor_pid.json")
     vary = {"motor.Ra": [0.15, -0.2, 0.16], "kp": [0.5, 1.0]}
-    given: dict[str, Any] = {"margins": {"phase": {"type": "phase_margin", "loop": "control.y"}}, "stop": 0.5}
+    given: dict[str, Any] = {"margins": {"phase": {"type": "phase_margin", "loop": "control.u"}}, "stop": 0.5}
     in_chunks(1, monkeypatch)
     far, here = d.sweep(vary, **given, on=client), d.sweep(vary, **given)
     assert here.counts() == {"ok": 4, "refused": 2}

@@ -52,7 +52,7 @@ def motor_study(path: Path, **changes: Any) -> str:
                                           "band": [6, 10], "inset": [0, 1, 0, 1],
                                           "markers": [{"run": "soft", "signal": "motor.omega", "label": "top"}]}]},
             {"name": "spectrum", "kind": "spectrum", "from": 2, "to": 6,
-             "panels": [{"lines": [{"run": "stiff", "signal": "control.y"}], "ylabel": "V"}]},
+             "panels": [{"lines": [{"run": "stiff", "signal": "control.u"}], "ylabel": "V"}]},
         ],
         **changes,
     }  # fmt: skip
@@ -182,7 +182,7 @@ def test_plots_show_signals_by_unit_and_refuse_too_many() -> None:
     from blocks import Diagram, UsageError
 
     results = Diagram.load(ROOT / "diagrams" / "motor_pid.json").run(stop=2.0)
-    figure = results.plot("motor.omega", "speed.y", "control.y")
+    figure = results.plot("motor.omega", "speed.y", "control.u")
     assert len(figure.axes) == 2, "two signals in rad/s share a panel"
     assert len(results.plot().axes) >= 1
     assert plots.svg_text(results.plot("motor.omega")) == plots.svg_text(results.plot("motor.omega"))

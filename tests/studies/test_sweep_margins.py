@@ -100,9 +100,9 @@ def test_an_unstable_loop_has_no_margins_and_a_bearing_one_endless_ones() -> Non
     assert sweep.measures["slow"][1] > 0
     assert "gm: E705 control.u: the closed loop is not stable" in sweep.messages[1]
     plain = Diagram.load(ROOT / "diagrams" / "motor_pid.json")
-    asked = {"gm": {"type": "gain_margin", "loop": "control.y"}}
+    asked = {"gm": {"type": "gain_margin", "loop": "control.u"}}
     (found,) = plain.sweep({"kp": [8.0]}, margins=asked, stop=0.01).measures["gm"]
-    known = margins(plain.linearizer(parameters={"kp": 8.0}).loop("control.y"))
+    known = margins(plain.linearizer(parameters={"kp": 8.0}).loop("control.u"))
     assert known.stable
     assert found == (np.inf if known.gain is None else known.gain)
 

@@ -24,13 +24,13 @@ def is_unlike(path: Path) -> bool:
 
 
 def document(**sections: Any) -> dict[str, Any]:
-    return {"format": "blocks-diagram", "version": 1, "name": "d", **sections}
+    return {"format": "blocks-diagram", "version": 2, "name": "d", **sections}
 
 
 NESTED = """\
 {
  "format": "blocks-diagram",
- "version": 1,
+ "version": 2,
  "name": "outer",
  "doc": "one line",
  "parameters": {
@@ -102,9 +102,9 @@ NESTED = """\
 SQUARE = {"inputs": {"u": {}}, "outputs": {"y": "p.y"}, "blocks": {"p": {"type": "Power"}}, "wires": {"p.u": "u"}}
 # Every key of a diagram and of a study stands in these.
 CONTROLLED = {
-    "$schema": "diagram-1.schema.json",
+    "$schema": "diagram-2.schema.json",
     "format": "blocks-diagram",
-    "version": 1,
+    "version": 2,
     "name": "all",
     "doc": ["one", "two"],
     "parameters": {"k": {"value": 2, "unit": "V", "doc": "gain", "x-a": 1}, "flags": [True], "rows": [[1], ["=k"]]},

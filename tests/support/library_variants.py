@@ -169,7 +169,7 @@ VARIANTS: list[tuple[str, dict[str, Any]]] = [
     ("Park", {"unit": "A"}),
     ("PID", {}),
     ("PID", {"kp": 2.0, "ki": 3.0, "kd": 0.5, "lower": -2.0, "upper": 4.0}),
-    ("PID", {"kp": -2.0, "ki": -3.0, "Tt": 0.2, "Tf": 0.01, "kd": 1.0, "unit": "V", "unit_u": "rad/s"}),
+    ("PID", {"kp": -2.0, "ki": -3.0, "Tt": 0.2, "Tf": 0.01, "kd": 1.0, "c": 1.0, "unit": "rad/s", "unit_u": "V"}),
     ("PMDCMotor", {}),
     ("Noise", {}),
     ("Noise", {"distribution": "uniform", "unit": "V", "deviation": 0.1, "mean": 1.0, "seed": 7.0, "period": 0.1}),

@@ -152,7 +152,7 @@ def warm() -> None:
             ["run", ball, "--stop", "0.1", "--engine", "reference"],
             ["draw", ball],
             ["list"],
-            ["linearize", motor, "--from", "control.y", "--to", "motor.omega"],
+            ["linearize", motor, "--from", "control.u", "--to", "motor.omega"],
         ):
             main(words)
     for name in ("studies.study", "studies.report", "results.compare", "export.exporter", "fmi.summary"):
