@@ -174,6 +174,12 @@ def table(
     return made
 
 
+def wrapped(made: nodes.table) -> nodes.table:
+    """A table whose first column has whole phrases: they may be broken into lines."""
+    made["classes"].append("wrapped")
+    return made
+
+
 def code(text: str) -> list[nodes.Node]:
     return [nodes.literal(text, text)] if text else []
 
@@ -303,7 +309,7 @@ class LibraryDirective(Reference):
             )
             for name, classes in modules().items()
         ]
-        made: list[nodes.Node] = [nodes.rubric("", "At a glance"), table(("", "blocks"), glance, (20, 80))]
+        made: list[nodes.Node] = [nodes.rubric("", "At a glance"), wrapped(table(("", "blocks"), glance, (25, 75)))]
         for name, classes in modules().items():
             title, _ = module_texts(name)
             rows = []
@@ -481,7 +487,7 @@ class SimulinkWordsDirective(Reference):
             name = (anchor.replace("-", " ") or place.removesuffix(".md").replace("_", " ")).capitalize()
             more = [] if place == "library.md" else [f"[{name}]({see})"]
             rows.append((", ".join(words), inline(here, None), self.parse_inline(", ".join([*linked, *more]))[0]))
-        return [table(("in Simulink", "here", "see"), rows, (25, 50, 25))]
+        return [wrapped(table(("in Simulink", "here", "see"), rows, (25, 50, 25)))]
 
 
 class UnitsDirective(Reference):
@@ -638,6 +644,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("builder-inited", begin)
     app.add_css_file("drawings.css")
     app.add_lexer("output", TextLexer)
+    app.add_lexer("csv", TextLexer)
     for name, directive in {
         "block": BlockDirective,
         "codes": CodesDirective,
