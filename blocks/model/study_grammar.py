@@ -369,6 +369,13 @@ def _named(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
     return ("name",)
 
 
+def _rising(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+    for k, window in enumerate(value.get("windows", ())):
+        if isinstance(window, list) and len(window) == 2 and _numbers(2).takes(window) and window[0] >= window[1]:
+            told.fault("E004", (*path, "windows", k), f"{window} ends where it begins, or before. Write [from, to].")
+    return ()
+
+
 FIGURE = Object(
     Field("name", NAMES, "The name of its file.", required=True),
     Field("title", TEXT, "Its title."),
@@ -377,8 +384,11 @@ FIGURE = Object(
     Field("panels", _objects(PANEL, 1), "Axes, from the top.", required=True),
     Field("from", NUMBER, "Begin of the window, in s."),
     Field("to", NUMBER, "End of the window, in s."),
+    Field("windows", ListOf(_numbers(2), 1, what="a list of [from, to]"), (
+        "Stretches [from, to] of the horizontal axis, beside each other; left out: all of it."
+    )),
     Field("xlabel", TEXT, "The label of the horizontal axis."),
-    rules=[Rule(_named)],
+    rules=[Rule(_named), Rule(_rising)],
     name="figure",
 )
 _SOME = AnyOf(FILLED, ListOf(FILLED, 1), what="a name, or a list of names")

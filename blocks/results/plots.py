@@ -12,7 +12,7 @@ import contextlib
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,9 @@ from ..text.errors import Fault, UsageError
 __all__ = [
     "FORMATS",
     "INK",
+    "PAPER",
     "STYLES",
+    "WIDTH",
     "Line",
     "Marker",
     "Panel",
@@ -50,11 +52,16 @@ STYLES = (
     ("#64748b", "-"),
     ("#be123c", (0, (3, 1, 1, 1, 1, 1))),
 )
+_DOTS = ((0, (1, 1.2)), (0, (1, 2)))
 # Format of a picture: what keeps the date out of it, so that one figure gives the same bytes each time.
 FORMATS: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
 INK = "#010203"  # stands for the page's text color until `svg_text` puts it in
-_WIDTH, _HEIGHT = 7.2, 2.1  # inches of one panel
+PAPER = "#fefdfc"  # stands for the page's background
+WIDTH = 6.2  # inches: where a phone shows them whole, texts can be read
+_HEIGHT = 2.1  # of one panel
 _COLUMNS = 1500
+_LETTERS = 84
+"""Of the labels in a line of a legend."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,26 +140,65 @@ def new_figure(width: float, height: float) -> Any:
 
 
 @defaults()
-def panels(parts: Sequence[Panel], *, xlabel: str, title: str = "") -> Any:
-    """A figure with panels below each other on one x axis."""
+def panels(
+    parts: Sequence[Panel], *, xlabel: str, title: str = "", windows: Sequence[tuple[float, float]] = ()
+) -> Any:
+    """A figure with panels below each other on one x axis. windows: its stretches, shown beside each other."""
     heights = [part.height for part in parts]
-    figure = new_figure(_WIDTH, _HEIGHT * sum(heights) + 0.6)
-    axes = figure.subplots(len(parts), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
-    for part, axis in zip(parts, axes, strict=True):
-        _draw(part, axis)
-    axes[-1].set_xlabel(plain(xlabel))
+    legends = [_legend_of(part) for part in parts]
+    lines = sum(-(-len(part.lines) // columns) for part, columns in zip(parts, legends, strict=True) if columns)
+    figure = new_figure(WIDTH, _HEIGHT * sum(heights) + 0.6 + 0.16 * lines)
+    grid = {"height_ratios": heights, "width_ratios": [end - begin for begin, end in windows] or [1]}
+    across = max(1, len(windows))
+    axes = figure.subplots(len(parts), across, sharex="col", sharey="row", squeeze=False, gridspec_kw=grid)
+    for part, columns, row in zip(parts, legends, axes, strict=True):
+        for k, axis in enumerate(row):
+            _draw(_within(part, windows[k]) if windows else part, axis)
+            axis.set_xlim(windows[k] if windows else None)
+        row[0].set_ylabel(plain(part.ylabel))
+        if columns:
+            _legend(part, row[0], columns)
+    figure.supxlabel(plain(xlabel), fontsize=10, color=INK)
     if title:
-        axes[0].set_title(plain(title), fontsize=10, loc="left", color=INK)
-    for axis in axes:
+        figure.suptitle(plain(title), fontsize=10, x=0.01, ha="left", color=INK)
+    for axis in np.ravel(axes):
         ink(axis)
     return figure
+
+
+def _within(part: Panel, window: tuple[float, float]) -> Panel:
+    """What a panel shows in a window: the scale of the others does not follow what lies outside all of them."""
+    lines = []
+    for line in part.lines:
+        first, last = np.searchsorted(line.x, window[0], "right") - 1, np.searchsorted(line.x, window[1])
+        inside = slice(max(int(first), 0), int(last) + 1)
+        lines.append(replace(line, x=line.x[inside], y=line.y[inside]))
+    markers = tuple(marker for marker in part.markers if window[0] <= marker.x <= window[1])
+    return replace(part, lines=tuple(lines), markers=markers)
+
+
+def _legend_of(part: Panel) -> int:
+    """How many labels stand beside each other in the legend of a panel; 0 where it has none."""
+    if len(part.lines) == 1 and part.lines[0].label in part.ylabel:
+        return 0
+    return min(len(part.lines), max(1, _LETTERS // (6 + max(len(line.label) for line in part.lines))))
+
+
+def _legend(part: Panel, axis: Any, columns: int) -> None:
+    """The legend above its panel, where it hides no line. It is wider than one of several columns may be: the layout
+    is told of its height alone."""
+    legend = axis.legend(
+        fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.1, borderpad=0.2,
+        labelspacing=0.3, columnspacing=1.5, ncols=columns, labelcolor=INK,
+    )  # fmt: skip
+    legend.set_in_layout(False)
+    axis.set_title("\n".join(" " * -(-len(part.lines) // columns)), fontsize=9, pad=3)
 
 
 def _draw(part: Panel, axis: Any) -> None:
     if part.band is not None:
         axis.axvspan(*part.band, color="#94a3b8", alpha=0.22, linewidth=0)
     _curves(part, axis)
-    axis.set_ylabel(plain(part.ylabel))
     axis.grid(True, color="#94a3b8", alpha=0.35, linewidth=0.5)
     if part.log:
         axis.set_yscale("log")
@@ -161,10 +207,8 @@ def _draw(part: Panel, axis: Any) -> None:
         axis.plot([marker.x], [marker.y], "o", color=color, markersize=5, markerfacecolor="none")
         axis.annotate(
             plain(marker.label), (marker.x, marker.y), xytext=(7, 0), textcoords="offset points", fontsize=8,
-            va="center", color=INK,
+            va="center", color=INK, bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 1.0, "alpha": 0.75},
         )  # fmt: skip
-    if len(part.lines) > 1 or part.lines[0].label not in part.ylabel:
-        axis.legend(fontsize=8, frameon=False, loc="best", labelcolor=INK)
     axis.margins(x=0.0)
     if part.inset is not None:
         _inset(part, axis)
@@ -175,11 +219,14 @@ def _curves(part: Panel, axis: Any) -> None:
         color, pattern = (INK, (0, (1, 2))) if line.style is None else STYLES[line.style]
         if len(part.lines) == 1:
             pattern = "solid"  # nothing to tell it from
-        width = 0.9 if line.style is None else 1.3
+        # Of equal lines each shows: a solid one is wider than what lies on it, and dots lie on dashes.
+        is_solid, is_dotted = isinstance(pattern, str), pattern in _DOTS
+        width = 1.8 if is_solid and len(part.lines) > 1 else 0.9 if line.style is None else 1.2
         x, y = _thinned(line.x, line.y)
-        look: dict[str, Any] = {"linestyle": pattern, "linewidth": width}
+        order = 2 + 0.1 * (not is_solid) + 0.1 * is_dotted
+        look: dict[str, Any] = {"linestyle": pattern, "linewidth": width, "zorder": order}
         if line.look == "wide":
-            look = {"linestyle": "solid", "linewidth": 4.0, "alpha": 0.4}
+            look = {"linestyle": "solid", "linewidth": 4.0, "alpha": 0.4, "zorder": 1.9}
         elif line.look == "points":
             look = {"linestyle": "none", "marker": "o", "markersize": 2.2, "markeredgewidth": 0, "alpha": 0.7}
         axis.plot(x, y, color=color, label=plain(line.label), **look)
@@ -197,6 +244,7 @@ def _inset(part: Panel, axis: Any) -> None:
     small.tick_params(labelsize=7)
     axis.indicate_inset_zoom(small, edgecolor="#64748b")
     ink(small)
+    small.set_facecolor(PAPER)
 
 
 def ink(axis: Any, **ticks: Any) -> None:
@@ -231,6 +279,7 @@ def svg_text(figure: Any) -> str:
         written(figure, stream, "svg", {"Date": None, "Creator": None}, dpi=figure.dpi)
     text = stream.getvalue()
     text = text[text.index("<svg") :].replace(INK, "currentColor")
+    text = text.replace(PAPER, "var(--paper, var(--color-background-primary, Canvas))")
     head, rest = text.split(">", 1)
     # Fixed sizes in points would not shrink on a phone; the view box keeps the proportions.
     return re.sub(r' (?:width|height)="[^"]*"', "", head) + ">" + rest

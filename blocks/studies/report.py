@@ -166,7 +166,9 @@ def _figure(entry: Mapping[str, Any], results: Mapping[str, Results]) -> Any:
                 height=float(panel.get("height", 1.0)),
             )
         )
-    return plots.panels(parts, xlabel=str(entry.get("xlabel", "frequency [Hz]" if spectrum else "time [s]")))
+    windows = [(float(begin), float(end)) for begin, end in entry.get("windows", ())]
+    label = "frequency [Hz]" if spectrum else "time [s]"
+    return plots.panels(parts, xlabel=str(entry.get("xlabel", label)), windows=windows)
 
 
 def _signal(

@@ -40,7 +40,7 @@ def table(
 ) -> str:
     """A table as HTML; columns of numbers and their heads stand right. kinds: the class of a cell with some text."""
     columns = [[cell for cell in column if cell not in ("", "-")] for column in zip(*rows, strict=True)]
-    is_number = [bool(cells) and all(map(_NUMBER.match, cells)) for cells in columns] or [False] * len(head)
+    is_number = [all(map(_NUMBER.match, cells)) for cells in columns] or [False] * len(head)
     sides = ["number" if number else "" for number in is_number]
     lines = ["".join(f'<th class="{side}">{escaped(name)}</th>' for name, side in zip(head, sides, strict=True))]
     for row in rows:

@@ -388,6 +388,7 @@ BROKEN_STUDIES = [
     (("figures", 0, "from"), None, "E004"),
     (("figures", 0, "panels"), ..., "E009"),
     (("figures", 0, "panels"), [], "E009"),
+    (("figures", 0, "windows"), [[0]], "E004"),
     ((*PANEL, "lines"), [], "E009"),
     ((*PANEL, "band"), 5, "E004"),
     ((*PANEL, "inset"), [0, 1], "E004"),

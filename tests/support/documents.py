@@ -223,6 +223,7 @@ STUDY = {
     "figures": [
         {
             "name": "f", "title": "t", "doc": "d", "kind": "time", "from": 0, "to": 1, "xlabel": "x",
+            "windows": [[0, 0.5], [0.5, 1]],
             "panels": [
                 {
                     "lines": [{"run": "a", "signal": "s", "label": "l", "style": None, "scale": 2}], "ylabel": "y",
