@@ -9,14 +9,23 @@ from .fmu_model import ExportedVariable, Model
 __all__ = ["index_html"]
 
 _STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #1f2937; background: #fff; max-width: 60rem; margin: 2rem auto;
-  padding: 0 1rem }
-h1 { font-size: 1.6rem; margin-bottom: 0 } h2 { font-size: 1.15rem; margin: 2rem 0 .5rem }
-p.what { color: #4b5563; margin-top: .2rem }
-table { border-collapse: collapse; width: 100%; font-size: .9rem }
-td, th { text-align: left; padding: .25rem .75rem .25rem 0; border-bottom: 1px solid #e5e7eb; vertical-align: top }
-td.n { font-family: ui-monospace, monospace; white-space: nowrap }
+:root { --ink: #1f2937; --soft: #4b5563; --line: #e5e7eb; --paper: #fff }
+@media screen and (prefers-color-scheme: dark) {
+  :root { --ink: #e5e7eb; --soft: #9ca3af; --line: #374151; --paper: #111827 } }
+body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper); max-width: 60rem;
+  margin: 2rem auto; padding: 0 1rem; overflow-wrap: anywhere }
+h1 { font-size: 1.6rem; margin-bottom: 0 } h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; break-after: avoid }
+p.what, th { color: var(--soft) } p.what { margin-top: .2rem }
+table { border-collapse: collapse; table-layout: fixed; width: 100%; font-size: .9rem }
+td, th { text-align: left; padding: .25rem .75rem .25rem 0; border-bottom: 1px solid var(--line);
+  vertical-align: top }
+th:nth-child(1) { width: 26% } th:nth-child(2) { width: 18% } th:nth-child(3) { width: 14% } tr { break-inside: avoid }
+td:nth-child(1) { font-family: ui-monospace, monospace } td:nth-child(2), th:nth-child(2) { text-align: right }
 figure { margin: 1.5rem 0; overflow-x: auto } svg { max-width: 100%; height: auto }
+@media screen and (max-width: 40rem) {
+  svg { min-width: 44rem } table, tbody, td { display: block } tr:first-child { display: none }
+  tr { display: flex; flex-wrap: wrap; column-gap: .9rem; padding: .4rem 0; border-bottom: 1px solid var(--line) }
+  td { padding: 0; border: 0 } td:nth-child(4) { width: 100%; color: var(--soft) } td:empty { display: none } }
 """
 _TABLES = (
     ("Inputs", ("input",), ("continuous", "discrete")),
@@ -37,7 +46,9 @@ def index_html(model: Model, drawing: str) -> str:
     names = {"CS": "Co-Simulation", "ME": "Model Exchange"}
     what = f"{' and '.join(names[kind] for kind in model.kinds)}, exported by blocks {model.version}"
     parts = [
-        "<!DOCTYPE html>", '<html lang="en"><head><meta charset="utf-8">', f"<title>{escape(model.name)}</title>",
+        "<!DOCTYPE html>", '<html lang="en"><head><meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        '<meta name="color-scheme" content="light dark">', f"<title>{escape(model.name)}</title>",
         f"<style>{_STYLE}</style></head><body>", f"<h1>{escape(model.name)}</h1>",
         f'<p class="what">{escape(what)}</p>',
     ]  # fmt: skip
@@ -55,10 +66,10 @@ def index_html(model: Model, drawing: str) -> str:
 
 
 def _rows(variables: list[ExportedVariable]) -> list[str]:
-    rows = ["<tr><th>name</th><th>start</th><th>unit</th><th></th></tr>"]
+    rows = ["<tr><th>name</th><th>start</th><th>unit</th><th>description</th></tr>"]
     for v in variables:
         shown = ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in v.start[:4])
         shown += ", ..." if len(v.start) > 4 else ""
-        cells = f'<td class="n">{escape(v.name)}</td><td>{escape(shown)}</td><td>{escape(v.unit)}</td>'
+        cells = f'<td>{escape(v.name)}</td><td>{escape(shown)}</td><td>{escape(v.unit)}</td>'
         rows.append(f"<tr>{cells}<td>{escape(v.doc)}</td></tr>")
     return rows
