@@ -40,7 +40,7 @@ class Figure(Drawn):
         body = svg_text(self)
         rules = []
         for ink, paper, colors in zip(_INK, _PAPER, ([color for color, _ in STYLES], _BRIGHT), strict=True):
-            named = "".join(f";--c{n}:{color}" for n, color in enumerate(colors))
+            named = "".join([f";--paper:{paper}", *(f";--c{n}:{color}" for n, color in enumerate(colors))])
             rules.append(f".blocks-figure{{color:{ink};background:{paper}{named}}}")
         for n, (color, _) in enumerate(STYLES):
             body = body.replace(color, f"var(--c{n},{color})")
