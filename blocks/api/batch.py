@@ -29,6 +29,7 @@ from ..model.resolver import resolver_of
 from ..model.trust import Paths
 from ..results.results import Results
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
+from ..text.live_line import in_rows, live_line
 from ..text.printable import counted, legible
 from ..text.shown import Part, Shown, Table
 from .batch_processes import Worker, in_processes
@@ -215,13 +216,14 @@ class Batch(Shown):
         made = _Made(self, len(rows), seeds, budget)
         try:
             given = [{**self._parameters, **raw} for raw in self._given(rows, made)]
-            work = _Work(made, progress)
-            if self._why:
-                self._one_by_one(given, work, threads)
-            else:
-                for places in self._alike(given).values():
-                    if not made.interrupted:
-                        self._at_once(given, places, work, threads)
+            with live_line(progress, in_rows("rows")) as told:
+                work = _Work(made, told)
+                if self._why:
+                    self._one_by_one(given, work, threads)
+                else:
+                    for places in self._alike(given).values():
+                        if not made.interrupted:
+                            self._at_once(given, places, work, threads)
         except KeyboardInterrupt:
             made.interrupted = True
         return replace(made.rows(), how=self.how(len(rows), threads))

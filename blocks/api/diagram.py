@@ -256,6 +256,9 @@ class Diagram:
             raise UnknownName(f"there is no block {name!r}. {cure}")
         return Handle(self, name, *self._draft.ports(name, blocks[name]))
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._draft.section("blocks"))
+
     def wire(self, sink: PortName | str, source: PortName | str) -> None:
         """Connect a source to a sink: the sink comes first, as in the file. Raises ModelError (E109, E112)."""
         text = sink_text(sink, source, self)

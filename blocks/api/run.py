@@ -37,6 +37,7 @@ from ..text.atomic_write import write_atomically
 from ..text.brief import UnknownName
 from ..text.element_names import indexed
 from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
+from ..text.live_line import live_line
 from ..text.printable import quoted
 from ..text.quantity_text import read_quantity
 from .origin import origin_of
@@ -388,9 +389,13 @@ class Run:
         if self.settings.stop is None:
             cure = 'Give stop=..., or "stop" in the file\'s "run".'
             raise UsageError(Fault("E501", self._prepared.plan.name, "the run has no end.", cure))
+        start, stop = self.t, float(self.settings.stop)
         try:
-            if self.ended is None:
-                self.advance_to(self.settings.stop)
+            with live_line(
+                self._options.progress, lambda t: ((t - start) / max(stop - start, 1e-300), f"t = {t:.4g} s")
+            ) as self._simulation.progress:
+                if self.ended is None:
+                    self.advance_to(self.settings.stop)
         except KeyboardInterrupt:
             return self.results.changed(interrupted=True)
         return self.results

@@ -37,8 +37,8 @@ BROKEN = 70
 STDOUT = "stdout"
 COMMANDS = {
     "new": "new", "run": "run", "sweep": "sweep", "study": "study", "tune": "tune", "compare": "compare",
-    "check": "check", "diff": "diff", "fmt": "fmt", "rename": "rename", "apply": "apply", "draw": "draw",
-    "list": "listing", "schema": "schema", "export": "export", "fmu": "fmu", "linearize": "linearize",
+    "plot": "plot", "check": "check", "diff": "diff", "fmt": "fmt", "rename": "rename", "apply": "apply",
+    "draw": "draw", "list": "listing", "schema": "schema", "export": "export", "fmu": "fmu", "linearize": "linearize",
     "observer": "linearize", "explain": "explain", "doctor": "doctor",
 }  # fmt: skip
 """The module of each command, in the order of `blocks --help`."""

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 __all__ = ["Trunk", "tracks_of"]
 
-NEAR = 3.0
+NEAR = 7.0
 """Heights nearer than this count as one."""
 APART = 8.0
 """Trunks on one track keep this distance."""

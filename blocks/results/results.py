@@ -10,11 +10,12 @@ from typing import Any, NamedTuple, TextIO, overload
 
 import numpy as np
 
+from ..text import units
 from ..text.atomic_write import write_atomically
 from ..text.brief import UnknownName
 from ..text.element_names import element_names, indexed
 from ..text.errors import Fault, UsageError, did_you_mean
-from ..text.printable import counted
+from ..text.printable import counted, quoted
 from ..text.shown import Part, Shown, Table, as_html, as_text
 from . import files
 from .provenance import Origin
@@ -341,11 +342,21 @@ class Results(Shown):
             return files.FileTable(np.empty(0), self.stored, self.columns, metadata)
         return files.FileTable(self.t, self.values, self.columns, metadata)
 
-    def plot(self, *names: str, most: int = 4) -> Any:
-        """A matplotlib figure of signals, a panel for each unit; without names the first four. See `results.plots`."""
+    def plot(self, *names: str, most: int = 4, label: str = "", beside: Mapping[str, Results] | None = None) -> Any:
+        """A matplotlib figure of signals, a panel for each unit; without names the first four. See `results.plots`.
+
+        beside: other results by what the legend calls them: a panel for each signal, with its curve of each, in the
+        unit that it has here. label: what the legend calls these; the name of the diagram, if it is not said. Raises
+        UsageError (E501; E505 for units of different quantities), KeyError.
+        """
         from . import plots
 
-        columns = {name: (column, unit) for name, column, unit in self.flat_columns()}
+        if beside:
+            if (label or self.diagram) in beside:
+                message = f"two results are called {quoted(label or self.diagram)}."
+                raise UsageError(Fault("E501", "plot", message, 'Give this one a label="...".'))
+            return self._overlaid({label or self.diagram: self, **beside}, names, most)
+        columns = self._elements()
         picked: list[str] = []
         for name in names:
             if name in columns:
@@ -372,6 +383,44 @@ class Results(Shown):
             unit = "" if key.startswith("\0") else f"[{key}]"
             parts.append(plots.Panel(tuple(lines), f"{single} {unit}".strip() or "value"))
         return plots.panels(parts, xlabel="time [s]", title=self.diagram)
+
+    def _overlaid(self, runs: Mapping[str, Results], names: Sequence[str], most: int) -> Any:
+        """A panel for each signal, with a curve of each of the runs, of which this one is the first."""
+        from . import plots
+
+        known = {label: each._elements() for label, each in runs.items()}
+        first = next(iter(runs))
+        names = names or [name for name in known[first] if all(name in each for each in known.values())][:most]
+        what = ""
+        if len(runs) > len(plots.STYLES):
+            what = f"{len(runs)} results are more than the {len(plots.STYLES)} that a figure can tell apart."
+        elif len(names) > most:
+            what = f"{len(names)} signals are more than {most} in one figure."
+        elif not names or not all(each.rows for each in runs.values()):
+            what = "there is nothing to plot: no signal was recorded in all of them."
+        if what:
+            raise UsageError(Fault("E501", "plot", what))
+        parts = []
+        for name in names:
+            lines, unit = [], ""
+            for style, (label, each) in enumerate(runs.items()):
+                if name not in known[label]:
+                    cure = did_you_mean(name, known[label]) or f"Signals: {', '.join([*known[label]][:20])}."
+                    raise UsageError(Fault("E501", label, f"there is no signal {quoted(name)}.", cure))
+                column, own = known[label][name]
+                unit = unit or own
+                if own and not units.same_quantity(own, unit):
+                    message = f"is in {unit} in {first} and in {own} in {label}, which are different quantities."
+                    raise UsageError(Fault("E505", name, message))
+                values = each._block(column, 1)[:, 0]
+                scaled = units.scale(own, unit) * values if own and own != unit else values
+                lines.append(plots.Line(each.t, scaled, label, style))
+            parts.append(plots.Panel(tuple(lines), f"{name} [{unit}]" if unit else name))
+        return plots.panels(parts, xlabel="time [s]")
+
+    def _elements(self) -> dict[str, tuple[int, str]]:
+        """The column and the unit of each recorded element."""
+        return {name: (column, unit) for name, column, unit in self.flat_columns()}
 
 
 def _short(value: float) -> str:

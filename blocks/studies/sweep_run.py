@@ -28,6 +28,7 @@ from ..model.trust import Paths
 from ..model.variants import taken
 from ..text import units as unit_texts
 from ..text.errors import Fault, ModelError, UsageError
+from ..text.live_line import in_rows, live_line
 from ..text.quantity_text import read_quantity
 from .sampling import Rows, rows_of, seed_of
 from .sweep import Sweep
@@ -122,7 +123,8 @@ def sweep(
             piece = Sweep(**fields)
             made.take(piece.scenario * rows.n + piece.number, piece)
         if on is None:
-            _run(batches, beside, table, seeds, made, threads=threads, budget=budget, progress=progress)
+            with live_line(progress, in_rows("rows")) as told_to:
+                _run(batches, beside, table, seeds, made, threads=threads, budget=budget, progress=told_to)
         else:
             from .distributed import Job, Put, run_on
 

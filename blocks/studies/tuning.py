@@ -26,6 +26,7 @@ from ..model.flatten import Flat, element_of
 from ..model.wires import BlockSource
 from ..results.results import Results
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.live_line import in_rows, live_line
 from ..text.printable import legible, quoted
 from .gains_file import changes
 from .objectives import Constraint, Objective, constraints_of, objective_of
@@ -79,7 +80,10 @@ class Problem:
         self, *, threads: int | None = None, progress: Callable[[int, int], None] | None = None
     ) -> Tuning:
         """Run the optimiser. Raises UsageError (E501) where no candidate has a number."""
-        search = _Search(self, threads, progress)
+        with live_line(progress, in_rows("candidates")) as told:
+            return self._solved(_Search(self, threads, told))
+
+    def _solved(self, search: _Search) -> Tuning:
         start = self.space.cube(np.array(self.batch.nominal))
         # Optimisers compare fitnesses that may be infinite, or as large as numbers can be.
         with contextlib.suppress(Spent), np.errstate(all="ignore"):

@@ -11,7 +11,8 @@ Directives of this extension:
     {simulink-words}             what stands for Simulink's words, from blocks/api/simulink_words.json
     {python} Diagram             a public name, with its methods
     {drawing} diagrams/x.json    a diagram, drawn
-    {plot} diagrams/x.json       a run of it, plotted: `signals` names the panels
+    {plot} diagrams/x.json       a run of it, plotted: `signals` names the panels; or what Python lines make of `diagram`
+    {cards}                      a card for each page that is named, a line each: its first plot, its title, its question
 
 The page of each module of the library is written to `library/` when a build begins, since modules come and go.
 
@@ -26,7 +27,8 @@ import inspect
 import json
 import re
 import shlex
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -603,28 +605,81 @@ class DrawingDirective(Reference):
 
 
 class PlotDirective(Reference):
-    """Signals of a run, plotted."""
+    """Signals of a run, plotted; or the `figure` that lines of Python make of `diagram`."""
 
     required_arguments = 1
+    has_content = True
     option_spec = {"signals": str, "set": str, "caption": str}  # noqa: RUF012
 
     def run(self) -> list[nodes.Node]:
-        from blocks.api.diagram import Diagram
-        from blocks.results import plots
-
-        path = ROOT / self.arguments[0]
-        self.env.note_dependency(str(path))
-        parameters = assignments("--set", shlex.split(self.options.get("set", "")), "motor.Ra=200 mOhm")
-        results = Diagram.load(path).run(parameters=parameters)
-        figure = results.plot(*shlex.split(self.options.get("signals", "")))
-        for axes in figure.axes:
-            for place in ("left", "center", "right"):
-                axes.set_title("", loc=place)  # the caption says what it is
-        svg = plots.svg_text(figure)
-        made = nodes.figure("", raw(svg[svg.index("<svg") :]), classes=["plot"])
+        self.env.note_dependency(str(ROOT / self.arguments[0]))
+        figure = plotted(self.arguments[0], self.options, "\n".join(self.content))
+        made = nodes.figure("", raw(svg_of(figure)), classes=["plot"])
         if "caption" in self.options:
             made += nodes.caption("", "", *inline(self.options["caption"], None))
         return [made]
+
+
+def plotted(file: str, options: Mapping[str, str], code: str = "") -> Any:
+    """The matplotlib figure of a {plot}, without a title: the caption says what it is."""
+    from blocks.api.diagram import Diagram
+
+    diagram = Diagram.load(ROOT / file)
+    if code:
+        names: dict[str, Any] = {"diagram": diagram}
+        exec(compile(code, file, "exec"), names)
+        figure = names["figure"]
+    else:
+        parameters = assignments("--set", shlex.split(options.get("set", "")), "motor.Ra=200 mOhm")
+        figure = diagram.run(parameters=parameters).plot(*shlex.split(options.get("signals", "")))
+    for axes in figure.axes:
+        for place in ("left", "center", "right"):
+            axes.set_title("", loc=place)
+    return figure
+
+
+def svg_of(figure: Any) -> str:
+    from blocks.results import plots
+
+    svg = plots.svg_text(figure)
+    return svg[svg.index("<svg") :]
+
+
+class CardsDirective(Reference):
+    """Cards that lead to pages of this folder, which are named a line each."""
+
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        self.assert_has_content()
+        return [raw(f'<div class="cards">{"".join(self.card(name) for name in self.content)}</div>')]
+
+    def card(self, name: str) -> str:
+        docname = f"{self.env.docname.rpartition('/')[0]}/{name}"
+        path = Path(self.env.doc2path(docname))
+        self.env.note_dependency(str(path))
+        text = path.read_text(encoding="utf-8")
+        title, question = (part.strip() for part in text.split("\n\n")[:2])
+        plot = re.search(r"^```\{plot\} (\S+)\n((?::.*\n)*)((?:.*\n)*?)```$", text, re.MULTILINE)
+        assert plot is not None, f"{path}: a card shows the first plot of its page"
+        self.env.note_dependency(str(ROOT / plot[1]))
+        picture = small(plotted(plot[1], dict(re.findall(r"^:(\w+): *(.*)$", plot[2], re.MULTILINE)), plot[3]))
+        link = self.env.app.builder.get_relative_uri(self.env.docname, docname)
+        told = escape(" ".join(question.split()))
+        return f'<a class="card" href="{link}">{picture}<b>{escape(title.lstrip("# "))}</b><span>{told}</span></a>'
+
+
+def small(figure: Any) -> str:
+    """The curves of a figure, without words and numbers."""
+    figure.set_size_inches(3.6, 2.2)
+    for axes in figure.axes:
+        axes.set(xlabel="", ylabel="", xticklabels=[], yticklabels=[])
+        axes.tick_params(length=0)
+        axes.spines[:].set_alpha(0.4)
+        for text in [*axes.texts, *([axes.get_legend()] if axes.get_legend() else [])]:
+            text.remove()
+    svg = svg_of(figure)
+    return re.sub(r'<g id="[^"]*"', "<g", svg).replace("<svg ", '<svg aria-hidden="true" ', 1)
 
 
 def begin(app: Sphinx) -> None:
@@ -647,6 +702,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_lexer("csv", TextLexer)
     for name, directive in {
         "block": BlockDirective,
+        "cards": CardsDirective,
         "codes": CodesDirective,
         "commands": CommandsDirective,
         "drawing": DrawingDirective,

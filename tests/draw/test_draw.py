@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, permutations
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -178,6 +178,31 @@ def check_texts(made: Picture) -> None:
             assert not foreign or not overlap(text.box, box.edges), (text, box.path)
 
 
+CLEAR = 4.0
+"""Between a text and the outline of another box."""
+ABREAST = 7.0
+"""Between two nets beside each other."""
+
+
+def check_clearances(made: Picture) -> None:
+    """Texts keep clear of other boxes, and wires of two nets do not run nearly on one line."""
+    for owner, box in permutations(made.boxes, 2):
+        if "frame" not in (owner.kind, box.kind):
+            for text in owner.texts:
+                left, top, right, bottom = text.box
+                around = (left - CLEAR, top - CLEAR, right + CLEAR, bottom + CLEAR)
+                assert not overlap(around, box.edges), (text, box.path)
+    nets: dict[str, list[Wire]] = {}
+    for wire in made.wires:
+        nets.setdefault(wire.net, []).append(wire)
+    shapes = [pieces([wire.points for wire in wires]) for wires in nets.values()]
+    for one, two in combinations(shapes, 2):
+        for mine, others in zip(one, two, strict=True):
+            for level, low, high in mine:
+                for other, first, last in others:
+                    assert abs(level - other) >= ABREAST or high < first or last < low, (level, other, low, high)
+
+
 def check(made: Picture) -> None:
     check_boxes(made)
     check_wires(made)
@@ -215,6 +240,7 @@ def test_nothing_overlaps_in_the_diagrams_that_ship(path: Path, positions: str, 
     value = load(path)
     made = pictured(value if positions == "given" else without_positions(value), depth)
     check(made)
+    check_clearances(made)
     wires = sum(1 for wire in made.wires if "." not in wire.source[0])
     assert wires == len(value.wires) + len(value.outputs)
 

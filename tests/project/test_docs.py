@@ -45,8 +45,8 @@ import docstrings  # noqa: E402
 import formulas  # noqa: E402
 import reference  # noqa: E402
 
-QUICK = {"gallery/index.md"}
-"""Pages of subfolders whose samples every run of the tests executes; those of the others take long together."""
+QUICK, SLOW = {"gallery/index.md"}, {"cookbook.md"}
+"""Pages of subfolders whose samples every run of the tests executes, as those of all other pages are but these."""
 
 UPDATE = bool(os.environ.get("UPDATE_DOCS"))
 
@@ -56,7 +56,10 @@ UPDATE = bool(os.environ.get("UPDATE_DOCS"))
 
 @pytest.mark.parametrize(
     "name",
-    long_but([path.relative_to(DOCS).as_posix() for path in PAGES], lambda name: "/" not in name or name in QUICK),
+    long_but(
+        [path.relative_to(DOCS).as_posix() for path in PAGES],
+        lambda name: name in QUICK or ("/" not in name and name not in SLOW),
+    ),
 )
 def test_the_samples_of_a_page_run_and_print_what_it_says(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
