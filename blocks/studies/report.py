@@ -33,11 +33,11 @@ from .study_sweeps import StudySweep, figure_of, plain
 from .study_tunings import StudyTuning
 from .sweep import QUANTILES, Sweep
 from .sweep_figures import told_rows
-from .sweep_tables import cell_text
+from .sweep_tables import cell_text, tabular
 from .sweep_tables import table as sweep_table
 from .tuned import Tuning
 
-__all__ = ["markdown_table", "summary_line", "table_text", "write"]
+__all__ = ["latex_table", "markdown_table", "summary_line", "table_text", "write"]
 
 Array = np.ndarray[Any, Any]
 MOST_POINTS = 2**24
@@ -116,6 +116,12 @@ def markdown_table(made: StudyResults) -> str:
     rows = [row for row, v in zip(_rows(made.verdicts), made.verdicts, strict=True) if v.verdict]
     lines = [f"| {' | '.join(_HEAD)} |", f"|{'---|' * len(_HEAD)}"]
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def latex_table(made: StudyResults) -> str:
+    """All judged claims as a tabular of LaTeX with booktabs; the verdicts without their glyphs."""
+    rows = [row for row, v in zip(_rows(made.verdicts), made.verdicts, strict=True) if v.verdict]
+    return tabular([_HEAD, *([*row[:-1], row[-1].partition(" ")[2]] for row in rows)])
 
 
 # --- figures ---------------------------------------------------------------------------------------------------
