@@ -68,18 +68,19 @@ _PLACES = {
 # The names of the library, written out so that they are known without loading it.
 _LIBRARY = (
     "INLSEF", "INTD", "LESO", "LSEF", "NESO", "NLSEF", "PID", "PRBS", "SMESO", "Abs", "Atan2", "Backlash", "Biquad",
-    "BouncingBall", "Chirp", "Clarke", "Compare", "CompareToConstant", "Constant", "Counter", "DeadZone", "Delay",
-    "Demux", "Derivative", "DiscreteESO", "DiscreteINLSEF", "DiscreteINTD", "DiscreteIntegrator", "DiscretePID",
-    "DiscreteSMESO", "DiscreteStateSpace", "DiscreteTransferFunction", "Disturbance", "Divide", "DotProduct",
-    "EdgeDetect", "Exp", "Expression", "FIRFilter", "FirstOrder", "FirstOrderHold", "Gain", "Integrator",
-    "InverseClarke", "InversePark", "InvertedPendulum", "Kinematics", "LeadLag", "LimitedIntegrator", "Log",
-    "Logic", "LookupTable", "LookupTable2D", "MassSpringDamper", "MatchedDisturbance", "MatrixGain", "MinMax",
+    "BouncingBall", "BuckConverter", "Chirp", "Clarke", "Compare", "CompareToConstant", "Constant",
+    "CoulombFriction", "Counter", "DeadZone", "Delay", "Demux", "Derivative", "DiscreteESO", "DiscreteINLSEF",
+    "DiscreteINTD", "DiscreteIntegrator", "DiscretePID", "DiscreteSMESO", "DiscreteStateSpace",
+    "DiscreteTransferFunction", "Disturbance", "Divide", "DotProduct", "EdgeDetect", "Exp", "Expression",
+    "FIRFilter", "FirstOrder", "FirstOrderHold", "Gain", "Integrator", "InverseClarke", "InversePark",
+    "InvertedPendulum", "Kinematics", "LeadLag", "LimitedIntegrator", "Log", "Logic", "LookupTable",
+    "LookupTable2D", "Lorenz", "LuGreFriction", "MassSpringDamper", "MatchedDisturbance", "MatrixGain", "MinMax",
     "MovingAverage", "MultiportSwitch", "Multisine", "Mux", "Noise", "Norm", "PMDCMotor", "Park", "Polynomial",
-    "Power", "Product", "Pulse", "Quantizer", "QuarterCar", "Ramp", "RateLimiter", "RateTransition", "Relay",
-    "ResettableIntegrator", "Saturation", "Sawtooth", "SecondOrder", "Selector", "Sign", "Sine", "Sqrt",
-    "SquareWave", "StateSpace", "Step", "Sum", "Switch", "SwitchAbove", "Table", "TrackingDifferentiator",
-    "TransferFunction", "TransportDelay", "Trapezoid", "Trigonometry", "UnitDelay", "WheelMixing", "ZeroOrderHold",
-    "ZeroPoleGain",
+    "Power", "Product", "Pulse", "Quadrotor", "Quantizer", "QuarterCar", "Ramp", "RateLimiter", "RateTransition",
+    "Relay", "ResettableIntegrator", "Saturation", "Sawtooth", "SecondOrder", "Selector", "Sign", "Sine", "Sqrt",
+    "SquareWave", "StateSpace", "Step", "Sum", "Switch", "SwitchAbove", "Table", "Tank", "TrackingDifferentiator",
+    "TransferFunction", "TransportDelay", "Trapezoid", "Trigonometry", "TwoLinkArm", "UnitDelay", "VanDerPol",
+    "WheelMixing", "ZeroOrderHold", "ZeroPoleGain",
 )  # fmt: skip
 
 __all__ = sorted([*_PLACES, *_LIBRARY])

@@ -40,6 +40,7 @@ COMMANDS = {
     "plot": "plot", "check": "check", "diff": "diff", "fmt": "fmt", "rename": "rename", "apply": "apply",
     "draw": "draw", "list": "listing", "schema": "schema", "export": "export", "fmu": "fmu", "linearize": "linearize",
     "observer": "linearize", "explain": "explain", "doctor": "doctor",
+    "completion": "completion",
 }  # fmt: skip
 """The module of each command, in the order of `blocks --help`."""
 FIRST_STEPS = """\

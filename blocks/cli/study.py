@@ -37,10 +37,21 @@ def add(verbs: Any) -> None:
     study.add_argument("--out", metavar="DIR", help="folder for report.html and the figures (default: out/NAME)")
     takes_several(study, "--set", "RUN.NAME=VALUE", "a parameter of one run: IADRC.torque=2", dest="parameters")
     takes_trust(study)
-    study.add_argument("--markdown", action="store_true", help="print the table as Markdown")
+    forms = study.add_mutually_exclusive_group()
+    forms.add_argument("--markdown", action="store_true", help="print the table as Markdown")
+    forms.add_argument("--latex", action="store_true", help="print it as a tabular of LaTeX (booktabs)")
     takes_json(study)
     study.set_defaults(verb=_study)
     takes_library(study)
+
+
+def _table(options: argparse.Namespace, made: StudyResults) -> str:
+    """The table of all claims, in the form that is asked for."""
+    from ..studies import report
+
+    if options.markdown or options.latex:
+        return report.latex_table(made) if options.latex else report.markdown_table(made)
+    return printable(report.table_text(made))
 
 
 def _study(options: argparse.Namespace) -> int:
@@ -133,7 +144,7 @@ def _reported(
             }
         )
     else:
-        print(report.markdown_table(study_results) if options.markdown else printable(report.table_text(study_results)))
+        print(_table(options, study_results))
         print(report.summary_line(study_results))
     if failure is not None:
         raise failure
@@ -187,14 +198,13 @@ def _tell_kept(options: argparse.Namespace, finished: Mapping[str, Results | Swe
 
 def _interrupted(options: argparse.Namespace, study_results: StudyResults, folder: Path) -> int:
     """Keep the runs that are done. There is no report of a part of a study: one that was there stays as it was."""
-    from ..studies import report
 
     ended_at_once()
     kept = _kept({**study_results.results, **study_results.sweeps, **study_results.tunings}, folder)
     if options.json:
         emit({"event": "done", "interrupted": True, "missing": list(study_results.missing), "kept": kept})
     elif study_results.verdicts:
-        print(report.markdown_table(study_results) if options.markdown else printable(report.table_text(study_results)))
+        print(_table(options, study_results))
     say(f"interrupted: {', '.join(study_results.missing)} not run; no report was written")
     for name, path in kept.items():
         say(f"  {name} is in {path}")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..results import plots
-from ..results.plots import INK, STYLES, ink, plain
+from ..results.plots import INK, STYLES, WIDTH, ink, plain
 from .systems import Source
 
 __all__ = ["FAINT", "SMALL", "Shown", "finished", "limit_decibel", "new_figure", "note", "plot_curve", "tick_degrees"]
@@ -48,7 +48,7 @@ class Shown:
         return self.known.points is not None
 
 
-def new_figure(rows: int, columns: int, *, height: float, width: float = 7.2, share: bool = False) -> tuple[Any, Any]:
+def new_figure(rows: int, columns: int, *, height: float, width: float = WIDTH, share: bool = False) -> tuple[Any, Any]:
     figure = plots.new_figure(width, height)
     axes = figure.subplots(rows, columns, sharex="col" if share else False)
     for axis in np.ravel(axes):
@@ -62,7 +62,9 @@ def plot_curve(axis: Any, one: Shown, x: Array, y: Array, count: int, *, label: 
         axis.plot(x, y, "o", color=one.color, markersize=4, fillstyle="none", markeredgewidth=1.1, label=name)
         return
     pattern = one.pattern if count > 1 else "solid"  # no other to distinguish it from
-    axis.plot(x, y, color=one.color, linestyle=pattern, linewidth=1.4, label=name)
+    # Of equal curves each shows: a solid one is wider than the dashes on it.
+    width = 1.9 if count > 1 and pattern == "-" else 1.4
+    axis.plot(x, y, color=one.color, linestyle=pattern, linewidth=width, label=name)
 
 
 def note(axis: Any, text: str, place: tuple[Any, Any], offset: tuple[float, float], **how: Any) -> None:

@@ -6,8 +6,9 @@ from typing import Any
 from ..contract.block import Block, is_abstract
 
 _MODULES = (
-    "adrc", "arithmetic", "continuous", "discrete", "drives", "excitation", "expression", "filters", "functions",
-    "logic", "mechanics", "memory", "noise", "nonlinear", "pid", "robot", "sampled", "sources", "tables", "wiring",
+    "adrc", "arithmetic", "continuous", "discrete", "drives", "excitation", "expression", "filters", "flight",
+    "friction", "functions", "logic", "mechanics", "memory", "noise", "nonlinear", "oscillators", "pid", "power",
+    "process", "robot", "sampled", "sources", "tables", "wiring",
 )  # fmt: skip
 
 

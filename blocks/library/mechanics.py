@@ -1,4 +1,4 @@
-"""Mechanics: plants of one and of two masses, a pendulum on a cart, a ball with impacts."""
+"""Mechanics: plants of one and of two masses, a pendulum on a cart, an arm, a ball with impacts."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from ..contract.block import Block
 from ..contract.equations import crossing, local, output, requires
 from ..contract.variables import Discrete, Input, Parameter, State
 
-__all__ = ["BouncingBall", "InvertedPendulum", "MassSpringDamper", "QuarterCar"]
+__all__ = ["BouncingBall", "InvertedPendulum", "MassSpringDamper", "QuarterCar", "TwoLinkArm"]
 
 
 class BouncingBall(Block):
@@ -202,3 +202,95 @@ class QuarterCar(Block):
     @vw.derivative
     def dvw(suspension, tire, mw):
         return (tire - suspension) / mw
+
+
+class TwoLinkArm(Block):
+    """An arm of two links in a vertical plane, theta1 from the horizontal and theta2 from the first link, both upwards.
+
+        M11 domega1/dt + M12 domega2/dt = tau1 - d1 omega1 + h (2 omega1 omega2 + omega2^2) - g1
+        M12 domega1/dt + M22 domega2/dt = tau2 - d2 omega2 - h omega1^2 - g2
+        M22 = I2 + m2 r2^2,   M12 = M22 + m2 l1 r2 cos theta2,   h = m2 l1 r2 sin theta2
+        M11 = I1 + m1 r1^2 + m2 l1^2 + M22 + 2 m2 l1 r2 cos theta2
+        g2 = m2 r2 g cos(theta1 + theta2),   g1 = (m1 r1 + m2 l1) g cos theta1 + g2
+        dtheta1/dt = omega1,   dtheta2/dt = omega2
+
+    tau1 acts between the ground and the first link, tau2 between the links. Angles count full turns. With r and I left
+    out, the links are even rods. g = 0 is an arm in a horizontal plane. x and y of the tip count from the shoulder.
+
+    References: M. W. Spong, S. Hutchinson, M. Vidyasagar, Robot Modeling and Control, Wiley 2006, section 7.4.
+    """
+
+    m1 = Parameter(1.0, unit="kg", positive=True, doc="mass of the first link")
+    m2 = Parameter(1.0, unit="kg", positive=True, doc="mass of the second link")
+    l1 = Parameter(1.0, unit="m", positive=True, doc="length of the first link")
+    l2 = Parameter(1.0, unit="m", positive=True, doc="length of the second link")
+    r1 = Parameter(lambda l1: l1 / 2.0, unit="m", positive=True, doc="from the shoulder to the first center of mass")
+    r2 = Parameter(lambda l2: l2 / 2.0, unit="m", positive=True, doc="from the elbow to the second center of mass")
+    I1 = Parameter(lambda m1, l1: m1 * l1 * l1 / 12.0, unit="kg.m2", min=0.0, doc="inertia of link 1 about its center")
+    I2 = Parameter(lambda m2, l2: m2 * l2 * l2 / 12.0, unit="kg.m2", min=0.0, doc="inertia of link 2 about its center")
+    d1 = Parameter(0.0, unit="N.m.s/rad", min=0.0, doc="viscous friction in the shoulder")
+    d2 = Parameter(0.0, unit="N.m.s/rad", min=0.0, doc="viscous friction in the elbow")
+    g = Parameter(9.81, unit="m/s2", doc="gravity")
+    tau1 = Input(0.0, unit="N.m", doc="torque in the shoulder")
+    tau2 = Input(0.0, unit="N.m", doc="torque in the elbow")
+    theta1 = State(unit="rad", output=True, doc="angle of the first link from the horizontal")
+    theta2 = State(unit="rad", output=True, doc="angle of the second link from the first")
+    omega1 = State(unit="rad/s", output=True, doc="speed of theta1")
+    omega2 = State(unit="rad/s", output=True, doc="speed of theta2")
+
+    @output(unit="m", doc="horizontal place of the tip")
+    def x(theta1, theta2, l1, l2):
+        return l1 * np.cos(theta1) + l2 * np.cos(theta1 + theta2)
+
+    @output(unit="m", doc="height of the tip")
+    def y(theta1, theta2, l1, l2):
+        return l1 * np.sin(theta1) + l2 * np.sin(theta1 + theta2)
+
+    @local(unit="kg.m2", doc="inertia of the arm about the shoulder")
+    def M11(M22, theta2, m1, m2, l1, r1, r2, I1):
+        return I1 + m1 * r1**2 + m2 * l1**2 + M22 + 2.0 * m2 * l1 * r2 * np.cos(theta2)
+
+    @local(unit="kg.m2", doc="inertia by which the links move each other")
+    def M12(M22, theta2, m2, l1, r2):
+        return M22 + m2 * l1 * r2 * np.cos(theta2)
+
+    @local(unit="kg.m2", doc="inertia of the second link about the elbow")
+    def M22(m2, r2, I2):
+        return I2 + m2 * r2**2
+
+    @local(unit="kg.m2", doc="what centrifugal and Coriolis torques have in common")
+    def h(theta2, m2, l1, r2):
+        return m2 * l1 * r2 * np.sin(theta2)
+
+    @local(unit="N.m", doc="torque on the first link without the accelerations' own")
+    def torque1(theta1, omega1, omega2, tau1, h, g2, m1, m2, l1, r1, d1, g):
+        g1 = (m1 * r1 + m2 * l1) * g * np.cos(theta1) + g2
+        return tau1 - d1 * omega1 + h * (2.0 * omega1 * omega2 + omega2**2) - g1
+
+    @local(unit="N.m", doc="torque on the second link without the accelerations' own")
+    def torque2(omega1, omega2, tau2, h, g2, d2):
+        return tau2 - d2 * omega2 - h * omega1**2 - g2
+
+    @local(unit="N.m", doc="weight of the second link, about the elbow")
+    def g2(theta1, theta2, m2, r2, g):
+        return m2 * r2 * g * np.cos(theta1 + theta2)
+
+    @local(doc="determinant of the mass matrix, which is above 0 at every angle")
+    def determinant(M11, M12, M22):
+        return M11 * M22 - M12**2
+
+    @theta1.derivative
+    def dtheta1(omega1):
+        return omega1
+
+    @theta2.derivative
+    def dtheta2(omega2):
+        return omega2
+
+    @omega1.derivative
+    def domega1(torque1, torque2, M12, M22, determinant):
+        return (M22 * torque1 - M12 * torque2) / determinant
+
+    @omega2.derivative
+    def domega2(torque1, torque2, M11, M12, determinant):
+        return (M11 * torque2 - M12 * torque1) / determinant

@@ -39,4 +39,4 @@ def canonical(file: str, stream: BinaryIO | None = None) -> Canonical:
     document = json_text.read(data, file=file)
     is_study = isinstance(document.value, dict) and document.value.get("format") == study_grammar.FORMAT
     new, version = (study.canonical if is_study else documents.canonical)(document)
-    return Canonical(document.text, new, version, diagram.VERSION)
+    return Canonical(document.text, new, version, study_grammar.VERSION if is_study else diagram.VERSION)

@@ -33,15 +33,18 @@ from .study_sweeps import StudySweep, figure_of, plain
 from .study_tunings import StudyTuning
 from .sweep import QUANTILES, Sweep
 from .sweep_figures import told_rows
-from .sweep_tables import cell_text
+from .sweep_tables import cell_text, tabular
 from .sweep_tables import table as sweep_table
 from .tuned import Tuning
 
-__all__ = ["markdown_table", "summary_line", "table_text", "write"]
+__all__ = ["latex_table", "markdown_table", "summary_line", "table_text", "write"]
 
 Array = np.ndarray[Any, Any]
 MOST_POINTS = 2**24
 """Of the grid of a spectrum, which takes 1 GB with its transform."""
+FEWEST_RATIOS = 4
+"""Published numbers from which a figure shows them beside ours."""
+_RATIOS = "claims.ratios"
 GLYPHS = {"reproduced": "✓", "not reproduced": "✗", "holds": "✓", "fails": "✗", "": "·"}
 
 
@@ -118,6 +121,12 @@ def markdown_table(made: StudyResults) -> str:
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
+def latex_table(made: StudyResults) -> str:
+    """All judged claims as a tabular of LaTeX with booktabs; the verdicts without their glyphs."""
+    rows = [row for row, v in zip(_rows(made.verdicts), made.verdicts, strict=True) if v.verdict]
+    return tabular([_HEAD, *([*row[:-1], row[-1].partition(" ")[2]] for row in rows)])
+
+
 # --- figures ---------------------------------------------------------------------------------------------------
 
 
@@ -133,6 +142,9 @@ def _drawn(study_results: StudyResults, folder: Path) -> dict[str, str | Fault]:
         made = made if "sweep" in entry else partial(_figure, entry, study_results.results)
         asked.append((str(entry["name"]), ("figures", i), made))
     asked += [(f"tuning.{name}", ("tunings", name), tuning.plot) for name, tuning in study_results.tunings.items()]
+    published = [v for v in study_results.verdicts if math.isfinite(v.ratio) and v.ratio > 0]
+    if len(published) >= FEWEST_RATIOS:
+        asked.append((_RATIOS, ("claims",), partial(_ratios, published)))
     for name, path, draw in asked:
         try:
             figure = draw()
@@ -145,6 +157,35 @@ def _drawn(study_results: StudyResults, folder: Path) -> dict[str, str | Fault]:
             cure = "Change what it shows, or leave it out."
             drawn[name] = study_results.study.fault("E501", place_of(path), message, cure, path)
     return drawn
+
+
+@plots.defaults()
+def _ratios(verdicts: Sequence[Verdict]) -> Any:
+    """Our numbers over the published ones: a dot for each, upon a bar for its tolerance; those far off at the edge."""
+    figure = plots.new_figure(plots.WIDTH, 0.9 + 0.19 * len(verdicts))
+    axis = figure.subplots()
+    rows, ratio = np.arange(len(verdicts)), np.array([v.ratio for v in verdicts])
+    tolerance = np.array([v.claim.tolerance for v in verdicts])
+    span = min(1.1 * float(np.max(np.abs(ratio - 1))), 2.5 * float(tolerance.max())) or 0.1
+    axis.barh(rows, 2 * tolerance, 0.55, left=1 - tolerance, color="#94a3b8", alpha=0.4, label="tolerance")
+    axis.axvline(1.0, color=plots.INK, linewidth=0.8)
+    shown, is_good = np.clip(ratio, 1 - span, 1 + span), np.array([v.verdict == "reproduced" for v in verdicts])
+    for chosen, word, style, mark in ((is_good, "reproduced", 1, "o"), (~is_good, "not reproduced", 0, "X")):
+        if chosen.any():
+            axis.plot(shown[chosen], rows[chosen], mark, color=plots.STYLES[style][0], label=word, clip_on=False)
+    for row in np.flatnonzero(shown != ratio):
+        axis.annotate(
+            f"{ratio[row]:.3g}", (shown[row], row), xytext=(8 if ratio[row] < 1 else -8, 0), fontsize=8, va="center",
+            textcoords="offset points", ha="left" if ratio[row] < 1 else "right", color=plots.INK,
+        )  # fmt: skip
+    axis.set_xlim(1 - span, 1 + span)
+    axis.set_yticks(rows, [plots.plain(f"{row[0]} {row[1]}") for row in _rows(verdicts)], fontsize=8)
+    axis.set_ylim(len(verdicts) - 0.4, -0.6)
+    axis.grid(True, color="#94a3b8", alpha=0.35, linewidth=0.5)
+    axis.set_xlabel("here / published")
+    figure.legend(loc="outside upper left", ncols=3, fontsize=8, frameon=False, labelcolor=plots.INK)
+    plots.ink(axis)
+    return figure
 
 
 def _figure(entry: Mapping[str, Any], results: Mapping[str, Results]) -> Any:
@@ -252,14 +293,16 @@ def _html_text(
 ) -> str:
     """The report as one HTML text, with the figures that were drawn."""
     study = study_results.study
+    is_published = any(v.claim.published is not None for v in study_results.verdicts)
     kind, glyph = ("fine", "✓") if study_results.is_fine else ("odd", "✗")
     parts = [
         f"<h1>{_escape(study.title)}</h1>",
         f'<p class="verdict {kind}">{glyph} {_escape(summary_line(study_results))}.</p>',
         *(f"<p>{_escape(line)}</p>" for line in study.doc),
         f'<p class="source">{_escape(study.source)}</p>' if study.source else "",
-        "<h2>Published numbers and ours</h2>",
+        f"<h2>{'Published numbers and ours' if is_published else 'Numbers and limits'}</h2>",
         *_tables(study_results),
+        f"<figure>{_plot(drawn[_RATIOS], 'r-')}</figure>" if _RATIOS in drawn else "",
         _reasons(study_results),
         "<h2>What was assumed</h2>" if study.assumed else "",
         _assumptions(study.assumed),

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..frequency.figure_look import SMALL, finished, new_figure
 from ..model.study_grammar import SWEEP_FIGURES
-from ..results.plots import INK, STYLES, defaults, plain
+from ..results.plots import INK, STYLES, WIDTH, defaults, plain
 from ..text.element_names import element_names
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import counted, legible
@@ -34,7 +34,7 @@ BAD = "#be123c"
 _WORDS = {"budget": "over the budget", "left": "not run"}
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 _LOGGED = " Add a signal to `log` to draw it."
-_WIDTH, _HEIGHT = 7.2, 2.4  # inches of a figure, and of a row of panels
+_HEIGHT = 2.4  # inches of a row of panels
 _MOST_BINS = 60
 _MOST_VALUES = 60
 """Of a column in a heat map whose values make its cells; of more, cells are ranges."""
@@ -179,7 +179,7 @@ def _legend(figure: Any, axis: Any, columns: int = 6, groups: Sequence[str] = ()
 def _bands(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], singles: int) -> Any:
     signals = [pair for name in names for pair in _elements(sweep, name)]
     several = len(rows) > 1
-    figure, axes = new_figure(len(signals), 1, height=0.95 + _HEIGHT * len(signals), width=_WIDTH, share=True)
+    figure, axes = new_figure(len(signals), 1, height=0.95 + _HEIGHT * len(signals), width=WIDTH, share=True)
     for axis, (name, values) in zip(np.ravel(axes), signals, strict=True):
         for part in rows:
             of = f"{part.name}: " if several else ""
@@ -221,7 +221,8 @@ def _band(axis: Any, t: Array, values: Array, part: _Rows, singles: int) -> None
     for k, row in enumerate(good[np.unique(np.linspace(0, len(good) - 1, singles).astype(int))] if singles else ()):
         axis.plot(t, row, color=INK, linewidth=0.5, alpha=0.6, label=None if k else "single runs")
     label = plain(f"{part.name}: median" if part.name and not singles else "median")
-    axis.plot(t, level[2], color=part.color, linestyle=part.pattern, linewidth=1.4, label=label)
+    width = 2.0 if part.name and part.pattern == "-" else 1.4  # what lies on it leaves its edges free
+    axis.plot(t, level[2], color=part.color, linestyle=part.pattern, linewidth=width, label=label)
 
 
 def _lines_of_failed(axis: Any, t: Array, values: Array, rows: Sequence[_Rows]) -> None:
@@ -243,7 +244,7 @@ def _lines_of_failed(axis: Any, t: Array, values: Array, rows: Sequence[_Rows]) 
 def _distributions(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], kind: str, bins: int | None) -> Any:
     across = min(len(names), 2)
     down = -(-len(names) // across)
-    figure, axes = new_figure(down, across, height=0.7 + _HEIGHT * down * (1.25 if across == 1 else 1.0), width=_WIDTH)
+    figure, axes = new_figure(down, across, height=0.7 + _HEIGHT * down * (1.25 if across == 1 else 1.0), width=WIDTH)
     axes = np.ravel(axes)
     for axis in axes[len(names) :]:
         axis.set_visible(False)
@@ -335,7 +336,7 @@ def _numbers(values: Array) -> tuple[Array, list[str] | None]:
 
 def _scatter(sweep: Sweep, names: Sequence[str], against: Sequence[str], rows: Sequence[_Rows]) -> Any:
     down, across = len(names), len(against)
-    figure, axes = new_figure(down, across, height=0.75 + (_HEIGHT + 0.3) * down, width=max(_WIDTH, 2.6 * across))
+    figure, axes = new_figure(down, across, height=0.75 + (_HEIGHT + 0.3) * down, width=max(WIDTH, 2.05 * across))
     axes = np.reshape(axes, (down, across))
     for i, name in enumerate(names):
         y, y_labels = _numbers(column(sweep, name))
@@ -421,7 +422,7 @@ def _heat_maps(
 
     down, across = len(names), len(rows)
     height = 0.6 + (3.6 if down * across == 1 else 2.9) * down
-    figure, axes = new_figure(down, across, height=height, width=max(_WIDTH, 3.4 * across))
+    figure, axes = new_figure(down, across, height=height, width=max(WIDTH, 3.1 * across))
     axes = np.reshape(axes, (down, across))
     for i, name in enumerate(names):
         values, _ = _numbers(column(sweep, name))

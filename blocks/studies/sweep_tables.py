@@ -12,12 +12,13 @@ from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import legible
 from .statistics import quantiles
 
-__all__ = ["cell_text", "latex", "markdown", "table"]
+__all__ = ["cell_text", "latex", "markdown", "table", "tabular"]
 
 Array = np.ndarray[Any, Any]
 Sweep = Any  # a `Sweep`, whose module calls this one
 Cell = str | float
-_TEX = {**{c: f"\\{c}" for c in "&%$#_{}"}, "~": r"\textasciitilde{}", "^": r"\^{}", "\\": r"\textbackslash{}"}
+_TEX = {**{c: f"\\{c}" for c in "&%$#_{}"}, "~": r"\textasciitilde{}", "^": r"\^{}", "\\": r"\textbackslash{}",
+        "<": r"\textless{}", ">": r"\textgreater{}", "≤": r"$\le$", "≥": r"$\ge$"}  # fmt: skip
 
 
 def table(sweep: Sweep, by: str | Sequence[str], q: Sequence[float]) -> list[list[Cell]]:
@@ -74,11 +75,16 @@ def markdown(sweep: Sweep, by: str | Sequence[str], q: Sequence[float]) -> str:
 
 
 def latex(sweep: Sweep, by: str | Sequence[str], q: Sequence[float]) -> str:
-    head, *rows = table(sweep, by, q)
-    sides = "".join("l" if any(isinstance(row[k], str) and not str(row[k]).isdigit() for row in rows) else "r"
+    return tabular(table(sweep, by, q))
+
+
+def tabular(rows: Sequence[Sequence[Cell]]) -> str:
+    """A head and rows as a tabular of LaTeX, with the rules of the package booktabs; numbers stand to the right."""
+    head, *others = rows
+    sides = "".join("l" if any(isinstance(row[k], str) and not str(row[k]).isdigit() for row in others) else "r"
                     for k in range(len(head)))  # fmt: skip
-    first, *others = [f"{' & '.join(map(_tex, row))} \\\\" for row in (head, *rows)]
-    return "\n".join([rf"\begin{{tabular}}{{{sides}}}", r"\toprule", first, r"\midrule", *others, r"\bottomrule",
+    first, *rest = [f"{' & '.join(map(_tex, row))} \\\\" for row in rows]
+    return "\n".join([rf"\begin{{tabular}}{{{sides}}}", r"\toprule", first, r"\midrule", *rest, r"\bottomrule",
                       r"\end{tabular}"])  # fmt: skip
 
 

@@ -227,7 +227,7 @@ def _change(before: float, after: float) -> str:
 def _figure(tuning: Tuning) -> Any:
     """The objective of all candidates, where the values lie in their bounds, and the sensitivities."""
     names = list(tuning.values)
-    made = plots.new_figure(7.2, 3.4 + 0.26 * len(names))
+    made = plots.new_figure(plots.WIDTH, 3.4 + 0.26 * len(names))
     grid = made.add_gridspec(2, 2, height_ratios=(2.6, 0.6 + 0.26 * len(names)))
     _history(tuning, made.add_subplot(grid[0, :]))
     rows, colors = np.arange(len(names)), [color for color, _ in plots.STYLES]

@@ -11,8 +11,8 @@ Directives of this extension:
     {simulink-words}             what stands for Simulink's words, from blocks/api/simulink_words.json
     {python} Diagram             a public name, with its methods
     {drawing} diagrams/x.json    a diagram, drawn
-    {plot} diagrams/x.json       a run of it, plotted: `signals` names the panels; or what Python lines make of `diagram`
-    {cards}                      a card for each page that is named, a line each: its first plot, its title, its question
+    {plot} diagrams/x.json       a run of it, plotted: `signals` names the panels, or lines of Python make it
+    {cards}                      a card for each page that is named: its first plot, its title, its question
 
 The page of each module of the library is written to `library/` when a build begins, since modules come and go.
 

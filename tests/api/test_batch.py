@@ -31,7 +31,7 @@ from blocks import (
 from blocks.api import batch as batches
 from blocks.api.batch import BatchRows
 from blocks.text.errors import BlocksError, UsageError
-from tests.support.documents import SHIPPED
+from tests.support.documents import SHIPPED, span
 
 pytestmark = pytest.mark.usefixtures("native")
 
@@ -87,7 +87,8 @@ def test_a_row_is_the_run_of_its_values(path: Path) -> None:
     table = [list(known.values())]
     for k, value in enumerate(known.values()):
         table += [[*table[0][:k], other, *table[0][k + 1 :]] for other in (value * 1.25, value * 0.8 + 1e-3)]
-    settings: dict[str, Any] = {"stop": 1.0, "every": 0.125, "log": log}
+    stop = span(path, 1.0)
+    settings: dict[str, Any] = {"stop": stop, "every": stop / 8, "log": log}
     rows = diagram.batch(list(known), **settings)(table, threads=2, seeds=range(len(table)))
     for i, row in enumerate(table):
         same(rows, i, diagram, parameters=dict(zip(known, row, strict=True)), seed=i, **settings)

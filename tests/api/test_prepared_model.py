@@ -27,7 +27,7 @@ from blocks import (
     subdiagram,
 )
 from blocks.text.errors import BlocksError
-from tests.support.documents import SHIPPED, is_unlike
+from tests.support.documents import SHIPPED, is_unlike, span
 from tests.support.marks import long_but
 
 ROOT = Path(__file__).parents[2]
@@ -81,7 +81,7 @@ def test_runs_of_a_prepared_model_are_fresh_runs(path: Path) -> None:
     """Of all shipped diagrams: in turn, with other times, logs and parameters, and the first again."""
     diagram = Diagram.load(path)
     inputs = {name: 0.5 for name, entry in diagram.value.inputs.items() if "default" not in entry}
-    stop = 0.1 if path.parent.name == "paper" else 0.5
+    stop = span(path, 0.1 if path.parent.name == "paper" else 0.5)
     given: dict[str, Any] = {"inputs": inputs, "stop": stop} if inputs else {"stop": stop}
     model = diagram.prepare(rtol=1e-5) if "method" not in diagram.value.run else diagram.prepare()
     fixed = model._settings

@@ -110,7 +110,7 @@ def test_a_streamed_run_and_one_that_goes_on_give_the_file_of_a_run_in_memory(
 
 
 @pytest.mark.parametrize(
-    "path", long_but(SHIPPED, lambda path: path.parent.name != "paper"), ids=lambda path: path.stem
+    "path", long_but(SHIPPED, lambda path: path.parent.name not in ("paper", "gallery")), ids=lambda path: path.stem
 )
 def test_the_files_of_shipped_diagrams_are_those_of_runs_in_memory(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -26,6 +26,7 @@ from tests.support.places import ROOT
 
 SHIPPED = sorted(path for folder in ("diagrams", "tests/support/golden") for path in (ROOT / folder).rglob("*.json"))
 SHIPPED = [path for path in SHIPPED if '"format": "blocks-' in path.read_text(encoding="utf-8")[:200]]
+SHIPPED = [path for path in SHIPPED if path.stem not in ("diagram_v1", "part_v1")]
 STUDIES = [path for path in SHIPPED if '"blocks-study"' in path.read_text(encoding="utf-8")[:200]]
 
 UGLY = """{"wires": {"g.u": "r"}, "x-own": {"b": 1.50, "a": []}, "blocks": {
@@ -148,7 +149,7 @@ def test_stdin_is_written_to_stdout(
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_the_files_of_this_project_are_canonical(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    assert canonical_of(path)(json_text.read(text)) == (text, 1)
+    assert canonical_of(path)(json_text.read(text)) == (text, 1 if path in STUDIES else 2)
 
 
 def test_check_names_the_files_that_are_not_canonical_and_changes_none(
@@ -309,7 +310,7 @@ def test_the_order_of_sections_and_the_spaces_of_a_file_do_not_matter(seed: int,
     document = json.loads(text, parse_float=lambda word: f"\x00{word}", parse_int=lambda word: f"\x00{word}")
     mixed = json.dumps(shuffled(document, rng, 0), indent=rng.choice([None, 0, 3]), ensure_ascii=rng.random() < 0.5)
     mixed = re.sub(r'"\\u0000([^"]+)"', r"\1", mixed)
-    assert canonical(json_text.read(mixed)) == (text, 1)
+    assert canonical(json_text.read(mixed)) == (text, 1 if path in STUDIES else 2)
 
 
 def test_what_is_written_is_what_is_read(path: Path) -> None:

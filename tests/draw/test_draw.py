@@ -260,13 +260,13 @@ def test_positions_of_the_file_are_kept(path: Path) -> None:
 
 def test_the_rest_is_laid_out_around_given_positions() -> None:
     value = load(ROOT / "diagrams" / "motor_pid.json")
-    for kept in ({"motor": [600, 160]}, {"error": [220, 140], "motor": [700, 300]}):
+    for kept in ({"motor": [600, 160]}, {"control": [220, 140], "motor": [700, 300]}):
         made = pictured(replace(value, layout=kept))
         check(made)
         places = {box.path: (box.x, box.y) for box in made.boxes}
         if len(kept) == 2:
-            assert places["motor"][0] - places["error"][0] == 480
-            assert places["motor"][1] - places["error"][1] == 160
+            assert places["motor"][0] - places["control"][0] == 480
+            assert places["motor"][1] - places["control"][1] == 160
 
 
 def test_a_position_that_is_none_is_not_used() -> None:
@@ -278,10 +278,10 @@ def test_a_position_that_is_none_is_not_used() -> None:
 
 def test_positions_far_apart_cost_no_memory() -> None:
     value = load(ROOT / "diagrams" / "motor_pid.json")
-    made = pictured(replace(value, layout={"error": [-90_000, 0], "motor": [90_000, 90_000]}))
+    made = pictured(replace(value, layout={"control": [-90_000, 0], "motor": [90_000, 90_000]}))
     check(made)
     places = {box.path: box.x for box in made.boxes}
-    assert places["motor"] - places["error"] == 180_000
+    assert places["motor"] - places["control"] == 180_000
     blocks = {f"b{k}": BlockEntry(type="Gain") for k in range(400)}
     scattered = DiagramValue("wide", blocks=blocks, layout={name: [200 * k, 200 * k] for k, name in enumerate(blocks)})
     # So many that the lattice would be too large: laid out as if there were no positions.

@@ -61,7 +61,7 @@ from blocks.engines import selection as engines
 from blocks.engines.native import engine as native_engine
 from blocks.engines.run.snapshot import frozen
 from blocks.library import LIBRARY
-from tests.support.documents import SHIPPED, is_unlike
+from tests.support.documents import SHIPPED, is_unlike, span
 from tests.support.library_variants import VARIANTS
 from tests.support.marks import long_but
 from tests.support.places import ROOT
@@ -125,7 +125,7 @@ FEW = ("bouncing_ball", "sampled_loop", "iadrc")
 def test_diagrams_with_fixed_steps_are_close(path: Path, settings: dict[str, Any]) -> None:
     diagram = Diagram.load(path)
     inputs = {name: ([0.0, 0.4, 1.0], [0.0, 1.0, -0.5], "linear") for name in diagram.value.inputs}
-    stop = 1.0 if "paper" in str(path) else 2.0
+    stop = span(path, 1.0 if "paper" in str(path) else 2.0)
     assert_close(diagram, stop=stop, every=0.01, inputs=inputs, **settings)
 
 
@@ -133,7 +133,7 @@ def test_diagrams_with_fixed_steps_are_close(path: Path, settings: dict[str, Any
 def test_diagrams_with_adaptive_steps_agree_to_tolerance(path: Path) -> None:
     diagram = Diagram.load(path)
     inputs = {name: ([0.0, 0.4, 1.0], [0.0, 1.0, -0.5], "linear") for name in diagram.value.inputs}
-    stop = 1.0 if "paper" in str(path) else 2.0
+    stop = span(path, 1.0 if "paper" in str(path) else 2.0)
     reference, native = both(diagram, stop=stop, every=0.01, rtol=1e-9, atol=1e-12, inputs=inputs)
     assert [(e.block, e.what) for e in native.events] == [(e.block, e.what) for e in reference.events]
     size = np.ptp(reference.values, axis=0) + 1e-12

@@ -13,7 +13,7 @@ from blocks.compile.plan import Plan
 from blocks.engines.prepared import Prepared
 from blocks.library import LIBRARY
 from blocks.text.errors import ModelError
-from tests.support.documents import SHIPPED, is_unlike
+from tests.support.documents import SHIPPED, is_unlike, span
 from tests.support.library_variants import VARIANTS
 from tests.support.marks import long_but
 
@@ -98,5 +98,5 @@ def test_other_values_in_a_shipped_diagram_make_the_plan_that_is_made_anew(path:
     diagram = Diagram.load(path)
     if not isinstance(diagram.check(), Plan):
         pytest.skip("it is stepped by a master")
-    quick, _ = compared(diagram, {"stop": 1.0}, random.Random(path.stem), 8)
+    quick, _ = compared(diagram, {"stop": span(path, 1.0)}, random.Random(path.stem), 8)
     assert quick > 5

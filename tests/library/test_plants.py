@@ -8,18 +8,27 @@ import control
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 
 from blocks import (
     Constant,
     Diagram,
     DiscreteESO,
+    Integrator,
     InvertedPendulum,
+    Lorenz,
     MassSpringDamper,
+    Pulse,
+    Quadrotor,
     QuarterCar,
     Results,
     Sine,
     Step,
+    Tank,
+    TwoLinkArm,
+    VanDerPol,
 )
 from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
@@ -230,6 +239,194 @@ def test_an_unwired_force_leaves_a_passive_suspension() -> None:
     d.wire(car.road, road.y)
     results = d.run(stop=30.0)
     assert final(results, "car.xb", "car.xw", "car.stroke", "car.ab") == pytest.approx([0.1, 0.1, 0.0, 0.0], abs=1e-6)
+
+
+# --- the arm ---------------------------------------------------------------------------------------------------
+
+ARM = ("theta1", "theta2", "omega1", "omega2")
+ARMS = {"m1": 1.3, "m2": 0.7, "l1": 0.6, "l2": 0.4, "r1": 0.25, "r2": 0.22, "I1": 0.05, "I2": 0.01, "g": 9.81}
+
+
+def arm_energies(q: Any, dq: Any, m1: float, m2: float, l1: float, r1: float, r2: float, I1: float, I2: float) -> Any:
+    """Kinetic energy and the heights of both masses, as symbols or as numbers."""
+    ahead, total = q[0] + q[1], dq[0] + dq[1]
+    across = -l1 * casadi.sin(q[0]) * dq[0] - r2 * casadi.sin(ahead) * total
+    up = l1 * casadi.cos(q[0]) * dq[0] + r2 * casadi.cos(ahead) * total
+    kinetic = 0.5 * (m1 * r1**2 + I1) * dq[0] ** 2 + 0.5 * m2 * (across**2 + up**2) + 0.5 * I2 * total**2
+    return kinetic, m1 * r1 * casadi.sin(q[0]) + m2 * (l1 * casadi.sin(q[0]) + r2 * casadi.sin(ahead))
+
+
+def test_the_arm_obeys_lagranges_equations() -> None:
+    given = {key: value for key, value in ARMS.items() if key not in ("l2", "g")}
+    q, dq, tau = (casadi.SX.sym(name, 2) for name in ("q", "dq", "tau"))
+    kinetic, moment = arm_energies(q, dq, **given)
+    momentum = casadi.gradient(kinetic, dq)
+    rest = tau + casadi.gradient(kinetic - 9.81 * moment, q) - casadi.jacobian(momentum, q) @ dq
+    accelerations = casadi.Function("a", [q, dq, tau], [casadi.solve(casadi.jacobian(momentum, dq), rest)])
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        at, d1, d2 = rng.uniform(-1.0, 1.0, 6) * [7.0, 7.0, 10.0, 10.0, 20.0, 20.0], *rng.uniform(0.0, 1.0, 2)
+        torques = [at[4] - d1 * at[2], at[5] - d2 * at[3]]
+        expected = accelerations(*(casadi.DM(list(map(float, pair))) for pair in (at[:2], at[2:4], torques))).elements()
+        made = slopes("TwoLinkArm", ARM, {**ARMS, "d1": d1, "d2": d2}, at[:4], tau1=at[4], tau2=at[5])
+        assert made == pytest.approx([at[2], at[3], *expected], rel=1e-11, abs=1e-11)
+
+
+def test_an_arm_without_friction_keeps_its_energy() -> None:
+    d = Diagram("falling")
+    d.add("arm", TwoLinkArm(**ARMS, theta1_start=0.4, theta2_start=1.0, omega2_start=2.0))
+    results = d.run(stop=10.0, every=0.05, **TIGHT)
+    q1, q2, w1, w2 = (np.asarray(results[f"arm.{name}"]) for name in ARM)
+    given = {key: value for key, value in ARMS.items() if key not in ("l2", "g")}
+    energy = [
+        float(kinetic + 9.81 * moment)
+        for kinetic, moment in (
+            arm_energies(casadi.DM([a, b]), casadi.DM([c, e]), **given)
+            for a, b, c, e in zip(q1, q2, w1, w2, strict=True)
+        )
+    ]
+    # Chaotic: the error grows, that of the energy less.
+    assert energy == pytest.approx([energy[0]] * len(energy), abs=1000 * CLOSE)
+    tip = 0.6 * np.exp(1j * q1) + 0.4 * np.exp(1j * (q1 + q2))
+    assert np.asarray(results["arm.x"]) + 1j * np.asarray(results["arm.y"]) == pytest.approx(tip, abs=1e-13)
+
+
+# --- the quadrotor ---------------------------------------------------------------------------------------------
+
+
+def test_a_quadrotor_is_that_of_a_rotation_matrix() -> None:
+    """Nine elements of R with dR/dt = R hat(omega), by SciPy: no quaternion, another kinematics."""
+    m, J, k, g = 0.7, np.array([3e-3, 2e-3, 5e-3]), 0.2, 9.81
+    F, torque = 8.0, np.array([2e-3, -1e-3, 1.5e-3])
+    angles = (0.3, -0.4, 1.1)
+
+    def by_hand(t: float, s: Array) -> Array:
+        v, R, omega = s[3:6], s[6:15].reshape(3, 3), s[15:]
+        a, b, c = omega
+        hat = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
+        dv = (F * R @ [0.0, 0.0, 1.0] - k * v) / m - [0.0, 0.0, g]
+        return np.concatenate([v, dv, (R @ hat).ravel(), (torque - np.cross(omega, J * omega)) / J])
+
+    d = Diagram("flight")
+    start = dict(zip(("roll_start", "pitch_start", "yaw_start"), angles, strict=True))
+    drone = d.add("drone", Quadrotor(m=m, J=J, k=k, g=g, omega_start=[0.5, -1.0, 2.0], **start))
+    d.wire(drone.F, d.add("thrust", Constant(value=F, unit="N")).y)
+    for axis, value in enumerate(torque):
+        d.wire(f"drone.tau[{axis}]", d.add(f"tau{axis}", Constant(value=value, unit="N.m")).y)
+    results = d.run(stop=3.0, every=0.1, **TIGHT)
+    roll, pitch, yaw = (Rotation.from_euler(axis, angle) for axis, angle in zip("xyz", angles, strict=True))
+    begin = np.concatenate([np.zeros(6), (yaw * pitch * roll).as_matrix().ravel(), [0.5, -1.0, 2.0]])
+    t = np.asarray(results.t)
+    expected = solve_ivp(by_hand, (0.0, 3.0), begin, "DOP853", t, rtol=1e-12, atol=1e-13).y
+    assert pytest.approx(expected[:3], abs=10 * CLOSE) == np.asarray(results["drone.p"]).T
+    assert pytest.approx(expected[3:6], abs=10 * CLOSE) == np.asarray(results["drone.v"]).T
+    assert pytest.approx(expected[15:], abs=10 * CLOSE) == np.asarray(results["drone.omega"]).T
+    turned = Rotation.from_matrix(expected[6:15].T.reshape(-1, 3, 3)).as_euler("ZYX")
+    for name, angle in zip(("yaw", "pitch", "roll"), turned.T, strict=True):
+        assert results[f"drone.{name}"] == pytest.approx(angle, abs=100 * CLOSE), name
+
+
+def test_a_quadrotor_hovers_and_turns_about_a_free_axis_for_ever() -> None:
+    d = Diagram("hover")
+    drone = d.add("drone", Quadrotor(omega_start=[0.0, 0.0, 3.0], yaw_start=0.2))
+    d.wire(drone.F, d.add("thrust", Constant(value=0.5 * 9.81, unit="N")).y)
+    results = d.run(stop=100.0, every=1.0, **TIGHT)
+    assert np.max(np.abs(results["drone.p"])) < CLOSE
+    yaw = np.exp(1j * np.asarray(results["drone.yaw"]))
+    assert yaw == pytest.approx(np.exp(1j * (0.2 + 3.0 * np.asarray(results.t))), abs=100 * CLOSE)
+
+
+# --- the tank --------------------------------------------------------------------------------------------------
+
+
+def test_a_tank_drains_after_torricelli_and_stays_empty_until_it_is_filled() -> None:
+    """The root of the level falls evenly."""
+    A, a, g = 0.5, 0.01, 9.81
+    d = Diagram("drained")
+    flow = d.add("flow", Step(at=60.0, after=0.02, unit="m3/s"))
+    tank = d.add("tank", Tank(A=A, a_out=a, H=3.0, h_start=2.0))
+    d.wire(tank.q, flow.y)
+    results = d.run(stop=400.0, every=0.5, **TIGHT)
+    t, h = np.asarray(results.t), np.asarray(results["tank.h"])
+    empty = A / a * math.sqrt(2.0 * 2.0 / g)
+    assert 30.0 < empty < 60.0
+    before = t < 60.0
+    root = np.maximum(math.sqrt(2.0) - a / A * math.sqrt(g / 2.0) * t[before], 0.0)
+    assert h[before] == pytest.approx(root**2, abs=10 * CLOSE)
+    assert np.all(h[before & (t > empty + 0.01)] == 0.0)
+    assert h[-1] == pytest.approx((0.02 / a) ** 2 / (2.0 * g), rel=1e-6)
+
+
+def test_a_tank_runs_over_and_keeps_all_water() -> None:
+    d = Diagram("full")
+    flow = d.add("flow", Pulse(height=0.08, on=5.0, off=60.0, unit="m3/s"))
+    tank = d.add("tank", Tank(c=0.6, H=1.5, h_start=1.0))
+    d.wire(tank.q, flow.y)
+    for name in ("q", "q_out", "q_over"):
+        d.add(name, Integrator(unit="m3"))
+        d.wire(f"{name}.u", flow.y if name == "q" else f"tank.{name}")
+    results = d.run(stop=100.0, every=0.1, **TIGHT)
+    h, into, out, over = (np.asarray(results[name]) for name in ("tank.h", "q.y", "q_out.y", "q_over.y"))
+    assert h - 1.0 == pytest.approx(into - out - over, abs=CLOSE)
+    assert np.max(h) == 1.5
+    full = np.asarray(results["tank.full"]).astype(bool)
+    assert results["tank.q_over"][full] == pytest.approx(0.08 - 0.006 * math.sqrt(2.0 * 9.81 * 1.5), rel=1e-12)
+    [sunk] = [event.t for event in results.events if event.what == "sinks"]
+    assert sunk == 60.0
+
+
+def test_a_tank_is_pumped_empty_and_no_further() -> None:
+    d = Diagram("pumped")
+    tank = d.add("tank", Tank(h_start=0.5))
+    d.wire(tank.q, d.add("pump", Sine(amplitude=0.1, phase=math.pi, unit="m3/s")).y)
+    d.wire(tank.valve, d.add("shut", Constant(value=0.0, unit="1")).y)
+    results = d.run(stop=30.0, every=0.01, **TIGHT)
+    h = np.asarray(results["tank.h"])
+    pumped = 0.5 - 0.1 * (1.0 - np.cos(np.asarray(results.t)))
+    assert h == pytest.approx(pumped, abs=CLOSE)  # 0.3 m at least
+    deep = Diagram("deep")
+    tank = deep.add("tank", Tank(h_start=0.05))
+    deep.wire(tank.q, deep.add("pump", Sine(amplitude=0.1, phase=math.pi, unit="m3/s")).y)
+    deep.wire(tank.valve, deep.add("shut", Constant(value=0.0, unit="1")).y)
+    results = deep.run(stop=2.0 * math.pi, every=0.01, **TIGHT)
+    t = np.asarray(results.t)
+    level = np.where(t < math.pi, np.maximum(0.05 - 0.1 * (1.0 - np.cos(t)), 0.0), 0.1 * (1.0 + np.cos(t)))
+    assert results["tank.h"] == pytest.approx(level, abs=CLOSE)
+    assert [(e.what, e.t) for e in results.events] == [
+        ("drained", pytest.approx(math.acos(0.5))), ("refills", pytest.approx(math.pi)),
+    ]  # fmt: skip
+
+
+# --- oscillators -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("mu", "period"), [(0.0, 2.0 * math.pi), (1.0, 6.6632868593231), (10.0, 19.0783695)])
+def test_the_limit_cycle_of_van_der_pol_has_its_published_period(mu: float, period: float) -> None:
+    """The numbers are those of the literature, to the digits that are printed."""
+    d = Diagram("cycle")
+    d.add("b", VanDerPol(mu=mu))
+    results = d.run(stop=60.0, **TIGHT, method="dopri5")
+    t, x, v = (np.asarray(each) for each in (results.t, results["b.x"], results["b.v"]))
+    up = np.nonzero((x[:-1] < 0.0) & (x[1:] >= 0.0))[0]
+    # The cubic of Hermite between the last two rows.
+    lines = [CubicHermiteSpline(*(each[k : k + 2] for each in (t, x, v))) for k in up]
+    zeros = [float(line.roots(extrapolate=False)[0]) for line in lines]
+    assert zeros[-1] - zeros[-2] == pytest.approx(period, abs=1e-6)
+
+
+def test_lorenz_is_that_of_scipy_for_a_while_and_rests_where_its_equations_say() -> None:
+    d = Diagram("chaos")
+    d.add("b", Lorenz(x_start=1.0, y_start=2.0, z_start=20.0))
+    results = d.run(stop=5.0, every=0.05, **TIGHT)
+
+    def by_hand(t: float, s: Array) -> list[float]:
+        return [10.0 * (s[1] - s[0]), s[0] * (28.0 - s[2]) - s[1], s[0] * s[1] - 8.0 / 3.0 * s[2]]
+
+    expected = solve_ivp(by_hand, (0.0, 5.0), [1.0, 2.0, 20.0], "DOP853", np.asarray(results.t), rtol=1e-12, atol=1e-13)
+    for k, name in enumerate("xyz"):
+        assert results[f"b.{name}"] == pytest.approx(expected.y[k], abs=1000 * CLOSE)
+    rest = math.sqrt(8.0 / 3.0 * 27.0)
+    assert slopes("Lorenz", ("x", "y", "z"), {}, np.array([-rest, -rest, 27.0])) == pytest.approx([0.0] * 3, abs=1e-13)
 
 
 # --- files and diagrams ----------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ import pytest
 from blocks import Diagram, ModelError, SimulationError
 from blocks.cli import main
 from blocks.results import plots
-from blocks.studies import report, study
+from blocks.studies import report, report_page, study
 from blocks.text.errors import Fault
 from tests.support.marks import long
 from tests.support.places import ROOT
@@ -190,6 +190,24 @@ def test_plots_show_signals_by_unit_and_refuse_too_many() -> None:
         results.plot(*results.names[:5])
     with pytest.raises(KeyError, match=r"motor\.omega"):
         results.plot("motor.omga")
+
+
+def test_stretches_of_time_stand_beside_each_other_on_a_scale_of_their_own() -> None:
+    t = np.linspace(0.0, 10.0, 101)
+    line = plots.Line(t, np.where(t < 5.05, np.where(t > 4.95, 1000.0, np.sin(t)), np.cos(t)), "y")
+    figure = plots.panels([plots.Panel((line, line), "y", inset=(0, 1, 0, 1))], xlabel="t", windows=[(0, 2), (8, 9)])
+    first, second = figure.axes
+    assert (first.get_xlim(), second.get_xlim(), first.get_ylim()) == ((0, 2), (8, 9), second.get_ylim())
+    assert first.get_ylim()[1] < 1.2, "what lies in no window is not in the scale"
+    drawn = second.lines[0].get_xdata()
+    assert (drawn[0], drawn[-1]) == (8, 9)
+
+
+def test_numbers_stand_right_below_their_heads_and_carry_them_on_a_phone() -> None:
+    made = report_page.table(("run", "value", "unit"), [("a", "-1.5e3", "V"), ("b", "-", "")], kinds={"V": "good"})
+    assert '<th class="">run</th><th class="number">value</th><th class="">unit</th>' in made
+    assert '<td class="number" data-head="value">-1.5e3</td><td class="good">V</td>' in made
+    assert '<td class="number none" data-head="value">-</td><td class="none"></td>' in made
 
 
 def test_all_that_is_wrong_is_told_in_its_place_before_anything_runs(

@@ -1,0 +1,153 @@
+"""The numbers of the gallery, computed once more without blocks: by matrix exponentials between ticks, and by SciPy."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from blocks import Diagram
+from blocks.compile.toolchain.compiler import find_compiler
+from tests.support.places import ROOT
+
+GALLERY = ROOT / "diagrams" / "gallery"
+PAGES = ROOT / "docs" / "gallery"
+TIGHT: dict[str, Any] = {"rtol": 1e-9, "atol": 1e-12, "engine": "native" if find_compiler() else "reference"}
+
+Array = np.ndarray[Any, Any]
+
+
+def test_every_page_has_a_card_and_its_place_in_the_navigation() -> None:
+    text = (PAGES / "index.md").read_text(encoding="utf-8")
+    cards, shown = (
+        re.findall(r"^(\w+)$", text[text.index(mark) :].partition("\n```\n")[0], re.MULTILINE)
+        for mark in ("```{cards}", "```{toctree}")
+    )
+    assert cards == shown
+    assert sorted(cards) == sorted(path.stem for path in PAGES.glob("*.md") if path.stem != "index")
+
+
+def held(A: Array, B: Array, h: float) -> tuple[Array, Array]:
+    """x(t + h) = F x(t) + G u, for dx/dt = A x + B u with a constant u."""
+    n, m = B.shape
+    made = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * h)
+    return made[:n, :n], made[:n, n:]
+
+
+class Controller:
+    """DiscretePID, as its page says it, with c = 0."""
+
+    def __init__(self, kp: float, ki: float, period: float, low: float, high: float, kd: float = 0, Tf: float = 0):
+        self.kp, self.ki, self.kd, self.Tf, self.period, self.limits = kp, ki, kd, Tf, period, (low, high)
+        self.integral, self.slope, self.before = 0.0, 0.0, None
+
+    def tick(self, r: float, y: float) -> float:
+        if self.kd and self.before is not None:
+            self.slope = (self.Tf * self.slope - self.kd * (y - self.before)) / (self.Tf + self.period)
+        self.before = y
+        v = self.kp * (r - y) + self.integral + self.slope
+        u = min(max(v, self.limits[0]), self.limits[1])
+        if self.ki:
+            Tt = max(self.kp / self.ki, self.period)
+            self.integral += self.ki * self.period * (r - y) + self.period / Tt * (u - v)
+        return u
+
+
+@pytest.mark.parametrize("counts", [4096, 512])
+def test_the_servo_turns_as_matrix_exponentials_between_its_ticks_say(counts: int) -> None:
+    R, L, k, J, b, h = 0.299, 0.082e-3, 0.0302, 3e-5, 5e-6, 1e-4
+    A = np.array([[-b / J, k / J, 0], [-k / L, -R / L, 0], [1, 0, 0]])
+    F, G = held(A, np.array([[0, -1 / J], [1 / L, 0], [0, 0]]), h)
+    angle = Controller(40, 0, 4e-3, -100, 100)
+    speed, current = Controller(0.2, 10, 1e-3, -6, 6), Controller(0.246, 897, h, -24, 24)
+    x, before, theta, i = np.zeros(3), 0.0, [], []
+    for tick in range(4000):
+        if tick % 10 == 0:
+            count = math.floor(x[2] / (2 * math.pi / counts) + 0.5) * 2 * math.pi / counts
+            if tick % 40 == 0:
+                omega = angle.tick(2 * math.pi if tick >= 200 else 0.0, count)
+            amps = speed.tick(omega, (count - before) / 1e-3)
+            before = count
+        theta.append(x[2])
+        i.append(x[1])
+        x = F @ x + G @ [current.tick(amps, x[1]), 0.1 if tick >= 2500 else 0.0]
+    made = Diagram.load(GALLERY / "servo.json").run(
+        parameters={"counts": counts}, every=h, log=["shaft.y", "motor.i"], **TIGHT
+    )
+    np.testing.assert_allclose(made["shaft.y"][:4000], theta, atol=1e-6)
+    np.testing.assert_allclose(made["motor.i"][:4000], i, atol=1e-4)
+
+
+def test_the_buck_converter_runs_as_matrix_exponentials_between_its_edges_say() -> None:
+    L, R, C, T = 22e-6, 0.02, 100e-6, 5e-6
+    A = np.array([[-R / L, -1 / L], [1 / C, -0.4 / C]])
+    B = np.array([[1 / L, 0], [0, -1 / C]])
+    pid = Controller(0.35, 5200, T, 0, 0.95, kd=1.15e-5, Tf=2e-6)
+    x, rows, peaks = np.zeros(2), [], []
+    for tick in range(300):
+        rows.append(x)
+        load = 2.0 if tick >= 200 else 0.0
+        duty = pid.tick(min(5.0, 1e4 * tick * T), x[1])
+        for span, v in ((duty * T, 12.0), (T - duty * T, 0.0)):
+            F, G = held(A, B, span)
+            x = F @ x + G @ [v, load]
+            peaks.append(x[0])
+    made = Diagram.load(GALLERY / "buck.json").run(every=T, log=["coil.y", "capacitor.y"], **TIGHT)
+    np.testing.assert_allclose(made["coil.y"][:300], [row[0] for row in rows], atol=1e-6)
+    np.testing.assert_allclose(made["capacitor.y"][:300], [row[1] for row in rows], atol=1e-6)
+    assert np.ptp(peaks[-20:]) == pytest.approx(0.666, abs=5e-4)  # as the page says
+
+
+def test_the_pendulum_is_swung_up_and_caught_as_scipy_says() -> None:
+    M, m, l, I, b, g = 0.5, 0.2, 0.3, 0.006, 0.1, 9.81
+    J = I + m * l * l
+    D = (M + m) * J - (m * l) ** 2
+    A = np.array(
+        [
+            [0, 1, 0, 0],
+            [0, -J * b / D, -((m * l) ** 2) * g / D, 0],
+            [0, 0, 0, 1],
+            [0, m * l * b / D, (M + m) * m * g * l / D, 0],
+        ]
+    )
+    K = control.lqr(A, np.array([[0], [J / D], [0], [-m * l / D]]), np.diag([10, 1, 50, 1]), 0.1)[0][0]
+    np.testing.assert_allclose(-K, [10, 10.264, 52.629, 9.81], rtol=1e-4)
+
+    def rhs(t: float, s: Array) -> list[float]:
+        x, v, theta, omega = s
+        if np.cos(theta) >= np.cos(0.4):
+            F = 10 * x + 10.264 * v + 52.629 * np.arctan2(np.sin(theta), np.cos(theta)) + 9.81 * omega
+        else:
+            E = J * omega**2 / 2 + m * g * l * (np.cos(theta) - 1)
+            F = 15 * E * omega * np.cos(theta) - 4 * x - v
+        F = np.clip(F, -3, 3)
+        mass = [[M + m, m * l * np.cos(theta)], [m * l * np.cos(theta), J]]
+        dv, domega = np.linalg.solve(mass, [F - b * v + m * l * omega**2 * np.sin(theta), m * g * l * np.sin(theta)])
+        return [v, dv, omega, domega]
+
+    theirs = solve_ivp(rhs, (0, 6), [0, 0, math.radians(170), 0], max_step=0.005, rtol=1e-8, dense_output=True).sol
+    made = Diagram.load(GALLERY / "cart_pole.json").run(**TIGHT)
+    # Each kink of the force costs SciPy, which does not look for it, some 1e-5.
+    np.testing.assert_allclose(made["plant.theta"], theirs(made.t)[2], atol=1e-3)
+    np.testing.assert_allclose(made["plant.x"], theirs(made.t)[0], atol=1e-3)
+    out = np.flatnonzero(np.cos(theirs(made.t)[2]) < 1 - 0.02 * (1 + np.cos(math.radians(10))))
+    assert made.t[out[-1] + 1] == pytest.approx(made.measures["caught"], abs=0.011)
+
+
+def test_the_car_slows_down_on_a_slope_as_its_linear_equations_say() -> None:
+    m, drag, slope, wc, wo = 1000, 50, math.radians(5), 1, 5
+    # x = (v, z1, z2) from 20 m/s on, u = (wc (r - z1) - z2)/b0
+    A = np.array([[-drag / m, -wc, -1], [2 * wo, -2 * wo - wc, 0], [wo**2, -(wo**2), 0]])
+    F, G = held(A, np.array([[-9.81 * math.sin(slope)], [0], [0]]), 0.01)
+    x, v = np.zeros(3), []
+    for _ in range(2000):
+        x = F @ x + G @ [1.0]
+        v.append(x[0])
+    made = Diagram.load(ROOT / "diagrams" / "adrc" / "cruise_control.json").run(**TIGHT)
+    assert made.measures["dip"] == pytest.approx(-min(v), rel=1e-3)
