@@ -23,6 +23,7 @@ html_static_path = ["_static"]
 html_css_files = ["blocks.css"]
 html_copy_source = False
 html_show_sourcelink = False
+html_show_search_summary = False  # a page opened from a file may not read others: each summary would be an error
 html_use_index = False
 html_domain_indices = False
 python_maximum_signature_line_length = 90
