@@ -22,7 +22,9 @@ def fingerprint(value: DiagramValue) -> str:
 
     Documentation, layout and the spelling of numbers are left out. Block types go in by their names only.
     """
-    return hashlib.sha256(json.dumps(to_document(_bare(value))).encode()).hexdigest()
+    # The version of the format is no part of what is computed; 1 is what went in when there was no other.
+    document = {**to_document(_bare(value)), "version": 1}
+    return hashlib.sha256(json.dumps(document).encode()).hexdigest()
 
 
 def _bare(value: DiagramValue) -> DiagramValue:

@@ -48,8 +48,8 @@ def _body(draft: MigratedDocument, path: Path, depth: int = 0) -> dict[str, str]
                 if places == [at]:
                     pids[name] = _parameters(draft, at)
                     names[f"{name}.y"] = f"{name}.u"
-                elif _wrap(draft, place) and place == at:
-                    names |= {f"{name}.{signal}": f"{name}.pid.{signal}" for signal in ("v", "integral", "smoothed")}
+                else:
+                    _wrap(draft, place)
     _wires(draft, path, pids)
     for table, key in _texts(draft, path):
         text = table[key]
@@ -107,7 +107,7 @@ def _terms(blocks: Mapping[str, Any], wires: Mapping[str, Any], error: str, unit
     return (first, second) if isinstance(first, str) and isinstance(second, str) else None
 
 
-def _wrap(draft: MigratedDocument, at: Path) -> bool:
+def _wrap(draft: MigratedDocument, at: Path) -> None:
     """A PID in a subdiagram that has its ports and parameters of before.
 
     Units that are expressions cannot be those of the subdiagram's parameters: such a PID stays, with ports that fail.
@@ -115,13 +115,13 @@ def _wrap(draft: MigratedDocument, at: Path) -> bool:
     entry, given = draft.at(at), _table(draft, (*at, "parameters"))
     unit, unit_u = (given.get(key, "") for key in ("unit", "unit_u"))
     if not all(isinstance(text, str) and not text.startswith("=") for text in (unit, unit_u)):
-        return False
+        return
     declared = {}
     for key, text in PARAMETERS.items():
         if key in given:
-            made = text.format(unit, unit_u) if "{" not in text or (unit and unit_u) else unit if text == "{0}" else ""
-            made = unit_u if text == "{1}" else made
-            declared[key] = {"value": Number("0")} | ({"unit": made} if made else {})
+            # A quotient of which one is unknown is unknown.
+            made = "" if "/" in text and not (unit and unit_u) else text.format(unit, unit_u)
+            declared[key] = {"value": Number("0"), **({"unit": made} if made else {})}
     pid: dict[str, Any] = {{"integral_start": "u_start"}.get(key, key): f"={key}" for key in declared}
     pid |= {"c": Number("1")} | {key: text for key, text in {"unit": unit_u, "unit_u": unit}.items() if text}
     draft.rewrite(at, [("diagram" if key == "type" else key, value, key) for key, value in entry.items()])
@@ -138,7 +138,6 @@ def _wrap(draft: MigratedDocument, at: Path) -> bool:
     }
     for key in ("unit", "unit_u"):
         given.pop(key, None)
-    return True
 
 
 def _texts(draft: MigratedDocument, path: Path) -> Iterator[tuple[Any, Any]]:

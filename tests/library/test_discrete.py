@@ -359,6 +359,26 @@ def test_a_discrete_pid_nears_the_continuous_one_with_its_period(limits: dict[st
     assert errors[-1] < 0.02
 
 
+def test_a_pid_and_a_discrete_pid_swap() -> None:
+    """The wires stay, and so do the values: all parameters but the period have one name, one meaning and one unit."""
+    d = Diagram("loop")
+    control = d.add("control", PID(kp=2.0, ki=1.5, kd=0.4, Tf=0.2, b=0.7, u_start=0.1, unit="rad", unit_u="V", upper=3))
+    plant = d.add("plant", TransferFunction(num=[3.0], den=[1.0, 1.2, 1.0], unit="rad", unit_u="V"))
+    d.wire(control.r, d.add("wanted", Step(at=0.5, unit="rad")).y)
+    d.wire(control.y, plant.y)
+    d.wire(plant.u, control.u)
+    d.settings(stop=5.0, every=0.5, rtol=1e-8, atol=1e-10, log=["plant.y", "control.u"])
+    before, times = d.run(), 0.5 * np.arange(2, 10)
+    swap = d.swap("control", DiscretePID(period=0.001), variant="sampled")
+    assert (swap.ports, swap.left, swap.dropped) == ({}, (), ())
+    after = d.run()
+    for name in ("plant.y", "control.u"):
+        ours, theirs = (np.asarray(one[name])[np.searchsorted(one.t, times)] for one in (before, after))
+        assert theirs == pytest.approx(ours, abs=0.01), name
+    pid, sampled = (set(LIBRARY[kind].declaration.parameters) for kind in ("PID", "DiscretePID"))
+    assert pid - sampled == {"smoothed_start"}
+
+
 def test_a_discrete_pid_goes_from_hand_to_automatic_without_a_bump() -> None:
     h, gains = 0.1, {**GAINS, "kd": 0.1, "b": 1.0, "c": 0.0, "upper": 1.5}
     d = Diagram("transfer")

@@ -252,6 +252,24 @@ def test_a_limited_pid_is_that_of_equations_written_by_hand() -> None:
     assert at(results, "plant.y", 3.75) == pytest.approx(2.0, abs=0.1)  # no windup: it is there soon after the limit
 
 
+def test_a_pid_goes_from_hand_to_automatic_without_a_bump() -> None:
+    """By hand the integral nears what makes v = u with the time constant Tt; then it integrates the error."""
+    d = Diagram("transfer")
+    control = d.add("control", PID(kp=2.0, ki=0.5, Tt=0.25, u_start=1.0, upper=4.0))
+    d.wire(control.r, d.add("r", Constant(value=3.0)).y)
+    d.wire(control.y, d.add("y", Constant(value=2.5)).y)
+    d.wire(control.manual, d.add("manual", Pulse(on=1.0, off=2.0)).y)
+    d.wire(control.u_manual, d.add("by_hand", Step(at=1.5, before=-1.0, after=9.0)).y)
+    results = d.run(stop=3.0, every=0.25, **TIGHT)
+    integral = 1.0 + 0.25 * 1.0  # ki e t
+    for u, seconds in ((-1.0, 0.5), (4.0, 0.5)):  # by hand, within the limits; kp e is 1
+        integral = (u - 1.0) + (integral - (u - 1.0)) * math.exp(-seconds / 0.25)
+    expected = {0.75: 2.0 + 0.25 * 0.75, 1.25: -1.0, 1.75: 4.0}
+    expected |= {t: 1.0 + integral + 0.25 * (t - 2.0) for t in (2.25, 3.0)}
+    for t, u in expected.items():
+        assert at(results, "control.u", t) == pytest.approx(u, rel=CLOSE)
+
+
 # --- sampled blocks --------------------------------------------------------------------------------------------
 
 
