@@ -25,8 +25,6 @@ PICTOGRAMS: dict[str, tuple[tuple[str, str], ...]] = {
         ("thin", "M-16 0H16"),
         ("line", "M-16 0C-14 -12 -11 -12 -9 -2S-5 6 -3 1S0 -4 2 3S6 13 9 2S13 -9 16 0"),
     ),
-    "ZeroOrderHold": (_CORNER, ("line", "M-16 8H-10V2H-4V-6H2V-9H8V-3H14")),
-    "FirstOrderHold": (_CORNER, ("line", "M-16 8L-10 3L-4 -7L2 -10L8 -4L14 -2")),
     "MovingAverage": (
         ("thin", "M-16 -13V12H16M-15 4L-13 -5L-10 6L-7 -9L-4 2L-1 -11L2 1L5 -9L9 2L12 -8"),
         ("line", "M-15 2C-8 0 -4 -4 14 -4"),
@@ -40,6 +38,8 @@ PICTOGRAMS: dict[str, tuple[tuple[str, str], ...]] = {
     "Sqrt": (("thin", "M-17 0H17"), ("line", "M-11 1L-8 -2L-3 10L3 -10H13")),
     "Quantizer": (_CROSS, ("line", "M-16 12H-10V7H-5V2H0V-3H5V-8H10V-12H16")),
     "RateLimiter": (_CROSS, ("line", "M-14 11H-9L9 -11H14M-9 11V4M9 -11V-4")),
+    "Biquad": (_CORNER, ("line", "M-15 -6H-6C0 -6 1 -9 3 -9C6 -9 6 10 14 10")),
+    "FIRFilter": (_CORNER, ("line", "M-14 12V9M-9 12V3M-4 12V-6M1 12V-10M6 12V-6M11 12V3M15 12V9")),
     "Backlash": (_CROSS, ("line", "M-14 10H-2L11 -10H14M-14 10L-1 -10H11")),
     "TransportDelay": (_CORNER, ("line", "M-16 8H-9C-6 8 -6 -6 -3 -6H0"), ("line", "M2 8H6C9 8 9 -6 12 -6H15")),
     "LookupTable": (_CORNER, ("line", "M-14 9L-7 5L0 -6L7 -3L14 -10")),
