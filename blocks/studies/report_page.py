@@ -123,9 +123,10 @@ code { overflow-wrap: anywhere; white-space: normal; }
   .diagram svg { min-width: 44rem; max-width: none; }
   table, tbody, caption, table.plain td { display: block; } thead, td.none { display: none; }
   tr { display: flex; flex-wrap: wrap; column-gap: 0.9rem; padding: 0.4rem 0; border-bottom: 1px solid var(--line); }
-  td { padding: 0; border: 0; white-space: normal; overflow-wrap: anywhere; } td:first-child { font-weight: 600; }
+  td, td.number { padding: 0; border: 0; text-align: left; white-space: normal; overflow-wrap: anywhere; }
+  td:first-child { font-weight: 600; }
   td[data-head]::before { content: attr(data-head) " "; color: var(--soft); font-weight: 400; }
 }
-@media print { body { font-size: 11px; } main { max-width: none; padding: 0; } .wide { overflow: visible; }
+@media print { :root, body { font-size: 11px; } main { max-width: none; padding: 0; } .wide { overflow: visible; }
   .plot svg { max-width: 15cm; } }
 """

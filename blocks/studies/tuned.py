@@ -282,8 +282,8 @@ def _history(tuning: Tuning, axis: Any) -> None:
                   label=label, clip_on=False)  # fmt: skip
     axis.set_xlabel("candidate")
     axis.set_ylabel("objective")
-    axis.set_title(plots.plain(tuning.minimize[:90]), fontsize=9, loc="left", color=plots.INK)
-    axis.legend(fontsize=8, frameon=False, labelcolor=plots.INK, loc="upper right")
+    axis.figure.suptitle(plots.plain(tuning.minimize[:90]), fontsize=9, x=0.01, ha="left", color=plots.INK)
+    axis.legend(fontsize=8, frameon=False, labelcolor=plots.INK, loc="lower left", bbox_to_anchor=(0, 1), ncols=5)
     axis.grid(True, color="#94a3b8", alpha=0.35, linewidth=0.5)
     plots.ink(axis)
 
