@@ -12,11 +12,10 @@ import numpy as np
 
 from ..results import plots
 from ..results.results import Results
-from ..text.atomic_write import write_atomically
 from ..text.printable import counted
 from ..text.shown import Part, Table, as_text
 from .gains_file import Found
-from .report_page import escaped, folder_for, page, plotted, table
+from .report_page import escaped, folder_for, plotted, table, warned, written
 from .search_space import Space
 
 if TYPE_CHECKING:
@@ -226,7 +225,7 @@ def _figure(tuning: Tuning) -> Any:
     slopes.legend(fontsize=8, frameon=False, labelcolor=plots.INK, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
     for axis in (bounds, slopes):
         axis.set_ylim(len(names) - 0.5, -0.5)
-        axis.grid(True, axis="x", color="#94a3b8", alpha=0.35, linewidth=0.5)
+        axis.grid(True, axis="x", **plots.GRID)
         plots.ink(axis)
     return made
 
@@ -261,7 +260,7 @@ def _history(tuning: Tuning, axis: Any) -> None:
     axis.set_ylabel("objective")
     axis.figure.suptitle(plots.plain(tuning.minimize[:90]), fontsize=9, x=0.01, ha="left", color=plots.INK)
     axis.legend(fontsize=8, frameon=False, labelcolor=plots.INK, loc="lower left", bbox_to_anchor=(0, 1), ncols=5)
-    axis.grid(True, color="#94a3b8", alpha=0.35, linewidth=0.5)
+    axis.grid(True, **plots.GRID)
     plots.ink(axis)
 
 
@@ -304,7 +303,7 @@ def _report(tuning: Tuning, folder: Path) -> Path:
         f"<h1>Tuning of {escaped(tuning.diagram.name)}</h1>",
         f'<p class="verdict {kind}">{escaped(told)}; '
         + ("all constraints hold.</p>" if tuning.is_feasible else "constraints are violated.</p>"),
-        *(f'<p class="against">{escaped(str(warning))}</p>' for warning in tuning.warnings),
+        *warned(tuning.warnings),
         f"<p>{escaped(tuning.head)}.</p>",
         *(_scenario(name, values) for name, values in tuning.scenarios.items()),
     ]
@@ -316,10 +315,7 @@ def _report(tuning: Tuning, folder: Path) -> Path:
     for name, svg in shown.items():
         caption = f"<figcaption><b>{escaped(name.replace('_', ' '))}</b></figcaption>"
         parts.append(f"<figure>{caption}{svg}</figure>")
-    path = folder / "report.html"
-    with write_atomically(path) as stream:
-        stream.write(page(f"Tuning of {tuning.diagram.name}", parts))
-    return path
+    return written(folder, f"Tuning of {tuning.diagram.name}", parts)
 
 
 def _scenario(name: str, values: Any) -> str:
