@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from ..results import plots
-from ..results.plots import INK, STYLES, WIDTH, ink, plain
+from ..results.plots import GRID, INK, STYLES, WIDTH, ink, plain
 from .systems import Source
 
 __all__ = ["FAINT", "SMALL", "Shown", "finished", "limit_decibel", "new_figure", "note", "plot_curve", "tick_degrees"]
 
 Array = np.ndarray[Any, Any]
 
-_GRID = {"color": "#94a3b8", "alpha": 0.35, "linewidth": 0.5}
 FAINT = "#94a3b8"
 SMALL = 8  # points
 
@@ -52,7 +51,7 @@ def new_figure(rows: int, columns: int, *, height: float, width: float = WIDTH, 
     figure = plots.new_figure(width, height)
     axes = figure.subplots(rows, columns, sharex="col" if share else False)
     for axis in np.ravel(axes):
-        axis.grid(True, **_GRID)
+        axis.grid(True, **GRID)
     return figure, axes
 
 

@@ -23,6 +23,7 @@ from ..text.errors import Fault, UsageError
 
 __all__ = [
     "FORMATS",
+    "GRID",
     "INK",
     "PAPER",
     "STYLES",
@@ -51,6 +52,7 @@ STYLES = (
     ("#64748b", "-"),
     ("#be123c", (0, (3, 1, 1, 1, 1, 1))),
 )
+GRID = {"color": "#94a3b8", "alpha": 0.35, "linewidth": 0.5}
 _DOTS = ((0, (1, 1.2)), (0, (1, 2)))
 # Format of a picture: what keeps the date out of it, so that one figure gives the same bytes each time.
 FORMATS: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
@@ -202,7 +204,7 @@ def _draw(part: Panel, axis: Any) -> None:
     if part.band is not None:
         axis.axvspan(*part.band, color="#94a3b8", alpha=0.22, linewidth=0)
     _curves(part, axis)
-    axis.grid(True, color="#94a3b8", alpha=0.35, linewidth=0.5)
+    axis.grid(True, **GRID)
     if part.log:
         axis.set_yscale("log")
     for marker in part.markers:

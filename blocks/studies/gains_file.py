@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,33 +20,48 @@ from ..model.flatten import Flat, flatten
 from ..model.resolver import resolver_of
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.printable import legible
+from ..text.shown import Shown
 from ..text.units import to_si
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
 
-__all__ = ["Values", "changes", "written"]
+__all__ = ["Found", "changes", "written"]
 
 CLOSE = 1e-12
 """By how much a value may be off, which is written in another unit, with 13 digits."""
 
 
-class Values(Protocol):
-    """What a tuning and a fit have found."""
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Found(Shown):
+    """What a tuning and a fit have found.
 
-    @property
-    def diagram(self) -> Diagram: ...
-    @property
-    def values(self) -> Mapping[str, float]: ...
-    @property
-    def units(self) -> Mapping[str, str]: ...
-    @property
-    def targets(self) -> Mapping[str, tuple[str, ...]]: ...
-    @property
-    def parameters(self) -> Mapping[str, Any]: ...
+    values: by parameter, pattern or element of `over`, in its unit (units); nominal: those of the diagram. parameters:
+    the same as `Diagram.run(parameters=...)` takes them. targets: the parameters that each of them sets.
+    """
+
+    diagram: Diagram
+    values: Mapping[str, float]
+    nominal: Mapping[str, float]
+    units: Mapping[str, str]
+    parameters: Mapping[str, Any]
+    targets: Mapping[str, tuple[str, ...]]
+    warnings: tuple[Fault, ...] = ()
+
+    def write(self, path: str | Path) -> Edit:
+        """Put the values into the diagram file `path`, from which the diagram was loaded, or a copy of it.
+
+        Only the characters of the values change, in this file and in those of the subdiagrams that hold some of them;
+        they are written all or none. The result tells what changed (`changes`) and takes it back (`undone.write()`).
+        Raises UsageError (E501) where the file would not give the diagram with these values then, as for wheels that
+        share one file and have got different values.
+        """
+        edit = written(self, path)
+        edit.write()
+        return edit
 
 
-def written(found: Values, path: str | Path) -> Edit:
+def written(found: Found, path: str | Path) -> Edit:
     """The edit that gives a diagram file the values of a tuning; nothing is written yet.
 
     Raises UsageError (E501) where the file would not give the tuned diagram: where two blocks share a file and have got
@@ -101,7 +117,7 @@ def _new(
     return place, value
 
 
-def _check(found: Values, path: str | Path, edit: Edit) -> None:
+def _check(found: Found, path: str | Path, edit: Edit) -> None:
     """Refuse an edit that changes other values than the tuning did, or to others. Raises UsageError (E501)."""
     texts = {os.path.realpath(name): text for name, text in edit.texts.items()}
     real = os.path.realpath(path)

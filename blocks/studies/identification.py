@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,14 +24,13 @@ from ..results.results import Results
 from ..text.csv_text import read_columns
 from ..text.errors import Fault, SimulationError, UsageError, did_you_mean
 from ..text.printable import legible
-from ..text.shown import Part, Shown, Table, as_text
-from .gains_file import written
+from ..text.shown import Part, Table, as_text
+from .gains_file import Found
 from .search_space import Space
 from .tuned import short
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
-    from ..editing.edits import Edit
 
 __all__ = ["Fit", "fit"]
 
@@ -45,32 +44,25 @@ ALIKE, NEARLY = 0.99, 0.05
 1, they are told not to be told apart."""
 
 
-@dataclass(frozen=True, repr=False)
-class Fit(Shown):
-    """The outcome of `Diagram.fit`, for k parameters and n samples.
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Fit(Found):
+    """The outcome of `Diagram.fit`, for k parameters and n samples; its values are the estimates.
 
-    values: the estimates, in the units of the parameters; nominal: the values of the diagram. errors: standard errors.
+    errors: standard errors.
     intervals: the ends of the confidence intervals (`level`). correlation: (k, k), of the estimates. deviations: by
     signal, that of the residuals, which the intervals take for white noise. measured: by signal (n,), at t (n,).
     before, after: the runs with the diagram's own values and with the estimates.
     """
 
-    diagram: Diagram = field(repr=False)
-    values: Mapping[str, float]
-    nominal: Mapping[str, float]
-    units: Mapping[str, str]
     errors: Mapping[str, float]
     intervals: Mapping[str, tuple[float, float]]
     level: float
     correlation: Array
     deviations: Mapping[str, float]
-    t: Array = field(repr=False)
-    measured: Mapping[str, Array] = field(repr=False)
-    before: Results = field(repr=False)
-    after: Results = field(repr=False)
-    parameters: Mapping[str, Any]
-    targets: Mapping[str, tuple[str, ...]]
-    warnings: tuple[Fault, ...] = ()
+    t: Array
+    measured: Mapping[str, Array]
+    before: Results
+    after: Results
 
     def table(self) -> str:
         """Estimates with their intervals, and deviations of the residuals, as text."""
@@ -92,12 +84,6 @@ class Fit(Shown):
                          f"{short(low)} ... {short(high)}", told))  # fmt: skip
         signals = [("signal", "deviation of residuals"), *((name, short(x)) for name, x in self.deviations.items())]
         return Table([head, *rows]), Table(signals)
-
-    def write(self, path: str | Path) -> Edit:
-        """Put the estimates into the diagram file, as `Tuning.write` does."""
-        edit = written(self, path)
-        edit.write()
-        return edit
 
     def plot(self) -> Any:
         """A matplotlib figure: data, the diagram before and after, and the residuals."""
@@ -213,11 +199,15 @@ def fit(
             warnings.append(Fault("W502", name, message, "Widen the bounds, or fix the value."))
     given = raw_values(varied, values.tolist())
     return Fit(
-        diagram, dict(zip(names, values.tolist(), strict=True)), {c.name: c.value for c in varied},
-        {c.name: c.unit for c in varied}, dict(zip(names, errors.tolist(), strict=True)),
-        {name: (float(x - reach * e), float(x + reach * e)) for name, x, e in zip(names, values, errors, strict=True)},
-        level, correlation, deviations, t, measured, before, after, given,
-        {c.name: tuple(target.path for target in c.targets) for c in varied}, tuple(warnings),
+        diagram=diagram, values=dict(zip(names, values.tolist(), strict=True)),
+        nominal={c.name: c.value for c in varied}, units={c.name: c.unit for c in varied},
+        errors=dict(zip(names, errors.tolist(), strict=True)),
+        intervals={
+            name: (float(x - reach * e), float(x + reach * e)) for name, x, e in zip(names, values, errors, strict=True)
+        },
+        level=level, correlation=correlation, deviations=deviations, t=t, measured=measured, before=before, after=after,
+        parameters=given, targets={c.name: tuple(target.path for target in c.targets) for c in varied},
+        warnings=tuple(warnings),
     )  # fmt: skip
 
 

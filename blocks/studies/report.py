@@ -20,14 +20,13 @@ import numpy as np
 
 from ..results import plots
 from ..results.results import Results
-from ..text.atomic_write import write_atomically
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.grammar import Steps
 from ..text.json_document import place_of
 from ..text.printable import counted
 from ..text.version import __version__
 from .report_page import escaped as _escape
-from .report_page import folder_for, own_ids, page, plotted, table
+from .report_page import folder_for, own_ids, plotted, table, warned, written
 from .study import Claim, StudyResults, Verdict
 from .study_sweeps import StudySweep, figure_of, plain
 from .study_tunings import StudyTuning
@@ -181,7 +180,7 @@ def _ratios(verdicts: Sequence[Verdict]) -> Any:
     axis.set_xlim(1 - span, 1 + span)
     axis.set_yticks(rows, [plots.plain(f"{row[0]} {row[1]}") for row in _rows(verdicts)], fontsize=8)
     axis.set_ylim(len(verdicts) - 0.4, -0.6)
-    axis.grid(True, color="#94a3b8", alpha=0.35, linewidth=0.5)
+    axis.grid(True, **plots.GRID)
     axis.set_xlabel("here / published")
     figure.legend(loc="outside upper left", ncols=3, fontsize=8, frameon=False, labelcolor=plots.INK)
     plots.ink(axis)
@@ -279,23 +278,20 @@ def write(
     drawn = _drawn(made, folder)
     if faults is not None:
         faults += [fault for fault in drawn.values() if isinstance(fault, Fault)]
-    path = folder / "report.html"
-    with write_atomically(path) as stream:
-        stream.write(_html_text(made, command, drawn, draw))
-    return path
+    return written(folder, made.study.title, _parts(made, command, drawn, draw))
 
 
 # --- the page --------------------------------------------------------------------------------------------------
 
 
-def _html_text(
+def _parts(
     study_results: StudyResults, command: str, drawn: Mapping[str, str | Fault], draw: Callable[[Any], str] | None
-) -> str:
-    """The report as one HTML text, with the figures that were drawn."""
+) -> list[str]:
+    """The report as HTML, with the figures that were drawn."""
     study = study_results.study
     is_published = any(v.claim.published is not None for v in study_results.verdicts)
     kind, glyph = ("fine", "✓") if study_results.is_fine else ("odd", "✗")
-    parts = [
+    return [
         f"<h1>{_escape(study.title)}</h1>",
         f'<p class="verdict {kind}">{glyph} {_escape(summary_line(study_results))}.</p>',
         *(f"<p>{_escape(line)}</p>" for line in study.doc),
@@ -313,7 +309,6 @@ def _html_text(
         "<h2>How to repeat it</h2>",
         _repeat(study_results, command),
     ]
-    return page(study.title, parts)
 
 
 def _tables(study_results: StudyResults) -> list[str]:
@@ -424,8 +419,7 @@ def _search_of(tuning: Tuning) -> list[str]:
     said = f"Minimized: {tuning.minimize}. {len(tuning.history.objective)} candidates in {names}, {tuning.method}, "
     kept = " No candidate was better than the diagram itself." if tuning.is_kept else ""
     parts = [f"{_escape(f'{said}seed {tuning.seed}.{kept}')}</p>"]
-    parts += [f'<p class="against">{_escape(str(warning))}</p>' for warning in tuning.warnings]
-    return [*parts, *(table(head, rows) for head, rows in tuning.tables() if rows)]
+    return [*parts, *warned(tuning.warnings), *(table(head, rows) for head, rows in tuning.tables() if rows)]
 
 
 def _value(value: Any) -> str:

@@ -11,9 +11,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..results import plots
+from ..text.atomic_write import write_atomically
 from ..text.errors import Fault, UsageError
 
-__all__ = ["escaped", "folder_for", "own_ids", "page", "plotted", "table"]
+__all__ = ["escaped", "folder_for", "own_ids", "plotted", "table", "warned", "written"]
 
 
 def folder_for(folder: Path) -> None:
@@ -24,15 +25,23 @@ def folder_for(folder: Path) -> None:
         raise UsageError(Fault("E501", str(folder), f"cannot be made: {error.strerror}.")) from None
 
 
-def page(title: str, parts: Sequence[str]) -> str:
-    """A report as one HTML text, of parts that are HTML."""
+def written(folder: Path, title: str, parts: Sequence[str]) -> Path:
+    """Write `report.html` of parts that are HTML. Raises UsageError (E501)."""
     body = "\n".join(part for part in parts if part)
-    return _PAGE.format(title=escaped(title), style=_STYLE, body=body)
+    path = folder / "report.html"
+    with write_atomically(path) as stream:
+        stream.write(_PAGE.format(title=escaped(title), style=_STYLE, body=body))
+    return path
 
 
 def escaped(text: str) -> str:
     """A text as HTML."""
     return html.escape("".join(c if c.isprintable() else "�" for c in text))
+
+
+def warned(faults: Sequence[Fault]) -> list[str]:
+    """Warnings as HTML."""
+    return [f'<p class="against">{escaped(str(fault))}</p>' for fault in faults]
 
 
 def table(
@@ -123,9 +132,10 @@ code { overflow-wrap: anywhere; white-space: normal; }
   .diagram svg { min-width: 44rem; max-width: none; }
   table, tbody, caption, table.plain td { display: block; } thead, td.none { display: none; }
   tr { display: flex; flex-wrap: wrap; column-gap: 0.9rem; padding: 0.4rem 0; border-bottom: 1px solid var(--line); }
-  td { padding: 0; border: 0; white-space: normal; overflow-wrap: anywhere; } td:first-child { font-weight: 600; }
+  td, td.number { padding: 0; border: 0; text-align: left; white-space: normal; overflow-wrap: anywhere; }
+  td:first-child { font-weight: 600; }
   td[data-head]::before { content: attr(data-head) " "; color: var(--soft); font-weight: 400; }
 }
-@media print { body { font-size: 11px; } main { max-width: none; padding: 0; } .wide { overflow: visible; }
+@media print { :root, body { font-size: 11px; } main { max-width: none; padding: 0; } .wide { overflow: visible; }
   .plot svg { max-width: 15cm; } }
 """

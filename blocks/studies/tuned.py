@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,17 +12,14 @@ import numpy as np
 
 from ..results import plots
 from ..results.results import Results
-from ..text.atomic_write import write_atomically
-from ..text.errors import Fault
 from ..text.printable import counted
-from ..text.shown import Part, Shown, Table, as_text
-from .gains_file import written
-from .report_page import escaped, folder_for, page, plotted, table
+from ..text.shown import Part, Table, as_text
+from .gains_file import Found
+from .report_page import escaped, folder_for, plotted, table, warned, written
 from .search_space import Space
 
 if TYPE_CHECKING:
-    from ..api.diagram import Diagram
-    from ..editing.edits import Edit
+    pass
 
 __all__ = ["Candidates", "Condition", "Tuning", "short"]
 
@@ -81,27 +78,20 @@ class Condition:
         return self.left <= self.right
 
 
-@dataclass(frozen=True, repr=False)
-class Tuning(Shown):
-    """The outcome of `Diagram.tune`.
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Tuning(Found):
+    """The outcome of `Diagram.tune`; its values are the best ones.
 
-    values: the best value of each parameter, pattern or element of `bounds`, in its unit; nominal: that of the diagram.
-    parameters: the same as `Diagram.run(parameters=...)` takes them. before, after: by scenario the run of the diagram
-    and that of the best values, with all measures. sensitivities: the relative change of the objective where one value
-    is 5 % smaller, and 5 % larger, whether the constraints hold then or not. is_kept: nothing better than the diagram
-    itself was found. is_feasible: all constraints hold.
+    before, after: by scenario the run of the diagram and that of the best values, with all measures. sensitivities:
+    the relative change of the objective where one value is 5 % smaller, and 5 % larger, whether the constraints hold
+    then or not. is_kept: nothing better than the diagram itself was found. is_feasible: all constraints hold.
     """
 
-    diagram: Diagram = field(repr=False)
     minimize: str
     method: str
     seed: int
     budget: int
     bounds: Mapping[str, tuple[float, float]]
-    units: Mapping[str, str]
-    nominal: Mapping[str, float]
-    values: Mapping[str, float]
-    parameters: Mapping[str, Any]
     scenarios: Mapping[str, Mapping[str, Any]]
     objective_before: float
     objective: float
@@ -110,8 +100,6 @@ class Tuning(Shown):
     conditions: tuple[Condition, ...]
     sensitivities: Mapping[str, tuple[float, float]]
     history: Candidates
-    targets: Mapping[str, tuple[str, ...]]
-    warnings: tuple[Fault, ...] = ()
     interrupted: bool = False
     is_kept: bool = False
 
@@ -178,18 +166,6 @@ class Tuning(Shown):
             (("scenario", "constraint", "before", "after", "verdict"), conditions),
         ]
 
-    def write(self, path: str | Path) -> Edit:
-        """Put the values into the diagram file `path`, from which the diagram was loaded, or a copy of it.
-
-        Only the characters of the values change, in this file and in those of the subdiagrams that hold some of them;
-        they are written all or none. The result tells what changed (`changes`) and takes it back (`undone.write()`).
-        Raises UsageError (E501) where the file would not give the tuned diagram then, as for wheels that share one file
-        and have got different values.
-        """
-        edit = written(self, path)
-        edit.write()
-        return edit
-
     def plot(self) -> Any:
         """A matplotlib figure: the objective of all candidates, and the values and sensitivities."""
         return _figure(self)
@@ -249,7 +225,7 @@ def _figure(tuning: Tuning) -> Any:
     slopes.legend(fontsize=8, frameon=False, labelcolor=plots.INK, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
     for axis in (bounds, slopes):
         axis.set_ylim(len(names) - 0.5, -0.5)
-        axis.grid(True, axis="x", color="#94a3b8", alpha=0.35, linewidth=0.5)
+        axis.grid(True, axis="x", **plots.GRID)
         plots.ink(axis)
     return made
 
@@ -282,9 +258,9 @@ def _history(tuning: Tuning, axis: Any) -> None:
                   label=label, clip_on=False)  # fmt: skip
     axis.set_xlabel("candidate")
     axis.set_ylabel("objective")
-    axis.set_title(plots.plain(tuning.minimize[:90]), fontsize=9, loc="left", color=plots.INK)
-    axis.legend(fontsize=8, frameon=False, labelcolor=plots.INK, loc="upper right")
-    axis.grid(True, color="#94a3b8", alpha=0.35, linewidth=0.5)
+    axis.figure.suptitle(plots.plain(tuning.minimize[:90]), fontsize=9, x=0.01, ha="left", color=plots.INK)
+    axis.legend(fontsize=8, frameon=False, labelcolor=plots.INK, loc="lower left", bbox_to_anchor=(0, 1), ncols=5)
+    axis.grid(True, **plots.GRID)
     plots.ink(axis)
 
 
@@ -327,7 +303,7 @@ def _report(tuning: Tuning, folder: Path) -> Path:
         f"<h1>Tuning of {escaped(tuning.diagram.name)}</h1>",
         f'<p class="verdict {kind}">{escaped(told)}; '
         + ("all constraints hold.</p>" if tuning.is_feasible else "constraints are violated.</p>"),
-        *(f'<p class="against">{escaped(str(warning))}</p>' for warning in tuning.warnings),
+        *warned(tuning.warnings),
         f"<p>{escaped(tuning.head)}.</p>",
         *(_scenario(name, values) for name, values in tuning.scenarios.items()),
     ]
@@ -339,10 +315,7 @@ def _report(tuning: Tuning, folder: Path) -> Path:
     for name, svg in shown.items():
         caption = f"<figcaption><b>{escaped(name.replace('_', ' '))}</b></figcaption>"
         parts.append(f"<figure>{caption}{svg}</figure>")
-    path = folder / "report.html"
-    with write_atomically(path) as stream:
-        stream.write(page(f"Tuning of {tuning.diagram.name}", parts))
-    return path
+    return written(folder, f"Tuning of {tuning.diagram.name}", parts)
 
 
 def _scenario(name: str, values: Any) -> str:

@@ -211,7 +211,7 @@ def test_a_pattern_whose_values_differ_is_kept_where_nothing_is_better() -> None
     assert tuning.is_kept
     assert not tuning.parameters
     assert tuning.objective == tuning.objective_before == 0.0
-    assert "nothing better" in repr(tuning)
+    assert "No candidate was better" in repr(tuning)
     assert tuning.markdown()
     assert tuning.plot()
 
