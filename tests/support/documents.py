@@ -26,7 +26,8 @@ def is_unlike(path: Path) -> bool:
 
 def span(path: Path, most: float) -> float:
     """A time for a run of a diagram, at most what its file says: some tick 200,000 times a second."""
-    return min(most, json.loads(path.read_text(encoding="utf-8")).get("run", {}).get("stop", most))
+    stop = json.loads(path.read_text(encoding="utf-8")).get("run", {}).get("stop", most)
+    return min(most, stop) if isinstance(stop, (int, float)) else most
 
 
 def document(**sections: Any) -> dict[str, Any]:
