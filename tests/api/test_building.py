@@ -8,7 +8,21 @@ import numpy as np
 import pytest
 
 import blocks
-from blocks import Block, Diagram, FirstOrder, Gain, Input, ModelError, Noise, Parameter, Saturation, output, requires
+from blocks import (
+    Block,
+    Diagram,
+    FirstOrder,
+    Gain,
+    Input,
+    ModelError,
+    Noise,
+    Parameter,
+    PMDCMotor,
+    Saturation,
+    UsageError,
+    output,
+    requires,
+)
 from blocks.contract import resolution
 from blocks.model import document as documents
 from blocks.model.hierarchy import Hierarchy
@@ -322,3 +336,12 @@ def test_a_block_behind_one_that_is_like_it_has_the_numbers_that_it_has_alone() 
             assert [shown(one) for one in together] == [shown(numbers_of(one)[0]) for one in made], (name, key)
             checked += sum(one is not None for one in together)
     assert checked > 300
+
+
+def test_a_diagram_of_one_block_keeps_the_defaults_of_its_inputs() -> None:
+    alone = Diagram.alone(PMDCMotor())  # tau is 0 where it is not wired
+    results = alone.run(stop=1, inputs={"v": 6.0}, engine="reference")
+    given = alone.run(stop=1, inputs={"v": 6.0, "tau": 0.0}, engine="reference")
+    assert np.array_equal(results["omega"], given["omega"])
+    with pytest.raises(UsageError, match=r"E502 v: the input has no value"):
+        alone.run(stop=1)

@@ -70,9 +70,9 @@ def test_the_samples_of_a_page_run_and_print_what_it_says(
         for cls in {value for value in page.names.values() if inspect.isclass(value) and issubclass(value, Block)}:
             if cls.__module__ == "samples" and cls.__name__ != "Wrong":
                 _runs(cls)
-        figure = tmp_path / "out" / "paper" / "fig7_heading.png"
-        if UPDATE and figure.exists():
-            shutil.copy(figure, DOCS / "_static" / figure.name)
+        for figure in (DOCS / "_static").glob("*.png") if UPDATE else ():
+            for made in tmp_path.rglob(figure.name):
+                shutil.copy(made, figure)
     if UPDATE:
         page.file.write_text(page.text, encoding="utf-8")
 
