@@ -10,7 +10,7 @@ import control
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_lyapunov
 
 from blocks import Diagram
 from blocks.analysis import margins
@@ -194,3 +194,13 @@ def test_the_uncertain_motors_overshoot_as_scipy_says() -> None:
     for name, rhs, size in (("pid", pid, 4), ("adrc", adrc, 5)):
         theirs = solve_ivp(rhs, (0, 5), np.zeros(size), method="RK45", rtol=1e-8, atol=1e-10, max_step=0.01)
         assert made.measures[f"overshoot_{name}"] == pytest.approx(max(0, theirs.y[0].max() / 2 - 1), abs=2e-4), name
+
+
+def test_the_noise_of_both_observers_is_that_of_the_equation_of_lyapunov() -> None:
+    made = Diagram.load(GALLERY / "observer.json").run(parameters={"torque": 0}, stop=60, **{**TIGHT, "rtol": 1e-6})
+    for name, w in (("slow", 15.0), ("fast", 40.0)):
+        gains = np.array([[3 * w], [3 * w**2], [w**3]])
+        F, G = held(np.hstack([-gains, [[1, 0], [0, 1], [0, 0]]]), gains, 1e-3)
+        deviation = math.sqrt(solve_discrete_lyapunov(F, G @ G.T * 0.0005**2)[2, 2])
+        # Three standard errors of a deviation, where 60 s hold 60 w/3 independent values.
+        assert np.std(made[f"eso_{name}.z3"][made.t > 1]) == pytest.approx(deviation, rel=3 / math.sqrt(2 * 60 * w / 3))
