@@ -632,9 +632,7 @@ def plotted(file: str, options: Mapping[str, str], code: str = "") -> Any:
     else:
         parameters = assignments("--set", shlex.split(options.get("set", "")), "motor.Ra=200 mOhm")
         figure = diagram.run(parameters=parameters).plot(*shlex.split(options.get("signals", "")))
-    for axes in figure.axes:
-        for place in ("left", "center", "right"):
-            axes.set_title("", loc=place)
+    figure.suptitle("")
     return figure
 
 
@@ -672,8 +670,11 @@ class CardsDirective(Reference):
 def small(figure: Any) -> str:
     """The curves of a figure, without words and numbers."""
     figure.set_size_inches(3.6, 2.2)
+    figure.supxlabel("")
+    for legend in [*figure.legends]:
+        legend.remove()
     for axes in figure.axes:
-        axes.set(xlabel="", ylabel="", xticklabels=[], yticklabels=[])
+        axes.set(title="", xlabel="", ylabel="", xticklabels=[], yticklabels=[])
         axes.tick_params(length=0)
         axes.spines[:].set_alpha(0.4)
         for text in [*axes.texts, *([axes.get_legend()] if axes.get_legend() else [])]:

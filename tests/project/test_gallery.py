@@ -10,9 +10,10 @@ import control
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_lyapunov
 
 from blocks import Diagram
+from blocks.analysis import margins
 from blocks.compile.toolchain.compiler import find_compiler
 from tests.support.places import ROOT
 
@@ -151,3 +152,55 @@ def test_the_car_slows_down_on_a_slope_as_its_linear_equations_say() -> None:
         v.append(x[0])
     made = Diagram.load(ROOT / "diagrams" / "adrc" / "cruise_control.json").run(**TIGHT)
     assert made.measures["dip"] == pytest.approx(-min(v), rel=1e-3)
+
+
+def test_the_oven_swings_as_the_closed_forms_of_its_loop_say() -> None:
+    """The loop is exp(-late s)/(2 made_for s): y' = (r - y(t - late))/(2 made_for), solved from delay to delay."""
+    oven = Diagram.load(GALLERY / "oven.json")
+    for ratio in (1, 2):
+        # Time in delays; piece k is a polynomial of the time since its begin, and y(t) = 0 up to the first delay.
+        piece, highest = np.poly1d([0.0]), 0.0
+        for _ in range(20):
+            end = piece(1.0)
+            piece = np.polyint(ratio / 2 * (1 - piece), k=end) if highest or end else np.poly1d([ratio / 2, 0.0])
+            highest = max(highest, *(piece(x) for x in np.linspace(0, 1, 2001)))
+        made = oven.run(parameters={"late": 20 * ratio}, stop=300, **TIGHT)
+        assert made.measures["overshoot"] == pytest.approx(highest - 1, abs=1e-4)
+    margin = margins(oven.linearizer().delayed_loop("control.u"))
+    assert 20 + margin.delay == pytest.approx(20 * math.pi, rel=1e-6)
+    assert margin.gain == pytest.approx(math.pi, rel=1e-6)
+
+
+def test_the_uncertain_motors_overshoot_as_scipy_says() -> None:
+    R, L, kb, kt, n, b, J, b0 = 0.1557, 0.82, 1.185, 1.1882, 3, 0.3922, 0.5, 1.755
+
+    def motor(omega: float, i: float, u: float) -> list[float]:
+        return [(kt * i - b * n * omega) / (J * n), (u - R * i - kb * n * omega) / L]
+
+    def pid(t: float, x: Array) -> list[float]:
+        omega, i, integral, smoothed = x
+        e = 2 - omega
+        v = 20 * e + integral + 4 * (e - smoothed) / 0.02
+        u = np.clip(v, -12, 12)
+        return [*motor(omega, i, u), 30 * e + (u - v) / (20 / 30), (e - smoothed) / 0.02]
+
+    def adrc(t: float, x: Array) -> list[float]:
+        omega, i, z1, z2, z3 = x
+        u = np.clip((64 * (2 - z1) - 16 * z2 - z3) / b0, -12, 12)
+        e = omega - z1
+        return [*motor(omega, i, u), z2 + 108 * e, z3 + b0 * u + 3888 * e, 46656 * e]
+
+    made = Diagram.load(GALLERY / "uncertain.json").run(parameters={"inertia": J}, stop=6, **TIGHT)
+    for name, rhs, size in (("pid", pid, 4), ("adrc", adrc, 5)):
+        theirs = solve_ivp(rhs, (0, 5), np.zeros(size), method="RK45", rtol=1e-8, atol=1e-10, max_step=0.01)
+        assert made.measures[f"overshoot_{name}"] == pytest.approx(max(0, theirs.y[0].max() / 2 - 1), abs=2e-4), name
+
+
+def test_the_noise_of_both_observers_is_that_of_the_equation_of_lyapunov() -> None:
+    made = Diagram.load(GALLERY / "observer.json").run(parameters={"torque": 0}, stop=60, **{**TIGHT, "rtol": 1e-6})
+    for name, w in (("slow", 15.0), ("fast", 40.0)):
+        gains = np.array([[3 * w], [3 * w**2], [w**3]])
+        F, G = held(np.hstack([-gains, [[1, 0], [0, 1], [0, 0]]]), gains, 1e-3)
+        deviation = math.sqrt(solve_discrete_lyapunov(F, G @ G.T * 0.0005**2)[2, 2])
+        # Three standard errors of a deviation, where 60 s hold 60 w/3 independent values.
+        assert np.std(made[f"eso_{name}.z3"][made.t > 1]) == pytest.approx(deviation, rel=3 / math.sqrt(2 * 60 * w / 3))
