@@ -11,9 +11,11 @@ project = "blocks"
 copyright = "the blocks authors"
 version = release = blocks.__version__
 
-extensions = ["myst_parser", "reference"]
+extensions = ["myst_nb", "reference"]
 myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "fieldlist"]
 myst_heading_anchors = 3
+nb_execution_mode = "off"  # notebooks hold their outputs; `make test-long` runs them
+nb_render_markdown_format = "myst"
 exclude_patterns = ["_build"]
 smartquotes = False
 

@@ -301,6 +301,8 @@ def _shown_svg(figure: Any) -> str:
         rules.append(f".blocks-figure{{color:{page[0]};background:{page[1]};--paper:{page[1]}{named}}}")
     for n, (color, _) in enumerate(STYLES):
         body = body.replace(color, f"var(--c{n},{color})")
+    # Places to a hundredth of a point: a notebook keeps all of this.
+    body = re.sub(r' (?:d|x|y)="[^"]*', lambda found: re.sub(r"(\.\d\d)\d+|\n", r"\1", found[0]), body)
     width, height = (round(100 * size) for size in figure.get_size_inches())
     style = f"<style>{rules[0]}@media (prefers-color-scheme:dark){{{rules[1]}}}</style>"
     size = f'<svg class="blocks-figure" width="{width}" height="{height}" style="max-width:100%;height:auto"'

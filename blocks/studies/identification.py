@@ -104,6 +104,8 @@ class Fit(Found):
     def __str__(self) -> str:
         return "\n\n".join(as_text([part]) for part in self.parts())
 
+    __repr__ = __str__
+
 
 def fit(
     diagram: Diagram,

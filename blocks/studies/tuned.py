@@ -177,6 +177,8 @@ class Tuning(Found):
     def __str__(self) -> str:
         return "\n\n".join(as_text([part]) for part in self.parts())
 
+    __repr__ = __str__
+
     def parts(self) -> list[Part]:
         tables = (Table([head, *rows]) for head, rows in self.tables() if rows)
         kept = ["No candidate was better than the diagram itself: its values are kept."] if self.is_kept else []

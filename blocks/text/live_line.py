@@ -44,14 +44,14 @@ def _in_notebook() -> bool:
         return False
     if multiprocessing.parent_process() is not None:
         return False
-    from IPython import get_ipython  # it is loaded
-
-    return hasattr(get_ipython(), "kernel")
+    return hasattr(sys.modules["IPython"].get_ipython(), "kernel")
 
 
 class _Line:
+    handle: Any = None
+
     def __init__(self, words: Callable[..., tuple[float, str]]) -> None:
-        self.words, self.handle = words, None
+        self.words = words
         self.begun = time.perf_counter()
         self.due = self.begun + SOON
 
@@ -71,9 +71,7 @@ class _Line:
             self.show({"text/plain": "", "text/html": ""})
 
     def show(self, forms: dict[str, str]) -> None:
-        from IPython.display import display
-
         if self.handle is None:
-            self.handle = display(forms, raw=True, display_id=True)  # type: ignore[no-untyped-call]
+            self.handle = sys.modules["IPython"].display.display(forms, raw=True, display_id=True)
         else:
             self.handle.update(forms, raw=True)

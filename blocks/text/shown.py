@@ -17,6 +17,7 @@ __all__ = ["Part", "Shown", "Table", "as_html", "as_text"]
 
 # A number, maybe with what stands behind it in such cells: "5.2", "-", "+3 % -4 %", "0.12 ± 0.03".
 _NUMBERS = re.compile(r"-|([+-]?(\d[\d.]*(e[+-]?\d+)?|inf|nan)( [%±])?( |$))+", re.ASCII)
+_CELL = "padding:0.15em 0.6em"
 
 
 class Table(NamedTuple):
@@ -53,12 +54,12 @@ def as_text(parts: Iterable[Part]) -> str:
 def as_html(parts: Iterable[Part]) -> str:
     """A <div> with a paragraph for each line; columns of numbers are aligned to the right."""
     pieces = [_table(part) if isinstance(part, Table) else _line(re.sub(r"^<(.*)>$", r"\1", part)) for part in parts]
-    return f'<div class="blocks-shown">{"".join(pieces)}</div>'
+    return f'<div class="blocks-shown" style="overflow-x:auto">{"".join(pieces)}</div>'
 
 
 def _line(text: str) -> str:
     first, *rest = text.splitlines() or [""]
-    return f'<p style="margin:0.3em 0">{"<br>".join(map(html.escape, [first, *rest]))}</p>'
+    return f'<p style="margin:0.3em 0">{"<br/>".join(map(html.escape, [first, *rest]))}</p>'
 
 
 def _table(table: Table) -> str:
@@ -68,9 +69,10 @@ def _table(table: Table) -> str:
     lines = []
     for k, row in enumerate(table.rows):
         kind = "th" if table.has_head and not k else "td"
-        cells = zip(row, sides, strict=True)
-        lines.append("".join(f'<{kind} style="text-align:{side}">{html.escape(cell)}</{kind}>' for cell, side in cells))
+        styles = (f"text-align:{side};{_CELL}" for side in sides)
+        cells = zip(map(html.escape, row), styles, strict=True)
+        lines.append("".join(f'<{kind} style="{style}">{cell}</{kind}>' for cell, style in cells))
     rows = "".join(f"<tr>{line}</tr>" for line in lines)
     head, rest = rows.split("</tr>", 1) if table.has_head else ("", rows)
     head = f"<thead>{head}</tr></thead>" if head else ""
-    return f'<table style="font-variant-numeric:tabular-nums">{head}<tbody>{rest}</tbody></table>'
+    return f'<table style="font-variant-numeric:tabular-nums;white-space:nowrap">{head}<tbody>{rest}</tbody></table>'
