@@ -1,5 +1,7 @@
 """Wiring: blocks that only re-arrange signals. They cost nothing, and dependencies go through them one by one."""
 
+import re
+
 from ..contract.block import Block
 from ..contract.equations import requires, wiring
 from ..contract.variables import Input, Parameter
@@ -7,11 +9,29 @@ from ..contract.variables import Input, Parameter
 __all__ = ["Demux", "Mux", "Selector"]
 
 
-class Mux(Block):
-    """y = [u1, u2, ...]: scalars become a vector, and each keeps its unit."""
+_is_name = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII).fullmatch
 
-    size = Parameter(2, structural=True, type="int", min=1, doc="number of inputs")
+
+def _count(names):
+    """As many as there are names; 2 where there are none."""
+    return names.count(",") + 1 if names else 2
+
+
+class Mux(Block):
+    """y = [u1, u2, ...]: scalars become a vector, and each keeps its unit.
+
+    With names it is a bus: with "x, y, theta" wires, outputs, measures and the log may say y[theta] for the third
+    element, wherever the vector arrives, through subdiagrams and Selector too.
+    """
+
+    names = Parameter("", structural=True, type="string", doc='names of the elements, "x, y, theta"; "": none')
+    size = Parameter(_count, structural=True, type="int", min=1, doc="number of inputs")
     u = Input(shape=lambda size: size, ports="u{}", doc="elements")
+
+    @requires("names must be one for each input, different, of letters, digits and _, with commas between")
+    def is_bus(names, size):
+        given = [name.strip() for name in names.split(",")]
+        return not names or (len({*given}) == size == len(given) and all(map(_is_name, given)))
 
     @wiring(shape=lambda size: size, doc="vector of the inputs")
     def y(u):

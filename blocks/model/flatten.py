@@ -90,7 +90,7 @@ class _Signals(Mapping[str, FlatSignal]):
 
     def __init__(self) -> None:
         self._known: dict[str, FlatSignal | tuple[int, Port]] = {}
-        self.told_when_asked: set[str] = set()  # what is inside of FMUs, and recorded only where it is named
+        self.told_when_asked: set[str] = set()  # recorded where they are named only
 
     def add(self, name: str, signal: FlatSignal | tuple[int, Port]) -> None:
         """Take in a signal, or an output of a block by the block's index."""
@@ -393,6 +393,12 @@ class _Flattener:
         def add(name: str, strand: Strand | None) -> None:
             if strand is not None:
                 all_signals.add(name, FlatSignal(name, strand.sources, strand.shape, strand.units, strand.type))
+                for k, element in enumerate(strand.names):
+                    of_bus = f"{name}[{element}]"
+                    own = FlatSignal(of_bus, strand.sources[k : k + 1], (), strand.units[k : k + 1], strand.types[k])
+                    if element and of_bus not in all_signals:
+                        all_signals.add(of_bus, own)
+                        all_signals.told_when_asked.add(of_bus)
 
         for name in self.diagram.inputs:
             add(name, self.wires.strand(WireSource("input", 0, name)))

@@ -22,7 +22,7 @@ from ..contract.enumerations import enumeration_of, same_members, type_text
 from ..contract.interface import Port
 from ..contract.reads import arguments
 from ..text import units
-from ..text.element_names import indexed
+from ..text.element_names import indexed, named_element
 from ..text.errors import ModelError
 from ..text.json_document import AT_KEY
 from ..text.printable import legible, quoted
@@ -82,12 +82,13 @@ class FlatInput:
 
 
 class Strand(NamedTuple):
-    """What a wire carries: of each element its source, unit and type."""
+    """What a wire carries: of each element its source, unit and type; of a bus the names of its elements too."""
 
     sources: tuple[Source, ...]
     units: tuple[str, ...]
     types: tuple[str, ...]
     shape: tuple[int, ...]
+    names: tuple[str, ...] = ()
 
     @property
     def type(self) -> str:
@@ -103,6 +104,7 @@ class WireElement:
     source: Source
     unit: str
     type: str
+    name: str = ""
 
 
 class WireSource(NamedTuple):
@@ -117,7 +119,7 @@ class Feed(NamedTuple):
     """A wire at its sink: the node that it comes from (None: faulty, already reported), which element, and its text."""
 
     node: WireSource | None
-    element: int | None
+    element: int | str | None
     text: str
 
 
@@ -310,11 +312,16 @@ class Wires:
 
     def feed(self, scope: DiagramScope, text: str, sink_text: str, spot: Spot) -> Feed:
         """The node that a source text names; a fault is reported where there is none."""
+        element: int | str | None
         base, element = indexed(text)
         name, _, port = base.partition(".")
         sink = self.sinks[scope.index].get(name)
         if sink is not None and text.removeprefix(f"{name}.") in sink.outputs:  # an FMU's own name with brackets
             element, port = None, text.removeprefix(f"{name}.")
+        elif named_element(text)[1]:
+            base, element = named_element(text)
+            name, _, port = base.partition(".")
+            sink = self.sinks[scope.index].get(name)
         if not port and name in scope.value.inputs:
             return Feed(WireSource("input", scope.index, name), element, text)
         if sink is not None and port in sink.outputs:
@@ -434,7 +441,12 @@ class Wires:
             port = leaf.interface.outputs[node.name]
             if node.name in leaf.interface.rearranged:
                 all_ = self.rearrangement(leaf, port.variable)
-                return None if all_ is None else _strand(all_[port.first : port.first + port.size], port.shape)
+                if all_ is None:
+                    return None
+                strand = _strand(all_[port.first : port.first + port.size], port.shape)
+                names = leaf.interface.structural.get("names")
+                names = bus_names(names) if isinstance(names, str) else ()
+                return strand._replace(names=names) if len(names) == port.size and port.shape else strand
             places = range(port.first, port.first + port.size)
             owned = tuple([BlockSource(leaf.index, port.variable, place) for place in places])
             return Strand(owned, port.units, port.types, port.shape)
@@ -456,7 +468,7 @@ class Wires:
         if fed is None:
             return None
         units_ = tuple(own or given for own, given in zip((port.unit,) * port.size, fed.units, strict=True))
-        entering = Strand(fed.sources, units_, port.types, port.shape)
+        entering = Strand(fed.sources, units_, port.types, port.shape, fed.names)
         return self.gated(scope, node.name, entering) if scope.control else entering
 
     def gated(self, scope: DiagramScope, name: str, strand: Strand, *, is_output: bool = False) -> Strand:
@@ -491,7 +503,8 @@ class Wires:
             if fed is None:
                 complete = False
             else:
-                parts[port.variable] += [WireElement(*element) for element in zip(*fed[:3], strict=True)]
+                names = fed.names or ("",) * len(fed.sources)
+                parts[port.variable] += [WireElement(*element) for element in zip(*fed[:3], names, strict=True)]
         if not complete:
             return None
         for name, part in parts.items():
@@ -593,6 +606,8 @@ class Wires:
             raise Absent
         if feed.element is None:
             return strand
+        if isinstance(feed.element, str):
+            return self.of_bus(scope, strand, feed.text, place, spot)
         if len(strand.shape) != 1 or feed.element >= strand.shape[0]:
             message = f"{indexed(feed.text)[0]} {_extent(strand.shape)}: there is no [{feed.element}]."
             cure = f'Write "{indexed(feed.text)[0]}".' if strand.shape == () else "Elements are counted from 0."
@@ -600,6 +615,18 @@ class Wires:
             raise Absent
         k = slice(feed.element, feed.element + 1)
         return Strand(strand.sources[k], strand.units[k], strand.types[k], ())
+
+    def of_bus(self, scope: DiagramScope, strand: Strand, text: str, place: str, spot: Spot) -> Strand:
+        """The element that a wire takes from a bus by its name."""
+        base, name = named_element(text)
+        if name not in strand.names:
+            known = [known for known in strand.names if known]
+            cure = f"{self.faults.guess(name, known)} Elements: {', '.join(known)}.".strip()
+            cure = cure if known else 'Its elements have no names: a Mux gives them, with "names".'
+            self.tell(scope, "E105", place, f"{base} has no element {quoted(name)}.", cure, spot)
+            raise Absent
+        k = strand.names.index(name)
+        return Strand(strand.sources[k : k + 1], strand.units[k : k + 1], strand.types[k : k + 1], ())
 
     def fitting(self, scope: DiagramScope, at: str, feed: Feed, port: Port, index: int | None) -> Strand:
         """What a wire brings to an input, or to one element of it, if it fits in shape, quantity and type."""
@@ -669,7 +696,13 @@ def _strand(elements: list[WireElement], shape: tuple[int, ...]) -> Strand:
         tuple(element.unit for element in elements),
         tuple(element.type for element in elements),
         shape,
+        tuple(element.name for element in elements) if shape and any(element.name for element in elements) else (),
     )
+
+
+def bus_names(text: str) -> tuple[str, ...]:
+    """The names of a bus, as its Mux has them: "x, y, theta"."""
+    return tuple(name.strip() for name in text.split(","))
 
 
 def _fits(wanted: str, given: str) -> bool:

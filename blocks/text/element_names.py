@@ -7,8 +7,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-__all__ = ["element_names", "indexed", "matching"]
+__all__ = ["element_names", "indexed", "matching", "named_element"]
 
+_NAME = re.compile(r"(.*)\[([A-Za-z_][A-Za-z0-9_]*)\]\Z", re.DOTALL)
 _INDEX = re.compile(r"(.*)\[(0|[1-9][0-9]{0,6})\]\Z", re.DOTALL)
 
 
@@ -21,6 +22,12 @@ def indexed(text: str) -> tuple[str, int | None]:
     """A signal's text and the element that it names: "z[0]" -> ("z", 0). An element has one spelling only."""
     match = _INDEX.match(text) if text.endswith("]") else None
     return (match[1], int(match[2])) if match else (text, None)
+
+
+def named_element(text: str) -> tuple[str, str]:
+    """A signal's text and the name of the element that it names: "pose.y[theta]" -> ("pose.y", "theta"), else ""."""
+    match = _NAME.match(text) if text.endswith("]") else None
+    return (match[1], match[2]) if match else (text, "")
 
 
 def matching(pattern: str, names: Iterable[str]) -> list[str]:

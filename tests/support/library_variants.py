@@ -164,6 +164,7 @@ VARIANTS: list[tuple[str, dict[str, Any]]] = [
     ("Multisine", {"harmonics": [1.0, 3.0, 8.0], "period": 0.5, "unit": "V"}),
     ("Mux", {}),
     ("Mux", {"size": 3}),
+    ("Mux", {"names": "x, y, theta"}),
     ("NESO", {"bandwidth": 20.0}),
     ("NESO", {"order": 1, "bandwidth": 20.0, "delta": 0.1, "alpha": [1.0, 0.25], "unit": "rad/s", "unit_u": "V"}),
     ("NESO", {"order": 3, "gains": [100.0, 65.0, 80.0, 50.0], "b0": -3.0}),
