@@ -173,7 +173,9 @@ def variant_inputs(diagram: Diagram) -> dict[str, Any]:
 
 @pytest.mark.parametrize("first", range(0, len(VARIANTS), 12))
 def test_library_blocks_are_close(first: int) -> None:
-    entries = [entry for entry in VARIANTS[first : first + 12] if entry[0] not in ("InvertedPendulum",)]
+    # fhan of the TrackingDifferentiator has slopes of 1e6: at this step it chatters, and any last bit decides.
+    chaotic = ("TrackingDifferentiator", {})
+    entries = [entry for entry in VARIANTS[first : first + 12] if entry[0] != "InvertedPendulum" and entry != chaotic]
     diagram = variant_diagram(entries)
     inputs = variant_inputs(diagram)
     settings: dict[str, Any] = {"stop": 1.2, "every": 0.01, "method": "rk4", "step": 0.004, "inputs": inputs}
