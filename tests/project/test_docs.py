@@ -426,7 +426,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-d", str(folder / "trees")]
     # Plots are runs: natively where there is a compiler, as `make docs` makes them.
     env = {**os.environ, "BLOCKS_ENGINE": "auto"}
-    done = subprocess.run([*command, str(folder / "docs"), str(folder / "html")], capture_output=True, text=True, env=env)
+    command += [str(folder / "docs"), str(folder / "html")]
+    done = subprocess.run(command, capture_output=True, text=True, env=env)
     assert done.returncode == 0, done.stdout + done.stderr
     return folder / "html"
 
