@@ -210,7 +210,7 @@ def test_a_file_that_is_no_state_is_refused(tmp_path: Path) -> None:
     data = path.read_bytes()
     broken = tmp_path / "broken"
     assert "cannot be read" in refusal(d, tmp_path / "nothing")
-    for damaged in (b"", b"hello", data[:-30], data[:100] + b"x" + data[101:]):
+    for damaged in (b"", b"hello", data[:-30], data[:100] + bytes([data[100] ^ 1]) + data[101:]):
         broken.write_bytes(damaged)
         assert "is not a saved state" in refusal(d, broken)
     with zipfile.ZipFile(broken, "w") as archive:

@@ -848,7 +848,7 @@ def test_where_a_law_has_a_slope_there_is_no_false_alarm(
 def test_no_false_alarm_in_trackers_feedbacks_and_limited_controllers() -> None:
     tracker = alone(TrackingDifferentiator(R=100.0, h=1e-3), r=0.0).linearize("r", "b.r1")
     assert poles(tracker) == pytest.approx(np.array([-1000.0, -1000.0]), rel=1e-6)  # fhan near its aim
-    pid = alone(PID(kp=2.0, ki=3.0, lower=-1.0, upper=1.0), r=0.0, y=0.0)
+    pid = alone(PID(kp=2.0, ki=3.0, lower=-1.0, upper=1.0), r=0.0, y=0.0, manual=0.0)
     assert at(pid.linearize("r", "b.u"))[0, 0] == pytest.approx(2.0 + 3.0 / (1j * OMEGA), rel=1e-9)
     feedback = alone(NLSEF(), r1=0.1, r2=0.0, z1=0.0, z2=0.0, z3=0.0)
     assert gain(feedback, "r1", "b.u") == pytest.approx(0.4620 ** (0.1726 - 1.0), rel=1e-12)
