@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from ..model.block_ports import listed
 from ..model.settings import TIMES
 from ..text.brief import UnknownPort
+from ..text.element_names import named_element
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import quoted
 from ..text.quantity_text import read_quantity
@@ -25,17 +26,19 @@ class Named(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PortName:
-    """A port of a block in a diagram, or an input of the diagram; `port[0]` is one element."""
+    """A port of a block in a diagram, or an input of the diagram; `port[0]` is one element, `port["x"]` that of a bus."""
 
     diagram: Named
     text: str
     is_input: bool
     unit: str = ""
 
-    def __getitem__(self, index: int) -> PortName:
-        if "[" in self.text or index < 0:
-            raise IndexError(f"{self.text}[{index}]: an element of a port is counted from 0.")
-        return replace(self, text=f"{self.text}[{index}]")
+    def __getitem__(self, index: int | str) -> PortName:
+        text = f"{self.text}[{index}]"
+        is_element = bool(named_element(text)[1]) if isinstance(index, str) else index >= 0
+        if "[" in self.text or not is_element:
+            raise IndexError(f"{text}: an element of a port is counted from 0, or of a bus named.")
+        return replace(self, text=text)
 
     def __iter__(self) -> Any:
         raise TypeError(f"{self.text} is the name of a port; its elements are {self.text}[0], {self.text}[1], ...")

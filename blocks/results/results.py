@@ -13,7 +13,7 @@ import numpy as np
 from ..text import units
 from ..text.atomic_write import write_atomically
 from ..text.brief import UnknownName
-from ..text.element_names import element_names, indexed
+from ..text.element_names import element_names, indexed, named_element
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import counted, quoted
 from ..text.shown import Part, Shown, Table, as_html, as_text
@@ -211,6 +211,9 @@ class Results(Shown):
                 first, shape, unit = self.columns[base]
                 if len(shape) == 1 and index < shape[0]:
                     return Signal(self._block(first + index, 1)[:, 0], self.t, unit, name)
+            bus, element = named_element(name)
+            if element and bus in self.columns:
+                raise UnknownName(f"{bus} is recorded by numbers. Take {bus}[0], or name {name!r} in the log.")
             cure = f"{did_you_mean(name, self.columns)} Recorded: {', '.join(self.columns)}."
             raise UnknownName(f"there is no recorded signal {name!r}. {cure.strip()}")
         first, shape, unit = self.columns[name]

@@ -96,9 +96,34 @@ def test_a_bus_in_python() -> None:
     d.wire(bus.u1, d.add("one", Sine()).y)
     d.wire(bus.u2, d.add("two", Constant(value=5.0)).y)
     d.wire(part.u, bus.y)
-    d.wire(out.u, "part.y[b]")
-    d.wire(total.u1, "bus.y[a]")
+    d.wire(out.u, part.y["b"])
+    d.wire(total.u1, bus.y["a"])
     d.wire(total.u2, out.y)
     results = d.run(stop=1.0, log=["total.y", "bus.y[b]"])
     assert results["total.y"][-1] == pytest.approx(5.0 + np.sin(1.0), rel=1e-9)
     assert d.to_json()["wires"]["g.u"] == "part.y[b]"
+    assert list(d.run(stop=1.0, log=[bus.y["b"]])) == ["bus.y[b]"]
+    for wrong in ("", "a b", "a]", "0x"):
+        with pytest.raises(IndexError, match="or of a bus named"):
+            _ = bus.y[wrong]
+
+
+def test_results_tell_how_an_element_is_recorded_under_its_name() -> None:
+    results = Diagram.from_json(document()).run(log=["pose.y"])
+    assert results["pose.y[2]"][-1] == pytest.approx(1.0, rel=1e-12)
+    with pytest.raises(KeyError, match=r"pose.y is recorded by numbers. Take pose.y\[0\], or name 'pose.y\[theta\]' in"):
+        _ = results["pose.y[theta]"]
+
+
+def test_a_bus_passes_the_gates_of_a_subdiagram_and_variants_have_names_of_their_own() -> None:
+    made = document()
+    made["blocks"]["up"] = {"type": "CompareToConstant", "parameters": {"constant": 0.5}}
+    made["blocks"]["inner"]["diagram"]["inputs"] = {"p": {"size": 2}}
+    made["blocks"]["inner"]["enable"] = {"states": "held", "outputs": "held"}
+    made["blocks"]["pose"]["variants"] = {"plain": {"type": "Mux", "parameters": {"size": 3}}}
+    made["blocks"]["one"] = {"type": "Constant", "parameters": {"value": 1}}
+    made["wires"] |= {"up.u": "one.y", "inner.enable": "up.y"}
+    assert Diagram.from_json(made).run()["far.y"][-1] == 3.0
+    made["blocks"]["pose"]["variant"] = "plain"
+    with pytest.raises(ModelError, match='far.u: inner.same has no element "x". Its elements have no names'):
+        Diagram.from_json(made).check()
