@@ -26,7 +26,7 @@ class Named(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PortName:
-    """A port of a block in a diagram, or an input of the diagram; `port[0]` is one element, `port["x"]` that of a bus."""
+    """A port of a block in a diagram, or an input of the diagram; `port[0]` is an element, `port["x"]` one of a bus."""
 
     diagram: Named
     text: str
