@@ -34,7 +34,7 @@ from ..editing.swapping import existing, swapped
 from ..model import document as documents
 from ..model.block_types import Library, library_types
 from ..model.diagram import BlockEntry, DiagramValue, FaultList, check_name
-from ..model.diagram_grammar import MEASURE_NUMBERS
+from ..model.diagram_grammar import MEASURE_NUMBERS, MEASURES
 from ..model.flatten import Flat, interface_of
 from ..model.raw_values import raw_of
 from ..model.resolver import resolver_of
@@ -43,7 +43,7 @@ from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.brief import UnknownName
 from ..text.errors import Fault, ModelError, did_you_mean
-from ..text.printable import legible
+from ..text.printable import legible, quoted
 from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan
 from .draft import Draft
 from .entries import as_name, input_entry, input_like, parameter_entry
@@ -318,6 +318,9 @@ class Diagram:
         if name in self._draft.section("measures"):
             raise ModelError(Fault("E109", legible(str(name)), "the name is taken by a measure."))
         check_name(name)
+        if isinstance(type, str) and type not in MEASURES:
+            cure = did_you_mean(type, MEASURES) or f"Measures: {', '.join(MEASURES)}."
+            raise ModelError(Fault("E116", f"measures.{name}", f"there is no measure {quoted(type)}.", cure))
         entry: dict[str, Any] = {"type": type, "of": text_of(of, self)}
         for key, given in zip(MEASURE_NUMBERS, (against, start, stop, band, omega), strict=True):
             if given is not None:

@@ -14,6 +14,13 @@ from ..text.errors import BlocksError, Fault
 __all__ = ["drawn"]
 
 
+class Drawing(str):
+    """The text of an SVG, which a notebook shows as a picture."""
+
+    def _repr_svg_(self) -> str:
+        return str(self)
+
+
 def drawn(value: DiagramValue, resolver: Resolver, depth: int, check: Callable[[], Plan | Coupling]) -> str:
     """The text of an SVG. check: gives what the diagram is compiled to, with its warnings, or raises its faults."""
     faults: tuple[Fault, ...] = ()
@@ -23,4 +30,4 @@ def drawn(value: DiagramValue, resolver: Resolver, depth: int, check: Callable[[
         faults, rates = planned.warnings, planned.rate_labels
     except BlocksError as error:
         faults = error.faults
-    return svg(value, ports_of(value, resolver), depth=depth, faults=faults, rates=rates)
+    return Drawing(svg(value, ports_of(value, resolver), depth=depth, faults=faults, rates=rates))

@@ -116,7 +116,7 @@ def sink_text(sink: PortName | str, source: PortName | str, diagram: Named) -> s
     text = text_of(sink, diagram)
     if isinstance(sink, PortName) and not sink.is_input:
         swapped = isinstance(source, PortName) and source.is_input
-        cure = f"The sink comes first: wire({source}, {sink})." if swapped else "A wire ends at an input."
+        cure = f"The sink comes first: wire({source if swapped else 'sink'}, {sink if swapped else 'source'})."
         raise ModelError(Fault("E112", text, "is a source, and a wire ends at an input.", cure))
     return text
 

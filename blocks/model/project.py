@@ -120,7 +120,10 @@ def read_inside(path: Path, project: Project, fault: Fault, shown: str = "") -> 
             missing = "is a folder" if resolved.is_dir() else "is no file" if resolved.exists() else "does not exist"
             if os.path.islink(path) and missing == "does not exist":
                 raise refuse("E007", "is a link that leads to no file.", "Mend the link, or put a file in its place.")
-            raise refuse("E007", f"{missing}.", "Name a file." if resolved.exists() else _neighbors(path))
+            sought = _neighbors(path)
+            if not sought and fault.file:
+                sought = "A path counts from the folder of the file that names it."
+            raise refuse("E007", f"{missing}.", "Name a file." if resolved.exists() else sought)
         # Between the look above and this one, another file may have been put there: a link, a pipe, a larger one.
         flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
         with open(os.open(resolved, flags), "rb") as stream:

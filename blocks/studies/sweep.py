@@ -73,6 +73,8 @@ class Sweep(Shown):
         if scenario not in self.scenarios:
             known = f"Scenarios: {', '.join(self.scenarios) or 'none'}."
             cure = did_you_mean(str(scenario), self.scenarios)
+            if isinstance(scenario, int | np.integer):
+                cure = f"Row {scenario} is run again by single({scenario})."
             raise UnknownName(f"there is no scenario {scenario!r}. {cure}{' ' if cure else ''}{known}")
         rows = np.flatnonzero(self.scenario == self.scenarios.index(scenario))
         first = np.zeros(len(rows), dtype=np.int64)

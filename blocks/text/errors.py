@@ -153,5 +153,7 @@ def did_you_mean(word: str, known: Iterable[str], *, quote: str = "'") -> str:
     folded = {name.casefold(): name for name in reversed(list(known))}
     letters = sorted(word.casefold())
     near = [name for name in folded if len(name) == len(letters) and sorted(name) == letters]  # two letters swapped
+    inner = [name for name in folded if name.endswith(f".{word.casefold()}")]
+    near = near or (inner if len(inner) == 1 else [])  # eso.e, which lies in control
     near = near or difflib.get_close_matches(word.casefold(), list(folded), n=1, cutoff=0.6)
     return f"Did you mean {quote}{folded[near[0]]}{quote}?" if near else ""

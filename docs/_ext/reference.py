@@ -689,7 +689,8 @@ def begin(app: Sphinx) -> None:
 
 def add_style(app: Sphinx, config: Any) -> None:
     """The style sheet of drawings, made by the code that draws."""
-    folder = Path(app.doctreedir) / "made"
+    # Below the folder of the pages Sphinx would not copy it, and the doctrees are there unless -d says otherwise.
+    folder = Path(f"{app.outdir}-made")
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "drawings.css").write_text(style_sheet(), encoding="utf-8")
     config.html_static_path.append(str(folder))

@@ -159,7 +159,7 @@ add("a", subdiagram(Diagram("inner")), enable={"states": "off"})
 add("a", subdiagram(Diagram("inner")), trigger={"every": 0.1, "direction": "up"})
     ModelError: E009 blocks.a.trigger: a trigger has "direction" (of a signal) or "every" (a tick).
 wire(g.y, "r")
-    ModelError: E112 g.y: is a source, and a wire ends at an input. A wire ends at an input.
+    ModelError: E112 g.y: is a source, and a wire ends at an input. The sink comes first: wire(sink, source).
 wire(g.y, g.u)
     ModelError: E112 g.y: is a source, and a wire ends at an input. The sink comes first: wire(g.u, g.y).
 wire(g.u, other.y)

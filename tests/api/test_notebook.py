@@ -20,7 +20,7 @@ from IPython.core.interactiveshell import InteractiveShell
 from IPython.extensions.autoreload import superreload
 from traitlets.config import Config
 
-from blocks import Constant, Diagram, FirstOrder, Gain, Normal, Sum
+from blocks import Constant, Diagram, FirstOrder, Gain, ModelError, Normal, Sum
 from blocks.analysis import bode, find_operating_point, margins
 from blocks.compare import compare
 from blocks.text import live_line as progress
@@ -276,3 +276,27 @@ def test_autoreload_gives_blocks_of_before_the_equations_of_now(
             Own.k = module.Own.u
     finally:
         sys.modules.pop(place.stem)
+
+
+def test_a_drawing_is_a_text_that_a_notebook_shows_as_a_picture(shell: InteractiveShell) -> None:
+    d = Diagram("x")
+    d.add("a", Constant())
+    data, _ = shell.display_formatter.format(d.draw(depth=2))  # type: ignore[union-attr]
+    assert data["image/svg+xml"] == d.draw(depth=2)
+    assert d.draw(depth=2).startswith("<svg ")
+
+
+def test_a_measure_that_is_misspelled_is_refused_where_it_is_asked_for() -> None:
+    d = Diagram("x")
+    a = d.add("a", Constant())
+    with pytest.raises(ModelError, match=r"E116 measures\.o: there is no measure \"overshot\"\. Did you mean 'over"):
+        d.measure("o", "overshot", a.y)
+    d.measure("o", "overshoot", a.y, 1.0)  # the name is free still, and the diagram runs
+    assert "o" in d.run(stop=1).measures
+
+
+def test_a_row_in_place_of_a_scenario_is_told_how_it_is_run() -> None:
+    d = Diagram("x")
+    d.add("a", Constant())
+    with pytest.raises(KeyError, match=r"there is no scenario 1\. Row 1 is run again by single\(1\)\."):
+        d.sweep({"a.value": [1.0, 2.0]}, log=["a.y"], every=0.5, stop=1)[1]

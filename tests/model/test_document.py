@@ -315,6 +315,8 @@ def test_a_missing_file_is_told_with_its_neighbor(tmp_path: Path) -> None:
     assert (fault.code, fault.place, fault.cure) == ("E007", "blocks.s0.diagram", "Did you mean 'inner.json'?")
     assert "does not exist" in fault.message
     assert fault.line == 1
+    fault = refused(project(tmp_path, top=using("diagrams/adrc/adrc_2.json")))
+    assert fault.cure == "A path counts from the folder of the file that names it."
 
 
 @pytest.mark.parametrize("name", ["", "http://example.org/a.json", "a\0b.json", "x" * 5000, "."])

@@ -33,3 +33,9 @@ def test_a_fault_is_a_line_of_code_place_message_and_cure() -> None:
     assert str(fault.at("loop.json", 12, 3)) == "E101 loop.json:12:3 motor.v: input is not wired. Wire it."
     assert str(Fault("E007", "", "is a folder.")) == "E007 is a folder."
     assert str(Fault("E006", "", "is no diagram.", file="a.json")) == "E006 a.json: is no diagram."
+
+
+def test_the_end_of_one_path_is_a_guess_of_it() -> None:
+    known = ["control.eso.z1", "control.eso.e", "motor.omega", "left.i", "right.i"]
+    assert did_you_mean("eso.e", known) == "Did you mean 'control.eso.e'?"
+    assert did_you_mean("i", known) == ""
