@@ -32,7 +32,7 @@ from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationEr
 from ..text.live_line import in_rows, live_line
 from ..text.printable import counted, legible
 from ..text.shown import Part, Shown, Table
-from .batch_processes import Worker, in_processes
+from .batch_processes import Worker, in_processes, packed
 from .prepared_model import PreparedModel
 from .run import Run, RunOptions
 from .values import check_settings, time_of
@@ -233,6 +233,9 @@ class Batch(Shown):
         count = max(1, min(threads or cores(), n))
         if not self._why:
             return counted(count, "thread")
+        why_here = packed(self)[1]
+        if why_here:
+            return f"this process alone: {self._why}, and {why_here}"
         return f"{count} process{'' if count == 1 else 'es'}: {self._why}"
 
     def _given(self, rows: Sequence[Sequence[Any]], made: _Made) -> Iterator[dict[str, Any]]:

@@ -1,24 +1,33 @@
 """Rows of a batch in processes of their own: for FMUs, programs in Python and engines that hold Python's lock.
 
 Each process takes row after row, also of later calls. One that dies takes its row with it, and another one goes on.
+They do not import the script of the user, which may have no `if __name__ == "__main__"`, unless it has one and defines
+block types itself.
 """
 
 from __future__ import annotations
 
 import contextlib
+import io
 import multiprocessing
+import os
 import pickle
 import queue
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from multiprocessing.connection import Connection
+from multiprocessing import spawn
+from pathlib import Path
 from typing import Any, Protocol
 
 from ..engines.run.many_runs import Row
 from ..text.errors import Fault
 
-__all__ = ["Rows", "Worker", "in_processes"]
+__all__ = ["Rows", "Worker", "in_processes", "packed"]
+
+BEGIN = f"import sys; sys.path[:] = {{}}; from {__name__} import _serve; _serve()"
 
 
 class Rows(Protocol):
@@ -38,15 +47,10 @@ def in_processes(
 
     workers: those of the batch that wait for rows, and will do so again afterwards.
 
-    What cannot be pickled runs here, row after row; so do all rows in a process that may have none of its own, as a
-    worker of dask, and where processes cannot begin: block types that were defined in a notebook are not known there,
-    and a script that does not ask for __name__ == "__main__" would run in each of them.
+    What no process can take runs here, row after row: see `packed`.
     """
     count = max(1, min(count, len(rows)))
-    try:
-        text = b"" if multiprocessing.current_process().daemon else pickle.dumps(batch)
-    except Exception:  # pickle raises what the types raise
-        text = b""
+    text, _ = packed(batch)
     if not text:
         yield from _here(batch, rows, budget)
         return
@@ -76,10 +80,30 @@ def in_processes(
     finally:
         if left:  # they are not waited for
             for worker in mine:
+                worker.is_ended = True
                 worker.end()
         else:
             workers += mine
     yield from _here(batch, [*left.values()], budget)
+
+
+def packed(batch: Rows) -> tuple[bytes, str]:
+    """What a process begins with: how it is prepared, and the batch; or b"", and why rows run in this one."""
+    if getattr(multiprocessing.current_process(), "daemon", False) or getattr(sys, "frozen", False):
+        return b"", "it may have none of its own"  # as a worker of dask
+    try:
+        text = pickle.dumps(batch)
+        prepared = spawn.get_preparation_data("blocks")
+    except Exception as error:  # pickle raises what the types raise
+        return b"", f"what it runs cannot be sent to others: {str(error)[:200]}"
+    kept = {"sys_path": prepared["sys_path"], "sys_argv": prepared["sys_argv"]}
+    if b"__main__" in text:
+        script = str(getattr(sys.modules["__main__"], "__file__", None) or "")
+        if not script.endswith(".py") or "__main__" not in Path(script).read_text("utf-8", "replace"):
+            cure = "define them in a module of their own, which is imported"
+            return b"", f"others do not know block types of __main__: {cure}"
+        kept |= {key: value for key, value in prepared.items() if key.startswith("init_main")}
+    return pickle.dumps(kept) + text, ""
 
 
 def _here(batch: Rows, rows: Sequence[Task], budget: int | None) -> Iterator[tuple[int, Row | None]]:
@@ -95,47 +119,63 @@ class Worker:
     """A process that runs one row after the other; another one takes its place where it dies."""
 
     def __init__(self, text: bytes) -> None:
-        """text: the batch."""
+        """text: as `packed`."""
         self.text = text
-        self.process: Any = None
-        self.connection: Connection | None = None
+        self.process: subprocess.Popen[bytes] | None = None
         self.is_ended = False
 
     def run(self, task: Task, budget: int | None) -> Row | None:
         """What becomes of a row; None where no process can begin."""
-        connection = self.connection or self._begun()
-        if connection is None:
+        process = self.process or self._begun()
+        if process is None:
             return None
         try:
-            connection.send((*task[1:], budget))
-            ended: Row = connection.recv()
-        except (EOFError, OSError):
-            self.connection = None
-            return self._death()
+            _send(process.stdin, (*task[1:], budget))
+            ended: Row = pickle.load(process.stdout)  # type: ignore[arg-type]
+        except (EOFError, OSError, pickle.UnpicklingError):
+            return self._death(process)
         return ended
 
-    def _begun(self) -> Connection | None:
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, self.text), daemon=True)
-        self.process.start()
-        theirs.close()
+    def _begun(self) -> subprocess.Popen[bytes] | None:
+        command = [sys.executable, *_flags(), "-c", BEGIN.format(ascii([*map(str, sys.path)]))]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self.process = process
         try:
-            ours.recv()
-        except (EOFError, OSError):
+            _send(process.stdin, self.text)
+            pickle.load(process.stdout)  # type: ignore[arg-type]
+        except (EOFError, OSError, pickle.UnpicklingError):
+            self.end()
             return None
-        self.connection = ours
-        return ours
+        return process
 
-    def _death(self) -> Row:
-        self.process.join(5.0)
-        message = f"the process of this row ended, with exit code {self.process.exitcode}."
+    def _death(self, process: subprocess.Popen[bytes]) -> Row:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(5.0)
+        message = f"the process of this row ended, with exit code {process.returncode}."
+        self.end()
         return Row(0, {}, Fault("E216", "row", message, "An FMU may have crashed: run the row by itself."), "failed")
 
     def end(self) -> None:
-        self.is_ended = True
-        if self.process is not None and self.process.is_alive():
-            self.process.terminate()
+        process, self.process = self.process, None
+        if process is not None:
+            process.kill()
+            process.wait()
+            for stream in (process.stdin, process.stdout):
+                with contextlib.suppress(OSError, ValueError):
+                    stream.close()  # type: ignore[union-attr]
+
+    def __del__(self) -> None:
+        self.end()
+
+
+def _flags() -> list[str]:
+    """The options of this Python, as -X utf8."""
+    return subprocess._args_from_interpreter_flags()  # type: ignore[attr-defined, no-any-return]
+
+
+def _send(stream: Any, value: Any) -> None:
+    pickle.dump(value, stream)
+    stream.flush()
 
 
 def _work(worker: Worker, tasks: queue.SimpleQueue[Task], done: queue.SimpleQueue[Any], budget: int | None) -> None:
@@ -153,12 +193,20 @@ def _work(worker: Worker, tasks: queue.SimpleQueue[Task], done: queue.SimpleQueu
         done.put(None)
 
 
-def _serve(connection: Connection, text: bytes) -> None:
-    """A process of its own: run rows as they come."""
+def _serve() -> None:
+    """A process of its own: run rows as they come on stdin. What programs print goes to stderr."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who gives rows hears it
-    batch = pickle.loads(text)
+    given, ended = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.dup2(2, 1)
     with contextlib.suppress(EOFError, OSError):
-        connection.send("ready")
+        text = io.BytesIO(pickle.load(given))
+        try:
+            spawn.prepare(pickle.load(text))
+            batch = pickle.load(text)
+        except Exception as error:  # the modules of the user raise what they raise
+            sys.exit(f"blocks: a process for rows cannot begin, so they run in the first one: {error}")
+        _send(ended, "ready")
         while True:
-            given, seed, budget = connection.recv()
-            connection.send(batch.alone(given, seed, budget))
+            values, seed, budget = pickle.load(given)
+            _send(ended, batch.alone(values, seed, budget))

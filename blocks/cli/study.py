@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import shlex
+import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
@@ -145,11 +146,12 @@ def _reported(
         )
     else:
         print(_table(options, study_results))
-        print(report.summary_line(study_results))
+        aside = sys.stderr if options.markdown or options.latex else sys.stdout  # the table alone goes into a file
+        print(report.summary_line(study_results), file=aside)
     if failure is not None:
         raise failure
     if not options.json:
-        print(printable(f"report: {path}"))
+        print(printable(f"report: {path}"), file=aside)
     if faults:
         return UsageError.exit_status
     return 0 if study_results.is_fine else 1

@@ -112,7 +112,7 @@ def _told(options: argparse.Namespace, tuning: Tuning) -> int:
         print(printable(tuning.head))
         print(printable(tuning.table()))
         if tuning.is_kept:
-            print("no candidate was better than the diagram itself")
+            print(printable(tuning.kept))
         for change in changes:
             print(printable(change_line(change)))
         if report is not None:

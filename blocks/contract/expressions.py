@@ -170,7 +170,9 @@ def _cure_of_name(name: str, values: Mapping[str, Scalar]) -> str:
     if name in FUNCTIONS:
         return f"A function takes its argument in brackets: {name}(...)."
     near = did_you_mean(name, values)
-    return near or (f"Known: {', '.join(list(values)[:20])}." if values else "No names are known here.")
+    if near or not values:
+        return near or f"No names are known here: declare the parameter '{name}' first."
+    return f"Known: {', '.join(list(values)[:20])}."
 
 
 def _computed(text: str, step: PostfixStep, operands: list[Scalar]) -> Scalar:

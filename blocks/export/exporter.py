@@ -135,8 +135,9 @@ def export(
         selected = (v for v in variables if v.causality == causality)
         return tuple(f"{v.name} [{v.unit}]" if v.unit else v.name for v in selected)
 
+    if not any(ports := (shown("input"), shown("output"))):
+        notes += ("without inputs and outputs nothing of it is seen outside: give the diagram some (Diagram.output)",)
     settable = tuple(v.name for v in variables if v.causality == "parameter")
-    ports = shown("input"), shown("output")
     return Exported(Path(path), fmi, allowed, wanted, *ports, settable, len(plan.states), (*notes, *fmu_files.notes))
 
 

@@ -87,6 +87,8 @@ def source(system: Any) -> Source:
         return _of_points(system)
     if isinstance(system, Responding):
         return _of_response(system)
+    if callable(getattr(system, "frd", None)):  # a Response
+        return _of_points(system.frd())
     cure = "Give a StateSpace, TransferFunction or FrequencyResponseData, or an object with .response and .dt."
     raise UsageError(Fault("E501", "system", f"{type(system).__name__} is no linear system.", cure))
 

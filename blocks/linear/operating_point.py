@@ -76,8 +76,11 @@ class OperatingPoint(Shown):
         for quantity in (*self.inputs, *self.states, *self.outputs):
             if quantity.name == name:
                 return quantity.value
-        known = [quantity.name for quantity in (*self.inputs, *self.states, *self.outputs)]
-        raise UnknownName(f"there is no quantity {quoted(name)}. {did_you_mean(name[:200], known)}".strip())
+        known = list(dict.fromkeys(quantity.name for quantity in (*self.inputs, *self.states, *self.outputs)))
+        more = ", ..." if len(known) > 20 else ""
+        cure = f"Known: {', '.join(known[:20])}{more}." if known else "It has none."
+        near = did_you_mean(name[:200], known)
+        raise UnknownName(f"there is no quantity {quoted(name)}. {near}{' ' if near else ''}{cure}")
 
     @property
     def residuals(self) -> dict[str, float]:

@@ -20,6 +20,16 @@ class Figure(Drawn):
 
     forms: Mapping[str, Callable[[Figure], Any]]
 
+    def savefig(self, fname: Any, **given: Any) -> None:
+        """As of matplotlib, on white where nothing else is asked for: a page may be dark."""
+        alpha = self.patch.get_alpha()
+        try:
+            if given.get("transparent") is None and "facecolor" not in given:
+                self.patch.set_alpha(1.0)
+            super().savefig(fname, **given)
+        finally:
+            self.patch.set_alpha(alpha)
+
     def _repr_mimebundle_(
         self, include: Collection[str] | None = None, exclude: Collection[str] | None = None
     ) -> dict[str, Any]:

@@ -346,7 +346,7 @@ def _write(figure: Any, stream: Any, format: str, metadata: Mapping[str, Any], *
     from matplotlib.backends import backend_agg, backend_svg
 
     if format == "pdf" or any(axis.child_axes for axis in figure.axes):
-        figure.savefig(stream, format=format, dpi=dpi, metadata=metadata)
+        figure.savefig(stream, format=format, dpi=dpi, metadata=metadata, facecolor="auto")
         return
     canvas, own = figure.canvas, figure.dpi
     kinds: dict[str, Any] = {"svg": backend_svg.FigureCanvasSVG, "png": backend_agg.FigureCanvasAgg}

@@ -417,7 +417,7 @@ def _search_of(tuning: Tuning) -> list[str]:
     """What a tuning looked for, and its tables, before and after."""
     names = ", ".join(tuning.scenarios)
     said = f"Minimized: {tuning.minimize}. {len(tuning.history.objective)} candidates in {names}, {tuning.method}, "
-    kept = " No candidate was better than the diagram itself." if tuning.is_kept else ""
+    kept = f" {tuning.kept}" if tuning.is_kept else ""
     parts = [f"{_escape(f'{said}seed {tuning.seed}.{kept}')}</p>"]
     return [*parts, *warned(tuning.warnings), *(table(head, rows) for head, rows in tuning.tables() if rows)]
 

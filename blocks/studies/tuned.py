@@ -85,6 +85,7 @@ class Tuning(Found):
     before, after: by scenario the run of the diagram and that of the best values, with all measures. sensitivities:
     the relative change of the objective where one value is 5 % smaller, and 5 % larger, whether the constraints hold
     then or not. is_kept: nothing better than the diagram itself was found. is_feasible: all constraints hold.
+    why: where no candidate has numbers, what the first one was refused for.
     """
 
     minimize: str
@@ -102,6 +103,7 @@ class Tuning(Found):
     history: Candidates
     interrupted: bool = False
     is_kept: bool = False
+    why: str = ""
 
     @property
     def is_feasible(self) -> bool:
@@ -181,8 +183,15 @@ class Tuning(Found):
 
     def parts(self) -> list[Part]:
         tables = (Table([head, *rows]) for head, rows in self.tables() if rows)
-        kept = ["No candidate was better than the diagram itself: its values are kept."] if self.is_kept else []
+        kept = [f"{self.kept} Its values are kept."] if self.is_kept else []
         return [self.head, *tables, *map(str, self.warnings), *kept]
+
+    @property
+    def kept(self) -> str:
+        """That nothing better was found, and why."""
+        if self.why:
+            return f"No candidate has numbers to compare with those of the diagram itself: {self.why}"
+        return "No candidate was better than the diagram itself."
 
 
 def short(value: float) -> str:

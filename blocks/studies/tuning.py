@@ -259,6 +259,7 @@ class _Search:
         self.made: list[Candidates] = []
         self.count = 0
         self.is_interrupted = False
+        self.why = ""  # the first reason why a candidate has no numbers
 
     def __call__(self, cube: Array) -> Array:
         """The fitness (n,) of points (n, k). Raises Spent."""
@@ -295,6 +296,7 @@ class _Search:
                 measure: np.where(rows.status == "ok", column, np.nan) for measure, column in rows.measures.items()
             }
             status = np.where(status == "ok", rows.status, status)
+            self.why = self.why or next(filter(None, rows.messages), "")
             if rows.interrupted:
                 self.is_interrupted = True
                 status = np.where(status == "ok", "left", status)
@@ -317,7 +319,7 @@ class _Search:
         excess = sum(float(each.excess(before, scale)[0]) for each, scale in scaled)
         index, has_own = history.best, not np.isnan(nominal).any()
         if index is None and not has_own:
-            message = f"none of {len(history.objective)} candidates has a number."
+            message = f"none of {len(history.objective)} candidates has a number{f': {self.why}' if self.why else '.'}"
             cure = "Move the bounds towards values with which the diagram runs."
             raise UsageError(Fault("E501", problem.diagram.name, message, cure))
         found = (math.inf, math.inf) if index is None else (history.excess[index], history.objective[index])
@@ -345,7 +347,7 @@ class _Search:
             conditions=tuple(conditions),
             sensitivities={} if self.is_interrupted or (is_kept and not has_own) else self.sensitivities(values),
             history=history, warnings=problem.warnings, interrupted=self.is_interrupted, is_kept=is_kept,
-            targets=named(batch.targets),
+            targets=named(batch.targets), why="" if index is not None else self.why,
         )  # fmt: skip
 
     def sensitivities(self, values: Array) -> dict[str, tuple[float, float]]:

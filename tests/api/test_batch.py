@@ -281,8 +281,20 @@ def test_programs_run_in_processes_and_one_that_dies_takes_its_row_alone() -> No
     assert rows.signals["program.y"][3].tolist() == [0.0, 1.0, 2.0]
 
 
-UNKNOWN_ELSEWHERE = """
-from blocks import Block, Diagram, Parameter, Stepped, stepper
+UNGUARDED = """
+from blocks import Diagram
+{classes}
+def main():
+    print("begun")
+    d = Diagram("mine")
+    d.add("mine", Mine())
+    d.measure("p", "peak", of="mine.y")
+    rows = d.batch(["mine.k"], stop=1.0)([[2.0], [3.0]], threads=1)
+    print(rows.how, *rows.measures["p"])
+{begin}
+"""
+CLASSES = """
+from blocks import Block, Parameter, Stepped, stepper
 class Mine(Block):
     k = Parameter(1.0)
     y = Stepped(0.0)
@@ -291,17 +303,33 @@ class Mine(Block):
         return Program(k)
 class Program:
     def __init__(self, k): self.k = k
-    def step(self, t): return self.k
-d = Diagram("mine")
-d.add("mine", Mine())
-d.measure("p", "peak", of="mine.y")
-print(d.batch(["mine.k"], stop=1.0)([[2.0], [3.0]], threads=1).measures["p"].tolist())
+    def step(self, t):
+        print("printed")
+        return self.k
 """
 
 
-def test_rows_run_here_where_processes_do_not_know_the_types() -> None:
-    done = subprocess.run([sys.executable, "-c", UNKNOWN_ELSEWHERE], capture_output=True, text=True, timeout=60)
-    assert done.stdout == "[2.0, 3.0]\n", done.stderr[-2000:]
+@pytest.mark.parametrize(
+    ("inside", "begin", "how"),
+    [
+        (False, "main()", "1 process: it has programs in Python"),
+        (True, "main()", "this process alone: it has programs in Python, and others do not know block types of __main_"),
+        pytest.param(True, 'if __name__ == "__main__": main()', "1 process: it has", marks=pytest.mark.long),
+    ],
+    ids=["of a module", "of the script", "of a script with a guard"],
+)
+def test_a_plain_script_runs_rows_once(inside: bool, begin: str, how: str, tmp_path: Path) -> None:
+    """Processes do not import the script; so it says where rows run that need what it defines."""
+    (tmp_path / "mine.py").write_text(CLASSES)
+    script = tmp_path / "plain.py"
+    script.write_text(UNGUARDED.format(classes=CLASSES if inside else "from mine import Mine", begin=begin))
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60)
+    told = [line for line in done.stdout.splitlines() if line != "printed"]
+    assert len(told) == 2, done.stderr[-2000:]
+    assert told[0] == "begun"
+    assert told[1].startswith(how)
+    assert told[1].endswith(" 2.0 3.0")
+    assert not done.stderr.replace("printed\n", "")
 
 
 def test_stiff_rows_are_those_of_runs(monkeypatch: pytest.MonkeyPatch) -> None:

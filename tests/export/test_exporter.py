@@ -1440,6 +1440,10 @@ def test_kinds_that_a_diagram_does_not_allow_are_refused_or_told(tmp_path: Path)
     assert made.kinds == ("ME",)
     assert made.notes == ("without Co-Simulation: motor_pid: the method radau is not in the runtime of an FMU",)
     assert made.notes[0] in str(made)
+    bare = Diagram("bare")
+    bare.add("c", Constant(value=1.0))
+    assert "without inputs and outputs nothing of it is seen outside" in str(bare.export(path, platforms=()))
+    load("motor_pid").export(path, kinds=("ME",))
     assert fmpy.read_model_description(str(path)).coSimulation is None
     with pytest.raises(ModelError, match=r"E606 (late|back): a delay needs the past.*Co-Simulation alone"):
         delayed().export(path, kinds=["ME", "CS"])

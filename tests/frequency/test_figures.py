@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import control
+import matplotlib.image
 import numpy as np
 import pytest
 
+from blocks.analysis.responses import Response
 from blocks.frequency.figures import bode, gang_of_four, nichols, nyquist, pole_map, sigma, step_figure
 from blocks.frequency.margins import margins
 from blocks.results.plots import STYLES, save, svg_text
@@ -250,3 +252,17 @@ def test_figures_are_written_and_leave_no_global_state(tmp_path: Path) -> None:
     assert dict(matplotlib.rcParams) == before
     pyplot = sys.modules.get("matplotlib.pyplot")
     assert pyplot is None or not pyplot.get_fignums()
+
+
+def test_a_response_that_was_measured_is_drawn_over_a_model_on_white(tmp_path: Path) -> None:
+    n = np.ones(3)
+    value = np.array([[1.0, 0.5, 0.1j]])
+    measured = Response("d", "u", ("y",), np.array([3.0, 1.0, 2.0]), value, n, n, n, n, n, n, n, "sine stream")
+    figure = bode([measured, plant()], margins=False)
+    points = next(line for line in figure.axes[0].lines if line.get_linestyle() == "None")
+    assert points.get_xdata().tolist() == [1.0, 2.0, 3.0]
+    assert points.get_ydata() == pytest.approx([20 * np.log10(0.5), -20.0, 0.0])
+    figure.savefig(tmp_path / "a.png")
+    corner = matplotlib.image.imread(tmp_path / "a.png")[0, 0]
+    assert corner.tolist() == [1.0, 1.0, 1.0, 1.0]
+    assert figure.patch.get_alpha() == 0.0

@@ -73,6 +73,11 @@ def test_a_study_judges_every_claim_and_ends_with_0(tmp_path: Path, capsys: pyte
     assert done["event"] == "done"
     assert (done["fine"], done["reproduced"], done["claims"], done["unexpected"]) == (True, 2, 3, 0)
     assert Path(done["report"]).is_file()
+    assert main(["study", path, "--latex", "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr()
+    assert told.out.splitlines()[0].startswith("\\begin{tabular}")
+    assert told.out.splitlines()[-1] == "\\end{tabular}"
+    assert "report: " in told.err
 
 
 def test_a_perturbed_parameter_turns_a_verdict_and_the_exit_code(

@@ -347,3 +347,16 @@ def test_messages_name_the_options(
     noisy().save(path := tmp_path / "loop.json")
     assert main(["tune", str(path), "--minimize", "IAE", "--stop", "2", *words]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_what_refuses_every_candidate_is_told() -> None:
+    diagram = Diagram("bound")
+    diagram.parameter("k", 2.0)
+    diagram.add("one", Constant())
+    diagram.add("gain", Gain(k="=k"))
+    diagram.wire("gain.u", "one.y")
+    diagram.measure("p", "peak", of="gain.y")
+    tuning = diagram.tune(minimize="p", over={"gain.k": (1.0, 3.0)}, budget=4, **SHORT)
+    assert tuning.is_kept
+    assert "No candidate has numbers" in str(tuning)
+    assert "E117 gain.k" in str(tuning)
