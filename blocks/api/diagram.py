@@ -411,7 +411,7 @@ class Diagram:
         file of one, from which the run goes on as if it had never stopped there; inputs that are given take the place
         of those of the snapshot. engine: "native" (compiled C), "reference" (plain Python), or "auto", the default:
         native where there is a C compiler; the environment variable BLOCKS_ENGINE names another default. variants: what
-        stands in the place of blocks, by path ({"motor": "fmu"}; "base": the block itself). trust: FMUs, or folders of
+        replaces blocks, by path ({"motor": "fmu"}; "base": the block itself). trust: FMUs, or folders of
         FMUs, that a diagram file may name though they lie outside of its project.
 
         out: a file that the results are written to (.csv, .parquet, .mat). The rows of a long run go to the part of a
@@ -539,7 +539,7 @@ class Diagram:
         hypercube), or "saltelli", for `Sweep.sobol`: n rows of each of its samples, which are two more than columns.
         seed: of the draws, and of the run seeds: row i has one that follows from seed and i alone. measures: which
         ones; None: all. log: signals that are kept on a grid: that of `every`, else of 200 intervals. margins: by
-        name, what is told of the linear model of each row, as in study files: {"gm": {"type": "gain_margin", "loop":
+        name, what is computed of the linear model of each row, as in study files: {"gm": {"type": "gain_margin", "loop":
         "control.u"}}; nan where a row has none, and its message says why. scenarios: by name, parameters set on top;
         all rows run in each, with equal seeds. threads: how many; None: all cores. budget: the most steps of a run.
         progress: called with the number of rows that are done, and of all. Other arguments as of `run`.

@@ -52,7 +52,7 @@ class Found(Shown):
         """Put the values into the diagram file `path`, from which the diagram was loaded, or a copy of it.
 
         Only the characters of the values change, in this file and in those of the subdiagrams that hold some of them;
-        they are written all or none. The result tells what changed (`changes`) and takes it back (`undone.write()`).
+        they are written all or none. The result lists what changed (`changes`) and takes it back (`undone.write()`).
         Raises UsageError (E501) where the file would not give the diagram with these values then, as for wheels that
         share one file and have got different values.
         """
