@@ -450,7 +450,7 @@ def test_a_point_prints_as_a_table_and_knows_its_names() -> None:
     assert text.startswith("operating point of motor at t = 0 s")
     for row in ("v", "motor.omega", "rad/s", "known", "free", "speed"):
         assert row in text
-    with pytest.raises(KeyError, match=r"there is no quantity \"motor\.omegaa\"\. Did you mean .* Known: v, tau, motor.omega, motor.i, speed"):
+    with pytest.raises(KeyError, match=r"\"motor\.omegaa\"\. Did you mean .* .*Known: v, tau, motor"):
         point["motor.omegaa"]
 
 

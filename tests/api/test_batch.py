@@ -313,7 +313,7 @@ class Program:
     ("inside", "begin", "how"),
     [
         (False, "main()", "1 process: it has programs in Python"),
-        (True, "main()", "this process alone: it has programs in Python, and others do not know block types of __main_"),
+        (True, "main()", "this process alone: it has programs in Python, and others do not know block types of __main"),
         pytest.param(True, 'if __name__ == "__main__": main()', "1 process: it has", marks=pytest.mark.long),
     ],
     ids=["of a module", "of the script", "of a script with a guard"],
