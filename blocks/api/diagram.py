@@ -539,7 +539,7 @@ class Diagram:
         hypercube), or "saltelli", for `Sweep.sobol`: n rows of each of its samples, which are two more than columns.
         seed: of the draws, and of the run seeds: row i has one that follows from seed and i alone. measures: which
         ones; None: all. log: signals that are kept on a grid: that of `every`, else of 200 intervals. margins: by
-        name, what is computed of the linear model of each row, as in study files: {"gm": {"type": "gain_margin", "loop":
+        name, what is taken of the linear model of each row, as in study files: {"gm": {"type": "gain_margin", "loop":
         "control.u"}}; nan where a row has none, and its message says why. scenarios: by name, parameters set on top;
         all rows run in each, with equal seeds. threads: how many; None: all cores. budget: the most steps of a run.
         progress: called with the number of rows that are done, and of all. Other arguments as of `run`.
