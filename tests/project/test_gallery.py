@@ -204,3 +204,21 @@ def test_the_noise_of_both_observers_is_that_of_the_equation_of_lyapunov() -> No
         deviation = math.sqrt(solve_discrete_lyapunov(F, G @ G.T * 0.0005**2)[2, 2])
         # Three standard errors of a deviation, where 60 s hold 60 w/3 independent values.
         assert np.std(made[f"eso_{name}.z3"][made.t > 1]) == pytest.approx(deviation, rel=3 / math.sqrt(2 * 60 * w / 3))
+
+
+def test_the_rod_warms_as_the_matrix_exponential_and_the_series_of_the_heat_equation_say() -> None:
+    n, length, a = 40, 0.3, 9.7e-5
+    A = a * (n / length) ** 2 * (np.eye(n, k=1) + np.eye(n, k=-1) - np.diag([3.0, *[2.0] * (n - 2), 1.0]))
+    F, G = held(A, a * (n / length) ** 2 * np.array([[2.0], *[[0.0]] * (n - 1)]), 5.0)
+    x, rows = np.zeros(n), []
+    for _ in range(301):
+        rows.append(x)
+        x = F @ x + G @ [60.0]
+    # Far from the start the first term of the series is all there is; the slices differ from the rod by their square.
+    series = 4 * length**2 / (math.pi**2 * a) * math.log(4 / (0.1 * math.pi))
+    for method in ("radau", "dopri5"):
+        made = Diagram.load(GALLERY / "rod.json").run(method=method, rtol=1e-6)
+        late = made.t >= 60
+        np.testing.assert_allclose(made["far.y"][late], [row[-1] for row in rows], atol=1e-3)
+        np.testing.assert_allclose(made["middle.y"][late], [(row[19] + row[20]) / 2 for row in rows], atol=1e-3)
+        assert made.measures["warm"] == pytest.approx(series, rel=1 / n**2)
