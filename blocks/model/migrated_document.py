@@ -6,7 +6,9 @@ from collections.abc import Iterable, Iterator
 from copy import deepcopy
 from typing import Any
 
+from ..text.errors import Fault, ModelError
 from ..text.json_document import AT_KEY, Document, Path
+from ..text.printable import legible
 
 __all__ = ["MigratedDocument"]
 
@@ -17,6 +19,7 @@ class MigratedDocument:
     def __init__(self, document: Document) -> None:
         self.value: Any = deepcopy(document.value)
         self.places = dict(document.places)
+        self.file = document.file
 
     def move(self, old: Path, new: Path) -> None:
         """Move what stands at a path of keys to another one; within one object it keeps its place among the others.
@@ -33,6 +36,13 @@ class MigratedDocument:
         target[new[-1]] = moved
         for path in [path for path in self.places if path[: len(old)] == old]:
             self.places[(*new, *path[len(old) :])] = self.places.pop(path)
+
+    def refuse(self, path: Path, message: str, cure: str) -> None:
+        """Raise ModelError (E005) for what the version of the file does not have."""
+        found = self.places.get((*path, AT_KEY)) or self.places.get(path) or (1, 1)
+        line, column = found if self.file else (0, 0)
+        place = legible(".".join(map(str, path)))
+        raise ModelError(Fault("E005", place, message, cure, path, self.file, line, column))
 
     def at(self, path: Path) -> Any:
         """What stands at a path of keys; None where nothing does."""

@@ -29,6 +29,10 @@ PARAMETERS = {  # the units of those that a PID had; {0} is its unit, {1} its un
 }  # fmt: skip
 
 
+NEW = ("b", "c", "u_start"), ("r", "y", "manual", "u_manual")
+"""Parameters and inputs that no PID of version 1 has: with its `unit` and c = 1 it would run otherwise than meant."""
+
+
 def pid_takes_r_and_y(draft: MigratedDocument) -> None:
     _body(draft, ())
 
@@ -61,6 +65,7 @@ def _body(draft: MigratedDocument, path: Path, depth: int = 0) -> dict[str, str]
 def _parameters(draft: MigratedDocument, at: Path) -> Any:
     """Give the parameters of a PID their new names, and c; returns the unit of the error."""
     given = _table(draft, at).setdefault("parameters", {})
+    _check_names(draft, (*at, "parameters"), {key: key for key in NEW[0]})
     if isinstance(given, dict):
         new = {"unit": "unit_u", "unit_u": "unit", "integral_start": "u_start"}
         draft.rewrite((*at, "parameters"), [(str(new.get(key, key)), value, key) for key, value in given.items()])
@@ -70,6 +75,7 @@ def _parameters(draft: MigratedDocument, at: Path) -> Any:
 
 def _wires(draft: MigratedDocument, path: Path, pids: Mapping[str, Any]) -> None:
     """r and y in place of the error of each PID."""
+    _check_names(draft, (*path, "wires"), {f"{name}.{port}": port for name in pids for port in NEW[1]})
     wires, layout, blocks = (_table(draft, (*path, section)) for section in ("wires", "layout", "blocks"))
     taken = {key for section in ("blocks", "inputs", "parameters") for key in _table(draft, (*path, section))}
     entries, zeros = [], {}
@@ -113,6 +119,7 @@ def _wrap(draft: MigratedDocument, at: Path) -> None:
     Units that are expressions cannot be those of the subdiagram's parameters: such a PID stays, with ports that fail.
     """
     entry, given = draft.at(at), _table(draft, (*at, "parameters"))
+    _check_names(draft, (*at, "parameters"), {key: key for key in NEW[0]})
     unit, unit_u = (given.get(key, "") for key in ("unit", "unit_u"))
     if not all(isinstance(text, str) and not text.startswith("=") for text in (unit, unit_u)):
         return
@@ -138,6 +145,16 @@ def _wrap(draft: MigratedDocument, at: Path) -> None:
     }
     for key in ("unit", "unit_u"):
         given.pop(key, None)
+
+
+def _check_names(draft: MigratedDocument, path: Path, new: Mapping[str, str]) -> None:
+    """Refuse what PID has in version 2 alone. Raises ModelError (E005)."""
+    table = _table(draft, path)
+    for key, name in new.items():
+        if key in table:
+            what = f"the file is of version 1, in which PID has no {name}: it takes its error at u, and gives y."
+            cure = 'Write "version": 2 where the file is by its rules; there c is 0 and unit is that of r and y.'
+            draft.refuse((*path, key), what, cure)
 
 
 def _texts(draft: MigratedDocument, path: Path) -> Iterator[tuple[Any, Any]]:

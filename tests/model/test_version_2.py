@@ -121,3 +121,19 @@ def test_many_pids_are_brought_up_to_date_in_no_time() -> None:
     value = document.loads(json.dumps({"format": "blocks-diagram", "version": 1, "blocks": blocks, "wires": wires}))
     assert len(value.blocks) == 3000 + 2999
     assert value.wires["p7.r"] == "p6.u"
+
+
+@pytest.mark.parametrize(
+    ("parameters", "wires", "named"),
+    [
+        ({}, {"c.r": "s.y", "c.y": "p.y", "p.u": "c.u"}, "wires.c.r"),
+        ({"c": 0}, {"c.u": "s.y", "p.u": "c.y"}, "blocks.c.parameters.c"),
+        ({"u_start": 1}, {"c.u": "s.y", "p.u": "c.y"}, "blocks.c.parameters.u_start"),
+    ],
+    ids=str,
+)
+def test_what_only_version_2_has_is_refused(parameters: dict[str, int], wires: dict[str, str], named: str) -> None:
+    blocks = {"s": {"type": "Step"}, "p": {"type": "Gain"}, "c": {"type": "PID", "parameters": parameters}}
+    with pytest.raises(ModelError, match='Write "version": 2') as caught:  # with a c of 1 it would run otherwise
+        document.loads(json.dumps({"format": "blocks-diagram", "version": 1, "blocks": blocks, "wires": wires}))
+    assert [(one.code, one.place) for one in caught.value.faults] == [("E005", named)]
