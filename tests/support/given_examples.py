@@ -16,7 +16,6 @@ import pytest
 
 from blocks import Diagram
 from blocks.engines.run.saved_state import packed
-from blocks.model import migrations
 from blocks.text.explanations import explained
 
 
@@ -27,13 +26,6 @@ def a_large_file(folder: Path, patch: pytest.MonkeyPatch) -> None:
 def no_pyarrow(folder: Path, patch: pytest.MonkeyPatch) -> None:
     patch.setitem(sys.modules, "pyarrow", None)
     patch.setitem(sys.modules, "pyarrow.parquet", None)
-
-
-def a_newer_version(folder: Path, patch: pytest.MonkeyPatch) -> None:
-    """The newest version is 2, to which nothing has to be changed."""
-    for module in ("diagram", "document", "flatten"):
-        patch.setattr(f"blocks.model.{module}.VERSION", 2)
-    patch.setitem(migrations.DIAGRAM, 1, lambda draft: None)
 
 
 def an_old_state(folder: Path, patch: pytest.MonkeyPatch) -> None:
@@ -53,6 +45,5 @@ GIVEN: dict[str, Callable[[Path, pytest.MonkeyPatch], None]] = {
     "E008": a_large_file,
     "E504": no_pyarrow,
     "E901": a_fault_of_blocks,
-    "W103": a_newer_version,
     "W302": an_old_state,
 }

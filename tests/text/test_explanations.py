@@ -80,7 +80,7 @@ MENDED: dict[str, list[tuple[str, str]]] = {
              ('"plant.u": "d"', '"both.u2": "d", "plant.u": "both.y"')],
     "E003": [("paramters", "parameters")],
     "E004": [('"FirstOrder"}', '{"type": "FirstOrder"}}')],
-    "E005": [("99", "1"), ('"FirstOrder"', '"BouncingBall"')],
+    "E005": [("99", "2"), ('"FirstOrder"', '"BouncingBall"')],
     "E007": [("controler.json", "controller.json")],
     "E009": [("{\n", '{\n "format": "blocks-diagram", "version": 2,\n')],
     "E101": [('"plant.u"', '"error.u2": "plant.y",\n  "plant.u"')],
