@@ -362,7 +362,8 @@ def test_fmpy_simulates_without_any_settings(fmi: int) -> None:
 # comes out much larger in u. With CVode, u is 5e-6 of its range off at 1e-9 (1.5e-5 where u is sampled), 5e-7 at 1e-11.
 # A cart-pole that is swung up, and an encoder whose counts are read at ticks, make more of it too.
 TIGHTER = {
-    "gallery/cart_pole", "gallery/servo", "paper/iadrc_noisy", "paper/iadrc_sampled", "paper/wheel_adrc", "paper/wheel_iadrc",
+    "gallery/cart_pole", "gallery/servo", "paper/iadrc_noisy", "paper/iadrc_sampled", "paper/wheel_adrc",
+    "paper/wheel_iadrc",
 }  # fmt: skip
 
 
