@@ -26,7 +26,7 @@ from ..compile.fmu_tape import FmuTape
 from ..compile.plan import Node, Plan, Reference
 from .type_partials import TypePartials
 
-__all__ = ["BlockGroup", "Interconnection"]
+__all__ = ["BlockGroup", "Interconnection", "is_of_older_version"]
 
 Array = np.ndarray[Any, Any]
 
@@ -43,6 +43,11 @@ class BlockGroup:
     members: list[int] = field(default_factory=list)
     gather: Array = field(default_factory=lambda: np.empty((0, 0), dtype=np.intp))
     locals: Array = field(default_factory=lambda: np.empty((0, 0), dtype=np.intp))
+
+
+def is_of_older_version(plan: Plan) -> bool:
+    """Whether a file of an older version is among those that the Plan was made of."""
+    return any(warning.code == "W103" for warning in plan.warnings)
 
 
 class Interconnection:

@@ -18,7 +18,7 @@ import numpy as np
 from ..compile.fmu_tape import FmuTape, Request
 from ..compile.jacobian import on_arrays, terms_on_arrays
 from ..text.errors import AnalysisError, Fault
-from .interconnection import Interconnection
+from .interconnection import Interconnection, is_of_older_version
 from .point import Point
 from .probing import ROUNDING, Probe
 from .type_partials import TypePartials
@@ -27,7 +27,7 @@ __all__ = ["Law", "Slopes", "slopes_at"]
 
 Array = np.ndarray[Any, Any]
 
-_GRAPHS: WeakKeyDictionary[Any, Interconnection] = WeakKeyDictionary()
+_GRAPHS: WeakKeyDictionary[Any, dict[bool, Interconnection]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +48,11 @@ class Law:
 def slopes_at(point: Point) -> Slopes:
     """The slopes at a point, which are computed once; points of one run, or of the same programs, share their graph."""
     if not point.slopes:
-        graph = _GRAPHS.get(point.engine.compiled)
-        if graph is None:
-            graph = _GRAPHS[point.engine.compiled] = Interconnection(point.plan)
-        point.slopes.append(_slopes(graph, point))
+        # What is asked by a name depends on whether a file of an older version is among those that were read.
+        graphs, is_old = _GRAPHS.setdefault(point.engine.compiled, {}), is_of_older_version(point.plan)
+        if is_old not in graphs:
+            graphs[is_old] = Interconnection(point.plan)
+        point.slopes.append(_slopes(graphs[is_old], point))
     slopes: Slopes = point.slopes[0]
     return slopes
 

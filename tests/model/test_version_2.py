@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Diagram, ModelError
+from blocks import Diagram, ModelError, UsageError
 from blocks.model import document
 from blocks.text import json_text
 from tests.support.places import GOLDEN
@@ -137,3 +137,24 @@ def test_what_only_version_2_has_is_refused(parameters: dict[str, int], wires: d
     with pytest.raises(ModelError, match='Write "version": 2') as caught:  # with a c of 1 it would run otherwise
         document.loads(json.dumps({"format": "blocks-diagram", "version": 1, "blocks": blocks, "wires": wires}))
     assert [(one.code, one.place) for one in caught.value.faults] == [("E005", named)]
+
+
+def test_a_linear_model_of_an_old_file_does_not_take_the_ports_of_now_for_those_of_then() -> None:
+    document = {
+        "format": "blocks-diagram",
+        "version": 1,
+        "inputs": {"r": {}},
+        "blocks": {"c": {"type": "PID", "parameters": {"kp": 2.0}}, "e": {"type": "Sum", "parameters": {"signs": "+-"}},
+                   "p": {"type": "FirstOrder"}},
+        "wires": {"e.u1": "r", "e.u2": "p.y", "c.u": "e.y", "p.u": "c.y"},
+        "outputs": {"y": "p.y"},
+    }  # fmt: skip
+    old = Diagram.from_json(document)
+    for asked in ("c.y", "c.u"):
+        with pytest.raises(UsageError, match="another signal than in version 1"):
+            old.linearize("r", asked)
+        with pytest.raises(UsageError, match="another signal than in version 1"):
+            old.linearizer().loop(asked)
+    new = Diagram.from_json(old.to_json())
+    assert new.linearize("r", "c.u").dcgain() == pytest.approx(2 / 3)  # in a process that has the graph of the old one
+    assert old.linearize("r", "y").dcgain() == pytest.approx(2 / 3)
