@@ -473,7 +473,8 @@ def _written(raw: Any, scope: DiagramScope) -> Any:
 
 
 def _hashable(value: Any) -> Any:
-    return tuple(_hashable(item) for item in value) if isinstance(value, list) else (type(value), value)
+    """A key of a value: 0.0 and -0.0, which are equal, are two."""
+    return tuple(_hashable(item) for item in value) if isinstance(value, list) else (type(value), value or repr(value))
 
 
 def _listed(names: Iterable[str]) -> str:
