@@ -1,0 +1,207 @@
+"""The diagram that is open: its file, what `check` tells of it, and its drawings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..api.diagram import Diagram
+from ..compile.coupling import Coupling
+from ..compile.plan import Plan
+from ..draw import ports_of, svg
+from ..model.diagram import DiagramValue
+from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
+from ..text.printable import quoted
+
+__all__ = ["Document", "told_fault"]
+
+
+class Document:
+    """An open diagram: of a file, or one that was built in Python.
+
+    path: its file; None for one without. diagram: as it was read last without structural faults; None where it never
+    was. planned: what it compiles to; None where it has faults. revision: counts the readings.
+    """
+
+    def __init__(
+        self,
+        source: str | Path | Diagram,
+        *,
+        library: Any = (),
+        variants: Mapping[str, str] | None = None,
+    ) -> None:
+        self.path = None if isinstance(source, Diagram) else Path(source)
+        self.library, self.variants = library, dict(variants or {})
+        self.diagram: Diagram | None = source if isinstance(source, Diagram) else None
+        self.planned: Plan | Coupling | None = None
+        self.faults: tuple[Fault, ...] = ()
+        self.revision, self.text = 0, b""
+        self._drawings: dict[str, str] = {}
+        self._seen: tuple[int, int] | None = None
+        self.read()
+
+    @property
+    def name(self) -> str:
+        if self.diagram is not None:
+            return self.diagram.name
+        return self.path.stem if self.path else ""
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the project's files that a page may write into."""
+        return (self.path.parent if self.path else Path.cwd()).resolve()
+
+    @property
+    def shown(self) -> Diagram:
+        """The diagram with its chosen variants. Raises UsageError (E501) where there is none that can be read."""
+        if self.diagram is None:
+            raise UsageError(Fault("E501", self.name, "the file cannot be read as a diagram.", "Mend its faults first."))
+        return self.diagram.with_variants(self.variants) if self.variants else self.diagram
+
+    def has_changed(self) -> bool:
+        """Whether the file is another one than was read."""
+        return self.path is not None and self._stamp() != self._seen
+
+    def _stamp(self) -> tuple[int, int] | None:
+        assert self.path is not None
+        try:
+            found = self.path.stat()
+        except OSError:
+            return None
+        return found.st_mtime_ns, found.st_size
+
+    def read(self) -> bool:
+        """Read the file and check it; returns whether anything is new. Raises UsageError where there is no file."""
+        if self.path is not None:
+            self._seen = self._stamp()
+            try:
+                text = self.path.read_bytes()
+            except OSError:
+                if self.revision:  # it is being replaced, or it went: what was read stays open
+                    return False
+                Diagram.load(self.path, library=self.library)  # tells why
+                raise
+            if self.revision and text == self.text:
+                return False
+            self.text = text
+            try:
+                self.diagram = Diagram.load(self.path, library=self.library)
+            except BlocksError as error:
+                self.faults, self.planned = error.faults, None
+                self.revision += 1
+                return True
+        self.revision += 1
+        self.check()
+        return True
+
+    def check(self) -> None:
+        """Find the faults anew."""
+        self._drawings.clear()
+        try:
+            self.planned = self.shown.check()
+            self.faults = self.planned.warnings
+        except BlocksError as error:
+            self.planned, self.faults = None, error.faults
+
+    # --- what the page gets ------------------------------------------------------------------------------------------
+
+    def told(self) -> dict[str, Any]:
+        """The document as the page gets it."""
+        blocks = list(self._blocks())
+        paths = {block["path"] for block in blocks}
+        settings = {} if self.planned is None else _settings(self.planned)
+        return {
+            "revision": self.revision,
+            "name": self.name,
+            "file": "" if self.path is None else self.path.name,
+            "faults": [told_fault(fault, paths) for fault in self.faults],
+            "blocks": blocks,
+            "signals": list(self._signals(paths)),
+            "inputs": list(self._inputs()),
+            "settings": settings,
+            "coupled": isinstance(self.planned, Coupling),
+        }
+
+    def _blocks(self) -> Iterator[dict[str, Any]]:
+        if self.diagram is not None:
+            yield from _blocks_of(self.shown.value, "")
+
+    def _signals(self, paths: set[str]) -> Iterator[dict[str, Any]]:
+        planned = self.planned
+        for name in () if planned is None else planned.signals:
+            signal = planned.signal(name)  # type: ignore[union-attr]
+            yield {"name": name, "unit": signal.unit, "shape": list(signal.shape), "block": _owner(name, paths)}
+
+    def _inputs(self) -> Iterator[dict[str, Any]]:
+        for name, shape, unit, type_, default in () if self.planned is None else self.planned.inputs:
+            value = default.tolist() if hasattr(default, "tolist") else default
+            yield {"name": name, "unit": unit, "shape": list(shape), "type": str(type_), "value": value}
+
+    def drawing(self, level: str) -> str:
+        """The SVG of a level ("" or the path of a subdiagram), as `blocks draw` writes it. Raises UsageError (E502)."""
+        if level not in self._drawings:
+            self._drawings[level] = self._drawn(level)
+        return self._drawings[level]
+
+    def _drawn(self, level: str) -> str:
+        shown = self.shown
+        value, prefix = _inside(shown.value, level), level + "." if level else ""
+        faults = _below(self.faults, prefix)
+        labels = {} if self.planned is None else self.planned.rate_labels
+        rates = {name.removeprefix(prefix): label for name, label in labels.items() if name.startswith(prefix)}
+        return svg(value, ports_of(value, shown._draft.resolver), faults=faults, rates=rates)
+
+
+def told_fault(fault: Fault, paths: set[str]) -> dict[str, Any]:
+    """A fault as the page gets it, with the path of the block that it is of."""
+    return {
+        "code": fault.code,
+        "place": fault.place,
+        "message": fault.message,
+        "cure": fault.cure,
+        "warning": fault.is_warning,
+        "block": _owner(fault.place, paths),
+    }
+
+
+def _owner(name: str, paths: set[str]) -> str:
+    """The longest path of a block that a name begins with; "" where there is none."""
+    while name and name not in paths:
+        name = name.rpartition(".")[0]
+    return name
+
+
+def _blocks_of(value: DiagramValue, prefix: str) -> Iterator[dict[str, Any]]:
+    for name, entry in value.blocks.items():
+        path, inner = prefix + name, entry.inner
+        kind = "fmu" if entry.fmu else "diagram" if inner is not None else "block"
+        label = entry.type or (inner.name if inner is not None else Path(str(entry.fmu)).name)
+        yield {"path": path, "kind": kind, "type": label, "level": prefix.rstrip(".")}
+        if inner is not None:
+            yield from _blocks_of(inner, f"{path}.")
+
+
+def _inside(value: DiagramValue, level: str) -> DiagramValue:
+    """The subdiagram at a path. Raises UsageError (E502)."""
+    for name in level.split(".") if level else ():
+        entry = value.blocks.get(name)
+        if entry is None or entry.inner is None:
+            cure = did_you_mean(name, [key for key, block in value.blocks.items() if block.inner is not None])
+            raise UsageError(Fault("E502", quoted(level[:200]), "there is no such subdiagram.", cure))
+        value = entry.inner
+    return value
+
+
+def _below(faults: Sequence[Fault], prefix: str) -> list[Fault]:
+    """The faults of a level, with their places seen from there."""
+    if not prefix:
+        return list(faults)
+    return [replace(f, place=f.place.removeprefix(prefix)) for f in faults if f.place.startswith(prefix)]
+
+
+def _settings(planned: Plan | Coupling) -> dict[str, Any]:
+    settings = planned.settings
+    stop = None if settings.stop is None else float(settings.stop)
+    return {"start": float(settings.start), "stop": stop, "method": settings.method, "log": list(planned.log)}

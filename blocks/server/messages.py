@@ -1,0 +1,126 @@
+"""What a page may ask: each message is a function, and its signature is its declaration.
+
+    @handles
+    def draw(session: Session, *, level: str = "") -> dict[str, Any]:
+
+answers {"do": "draw", "level": ""}. Fields that the function does not take, that it lacks or that have another type are
+refused (E501) before it is called, and so are numbers that are not finite. What takes long is computed aside:
+`@handles_aside` lets another thread do it, one after the other, which changes nothing in the session.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import typing
+from collections.abc import Callable, Mapping
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Any
+
+from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.printable import quoted
+
+if TYPE_CHECKING:
+    from .session import Session
+
+__all__ = ["ASIDE", "HANDLERS", "Answer", "answer", "handles", "handles_aside", "message_of"]
+
+Answer = dict[str, Any] | None
+HANDLERS: dict[str, Callable[..., Answer]] = {}
+"""The functions by the names of their messages."""
+ASIDE: set[str] = set()
+"""Those that take long."""
+DEEPEST = 12
+"""How deep lists and objects of a message may be nested."""
+LONGEST = 500
+"""Characters of a text, but for the field `text`, which may hold measured signals."""
+MOST = 1000
+"""Items of a list or an object."""
+GREATEST = 1e300
+_ENVELOPE = ("do", "id")
+
+
+def handles(function: Callable[..., Answer]) -> Callable[..., Answer]:
+    """Let a function answer the message of its name."""
+    HANDLERS[function.__name__] = function
+    return function
+
+
+def handles_aside(function: Callable[..., Answer]) -> Callable[..., Answer]:
+    """The same for one that takes long, and only reads what the session holds."""
+    ASIDE.add(function.__name__)
+    return handles(function)
+
+
+def message_of(sent: str | bytes) -> dict[str, Any]:
+    """A message as an object of JSON. Raises UsageError (E501) where it is none."""
+    try:
+        message = json.loads(sent, parse_constant=_no_number) if isinstance(sent, str) else None
+    except (ValueError, RecursionError):
+        message = None
+    if not isinstance(message, dict):
+        raise UsageError(Fault("E501", "message", "is not an object of JSON."))
+    return message
+
+
+def _no_number(word: str) -> float:
+    raise ValueError(word)
+
+
+def answer(session: Session, message: Mapping[str, Any]) -> Answer:
+    """What the session answers to a message.
+
+    Raises UsageError (E501), with all that is wrong with it, and what the function raises.
+    """
+    name = message.get("do")
+    function = HANDLERS.get(name) if isinstance(name, str) else None
+    if function is None:
+        cure = did_you_mean(str(name)[:60], HANDLERS) or "Load the page again: it is of another version."
+        raise UsageError(Fault("E501", "message", f"{quoted(str(name)[:60])} is not known.", cure))
+    fields = {key: value for key, value in message.items() if key not in _ENVELOPE}
+    hints = typing.get_type_hints(function, localns={"Session": object})
+    known = {p.name: p for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY}
+    faults = []
+    for key, value in fields.items():
+        place = f"{name}.{key[:40]}"
+        if key not in known:
+            faults.append(Fault("E501", place, "is not known.", did_you_mean(key[:LONGEST], known)))
+        elif not _fits(value, hints[key]) or not _is_moderate(value, DEEPEST, is_file=key == "text"):
+            kind = inspect.formatannotation(hints[key]).replace("None", "null")
+            faults.append(Fault("E501", place, f"is no {kind} of a permitted size."))
+    for key, parameter in known.items():
+        if parameter.default is parameter.empty and key not in fields:
+            faults.append(Fault("E501", f"{name}.{key}", "is missing."))
+    if faults:
+        raise UsageError(*faults)
+    return function(session, **fields)
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a value of JSON has the type of an annotation: str, bool, int, float, dict, list, unions of these."""
+    if kind is Any:
+        return True
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (UnionType, typing.Union):
+        return any(_fits(value, one) for one in inner)
+    if origin is list:
+        return isinstance(value, list) and all(_fits(item, inner[0]) for item in value)
+    if origin is dict:
+        return isinstance(value, dict) and all(_fits(item, inner[1]) for item in value.values())
+    if kind in (None, NoneType):
+        return value is None
+    if kind is float:
+        return isinstance(value, (int, float)) and not isinstance(value, bool)
+    if kind is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, kind)
+
+
+def _is_moderate(value: Any, depth: int, *, is_file: bool = False) -> bool:
+    """Whether numbers are finite and texts, lists and their nesting of a moderate size. is_file: a text may be long."""
+    if isinstance(value, (dict, list)):
+        items = [*value, *value.values()] if isinstance(value, dict) else value
+        return depth > 0 and len(value) <= MOST and all(_is_moderate(item, depth - 1) for item in items)
+    if isinstance(value, (int, float)):
+        return abs(value) <= GREATEST
+    return not isinstance(value, str) or len(value) <= LONGEST or is_file

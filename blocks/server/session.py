@@ -1,0 +1,252 @@
+"""What is open: the document, its run and what was turned in it, and the pages that look at it.
+
+All that a session does, it does in one thread, in the order in which it was asked: messages of pages, news of the run,
+and a look at the file twice a second. So no handler needs a lock. What takes long is done aside, by a second thread.
+"""
+
+from __future__ import annotations
+
+import queue
+import secrets
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from ..api.diagram import Diagram
+from ..model.trust import Paths
+from ..text.errors import BlocksError, Fault, UsageError
+from ..text.version import __version__
+from .document import Document, told_fault
+from .live_run import LiveRun
+from .messages import ASIDE, Answer, answer, handles
+
+__all__ = ["Client", "Session"]
+
+LOOK = 0.5
+"""Seconds between two looks at the file."""
+NEWS = 1 / 15
+"""Seconds between two messages of how the run stands."""
+MOST_LOGGED = 1000
+"""Elements of signals that a live run records all."""
+
+
+class Client(Protocol):
+    """A page that is connected."""
+
+    def send(self, message: dict[str, Any] | bytes, slot: str = "") -> bool:
+        """Send a message, or a binary frame, from any thread; of the frames in a slot only the newest waits."""
+
+
+class Session:
+    """An open document with its run.
+
+    values, inputs: what was set in place of what the file says, by path and by name, for this run and the next ones.
+    runs: the live run and earlier ones, whose rows are kept. engine, trust: as of `Diagram.run`.
+    """
+
+    def __init__(
+        self,
+        document: Document,
+        *,
+        values: Mapping[str, Any] | None = None,
+        inputs: Mapping[str, Any] | None = None,
+        engine: str | None = None,
+        trust: Paths = (),
+    ) -> None:
+        self.document, self.engine, self.trust = document, engine, trust
+        self.values, self.inputs = dict(values or {}), dict(inputs or {})
+        self.server = secrets.token_hex(8)
+        self.runs: dict[int, LiveRun] = {}
+        self.live: LiveRun | None = None
+        self.clients: list[Client] = []
+        self._numbers = 0
+        self._todo: queue.SimpleQueue[tuple[Client | None, Any]] = queue.SimpleQueue()
+        self._is_told = threading.Event()  # news of the run wait in the queue
+        self._told = 0.0
+        self._aside: queue.SimpleQueue[tuple[Client, Mapping[str, Any]] | None] = queue.SimpleQueue()
+        self._threads = [
+            threading.Thread(target=work, name="blocks session", daemon=True) for work in (self._work, self._work_aside)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    # --- from other threads ------------------------------------------------------------------------------------------
+
+    def connected(self, client: Client) -> None:
+        self._todo.put((client, "connected"))
+
+    def disconnected(self, client: Client) -> None:
+        self._todo.put((client, "disconnected"))
+
+    def received(self, client: Client, message: Mapping[str, Any]) -> None:
+        """A message of a page."""
+        self._todo.put((client, message))
+
+    def changed(self) -> None:
+        """The run has news."""
+        if not self._is_told.is_set():
+            self._is_told.set()
+            self._todo.put((None, "news"))
+
+    def close(self) -> None:
+        """End the run and the thread."""
+        self._todo.put((None, "close"))
+        self._aside.put(None)
+        for thread in self._threads:
+            thread.join(timeout=5.0)
+
+    # --- in its own thread -------------------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        looked = time.monotonic()
+        while True:
+            try:
+                client, what = self._todo.get(timeout=LOOK)
+            except queue.Empty:
+                client, what = None, ""
+            if what == "close":
+                break
+            self._do(client, what)
+            if time.monotonic() - looked > LOOK:
+                looked = time.monotonic()
+                if self.document.has_changed() and self.document.read():
+                    self.broadcast({"is": "document", **self.document.told()})
+        if self.live is not None:
+            self.live.stop()
+
+    def _do(self, client: Client | None, what: Any) -> None:
+        if what == "news":
+            self._is_told.clear()
+            self.tell_run()
+        elif client is not None and what == "connected":
+            self.clients.append(client)
+            client.send(self.hello())
+        elif client is not None and what == "disconnected":
+            self.clients = [other for other in self.clients if other is not client]
+        elif client is not None and what.get("do") in ASIDE:
+            self._aside.put((client, what))
+        elif client is not None:
+            self._answer(client, what)
+
+    def _work_aside(self) -> None:
+        while (asked := self._aside.get()) is not None:
+            self._answer(*asked)
+
+    def _answer(self, client: Client, message: Mapping[str, Any]) -> None:
+        number = message.get("id")
+        try:
+            told: Answer = answer(self, message)
+        except BlocksError as error:
+            paths = {block["path"] for block in self.document.told()["blocks"]}
+            told = {"is": "error", "faults": [told_fault(fault, paths) for fault in error.faults]}
+        except Exception as error:  # a page must not end the session of another one
+            what = f"blocks itself failed ({type(error).__name__}: {error})."
+            told = {"is": "error", "faults": [told_fault(Fault("E901", "", what, "Please report it."), set())]}
+        if told is not None:
+            client.send({**told, "re": number})
+
+    def broadcast(self, message: dict[str, Any]) -> None:
+        """Send a message to all pages."""
+        for client in self.clients:
+            client.send(message)
+
+    def hello(self) -> dict[str, Any]:
+        """All that a page needs to show the document at once."""
+        document = self.document
+        svg = document.drawing("") if document.diagram is not None else ""
+        return {
+            "is": "hello", "server": self.server, "version": __version__, "document": document.told(), "svg": svg,
+            "run": self.run_told(),
+        }  # fmt: skip
+
+    # --- the run -----------------------------------------------------------------------------------------------------
+
+    def begin(self, stop: Any = None) -> LiveRun:
+        """A new run, which stands at its start, in the place of the one that was."""
+        if self.live is not None:
+            self.live.stop()
+            self.live = None
+        shown = self.document.shown
+        settings: dict[str, Any] = {} if stop is None else {"stop": stop}
+        run = shown.start(
+            parameters=self.values, inputs=self.inputs or None, engine=self.engine, trust=self.trust,
+            log=self._logged(shown), **settings,
+        )  # fmt: skip
+        self._numbers += 1
+        self.live = self.runs[self._numbers] = LiveRun(run, self.changed)
+        return self.live
+
+    def _logged(self, shown: Diagram) -> list[str] | None:
+        """What a live run records: all signals, unless these are too many; None: what the file says."""
+        planned = self.document.planned or shown.check()
+        names = list(planned.signals)
+        elements = sum(len(planned.signal(name).references) for name in names)  # type: ignore[union-attr]
+        return names if elements <= MOST_LOGGED else None
+
+    @property
+    def running(self) -> LiveRun:
+        """The run. Raises UsageError (E501) where there is none."""
+        if self.live is None:
+            raise UsageError(Fault("E501", self.document.name, "there is no run.", "Begin one first."))
+        return self.live
+
+    def run_told(self) -> dict[str, Any]:
+        """How the run stands, as the page gets it."""
+        live = self.live
+        if live is None:
+            return {"is": "run", "id": 0, "state": "none"}
+        paths = {block["path"] for block in self.document.told()["blocks"]} if live.error else set()
+        faults = [] if live.error is None else [told_fault(fault, paths) for fault in live.error.faults]
+        return {
+            "is": "run", "id": self._numbers, "state": live.state, "t": live.t, "steps": live.steps,
+            "rejected": live.rejected, "pace": live.pace, "lag": live.lag, "seconds": live.seconds, "faults": faults,
+        }  # fmt: skip
+
+    def tell_run(self) -> None:
+        """Tell all pages how the run stands, not more often than they can show."""
+        now = time.monotonic()
+        live = self.live
+        if now - self._told < NEWS and live is not None and live.state == "running":
+            return
+        self._told = now
+        self.broadcast(self.run_told())
+
+
+# --- messages --------------------------------------------------------------------------------------------------------
+
+
+@handles
+def draw(session: Session, *, level: str = "") -> Answer:
+    svg = session.document.drawing(level)
+    return {"is": "drawing", "level": level, "revision": session.document.revision, "svg": svg}
+
+
+@handles
+def run(session: Session, *, stop: str | float | None = None, pace: float | None = None) -> Answer:
+    session.begin(stop).go(pace)
+    return session.run_told()
+
+
+@handles
+def pause(session: Session) -> Answer:
+    session.running.pause()
+    return session.run_told()
+
+
+@handles
+def resume(session: Session, *, pace: float | None = None) -> Answer:
+    session.running.go(pace)
+    return session.run_told()
+
+
+@handles
+def step(session: Session, *, stop: str | float | None = None) -> Answer:
+    (session.live or session.begin(stop)).step()
+    return session.run_told()
+
+
+@handles
+def stop(session: Session) -> Answer:
+    session.running.stop()
+    return session.run_told()
