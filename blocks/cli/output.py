@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import math
 import os
 import re
 import sys
@@ -14,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TextIO
 
 from ..text.errors import Fault
+from ..text.json_line import json_line
 
 __all__ = [
     "Excerpts", "Progress", "emit", "fault_entry", "fault_lines", "printable", "say", "silence", "tell_faults",
@@ -148,16 +147,7 @@ def printable(text: str) -> str:
 
 
 def emit(entry: Mapping[str, Any]) -> None:
-    print(json.dumps(_finite(entry)), flush=True)
-
-
-def _finite(value: Any) -> Any:
-    """JSON knows neither NaN nor infinity: null stands for them."""
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    print(json_line(entry), flush=True)
 
 
 LARGEST = 16 * 2**20  # bytes, as much as a diagram file may have

@@ -57,7 +57,8 @@ class Document:
     def shown(self) -> Diagram:
         """The diagram with its chosen variants. Raises UsageError (E501) where there is none that can be read."""
         if self.diagram is None:
-            raise UsageError(Fault("E501", self.name, "the file cannot be read as a diagram.", "Mend its faults first."))
+            cure = "Mend its faults first."
+            raise UsageError(Fault("E501", self.name, "the file cannot be read as a diagram.", cure))
         return self.diagram.with_variants(self.variants) if self.variants else self.diagram
 
     def has_changed(self) -> bool:
@@ -136,8 +137,7 @@ class Document:
 
     def _inputs(self) -> Iterator[dict[str, Any]]:
         for name, shape, unit, type_, default in () if self.planned is None else self.planned.inputs:
-            value = default.tolist() if hasattr(default, "tolist") else default
-            yield {"name": name, "unit": unit, "shape": list(shape), "type": str(type_), "value": value}
+            yield {"name": name, "unit": unit, "shape": list(shape), "type": str(type_), "value": default}
 
     def drawing(self, level: str) -> str:
         """The SVG of a level ("" or the path of a subdiagram), as `blocks draw` writes it. Raises UsageError (E502)."""

@@ -181,7 +181,7 @@ class Session:
         """What a live run records: all signals, unless these are too many; None: what the file says."""
         planned = self.document.planned or shown.check()
         names = list(planned.signals)
-        elements = sum(len(planned.signal(name).references) for name in names)  # type: ignore[union-attr]
+        elements = sum(len(planned.signal(name).references) for name in names)
         return names if elements <= MOST_LOGGED else None
 
     @property

@@ -1,0 +1,108 @@
+"""The guard before everything: who may ask this server for what.
+
+A page of any site can make a browser send requests to 127.0.0.1, and any user of the machine can connect to it. So each
+request passes `Guard.admit` before anything is looked up, which knows no network; each message of a page passes
+`messages.answer` before any function is called. A request is admitted where
+
+- its method is GET or HEAD, and its path is one of those that the server made at its start: no path is ever decoded,
+  joined or looked up in a folder;
+- its Host is this server's own, so that no name of a foreign site leads here (DNS rebinding);
+- its Origin, where it has one, is this server's own; a WebSocket must have one, since browsers let any site open it;
+- the browser does not say (Sec-Fetch-Site) that another site makes it;
+- it holds the token, which is made at the start and told to nobody but the user: in a cookie, which `/?token=...` sets,
+  or, in notebooks, in the path `/k/TOKEN/`, as browsers send no SameSite=Strict cookie into frames of other sites.
+"""
+
+from __future__ import annotations
+
+import hmac
+import re
+from collections.abc import Collection, Iterable, Mapping
+from typing import NamedTuple
+
+__all__ = ["Admitted", "Guard", "Refusal", "cookie_name"]
+
+SOCKET = "/ws"
+LONGEST_PATH = 1000  # characters
+_TOKEN = re.compile(r"[\w-]{20,}", re.ASCII).fullmatch
+
+
+class Admitted(NamedTuple):
+    """route: one of the server's paths. enters: the browser is given the cookie and sent to `/`."""
+
+    route: str
+    enters: bool = False
+
+
+class Refusal(NamedTuple):
+    """status: of HTTP."""
+
+    status: int
+    reason: str
+
+
+class Guard:
+    """routes: the paths that there are, `/ws` aside. framed: also for frames of a notebook's page."""
+
+    def __init__(self, token: str, port: int, routes: Collection[str], *, framed: bool = False) -> None:
+        if not _TOKEN(token):
+            raise ValueError("a token has at least 20 letters, digits, - or _")
+        self.token, self.port, self.routes, self.framed = token, port, {*routes, SOCKET}, framed
+        self.hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
+
+    def admit(self, method: str, path: str, headers: Iterable[tuple[str, str]]) -> Admitted | Refusal:
+        """headers: names and values as they came; one that decides and stands twice is refused."""
+        given: dict[str, list[str]] = {}
+        for name, value in headers:
+            given.setdefault(name.lower(), []).append(value)
+        for name in ("host", "origin", "cookie", "sec-fetch-site", "sec-fetch-mode", "sec-fetch-dest"):
+            if len(given.get(name, ())) > 1:
+                return Refusal(400, f"There is more than one header {name}.")
+        one = {name: values[0] for name, values in given.items()}
+        if method not in ("GET", "HEAD"):
+            return Refusal(405, "There is nothing here but to read: GET and HEAD.")
+        host = one.get("host", "")
+        if host not in self.hosts:
+            return Refusal(403, "This is the server of 127.0.0.1, and not of another name.")
+        if len(path) > LONGEST_PATH:
+            return Refusal(414, "This path is too long.")
+        route, is_known = self._route(path, one.get("cookie", ""))
+        origin = one.get("origin")
+        if origin != f"http://{host}" and (origin is not None or route == SOCKET):
+            return Refusal(403, "Pages of other sites do not get in.")
+        if not self._is_own(one, route, is_known and path.startswith("/k/")):
+            return Refusal(403, "Pages of other sites do not get in.")
+        if not is_known:
+            return Refusal(401, "Open the address with the token that `blocks live` printed when it began.")
+        if route not in self.routes:
+            return Refusal(404, "There is nothing here.")
+        return Admitted(route, enters=path.startswith("/?"))
+
+    def _route(self, path: str, cookies: str) -> tuple[str, bool]:
+        """The path without its token, and whether there is one that is right."""
+        if path.startswith("/?token="):
+            return "/", self._fits(path.removeprefix("/?token="))
+        if self.framed and path.startswith("/k/"):
+            token, _, rest = path.removeprefix("/k/").partition("/")
+            return f"/{rest}", self._fits(token)
+        name = cookie_name(self.port)
+        pairs = (pair.strip().partition("=") for pair in cookies.split(";"))
+        values = [value for key, _, value in pairs if key == name]
+        return path, len(values) == 1 and self._fits(values[0])
+
+    def _fits(self, token: str) -> bool:
+        # In constant time, so that nobody finds the token letter by letter.
+        return hmac.compare_digest(token.encode(), self.token.encode())
+
+    def _is_own(self, one: Mapping[str, str], route: str, in_path: bool) -> bool:
+        """Whether a browser, where it says so, makes the request for this server's own page, or for its user."""
+        site = one.get("sec-fetch-site", "none")
+        if site in ("none", "same-origin"):
+            return True
+        opens = one.get("sec-fetch-mode") == "navigate" and one.get("sec-fetch-dest") in ("iframe", "document")
+        return self.framed and in_path and route == "/" and opens
+
+
+def cookie_name(port: int) -> str:
+    """A cookie is sent to all ports of a host: a name for each lets several servers run."""
+    return f"blocks-{port}"
