@@ -105,8 +105,9 @@ class _Drawer:
             if arranged is not None and stacked and not reachable(graph, arranged):
                 arranged = None
         if arranged is None:
-            arranged = layered(graph, stacked=stacked)
-        return self.placed(parts, pieces, graph, arranged)
+            return self.placed(parts, pieces, graph, layered(graph, stacked=stacked))
+        left, top, _, _ = extent(graph, arranged)
+        return replace(self.placed(parts, pieces, graph, arranged), origin=(-left, -top))
 
     def placed(self, parts: Parts, pieces: Sequence[Piece], graph: Graph, arranged: Arranged) -> Picture:
         left, top, right, bottom = extent(graph, arranged)

@@ -114,7 +114,10 @@ class Open:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """Everything with its place; the top left corner is (0, 0)."""
+    """Everything with its place; the top left corner is (0, 0).
+
+    origin: where the position [0, 0] of the file's `layout` lies; None where its positions are not those of the file.
+    """
 
     title: str
     width: float
@@ -125,10 +128,12 @@ class Picture:
     opens: tuple[Open, ...] = ()
     elsewhere: tuple[Fault, ...] = ()
     marks: Marks | None = None
+    origin: Point | None = None
 
     def moved(self, dx: float, dy: float) -> Picture:
         return replace(
             self,
+            origin=(self.origin[0] + dx, self.origin[1] + dy) if self.origin else None,
             boxes=tuple(box.moved(dx, dy) for box in self.boxes),
             wires=tuple(replace(w, points=tuple((x + dx, y + dy) for x, y in w.points)) for w in self.wires),
             dots=tuple(replace(dot, x=dot.x + dx, y=dot.y + dy) for dot in self.dots),

@@ -1,4 +1,16 @@
-"""SVG of a picture: the same bytes for the same picture, no ids, no scripts, no fonts or files from elsewhere."""
+"""SVG of a picture: the same bytes for the same picture, no ids, no scripts, no fonts or files from elsewhere.
+
+A page that shows a drawing finds everything by attributes, which are the same after an edit elsewhere; ids would have
+to be unique on the page, which may hold several drawings:
+
+- `data-origin="X Y"` of the svg: where the position [0, 0] of the file's `layout` lies. Without it, the positions in
+  the drawing are not those of the file.
+- `data-path` of a group: the path of a block or the name of a terminal; its kind is the first class (block, diagram,
+  fmu, input, output, frame). `data-at="X Y"`: its center. `data-in`, `data-out`: its ports with their places from the
+  center, as "DX DY NAME;DX DY NAME", with %25 and %3B for % and ; in names; the port of a terminal has no name.
+- `data-net` of a wire or a dot: its signal, by the output that it leaves ("motor.omega", or an input of the diagram).
+  `data-sink` of a wire: the input that it enters ("gain.u", or an output of the diagram).
+"""
 
 from __future__ import annotations
 
@@ -9,9 +21,9 @@ from ..model.diagram import DiagramValue
 from ..text.errors import Fault
 from .compose import picture
 from .graph import Path, Point
-from .parts import Ports
+from .parts import BEFORE, Ports
 from .picture import Box, Mark, Marks, Picture, Wire
-from .shapes import Text, num, polygon
+from .shapes import Pins, Text, num, polygon
 from .style import RATES, style_of
 from .text import cut, escaped, fitted, plain, width_of
 
@@ -62,6 +74,7 @@ def rendered(made: Picture, title: str) -> str:
     picture_ = made.moved(MARGIN + max(0.0, (width - 2 * MARGIN - made.width) / 2), top)
     size = f'width="{num(width)}" height="{num(height)}"'
     view = f'viewBox="0 0 {num(width)} {num(height)}" {size}'
+    view += f' data-origin="{_at(picture_.origin)}"' if picture_.origin else ""
     name = escaped(title or cut(made.title, 120))
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" class="blocks-diagram" {view} role="img" aria-label="{name}">',
@@ -123,9 +136,9 @@ def _body(drawing: Picture, labels: Mapping[str, int]) -> list[str]:
     dot_styles = _dot_styles(drawing)
     for dot in drawing.dots:
         style = f"dot{_rate(dot.rate, labels)}{dot_styles.get(dot.net, '')}"
-        lines.append(f'<circle class="{style}" cx="{num(dot.x)}" cy="{num(dot.y)}" r="3"/>')
+        lines.append(f'<circle class="{style}" data-net="{_name(dot.net)}" cx="{num(dot.x)}" cy="{num(dot.y)}" r="3"/>')
     for mark in drawing.opens:
-        tip = f"<title>{escaped(plain(f'{mark.path}.{mark.port}'[:300].rstrip('.')))} is not wired</title>"
+        tip = f"<title>{_name(f'{mark.path}.{mark.port}'.rstrip('.'))} is not wired</title>"
         lines.append(f'<circle class="open" cx="{num(mark.x)}" cy="{num(mark.y)}" r="4">{tip}</circle>')
     return lines + glyphs
 
@@ -160,7 +173,25 @@ def _wire(wire: Wire, earlier: Sequence[Path], dots: set[Point], labels: Mapping
     offset = f' stroke-dashoffset="{num(behind)}"' if behind and wire.rate in labels else ""
     title = escaped(plain(wire.mark.tip[:600] if wire.mark else wire.net[:300]))
     line = f'<path class="run" d="{_rounded(points, dots)}"{offset}/>' if len(points) > 1 else ""
-    return f'<g class="{style}"><title>{title}</title>{line}<path class="head" d="{head}"/></g>'
+    path, port = wire.sink
+    sink = f"{path}.{port.removeprefix(BEFORE)}" if port else path
+    ends = f'data-net="{_name(wire.net)}" data-sink="{_name(sink)}"'
+    return f'<g class="{style}" {ends}><title>{title}</title>{line}<path class="head" d="{head}"/></g>'
+
+
+def _name(text: str) -> str:
+    return escaped(plain(text[:300]))
+
+
+def _at(point: Point) -> str:
+    return f"{num(point[0])} {num(point[1])}"
+
+
+def _ports(key: str, pins: Pins) -> str:
+    """The attribute that lists ports with their places; nothing where there is none."""
+    names = {name: name[:300].replace("%", "%25").replace(";", "%3B") for name in pins if not name.startswith(BEFORE)}
+    listed = ";".join(_at(pins[name]) + (f" {text}" if text else "") for name, text in names.items())
+    return f' {key}="{escaped(plain(listed))}"' if listed else ""
 
 
 def _fresh(points: Path, earlier: Sequence[Path]) -> tuple[Path, float]:
@@ -212,7 +243,8 @@ def _box(box: Box, labels: Mapping[str, int], marked: str = "") -> list[str]:
     """A group with the outline, the marks and the texts of a box."""
     bad = "" if not box.faults else " warned" if all(f.is_warning for f in box.faults) else " faulty"
     style = f"{box.kind}{bad}{_rate(box.rate, labels)}{marked}"
-    lines = [f'<g class="{style}" data-path="{escaped(plain(box.path[:300]))}">']
+    ports = _ports("data-in", box.shape.inputs) + _ports("data-out", box.shape.outputs)
+    lines = [f'<g class="{style}" data-path="{_name(box.path)}" data-at="{_at((box.x, box.y))}"{ports}>']
     changed = [plain(line[:400]) for line in box.mark.tip.split("\n")[:40]] if box.mark else []
     tip = "\n".join([*changed, *(plain(str(fault)[:400]) for fault in box.faults[:20]), box.tip]).strip()
     if tip:

@@ -13,13 +13,14 @@ from functools import cache
 from itertools import combinations, pairwise, permutations
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 from xml.etree import ElementTree
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blocks.draw import Picture, Ports, picture, ports_of, svg
+from blocks.draw import Picture, Ports, picture, ports_of, rendered, svg
 from blocks.draw.graph import pieces
 from blocks.draw.picture import Box, Wire
 from blocks.draw.shapes import polynomial
@@ -342,6 +343,57 @@ def test_a_drawing_is_xml_that_asks_for_nothing_from_elsewhere(path: Path, depth
         assert not {"id", "href", "onload"} & set(element.attrib)
     assert "url(" not in text
     assert "@import" not in text
+
+
+def listed_ports(group: ElementTree.Element, key: str) -> dict[str, tuple[float, float]]:
+    """The ports that a group lists, by name, as a page reads them."""
+    at = [float(part) for part in group.attrib["data-at"].split()]
+    ports = {}
+    for item in filter(None, group.attrib.get(key, "").split(";")):
+        x, y, *name = item.split(" ")
+        ports[unquote(" ".join(name))] = (at[0] + float(x), at[1] + float(y))
+    return ports
+
+
+@pytest.mark.parametrize("path", drawings(), ids=lambda path: path.stem)
+def test_a_page_finds_places_ports_and_ends_of_wires_by_attributes(path: Path) -> None:
+    value = load(path)
+    picture_ = pictured(value)
+    root = ElementTree.fromstring(rendered(picture_, ""))
+    groups = {
+        (g.attrib["data-path"], g.attrib["class"].split()[0]): g
+        for g in root.iter(SVG + "g")
+        if "data-path" in g.attrib
+    }
+    made = {(box.path, box.kind): box for box in picture_.boxes}
+    assert set(groups) == set(made)
+    for key, box in made.items():
+        for data, pins in (("data-in", box.inputs), ("data-out", box.outputs)):
+            shift = [float(part) for part in groups[key].attrib["data-at"].split()]
+            expected = {name: (shift[0] + x - box.x, shift[1] + y - box.y) for name, (x, y) in pins.items()}
+            assert listed_ports(groups[key], data) == {
+                name: pytest.approx(at, abs=0.02) for name, at in expected.items()
+            }
+    places = {key[0]: group.attrib["data-at"] for key, group in groups.items() if key[1] != "output"}
+    given = {name: at for name, at in value.layout.items() if name in places}
+    assert ("data-origin" in root.attrib) == bool(given)
+    for name, (x, y) in given.items():
+        origin = [float(part) for part in root.attrib["data-origin"].split()]
+        at = [float(part) for part in places[name].split()]
+        assert at == pytest.approx([origin[0] + float(x), origin[1] + float(y)], abs=0.02)
+    wires = {g.attrib["data-sink"]: g.attrib["data-net"] for g in root.iter(SVG + "g") if "data-sink" in g.attrib}
+    assert wires == {**value.wires, **value.outputs}
+    dots = {dot.attrib["data-net"] for dot in root.iter(SVG + "circle") if "data-net" in dot.attrib}
+    assert dots == {dot.net for dot in picture_.dots}
+
+
+def test_ports_with_any_name_are_listed() -> None:
+    names = ["a;b", "50%", "x y", "0 0 u", "<&\"'", "u"]
+    value = small(g=BlockEntry(type="NoSuchType"), s=BlockEntry(type="Step"))
+    root = ElementTree.fromstring(drawn(replace(value, wires={f"g.{name}": "s.y" for name in names})))
+    (group,) = (g for g in root.iter(SVG + "g") if g.attrib.get("data-path") == "g")
+    assert list(listed_ports(group, "data-in")) == names
+    assert {g.attrib["data-sink"] for g in root.iter(SVG + "g") if "data-sink" in g.attrib} == {f"g.{n}" for n in names}
 
 
 def test_a_diagram_without_blocks_is_drawn() -> None:
