@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -29,3 +30,22 @@ def native(monkeypatch: pytest.MonkeyPatch) -> None:
     if find_compiler() is None:
         pytest.skip("there is no C compiler")
     monkeypatch.setenv("BLOCKS_ENGINE", "native")
+
+
+@pytest.fixture
+def chromium() -> Any:
+    """`support.browser.Browser`; without a Chromium the test is skipped, and counted at the end."""
+    from .support.browser import Browser, found
+
+    if found() is None:
+        pytest.skip(_NO_CHROMIUM)
+    return Browser
+
+
+_NO_CHROMIUM = "no Chromium: set BLOCKS_CHROMIUM, or install Debian's chromium"
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    skipped = sum(_NO_CHROMIUM in str(one.longrepr) for one in terminalreporter.stats.get("skipped", ()))
+    if skipped:
+        terminalreporter.write_line(f"BROWSER NOT TESTED: {skipped} tests skipped, {_NO_CHROMIUM}", yellow=True)

@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
 from .options import takes_library, takes_variants
 from .values import variants_of
+
+if TYPE_CHECKING:
+    from ..api.diagram import Diagram
 
 __all__ = ["add"]
 
 
 def add(verbs: Any) -> None:
     drawing = verbs.add_parser(
-        "draw", help="draw a diagram as SVG", description="Draw a diagram as SVG, with its faults marked on the blocks."
+        "draw",
+        help="draw a diagram as SVG, or as a page with its results",
+        description="Draw a diagram as SVG, with its faults marked on the blocks; with --html as a page in one file, "
+        "with its subdiagrams, its equations and the results of a run, that needs no network.",
     )
     drawing.add_argument("diagram", metavar="DIAGRAM")
-    drawing.add_argument("-o", "--out", metavar="FILE.svg", help="where to write it (default: stdout)")
+    drawing.add_argument("-o", "--out", metavar="FILE", help="where to write it (default: stdout)")
     drawing.add_argument("--depth", metavar="N", type=int, default=1, help="levels of subdiagrams to show (default 1)")
+    drawing.add_argument("--html", action="store_true", help="write a page that zooms and opens subdiagrams")
+    given = drawing.add_mutually_exclusive_group()
+    results = "with --html: show what this result file holds (.csv, .parquet, .mat)"
+    given.add_argument("--results", metavar="FILE", help=results)
+    given.add_argument("--run", action="store_true", help="with --html: run the diagram, and show what it records")
     takes_variants(drawing)
     drawing.set_defaults(verb=_draw)
     takes_library(drawing)
@@ -30,15 +41,37 @@ def _draw(options: argparse.Namespace) -> int:
 
     if not 1 <= options.depth <= 30:
         raise UsageError(Fault("E501", f"--depth {options.depth}", "is not a number of levels.", "Use 1 or more."))
+    if not options.html and (options.results or options.run):
+        what = "--run" if options.run else "--results"
+        raise UsageError(Fault("E501", what, "is of a page.", "Give --html too."))
     diagram = Diagram.load(options.diagram, library=options.library)
-    text = diagram.draw(depth=options.depth, variants=variants_of(options.variants))
+    text = _page(options, diagram) if options.html else _svg(options, diagram)
     if options.out in (None, "-"):
         print(text)
         return 0
-    if not options.out.lower().endswith(".svg"):
-        cure = "Name it FILE.svg; browsers and Inkscape turn it into others."
-        raise UsageError(Fault("E501", options.out, "a drawing is an SVG.", cure))
     with write_atomically(options.out) as stream:
         stream.write(text)
     print(options.out)
     return 0
+
+
+def _svg(options: argparse.Namespace, diagram: Diagram) -> str:
+    if options.out not in (None, "-") and not options.out.lower().endswith(".svg"):
+        cure = "Name it FILE.svg; browsers and Inkscape turn it into others. --html writes a page."
+        raise UsageError(Fault("E501", options.out, "a drawing is an SVG.", cure))
+    return diagram.draw(depth=options.depth, variants=variants_of(options.variants))
+
+
+def _page(options: argparse.Namespace, diagram: Diagram) -> str:
+    from ..results.results import Results
+    from ..server.static_page import page_of
+
+    if options.out not in (None, "-") and not options.out.lower().endswith((".html", ".htm")):
+        raise UsageError(Fault("E501", options.out, "a page is HTML.", "Name it FILE.html."))
+    if options.depth != 1:
+        raise UsageError(Fault("E501", f"--depth {options.depth}", "a page opens each subdiagram.", "Leave it out."))
+    variants = variants_of(options.variants)
+    results = Results.load(options.results) if options.results else None
+    if options.run:
+        results = diagram.run(variants=variants)
+    return page_of(diagram, results, variants=variants)

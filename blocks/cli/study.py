@@ -93,6 +93,7 @@ def _reported(
     finished: dict[str, Results | Sweep | Tuning],
 ) -> int:
     """Report the outcome of the study, and write its report. finished: emptied once the report is written."""
+    from ..server.static_page import zooming
     from ..studies import report
 
     sections: dict[str, Mapping[str, Results | Sweep | Tuning]]
@@ -125,7 +126,7 @@ def _reported(
     faults: list[Fault] = []
     try:
         path = report.write(
-            study_results, folder, _command(options), draw=lambda diagram: diagram.draw(), faults=faults
+            study_results, folder, _command(options), draw=lambda diagram: diagram.draw(), faults=faults, zoom=zooming
         )
         finished.clear()
     except UsageError as error:  # what was computed is reported all the same

@@ -7,7 +7,7 @@ and then shows what pyplot has made, which these are not. So each shows itself o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from matplotlib.figure import Figure as Drawn
@@ -16,9 +16,14 @@ __all__ = ["Figure"]
 
 
 class Figure(Drawn):
-    """A figure of matplotlib with its forms for a notebook, by media type."""
+    """A figure of matplotlib with its forms for a notebook, by media type.
+
+    parts, along: the panels that it shows and the label of their x axis, where it was made of such.
+    """
 
     forms: Mapping[str, Callable[[Figure], Any]]
+    parts: Sequence[Any] = ()
+    along: str = ""
 
     def savefig(self, fname: Any, **given: Any) -> None:
         """As of matplotlib, on white where nothing else is asked for: a page may be dark."""

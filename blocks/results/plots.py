@@ -145,14 +145,13 @@ def new_figure(width: float, height: float) -> Any:
 
 
 @defaults()
-def panels(
-    parts: Sequence[Panel], *, xlabel: str, title: str = "", windows: Sequence[tuple[float, float]] = ()
-) -> Any:
+def panels(parts: Sequence[Panel], *, xlabel: str, title: str = "", windows: Sequence[tuple[float, float]] = ()) -> Any:
     """A figure with panels below each other on one x axis. windows: its stretches, shown beside each other."""
     heights = [part.height for part in parts]
     legends = [_legend_of(part) for part in parts]
     lines = sum(-(-len(part.lines) // columns) for part, columns in zip(parts, legends, strict=True) if columns)
     figure = new_figure(WIDTH, _HEIGHT * sum(heights) + 0.6 + 0.16 * lines)
+    figure.parts, figure.along = tuple(parts), xlabel
     grid = {"height_ratios": heights, "width_ratios": [end - begin for begin, end in windows] or [1]}
     across = max(1, len(windows))
     axes = figure.subplots(len(parts), across, sharex="col", sharey="row", squeeze=False, gridspec_kw=grid)

@@ -24,6 +24,7 @@ Array = np.ndarray[Any, Any]
 VERSION = 1
 TIMES = ("time", "t")
 
+
 @dataclass(frozen=True)
 class FileTable:
     """What a file holds. columns: name -> first column of `values`, shape, unit, as in Results."""

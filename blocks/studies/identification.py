@@ -163,9 +163,7 @@ def fit(
             results = run(space.values(np.clip(cube, 0.0, 1.0), digits=17))
         except SimulationError:
             return np.full(sum(map(np.count_nonzero, known.values())), FAILED)
-        rest = [
-            (at_times(results, name, t) - data)[known[name]] * weights[name] for name, data in measured.items()
-        ]
+        rest = [(at_times(results, name, t) - data)[known[name]] * weights[name] for name, data in measured.items()]
         return np.nan_to_num(np.concatenate(rest), nan=FAILED)
 
     def jacobian(cube: Array) -> Array:

@@ -39,6 +39,7 @@ WORDS = AnyOf(g.EXPRESSION, g.quantity(g.TEXT, "A text."), name="words")
 _NUMBERS = (g.NUMBER, g.EXPRESSION, g.LIST)
 NUMBERS = AnyOf(*_NUMBERS, g.quantity(AnyOf(*_NUMBERS)), g.COLUMN, name="numbers")
 
+
 def path_of(kind: str) -> Path:
     """The file of a schema that ships; the name holds the version of the format that it describes."""
     version = {"diagram": diagram.VERSION, "study": study_grammar.VERSION}[kind]

@@ -1,8 +1,8 @@
 """What a tuning minimizes, and what it is bound to: expressions over the measures of several scenarios.
 
-    ITAE_right + ITAE_left + 1e-3*ISU_right      bare names: the mean of the measure over the scenarios
-    noisy.variation <= 75                        the measure in one scenario
-    peak_e_theta <= 0.005                        a constraint of bare names holds in each scenario
+ITAE_right + ITAE_left + 1e-3*ISU_right      bare names: the mean of the measure over the scenarios
+noisy.variation <= 75                        the measure in one scenario
+peak_e_theta <= 0.005                        a constraint of bare names holds in each scenario
 """
 
 from __future__ import annotations
@@ -105,9 +105,7 @@ class Constraint:
         return [*_reads(self.left, (self.scenario,)), *_reads(self.right, (self.scenario,))]
 
 
-def objective_of(
-    text: str, measures: Sequence[str], scenarios: Sequence[str], *, unknown: str = "E501"
-) -> Objective:
+def objective_of(text: str, measures: Sequence[str], scenarios: Sequence[str], *, unknown: str = "E501") -> Objective:
     """The objective of a text. unknown: the code of names that mean nothing.
 
     Raises UsageError and ModelError with all that is wrong with its names.

@@ -129,10 +129,10 @@ def latex_table(made: StudyResults) -> str:
 # --- figures ---------------------------------------------------------------------------------------------------
 
 
-def _drawn(study_results: StudyResults, folder: Path) -> dict[str, str | Fault]:
+def _drawn(study_results: StudyResults, folder: Path, made_of: dict[str, Any]) -> dict[str, str | Fault]:
     """The study's figures by name, and those of its tunings by "tuning.NAME", as SVG; PNG files of them are written.
 
-    In place of one that failed: its fault.
+    In place of one that failed: its fault. made_of: gets the figures that are made of panels.
     """
     drawn: dict[str, str | Fault] = {}
     asked: list[tuple[str, Steps, Callable[[], Any]]] = []
@@ -149,6 +149,7 @@ def _drawn(study_results: StudyResults, folder: Path) -> dict[str, str | Fault]:
             figure = draw()
             drawn[name] = plots.svg_text(figure)
             plots.save(figure, folder / f"{name}.png")
+            made_of |= {name: figure} if figure.parts else {}
         except BlocksError as error:
             drawn[name] = replace(error.faults[0], place=f"{place_of(path)} {error.faults[0].place}")
         except Exception as error:  # whatever it is, the rest of the report is written
@@ -268,17 +269,21 @@ def write(
     command: str,
     draw: Callable[[Any], str] | None = None,
     faults: list[Fault] | None = None,
+    zoom: Callable[[Mapping[str, Any]], tuple[str, str]] | None = None,
 ) -> Path:
     """Write `report.html` and the figures (SVG, PNG) into a folder, which is made; returns the report's path.
 
     command: how it was made. draw: a diagram's drawing as SVG. faults: collects those of figures that failed; the rest
-    of the report is written all the same. Raises UsageError (E501) where the report cannot be written.
+    of the report is written all the same. zoom: what makes figures zoom on a screen, of those that are made of panels:
+    a policy for the head of the page and HTML for its end. Raises UsageError (E501) where the report cannot be written.
     """
     folder_for(folder)
-    drawn = _drawn(made, folder)
+    panels: dict[str, Any] = {}
+    drawn = _drawn(made, folder, panels)
+    policy, end = zoom(panels) if zoom and panels else ("", "")
     if faults is not None:
         faults += [fault for fault in drawn.values() if isinstance(fault, Fault)]
-    return written(folder, made.study.title, _parts(made, command, drawn, draw))
+    return written(folder, made.study.title, [*_parts(made, command, drawn, draw), end], policy=policy)
 
 
 # --- the page --------------------------------------------------------------------------------------------------
@@ -357,10 +362,13 @@ def _figures(study_results: StudyResults, drawn: Mapping[str, str | Fault]) -> l
         title, doc = str(entry.get("title", entry["name"])), entry.get("doc", "")
         doc = doc if isinstance(doc, str) else " ".join(doc)
         parts.append(
-            f"<figure><figcaption><b>{_escape(title)}</b> {_escape(doc)}</figcaption>"
-            f"{shown}</figure>"
+            f"<figure{_named(entry)}><figcaption><b>{_escape(title)}</b> {_escape(doc)}</figcaption>{shown}</figure>"
         )
     return parts
+
+
+def _named(entry: Mapping[str, Any]) -> str:
+    return f' data-figure="{_escape(str(entry["name"]))}"'
 
 
 def _plot(drawing: str | Fault, prefix: str) -> str:

@@ -25,12 +25,12 @@ def folder_for(folder: Path) -> None:
         raise UsageError(Fault("E501", str(folder), f"cannot be made: {error.strerror}.")) from None
 
 
-def written(folder: Path, title: str, parts: Sequence[str]) -> Path:
-    """Write `report.html` of parts that are HTML. Raises UsageError (E501)."""
+def written(folder: Path, title: str, parts: Sequence[str], *, policy: str = "") -> Path:
+    """Write `report.html` of parts that are HTML. policy: what may run in it. Raises UsageError (E501)."""
     body = "\n".join(part for part in parts if part)
     path = folder / "report.html"
     with write_atomically(path) as stream:
-        stream.write(_PAGE.format(title=escaped(title), style=_STYLE, body=body))
+        stream.write(_PAGE.format(title=escaped(title), policy=policy, style=_STYLE, body=body))
     return path
 
 
@@ -88,7 +88,7 @@ _PAGE = """<!doctype html>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark">
-<title>{title}</title>
+{policy}<title>{title}</title>
 <style>{style}</style>
 </head>
 <body>

@@ -73,7 +73,7 @@ class Distribution:
         law = getattr(stats, self.name, None) if isinstance(self.name, str) else None
         if not isinstance(law, stats.rv_continuous):
             names = [name for name in dir(stats) if isinstance(getattr(stats, name), stats.rv_continuous)]
-            cure = did_you_mean(str(self.name)[:200], names) or "As in Distribution(\"lognorm\", s=0.3, scale=2)."
+            cure = did_you_mean(str(self.name)[:200], names) or 'As in Distribution("lognorm", s=0.3, scale=2).'
             raise _refused(repr(self), "scipy.stats has no such continuous distribution.", cure)
         try:
             frozen = law(**dict(self.parameters))

@@ -178,9 +178,7 @@ def _unknown(name: str, known: Collection[str], what: str) -> Fault:
 
 def run_sweep(entry: StudySweep, diagram: Diagram, parameters: Mapping[str, Any], trust: Paths) -> Sweep:
     """Run it; Ctrl-C returns what is done. Raises as `Diagram.sweep`."""
-    made: Sweep = diagram.sweep(
-        entry.varied(), parameters=parameters, trust=trust, **entry.options, **entry.settings
-    )
+    made: Sweep = diagram.sweep(entry.varied(), parameters=parameters, trust=trust, **entry.options, **entry.settings)
     return made
 
 

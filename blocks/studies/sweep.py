@@ -1,8 +1,8 @@
 """A sweep: runs of one diagram with varied parameters, as one table; and its statistics.
 
-    sweep = diagram.sweep({"Jeq": Normal(0.2752, 0.02)}, n=1000, seed=1, scenarios={"quiet": {}, "heavy": {"load": 2}})
-    str(sweep)                         # what was varied, quantiles of the measures, what became of the rows
-    sweep["heavy"].correlations()      # statistics are of one scenario
+sweep = diagram.sweep({"Jeq": Normal(0.2752, 0.02)}, n=1000, seed=1, scenarios={"quiet": {}, "heavy": {"load": 2}})
+str(sweep)                         # what was varied, quantiles of the measures, what became of the rows
+sweep["heavy"].correlations()      # statistics are of one scenario
 """
 
 from __future__ import annotations

@@ -76,9 +76,7 @@ class Problem:
     given: Mapping[str, Any]
     warnings: tuple[Fault, ...]
 
-    def solve(
-        self, *, threads: int | None = None, progress: Callable[[int, int], None] | None = None
-    ) -> Tuning:
+    def solve(self, *, threads: int | None = None, progress: Callable[[int, int], None] | None = None) -> Tuning:
         """Run the optimiser. Raises UsageError (E501) where no candidate has a number."""
         with live_line(progress, in_rows("candidates")) as told:
             return self._solved(_Search(self, threads, told))
@@ -149,9 +147,7 @@ def problem_of(
     for name, values in scenarios.items():
         own = {**given, "parameters": {**given["parameters"], **values}}
         batches[name] = diagram.batch(list(over), measures=needed[name], **own)
-    problem = Problem(
-        diagram, objective, constraints, scenarios, batches, space, {}, method, budget, seed, given, ()
-    )
+    problem = Problem(diagram, objective, constraints, scenarios, batches, space, {}, method, budget, seed, given, ())
     before = {name: problem.run(name, {}) for name in scenarios}
     faults = [
         Fault("E501", f"{name}.{measure}", f"can have no number: {warning.message}", warning.cure)
@@ -169,8 +165,7 @@ def problem_of(
 def measured(results: Mapping[str, Results]) -> dict[str, dict[str, Array]]:
     """The measures of one run for each scenario, as columns of one row."""
     return {
-        name: {measure: np.array([value]) for measure, value in each.measures.items()}
-        for name, each in results.items()
+        name: {measure: np.array([value]) for measure, value in each.measures.items()} for name, each in results.items()
     }
 
 
