@@ -32,21 +32,13 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import blocktypes
-import docstrings
-import formula_tree
-import formulas
 from blocktypes import (
-    NO_NAMES,
     default_of,
     feedthrough,
-    interface_of,
     kind_of,
     meaning,
     module_texts,
     modules,
-    names_of,
-    pieces_of,
     ports_of,
     range_of,
     size_of,
@@ -64,11 +56,12 @@ import blocks.analysis
 from blocks import cli
 from blocks.cli.values import assignments
 from blocks.contract.interface import Interface
+from blocks.contract.type_texts import NO_NAMES, interface_of, names_of, pieces_of
 from blocks.contract.variables import REQUIRED
 from blocks.library import LIBRARY
 from blocks.model import diagram_grammar, study_grammar
 from blocks.model.diagram_grammar import MEASURES
-from blocks.text import units
+from blocks.text import docstrings, formula_tree, formulas, units
 from blocks.text.explanations import EXPLAINED, FOLDER, GROUPS, explained
 from blocks.text.grammar import Choice, Constant
 
@@ -278,7 +271,7 @@ class Reference(SphinxDirective):
     """What these directives share: the page is made again when the code that it tells about changes."""
 
     def depend(self, *things: Any) -> None:
-        for thing in (*things, raw, formulas.html, formula_tree.Node, docstrings.paragraphs_of, blocktypes.names_of):
+        for thing in (*things, raw, formulas.html, formula_tree.Node, docstrings.paragraphs_of, names_of, unit_of):
             self.env.note_dependency(str(Path(inspect.getfile(thing)).resolve()))
 
 

@@ -28,10 +28,12 @@ from blocks import Block, Diagram, cli
 from blocks.contract import expressions
 from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
+from blocks.contract.type_texts import interface_of, names_of, pieces_of, resolved_of
 from blocks.contract.variables import REQUIRED
 from blocks.library import LIBRARY
 from blocks.model import diagram_grammar as g
 from blocks.model import study_grammar as s
+from blocks.text import docstrings, formulas
 from blocks.text.explanations import EXPLAINED
 from blocks.text.grammar import Object
 from tests.support.marks import long_but
@@ -40,9 +42,6 @@ from tests.support.samples import PAGES, ROOT, Page, workplace
 DOCS = ROOT / "docs"
 sys.path.insert(0, str(DOCS / "_ext"))
 
-import blocktypes  # noqa: E402
-import docstrings  # noqa: E402
-import formulas  # noqa: E402
 import reference  # noqa: E402
 
 QUICK, SLOW = {"gallery/index.md"}, {"cookbook.md"}
@@ -83,7 +82,7 @@ def _runs(cls: type[Block]) -> None:
     required = {name: 0.1 for name, p in cls.declaration.parameters.items() if p.default is REQUIRED}
     handle = diagram.add("block", cls(**required))
     inputs = {}
-    for name, port in blocktypes.interface_of(cls).inputs.items():
+    for name, port in interface_of(cls).inputs.items():
         source = diagram.input(f"in_{name}", unit=port.unit, size=port.size if port.shape else None, type=port.type)
         inputs[f"in_{name}"] = np.linspace(0.5, 1.5, port.size) if port.shape else port.type == "bool" or 0.7
         diagram.wire(getattr(handle, name), source)
@@ -261,8 +260,8 @@ def test_formulas_are_found_in_text(text: str, found: list[str]) -> None:
 def _texts() -> Iterator[tuple[str, formulas.Names, str, str]]:
     """Every text of every block's docstring: the type, its names, the text, and its kind: summary, line or text."""
     for name, cls in LIBRARY.items():
-        names = blocktypes.names_of(cls)
-        summary, pieces = blocktypes.pieces_of(cls)
+        names = names_of(cls)
+        summary, pieces = pieces_of(cls)
         yield name, names, summary, "summary"
         for piece in _each(pieces):
             if isinstance(piece, docstrings.Lines):
@@ -280,7 +279,7 @@ def _each(pieces: list[docstrings.Piece]) -> Iterator[docstrings.Piece]:
 
 def test_no_word_of_a_docstring_is_lost() -> None:
     for name, cls in LIBRARY.items():
-        summary, pieces = blocktypes.pieces_of(cls)
+        summary, pieces = pieces_of(cls)
         told = summary
         for piece in _each(pieces):
             match piece:
@@ -369,7 +368,7 @@ def _numbers(cls: Any, seed: int) -> dict[str, Any]:
         if not p.structural and isinstance(p.default, float) and p.type == "real" and p.shape == ()
     }
     moved = {key: Value(float(value * rng.uniform(0.8, 1.2))) for key, value in plain.items()}
-    resolved = blocktypes.resolved_of(cls, moved) or blocktypes.resolved_of(cls)
+    resolved = resolved_of(cls, moved) or resolved_of(cls)
     interface = resolved.interface
     known: dict[str, Any] = {"t": rng.uniform(0, 2), "tick": 3.0}
     for key, value in resolved.values.items():

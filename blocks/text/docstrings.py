@@ -20,7 +20,7 @@ import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
 
-from formulas import Code, Formula, Names, Part, Words, formulas_in
+from .formulas import Code, Formula, Names, Part, Words, formulas_in
 
 __all__ = ["Entry", "Lines", "Paragraph", "Piece", "References", "is_readable", "paragraphs_of"]
 

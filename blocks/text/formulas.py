@@ -24,7 +24,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
 
-from formula_tree import (
+from .formula_tree import (
     FUNCTIONS,
     RELATIONS,
     SIGNS,
