@@ -15,13 +15,10 @@ import json
 import typing
 from collections.abc import Callable, Mapping
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import quoted
-
-if TYPE_CHECKING:
-    from .session import Session
 
 __all__ = ["ASIDE", "HANDLERS", "Answer", "answer", "handles", "handles_aside", "message_of"]
 
@@ -67,7 +64,7 @@ def _no_number(word: str) -> float:
     raise ValueError(word)
 
 
-def answer(session: Session, message: Mapping[str, Any]) -> Answer:
+def answer(session: Any, message: Mapping[str, Any]) -> Answer:
     """What the session answers to a message.
 
     Raises UsageError (E501), with all that is wrong with it, and what the function raises.
@@ -78,7 +75,7 @@ def answer(session: Session, message: Mapping[str, Any]) -> Answer:
         cure = did_you_mean(str(name)[:60], HANDLERS) or "Load the page again: it is of another version."
         raise UsageError(Fault("E501", "message", f"{quoted(str(name)[:60])} is not known.", cure))
     fields = {key: value for key, value in message.items() if key not in _ENVELOPE}
-    hints = typing.get_type_hints(function, localns={"Session": object})
+    hints = typing.get_type_hints(function)
     known = {p.name: p for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY}
     faults = []
     for key, value in fields.items():

@@ -10,7 +10,7 @@ import queue
 import secrets
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from ..api.diagram import Diagram
@@ -42,7 +42,8 @@ class Session:
     """An open document with its run.
 
     values, inputs: what was set in place of what the file says, by path and by name, for this run and the next ones.
-    runs: the live run and earlier ones, whose rows are kept. engine, trust: as of `Diagram.run`.
+    runs: the live run and earlier ones, whose rows are kept. hearers: called when the run has news, or another document
+    was read. engine, trust: as of `Diagram.run`. Modules that answer messages stand above this one.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class Session:
         self.runs: dict[int, LiveRun] = {}
         self.live: LiveRun | None = None
         self.clients: list[Client] = []
+        self.hearers: list[Callable[[], None]] = []
         self._numbers = 0
         self._todo: queue.SimpleQueue[tuple[Client | None, Any]] = queue.SimpleQueue()
         self._is_told = threading.Event()  # news of the run wait in the queue
@@ -112,6 +114,8 @@ class Session:
                 looked = time.monotonic()
                 if self.document.has_changed() and self.document.read():
                     self.broadcast({"is": "document", **self.document.told()})
+                    for hear in self.hearers:
+                        hear()
         if self.live is not None:
             self.live.stop()
 
@@ -119,6 +123,8 @@ class Session:
         if what == "news":
             self._is_told.clear()
             self.tell_run()
+            for hear in self.hearers:
+                hear()
         elif client is not None and what == "connected":
             self.clients.append(client)
             client.send(self.hello())
