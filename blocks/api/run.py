@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import math
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -45,6 +46,9 @@ from .streaming import Streaming, part_to_resume
 from .values import check_settings, time_of
 
 __all__ = ["Run", "RunOptions", "engine_of", "started"]
+
+FAR = 10**9
+"""s: so far goes a run without a stop time that goes on until it is told to stop."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,6 +249,11 @@ class Run:
         if self._streaming is not None:
             self._streaming.keep(results)
 
+    @_by_one_thread
+    def end(self) -> None:
+        """Free its FMUs at once: it does not go on."""
+        self._simulation.engine.abandon()
+
     def leave(self) -> None:
         """This run does not go on: another one may, from its part."""
         if self._streaming is not None and self._streaming.part is not None:
@@ -330,6 +339,11 @@ class Run:
         return self._prepared
 
     @property
+    def options(self) -> RunOptions:
+        """What it was given besides its model."""
+        return self._options
+
+    @property
     def t(self) -> float:
         """The time in s that the run has reached."""
         return self._simulation.t
@@ -362,12 +376,44 @@ class Run:
         end = time_of("advance_to", stop)
         if end < self._exact:
             raise UsageError(Fault("E501", "advance_to", f"t = {float(end)} s lies before {float(self._exact)} s."))
+        self._advance(end)
+
+    @_by_one_thread
+    def advance_past(self, t: Any) -> None:
+        """Go on to the end of the first step that reaches a time in s, with all that happens there.
+
+        Unlike `advance_to`, it cuts no step: what is set there has the same bits as in a run that stood there live. It
+        stops at the stop time at the latest.
+        """
+        past, pause = float(time_of("advance_past", t)), self._simulation.engine.pause
+        pause(0.05, past if self.t < past else math.inf)
+        try:
+            self.advance_until(lambda simulation: simulation.t >= past)
+        finally:
+            pause(0.05, math.inf)
+        self._simulation.values(())  # what is outstanding happens
+
+    @_by_one_thread
+    def advance_until(self, until: Callable[[Simulation], bool]) -> bool:
+        """Go on to the stop time, or, where there is none, for 1e9 s, or until that is enough; whether it was.
+
+        until: asked at first and after each moment (a step, an instant, or a slice of computing); no step is cut for
+        it. It may set, and wait.
+        """
+        stop = self.settings.stop
+        if stop is None:
+            bases = Fraction(2**53) * (self.plan.base if isinstance(self.plan, Plan) else 1)
+            stop = min(self.settings.start + FAR, bases)
+        return self._advance(stop, lambda: until(self._simulation))
+
+    def _advance(self, end: Fraction, until: Callable[[], bool] | None = None) -> bool:
+        """Go on to `end`, or until that is enough; whether it was."""
         if self.ended is not None and end > self._exact:
             message = f"the run is over since t = {self.t:.10g} s: an FMU ended it."
             raise UsageError(Fault("E501", self._prepared.plan.name, message, "Begin it anew."))
         for piece in (*(between for between in self.settings.stops if self._exact < between < end), end):
             try:
-                self._simulation.advance_to(piece)
+                is_enough = self._simulation.advance_to(piece, until)
             except (SimulationError, FMUError) as error:
                 if error.results is not None:
                     error.results = self._told(error.results)
@@ -375,10 +421,11 @@ class Run:
             if self._simulation.interrupted:
                 self._exact = Fraction(self.t)
                 raise KeyboardInterrupt
-            if self.ended is not None:
-                self._exact = Fraction(self.t)
-                return
+            if is_enough or self.ended is not None:
+                self._exact = self._simulation.exact
+                return is_enough
             self._exact = piece
+        return False
 
     @_by_one_thread
     def finish(self) -> Results:

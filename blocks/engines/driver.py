@@ -77,11 +77,19 @@ class Simulation:
         return self.engine.tried
 
     @property
+    def steps(self) -> int:
+        """How many steps it has taken."""
+        return self.engine.steps
+
+    @property
     def recorded_bytes(self) -> float:
         return self.engine.recorded_bytes
 
-    def advance_to(self, stop: Fraction) -> None:
+    def advance_to(self, stop: Fraction, until: Callable[[], bool] | None = None) -> bool:
         """Run up to and including the instant at `stop`, or to where an FMU ends the run.
+
+        until: asked at first and after each moment, whether it is enough; no step is cut for it. It may set what can be
+        set, and take rows. Returns whether it was.
 
         Raises SimulationError and FMUError, with the results so far, where it fails. After KeyboardInterrupt the run
         stands at the last moment that counts, and `interrupted` is set; it can go on from there.
@@ -94,6 +102,8 @@ class Simulation:
                 with engine.hearing() as look_up:
                     is_there = False
                     while not is_there:
+                        if until is not None and until():
+                            return True
                         t = engine.t
                         is_there = engine.proceed(stop)
                         look_up()
@@ -109,6 +119,7 @@ class Simulation:
                             look_up()  # one that came meanwhile, which may be the last moment
             except KeyboardInterrupt:
                 self.interrupted = True
+        return False
 
     def set_input(self, index: int, value: Array) -> None:
         """An input jumps now."""
@@ -154,7 +165,7 @@ class Simulation:
         except Ended:
             raise
         except (SimulationError, FMUError) as error:
-            if self.is_telling:
+            if self.is_telling or error.results is not None:  # of another run, or told already: of what `until` has set
                 self.engine.abandon()
                 raise
             failed: SimulationError | FMUError = error

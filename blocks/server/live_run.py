@@ -1,27 +1,46 @@
-"""A run in a thread of its own, which can be paused, paced and turned while it goes."""
+"""A run that a person watches and turns: in a thread of its own, paused, stepped and paced, with its rows to look at.
+
+It is the run of `blocks run`: the same engine, led by the same `Simulation`, which asks between its moments whether to
+go on; no step is cut for a pause. What was set is known by the step it came after, so that a script has the same bits.
+"""
 
 from __future__ import annotations
 
+import math
 import threading
-import time
-from collections.abc import Callable
-from fractions import Fraction
-from typing import Any, NamedTuple
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ..api.run import Run
-from ..results.results import Results
-from ..text.errors import BlocksError
+from ..engines.driver import Simulation
+from ..engines.run.memory_estimate import COPIES_OF_MASTER
+from ..results.results import Event, Results
+from ..text.available_memory import Watch
+from ..text.errors import BlocksError, Fault, FMUError, SimulationError, UsageError
 
 __all__ = ["LiveRun", "Turned"]
 
 Array = np.ndarray[Any, Any]
-SLICE = Fraction(1, 50)
+SLICE = 0.01
+"""s of computing after which the engine comes back at the latest."""
+PERIOD = 0.03
+"""s between two looks at the rows, and between two looks at the clock of a paced run."""
+SHARE = 20
+"""The looks at the rows take one part in so many of the time."""
+
+_Made = TypeVar("_Made")
 
 
-class Turned(NamedTuple):
-    """A value that was set: after so many accepted steps, at t in s."""
+@dataclass(frozen=True, slots=True)
+class Turned:
+    """What was set: after how many steps, at which time in s, the name of an input or the path of a parameter."""
 
     steps: int
     t: float
@@ -30,121 +49,329 @@ class Turned(NamedTuple):
 
 
 class LiveRun:
-    """A run that stands at its start until `go`. changed: called from its thread when there is something new."""
+    """A Run in its own thread, which stands at the start until it is told to `go`. Any thread may call all of it.
+
+    changed: called by the thread of the run when there is something new, at most every 30 ms and when its state
+    changes; it must not wait for the run. state: "running", "paused", "done", "stopped" or "failed" (`error` says why;
+    the rows up to there stay). t, steps, rejected, seconds (of computing), lag (how far it is behind the clock, in s)
+    and `rows` are those of the last look. columns: of each signal the first of its columns, its shape and unit.
+    """
 
     def __init__(self, run: Run, changed: Callable[[], None]) -> None:
-        self.run, self._changed = run, changed
+        results = run.results
+        self.columns: Mapping[str, tuple[int, tuple[int, ...], str]] = results.columns
+        self.changed, self.prepared, self.options = changed, run.prepared, run.options
         self.state, self.error = "paused", None  # type: str, BlocksError | None
+        self.t, self.steps, self.rejected = run.t, 0, 0
         self.pace: float | None = None
         self.lag = self.seconds = 0.0
         self.turned: list[Turned] = []
-        self._todo: list[Callable[[], None]] = []
-        self._wake = threading.Condition()
-        self._is_over = False
-        self._results: Results = run.results
-        self.columns = {
-            name: (first, signal.shape, signal.unit)
-            for name, first in _firsts(run)
-            for signal in [run.plan.signal(name)]
-        }
-        self._thread = threading.Thread(target=self._work, daemon=True, name="live run")
+        self._events = results.events
+        self._rows = _Rows(1 + results.values.shape[1])
+        self._rows.show(results)
+        self._final: Results | None = None
+        self._run: Run | None = run
+        self._condition = threading.Condition()
+        self._wish, self._version = "paused", 0  # running, step, paused or stopped; how often something was asked
+        self._asked: deque[tuple[Callable[[Simulation], Any], Future[Any]]] = deque()
+        self._is_standing = False  # all of this moment has happened, and is shown
+        self._at = math.nan  # the time of the last moment
+        self._soft = math.inf  # the time at which the engine comes back
+        self._stepped_from: float | None = None
+        self._origin: tuple[float, float] | None = None  # the clock, and the time of the run, from which it is paced
+        self._next = self._left = 0.0  # when to look at the rows; when the engine went on
+        self._watch = Watch()
+        self._thread = threading.Thread(target=self._live, name=f"live run of {run.plan.name}", daemon=True)
         self._thread.start()
 
-    @property
-    def t(self) -> float:
-        return self.run.t
-
-    @property
-    def steps(self) -> int:
-        return self._results.statistics.steps
-
-    @property
-    def rejected(self) -> int:
-        return self._results.statistics.rejected
+    # --- from other threads ------------------------------------------------------------------------------------------
 
     def go(self, pace: float | None = None) -> None:
-        self.pace = pace
-        self._become("running")
+        """Go on; pace: simulated s per s of the clock, None: as fast as it goes. Raises UsageError (E501)."""
+        if pace is not None and not (isinstance(pace, (int, float)) and 0.0 < pace < math.inf):
+            raise UsageError(Fault("E501", "pace", f"{pace!r} is no number above 0.", "1 is real time."))
+        with self._condition:
+            self.pace, self._origin, self.lag = pace, None, 0.0
+            self._wish_for("running")
 
     def pause(self) -> None:
-        self._become("paused")
+        """Stand at the next moment of the engine."""
+        with self._condition:
+            self._wish_for("paused")
 
     def step(self) -> None:
-        self._later(self._advance)
+        """Take one step, with all that happens at its end."""
+        with self._condition:
+            self._stepped_from = None
+            self._wish_for("step")
 
     def stop(self) -> None:
-        self._is_over = True
-        self._become("stopped")
+        """End the run; what it has recorded stays, FMUs are freed. `wait` waits for it."""
+        with self._condition:
+            self._wish_for("stopped")
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until the run is over; whether it is."""
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
 
     def set(self, name: str, value: Any) -> Turned:
-        done = threading.Event()
-        failure: list[BlocksError] = []
-
-        def act() -> None:
-            try:
-                self.run.set(name, value)
-                self.turned.append(Turned(self.steps, self.t, name, value))
-            except BlocksError as error:
-                failure.append(error)
-            done.set()
-
-        self._later(act)
-        done.wait(5.0)
-        if failure:
-            raise failure[0]
-        return self.turned[-1]
-
-    def rows(self) -> tuple[Array, Array]:
-        return self._results.t, self._results.values
-
-    def events(self, since: int = 0) -> list[Any]:
-        return list(self._results.events)[since:]
+        """Set an input, or a tunable parameter by its path, at the next moment. Raises UsageError, ModelError."""
+        return self._ask(lambda simulation: self._set(simulation, name, value))
 
     def results(self) -> Results:
-        return self._results
+        """All that was recorded up to now."""
+        if self._final is None:
+            try:
+                return self._ask(lambda simulation: self._joined(self._present.results))
+            except UsageError:
+                if self._final is None:
+                    raise
+        return self._final
 
-    def _become(self, state: str) -> None:
-        with self._wake:
-            if self.state in ("running", "paused"):
-                self.state = state
-            self._wake.notify_all()
+    def rows(self) -> tuple[Array, Array]:
+        """Times (n,) and values (n, columns) up to the last look: views. The last row may change where it is set."""
+        return self._rows.view
 
-    def _later(self, act: Callable[[], None]) -> None:
-        with self._wake:
-            self._todo.append(act)
-            self._wake.notify_all()
+    def events(self, since: int = 0) -> list[Event]:
+        """The events from the since-th on."""
+        return list(self._events[since:])
 
-    def _work(self) -> None:
-        while not self._is_over:
-            with self._wake:
-                while not self._todo and self.state != "running" and not self._is_over:
-                    self._wake.wait()
-                todo, self._todo = self._todo, []
-            for act in todo:
-                act()
-            if self.state == "running":
-                self._advance()
-            self._changed()
+    def _wish_for(self, wish: str) -> None:
+        if not self.is_over and self._wish != "stopped":
+            self._wish, self._version = wish, self._version + 1
+            self.state = "running" if wish in ("running", "step") else self.state
+        self._condition.notify_all()
 
-    def _advance(self) -> None:
-        begun = time.perf_counter()
-        stop = self.run.settings.stop
+    @property
+    def is_over(self) -> bool:
+        return self.state in ("done", "stopped", "failed")
+
+    def _ask(self, what: Callable[[Simulation], _Made]) -> _Made:
+        """What the thread of the run answers at its next moment."""
+        future: Future[_Made] = Future()
+        with self._condition:
+            if not self.is_over:
+                self._asked.append((what, future))
+                self._version += 1
+                self._condition.notify_all()
+            else:
+                future.set_exception(self._no_more())
+        return future.result()
+
+    def _no_more(self) -> UsageError:
+        return UsageError(Fault("E501", self.prepared.plan.name, "the run is over.", "Begin another one."))
+
+    # --- in the thread of the run ------------------------------------------------------------------------------------
+
+    @property
+    def _present(self) -> Run:
+        assert self._run is not None
+        return self._run
+
+    def _live(self) -> None:
+        run, state = self._present, "failed"
+        self._left = perf_counter()
         try:
-            end = Fraction(self.run.t) + SLICE
-            self.run.advance_to(end if stop is None else min(end, stop))
-            if stop is not None and self.run.t >= float(stop):
-                self.state = "done"
-        except BlocksError as error:
-            self.error, self.state = error, "failed"
-        self._results = self.run.results
-        self.seconds += time.perf_counter() - begun
-        if self.pace:
-            time.sleep(max(0.0, float(SLICE) / self.pace))
+            state = "stopped" if run.advance_until(self._is_enough) else "done"
+            self._final = self._joined(run.results.changed(interrupted=state == "stopped"))
+        except (SimulationError, FMUError) as error:
+            self.error, self._final = error, self._joined(error.results if error.results is not None else run.results)
+            error.results = self._final
+        finally:
+            self._end(run, state)
+
+    def _end(self, run: Run, state: str) -> None:
+        """Nothing goes on: rows are shown, who waits is told, and what the run holds is freed."""
+        final = self._final
+        if final is not None:
+            self._events, self.steps, self.rejected = final.events, final.statistics.steps, final.statistics.rejected
+        self.t = run.t
+        with self._condition:
+            self.state, self._run = state, None
+            asked, self._asked = self._asked, deque()
+        for _, future in asked:
+            future.set_exception(self._no_more())
+        run.end()
+        self.changed()
+
+    def _is_enough(self, simulation: Simulation) -> bool:
+        """Between two moments: answer, wait, look at the rows; whether the run is to stop."""
+        entered = perf_counter()
+        self.seconds += entered - self._left
+        is_quiet = not self._asked and self._wish == "running" and simulation.t < self._soft and entered < self._next
+        try:
+            return not is_quiet and self._turn(simulation)
+        finally:
+            self._left = perf_counter()
+            simulation.seconds -= self._left - entered
+
+    def _turn(self, simulation: Simulation) -> bool:
+        if simulation.t != self._at:  # a set is known by its time: it comes at the first moment of that, not later
+            self._at, self._is_standing = simulation.t, False
+            while self._wish != "stopped":
+                version = self._version
+                self._answer(simulation)
+                seconds = self._seconds_here(simulation)
+                if seconds <= 0.0:
+                    break
+                with self._condition:
+                    if self._version == version:
+                        self._condition.wait(None if seconds == math.inf else seconds)
+        if self._wish == "stopped":
+            simulation.values(())  # what is outstanding happens
+            self._look(simulation)
+            return True
+        if perf_counter() >= self._next:
+            self._look(simulation)
+            self.changed()
+        return False
+
+    def _answer(self, simulation: Simulation) -> None:
+        """Do what was asked for."""
+        while self._asked:
+            what, future = self._asked.popleft()
+            try:
+                future.set_result(what(simulation))
+            except BaseException as error:
+                future.set_exception(error)
+                if isinstance(error, (SimulationError, FMUError)) or not isinstance(error, BlocksError):
+                    raise  # of the run itself
+
+    def _seconds_here(self, simulation: Simulation) -> float:
+        """How long it stands here (s), unless something is asked for; 0: it goes on, as the engine is told."""
+        t = simulation.t
+        with self._condition:
+            if self._wish == "step":
+                if self._stepped_from is None:
+                    self._stepped_from = t
+                if t == self._stepped_from:
+                    return self._go_on(simulation, math.nextafter(t, math.inf))
+                self._wish = "paused"
+            wish, pace = self._wish, self.pace
+            if wish == "running" and pace is not None and self._origin is None:
+                self._origin = (perf_counter(), t)
+        if wish == "paused":
+            self._stand(simulation)
+            return math.inf
+        if pace is None:
+            return self._go_on(simulation, math.inf)
+        clock = self._clock(pace)
+        if t > clock:
+            if perf_counter() >= self._next:
+                self._look(simulation)
+                self.changed()
+            return (t - clock) / pace
+        return self._go_on(simulation, max(clock + PERIOD * pace, math.nextafter(t, math.inf)))
+
+    def _clock(self, pace: float) -> float:
+        """The time that a paced run should be at now."""
+        begun, t = self._origin or (perf_counter(), self._at)
+        return t + (perf_counter() - begun) * pace
+
+    def _go_on(self, simulation: Simulation, soft: float) -> float:
+        self._soft = soft
+        simulation.engine.pause(SLICE, soft)
+        return 0.0
+
+    def _stand(self, simulation: Simulation) -> None:
+        """It is paused: all that belongs to this moment has happened, and is shown."""
+        if not self._is_standing:
+            simulation.values(())
+            self._look(simulation)
+            with self._condition:
+                self.state = "paused" if self._wish == "paused" else self.state
+            self._is_standing = True
+            self.changed()
+
+    def _set(self, simulation: Simulation, name: str, value: Any) -> Turned:
+        simulation.values(())  # as `advance_past` does
+        self._present.set(name, value)
+        self._is_standing = False
+        self.turned.append(turned := Turned(simulation.steps, simulation.t, name, value))
+        return turned
+
+    def _look(self, simulation: Simulation) -> None:
+        """Take over the rows since the last look, and how the run stands."""
+        begun = perf_counter()
+        self._rows.add(simulation.engine.taken())
+        results = simulation.results()  # with the last row alone
+        self._rows.show(results)
+        self._events = results.events
+        self.t, self.steps, self.rejected = simulation.t, simulation.steps, simulation.tried - simulation.steps
+        if self.pace is not None and self._wish == "running":
+            self.lag = max(0.0, (self._clock(self.pace) - self.t) / self.pace)
+        self._watch.look(self._rows.bytes, COPIES_OF_MASTER)
+        now = perf_counter()
+        self._next = now + max(PERIOD, SHARE * (now - begun))
+
+    def _joined(self, results: Results) -> Results:
+        """Results with all rows; of a run that goes on, a copy of these."""
+        self._rows.show(results)
+        t, values = self._rows.view
+        return results.changed(t=t.copy(), values=values.copy())
+
+    # --- to do it again ----------------------------------------------------------------------------------------------
+
+    def script(self, path: str | Path) -> str:
+        """A Python script that runs the diagram of a file as this run went: it gives the same bits."""
+        given = {**dict(self.prepared.settings), "interpolation": self.options.interpolation}
+        given.update(parameters=dict(self.prepared.parameters), inputs=self.options.inputs, engine=self.options.engine)
+        usual = {"interpolation": "linear", "parameters": {}}
+        told = {key: value for key, value in given.items() if value is not None and value != usual.get(key)}
+        arguments = ", ".join(f"{key}={_literal(value)}" for key, value in told.items())
+        lines = ["from blocks import Diagram", "", f"run = Diagram.load({str(path)!r}).start({arguments})"]
+        for turned in self.turned:
+            lines.append(f"run.advance_past({turned.t!r})  # {turned.steps} steps")
+            lines.append(f"run.set({turned.name!r}, {_literal(turned.value)})")
+        if self.state == "done" and self.prepared.plan.settings.stop is not None:
+            lines.append("results = run.finish()")
+        else:
+            lines += [f"run.advance_past({self.t!r})  # {self.steps} steps", "results = run.results"]
+        return "\n".join([*lines, ""])
 
 
-def _firsts(run: Run) -> list[tuple[str, int]]:
-    named, first = [], 0
-    for name in run.plan.log:
-        named.append((name, first))
-        first += len(run.plan.signal(name).references)
-    return named
+class _Rows:
+    """Rows in one array that grows; those that were added stay as they are. view: times and values, which may be read
+    while others are added.
+    """
+
+    def __init__(self, width: int) -> None:
+        self.kept, self.n = np.empty((1024, width)), 0
+        self.view: tuple[Array, Array] = self.kept[:0, 0], self.kept[:0, 1:]
+
+    @property
+    def bytes(self) -> float:
+        return float(8 * self.n * self.kept.shape[1])
+
+    def add(self, rows: Array) -> None:
+        """Rows that do not change any more."""
+        end = self.n + len(rows)
+        self._put(self.n, rows)
+        self.n = end
+
+    def show(self, results: Results) -> None:
+        """The rows after those, which may still change: both are seen from now on."""
+        end = self.n + len(results.t)
+        self._put(self.n, np.column_stack([results.t, results.values]))
+        self.view = self.kept[:end, 0], self.kept[:end, 1:]
+
+    def _put(self, first: int, rows: Array) -> None:
+        if first + len(rows) > len(self.kept):
+            more = np.empty((2 * (first + len(rows)), self.kept.shape[1]))
+            more[:first] = self.kept[:first]
+            self.kept = more
+        self.kept[first : first + len(rows)] = rows
+
+
+def _literal(value: Any) -> str:
+    """A value as Python reads it."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key!r}: {_literal(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, tuple):
+        return "(" + "".join(f"{_literal(each)}, " for each in value) + ")"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_literal, value)) + "]"
+    if isinstance(value, Path):
+        return repr(str(value))
+    return repr(value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value)

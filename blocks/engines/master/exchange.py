@@ -51,6 +51,9 @@ class Exchange:
         self.past: list[list[Point]] = [[] for _ in coupling.elements]
         self.segment = self.inputs.segment(self.t)
 
+    def pause(self, every: float, at: float) -> None:
+        pass  # a moment is one step
+
     def value_of(self, link: Link, t: float) -> float:
         """What a link gives at t, as the units see it."""
         place: int = link.index

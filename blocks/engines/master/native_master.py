@@ -252,7 +252,7 @@ class NativeMaster(ReferenceMaster):
         m.z, m.f, m.dz, m.df = (self._array(np.zeros(e)) for _ in range(4))
         m.work = self._array(np.zeros(3 * e))
         m.left_row = self._array(np.zeros(2 * m.ncolumns + 2))
-        m.slice, m.most_bytes = 0.05, for_recording() / COPIES_OF_MASTER
+        m.slice, m.soft, m.most_bytes = 0.05, math.inf, for_recording() / COPIES_OF_MASTER
         m.patience = max((unit.one.timeout for unit in self.units if isinstance(unit, FmuUnit)), default=PATIENCE)
         m.due, m.acting, m.changed = (self._array(np.zeros(m.nunits), np.uint8) for _ in range(3))
         watched = [
@@ -440,6 +440,9 @@ class NativeMaster(ReferenceMaster):
                     running.one.raise_inside()
             return bool(status == _IS.DONE)
         return True
+
+    def pause(self, every: float, at: float) -> None:
+        self._c.slice, self._c.soft = every, at
 
     def _take_over(self) -> None:
         """Take over the state that C has reached."""

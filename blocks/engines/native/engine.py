@@ -246,6 +246,9 @@ class NativeEngine:
             self.fail()
         return self.over is not None
 
+    def pause(self, every: float, at: float) -> None:
+        self.sim.slice, self.sim.soft = every, at
+
     @property
     def over(self) -> Fault | None:
         return None if self._foreign is None else self._foreign.over
@@ -600,6 +603,10 @@ class NativeEngine:
         return self._witness(state, units).values(references)
 
     @property
+    def steps(self) -> int:
+        return int(self.sim.steps)
+
+    @property
     def tried(self) -> int:
         return int(self.sim.steps + self.sim.rejected)
 
@@ -655,7 +662,7 @@ class NativeEngine:
 
     def taken(self) -> Array:
         with self._alone():
-            self.sim.slice = 0.01  # s: so few rows gather until the next moment
+            self.sim.slice = min(self.sim.slice, 0.01)  # s: so few rows gather until the next moment
             first, in_chunks = self._counts()
             if not first:
                 return self._first[:0]

@@ -230,6 +230,9 @@ class ReferenceEngine:
                 self.step(*self.next_instant(stop))
         return not self.outstanding and (self.now.t >= end or self.over is not None)
 
+    def pause(self, every: float, at: float) -> None:
+        pass  # a moment is one step
+
     def hearing(self) -> AbstractContextManager[Callable[[], None]]:
         # An integration that was broken off begins anew, as it does where a saved run goes on: both give the same.
         self.stiff = None

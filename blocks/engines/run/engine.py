@@ -81,6 +81,11 @@ class Engine(Protocol):
         ...
 
     @property
+    def steps(self) -> int:
+        """How many steps it has taken."""
+        ...
+
+    @property
     def tried(self) -> int:
         """How many steps it has tried: those that were rejected count too."""
         ...
@@ -99,9 +104,15 @@ class Engine(Protocol):
         ...
 
     def proceed(self, stop: Fraction) -> bool:
-        """Go on for a moment (a step, an instant, or 0.05 s of computing) towards `stop`, and not beyond.
+        """Go on for a moment (a step, an instant, or a slice of computing) towards `stop`, and not beyond.
 
         Returns whether it has come there, with all that happens at that time, or to where an FMU ended the run.
+        """
+        ...
+
+    def pause(self, every: float, at: float) -> None:
+        """How long a moment is: at most so many seconds of computing (0.05 at first), and no longer than to the end of
+        the first step that reaches the time `at`, which lies ahead (inf at first). No step is another one for it.
         """
         ...
 

@@ -2305,7 +2305,7 @@ int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact)
     while (s->outstanding || s->t < end) {
         if (s->outstanding) {
             if (instant(s, 0)) return s->failure == -1 ? BLOCKS_NO_MEMORY : BLOCKS_FAILED;
-            if (s->t < end && blocks_clock(s)) return BLOCKS_PAUSED;
+            if (s->t < end && (s->t >= s->soft || blocks_clock(s))) return BLOCKS_PAUSED;
             continue;
         }
         int stopped = s->model->run(s, next_instant(s, end, count, exact));
@@ -2338,6 +2338,7 @@ void blocks_reset(BlocksSim *s)
     s->fixed = 1;
     s->row = 0;
     s->slice = 0.05;
+    s->soft = INFINITY;
     s->exact = s->has_first = s->has_before = s->outstanding = s->crossing = s->changed = s->has_left = 0;
     s->steps = s->rejected = s->evaluations = s->instants = 0;
     s->failure = BLOCKS_FINE;

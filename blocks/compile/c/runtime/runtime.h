@@ -244,6 +244,7 @@ struct BlocksSim {
     double value;
     int64_t budget, budget_start; /* steps until the clock is looked at */
     double slice, deadline;       /* s; inf: no pauses, and no look at the clock; 0: a pause after each step */
+    double soft;                  /* a pause after the step that reaches this time, for which none is cut; inf: none */
     int64_t *ticks;               /* (nrates) number of the next tick */
     double *events, *own;         /* (nevents) */
     double *located, *sides;      /* (ns) distances beyond, and values at sides_t */

@@ -495,6 +495,7 @@ static int run(BlocksSim *s, double target)
     const BlocksMemory memory = s->memory, *const m = &memory;
     const int moving = (BLOCKS_NU || BLOCKS_NH) && s->moving;
     const int has_grid = setup->every.is_given, is_on_grid = has_grid || setup->is_silent;
+    const double soft = s->soft;
     double t;
     int64_t steps, evaluations, budget;
 #if SMALL
@@ -522,9 +523,9 @@ static int run(BlocksSim *s, double target)
     while ((point = blocks_grid(&grid, fixed)) <= t) fixed++;
 #endif
     for (;;) {
-        if (--budget <= 0) {
+        if (--budget <= 0 || t >= soft) {
             GIVE_BACK;
-            if (blocks_clock(s)) {
+            if (t >= soft || blocks_clock(s)) {
 #if !BLOCKS_METHOD_DOPRI5
                 s->fixed = fixed;
 #endif

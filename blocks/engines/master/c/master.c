@@ -1324,7 +1324,7 @@ static int quick(Master *m, double stop, double deadline)
         if (m->nwatched) watch(m, 1);
         if (m->nmeasured && measure(m, 0.0)) return 1;
         if (record(m, NULL)) return 1;
-    } while (m->t < stop && !is_over(m) && seconds() < deadline);
+    } while (m->t < stop && m->t < m->soft && !is_over(m) && seconds() < deadline);
     return 0;
 }
 
@@ -1359,7 +1359,7 @@ int master_run(Master *m, double stop)
             }
             if (to(m, target, &calm)) return MASTER_FAILED;
         }
-        if (seconds() > deadline) return m->t < stop ? MASTER_PAUSED : MASTER_DONE;
+        if (m->t >= m->soft || seconds() > deadline) return m->t < stop ? MASTER_PAUSED : MASTER_DONE;
     }
     return MASTER_DONE;
 }

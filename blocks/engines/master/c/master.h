@@ -155,7 +155,7 @@ typedef struct {
     double *left_row;
     int64_t has_unsure, depth, crowd; /* depth: how many instants have cut the step under way short */
     int64_t small, worst; /* short steps in a row where steps are controlled, and the element that asks for them */
-    double slice, most_bytes, patience; /* patience: s; how long a step of FMI 2 may stay pending */
+    double slice, soft, most_bytes, patience; /* soft: a pause after the step that reaches it; patience: s; how long a step of FMI 2 may stay pending */
     int64_t steps, rejected, instants, iterated;
     int32_t failure, unit, function, status;
     double value, failed_t;
