@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -66,16 +67,21 @@ class Graph:
         """(from, to) once for each wire, in order."""
         return [(net.source[0], sink[0]) for net in self.nets for sink in net.sinks]
 
-    def part(self, chosen: Sequence[int]) -> tuple[Graph, list[int]]:
-        """The graph of some nodes and of the nets that begin there, and the indices of these nets."""
-        place = {node: index for index, node in enumerate(chosen)}
-        kept = [index for index, net in enumerate(self.nets) if net.source[0] in place]
-        nets = []
-        for index in kept:
-            net = self.nets[index]
-            sinks = tuple((place[node], port) for node, port in net.sinks)
-            nets.append(Net((place[net.source[0]], net.source[1]), sinks))
-        return Graph(tuple(self.nodes[node] for node in chosen), tuple(nets)), kept
+    def parts(self) -> list[tuple[list[int], Graph, list[int]]]:
+        """The components, each as its nodes, the graph of these, and the indices of its nets."""
+        groups = self.components()
+        home = {node: (group, place) for group, chosen in enumerate(groups) for place, node in enumerate(chosen)}
+        kept: list[list[int]] = [[] for _ in groups]
+        nets: list[list[Net]] = [[] for _ in groups]
+        for index, net in enumerate(self.nets):
+            group, place = home[net.source[0]]
+            kept[group].append(index)
+            nets[group].append(Net((place, net.source[1]), tuple((home[node][1], port) for node, port in net.sinks)))
+        graphs = (
+            Graph(tuple(self.nodes[node] for node in chosen), tuple(own))
+            for chosen, own in zip(groups, nets, strict=True)
+        )
+        return list(zip(groups, graphs, kept, strict=True))
 
     def components(self) -> list[list[int]]:
         """Nodes that are joined by nets, in order of their first node."""
@@ -170,13 +176,14 @@ def junctions(paths: Sequence[Path]) -> list[Point]:
     if len(paths) < 2:
         return []
     flat, upright = pieces(paths)
+    corners = {point for path in paths for point in path[1:-1]}
+    heights = [y for y, _, _ in flat]
     points = []
     for x, top, bottom in upright:
-        for y, left, right in flat:
-            if left <= x <= right and top <= y <= bottom:
+        for y, left, right in flat[bisect_left(heights, top) : bisect_right(heights, bottom)]:
+            if left <= x <= right:
                 ways = (left < x) + (x < right) + (top < y) + (y < bottom)
-                corner = any((x, y) in path[1:-1] for path in paths)
-                if ways >= 3 and corner:
+                if ways >= 3 and (x, y) in corners:
                     points.append((x, y))
     return points
 

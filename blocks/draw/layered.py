@@ -9,6 +9,7 @@ IEEE Trans. SMC 11 (1981).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 from .channels import Trunk, tracks_of
@@ -25,6 +26,7 @@ BETWEEN = 30.0  # between parts of a diagram that no wire joins
 ASPECT = 2.0  # of a drawing with several parts, about
 SMALL = 50  # blocks and passing wires, up to which many layouts are tried
 MEDIUM = 120  # and up to which some are
+LARGE = 200  # blocks of a whole diagram, above which each part of it is laid out once
 SWEEPS = 12  # in which nodes move to other columns
 
 
@@ -34,9 +36,12 @@ def layered(graph: Graph, *, stacked: bool = False) -> Arranged:
     Parts that no wire joins are put side by side on shelves, or, if `stacked`, below each other.
     """
     parts = []
-    for chosen in graph.components():
-        part, nets = graph.part(chosen)
-        parts.append((chosen, nets, part, _best(part)))
+    known: dict[Graph, Arranged] = {}  # parts alike are arranged once; what keeps wires away does not matter here
+    for chosen, part, nets in graph.parts():
+        bare = Graph(tuple(replace(node, rooms=(), fixed=None) for node in part.nodes), part.nets)
+        if bare not in known:
+            known[bare] = _best(bare, few=len(graph.nodes) > LARGE)
+        parts.append((chosen, nets, part, known[bare]))
     sizes = [bounds(part, arranged) for _, _, part, arranged in parts]
     area = sum((right - left) * (bottom - top) for left, top, right, bottom in sizes)
     widest = max([right - left for left, _, right, _ in sizes] + [(area * ASPECT) ** 0.5])
@@ -55,13 +60,13 @@ def layered(graph: Graph, *, stacked: bool = False) -> Arranged:
     return Arranged(tuple(centers), tuple(paths))
 
 
-def _best(graph: Graph) -> Arranged:
-    """The best of some layouts: feedback below or above, and other orders to begin with."""
+def _best(graph: Graph, *, few: bool) -> Arranged:
+    """The best of some layouts, unless few are wanted: feedback below or above, and other orders to begin with."""
     column = _columns_of(graph)
     columns = columns_ordered(graph, column, 1.0)
     best = _arranged(columns)
     size = len(graph.nodes) + len(columns.passing)
-    if size > MEDIUM or size < 4:
+    if few or size > MEDIUM or size < 4:
         return best
     least = _cost(graph, best)
     for start in range(1, 12 if size <= SMALL else 4):

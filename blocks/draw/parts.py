@@ -65,16 +65,26 @@ def ports_of(diagram: DiagramValue, resolver: Resolver) -> Callable[[str], Ports
 
     resolver: from the name of a type to its class, as for `flatten`.
     """
-    return cache(lambda path: _ports(diagram, path.split("."), resolver))
+    alike: dict[tuple[str, str, Any], Ports] = {}  # blocks of one level with the same type and parameters
+
+    def ports(path: str) -> Ports:
+        *outer, name = path.split(".")
+        inner = diagram
+        for step in outer:
+            below = inner.blocks[step].inner
+            if below is None:
+                return UNKNOWN
+            inner = below
+        entry = inner.blocks[name]
+        key = ".".join(outer), repr(entry), entry.cls
+        if key not in alike:
+            alike[key] = _ports(inner, name, resolver)
+        return alike[key]
+
+    return cache(ports)
 
 
-def _ports(diagram: DiagramValue, steps: list[str], resolver: Resolver) -> Ports:
-    for step in steps[:-1]:
-        inner = diagram.blocks[step].inner
-        if inner is None:
-            return UNKNOWN
-        diagram = inner
-    name = steps[-1]
+def _ports(diagram: DiagramValue, name: str, resolver: Resolver) -> Ports:
     # Alone, so that the faults of its neighbors do not hide its ports.
     probe = replace(diagram, blocks={name: diagram.blocks[name]}, measures={}, run={}, layout={})
     try:

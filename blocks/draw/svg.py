@@ -120,16 +120,16 @@ def _body(drawing: Picture, labels: Mapping[str, int]) -> list[str]:
     dots: dict[str, set[Point]] = {}
     for dot in drawing.dots:
         dots.setdefault(dot.net, set()).add((dot.x, dot.y))
-    drawn: dict[str, list[Path]] = {}
+    drawn: dict[str, _Ink] = {}
     glyphs = []
     # What stays comes first: a wire that was added or removed begins where it leaves the others of its net.
     for wire in sorted(drawing.wires, key=lambda wire: wire.mark is not None):
-        earlier = drawn.setdefault(wire.net, [])
+        earlier = drawn.setdefault(wire.net, _Ink())
         style = _marked(drawing, wire.mark)
         lines.append(_wire(wire, earlier, dots.get(wire.net, set()), labels, style))
         if wire.mark:
-            glyphs.append(_sign(*_spot(_fresh(wire.points, earlier)[0]), wire.mark))
-        earlier.append(wire.points)
+            glyphs.append(_sign(*_spot(earlier.fresh(wire.points)[0]), wire.mark))
+        earlier.add(wire.points)
     for box in drawing.boxes:
         if box.kind != "frame":
             lines += _box(box, labels, _marked(drawing, box.mark))
@@ -160,7 +160,7 @@ def _rate(rate: str, labels: Mapping[str, int]) -> str:
     return f" r{labels[rate]}" if rate in labels else ""
 
 
-def _wire(wire: Wire, earlier: Sequence[Path], dots: set[Point], labels: Mapping[str, int], marked: str = "") -> str:
+def _wire(wire: Wire, earlier: _Ink, dots: set[Point], labels: Mapping[str, int], marked: str = "") -> str:
     """A wire from where it leaves the earlier ones of its net: ink on ink would look bolder."""
     style = "wire" + (" wide" if wire.wide else "") + _rate(wire.rate, labels) + marked
     (px, _), (x, y) = wire.points[-2], wire.points[-1]
@@ -168,7 +168,7 @@ def _wire(wire: Wire, earlier: Sequence[Path], dots: set[Point], labels: Mapping
         head, end = polygon((x, y), (x - 3.5, y + 7), (x + 3.5, y + 7)), (x, y + 4)
     else:
         head, end = polygon((x, y), (x - 7, y - 3.5), (x - 7, y + 3.5)), (x - 4, y)
-    points, behind = _fresh((*wire.points[:-1], end), earlier)
+    points, behind = earlier.fresh((*wire.points[:-1], end))
     # The dashes go on as if the wire began at its source.
     offset = f' stroke-dashoffset="{num(behind)}"' if behind and wire.rate in labels else ""
     title = escaped(plain(wire.mark.tip[:600] if wire.mark else wire.net[:300]))
@@ -194,24 +194,36 @@ def _ports(key: str, pins: Pins) -> str:
     return f' {key}="{escaped(plain(listed))}"' if listed else ""
 
 
-def _fresh(points: Path, earlier: Sequence[Path]) -> tuple[Path, float]:
-    """The part of a path after the longest prefix that it shares with one of the earlier ones, and that length."""
-    longest, best = 0.0, points
-    for other in earlier:
-        length = 0.0
-        rest = points
-        for (a, b), (c, d) in zip(pairwise(points), pairwise(other), strict=False):
-            own, its = _length(a, b), _length(c, d)
-            common = min(own, its)
-            if a != c or not own or not its or _toward(a, b, common) != _toward(c, d, common):
-                break
+class _Ink:
+    """The paths of a net that are drawn already, as a tree from their source."""
+
+    def __init__(self) -> None:
+        self.after: dict[Point, _Ink] = {}  # the corners that follow
+        self.reach: dict[tuple[bool, bool], float] = {}  # how far ink goes in each direction
+
+    def add(self, points: Path) -> None:
+        here = self.after.setdefault(points[0], _Ink())
+        for a, b in pairwise(points):
+            way = _way(a, b)
+            here.reach[way] = max(here.reach.get(way, 0.0), _length(a, b))
+            here = here.after.setdefault(b, _Ink())
+
+    def fresh(self, points: Path) -> tuple[Path, float]:
+        """The part of a path after the longest prefix that has ink, and the length of that prefix."""
+        here, length = self.after.get(points[0]), 0.0
+        for index, (a, b) in enumerate(pairwise(points)):
+            own = _length(a, b)
+            common = min(own, here.reach.get(_way(a, b), 0.0)) if here else 0.0
             length += common
-            rest = rest[1:] if common == own else (_toward(a, b, common), *rest[1:])
-            if own != its:
-                break
-        if length > longest:
-            longest, best = length, rest
-    return best, longest
+            if common < own:
+                return (_toward(a, b, common) if common else a, *points[index + 1 :]), length
+            here = here.after.get(b) if here else None
+        return points[-1:], length
+
+
+def _way(a: Point, b: Point) -> tuple[bool, bool]:
+    """One of the four directions."""
+    return a[0] == b[0], a < b
 
 
 def _length(a: Point, b: Point) -> float:
