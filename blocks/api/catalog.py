@@ -15,7 +15,7 @@ from ..model.block_types import Library, library_types
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import legible
 
-__all__ = ["Catalog", "Found", "ParameterRow", "PortRow", "Sheet", "Word", "measures", "word_of", "words"]
+__all__ = ["Catalog", "Found", "ParameterRow", "PortRow", "Sheet", "Word", "measures", "sheet_of", "word_of", "words"]
 
 
 class PortRow(NamedTuple):
@@ -88,12 +88,12 @@ class Catalog:
         if name.endswith(".fmu"):
             from ..model.fmu_block import fmu_type
 
-            return _sheet(fmu_type(name))
+            return sheet_of(fmu_type(name))
         if name not in self.types:
             near = did_you_mean(name[:200], (*self.types, *self.groups(), *words()))
             cure = f"{near} `blocks list --search WORD` finds types by what they say, `blocks list` names them all."
             raise UsageError(Fault("E103", legible(name), "there is no such block type.", cure))
-        return _sheet(self.types[name])
+        return sheet_of(self.types[name])
 
     def groups(self) -> dict[str, list[Found]]:
         """The block types by group: the modules that hold them."""
@@ -156,7 +156,8 @@ def measures() -> Mapping[str, str]:
     return MEASURES
 
 
-def _sheet(cls: type[Block]) -> Sheet:
+def sheet_of(cls: type[Block]) -> Sheet:
+    """What a block class says of itself."""
     declaration = cls.declaration
     inputs, outputs = _ports(cls)
     parameters = (

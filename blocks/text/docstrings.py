@@ -17,12 +17,13 @@ References: Author, Title, Journal Year.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
+from html import escape
 
-from .formulas import Code, Formula, Names, Part, Words, formulas_in
+from .formulas import Code, Formula, Names, Part, Words, formulas_in, html
 
-__all__ = ["Entry", "Lines", "Paragraph", "Piece", "References", "is_readable", "paragraphs_of"]
+__all__ = ["Entry", "Lines", "Paragraph", "Piece", "References", "html_of", "inline_html", "is_readable", "paragraphs_of"]
 
 _ENTRY = re.compile(r"([A-Za-z_][\w, ]{0,40}): (?=\S)")
 _POINT = re.compile(r"[-*] (?=\S)")
@@ -128,3 +129,51 @@ def is_readable(line: str, names: Names) -> bool:
         and not re.search(r"[=<>^|_/*+\[\]{}]|\s-\s", rest)
         and rest.count("(") == rest.count(")")
     )
+
+
+# --- as HTML -----------------------------------------------------------------------------------------------------
+
+
+def html_of(pieces: Iterable[Piece], names: Names | None) -> str:
+    """Pieces as HTML, all their texts escaped. names: those of formulas, which become MathML; None: none is looked for,
+    as in texts of files, whose reading must not take long.
+    """
+    return "".join(_html(piece, names) for piece in pieces)
+
+
+def _html(piece: Piece, names: Names | None) -> str:
+    match piece:
+        case Paragraph(text):
+            return f"<p>{inline_html(text, names)}</p>"
+        case References(entries):
+            return "".join(f'<p class="reference">{escape(entry)}</p>' for entry in entries)
+        case Entry(word, text):
+            term = f"<dt><code>{escape(word)}</code></dt>" if word else ""
+            return f"<dl>{term}<dd>{inline_html(text, names)}{html_of(piece.pieces, names)}</dd></dl>"
+    if names is None:
+        return f"<pre>{escape(chr(10).join(' ' * extra + line for extra, line in piece.lines))}</pre>"
+    return f'<div class="formulas">{"".join(_line_html(line, names) for _, line in piece.lines)}</div>'
+
+
+def _line_html(line: str, names: Names) -> str:
+    """A line of formulas; what cannot be read stays as it is written."""
+    if not is_readable(line, names):
+        return f"<p><code>{escape(line)}</code></p>"
+    columns = (inline_html(column, names, display=True) for column in re.split(r" {3,}", line))
+    return f"<p>{'<span class="gap"></span>'.join(columns)}</p>"
+
+
+def inline_html(text: str, names: Names | None, *, display: bool = False) -> str:
+    """A text with its code and its formulas as HTML, escaped. names: see `html_of`."""
+    if names is None:
+        return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
+    made = []
+    for part in formulas_in(text, names):
+        match part:
+            case Formula():
+                made.append(html(part, names, display=display))
+            case Code(text):
+                made.append(f"<code>{escape(text)}</code>")
+            case Words(text):
+                made.append(escape(text))
+    return "".join(made)
