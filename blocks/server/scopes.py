@@ -1,19 +1,9 @@
-"""Scopes: rows of runs and of measured signals, on their way to the plots of a page as binary frames.
-
-A frame holds, little-endian: the length of its header (u32), the header in JSON, padded with spaces so that what
-follows lies at a multiple of 8, the times in s (float64; float32 would fail near 1e4 s), and a column of float32 for
-each signal of the header. Rows `from` on of what the page has of this curve are replaced; `from` = 0 begins it anew.
-
-Where a window holds more than 4 rows a pixel, each half of a pixel gives two rows: the least and the largest value of
-each signal, in the order in which they come, so that a peak of a single row is seen. Only rows since the last frame are
-looked at, whatever the run has recorded before.
-"""
+"""The scopes of the pages: signals of the run, of earlier ones (ghosts) and of measured files, and events."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -22,176 +12,14 @@ import numpy as np
 from ..text import units
 from ..text.element_names import element_names
 from ..text.errors import BlocksError, Fault, UsageError
+from .curves import Curve, Source, Window, elements, firsts, packed
 
-__all__ = ["Curve", "EventRows", "Page", "Scope", "Source", "Window", "extremes", "firsts", "packed", "values_at"]
+__all__ = ["EventRows", "Live", "Page", "Scope", "trim"]
 
 Array = np.ndarray[Any, Any]
-Reduced = tuple[Array, Array, int, int]
-"""Times (m,), columns (n, m), and where the last bin begins: in the rows, and in what it gives."""
-ROWS = 4
-"""Rows of a pixel that are sent as they are."""
-MOST_SIGNALS, MOST_SCOPES = 64, 32
-
-
-class Source(Protocol):
-    """Recorded rows: a run, or a file that was measured."""
-
-    @property
-    def columns(self) -> Mapping[str, tuple[int, tuple[int, ...], str]]:
-        """By signal the first column, shape and unit."""
-
-    def rows(self) -> tuple[Array, Array]:
-        """Times (n,) and values (n, columns) up to now; they grow at the end only."""
-
-
-def elements(source: Source) -> dict[str, tuple[int, str]]:
-    """The column and the unit of each element that a source has."""
-    found: dict[str, tuple[int, str]] = {}
-    for name, (first, shape, unit) in source.columns.items():
-        found |= {element: (first + k, unit) for k, element in enumerate(element_names(name, shape))}
-    return found
-
-
-def values_at(source: Source, t: float) -> dict[str, float | None]:
-    """The value of each element at a time, linear between rows as the plots are, the right one at a jump.
-
-    None is a value that is not finite; outside of the rows there is nothing.
-    """
-    times, values = source.rows()
-    after = int(np.searchsorted(times, t, side="right"))
-    if after == 0 or (after == len(times) and times[-1] < t):
-        return {}
-    row = values[after - 1]
-    if times[after - 1] < t:
-        share = (t - times[after - 1]) / (times[after] - times[after - 1])
-        with np.errstate(invalid="ignore", over="ignore"):
-            row = (1.0 - share) * row + share * values[after]
-    return {name: float(row[k]) if np.isfinite(row[k]) else None for name, (k, _) in elements(source).items()}
-
-
-# --- fewer rows ------------------------------------------------------------------------------------------------------
-
-
-def _bins(t: Array, origin: float, step: float) -> tuple[Array, Array]:
-    """The first and the last row of each bin: of the rows with one floor((t - origin) / step)."""
-    first = np.flatnonzero(np.diff(np.floor((t - origin) / step), prepend=np.nan) != 0)
-    return first, np.append(first[1:], len(t)) - 1
-
-
-def extremes(t: Array, columns: Sequence[Array], origin: float, step: float) -> Reduced:
-    """The least and the largest value of each bin, in the order in which they come, at its first and last time.
-
-    NaN counts only where a bin holds nothing else. A bin of one row gives that row.
-    """
-    first, last = _bins(t, origin, step)
-    kept = np.column_stack([np.ones(len(first), bool), last > first])
-    times = t[np.column_stack([first, last])[kept]]
-    reduced = np.empty((len(columns), len(times)), np.float32)
-    place = np.arange(len(t))
-    for k, values in enumerate(columns):
-        found = []
-        with np.errstate(invalid="ignore", over="ignore"):  # NaN; what is infinite in float32
-            for extreme in (np.fmin, np.fmax):
-                ends = extreme.reduceat(values, first)
-                where = np.where(values == np.repeat(ends, last - first + 1), place, len(t))
-                found.append((ends, np.minimum.reduceat(where, first)))
-            (low, at_low), (high, at_high) = found
-            pair = np.where((at_low <= at_high)[:, None], np.column_stack([low, high]), np.column_stack([high, low]))
-            reduced[k] = pair[kept]
-    return times, reduced, int(first[-1]), len(times) - int(kept[-1].sum())
-
-
-def firsts(t: Array, columns: Sequence[Array], origin: float, step: float) -> Reduced:
-    """The first row of each bin, and how many it holds as one column more: events, of which a pixel shows one."""
-    first, last = _bins(t, origin, step)
-    reduced = np.stack([*(values[first] for values in columns), last - first + 1]).astype(np.float32)
-    return t[first], reduced, int(first[-1]), len(first) - 1
-
-
-# --- frames ----------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class Window:
-    """What a scope shows, in s: t0 ... t1, or the last `span`, or all. width: pixels."""
-
-    width: int
-    t0: float | None = None
-    t1: float | None = None
-    span: float | None = None
-
-
-class Curve:
-    """Rows of one source on their way to one scope, which go on where they ended.
-
-    columns: those of the source, each with a factor. extent: how long the whole may become, in s, where that is known.
-    """
-
-    def __init__(
-        self,
-        source: Source,
-        columns: Sequence[tuple[int, float]],
-        window: Window,
-        extent: float | None = None,
-        reduce: Callable[[Array, Sequence[Array], float, float], Reduced] = extremes,
-    ) -> None:
-        self.source, self.columns, self.window, self.reduce = source, columns, window, reduce
-        given = window.span if window.t0 is None or window.t1 is None else window.t1 - window.t0
-        self.extent = extent if given is None else given
-        self.is_open = given is None and extent is None
-        self.is_begun = self.is_reduced = False
-        self.origin, self.done, self.end, self.sent = 0.0, 0, 0, 0
-
-    def frame(self, until: float = math.inf) -> tuple[int, Array, Array] | None:
-        """What is new up to a time: `from`, times, columns; None where nothing is."""
-        t, values = self.source.rows()
-        begin, end = self._rows(t, until)
-        if end <= self.end and self.is_begun:
-            return None
-        many = ROWS * self.window.width
-        reduced = end - begin > (many // 2 if self.is_reduced else many) or self.reduce is not extremes
-        if self.is_open and end > begin and (not self.extent or t[end - 1] - t[begin] > self.extent):
-            self.extent, self.is_begun = 2.0 * float(t[end - 1] - t[begin]), self.is_begun and not reduced
-        if not self.is_begun or reduced != self.is_reduced:
-            self.is_begun, self.is_reduced, self.done, self.sent = True, reduced, begin, 0
-            self.origin = float(t[begin]) if end > begin else 0.0
-        since, self.end = self.sent, end
-        times, new = t[self.done : end], values[self.done : end]
-        columns = [new[:, k] if factor == 1.0 else new[:, k] * factor for k, factor in self.columns]
-        if not reduced or end == self.done:
-            with np.errstate(over="ignore"):
-                block = np.array(columns, np.float32).reshape(len(columns), end - self.done)
-            self.done, self.sent = end, self.sent + end - self.done
-            return since, times, block
-        times, block, open_row, final = self.reduce(times, columns, self.origin, self._step())
-        self.done, self.sent = self.done + open_row, self.sent + final
-        return since, times, block
-
-    def _step(self) -> float:
-        """The length of a bin in s: half a pixel."""
-        return (self.extent or 1.0) / (2 * self.window.width)
-
-    def _rows(self, t: Array, until: float) -> tuple[int, int]:
-        """The rows of the window, with one more on each side, to which lines lead."""
-        window = self.window
-        begin, last = -math.inf, until if window.t1 is None else min(until, window.t1)
-        if window.t0 is not None:
-            begin = window.t0
-        elif window.span is not None and len(t):
-            begin = min(float(t[-1]), last) - window.span
-        first, after = np.searchsorted(t, begin, side="left") - 1, np.searchsorted(t, last, side="right") + 1
-        return max(int(first), 0), min(int(after), len(t))
-
-
-def packed(header: Mapping[str, Any], t: Array, columns: Array) -> bytes:
-    """A frame."""
-    text = json.dumps({**header, "count": len(t)}, separators=(",", ":"), allow_nan=False).encode()
-    text += b" " * (-(4 + len(text)) % 8)
-    body = np.ascontiguousarray(t, "<f8").tobytes() + np.ascontiguousarray(columns, "<f4").tobytes()
-    return len(text).to_bytes(4, "little") + text + body
-
-
-# --- the scopes of a page --------------------------------------------------------------------------------------------
+MOST_SIGNALS, MOST_SCOPES, MOST_RUNS = 64, 32, 8
+MOST_BYTES = 2**30
+"""Of the rows of earlier runs: the oldest are forgotten first."""
 
 
 class EventRows:
@@ -232,6 +60,8 @@ class Scope:
 class Live(Source, Protocol):
     """A run under way, or one that was."""
 
+    run: Any
+
     @property
     def t(self) -> float: ...
 
@@ -247,15 +77,8 @@ class Page:
         self.files: dict[str, Source] = {}
         self.number, self.events = 0, EventRows()
         self.live: Live | None = None
-        self.start: float = 0.0
-        self.stop: float | None = None
         self.is_ready = True
         """Whether the page has drawn what it got: nothing is sent to one that cannot keep up, or is hidden."""
-
-    def begin(self, number: int, live: Live | None, start: float, stop: float | None) -> None:
-        """Show another run."""
-        self.number, self.live, self.start, self.stop, self.events = number, live, start, stop, EventRows()
-        self.refresh()
 
     def open(self, scope: Scope) -> None:
         """Open a scope, or change it. Raises UsageError (E501), and E505 where units do not fit."""
@@ -266,16 +89,34 @@ class Page:
             raise UsageError(Fault("E501", "scope", f"{window.t0:g} ... {window.t1:g} s is no span of time."))
         if window.span is not None and not window.span > 0.0:
             raise UsageError(Fault("E501", "scope.span", f"must be positive, not {window.span:g} s."))
+        own = {} if self.live is None else self._units(scope, self.live)
+        if len(own) > MOST_SIGNALS:
+            message = f"{len(own)} signals are more than {MOST_SIGNALS} in one scope."
+            raise UsageError(Fault("E501", "scope", message, "Open another one for some of them."))
+        for name, file in self.files.items():
+            check(name, file, own)
         self._fill(scope)
         self.scopes[scope.name] = scope
+
+    def add(self, name: str, file: Source) -> None:
+        """Show a measured file over the scopes. Raises UsageError (E505) where its units do not fit."""
+        for scope in self.scopes.values():
+            check(name, file, {} if self.live is None else self._units(scope, self.live))
+        self.files[name] = file
+        self.refresh()
 
     def refresh(self) -> None:
         """Begin all curves anew: the run, the ghosts or the files are others."""
         for scope in self.scopes.values():
             self._fill(scope)
 
-    def frames(self) -> Iterator[bytes]:
-        """What is new in all scopes."""
+    def frames(self, number: int, live: Live | None) -> Iterator[bytes]:
+        """What is new in all scopes, of the run of this number, since the page has drawn what it got."""
+        if live is not self.live:
+            self.number, self.live, self.events = number, live, EventRows()
+            self.refresh()
+        if not self.is_ready:
+            return
         if self.live is not None:
             self.events.add(self.live.events(self.events.count))
         reached = math.inf if self.live is None else self.live.t
@@ -284,15 +125,17 @@ class Page:
             for (kind, _), (curve, header) in scope.curves.items():
                 new = curve.frame(reached if follows and kind else math.inf)
                 if new is not None:
+                    self.is_ready = False
                     since, t, block = new
                     told: dict[str, Any] = {"events": [*self.events.told]} if kind == "events" else {}
                     told |= {"scope": scope.name, "run": self.number, "kind": "append" if since else "replace"}
                     yield packed({**told, "from": since, **header}, t, block)
 
     def _fill(self, scope: Scope) -> None:
-        """The curves of a scope. Raises UsageError (E501, E505)."""
+        """The curves of a scope, from their beginning."""
         curves: dict[tuple[str, Any], tuple[Curve, dict[str, Any]]] = {}
-        extent = None if self.stop is None else self.stop - self.start
+        settings = None if self.live is None else self.live.run.settings
+        extent = None if settings is None or settings.stop is None else float(settings.stop - settings.start)
         own: dict[str, str] = {}  # the units that the scope has, by signal
         if self.live is not None:
             own = self._units(scope, self.live)
@@ -315,9 +158,6 @@ class Page:
         for name in scope.signals:
             shape = source.columns[name][1] if name in source.columns else ()
             found |= {each: known[each][1] for each in element_names(name, shape) if each in known}
-        if len(found) > MOST_SIGNALS:
-            message = f"{len(found)} signals are more than {MOST_SIGNALS} in one scope."
-            raise UsageError(Fault("E501", "scope", message, "Open another one for some of them."))
         return found
 
     def _measured(self, scope: Scope, name: str, file: Source, own: Mapping[str, str]) -> dict[str, str]:
@@ -328,9 +168,6 @@ class Page:
         wanted: dict[str, str] = {}
         for column, (_, unit) in elements(file).items():
             if column in own:
-                if unit and own[column] and not _fits(unit, own[column]):
-                    message = f"is in {own[column]}, and in {unit} in {name}, which are different quantities."
-                    raise UsageError(Fault("E505", column, message, "Mend the unit in the head of its column."))
                 wanted[column] = own[column] or unit
             elif f"{name}|{column}" in scope.signals:
                 wanted[column] = next((have for have in own.values() if unit and have and _fits(unit, have)), unit)
@@ -345,6 +182,25 @@ class Page:
         columns = [(known[name][0], units.scale(known[name][1], unit)) for name, unit in picked.items()]
         told = {**header, "signals": [*picked], "units": [*picked.values()]}
         return Curve(source, columns, scope.window, extent), told
+
+
+def check(name: str, file: Source, own: Mapping[str, str]) -> None:
+    """Raise UsageError (E505) for the columns of a measured file that are other quantities than their signals."""
+    faults = []
+    for column, (_, unit) in elements(file).items():
+        if not _fits(unit, own.get(column, "")):
+            message = f"is in {own[column]}, and in {unit} in {name}, which are different quantities."
+            faults.append(Fault("E505", column, message, "Mend the unit in the head of its column."))
+    if faults:
+        raise UsageError(*faults)
+
+
+def trim(runs: dict[int, Any], live: Any) -> None:
+    """Forget the oldest runs where there are too many, or their rows take too much memory."""
+    others = [number for number, run in runs.items() if run is not live]
+    sizes = {number: sum(part.nbytes for part in runs[number].rows()) for number in others}
+    while others and (len(others) > MOST_RUNS or sum(sizes[number] for number in others) > MOST_BYTES):
+        runs.pop(others.pop(0))
 
 
 def _fits(a: str, b: str) -> bool:

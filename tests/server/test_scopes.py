@@ -4,7 +4,9 @@ import hashlib
 import json
 import math
 import re
+from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,8 +14,9 @@ import pytest
 
 import blocks
 from blocks.results.results import Event
+from blocks.server.curves import Curve, Window, extremes, firsts, packed, values_at
 from blocks.server.measured import LARGEST, Measured
-from blocks.server.scopes import Curve, EventRows, Page, Scope, Window, extremes, firsts, packed, values_at
+from blocks.server.scopes import EventRows, Page, Scope
 from blocks.text.errors import UsageError
 
 VENDOR = Path(blocks.__file__).parent / "server" / "page" / "vendor"
@@ -30,6 +33,10 @@ class Rows:
 
     def rows(self) -> tuple[Any, Any]:
         return self.all_t[: self.count], self.all_values[: self.count]
+
+    @property
+    def run(self) -> Any:
+        return SimpleNamespace(settings=SimpleNamespace(start=Fraction(0), stop=Fraction(7)))
 
     @property
     def t(self) -> float:
@@ -198,15 +205,15 @@ def test_frames_hold_times_as_float64_after_a_padded_header() -> None:
 def test_values_at_a_time_lie_on_lines_between_rows_and_right_of_a_jump() -> None:
     columns = {"x": (0, (), "m"), "v": (1, (2,), "V")}
     run = Rows([0.0, 1.0, 1.0, 3.0], [[0, 0, np.inf], [2, 1, 1], [5, 1, 1], [9, 2, 1]], columns)
-    assert values_at(run, 0.5) == {"x": 1.0, "v[0]": 0.5, "v[1]": None}
-    assert values_at(run, 1.0) == {"x": 5.0, "v[0]": 1.0, "v[1]": 1.0}
+    assert values_at(run, 0.5) == {"x": 1.0, "v": [0.5, None]}
+    assert values_at(run, 1.0) == {"x": 5.0, "v": [1.0, 1.0]}
     assert values_at(run, 3.0)["x"] == 9.0
     assert values_at(run, -0.1) == values_at(run, 3.1) == {}
 
 
 def page_of(run: Rows, *signals: str, **window: float) -> tuple[Page, Scope]:
     page, scope = Page(), Scope("1", signals, Window(width=200, **window))
-    page.begin(1, run, 0.0, 7.0)
+    assert [*page.frames(1, run)] == []
     page.open(scope)
     return page, scope
 
@@ -220,7 +227,7 @@ def test_a_page_gets_its_signals_ghosts_files_and_events() -> None:
     page.files["lab.csv"] = Measured.read("lab.csv", "time [ms],x [rpm],other [mV]\n0,30,1\n1000,,2\n")
     scope.signals = ("x", "v", "unknown", "lab.csv|other")
     page.refresh()
-    frames = [unpacked(frame) for frame in page.frames()]
+    frames = [unpacked(frame) for frame in page.frames(1, run)]
     headers = [header for header, _, _ in frames]
     wanted = [["x", "v[0]", "v[1]"], ["x"], ["x", "other"], ["cause", "count"]]
     assert [header["signals"] for header in headers] == wanted
@@ -231,7 +238,10 @@ def test_a_page_gets_its_signals_ghosts_files_and_events() -> None:
     assert headers[3]["events"] == [["relay", "crossing"], ["b", "event"]]
     assert frames[3][1].tolist() == [2.5, 6.0]
     assert frames[3][2].tolist() == [[0, 1], [2, 1]]
-    assert [*page.frames()] == []
+    run.fired.append(Event(6.5, "b", "event"))
+    assert [*page.frames(1, run)] == []  # before it has drawn what it got
+    page.is_ready = True
+    assert [unpacked(frame)[1].tolist() for frame in page.frames(1, run)] == [[6.0, 6.5]]
 
 
 def test_ghosts_come_as_far_as_the_run_that_a_scope_follows() -> None:
@@ -240,7 +250,7 @@ def test_ghosts_come_as_far_as_the_run_that_a_scope_follows() -> None:
     page.ghosts[3] = Rows(np.linspace(0.0, 7.0, 701), np.ones((701, 1)))
     run.count = 301
     page.refresh()
-    ghost = next(t for header, t, _ in map(unpacked, page.frames()) if "ghost" in header)
+    ghost = next(t for header, t, _ in map(unpacked, page.frames(1, run)) if "ghost" in header)
     assert 1.0 >= ghost[0] > 0.9
     assert 3.02 > ghost[-1] >= 3.0
 
@@ -301,10 +311,14 @@ def test_scopes_that_cannot_be_are_refused(signals: list[str], window: dict[str,
 
 
 def test_measured_columns_of_another_quantity_than_their_signal_are_refused() -> None:
-    page, _ = page_of(Rows([0.0], [[1.0]]), "s0")
-    page.files["lab.csv"] = Measured.read("lab.csv", "t,s0 [A]\n0,1\n")
+    page, scope = page_of(Rows([0.0], [[1.0]]), "s0")
+    file = Measured.read("lab.csv", "t,s0 [A]\n0,1\n")
     with pytest.raises(UsageError, match=re.escape("E505 s0: is in V, and in A in lab.csv")):
-        page.refresh()
+        page.add("lab.csv", file)
+    assert page.files == {}
+    page.files["lab.csv"] = file
+    with pytest.raises(UsageError, match=re.escape("E505 s0: is in V, and in A in lab.csv")):
+        page.open(scope)
 
 
 @pytest.mark.parametrize(
