@@ -12,10 +12,11 @@ from ..compile.coupling import Coupling
 from ..compile.plan import Plan
 from ..draw import ports_of, svg
 from ..model.diagram import DiagramValue
+from ..text.atomic_write import real
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
-from ..text.printable import quoted
+from ..text.printable import legible, quoted
 
-__all__ = ["Document", "told_fault"]
+__all__ = ["Document", "inside", "told_fault"]
 
 
 class Document:
@@ -205,3 +206,12 @@ def _settings(planned: Plan | Coupling) -> dict[str, Any]:
     settings = planned.settings
     stop = None if settings.stop is None else float(settings.stop)
     return {"start": float(settings.start), "stop": stop, "method": settings.method, "log": list(planned.log)}
+
+
+def inside(folder: Path, name: str) -> Path:
+    """The path, without links, of a file that a page names, in a folder or below it. Raises UsageError (E501)."""
+    target = real(folder / name)
+    if not target.is_relative_to(real(folder)) or target == real(folder) or not name.isprintable():
+        cure = f"Name a file in {legible(folder.name)}, as in results/run.csv."
+        raise UsageError(Fault("E501", legible(name[:200]), "lies outside of the diagram's folder.", cure))
+    return target

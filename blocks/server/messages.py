@@ -3,9 +3,10 @@
     @handles
     def draw(session: Session, *, level: str = "") -> dict[str, Any]:
 
-answers {"do": "draw", "level": ""}. Fields that the function does not take, that it lacks or that have another type are
-refused (E501) before it is called, and so are numbers that are not finite. What takes long is computed aside:
-`@handles_aside` lets another thread do it, one after the other, which changes nothing in the session.
+answers {"do": "draw", "level": ""}; one about what a page shows takes that too, as a second argument `page`. Fields
+that the function does not take, that it lacks or that have another type are refused (E501) before it is called, and so
+are numbers that are not finite. What takes long is computed aside: `@handles_aside` lets another thread do it, one
+after the other, which changes nothing in the session.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ def _no_number(word: str) -> float:
     raise ValueError(word)
 
 
-def answer(session: Any, message: Mapping[str, Any]) -> Answer:
-    """What the session answers to a message.
+def answer(session: Any, message: Mapping[str, Any], page: Any = None) -> Answer:
+    """What the session answers to a message of a page, or of none.
 
     Raises UsageError (E501), with all that is wrong with it, and what the function raises.
     """
@@ -90,7 +91,8 @@ def answer(session: Any, message: Mapping[str, Any]) -> Answer:
             faults.append(Fault("E501", f"{name}.{key}", "is missing."))
     if faults:
         raise UsageError(*faults)
-    return function(session, **fields)
+    takes_page = "page" in inspect.signature(function).parameters
+    return function(session, page, **fields) if takes_page else function(session, **fields)
 
 
 def _fits(value: Any, kind: Any) -> bool:

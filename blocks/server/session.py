@@ -20,6 +20,7 @@ from ..text.version import __version__
 from .document import Document, told_fault
 from .live_run import LiveRun
 from .messages import ASIDE, Answer, answer, handles
+from .scopes import Page, trim
 
 __all__ = ["Client", "Session"]
 
@@ -42,8 +43,9 @@ class Session:
     """An open document with its run.
 
     values, inputs: what was set in place of what the file says, by path and by name, for this run and the next ones.
-    runs: the live run and earlier ones, whose rows are kept. hearers: called when the run has news, or another document
-    was read. engine, trust: as of `Diagram.run`. Modules that answer messages stand above this one.
+    runs: the live run, of the number `number`, and earlier ones, whose rows are kept; begun: what was set when they
+    began. pages: the scopes of each page. hearers: called when the run has news, or another document was read. engine,
+    trust: as of `Diagram.run`. Modules that answer messages stand above this one.
     """
 
     def __init__(
@@ -60,9 +62,10 @@ class Session:
         self.server = secrets.token_hex(8)
         self.runs: dict[int, LiveRun] = {}
         self.live: LiveRun | None = None
-        self.clients: list[Client] = []
+        self.begun: dict[int, dict[str, Any]] = {}
+        self.pages: dict[Client, Page] = {}
         self.hearers: list[Callable[[], None]] = []
-        self._numbers = 0
+        self.number = 0
         self._todo: queue.SimpleQueue[tuple[Client | None, Any]] = queue.SimpleQueue()
         self._is_told = threading.Event()  # news of the run wait in the queue
         self._told = 0.0
@@ -123,17 +126,24 @@ class Session:
         if what == "news":
             self._is_told.clear()
             self.tell_run()
+            for each in self.pages:
+                self._show(each)
             for hear in self.hearers:
                 hear()
         elif client is not None and what == "connected":
-            self.clients.append(client)
+            self.pages[client] = Page()
             client.send(self.hello())
         elif client is not None and what == "disconnected":
-            self.clients = [other for other in self.clients if other is not client]
+            self.pages.pop(client, None)
         elif client is not None and what.get("do") in ASIDE:
             self._aside.put((client, what))
-        elif client is not None:
+        elif client in self.pages:
             self._answer(client, what)
+            self._show(client)
+
+    def _show(self, client: Client) -> None:
+        for number, frame in enumerate(self.pages[client].frames(self.number, self.live)):
+            client.send(frame, slot=f"scopes {number}")
 
     def _work_aside(self) -> None:
         while (asked := self._aside.get()) is not None:
@@ -142,7 +152,7 @@ class Session:
     def _answer(self, client: Client, message: Mapping[str, Any]) -> None:
         number = message.get("id")
         try:
-            told: Answer = answer(self, message)
+            told: Answer = answer(self, message, self.pages.get(client))
         except BlocksError as error:
             paths = {block["path"] for block in self.document.told()["blocks"]}
             told = {"is": "error", "faults": [told_fault(fault, paths) for fault in error.faults]}
@@ -154,7 +164,7 @@ class Session:
 
     def broadcast(self, message: dict[str, Any]) -> None:
         """Send a message to all pages."""
-        for client in self.clients:
+        for client in self.pages:
             client.send(message)
 
     def hello(self) -> dict[str, Any]:
@@ -179,8 +189,10 @@ class Session:
             parameters=self.values, inputs=self.inputs or None, engine=self.engine, trust=self.trust,
             log=self._logged(shown), **settings,
         )  # fmt: skip
-        self._numbers += 1
-        self.live = self.runs[self._numbers] = LiveRun(run, self.changed)
+        self.number += 1
+        self.begun[self.number] = {**self.values, **self.inputs}
+        self.live = self.runs[self.number] = LiveRun(run, self.changed)
+        trim(self.runs, self.live)
         return self.live
 
     def _logged(self, shown: Diagram) -> list[str] | None:
@@ -205,7 +217,7 @@ class Session:
         paths = {block["path"] for block in self.document.told()["blocks"]} if live.error else set()
         faults = [] if live.error is None else [told_fault(fault, paths) for fault in live.error.faults]
         return {
-            "is": "run", "id": self._numbers, "state": live.state, "t": live.t, "steps": live.steps,
+            "is": "run", "id": self.number, "state": live.state, "t": live.t, "steps": live.steps,
             "rejected": live.rejected, "pace": live.pace, "lag": live.lag, "seconds": live.seconds, "faults": faults,
         }  # fmt: skip
 

@@ -1,0 +1,123 @@
+"""What pages ask of their scopes: signals, windows, values at a time, ghosts, measured files; results to a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..text.errors import Fault, UsageError
+from ..text.printable import legible, quoted
+from .curves import Window, elements, values_at
+from .document import inside
+from .measured import Measured
+from .messages import Answer, handles, handles_aside
+from .scopes import Page, Scope
+from .session import Session
+
+MOST_FILES = 8
+WIDEST = 8192
+"""Pixels of a scope."""
+
+
+@handles
+def scope(
+    session: Session, page: Page, *, scope: str, signals: list[str], width: int,
+    t0: float | None = None, t1: float | None = None, span: float | None = None,
+) -> Answer:  # fmt: skip
+    """Open a scope, or change it: frames follow."""
+    page.open(Scope(scope, signals, Window(width=min(max(width, 16), WIDEST), t0=t0, t1=t1, span=span)))
+    return {"is": "scope", "scope": scope}
+
+
+@handles
+def unscope(session: Session, page: Page, *, scope: str) -> Answer:
+    page.scopes.pop(scope, None)
+    return {"is": "unscope", "scope": scope}
+
+
+@handles
+def drawn(session: Session, page: Page) -> Answer:
+    """The page has drawn what it got, and takes more."""
+    page.is_ready = True
+    return None
+
+
+@handles
+def values(session: Session, *, t: float) -> Answer:
+    """The values of all recorded signals at a time; those of vectors and matrices as lists."""
+    found = {} if session.live is None else values_at(session.live, t)
+    return {"is": "values", "t": t, "values": found}
+
+
+@handles
+def runs(session: Session, page: Page) -> Answer:
+    """The runs whose rows are kept, the one that is shown last, each with what was turned in it."""
+    told = []
+    for number, run in session.runs.items():
+        turned = [f"{name} = {_text(value)}" for name, value in session.begun.get(number, {}).items()]
+        turned += [f"{each.name} = {_text(each.value)} at {each.t:.6g} s" for each in run.turned]
+        some = turned if len(turned) <= 4 else [*turned[:3], f"and {len(turned) - 3} more"]
+        label = f"run {number}" + (f": {', '.join(some)}" if some else "")
+        kept = {"is_live": run is session.live, "is_shown": number in page.ghosts}
+        told.append({"id": number, "label": label, "stop": run.t, "turned": turned, **kept})
+    return {"is": "runs", "runs": told}
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return f"{_text(value.get('value'))} {value.get('unit', '')}".strip()
+    return f"{value:.6g}" if isinstance(value, float) else str(value)[:60]
+
+
+@handles
+def ghost(session: Session, page: Page, *, run: int, on: bool) -> Answer:
+    """Show an earlier run beside the one under way, or no more."""
+    if run not in session.runs or session.runs[run] is session.live:
+        raise UsageError(Fault("E501", f"run {run}", "is no earlier run that is kept.", "Choose one of the list."))
+    page.ghosts.pop(run, None)
+    if on:
+        page.ghosts[run] = session.runs[run]
+    page.refresh()
+    return runs(session, page)
+
+
+@handles
+def forget(session: Session, page: Page, *, run: int) -> Answer:
+    """Let go of the rows of an earlier run."""
+    if session.runs.get(run) is not session.live:
+        session.runs.pop(run, None)
+        for each in session.pages.values():
+            if each.ghosts.pop(run, None) is not None:
+                each.refresh()
+    return runs(session, page)
+
+
+@handles
+def overlay(session: Session, page: Page, *, name: str, text: str) -> Answer:
+    """Show a measured file over the scopes: its columns of the names of signals, and those that a scope names."""
+    if len(page.files) >= MOST_FILES and name not in page.files:
+        raise UsageError(Fault("E501", quoted(name), f"is one more than {MOST_FILES} files.", "Remove one."))
+    read = Measured.read(name, text)
+    page.add(name, read)
+    columns = [{"name": column, "unit": unit} for column, (_, unit) in elements(read).items()]
+    return {"is": "overlay", "name": name, "columns": columns, "start": float(read.t[0]), "stop": float(read.t[-1])}
+
+
+@handles
+def unoverlay(session: Session, page: Page, *, name: str) -> Answer:
+    page.files.pop(name, None)
+    page.refresh()
+    return {"is": "unoverlay", "name": name}
+
+
+@handles_aside
+def save(session: Session, *, path: str, replaces: bool = False) -> Answer:
+    """Write the results so far to a file in the folder of the diagram. Raises UsageError (E501, E504).
+
+    replaces: the file where there is one already; it may be one of measurements.
+    """
+    target = inside(session.document.folder, path)
+    if target.exists() and not replaces:
+        raise UsageError(Fault("E501", legible(path), "is there already.", "Choose another name, or replace it."))
+    session.running.results().save(target)
+    return {"is": "saved", "path": path}
