@@ -46,8 +46,9 @@ def bindings(
 ) -> tuple[Setting, ...]:
     """All settings of a diagram, each bound one after what it reads.
 
-    plan: None where the diagram has no Plan of its own, as it is coupled. overrides: those that `flat` was made with. Places in p without a setting belong to blocks inserted at the edges of
-    subdiagrams, and never change. A parameter without a value (None) has no setting.
+    plan: None where the diagram has none of its own, as it is coupled. overrides: those that `flat` was made with.
+    Places in p without a setting belong to blocks inserted at the edges of subdiagrams, and never change. A parameter
+    without a value (None) has no setting.
     """
     return _Binder(diagram, flat, plan, overrides or {}).settings()
 

@@ -15,6 +15,7 @@ from ..compile.plan import Plan
 from ..compile.setting_programs import Setting
 from ..contract.enumerations import enumeration_of
 from ..model.diagram import DiagramValue
+from ..model.values import expressions_in
 from ..text.json_number import Number
 from ..text.units import to_si
 
@@ -27,7 +28,8 @@ class Fact:
 
     raw: what the file says; None where it says nothing, so that a default counts. nominal: the value that it gives, in
     `unit`: that of the file's entry, else the declared one. declared: the unit of a bare number. low, high: the
-    declared range in `unit`; is_open: 0 itself is excluded below. why: why it cannot change in a run, "" where it can.
+    declared range in `unit`; is_open: 0 itself is excluded below. why: why it cannot change in a run, "" where it can;
+    is_bound: nor before one, as an expression of the file gives it.
     """
 
     name: str
@@ -41,16 +43,13 @@ class Fact:
     is_open: bool = False
     choices: tuple[str, ...] = ()
     why: str = ""
+    is_bound: bool = False
     is_input: bool = False
 
     @property
     def text(self) -> str:
         """The value as the file says it, or as its default is."""
-        if self.raw is not None:
-            return text_of(self.raw, self.declared)
-        if self.nominal is None:
-            return ""
-        return text_of({"value": self.nominal, "unit": self.unit} if self.unit else self.nominal)
+        return "" if self.said is None else text_of(self.said, self.declared)
 
     def told(self, raw: Any) -> dict[str, Any]:
         """It as a page gets it. raw: what the session has set; None: nothing."""
@@ -60,7 +59,7 @@ class Fact:
             "name": self.name, "text": self.text if raw is None else text_of(raw, self.declared), "was": self.text,
             "changed": raw is not None, "value": value, "unit": self.unit, "type": self.type, "low": low, "high": high,
             "log": is_log, "choices": list(self.choices), "tunable": not self.why, "why": self.why,
-            "input": self.is_input,
+            "bound": self.is_bound, "input": self.is_input,
         }  # fmt: skip
 
     def number(self, raw: Any) -> Any:
@@ -71,6 +70,16 @@ class Fact:
         if value is None or (isinstance(value, str) and value.startswith("=")):
             return None
         return value if unit == self.unit else _in_unit(_mapped(value, lambda x: to_si(x, unit)), self.unit)
+
+    def bare(self, raw: Mapping[str, Any]) -> Any:
+        """A quantity as a bare number in the declared unit."""
+        unit, value = str(raw.get("unit", self.declared)), raw["value"]
+        return value if unit == self.declared else _in_unit(_mapped(value, lambda x: to_si(x, unit)), self.declared)
+
+    @property
+    def said(self) -> Any:
+        """The value of the file or the default, as a run is given it; None where there is none."""
+        return self.quantity(self.nominal) if self.raw is None else self.raw
 
     def quantity(self, value: Any) -> Any:
         """A raw value of numbers in `unit`."""
@@ -119,11 +128,15 @@ def _fact(setting: Setting, raw: Any, choices: tuple[str, ...]) -> Fact:
     if setting.type == "bool":
         nested = _mapped(nested, bool)
     known = raw.get("value") if isinstance(raw, Mapping) else raw
-    if not setting.shape and unit == declared and isinstance(known, (Number, int, float)) and not isinstance(known, bool):
+    if not setting.shape and unit == declared and isinstance(known, Number):
         nested = float(known)  # without the rounding of SI
+    why = setting.why
+    is_bound = any(expressions_in(raw))
+    if is_bound:
+        why = f"it is computed: {text_of(raw)}"
     low, high = (None if x is None else _in_unit(x, unit) for x in (setting.low, setting.high))
     return Fact(
-        setting.path, raw, nested, unit, declared, setting.type, low, high, setting.low_open, choices, setting.why
+        setting.path, raw, nested, unit, declared, setting.type, low, high, setting.low_open, choices, why, is_bound
     )
 
 

@@ -7,23 +7,21 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ..compile.inputs import constant
-from ..model.raw_values import given_values
 from ..studies.gains_file import Value, edit_of
-from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
+from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import legible, quoted
 from ..text.quantity_text import value_in
 from .facts import Fact, text_of
 from .messages import Answer, handles
+from .session import Session
 
 if TYPE_CHECKING:
     from .live_run import LiveRun
-    from .session import Session
 
 __all__ = ["changed", "turned"]
 
 ACTIVE = ("running", "paused")
-LONGEST = 100_000
-"""Characters of a value that is typed."""
+"""The states of a run that can be turned."""
 
 
 @handles
@@ -60,28 +58,36 @@ def set(session: Session, *, name: str, value: Any, anew: bool = False) -> Answe
 def reset(session: Session, *, name: str | None = None) -> Answer:
     """Go back to what the file says: of one parameter, input or block (its variant), or of all.
 
-    What cannot change in a run goes back in the next one.
+    What cannot change in a run goes back in the next one: the answer names it (`later`).
     """
     document, live = session.document, session.live
+    later = []
     names = [name] if name is not None else [*session.values, *session.inputs]
     for each in names:
-        is_known = (session.inputs if each in session.inputs else session.values).pop(each, None) is not None
+        known = session.inputs if each in session.inputs else session.values
         fact = document.facts.get(each)
-        if is_known and fact is not None and live is not None and live.state in ACTIVE and not fact.why:
-            live.set(each, {"value": fact.nominal, "unit": fact.unit} if fact.raw is None and fact.unit else fact.said)
+        if each in known and fact is not None and live is not None and live.state in ACTIVE:
+            try:
+                live.set(each, fact.said)
+            except UsageError:  # it is fixed, or a table over time
+                later.append(each)
+        known.pop(each, None)
     if name in document.variants or (name is None and document.variants):
         document.variants = {path: v for path, v in document.variants.items() if name is not None and path != name}
+        document.check()
         session.tell_document()
-    return _told(session)
+    return {**_told(session), "later": later}
 
 
 @handles
 def variant(session: Session, *, path: str, name: str) -> Answer:
     """Choose a variant of a block ("base": the block itself) for the next runs. Raises ModelError (E122)."""
     document = session.document
-    before = document.variants
-    document.shown.with_variants({path: name})  # raises where there is none
-    document.variants = {**before, path: name}
+    chosen = {**document.variants, path: name}
+    if document.diagram is not None:
+        document.diagram.with_variants(chosen)  # raises where there is none
+    document.variants = chosen
+    document.check()
     session.tell_document()
     return _told(session)
 
@@ -190,8 +196,8 @@ def _raw(fact: Fact, value: Any) -> Any:
             raise UsageError(Fault("E501", fact.name, f"{quoted(json.dumps(value)[:80])} is no value."))
         return fact.quantity(value)
     text = value.strip()
-    if len(text) > LONGEST or (not text and fact.type != "text"):
-        raise UsageError(Fault("E501", fact.name, "is empty." if not text else "is too long.", f"It was {fact.text}."))
+    if not text and fact.type != "text":
+        raise UsageError(Fault("E501", fact.name, "has no value.", f"As in {fact.text}."))
     return value if fact.type == "text" else fact.quantity(value_in(text, file=fact.name))
 
 
@@ -200,8 +206,9 @@ def _check(session: Session, fact: Fact, raw: Any) -> None:
     if not fact.is_input:
         session.document.shown.flatten(parameters={**session.values, fact.name: raw})
         return
-    known = {name: known for name, *known in session.document.planned.inputs}  # type: ignore[union-attr]
-    shape, unit, type_, _ = known[fact.name]
+    planned = session.document.planned
+    assert planned is not None
+    _, shape, unit, type_, _ = next(entry for entry in planned.inputs if entry[0] == fact.name)
     try:
         constant(raw, shape, unit, type_)
     except ValueError as error:

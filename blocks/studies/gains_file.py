@@ -185,7 +185,8 @@ def _scaled(value: Any, scale: float) -> Any:
     """Numbers in another unit."""
     if isinstance(value, (list, tuple)):
         return [_scaled(item, scale) for item in value]
-    return float(f"{value * scale:.13g}")
+    number = float(f"{value * scale:.13g}")
+    return int(number) if number.is_integer() and abs(number) < 1e13 else number
 
 
 def _check(diagram: Diagram, meant: Flat, path: str | Path, edit: Edit, text: bytes | None) -> None:
