@@ -10,25 +10,11 @@ from dataclasses import replace
 from typing import Any
 
 from ..text.errors import Fault, ModelError, UsageError
+from ..text.quantity_text import value_in as parsed
 
 __all__ = [
     "as_options", "assignments", "check_writable", "number_of", "parsed", "raw_number", "time_of", "variants_of",
 ]  # fmt: skip
-
-
-def parsed(text: str) -> Any:
-    """The value of --set: a number, a number with a unit, true, false, a JSON list, or a text."""
-    from ..text.json_text import read
-    from ..text.quantity_text import quantity_in
-
-    if found := quantity_in(text):
-        number, unit = found
-        return {"value": number, "unit": unit} if unit else number
-    if text in ("true", "false"):
-        return text == "true"
-    if text.startswith("["):
-        return read(text, file="--set").value
-    return text
 
 
 def number_of(option: str, text: str | None) -> Any:

@@ -42,12 +42,13 @@ __all__ = ["bindings"]
 
 @paused()
 def bindings(
-    diagram: DiagramValue, flat: Flat, plan: Plan, overrides: Mapping[str, Any] | None = None
+    diagram: DiagramValue, flat: Flat, plan: Plan | None, overrides: Mapping[str, Any] | None = None
 ) -> tuple[Setting, ...]:
     """All settings of a diagram, each bound one after what it reads.
 
-    overrides: those that `flat` was made with. Places in p without a setting belong to blocks inserted at the edges of
-    subdiagrams, and never change. A parameter without a value (None) has no setting.
+    plan: None where the diagram has none of its own, as it is coupled. overrides: those that `flat` was made with.
+    Places in p without a setting belong to blocks inserted at the edges of subdiagrams, and never change. A parameter
+    without a value (None) has no setting.
     """
     return _Binder(diagram, flat, plan, overrides or {}).settings()
 
@@ -105,7 +106,7 @@ class _Numberless(Exception):
 
 
 class _Binder:
-    def __init__(self, diagram: DiagramValue, flat: Flat, plan: Plan, overrides: Mapping[str, Any]) -> None:
+    def __init__(self, diagram: DiagramValue, flat: Flat, plan: Plan | None, overrides: Mapping[str, Any]) -> None:
         self.diagram, self.flat, self.plan, self.overrides = diagram, flat, plan, overrides
         self.made: list[_DraftSetting] = []
         self.plain: dict[int, tuple[tuple[Parameter, _DraftSetting], ...]] = {}  # by the id of Resolved
@@ -328,7 +329,8 @@ class _Binder:
 
     def finished(self) -> tuple[Setting, ...]:
         settings: list[Setting] = []
-        assert self.place + sum(map(_sizes, self.flat.blocks[self.index :])) == len(self.plan.parameters)
+        rest = sum(map(_sizes, self.flat.blocks[self.index :]))
+        assert self.plan is None or self.place + rest == len(self.plan.parameters)
         for draft in self.made:
             level, why = draft.level, f"{draft.cause}: {draft.why}" if draft.cause else draft.why
             if draft.bound:

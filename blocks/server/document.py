@@ -15,6 +15,7 @@ from ..model.diagram import DiagramValue
 from ..text.atomic_write import real
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import legible, quoted
+from .facts import Fact, facts_of
 
 __all__ = ["Document", "inside", "told_fault"]
 
@@ -40,6 +41,7 @@ class Document:
         self.faults: tuple[Fault, ...] = ()
         self.revision, self.text = 0, b""
         self._drawings: dict[str, str] = {}
+        self._facts: dict[str, Fact] | None = None
         self._seen: tuple[int, int] | None = None
         self.read()
 
@@ -101,11 +103,19 @@ class Document:
     def check(self) -> None:
         """Find the faults anew."""
         self._drawings.clear()
+        self._facts = None
         try:
             self.planned = self.shown.check()
             self.faults = self.planned.warnings
         except BlocksError as error:
             self.planned, self.faults = None, error.faults
+
+    @property
+    def facts(self) -> dict[str, Fact]:
+        """Its parameters and inputs, by path and by name; none while it has faults."""
+        if self._facts is None:
+            self._facts = facts_of(self.shown, self.planned)
+        return self._facts
 
     # --- what the page gets ------------------------------------------------------------------------------------------
 

@@ -116,9 +116,7 @@ class Session:
             if time.monotonic() - looked > LOOK:
                 looked = time.monotonic()
                 if self.document.has_changed() and self.document.read():
-                    self.broadcast({"is": "document", **self.document.told()})
-                    for hear in self.hearers:
-                        hear()
+                    self.tell_document()
         if self.live is not None:
             self.live.stop()
 
@@ -166,6 +164,12 @@ class Session:
         """Send a message to all pages."""
         for client in self.pages:
             client.send(message)
+
+    def tell_document(self) -> None:
+        """Tell all pages that the document is another one now."""
+        self.broadcast({"is": "document", **self.document.told()})
+        for hear in self.hearers:
+            hear()
 
     def hello(self) -> dict[str, Any]:
         """All that a page needs to show the document at once."""

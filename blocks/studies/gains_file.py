@@ -1,13 +1,13 @@
-"""Tuned values written into the files of a diagram, by edits on their texts."""
+"""Values of parameters written into the files of a diagram, by edits on their texts."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from ..text.units import to_si
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
 
-__all__ = ["Found", "changes", "written"]
+__all__ = ["Found", "Value", "changes", "edit_of", "written"]
 
 CLOSE = 1e-12
 """By how much a value may be off, which is written in another unit, with 13 digits."""
@@ -61,30 +61,79 @@ class Found(Shown):
         return edit
 
 
+class Value(NamedTuple):
+    """What a parameter gets, or an element of it.
+
+    unit: that of the value; None: as the file has it. raw: the whole value of the parameter, as a run is given it.
+    """
+
+    path: str
+    element: tuple[int, ...]
+    value: Any
+    unit: str | None
+    raw: Any
+
+
 def written(found: Found, path: str | Path) -> Edit:
     """The edit that gives a diagram file the values of a tuning; nothing is written yet.
 
     Raises UsageError (E501) where the file would not give the tuned diagram: where two blocks share a file and have got
     different values, or where it is another file.
     """
-    library = tuple(found.diagram._draft.types.values())
-    workspace, first = Workspace.of(path, library)
+    values = [
+        Value(
+            target,
+            tuple(int(k) for k in re.findall(r"\d+", column.partition("[")[2])),
+            found.values[column],
+            found.units[column],
+            found.parameters[target],
+        )
+        for column, targets in found.targets.items()
+        for target in (targets if found.parameters else ())
+    ]
+    return edit_of(found.diagram, path, values, parameters=found.parameters)
+
+
+def edit_of(
+    diagram: Diagram,
+    path: str | Path,
+    values: Iterable[Value],
+    *,
+    parameters: Mapping[str, Any],
+    variants: Mapping[str, str] | None = None,
+    inputs: Iterable[Value] = (),
+    text: bytes | None = None,
+) -> Edit:
+    """The edit that gives a diagram file other values of parameters; nothing is written yet.
+
+    parameters: the same, as a run of the diagram is given them. variants: those that the file chooses then. inputs: of
+    inputs of the diagram, numbers in their units, which go where their values stand. text: what the file holds, in
+    place of what is on the disk. Raises UsageError (E501) where the file would not give such a diagram then.
+    """
+    library, variants = tuple(diagram._draft.types.values()), variants or {}
+    workspace, first = Workspace.of(path, library, text=text)
     operations: dict[Any, dict[str, Any]] = {}
-    for column, targets in found.targets.items():
-        element = [int(k) for k in re.findall(r"\d+", column.partition("[")[2])]
-        for target in targets if found.parameters else ():
-            scope, place, entry = _place(workspace, first, target)
-            place, to = _new(entry, place, element, found.values[column], found.units[column])
-            if to is None:
-                raw = found.parameters[target]
-                to = raw["value"] if isinstance(raw, Mapping) and not raw.get("unit") else raw
-            operations[scope, place] = {"set": [*place], "to": to} | ({"in": scope} if scope else {})
-    edit = edit_file(path, list(operations.values()), library=library, check=False)
-    _check(found, path, edit)
+
+    def put(scope: str, place: tuple[str | int, ...], to: Any) -> None:
+        operations[scope, place] = {"set": [*place], "to": to} | ({"in": scope} if scope else {})
+
+    for block, choice in variants.items():
+        scope, _, name = block.rpartition(".")
+        put(scope, ("blocks", name, "variant"), choice)
+    for given in values:
+        scope, place, entry = _place(workspace, first, given.path, variants)
+        put(scope, *_new(entry, place, given))
+    for given in inputs:
+        place, entry = _input_place(workspace.value(first), given.path)
+        put("", *_new(entry, place, given))
+    edit = edit_file(path, list(operations.values()), library=library, check=False, text=text)
+    _check(diagram, diagram.flatten(parameters=parameters, variants=variants), path, edit, text)
     return edit
 
 
-def _place(workspace: Workspace, first: str, target: str) -> tuple[str, tuple[str | int, ...], Any]:
+def _place(
+    workspace: Workspace, first: str, target: str, variants: Mapping[str, str]
+) -> tuple[str, tuple[str | int, ...], Any]:
     """The subdiagram that holds a parameter, by its path; the steps to it there; and its entry, None where none is."""
     *blocks, name = target.split(".")
     if not blocks:
@@ -93,53 +142,76 @@ def _place(workspace: Workspace, first: str, target: str) -> tuple[str, tuple[st
     scope = ".".join(blocks[:-1])
     spot = spot_of(workspace, first, {"in": scope} if scope else {})
     entry = spot.body.names("block").get(blocks[-1], {})
-    variant = entry.get("variant", "base")
+    variant = variants.get(".".join(blocks), entry.get("variant", "base"))
     place = ("blocks", blocks[-1], *(("variants", variant) if variant != "base" else ()), "parameters")
     return scope, (*place, name), tree.table_at(spot.value, (*spot.scope, *place)).get(name)
 
 
-def _new(
-    entry: Any, place: tuple[str | int, ...], element: list[int], value: float, unit: str
-) -> tuple[tuple[str | int, ...], Any]:
-    """The steps to the number of an entry that changes, and what it becomes, in the unit that stands there.
+def _input_place(value: Any, name: str) -> tuple[tuple[str | int, ...], Any]:
+    """Where the value of an input stands: in the settings of the run, or as its default; or where it can stand."""
+    of_run = tree.table_at(value, ("run", "inputs"))
+    entry = tree.table_at(value, ("inputs",)).get(name, {})
+    if name in of_run or "default" not in entry:
+        known = of_run.get(name)
+        if isinstance(known, Mapping) and "value" not in known:
+            message = "is a table over time in the file, which one value would replace."
+            raise UsageError(Fault("E501", f"run.inputs.{name}", message, "Edit the file, or reset the input."))
+        return ("run", "inputs", name), known
+    return ("inputs", name, "default"), entry["default"]
 
-    None for the number where the file has no list with the element: then the whole value is written.
+
+def _new(entry: Any, place: tuple[str | int, ...], given: Value) -> tuple[tuple[str | int, ...], Any]:
+    """The steps to what changes of an entry, and what it becomes: a number in the unit that stands there.
+
+    The whole raw value where the entry has no list with the element, or no number, or no unit to keep.
     """
-    if isinstance(entry, Mapping):
-        there = str(entry.get("unit", unit))
+    raw, value, around = given.raw, given.value, place
+    whole = raw["value"] if isinstance(raw, Mapping) and not raw.get("unit") else raw
+    if isinstance(entry, Mapping) and "value" in entry:
+        there = str(entry.get("unit", given.unit))
         entry, place = entry.get("value"), (*place, "value")
-        if there != unit:
-            value = float(f"{value * (to_si(1.0, unit) / to_si(1.0, there)):.13g}")
-    for index in element:
+        if given.unit is not None and there != given.unit:
+            value = _scaled(value, to_si(1.0, given.unit) / to_si(1.0, there))
+    elif isinstance(entry, Mapping) or (isinstance(raw, Mapping) and not given.element):
+        return place, whole
+    for index in given.element:
         if not isinstance(entry, list):
-            return place, None
+            return around, whole
         entry, place = entry[index], (*place, index)
     return place, value
 
 
-def _check(found: Found, path: str | Path, edit: Edit) -> None:
-    """Refuse an edit that changes other values than the tuning did, or to others. Raises UsageError (E501)."""
+def _scaled(value: Any, scale: float) -> Any:
+    """Numbers in another unit."""
+    if isinstance(value, (list, tuple)):
+        return [_scaled(item, scale) for item in value]
+    number = float(f"{value * scale:.13g}")
+    return int(number) if number.is_integer() and abs(number) < 1e13 else number
+
+
+def _check(diagram: Diagram, meant: Flat, path: str | Path, edit: Edit, text: bytes | None) -> None:
+    """Refuse an edit that changes other values than were given, or to others. Raises UsageError (E501)."""
     texts = {os.path.realpath(name): text for name, text in edit.texts.items()}
     real = os.path.realpath(path)
-    resolver = resolver_of(dict(found.diagram._draft.types))
+    old = Path(real).read_bytes() if text is None else text
+    resolver = resolver_of(dict(diagram._draft.types))
 
     def read(texts: Mapping[str, str]) -> Flat:
-        text = texts.get(real) or Path(real).read_text(encoding="utf-8")
-        return flatten(loads(text, file=str(path), folder=os.path.dirname(real), texts=texts), resolver)
+        source = texts.get(real) or old
+        return flatten(loads(source, file=str(path), folder=os.path.dirname(real), texts=texts), resolver)
 
     try:
         before, after = read({}), read(texts)
     except ModelError as error:
         raise UsageError(*error.faults) from error
-    made = changes(before, after)
-    meant = changes(found.diagram.flatten(), found.diagram.flatten(parameters=found.parameters))
-    names = {**made, **meant}
-    wrong = [name for name in names if not ({name} <= made.keys() & meant.keys() and _same(made[name], meant[name]))]
+    made, wanted = changes(before, after), changes(diagram.flatten(), meant)
+    names = {**made, **wanted}
+    wrong = [n for n in names if not ({n} <= made.keys() & wanted.keys() and _same(made[n], wanted[n]))]
     if wrong:
-        message = f"the file would not give the tuned diagram: {', '.join(map(legible, wrong[:5]))}."
+        message = f"the file would not give the diagram with these values: {', '.join(map(legible, wrong[:5]))}."
         cure = (
-            "Blocks that share a file have one value there: tune them by one pattern. Give the file that the diagram "
-            "was loaded from; or use run(parameters=tuning.parameters)."
+            "Blocks that share a file have one value there: change all of them alike, or tune them by one pattern. "
+            "Give the file that the diagram was loaded from; or give the values to run(parameters=...)."
         )
         raise UsageError(Fault("E501", str(path), message, cure))
 

@@ -1,4 +1,4 @@
-"""Quantities as people write them: `2 mH`, `-0.5 1/s`."""
+"""Values as people write them: `2 mH`, `-0.5 1/s`, `[1, 2]`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from .json_number import Number, spelled
 
-__all__ = ["DECIMAL", "quantity_in", "read_quantity"]
+__all__ = ["DECIMAL", "quantity_in", "read_quantity", "value_in"]
 
 DECIMAL = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _split = re.compile(rf"\s*({DECIMAL})\s*(\S.*?)?\s*\Z").match
@@ -27,3 +27,20 @@ def read_quantity(raw: Any) -> Any:
     found = quantity_in(raw) if isinstance(raw, str) else None
     is_quantity = found is not None and found[1] and found[1][0] != ","
     return {"value": found[0], "unit": found[1]} if found and is_quantity else raw
+
+
+def value_in(text: str, *, file: str = "--set") -> Any:
+    """A typed value: a number, a number with a unit, true, false, a JSON list, or a text.
+
+    file: what errors of a list name. Raises ModelError (E0xx).
+    """
+    if found := quantity_in(text):
+        number, unit = found
+        return {"value": number, "unit": unit} if unit else number
+    if text in ("true", "false"):
+        return text == "true"
+    if text.startswith("["):
+        from .json_text import read
+
+        return read(text, file=file).value
+    return text

@@ -270,7 +270,7 @@ def test_wheels_that_share_a_file_get_one_value_or_none(tmp_path: Path) -> None:
     given: dict[str, Any] = {"minimize": "ITAE_left", "budget": 4, "stop": 3.0, "method": "de"}
     tuning = diagram.tune(over={"control_left.nlsef.k1[0]": (100, 600)}, **given)
     assert not tuning.is_kept
-    with pytest.raises(UsageError, match="would not give the tuned diagram"):
+    with pytest.raises(UsageError, match="would not give the diagram with these values"):
         tuning.write(path)
     tuning = diagram.tune(over={"control_*.nlsef.k1[0]": (100, 600)}, **given)
     (changed,) = tuning.write(path).changes

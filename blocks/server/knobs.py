@@ -1,0 +1,230 @@
+"""What a page turns: values of the session in place of those of the file, in its run and the next ones; Keep."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from ..compile.inputs import constant
+from ..studies.gains_file import Value, edit_of
+from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
+from ..text.printable import legible, quoted
+from ..text.quantity_text import value_in
+from .facts import Fact, text_of
+from .messages import Answer, handles
+from .session import Session
+
+if TYPE_CHECKING:
+    from .live_run import LiveRun
+
+__all__ = ["changed", "turned"]
+
+ACTIVE = ("running", "paused")
+"""The states of a run that can be turned."""
+
+
+@handles
+def knobs(session: Session, *, names: list[str]) -> Answer:
+    """Parameters and inputs, with their values in this session, by path and by name."""
+    facts = session.document.facts
+    known = [facts[name].told(_values(session, facts[name]).get(name)) for name in names if name in facts]
+    return {"is": "knobs", "knobs": known, **changed(session)}
+
+
+@handles
+def set(session: Session, *, name: str, value: Any, anew: bool = False) -> Answer:
+    """Give a parameter or an input another value: numbers in the unit in which it is shown, or a text as typed.
+
+    It acts at once in a run that goes on, and counts for the next ones. anew: for the next ones only, as for what
+    cannot change in a run. Raises what `Run.set` raises; the value of before stays then.
+    """
+    fact = _fact(session, name)
+    raw = _raw(fact, value)
+    live = session.live
+    done = None
+    if not anew and live is not None and live.state in ACTIVE:
+        done = live.set(name, raw)
+    else:
+        _check(session, fact, raw)
+    _values(session, fact)[name] = raw
+    told = {"name": name, "value": fact.number(raw), "text": text_of(raw, fact.declared), "was": fact.text}
+    at = {} if done is None else {"steps": done.steps, "t": done.t}
+    session.broadcast({"is": "knob", **told, **at})
+    return {"is": "set", **told, **at}
+
+
+@handles
+def reset(session: Session, *, name: str | None = None) -> Answer:
+    """Go back to what the file says: of one parameter, input or block (its variant), or of all.
+
+    What cannot change in a run goes back in the next one: the answer names it (`later`).
+    """
+    document, live = session.document, session.live
+    later = []
+    names = [name] if name is not None else [*session.values, *session.inputs]
+    for each in names:
+        known = session.inputs if each in session.inputs else session.values
+        fact = document.facts.get(each)
+        if each in known and fact is not None and live is not None and live.state in ACTIVE:
+            try:
+                live.set(each, fact.said)
+            except UsageError:  # it is fixed, or a table over time
+                later.append(each)
+        known.pop(each, None)
+    if name in document.variants or (name is None and document.variants):
+        document.variants = {path: v for path, v in document.variants.items() if name is not None and path != name}
+        document.check()
+        session.tell_document()
+    return {**_told(session), "later": later}
+
+
+@handles
+def variant(session: Session, *, path: str, name: str) -> Answer:
+    """Choose a variant of a block ("base": the block itself) for the next runs. Raises ModelError (E122)."""
+    document = session.document
+    chosen = {**document.variants, path: name}
+    if document.diagram is not None:
+        document.diagram.with_variants(chosen)  # raises where there is none
+    document.variants = chosen
+    document.check()
+    session.tell_document()
+    return _told(session)
+
+
+@handles
+def keep(session: Session, *, names: list[str] | None = None) -> Answer:
+    """Write what was changed into the file, as a whole or not at all, by an edit on its text.
+
+    Raises UsageError (E501) where there is no file, where it has changed since it was read, or where it would not give
+    the diagram with these values.
+    """
+    document = session.document
+    if document.path is None or document.diagram is None:
+        message = "has no file that could keep the values." if document.path is None else "cannot be read."
+        cure = "Write one with Diagram.save, and open it; or copy the script."
+        raise UsageError(Fault("E501", document.name, message, cure))
+    parameters, inputs, variants = (
+        {name: value for name, value in known.items() if names is None or name in names}
+        for known in (session.values, session.inputs, document.variants)
+    )
+    owners = [path for path in document.variants if any(name.startswith(f"{path}.") for name in parameters)]
+    variants |= {path: document.variants[path] for path in owners}  # their parameters stand in the variant
+    facts = document.facts
+    edit = edit_of(
+        document.diagram, document.path, [_written(facts, name, raw) for name, raw in parameters.items()],
+        parameters=parameters, variants=variants, text=document.text,
+        inputs=[_written(facts, name, raw) for name, raw in inputs.items()],
+    )  # fmt: skip
+    try:
+        edit.write()
+    except UsageError as error:
+        if not document.has_changed():
+            raise
+        cure = "It is read again, and the values stay: look at them, and keep them again."
+        raise UsageError(Fault("E501", str(document.path.name), "has changed since it was read.", cure)) from error
+    for kept, known in ((parameters, session.values), (inputs, session.inputs), (variants, document.variants)):
+        for name in kept:
+            del known[name]
+    document.read()
+    session.tell_document()
+    changes = [{"line": c.line, "old": c.old, "new": c.new, "file": c.file} for c in edit.changes]
+    return {**_told(session), "kept": changes}
+
+
+@handles
+def script(session: Session) -> Answer:
+    """A Python script that repeats the run, bit for bit."""
+    document = session.document
+    if document.path is None:
+        cure = "Write one with Diagram.save, and open it."
+        raise UsageError(Fault("E501", document.name, "has no file that a script could load.", cure))
+    return {"is": "script", "text": session.running.script(str(document.path.resolve()))}
+
+
+# --- values ----------------------------------------------------------------------------------------------------------
+
+
+def changed(session: Session) -> dict[str, Any]:
+    """What the session has set in place of what the file says, and what was turned in its run."""
+    facts, changes = session.document.facts, []
+    for name, raw in (*session.values.items(), *session.inputs.items()):
+        fact = facts.get(name)
+        text = text_of(raw, "" if fact is None else fact.declared)
+        changes.append({"name": name, "text": text, "was": "" if fact is None else fact.text})
+    for path, choice in session.document.variants.items():
+        changes.append({"name": path, "text": f"variant {choice}", "was": ""})
+    return {"changed": changes, "turned": [] if session.live is None else turned(session.live, facts)}
+
+
+def turned(live: LiveRun, facts: Mapping[str, Fact]) -> list[dict[str, Any]]:
+    """What was turned in a run, in order."""
+    units = {name: fact.declared for name, fact in facts.items()}
+    return [
+        {"steps": each.steps, "t": each.t, "name": each.name, "text": text_of(each.value, units.get(each.name, ""))}
+        for each in live.turned
+    ]
+
+
+def _told(session: Session) -> dict[str, Any]:
+    """Tell all pages what is changed now; the answer."""
+    told = changed(session)
+    session.broadcast({"is": "changed", **told})
+    return {"is": "done", **told}
+
+
+def _fact(session: Session, name: str) -> Fact:
+    facts = session.document.facts
+    if name not in facts:
+        if session.document.planned is None:
+            cure = "Mend its faults first."
+            raise UsageError(Fault("E502", legible(name[:200]), "cannot be set while the diagram has faults.", cure))
+        cure = did_you_mean(name[:200], facts)
+        raise UsageError(Fault("E502", legible(name[:200]), "there is no such input or parameter.", cure))
+    return facts[name]
+
+
+def _values(session: Session, fact: Fact) -> dict[str, Any]:
+    """The values of the session that one of these belongs to."""
+    return session.inputs if fact.is_input else session.values
+
+
+def _raw(fact: Fact, value: Any) -> Any:
+    """A value of the page as a file would hold it. Raises UsageError (E501) and ModelError (E0xx)."""
+    if not isinstance(value, str):
+        if not isinstance(value, (bool, int, float, list)):
+            raise UsageError(Fault("E501", fact.name, f"{quoted(json.dumps(value)[:80])} is no value."))
+        return fact.quantity(value)
+    text = value.strip()
+    if not text and fact.type != "text":
+        raise UsageError(Fault("E501", fact.name, "has no value.", f"As in {fact.text}."))
+    return value if fact.type == "text" else fact.quantity(value_in(text, file=fact.name))
+
+
+def _check(session: Session, fact: Fact, raw: Any) -> None:
+    """Refuse a value that no run could begin with. Raises ModelError and UsageError."""
+    if not fact.is_input:
+        session.document.shown.flatten(parameters={**session.values, fact.name: raw})
+        return
+    planned = session.document.planned
+    assert planned is not None
+    _, shape, unit, type_, _ = next(entry for entry in planned.inputs if entry[0] == fact.name)
+    try:
+        constant(raw, shape, unit, type_)
+    except ValueError as error:
+        message = error.faults[0].message if isinstance(error, BlocksError) else str(error)
+        raise UsageError(Fault("E502", fact.name, message)) from None
+
+
+def _written(facts: Mapping[str, Fact], name: str, raw: Any) -> Value:
+    """What Keep writes: a bare number stays one, in the declared unit; a quantity keeps the unit of the file."""
+    fact = facts.get(name)
+    if fact is None:
+        cure = "Reset it, or give it to a run in Python."
+        raise UsageError(Fault("E501", legible(name), "is not in the diagram any more.", cure))
+    if isinstance(raw, Mapping) and (fact.is_input or str(raw.get("unit", "")) == fact.declared):
+        raw = fact.bare(raw)
+    if isinstance(raw, Mapping):
+        return Value(name, (), raw["value"], str(raw.get("unit", fact.declared)), dict(raw))
+    has_unit = isinstance(raw, (int, float, list)) and not isinstance(raw, bool)
+    return Value(name, (), raw, fact.declared if has_unit else None, raw)

@@ -1,0 +1,223 @@
+"""What a page turns: values of the session, of its runs, and of the file."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from time import monotonic, sleep
+from typing import Any
+
+import numpy as np
+import pytest
+
+import blocks.server.knobs  # noqa: F401  # its messages
+from blocks import Diagram
+from blocks.server.document import Document
+from blocks.server.messages import answer
+from blocks.server.session import Session
+from blocks.text.errors import ModelError, UsageError
+
+ROOT = Path(__file__).parents[2]
+Do = Callable[..., dict[str, Any]]
+
+LOOP = """{
+ "format": "blocks-diagram",
+ "version": 2,
+ "name": "loop",
+ "parameters": {
+  "T":   {"value": 2000,  "unit": "ms", "doc": "time constant"}
+ },
+ "inputs": {
+  "u": {"unit": "V", "default": 1.50},
+  "d": {"unit": "V"}
+ },
+ "blocks": {
+  "sum":  {"type": "Sum"},
+  "gain": {"type": "Gain", "parameters": {"k": 0.50},
+   "variants": {"other": {"type": "Gain", "parameters": {"k": 7}}}},
+  "lag": {"type": "TransferFunction", "parameters": {"num": [1,  2], "den": [3, 2,   1]}}
+ },
+ "wires": {"sum.u1": "u", "sum.u2": "d", "gain.u": "sum.y", "lag.u": "gain.y"},
+ "run": {"stop": 1, "method": "rk4", "step": 0.01, "inputs": {"d": {"value": 200, "unit": "mV"}}}
+}
+"""
+
+
+class Page:
+    """A client that remembers what it was sent."""
+
+    def __init__(self) -> None:
+        self.got: list[Any] = []
+
+    def send(self, message: Any, slot: str = "") -> bool:
+        self.got.append(message)
+        return True
+
+
+@pytest.fixture
+def opened() -> Iterator[Callable[[Any], Session]]:
+    made: list[Session] = []
+
+    def open_(source: Any) -> Session:
+        made.append(Session(Document(source)))
+        made[-1].clients.append(Page())
+        return made[-1]
+
+    yield open_
+    for session in made:
+        session.close()
+
+
+@pytest.fixture
+def loop(tmp_path: Path, opened: Callable[[Any], Session]) -> tuple[Path, Session, Do]:
+    path = tmp_path / "loop.json"
+    path.write_text(LOOP)
+    session = opened(path)
+    return path, session, asking(session)
+
+
+def asking(session: Session) -> Do:
+    def do(what: str, **fields: Any) -> dict[str, Any]:
+        told = answer(session, {"do": what, **fields})
+        assert told is not None
+        return told
+
+    return do
+
+
+def ended(session: Session) -> Any:
+    """Run to the end; the results."""
+    live = session.live or session.begin()
+    live.go()
+    until = monotonic() + 60.0
+    while live.state not in ("done", "failed") and monotonic() < until:
+        sleep(0.005)
+    assert live.state == "done"
+    return live.results()
+
+
+def test_keep_changes_the_characters_of_the_values_alone(loop: tuple[Path, Session, Do]) -> None:
+    path, session, do = loop
+    do("set", name="T", value=1250)  # a slider has the unit of the file
+    do("set", name="gain.k", value="0.75")
+    do("set", name="u", value="2500 mV")
+    do("set", name="d", value=0.3e3)
+    do("set", name="lag.den", value="[3, 4, 1]")
+    kept = do("keep")
+    new = LOOP.replace("2000", "1250").replace("0.50}", "0.75}").replace("1.50", "2.5").replace("200,", "300,")
+    assert path.read_text() == new.replace("[3, 2,   1]", "[3, 4,   1]")
+    assert (kept["changed"], len(kept["kept"])) == ([], 5)
+    assert not session.values
+    assert not session.inputs
+    assert session.document.facts["T"].text == "1250 ms"
+    pages = session.clients[0].got  # type: ignore[attr-defined]
+    assert [message["is"] for message in pages[-2:]] == ["document", "changed"]
+    assert not session.document.has_changed(), "no echo of one's own edit"
+
+
+def test_a_unit_is_kept_and_a_default_becomes_an_entry(tmp_path: Path, opened: Callable[[Any], Session]) -> None:
+    path = tmp_path / "motor_pid.json"
+    shutil.copy(ROOT / "diagrams" / "motor_pid.json", path)
+    old = path.read_text()
+    session = opened(path)
+    do = asking(session)
+    do("set", name="motor.Ra", value="200 mOhm")
+    do("set", name="voltage", value="10000 mV")
+    do("set", name="kp", value=25.0)
+    with pytest.raises(ModelError, match="bound"):
+        do("set", name="control.kp", value=25.0)
+    do("keep", names=["voltage", "motor.Ra"])
+    new = old.replace('"value": 12,', '"value": 10,').replace(
+        '"motor": {"type": "PMDCMotor"}',
+        '"motor": {"type": "PMDCMotor", "parameters": {"Ra": {"value": 200, "unit": "mOhm"}}}',
+    )
+    assert path.read_text() == new
+    assert list(session.values) == ["kp"]
+    do("keep")
+    assert path.read_text() == new.replace('"kp": {"value": 20,', '"kp": {"value": 25,')
+
+
+def test_keep_refuses_a_file_that_changed_and_one_that_would_say_something_else(
+    tmp_path: Path, loop: tuple[Path, Session, Do], opened: Callable[[Any], Session]
+) -> None:
+    path, session, do = loop
+    do("set", name="gain.k", value=2)
+    path.write_text(LOOP.replace("2000", "1999"))
+    with pytest.raises(UsageError, match="changed since it was read"):
+        do("keep")
+    assert path.read_text() == LOOP.replace("2000", "1999")
+    assert session.values == {"gain.k": 2}
+    shutil.copytree(ROOT / "diagrams" / "paper", tmp_path / "paper")
+    before = (tmp_path / "paper" / "control_iadrc.json").read_bytes()
+    do = asking(opened(tmp_path / "paper" / "iadrc.json"))
+    do("set", name="control_left.nlsef.k1", value=[100, 2])
+    with pytest.raises(UsageError, match="share a file"):
+        do("keep")
+    assert (tmp_path / "paper" / "control_iadrc.json").read_bytes() == before
+    with pytest.raises(UsageError, match="has no file"):
+        asking(opened(Diagram.load(path)))("keep")
+
+
+def test_bad_values_leave_that_of_before(loop: tuple[Path, Session, Do]) -> None:
+    _, session, do = loop
+    do("set", name="gain.k", value=3)
+    for name, value, code in (
+        ("T", "2 kg", "E104"), ("T", "much", ""), ("T", "", "E501"), ("gain.kk", 1, "E502"), ("u", "2 A", "E502"),
+        ("lag.den", "[1,", "E001"), ("gain.k", {"value": 1}, "E501"),
+    ):  # fmt: skip
+        with pytest.raises((UsageError, ModelError)) as caught:
+            do("set", name=name, value=value)
+        assert code in ("", caught.value.code), caught.value
+    assert (session.values, session.inputs) == ({"gain.k": 3}, {})
+    live = session.begin()
+    with pytest.raises(UsageError, match="E117"):
+        do("set", name="lag.den", value=[1, 2, 3, 4])
+    assert (live.state, do("knobs", names=["lag.den"])["knobs"][0]["changed"]) == ("paused", False)
+    do("set", name="lag.num", value=[1, 3], anew=True)
+    assert session.values["lag.num"] == [1, 3]
+
+
+def test_values_of_the_session_are_those_of_the_next_run(loop: tuple[Path, Session, Do]) -> None:
+    path, session, do = loop
+    do("set", name="gain.k", value=3)
+    do("set", name="u", value="2 V")
+    do("set", name="lag.den", value=[5, 4, 3, 2])
+    do("variant", path="gain", name="other")
+    live = ended(session)
+    given: dict[str, Any] = {"gain.k": 3, "lag.den": [5, 4, 3, 2]}
+    run = Diagram.load(path).run(parameters=given, inputs={"u": 2.0}, variants={"gain": "other"}, log=["lag.y"])
+    assert np.array_equal(live["lag.y"], run["lag.y"])
+    told = do("reset")
+    assert (told["changed"], session.values, session.inputs, session.document.variants) == ([], {}, {}, {})
+    session.begin()
+    assert np.array_equal(ended(session)["lag.y"], Diagram.load(path).run(log=["lag.y"])["lag.y"])
+
+
+def test_a_variant_is_kept_with_the_values_of_its_parameters(loop: tuple[Path, Session, Do]) -> None:
+    path, _, do = loop
+    do("variant", path="gain", name="other")
+    assert do("knobs", names=["gain.k"])["knobs"][0]["text"] == "7"
+    do("set", name="gain.k", value=8)
+    do("keep", names=["gain.k"])
+    new = Diagram.load(path).to_json()["blocks"]["gain"]
+    assert (new["variant"], new["variants"]["other"]["parameters"], new["parameters"]) == (
+        "other", {"k": 8}, {"k": 0.5},
+    )  # fmt: skip
+
+
+def test_what_was_turned_is_listed_and_reset_in_the_run(loop: tuple[Path, Session, Do]) -> None:
+    _, session, do = loop
+    session.begin()
+    told = do("set", name="T", value=1000)
+    assert (told["text"], told["was"], told["steps"], told["t"]) == ("1000 ms", "2000 ms", 0, 0.0)
+    do("set", name="u", value=1)
+    do("reset", name="T")
+    told = do("knobs", names=["T", "u", "gain.k"])
+    assert [(each["name"], each["text"]) for each in told["turned"]] == [
+        ("T", "1000 ms"), ("u", "1 V"), ("T", "2000 ms"),
+    ]  # fmt: skip
+    assert told["changed"] == [{"name": "u", "text": "1 V", "was": "1.50 V"}]
+    T, u, k = told["knobs"]
+    assert (T["value"], T["unit"], T["low"], T["high"], T["changed"]) == (2000.0, "ms", 0.0, 4000.0, False)
+    assert (u["input"], u["value"], u["changed"], k["text"]) == (True, 1, True, "0.50")
