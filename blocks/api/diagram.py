@@ -650,7 +650,7 @@ class Diagram:
         inputs: PortName | str | Sequence[PortName | str],
         outputs: PortName | str | Sequence[PortName | str],
         *,
-        at: OperatingPoint | float | None = None,
+        at: OperatingPoint | Run | float | None = None,
         openings: PortName | str | Sequence[PortName | str] = (),
         amplitude: Mapping[str, Any] | None = None,
         sigma: Mapping[str, Any] | None = None,
@@ -666,8 +666,8 @@ class Diagram:
 
         Signals go by name: "motor.omega" (all that read it see a change there), an input of a block ("motor.v",
         which alone sees it), an input of the diagram, a local ("eso.e"). openings: signals that are cut; they keep the
-        values that they have. at: None: at the start; a time in s: as a run stands there; an `OperatingPoint`. held:
-        values of the diagram's inputs; those that have none are 0. amplitude, sigma: by signal, the amplitude of a
+        values that they have. at: None: at the start; a time in s: as a run stands there; an `OperatingPoint`; a `Run`
+        as it stands, with what was set in it (with FMUs one of engine="reference"). held: values of the diagram's inputs; those that have none are 0. amplitude, sigma: by signal, the amplitude of a
         sine, or the deviation of a random signal, at laws that have no slope: their describing functions take their
         place. overrides: by the path of a block, a linear model instead. pade: the order of models of exact delays.
         parameters, variants, trust, settings: as of `run`.
@@ -685,7 +685,7 @@ class Diagram:
     def linearizer(
         self,
         *,
-        at: OperatingPoint | float | None = None,
+        at: OperatingPoint | Run | float | None = None,
         amplitude: Mapping[str, Any] | None = None,
         sigma: Mapping[str, Any] | None = None,
         overrides: Mapping[str, Any] | None = None,
@@ -708,7 +708,7 @@ class Diagram:
     def point(
         self,
         *,
-        at: OperatingPoint | float | None = None,
+        at: OperatingPoint | Run | float | None = None,
         held: Mapping[str, Any] | None = None,
         parameters: Mapping[str, Any] | None = None,
         variants: Mapping[str, str] | None = None,

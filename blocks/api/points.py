@@ -14,6 +14,7 @@ from ..engines.prepared import Prepared
 from ..linear.operating_point import OperatingPoint
 from ..linear.point import Point
 from ..model.diagram import DiagramValue
+from ..model.flatten import Flat
 from ..model.hierarchy import Resolver
 from ..model.trust import Paths
 from ..model.variants import taken
@@ -34,7 +35,7 @@ MOST_KEPT = 3
 class PointOptions:
     """What a point is given besides its model; see `Diagram.point`."""
 
-    at: OperatingPoint | float | None
+    at: OperatingPoint | Run | float | None
     held: Mapping[str, Any] | None
     parameters: Mapping[str, Any] | None
     variants: Mapping[str, str] | None
@@ -45,10 +46,15 @@ class PointOptions:
 def point_of(value: DiagramValue, resolver: Resolver, options: PointOptions, last: LastMade) -> Point:
     """Where a diagram stands. last: where its last point is kept."""
     at, held, parameters, variants = options.at, options.held, options.parameters, options.variants
-    if isinstance(at, OperatingPoint):
+    if isinstance(at, (OperatingPoint, Run)):
         if held or parameters or variants or options.settings:
-            message = "an operating point has its inputs, parameters and settings already."
-            raise UsageError(Fault("E501", "at", message, "Give them where it is searched for."))
+            what, cure = "an operating point has", "Give them where it is searched for."
+            if isinstance(at, Run):
+                what, cure = "a run has", "Give them where it begins, or set them."
+            raise UsageError(Fault("E501", "at", f"{what} its inputs, parameters and settings already.", cure))
+    if isinstance(at, Run):
+        return _of_run(at, options.trust)
+    if isinstance(at, OperatingPoint):
         if at.point is None:
             message = "was found by a run with FMUs of Co-Simulation, which hide what they are made of."
             cure = "Import them as Model Exchange, or estimate the response by simulation."
@@ -70,6 +76,25 @@ def point_of(value: DiagramValue, resolver: Resolver, options: PointOptions, las
         outside = tuple(tape.outside for tape in tapes if tape.outside is not None)
         last.keep("point", key, (point, outside))
     return point
+
+
+def _of_run(run: Run, trust: Paths) -> Point:
+    """Where a run stands, with all that was set in it. It can go on; its FMUs, which exist once, are looked at."""
+    prepared = run.prepared
+    _refuse_coupled(prepared.structure)
+    if not any(block.interface.declaration.foreign is not None for block in prepared.structure.blocks):
+        settings = {key: value for key, value in prepared.settings.items() if key not in ("start", "seed")}
+        going = RunOptions(resume=run.snapshot(), engine="reference", trust=trust)
+        run = started(prepared.value, prepared.resolver, {}, {**settings, "log": []}, going, likes=[prepared])
+    return Point.of(engine_of(run))
+
+
+def _refuse_coupled(flat: Flat) -> None:
+    coupled = coupled_block(flat)
+    if coupled:
+        message = "is an FMU for Co-Simulation: it hides its states, so that it has no linear model."
+        cure = 'Import it as "kind": "ME", or estimate the response by simulation (estimate_response).'
+        raise AnalysisError(Fault("E703", coupled, message, cure))
 
 
 def _standing(
@@ -99,11 +124,7 @@ def _standing(
     asked = plain_settings({**settings, **silent})
     like = next((form for form in likes if form.with_values(parameters, asked) is not None), None)
     flat = flat_of(value, resolver, parameters, asked) if like is None else like.structure
-    coupled = coupled_block(flat)
-    if coupled:
-        message = "is an FMU for Co-Simulation: it hides its states, so that it has no linear model."
-        cure = 'Import it as "kind": "ME", or estimate the response by simulation (estimate_response).'
-        raise AnalysisError(Fault("E703", coupled, message, cure))
+    _refuse_coupled(flat)
     given = RunOptions(inputs={**at_rest(value, flat), **(held or {})}, engine="reference", trust=options.trust)
     if at is None:
         return engine_of(begun(parameters, asked, given, flat if like is None else None))

@@ -157,6 +157,21 @@ class Linearization(ReplacedSlopes):
         A, B, C, D = (matrices[key] for key in ("xx", "xe", "yx", "ye"))
         return Transfer(A, B, C, D, dt, names, signals, units, plan.name, report)
 
+    def whole(self, *, pade: int = 0) -> Transfer:
+        """The model of all states, each its own output: its poles are those of the diagram, hidden ones too.
+
+        Its inputs are additions to the rates of the states, and to what sampled blocks remember at their ticks. Raises
+        AnalysisError as `model`.
+        """
+        graph, plan = self.graph, self.graph.plan
+        x, d = graph.first["x"], graph.first["d"]
+        named = dict(enumerate(plan.states, x)) | {d + slot: name for slot, name in enumerate(plan.discretes)}
+        nodes = [n for n, column in enumerate(graph.variable.tolist()) if column in named]
+        outs = [SignalElement(named[column], column) for column in graph.variable[nodes].tolist()]
+        wired, report = self.wired((), outs, injected=nodes)
+        ins = [SignalElement(f"to {spot.name}", spot.column) for spot in outs]
+        return self._made(wired, report, ins, outs, pade)
+
     def lifted(self, inputs: Names, outputs: Names, *, openings: Names = (), pade: int = 0) -> LiftedModel:
         """The model over the period after which the ticks of several rates repeat, with all its base steps.
 
