@@ -26,7 +26,7 @@ from typing import Any, Self
 
 __all__ = ["DEADLINE", "Browser", "found"]
 
-DEADLINE = 60.0
+DEADLINE = 40.0
 """Seconds that anything may take, on a machine that is busy with other things."""
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _OPTIONS = (
@@ -202,20 +202,20 @@ class Browser:
         return told["result"].get("value")
 
     def until(self, condition: str, *, deadline: float = DEADLINE) -> Any:
-        """Wait until an expression is true and return its value; fails with what the page shows then.
+        """Wait until an expression is true and return its value (true for an element); fails with what the page shows.
 
         An expression that raises is not yet true.
         """
         limit = time.monotonic() + deadline
         while True:
-            value: Any = None
             try:
-                value = self.evaluate(condition)
+                asked = f"(async () => {{ const v = await ({condition}); return [!!v, v instanceof Node || v]; }})()"
+                holds, value = self.evaluate(asked)
             except RuntimeError as error:
-                value, why = None, str(error)
+                holds, why = False, str(error)
             else:
                 why = f"it is {value!r}"
-            if value:
+            if holds:
                 return value
             if time.monotonic() > limit:
                 shown = self.evaluate("location.href + '\\n' + (document.body ? document.body.innerText : '')")
