@@ -5,29 +5,23 @@ Texts are texts; only `mathml` is HTML, made here, with all that comes from else
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from ..api.catalog import sheet_of
-from ..compile.bindings import bindings
-from ..compile.plan import Plan
-from ..compile.setting_programs import Setting
 from ..contract.type_texts import names_of, pieces_of
 from ..model.diagram import BlockEntry, DiagramValue
 from ..model.hierarchy import DiagramScope, Hierarchy, Leaf
 from ..model.variants import taken
-from ..text import units
 from ..text.docstrings import html_of, inline_html, paragraphs_of
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import quoted
 from .document import Document, told_fault
+from .facts import Fact, text_of
+from .messages import Answer, handles
+from .session import Session
 
-if TYPE_CHECKING:
-    from ..api.diagram import Diagram
-
-__all__ = ["panel", "settings_of"]
+__all__ = ["panel_of"]
 
 MOST_ROWS = 300
 """Parameters, inputs and outputs that are shown, each: an FMU may have 100,000."""
@@ -35,7 +29,7 @@ LONGEST_DOC = 20_000
 """Characters of a text that are shown."""
 
 
-def panel(document: Document, path: str) -> dict[str, Any]:
+def panel_of(document: Document, path: str) -> dict[str, Any]:
     """What is shown of the block, or of the subdiagram, at a path; "" is the diagram itself.
 
     Values are in the unit beside them, which is that in which a bare number is meant. Raises UsageError (E502).
@@ -43,7 +37,6 @@ def panel(document: Document, path: str) -> dict[str, Any]:
     shown = document.shown
     hierarchy = Hierarchy(taken(shown.value), shown._draft.resolver, {})
     scope, entry, found = _found(hierarchy.root, path)
-    settings = settings_of(document)
     told: dict[str, Any] = {
         "path": path, "type": "", "kind": "diagram", "doc": "", "mathml": "", "notes": [], "parameters": [],
         "inputs": [], "outputs": [], "states": [],
@@ -52,30 +45,24 @@ def panel(document: Document, path: str) -> dict[str, Any]:
         told |= {"type": entry.what, "kind": _kind(entry), "doc": _joined(entry.doc), "notes": [*_notes(entry)]}
     inner = entry.inner if entry is not None else scope.value
     if inner is not None:
-        told |= _of_diagram(inner, path, settings, entry)
+        told |= _of_diagram(inner, path, document.facts, entry)
     elif entry is not None:
         cls = found.interface.cls if isinstance(found, Leaf) else entry.cls or shown.types.get(entry.type)
         if cls is not None:
-            told |= _of_type(cls, path, settings, entry, found if isinstance(found, Leaf) else None)
+            told |= _of_type(cls, path, document.facts, entry, found if isinstance(found, Leaf) else None)
+    planned = document.planned
+    if inner is not None and planned is not None:
+        for row in told["outputs"]:
+            known = row["signal"] in planned.signals
+            row["unit"] = planned.signal(row["signal"]).unit if known else ""
     if entry is not None:
         told["inputs"] = [{**row, **_source(scope, path, row["name"])} for row in told["inputs"]]
     told["faults"] = [
-        told_fault(fault, {path}) for fault in document.faults if f"{fault.place}.".startswith(f"{path}." if path else "")
+        told_fault(fault, {path})
+        for fault in document.faults
+        if f"{fault.place}.".startswith(f"{path}." if path else "")
     ]
     return told
-
-
-def settings_of(document: Document) -> Mapping[str, Setting]:
-    """All that can be set of the diagram, by path; nothing where it has faults, or is led by a master."""
-    shown, plan = document.shown, document.planned
-    if not isinstance(plan, Plan):
-        return {}
-    known = document.kept.get("settings")
-    if known is None:
-        value = taken(shown.value)
-        known = {setting.path: setting for setting in bindings(value, shown.flatten(), plan)}
-        document.kept["settings"] = known
-    return known  # type: ignore[no-any-return]
 
 
 def _found(root: DiagramScope, path: str) -> tuple[DiagramScope, BlockEntry | None, Leaf | DiagramScope | None]:
@@ -128,9 +115,7 @@ def _notes(entry: BlockEntry) -> Iterator[str]:
 # --- a block type ------------------------------------------------------------------------------------------------
 
 
-def _of_type(
-    cls: Any, path: str, settings: Mapping[str, Setting], entry: BlockEntry, leaf: Leaf | None
-) -> dict[str, Any]:
+def _of_type(cls: Any, path: str, facts: Mapping[str, Fact], entry: BlockEntry, leaf: Leaf | None) -> dict[str, Any]:
     declaration = cls.declaration
     if entry.fmu:  # its texts are a stranger's: no formulas are looked for
         doc = html_of(paragraphs_of(declaration.doc[:LONGEST_DOC]), None)
@@ -140,15 +125,9 @@ def _of_type(
         doc = f'<p class="summary">{inline_html(summary, names, display=True)}</p>{html_of(pieces, names)}'
     told: dict[str, Any] = {"type": entry.type or entry.what, "mathml": doc, "parameters": []}
     for row in sheet_of(cls).parameters[:MOST_ROWS]:
-        known = declaration.parameters[row.name]
-        raw = entry.parameters.get(row.name)
-        setting = settings.get(f"{path}.{row.name}")
+        place, raw = f"{path}.{row.name}", entry.parameters.get(row.name)
         unit = row.unit if row.unit != "*" else ""
-        told["parameters"].append({
-            **_parameter(f"{path}.{row.name}", raw, unit, row.doc, setting),
-            "default": row.default, "choices": [*(known.choices or known.members)],
-            **({} if setting else _value_of(leaf, row.name, unit, row.kind)),
-        })  # fmt: skip
+        told["parameters"].append({**_parameter(place, raw, row.doc, unit, facts.get(place)), "default": row.default})
     if leaf is None:
         return told
     interface = leaf.interface
@@ -167,46 +146,14 @@ def _of_type(
     return told
 
 
-def _parameter(path: str, raw: Any, unit: str, doc: str, setting: Setting | None) -> dict[str, Any]:
-    told: dict[str, Any] = {
-        "name": path.rpartition(".")[2], "path": path, "text": _text(raw), "value": None, "unit": unit, "doc": doc,
-        "tunable": False, "why": "", "low": None, "high": None,
-    }  # fmt: skip
-    if setting is None:
-        return told
-    shown = setting.display or setting.unit
-    factor = units.scale(setting.unit, shown)
-    values = [_out_of_si(value, factor) for value in setting.values[:MOST_ROWS]]
-    given = raw.get("value") if isinstance(raw, Mapping) and raw.get("unit", shown) == shown else raw
-    if isinstance(given, float) and len(values) == 1:
-        values = [float(given)]  # as it is written, and not through SI and back
-    is_bound = setting.is_bound
-    return told | {
-        "value": values[0] if setting.shape == () else values, "unit": shown, "doc": doc or setting.doc,
-        "tunable": setting.variability == "tunable" and not is_bound,
-        "why": "it is computed from others" if is_bound else setting.why,
-        "low": None if setting.low is None else _out_of_si(setting.low, factor),
-        "high": None if setting.high is None else _out_of_si(setting.high, factor),
-    }  # fmt: skip
-
-
-def _out_of_si(value: Any, factor: float) -> Any:
-    if isinstance(value, (str, bool)):
-        return value
-    number = float(value) * factor
-    return number if np.isfinite(number) else str(number)
-
-
-def _value_of(leaf: Leaf | None, name: str, unit: str, kind: str) -> dict[str, Any]:
-    """The value of a parameter that has no setting: where a master leads, or where there are faults."""
-    known = None if leaf is None else leaf.resolved.values.get(name)
-    why = kind.partition(" (")[0] if kind and not kind.startswith("(") else "the diagram cannot be tuned as it is"
-    if known is None or known.value is None:
-        return {"why": why}
-    value, factor = known.value, units.scale(units.si_text(unit), unit) if unit else 1.0
-    if isinstance(value, (np.ndarray, list, tuple)):
-        return {"why": why, "value": [_out_of_si(item, factor) for item in np.ravel(value)[:MOST_ROWS].tolist()]}
-    return {"why": why, "value": _out_of_si(value, factor)}
+def _parameter(path: str, raw: Any, doc: str, unit: str, fact: Fact | None) -> dict[str, Any]:
+    """A row of the panel. raw: what the file gives, None for nothing. fact: None where the diagram has faults."""
+    told = (
+        {"value": None, "unit": unit, "tunable": False, "why": "", "choices": []} if fact is None else fact.told(None)
+    )
+    keys = ("value", "unit", "tunable", "why", "choices")
+    known = {key: told[key] for key in keys}
+    return {"name": path.rpartition(".")[2], "path": path, "text": _text(raw), "doc": doc, **known}
 
 
 def _si(variable: Any) -> str:
@@ -216,27 +163,31 @@ def _si(variable: Any) -> str:
 # --- a diagram ---------------------------------------------------------------------------------------------------
 
 
-def _of_diagram(
-    value: DiagramValue, path: str, settings: Mapping[str, Setting], entry: BlockEntry | None
-) -> dict[str, Any]:
+def _of_diagram(value: DiagramValue, path: str, facts: Mapping[str, Fact], entry: BlockEntry | None) -> dict[str, Any]:
     prefix = f"{path}." if path else ""
     told: dict[str, Any] = {"type": value.name, "mathml": html_of(paragraphs_of(_joined(value.doc)), None)}
     given = entry.parameters if entry is not None else {}
     told["parameters"] = []
-    for name, raw in [*value.parameters.items()][:MOST_ROWS]:
-        said = raw if isinstance(raw, Mapping) else {}
+    for name, said in [*value.parameters.items()][:MOST_ROWS]:
+        more = said if isinstance(said, Mapping) else {}
+        own = {key: more[key] for key in ("value", "unit") if key in more} or said
         row = _parameter(
-            prefix + name, given.get(name), str(said.get("unit", "")), str(said.get("doc", "")), settings.get(prefix + name)
-        )
-        own = {key: said[key] for key in ("value", "unit") if key in said} or raw
-        if entry is None:
-            row["text"] = _text(own)
-        told["parameters"].append({**row, "default": _text(own), "choices": []})
+            prefix + name, given.get(name) if entry else own, str(more.get("doc", "")), str(more.get("unit", "")),
+            facts.get(prefix + name),
+        )  # fmt: skip
+        told["parameters"].append({**row, "default": _text(own)})
     told["inputs"] = [
-        {"name": name, "unit": str(raw.get("unit", "")), "doc": _joined(raw.get("doc")), "default": _text(raw.get("default"))}
+        {
+            "name": name,
+            "unit": str(raw.get("unit", "")),
+            "doc": _joined(raw.get("doc")),
+            "default": _text(raw.get("default")),
+        }
         for name, raw in [*value.inputs.items()][:MOST_ROWS]
     ]
-    told["inputs"] += [{"name": name, "unit": "", "doc": "", "default": ""} for name in (entry.control_inputs if entry else ())]
+    told["inputs"] += [
+        {"name": name, "unit": "", "doc": "", "default": ""} for name in (entry.control_inputs if entry else ())
+    ]
     told["outputs"] = [
         {"name": name, "unit": "", "doc": f"from {source}", "signal": prefix + name}
         for name, source in [*value.outputs.items()][:MOST_ROWS]
@@ -257,13 +208,10 @@ def _source(scope: DiagramScope, path: str, port: str) -> dict[str, str]:
 
 
 def _text(raw: Any) -> str:
-    """A raw value as a person reads it: as the file has it, a quantity with its unit behind."""
-    if raw is None:
-        return ""
-    if isinstance(raw, Mapping):
-        return f"{_text(raw.get('value'))} {raw.get('unit', '')}".strip()
-    if isinstance(raw, bool):
-        return "true" if raw else "false"
-    if isinstance(raw, Sequence) and not isinstance(raw, str):
-        return f"[{', '.join(_text(item) for item in raw)}]"[:LONGEST_DOC]
-    return str(raw)[:LONGEST_DOC]
+    """A raw value as a person reads it; "" for none."""
+    return "" if raw is None else text_of(raw)[:LONGEST_DOC]
+
+
+@handles
+def panel(session: Session, *, path: str) -> Answer:
+    return {"is": "panel", **panel_of(session.document, path)}

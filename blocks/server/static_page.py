@@ -53,7 +53,7 @@ def page_of(diagram: Diagram, results: Results | None = None, *, variants: Mappi
         document = hello["document"]
         levels = ["", *(block["path"] for block in document["blocks"] if block["kind"] == "diagram")]
         asked: list[dict[str, Any]] = [{"do": "draw", "level": level} for level in levels]
-        asked += [{"do": "panel", "path": block["path"]} for block in document["blocks"]]
+        asked += [{"do": "panel", "path": path} for path in ["", *(block["path"] for block in document["blocks"])]]
         answers = [[list(one.values()), answer(session, one)] for one in asked]
     finally:
         session.close()

@@ -23,7 +23,17 @@ from html import escape
 
 from .formulas import Code, Formula, Names, Part, Words, formulas_in, html
 
-__all__ = ["Entry", "Lines", "Paragraph", "Piece", "References", "html_of", "inline_html", "is_readable", "paragraphs_of"]
+__all__ = [
+    "Entry",
+    "Lines",
+    "Paragraph",
+    "Piece",
+    "References",
+    "html_of",
+    "inline_html",
+    "is_readable",
+    "paragraphs_of",
+]
 
 _ENTRY = re.compile(r"([A-Za-z_][\w, ]{0,40}): (?=\S)")
 _POINT = re.compile(r"[-*] (?=\S)")
@@ -160,7 +170,7 @@ def _line_html(line: str, names: Names) -> str:
     if not is_readable(line, names):
         return f"<p><code>{escape(line)}</code></p>"
     columns = (inline_html(column, names, display=True) for column in re.split(r" {3,}", line))
-    return f"<p>{'<span class="gap"></span>'.join(columns)}</p>"
+    return "<p>" + '<span class="gap"></span>'.join(columns) + "</p>"
 
 
 def inline_html(text: str, names: Names | None, *, display: bool = False) -> str:

@@ -1,0 +1,35 @@
+/** What the parts of the page are made of. */
+
+/** An element with attributes, and with children: elements or texts. */
+export function element(tag, attributes = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith("on")) made[name] = value;
+    else if (value !== null && value !== false) made.setAttribute(name, value === true ? "" : value);
+  }
+  made.append(...children.filter((child) => child !== null));
+  return made;
+}
+
+/** A dialog that closes by Escape and by a click beside it, and gives the focus back. */
+export function dialog(label, ...children) {
+  const made = element("dialog", { "aria-label": label }, ...children);
+  const back = document.activeElement;
+  made.onclick = (event) => event.target === made && made.close();
+  made.onclose = () => {
+    made.remove();
+    if (document.activeElement === document.body) back?.focus();
+  };
+  document.body.append(made);
+  made.showModal();
+  return made;
+}
+
+/** "1 fault", "2 faults". */
+export const counted = (count, noun) => `${count === 0 ? "no" : count} ${noun}${count === 1 ? "" : "s"}`;
+
+/** HTML that the server has made and escaped, as nodes. @param {string} html */
+export function trusted(html) {
+  const nodes = new DOMParser().parseFromString(html, "text/html").body.childNodes;
+  return [...nodes].map((node) => document.adoptNode(node));
+}

@@ -1,0 +1,141 @@
+/** The lists of blocks, signals and faults, and the search: all of the drawing for who has no mouse, or does not see it. */
+import { counted, dialog, element } from "./elements.js";
+
+const SHOWN = 300;
+
+/** Let the arrow keys move the focus among the buttons of a list, of which one is a stop of the Tab key. */
+export function roving(list) {
+  list.onkeydown = (event) => {
+    const items = [...list.querySelectorAll("button")];
+    const at = items.indexOf(document.activeElement);
+    const to = { ArrowDown: at + 1, ArrowUp: at - 1, Home: 0, End: items.length - 1 }[event.key];
+    if (to === undefined || !items[to]) return;
+    event.preventDefault();
+    items[to].focus();
+  };
+  list.onfocusin = ({ target }) => list.querySelectorAll("button").forEach((item) => (item.tabIndex = item === target ? 0 : -1));
+}
+
+export function start(app) {
+  const place = document.getElementById("lists");
+  const filter = element("input", { type: "search", placeholder: "Filter", "aria-label": "Filter the lists", oninput: () => fill() });
+  const group = (title, open) => {
+    const count = element("span", { class: "count" });
+    const list = element("ul", { class: "items", "aria-label": title });
+    const shown = element("details", { open }, element("summary", {}, element("h2", {}, title), count), list);
+    roving(list);
+    return { list, count, shown };
+  };
+  const groups = { faults: group("Faults", true), blocks: group("Blocks", true), signals: group("Signals", true) };
+  place.append(filter, ...Object.values(groups).map(({ shown }) => shown));
+
+  const fits = (...texts) => texts.some((text) => text.toLowerCase().includes(filter.value.trim().toLowerCase()));
+  const put = ({ list, count }, items, total) => {
+    const focused = list.contains(document.activeElement) ? [...list.children].indexOf(document.activeElement.closest("li")) : -1;
+    list.replaceChildren(...items.slice(0, SHOWN));
+    if (items.length > SHOWN) list.append(element("li", { class: "more" }, `${items.length - SHOWN} more: use the filter`));
+    const buttons = [...list.querySelectorAll("button")];
+    const first = buttons.find((one) => one.ariaCurrent) ?? buttons[0];
+    buttons.forEach((one) => (one.tabIndex = one === first ? 0 : -1));
+    if (focused >= 0) (buttons[focused] ?? first)?.focus();
+    count.textContent = total;
+  };
+
+  /** Whether a signal is of a block, or an input or output, of the level. */
+  const isHere = (name, prefix) => name.startsWith(prefix) && name.slice(prefix.length).split(".").length <= 2;
+  const blockItem = (block) => {
+    const name = block.path.split(".").pop();
+    const isCurrent = block.path === app.state.selected;
+    const opens = block.kind === "diagram";
+    const onkeydown = (event) => opens && event.key === "ArrowRight" && app.open(block.path);
+    const made = element(
+      "button", { "data-path": block.path, "aria-current": isCurrent ? "true" : null, ondblclick: () => opens && app.open(block.path), onclick: () => app.reveal(block.path), onkeydown },
+      element("span", { class: "name" }, filter.value ? block.path : name), element("span", { class: "type" }, opens ? `${block.type} ›` : block.type),
+    );
+    return element("li", {}, made);
+  };
+  const fill = () => {
+    const { document: told, level } = app.state;
+    if (!told) return;
+    const blocks = told.blocks.filter((one) => (filter.value ? fits(one.path, one.type) : one.level === level));
+    put(groups.blocks, blocks.map(blockItem), blocks.length);
+    const prefix = level ? `${level}.` : "";
+    const signals = told.signals.filter((one) => (filter.value ? fits(one.name) : isHere(one.name, prefix)));
+    put(groups.signals, signals.map((one) => {
+      const shape = one.shape.length ? `[${one.shape.join("×")}]` : "";
+      const open = () => app.openScope([one.name]);
+      return element("li", {}, element("button", { "data-signal": one.name, title: `Show ${one.name} in a scope`, onclick: open },
+        element("span", { class: "name" }, (filter.value ? one.name : one.name.slice(prefix.length)) + shape), element("span", { class: "unit" }, one.unit)));
+    }), signals.length);
+    groups.faults.shown.hidden = !told.faults.length;
+    put(groups.faults, told.faults.map((one) => element("li", {}, element("button", {
+      class: one.warning ? "warning" : "fault", onclick: () => (one.block ? app.reveal(one.block) : app.announce("This fault is of no block.")),
+    }, element("b", {}, one.code), ` ${one.place}: ${one.message}`, element("span", { class: "cure" }, one.cure)))), told.faults.length);
+  };
+  app.on("document", fill);
+  app.on("level", fill);
+  app.on("select", () => groups.blocks.list.querySelectorAll("button").forEach((one) => {
+    one.ariaCurrent = one.dataset.path === app.state.selected ? "true" : null;
+  }));
+
+  // --- search ---
+  /** What a word finds: names that begin with it first. */
+  const found = (word) => {
+    const { blocks, signals } = app.state.document;
+    const entries = [
+      ...blocks.map((one) => ({ name: one.path, told: one.type, go: () => app.reveal(one.path) })),
+      ...signals.map((one) => ({ name: one.name, told: one.unit ? `signal, ${one.unit}` : "signal", go: () => app.openScope([one.name]) })),
+    ];
+    const rank = ({ name, told }) => {
+      const own = name.toLowerCase();
+      if (own.split(".").pop().startsWith(word)) return 0;
+      return own.includes(word) ? 1 : told.toLowerCase().includes(word) ? 2 : 3;
+    };
+    return entries.map((one) => [rank(one), one]).filter(([order]) => order < 3).sort(([a], [b]) => a - b).slice(0, 12).map(([, one]) => one);
+  };
+  app.search = () => {
+    let entries = [];
+    let at = 0;
+    const options = element("ul", { id: "found", role: "listbox", "aria-label": "Found" });
+    const word = element("input", {
+      role: "combobox", "aria-expanded": "true", "aria-controls": "found", "aria-autocomplete": "list", "aria-label": "Search blocks and signals",
+      placeholder: "Block, type or signal", autocomplete: "off", spellcheck: "false",
+    });
+    const mark = () => {
+      [...options.children].forEach((one, index) => (one.ariaSelected = String(index === at)));
+      options.children[at]?.scrollIntoView({ block: "nearest" });
+      word.setAttribute("aria-activedescendant", entries.length ? `found${at}` : "");
+    };
+    const take = (index) => {
+      shown.close();
+      document.getElementById("view").focus();
+      entries[index]?.go();
+    };
+    word.oninput = () => {
+      entries = found(word.value.trim().toLowerCase());
+      at = 0;
+      options.replaceChildren(...entries.map(({ name, told }, index) =>
+        element("li", { role: "option", id: `found${index}`, onclick: () => take(index) }, element("span", { class: "name" }, name), element("span", { class: "type" }, told))));
+      mark();
+      app.announce(`${counted(entries.length, "match").replace(/hs$/, "hes")}`);
+    };
+    word.onkeydown = (event) => {
+      if (event.key === "Enter") take(at);
+      else if (event.key === "ArrowDown") at = Math.min(at + 1, entries.length - 1);
+      else if (event.key === "ArrowUp") at = Math.max(at - 1, 0);
+      else return;
+      event.preventDefault();
+      mark();
+    };
+    const shown = dialog("Search", word, options);
+    shown.classList.add("search");
+    word.oninput();
+  };
+  document.addEventListener("keydown", (event) => {
+    const isSlash = event.key === "/" && !event.target.closest("input, textarea, dialog");
+    if (!isSlash && !(event.key.toLowerCase() === "k" && (event.ctrlKey || event.metaKey))) return;
+    event.preventDefault();
+    if (!document.querySelector("dialog.search") && app.state.document) app.search();
+  });
+  app.keys.push(["/ or Ctrl+K", "search blocks and signals"], ["↑ ↓ Home End", "move in a list; Enter selects, → opens a subdiagram"]);
+}
