@@ -1,6 +1,6 @@
 """What a page shows of one block: what it is, in words and equations, its parameters, its ports, its memory.
 
-Texts are texts; only `mathml` is HTML, made here, with all that comes from elsewhere escaped.
+Texts are texts; only `mathml` and `more` are HTML, made here, with all that comes from elsewhere escaped.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from ..contract.type_texts import names_of, pieces_of
 from ..model.diagram import BlockEntry, DiagramValue
 from ..model.hierarchy import DiagramScope, Hierarchy, Leaf
 from ..model.variants import taken
-from ..text.docstrings import html_of, inline_html, paragraphs_of
+from ..text.docstrings import Lines, Paragraph, html_of, inline_html
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import quoted
 from .document import Document, told_fault
@@ -38,7 +38,7 @@ def panel_of(document: Document, path: str) -> dict[str, Any]:
     hierarchy = Hierarchy(taken(shown.value), shown._draft.resolver, {})
     scope, entry, found = _found(hierarchy.root, path)
     told: dict[str, Any] = {
-        "path": path, "type": "", "kind": "diagram", "doc": "", "mathml": "", "notes": [], "parameters": [],
+        "path": path, "type": "", "kind": "diagram", "doc": "", "mathml": "", "more": "", "notes": [], "parameters": [],
         "inputs": [], "outputs": [], "states": [],
     }  # fmt: skip
     if entry is not None:
@@ -117,13 +117,7 @@ def _notes(entry: BlockEntry) -> Iterator[str]:
 
 def _of_type(cls: Any, path: str, facts: Mapping[str, Fact], entry: BlockEntry, leaf: Leaf | None) -> dict[str, Any]:
     declaration = cls.declaration
-    if entry.fmu:  # its texts are a stranger's: no formulas are looked for
-        doc = html_of(paragraphs_of(declaration.doc[:LONGEST_DOC]), None)
-    else:
-        names = names_of(cls)
-        summary, pieces = pieces_of(cls)
-        doc = f'<p class="summary">{inline_html(summary, names, display=True)}</p>{html_of(pieces, names)}'
-    told: dict[str, Any] = {"type": entry.type or entry.what, "mathml": doc, "parameters": []}
+    told: dict[str, Any] = {"type": entry.type or entry.what, **_told_by(cls, entry), "parameters": []}
     for row in sheet_of(cls).parameters[:MOST_ROWS]:
         place, raw = f"{path}.{row.name}", entry.parameters.get(row.name)
         unit = row.unit if row.unit != "*" else ""
@@ -146,6 +140,25 @@ def _of_type(cls: Any, path: str, facts: Mapping[str, Fact], entry: BlockEntry, 
     return told
 
 
+def _told_by(cls: Any, entry: BlockEntry) -> dict[str, str]:
+    """What a class says: its first line with the equations below it, and the rest."""
+    if entry.fmu:  # a stranger's text
+        return _of_text(cls.declaration.doc[:LONGEST_DOC])
+    names = names_of(cls)
+    summary, pieces = pieces_of(cls)
+    first = next((k for k, piece in enumerate(pieces) if not isinstance(piece, Lines)), len(pieces))
+    head = f'<p class="summary">{inline_html(summary, names, display=True)}</p>{html_of(pieces[:first], names)}'
+    return {"mathml": head, "more": html_of(pieces[first:], names)}
+
+
+def _of_text(text: str) -> dict[str, str]:
+    """The text of a file: its first line, and the rest. No formulas are looked for, which may take long."""
+    first, *rest = text.split("\n")
+    lines = (f'<p class="point">{inline_html(x[2:], None)}</p>' if x.startswith("- ") else html_of([Paragraph(x)], None)
+             for x in rest)  # fmt: skip
+    return {"mathml": f"<p>{inline_html(first, None)}</p>" if first else "", "more": "".join(lines)}
+
+
 def _parameter(path: str, raw: Any, doc: str, unit: str, fact: Fact | None) -> dict[str, Any]:
     """A row of the panel. raw: what the file gives, None for nothing. fact: None where the diagram has faults."""
     told = (
@@ -165,7 +178,7 @@ def _si(variable: Any) -> str:
 
 def _of_diagram(value: DiagramValue, path: str, facts: Mapping[str, Fact], entry: BlockEntry | None) -> dict[str, Any]:
     prefix = f"{path}." if path else ""
-    told: dict[str, Any] = {"type": value.name, "mathml": html_of(paragraphs_of(_joined(value.doc)), None)}
+    told: dict[str, Any] = {"type": value.name, **_of_text(_joined(value.doc))}
     given = entry.parameters if entry is not None else {}
     told["parameters"] = []
     for name, said in [*value.parameters.items()][:MOST_ROWS]:

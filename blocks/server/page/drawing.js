@@ -156,11 +156,13 @@ export function start(app) {
     view.style.cursor = hot.length ? "pointer" : "";
   };
   const choose = ({ box, net }) => {
-    app.selectWire(net ? full(net) : null);
-    const isBlock = box && app.block(full(box));
-    if (box && !isBlock) app.selectWire(full(box)); // an input or an output of the level
-    if (!net) app.select(isBlock ? full(box) : null);
-    if (box || net) app.announce(box ? `${box}, ${app.block(full(box))?.type ?? "terminal"}` : `signal ${full(net)}`);
+    const block = box && app.block(full(box));
+    const name = net ?? (block ? null : box); // terminals stand for their signals
+    const isSignal = name != null && app.state.document.signals.some((one) => one.name === full(name));
+    app.selectWire(isSignal ? full(name) : null);
+    if (!net) app.select(block ? full(box) : null);
+    if (block) app.announce(`${box}, ${block.type}`);
+    else if (name != null) app.announce(isSignal ? `signal ${full(name)}` : `${full(name)} is no signal that is recorded: look where it comes from.`);
   };
   const fingers = new Map();
   let travelled = 0;

@@ -60,6 +60,7 @@ export function start(app) {
     const hasFocus = place.contains(document.activeElement);
     place.replaceChildren(
       element("header", {}, element("h2", {}, name), element("p", { class: "type" }, panel.type === name ? kind : `${panel.type} · ${kind}`), open),
+      element("div", { class: "doc" }, ...trusted(panel.mathml)),
       ...(panel.faults.length ? [element("ul", { class: "faults" }, ...panel.faults.map(fault))] : []),
       ...(panel.doc ? [element("p", { class: "own" }, panel.doc)] : []),
       ...panel.notes.map((note) => element("p", { class: "note" }, note)),
@@ -68,7 +69,7 @@ export function start(app) {
       ...section("Outputs", panel.outputs.map(output)),
       ...section("Memory", panel.states.map((row) =>
         element("li", {}, element("span", { class: "name" }, row.name), element("span", { class: "value" }, row.kind, unit(row.unit)), element("span", { class: "what" }, row.doc)))),
-      ...(panel.mathml ? [element("details", { class: "doc", open: true }, element("summary", {}, element("h3", {}, path ? "What it does" : "About")), ...trusted(panel.mathml))] : []),
+      ...(panel.more ? [element("details", { class: "doc" }, element("summary", {}, element("h3", {}, "More")), ...trusted(panel.more))] : []),
     );
     if (hasFocus) place.focus();
     app.emit("panel", { panel, place });
