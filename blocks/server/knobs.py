@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from ..compile.inputs import constant
@@ -16,6 +17,7 @@ from .messages import Answer, handles
 from .session import Session
 
 if TYPE_CHECKING:
+    from .document import Document
     from .live_run import LiveRun
 
 __all__ = ["changed", "turned"]
@@ -25,11 +27,11 @@ ACTIVE = ("running", "paused")
 
 
 @handles
-def knobs(session: Session, *, names: list[str]) -> Answer:
-    """Parameters and inputs, with their values in this session, by path and by name."""
+def knobs(session: Session, *, names: list[str], path: str = "") -> Answer:
+    """Parameters and inputs, by path and by name, with their values in this session; and the variants of a block."""
     facts = session.document.facts
     known = [facts[name].told(_values(session, facts[name]).get(name)) for name in names if name in facts]
-    return {"is": "knobs", "knobs": known, **changed(session)}
+    return {"is": "knobs", "knobs": known, **_variants(session.document, path), **changed(session)}
 
 
 @handles
@@ -139,7 +141,13 @@ def script(session: Session) -> Answer:
     if document.path is None:
         cure = "Write one with Diagram.save, and open it."
         raise UsageError(Fault("E501", document.name, "has no file that a script could load.", cure))
-    return {"is": "script", "text": session.running.script(str(document.path.resolve()))}
+    items = [document.library] if isinstance(document.library, (str, ModuleType, type)) else document.library
+    library = [each if isinstance(each, str) else each.__name__ for each in items]
+    if any(isinstance(each, type) for each in items):
+        message = f"has block types that a script cannot load by name: {', '.join(library)}."
+        raise UsageError(Fault("E501", document.name, message, "Name their module: library=\"my_blocks\"."))
+    text = session.running.script(document.path.resolve(), library=library, variants=session.chosen)
+    return {"is": "script", "text": text}
 
 
 # --- values ----------------------------------------------------------------------------------------------------------
@@ -182,6 +190,18 @@ def _fact(session: Session, name: str) -> Fact:
         cure = did_you_mean(name[:200], facts)
         raise UsageError(Fault("E502", legible(name[:200]), "there is no such input or parameter.", cure))
     return facts[name]
+
+
+def _variants(document: Document, path: str) -> dict[str, Any]:
+    """The variants of the block at a path, and which of them is taken."""
+    inside = document.shown.value if document.diagram is not None else None
+    entry = None
+    for name in path.split(".") if path else ():
+        entry = inside.blocks.get(name) if inside is not None else None
+        inside = entry.inner if entry is not None else None
+    if entry is None or not entry.variants:
+        return {"variants": [], "variant": ""}
+    return {"variants": ["base", *entry.variants], "variant": entry.variant or "base"}
 
 
 def _values(session: Session, fact: Fact) -> dict[str, Any]:

@@ -7,9 +7,10 @@ go on; no step is cut for a pause. What was set is known by the step it came aft
 from __future__ import annotations
 
 import math
+import os
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
@@ -313,14 +314,23 @@ class LiveRun:
 
     # --- to do it again ----------------------------------------------------------------------------------------------
 
-    def script(self, path: str | Path) -> str:
-        """A Python script that runs the diagram of a file as this run went: it gives the same bits."""
-        given = {**dict(self.prepared.settings), "interpolation": self.options.interpolation}
-        given.update(parameters=dict(self.prepared.parameters), inputs=self.options.inputs, engine=self.options.engine)
-        usual = {"interpolation": "linear", "parameters": {}}
+    def script(
+        self, path: str | Path, *, library: Sequence[str] = (), variants: Mapping[str, str] | None = None
+    ) -> str:
+        """A Python script that runs the diagram of a file as this run went: it gives the same bits.
+
+        library: names of modules with block types. variants: those that the run was begun with.
+        """
+        options = self.options
+        given = {**dict(self.prepared.settings), "interpolation": options.interpolation, "variants": variants}
+        given.update(parameters=dict(self.prepared.parameters), inputs=options.inputs, engine=options.engine)
+        trust = [options.trust] if isinstance(options.trust, (str, os.PathLike)) else options.trust
+        given["trust"] = [os.fspath(item) for item in trust]
+        usual = {"interpolation": "linear", "parameters": {}, "inputs": {}, "variants": {}, "trust": []}
         told = {key: value for key, value in given.items() if value is not None and value != usual.get(key)}
         arguments = ", ".join(f"{key}={_literal(value)}" for key, value in told.items())
-        lines = ["from blocks import Diagram", "", f"run = Diagram.load({str(path)!r}).start({arguments})"]
+        loaded = ", ".join([repr(str(path)), *([f"library={list(library)!r}"] if library else [])])
+        lines = ["from blocks import Diagram", "", f"run = Diagram.load({loaded}).start({arguments})"]
         for turned in self.turned:
             lines.append(f"run.advance_past({turned.t!r})  # {turned.steps} steps")
             lines.append(f"run.set({turned.name!r}, {_literal(turned.value)})")

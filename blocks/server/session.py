@@ -18,6 +18,7 @@ from ..model.trust import Paths
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.version import __version__
 from .document import Document, told_fault
+from .failing import failing_of
 from .live_run import LiveRun
 from .messages import ASIDE, Answer, answer, handles
 from .scopes import Page, trim
@@ -44,8 +45,8 @@ class Session:
 
     values, inputs: what was set in place of what the file says, by path and by name, for this run and the next ones.
     runs: the live run, of the number `number`, and earlier ones, whose rows are kept; begun: what was set when they
-    began. pages: the scopes of each page. hearers: called when the run has news, or another document was read. engine,
-    trust: as of `Diagram.run`. Modules that answer messages stand above this one.
+    began; chosen: the variants of the live one. pages: the scopes of each page. hearers: called when the run has news,
+    or another document was read. engine, trust: as of `Diagram.run`. Modules that answer messages stand above this one.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class Session:
         self.runs: dict[int, LiveRun] = {}
         self.live: LiveRun | None = None
         self.begun: dict[int, dict[str, Any]] = {}
+        self.chosen: dict[str, str] = {}
         self.pages: dict[Client, Page] = {}
         self.hearers: list[Callable[[], None]] = []
         self.number = 0
@@ -190,11 +192,11 @@ class Session:
         shown = self.document.shown
         settings: dict[str, Any] = {} if stop is None else {"stop": stop}
         run = shown.start(
-            parameters=self.values, inputs=self.inputs or None, engine=self.engine, trust=self.trust,
+            parameters=dict(self.values), inputs=dict(self.inputs) or None, engine=self.engine, trust=self.trust,
             log=self._logged(shown), **settings,
         )  # fmt: skip
         self.number += 1
-        self.begun[self.number] = {**self.values, **self.inputs}
+        self.begun[self.number], self.chosen = {**self.values, **self.inputs}, dict(self.document.variants)
         self.live = self.runs[self.number] = LiveRun(run, self.changed)
         trim(self.runs, self.live)
         return self.live
@@ -218,11 +220,14 @@ class Session:
         live = self.live
         if live is None:
             return {"is": "run", "id": 0, "state": "none"}
+        settings = live.prepared.plan.settings
         paths = {block["path"] for block in self.document.told()["blocks"]} if live.error else set()
         faults = [] if live.error is None else [told_fault(fault, paths) for fault in live.error.faults]
         return {
             "is": "run", "id": self.number, "state": live.state, "t": live.t, "steps": live.steps,
             "rejected": live.rejected, "pace": live.pace, "lag": live.lag, "seconds": live.seconds, "faults": faults,
+            "start": float(settings.start), "stop": None if settings.stop is None else float(settings.stop),
+            "failing": failing_of(live) if live.error is not None else None,
         }  # fmt: skip
 
     def tell_run(self) -> None:

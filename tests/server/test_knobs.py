@@ -61,7 +61,6 @@ def opened() -> Iterator[Callable[[Any], Session]]:
 
     def open_(source: Any) -> Session:
         made.append(Session(Document(source)))
-        made[-1].clients.append(Page())
         return made[-1]
 
     yield open_
@@ -97,8 +96,21 @@ def ended(session: Session) -> Any:
     return live.results()
 
 
+def stood(live: Any) -> None:
+    """Wait until a run stands."""
+    until = monotonic() + 60.0
+    while live.state == "running" and monotonic() < until:
+        sleep(0.001)
+    assert live.state == "paused"
+
+
 def test_keep_changes_the_characters_of_the_values_alone(loop: tuple[Path, Session, Do]) -> None:
     path, session, do = loop
+    page = Page()
+    session.connected(page)
+    until = monotonic() + 60.0
+    while not page.got and monotonic() < until:
+        sleep(0.005)
     do("set", name="T", value=1250)  # a slider has the unit of the file
     do("set", name="gain.k", value="0.75")
     do("set", name="u", value="2500 mV")
@@ -111,8 +123,7 @@ def test_keep_changes_the_characters_of_the_values_alone(loop: tuple[Path, Sessi
     assert not session.values
     assert not session.inputs
     assert session.document.facts["T"].text == "1250 ms"
-    pages = session.clients[0].got  # type: ignore[attr-defined]
-    assert [message["is"] for message in pages[-2:]] == ["document", "changed"]
+    assert [message["is"] for message in page.got[-2:]] == ["document", "changed"]
     assert not session.document.has_changed(), "no echo of one's own edit"
 
 
@@ -124,9 +135,9 @@ def test_a_unit_is_kept_and_a_default_becomes_an_entry(tmp_path: Path, opened: C
     do = asking(session)
     do("set", name="motor.Ra", value="200 mOhm")
     do("set", name="voltage", value="10000 mV")
-    do("set", name="kp", value=25.0)
+    do("set", name="kp", value=25)
     with pytest.raises(ModelError, match="bound"):
-        do("set", name="control.kp", value=25.0)
+        do("set", name="control.kp", value=25)
     do("keep", names=["voltage", "motor.Ra"])
     new = old.replace('"value": 12,', '"value": 10,').replace(
         '"motor": {"type": "PMDCMotor"}',
@@ -221,3 +232,46 @@ def test_what_was_turned_is_listed_and_reset_in_the_run(loop: tuple[Path, Sessio
     T, u, k = told["knobs"]
     assert (T["value"], T["unit"], T["low"], T["high"], T["changed"]) == (2000.0, "ms", 0.0, 4000.0, False)
     assert (u["input"], u["value"], u["changed"], k["text"]) == (True, 1, True, "0.50")
+
+
+def test_the_script_of_a_run_that_was_turned_gives_the_same_bits(loop: tuple[Path, Session, Do]) -> None:
+    _, session, do = loop
+    do("set", name="lag.den", value=[5, 4, 3])
+    do("set", name="d", value="0.1 V")
+    do("variant", path="gain", name="other")
+    live = session.begin("1500 ms")
+    for k in range(3):
+        for _ in range(40):
+            live.step()
+            stood(live)
+        do("set", name="T", value=1000 + 100 * k)
+        do("set", name="u", value=f"{1 + k} V")
+        do("set", name="gain.k", value=[7.5, 8.25, 1e-3][k])
+    do("reset", name="gain.k")
+    do("variant", path="gain", name="base")  # of the next run
+    whole = ended(session)
+    known: dict[str, Any] = {}
+    exec(do("script")["text"], known)
+    again = known["results"]
+    assert [*again] == [*whole]
+    assert again.t.tobytes() == whole.t.tobytes()
+    assert again.values.tobytes() == whole.values.tobytes()
+    assert whole.t[-1] == 1.5
+
+
+def test_a_run_that_fails_tells_its_block_and_what_came_in(opened: Callable[[Any], Session]) -> None:
+    entry = {"type": "Integrator", "parameters": {"y_start": 1}}
+    square = {"type": "Product"}
+    inner = {"outputs": {"y": "x.y"}, "blocks": {"x": entry, "square": square}}
+    inner["wires"] = {"x.u": "square.y", "square.u1": "x.y", "square.u2": "x.y"}
+    file = {"format": "blocks-diagram", "version": 2, "name": "f", "blocks": {"in": {"diagram": inner}}}
+    session = opened(Diagram.from_json({**file, "run": {"stop": 2}}))
+    live = session.begin()
+    live.go()
+    assert live.wait(60.0)
+    told = session.run_told()
+    assert (told["state"], told["start"], told["stop"], told["faults"][0]["block"]) == ("failed", 0.0, 2.0, "in.x")
+    failing = told["failing"]
+    assert (failing["block"], failing["signals"], len(failing["t"])) == ("in.x", ["u (in.square.y)"], 5)
+    rows = live.results()
+    assert [row[0] for row in failing["rows"]] == rows["in.square.y"][-5:].tolist()
