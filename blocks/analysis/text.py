@@ -15,7 +15,7 @@ from ..linear.transfer import LoopOfRates, Transfer
 from ..text.errors import AnalysisError, Fault
 from ..text.printable import counted
 
-__all__ = ["entry", "figure", "lines"]
+__all__ = ["check_loop", "entry", "figure", "lines"]
 
 
 def _numbers(values: Any) -> list[list[float]]:
@@ -45,6 +45,14 @@ def _bandwidth(model: Transfer) -> float | None:
 def _is_stable(model: Transfer) -> bool:
     eigenvalues = np.asarray(poles(model))
     return bool((np.abs(eigenvalues) < 1).all() if model.dt else (eigenvalues.real < 0).all())
+
+
+def check_loop(model: Transfer, point: str) -> None:
+    """Raise AnalysisError (E705) for a loop transfer through which nothing comes back."""
+    if not model.nstates and not model.D.any():
+        message = f"nothing of what is put in there comes back{'.' if model.hint else ': it is in no loop.'}"
+        cure = model.hint or "Open the loop at a signal that comes back to itself."
+        raise AnalysisError(Fault("E705", point, message, cure))
 
 
 def entry(model: Transfer, *, is_loop: bool) -> dict[str, Any]:

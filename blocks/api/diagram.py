@@ -667,9 +667,10 @@ class Diagram:
         Signals go by name: "motor.omega" (all that read it see a change there), an input of a block ("motor.v",
         which alone sees it), an input of the diagram, a local ("eso.e"). openings: signals that are cut; they keep the
         values that they have. at: None: at the start; a time in s: as a run stands there; an `OperatingPoint`; a `Run`
-        as it stands, with what was set in it (with FMUs one of engine="reference"). held: values of the diagram's inputs; those that have none are 0. amplitude, sigma: by signal, the amplitude of a
-        sine, or the deviation of a random signal, at laws that have no slope: their describing functions take their
-        place. overrides: by the path of a block, a linear model instead. pade: the order of models of exact delays.
+        as it stands, with what was set in it (with FMUs: one of engine="reference"). held: values of the diagram's
+        inputs; those that have none are 0. amplitude, sigma: by signal, the amplitude of a sine, or the deviation of a
+        random signal, at laws that have no slope: their describing functions take their place. overrides: by the path
+        of a block, a linear model instead. pade: the order of models of exact delays.
         parameters, variants, trust, settings: as of `run`.
 
         Sampled blocks make a discrete-time model with its period as `dt`. The model has what contributes to the

@@ -11,6 +11,7 @@ import numpy as np
 from ..compile.plan import Plan
 from ..contract.outside import Outside
 from ..engines.prepared import Prepared
+from ..engines.reference.engine import ReferenceEngine
 from ..linear.operating_point import OperatingPoint
 from ..linear.point import Point
 from ..model.diagram import DiagramValue
@@ -46,12 +47,11 @@ class PointOptions:
 def point_of(value: DiagramValue, resolver: Resolver, options: PointOptions, last: LastMade) -> Point:
     """Where a diagram stands. last: where its last point is kept."""
     at, held, parameters, variants = options.at, options.held, options.parameters, options.variants
-    if isinstance(at, (OperatingPoint, Run)):
-        if held or parameters or variants or options.settings:
-            what, cure = "an operating point has", "Give them where it is searched for."
-            if isinstance(at, Run):
-                what, cure = "a run has", "Give them where it begins, or set them."
-            raise UsageError(Fault("E501", "at", f"{what} its inputs, parameters and settings already.", cure))
+    if isinstance(at, (OperatingPoint, Run)) and (held or parameters or variants or options.settings):
+        whose, cure = "an operating point has", "Give them where it is searched for."
+        if isinstance(at, Run):
+            whose, cure = "a run has", "Give them where it begins, or set them."
+        raise UsageError(Fault("E501", "at", f"{whose} its inputs, parameters and settings already.", cure))
     if isinstance(at, Run):
         return _of_run(at, options.trust)
     if isinstance(at, OperatingPoint):
@@ -86,7 +86,11 @@ def _of_run(run: Run, trust: Paths) -> Point:
         settings = {key: value for key, value in prepared.settings.items() if key not in ("start", "seed")}
         going = RunOptions(resume=run.snapshot(), engine="reference", trust=trust)
         run = started(prepared.value, prepared.resolver, {}, {**settings, "log": []}, going, likes=[prepared])
-    return Point.of(engine_of(run))
+    engine = engine_of(run)
+    if not isinstance(engine, ReferenceEngine):
+        cure = 'Begin it with engine="reference".'
+        raise UsageError(Fault("E501", "at", "is a run with FMUs of an engine that cannot be looked into.", cure))
+    return Point.of(engine)
 
 
 def _refuse_coupled(flat: Flat) -> None:

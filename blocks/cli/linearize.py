@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from ..text.errors import AnalysisError, Fault, UsageError
+from ..text.errors import Fault, UsageError
 from .options import takes_json, takes_library, takes_point, takes_several
 from .output import emit, printable, say
 from .values import assignments, check_writable, number_of, parsed, raw_number, variants_of
@@ -91,6 +91,8 @@ def _linearize(options: argparse.Namespace) -> int:
         raise UsageError(Fault("E501", "--figure", "there is no file to draw it to.", "Give one: --plot FILE.svg"))
     if options.pade < 0:
         raise UsageError(Fault("E501", f"--pade {options.pade}", "is no order of a model.", "Use 1 to 10."))
+    from ..analysis.text import check_loop, entry, figure, lines
+
     is_loop = options.loop is not None
     if is_loop == bool(options.sources or options.sinks) or (not is_loop and not (options.sources and options.sinks)):
         cure = "As in --from r --to motor.omega, or --loop control.u."
@@ -100,14 +102,9 @@ def _linearize(options: argparse.Namespace) -> int:
     linearizer = diagram.linearizer(overrides={name: raw_number(v) for name, v in given.items()}, **point)
     if is_loop:
         model = linearizer.loop_transfer(options.loop, openings=options.openings, pade=options.pade)
-        if not model.nstates and not model.D.any():
-            message = f"nothing of what is put in there comes back{'.' if model.hint else ': it is in no loop.'}"
-            cure = model.hint or "Open the loop at a signal that comes back to itself."
-            raise AnalysisError(Fault("E705", options.loop, message, cure))
+        check_loop(model, options.loop)
     else:
         model = linearizer.transfer(options.sources, options.sinks, openings=options.openings, pade=options.pade)
-    from ..analysis.text import entry, figure, lines
-
     if options.json:
         emit(entry(model, is_loop=is_loop))
     else:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..text.errors import AnalysisError, Fault, UsageError
-from ..text.shown import Part, Shown, Table
+from ..text.shown import Shown, Table
 from .lapack import eigenvectors
 from .lifted import MOST_GAIN, Factored, Lifted, gain_borders, phase_borders
 from .realization import Realization, balanced, equivalent, growth, period
@@ -144,7 +144,7 @@ class Margins(Shown):
 
     __repr__ = __str__
 
-    def parts(self) -> tuple[Part]:
+    def parts(self) -> tuple[Table]:
         return (Table(_table(self), has_head=False),)
 
 

@@ -162,6 +162,11 @@ class Session:
         if told is not None:
             client.send({**told, "re": number})
 
+    @property
+    def is_asked_more(self) -> bool:
+        """Whether another question waits to be answered aside: what takes very long ends for it."""
+        return not self._aside.empty()
+
     def broadcast(self, message: dict[str, Any]) -> None:
         """Send a message to all pages."""
         for client in self.pages:
