@@ -23,6 +23,8 @@ from ..results.results import Results
 from ..text.element_names import element_names
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted, quoted
+from . import panel, scope_messages  # noqa: F401  # what they answer stands in the page
+from .curves import extremes
 from .document import Document
 from .messages import answer
 from .session import Session
@@ -65,7 +67,7 @@ def page_of(diagram: Diagram, results: Results | None = None, *, variants: Mappi
             "id": 1, "state": "done", "start": results.span[0], "t": results.span[1], "stop": results.span[1],
             "steps": statistics.steps, "rejected": statistics.rejected, "seconds": statistics.seconds, "faults": [],
         }  # fmt: skip
-        told = f"{counted(results.rows, 'row')} of {counted(len(results.columns), 'signal')}"
+        told = f"a run to {results.span[1]:.10g} s: {results.rows:,} rows of {counted(len(results.columns), 'signal')}"
         if rows["stretches"]:
             told += f", shown by the least and the largest value of each of {rows['stretches']:,} stretches"
     return _html(document["name"], {"hello": hello, "answers": answers, "rows": rows}, told)
@@ -96,29 +98,24 @@ def _owner(name: str, paths: set[str]) -> str:
 def _rows(results: Results | None) -> dict[str, Any]:
     """The rows as base64, float64 times and float32 columns; of too many the least and largest of each stretch."""
     if results is None:
-        return {"t": "", "values": "", "columns": [], "elements": {}, "stretches": 0}
+        return {"t": "", "values": "", "columns": [], "units": {}, "elements": {}, "stretches": 0}
     count = results.values.shape[1]
     t, values = thinned(results.t, results.values, most := max(1000, MOST // (8 + 4 * count)))
     return {
         **_encoded(t, values),
         "columns": [name for name, _, _ in sorted(results.flat_columns(), key=lambda one: one[1])],
+        "units": {name: unit for name, _, unit in results.flat_columns()},
         "elements": {name: element_names(name, shape) for name, (_, shape, _) in results.columns.items()},
         "stretches": most // 2 if len(t) < results.rows else 0,
     }
 
 
 def thinned(t: Array, values: Array, most: int) -> tuple[Array, Array]:
-    """At most so many rows: of more, each stretch gives two, with the least and the largest value of each column."""
+    """At most some `most` rows: of more, the least and the largest value of each column in each stretch of time."""
     if len(t) <= most:
         return t, values
-    edges = np.linspace(0, len(t), most // 2).astype(int)
-    first, last = edges[:-1], edges[1:] - 1
-    low, high = np.minimum.reduceat(values, first), np.maximum.reduceat(values, first)
-    rises = values[first] <= values[last]
-    # In the order that the ends of the stretch tell. The last row of all stays what it was.
-    pairs = np.stack([np.where(rises, low, high), np.where(rises, high, low)], axis=1)
-    t = np.append(t[np.stack([first, (first + last) // 2], axis=1).ravel()], t[-1])
-    return t, np.append(pairs.reshape(-1, values.shape[1]), values[-1:], axis=0)
+    times, columns, _, _ = extremes(t, list(values.T), float(t[0]), 2.0 * float(t[-1] - t[0]) / most)
+    return times, columns.T
 
 
 def _encoded(t: Array, values: Array) -> dict[str, str]:
@@ -201,10 +198,10 @@ def _html(title: str, content: Mapping[str, Any], told: str) -> str:
     head = f"""{_policy(script)}<title>{html.escape(title)}</title>
 <style>{style}{_STATIC}</style>
 </head>"""
-    body = f"""<footer>{html.escape(told)}</footer>
-<script type="application/json" id="content">{script_safe(content)}</script>
+    body = f"""<script type="application/json" id="content">{script_safe(content)}</script>
 <script type="module">{script}</script>
 </body>"""
+    page = _RUNBAR.sub(lambda _: f'<header id="runbar">{html.escape(told or "no run")}</header>', page)
     return page.replace("</head>", head).replace("</body>", body)
 
 
@@ -262,10 +259,13 @@ def _beside(name: str, path: str) -> str:
     return name.rpartition("/")[0] + "/" + path if "/" in name else path
 
 
-_HEAD = re.compile(r"<title>.*?</title>\n?|<link [^>]*>\n?|<script [^>]*></script>\n?|</?html lang=\"\">")
+_HEAD = re.compile(r"<title>.*?</title>\n?|<link [^>]*>\n?|<script [^>]*></script>\n?")
+_RUNBAR = re.compile(r"<header id=\"runbar\".*?</header>", re.DOTALL)
 _STATIC = """
-footer { grid-column: 1 / -1; font-size: 0.8rem; padding: 0.2rem 0.6rem; }
-footer:empty, #runbar:empty { display: none; }
+@media print {
+  html, body { display: block; height: auto; overflow: visible; } #lists, #panel, .splitter, button { display: none; }
+  #middle, #drawing, #scopes { display: block; height: auto; overflow: visible; break-inside: avoid; }
+}
 """
 _FIGURES = """
 figure > button { font: inherit; font-size: 0.8rem; padding: 0.1rem 0.7rem; color: var(--ink); background: none;

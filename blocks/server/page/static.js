@@ -22,24 +22,42 @@ export function connect() {
   const known = new Map(answers.map(([asked, told]) => [JSON.stringify(asked), told]));
   const callbacks = new Map();
   const tell = (is, message) => (callbacks.get(is) ?? []).forEach((callback) => callback(message));
+  /** Where a time belongs among the rows: behind all that are not later. */
+  const after = (time) => {
+    let [low, high] = [0, t.length];
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (t[middle] <= time) low = middle + 1;
+      else high = middle;
+    }
+    return low;
+  };
   const own = {
-    /** All rows between two times, with one row to either side. */
-    scope({ scope, signals, t0 = -Infinity, t1 = Infinity }) {
-      const names = signals.flatMap((name) => rows.elements[name] ?? []);
-      const from = Math.max(0, t.findLastIndex((one) => one < t0));
-      const after = t.findIndex((one) => one > t1);
-      const to = after < 0 ? t.length : after + 1;
-      const header = { scope, run: 1, kind: "replace", signals: names, count: to - from };
-      tell("frame", { header, t: t.slice(from, to), columns: names.map((name) => column(name).slice(from, to)) });
+    /** All rows between two times, with one more on each side. */
+    scope({ scope, signals, t0, t1 }) {
+      const names = signals.flatMap((name) => rows.elements[name] ?? (rows.units[name] === undefined ? [] : [name]));
+      const from = Math.max(0, after(t0 ?? -Infinity) - 1);
+      const to = Math.min(t.length, after(t1 ?? Infinity) + 1);
+      const units = names.map((name) => rows.units[name]);
+      const header = { scope, run: 1, kind: "replace", from: 0, signals: names, units, count: to - from };
+      const columns = names.map((name) => column(name).slice(from, to));
+      queueMicrotask(() => tell("frame", { header, t: t.slice(from, to), columns }));
       return { is: "scope", scope };
     },
     unscope: ({ scope }) => ({ is: "unscope", scope }),
-    /** The row at or before a time. */
-    values({ t: at }) {
-      const row = Math.max(0, t.findLastIndex((one) => one <= at));
-      const of = (names) => names.map((name) => column(name)[row]);
-      const told = Object.entries(rows.elements).map(([name, names]) => [name, names.length > 1 ? of(names) : of(names)[0]]);
-      return { is: "values", t: t[row], values: Object.fromEntries(told) };
+    drawn: () => ({ is: "drawn" }),
+    runs: () => ({ is: "runs", runs: [] }),
+    /** Values at a time, linear between rows as the plots are. */
+    values({ t: time }) {
+      const row = after(time) - 1;
+      const share = (time - t[row]) / (t[row + 1] - t[row]);
+      const of = (name) => {
+        const [a, b] = [column(name)[row], column(name)[row + 1]];
+        return t[row] === time ? a : (1 - share) * a + share * b;
+      };
+      const isInside = row >= 0 && time <= t[t.length - 1];
+      const told = Object.entries(isInside ? rows.elements : {}).map(([name, names]) => [name, names[0] === name ? of(name) : names.map(of)]);
+      return { is: "values", t: time, values: Object.fromEntries(told) };
     },
   };
   queueMicrotask(() => tell("hello", hello));

@@ -1,0 +1,170 @@
+"""A live diagram: its command, its page in Chromium, its run beside `run()`. Times of pages are those of the page.
+
+Chromium is found by BLOCKS_CHROMIUM or on the PATH (Debian's `chromium`); without it the page is left out. Other work on
+the machine spoils frames before all else: the reference is the same page at rest, in the same browser.
+"""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from blocks import Diagram
+from blocks.server.curves import packed
+from blocks.server.live_run import LiveRun
+from blocks.server.live_server import LiveServer
+from tests.support.browser import Browser, found
+
+from .diagrams import ROOT
+
+__all__ = ["main"]
+
+PAPER = ROOT / "diagrams/paper/iadrc.json"
+SIGNALS = ("motor_right.omega", "motor_left.omega", "control_right.u", "control_left.u")
+REPEATS = 5
+WATCH = """
+addEventListener('DOMContentLoaded', () => new MutationObserver((_, watch) => {
+  if (!document.querySelector('#drawing svg [data-path]')) return;
+  watch.disconnect();
+  requestAnimationFrame(() => requestAnimationFrame(() => { window.drawnAt = performance.now(); }));
+}).observe(document, {subtree: true, childList: true}));
+"""
+
+
+def _tell(label: str, value: float, unit: str, goal: float, *, at_least: bool = False, beside: str = "") -> None:
+    is_met = value >= goal if at_least else value <= goal
+    told = f"goal {'>=' if at_least else '<='} {goal:g} {unit} {'met' if is_met else 'MISSED'}"
+    print(f"{label:44}{value:9.3g} {unit:12}{told}{f'  ({beside})' if beside else ''}", flush=True)
+
+
+def main() -> None:
+    _runs()
+    _command()
+    if found() is None:
+        print("no Chromium: the page was not measured")
+        return
+    with _served() as server:
+        _first_drawing(server)
+        with Browser() as page:
+            page.open(server.url)
+            page.until("document.querySelector('#drawing svg [data-path]')")
+            _frames(page, server)
+            _into_scopes(page, server)
+
+
+@contextmanager
+def _served() -> Iterator[LiveServer]:
+    server = LiveServer(PAPER).start()
+    try:
+        yield server
+    finally:
+        server.stop()
+
+
+def _runs() -> None:
+    """Seconds of the processor of whole live runs and of `run`, in turn; those of one that is paced."""
+    diagram = Diagram.load(PAPER)
+    diagram.run()
+    whole: dict[str, list[float]] = {"run": [], "live": []}
+    for _ in range(REPEATS):
+        begun = time.process_time()
+        plain = diagram.run()
+        whole["run"].append(time.process_time() - begun)
+        begun = time.process_time()
+        live = LiveRun(diagram.start(), lambda: None)
+        live.go()
+        live.wait()
+        whole["live"].append(time.process_time() - begun)
+        assert live.results().values.tobytes() == plain.values.tobytes()
+    ratio = min(whole["live"]) / min(whole["run"])
+    _tell("CPU of a live run against run()", ratio, "", 1.2, beside=f"run() {min(whole['run']):.3f} s")
+    live = LiveRun(diagram.start(), lambda: None)
+    live.go(1.0)
+    begun, clock = time.process_time(), time.perf_counter()
+    time.sleep(5.0)
+    share = (time.process_time() - begun) / (time.perf_counter() - clock)
+    live.stop()
+    _tell("paced 1x, of a core", 100 * share, "%", 5)
+
+
+def _command() -> None:
+    """From the command to its address, as a user waits for it."""
+    times = []
+    for _ in range(REPEATS):
+        begun = time.perf_counter()
+        command = [sys.executable, "-m", "blocks", "live", str(PAPER), "--no-browser"]
+        live = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        try:
+            assert live.stdout is not None
+            while "http://" not in live.stdout.readline():
+                assert live.poll() is None, "the command has ended"
+            times.append(time.perf_counter() - begun)
+        finally:
+            live.kill()
+            live.communicate()
+    _tell("command to address", min(times), "s", 0.8, beside=f"median {statistics.median(times):.2f} s")
+
+
+def _first_drawing(server: LiveServer) -> None:
+    """From the navigation to the painted drawing: in a browser that has just begun, and loaded again."""
+    made: dict[str, list[float]] = {"cold": [], "warm": []}
+    sizes = 0
+    for _ in range(REPEATS):
+        with Browser() as page:
+            page.call("Page.addScriptToEvaluateOnNewDocument", source=WATCH)
+            for kind in ("cold", "warm", "warm"):
+                page.open(server.url)
+                made[kind].append(page.until("window.drawnAt"))
+                page.open("about:blank")
+            page.call("Network.setCacheDisabled", cacheDisabled=True)
+            page.open(server.url)
+            page.until("window.drawnAt")
+            kinds = "[...performance.getEntriesByType('resource'), ...performance.getEntriesByType('navigation')]"
+            sizes = page.evaluate(f"{kinds}.reduce((sum, one) => sum + one.encodedBodySize, 0)")
+    for kind, goal in (("cold", 450), ("warm", 200)):
+        _tell(
+            f"first drawing, {kind}", min(made[kind]), "ms", goal, beside=f"median {statistics.median(made[kind]):.0f}"
+        )
+    _tell("page, compressed", sizes / 1000, "kB", 120)
+
+
+def _p95(times: list[float]) -> float:
+    return float(np.percentile(times, 95))
+
+
+def _frames(page: Browser, server: LiveServer) -> None:
+    """Frames at rest, while the drawing is dragged, and while four scopes show a run at 10 times real time."""
+    page.begin_frames()
+    time.sleep(2.0)
+    rest = _p95(page.end_frames())
+    box = page.evaluate("(({x, y, width, height}) => [x, y, width, height])"
+                        "(document.querySelector('#drawing').getBoundingClientRect())")  # fmt: skip
+    x, y = box[0] + box[2] - 30, box[1] + box[3] - 30
+    page.begin_frames()
+    for turn in range(4):
+        page.drag(x, y, x - 200, y - (-1) ** turn * 100, steps=60)
+        x, y = (x - 200, y) if turn % 2 == 0 else (x + 200, y)
+    _tell("frames while the drawing is dragged, p95", _p95(page.end_frames()), "ms", 20, beside=f"at rest {rest:.1f}")
+    for signal in SIGNALS:
+        page.evaluate(f"document.dispatchEvent(new CustomEvent('blocks-scope', {{detail: ['{signal}']}}))")
+    server.session.begin().go(10.0)
+    page.until("document.querySelectorAll('#scopes canvas').length")
+    page.begin_frames()
+    time.sleep(5.0)
+    _tell("frames with scopes at 10x, p95", _p95(page.end_frames()), "ms", 20, beside=f"at rest {rest:.1f}")
+
+
+def _into_scopes(page: Browser, server: LiveServer) -> None:
+    """Values that the page draws each second: whole frames, one after the other."""
+    raise NotImplementedError
+
+
+if __name__ == "__main__":
+    main()
