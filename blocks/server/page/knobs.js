@@ -1,5 +1,5 @@
 /** Knobs: fields and sliders of parameters and inputs, the board of those that are pinned, what was changed and turned. */
-import { element } from "./main.js";
+import { dialog, element } from "./elements.js";
 import { shown } from "./runbar.js";
 
 const ACTIVE = ["running", "paused"];
@@ -77,7 +77,6 @@ export function start(app) {
     const parts = [field, slider?.input ?? null, changed, reset];
     if (slider) parts.push(isOnBoard ? slider.range : pin(name));
     if (isOnBoard) parts.push(element("button", { type: "button", onclick: () => unpin(name), "aria-label": `Take ${name} off the board` }, "Unpin"));
-    if (!fact.tunable) parts.push(element("small", {}, fact.bound ? "follows from others" : `for a new run: ${fact.why}`));
     const made = element("div", { class: "knob", role: "group", "aria-label": name }, ...parts, error);
     const offer = (value) => element("button", { type: "button", onclick: () => anew(name, value) }, `Run anew with ${name} = ${value}`);
     let timer = 0;
@@ -176,14 +175,14 @@ export function start(app) {
     const names = [...panel.parameters.map(({ path }) => path), ...(panel.path === "" ? panel.inputs.map(({ name }) => name) : [])];
     const told = await look(names, panel.path);
     if (!told || !place.isConnected) return;
-    for (const { name } of told.knobs) {
-      const cell = place.querySelector(`[data-knob="${CSS.escape(name)}"]`);
-      if (!cell) continue;
+    const rows = [...place.querySelectorAll(".rows li")];
+    for (const { name, input } of told.knobs) {
+      const row = rows.find((one) => (input ? !one.dataset.name && one.firstChild.textContent === name : one.dataset.name === name));
+      if (!row) continue;
       inPanel.push(knob(name, false));
-      cell.replaceChildren(inPanel.at(-1));
+      row.querySelector(".value").replaceChildren(inPanel.at(-1));
     }
-    const cell = place.querySelector("[data-variants]");
-    if (cell && told.variants.length > 1) cell.replaceChildren(...variants(panel.path, told));
+    if (told.variants.length) place.querySelector("header").after(variants(panel.path, told));
   });
 
   function variants(path, { variants: choices, variant }) {
@@ -195,7 +194,7 @@ export function start(app) {
       offer.textContent = `Run anew with ${path} = ${choice.value}`;
       offer.hidden = false;
     };
-    return [element("label", {}, "Variant ", choice), offer];
+    return element("p", { class: "variants" }, element("label", {}, "Variant ", choice), " ", offer);
   }
 
   // --- the board ----------------------------------------------------------------------------------------------------
@@ -293,13 +292,8 @@ export function start(app) {
     };
     const url = URL.createObjectURL(new Blob([told.text], { type: "text/x-python" }));
     const save = element("a", { href: url, download: `${app.state.document.name}_run.py` }, "Save");
-    const shown_ = element("dialog", { "aria-label": "Script that repeats this run" }, text, copy, " ", save, " ");
-    shown_.append(element("button", { type: "button", onclick: () => shown_.close() }, "Close"));
-    shown_.onclose = () => {
-      URL.revokeObjectURL(url);
-      shown_.remove();
-    };
-    document.body.append(shown_);
-    shown_.showModal();
+    const close = element("button", { type: "button", onclick: () => opened.close() }, "Close");
+    const opened = dialog("Script that repeats this run", text, element("p", {}, copy, " ", save, " ", close));
+    opened.addEventListener("close", () => URL.revokeObjectURL(url));
   }
 }

@@ -1,5 +1,5 @@
 /** The run: its buttons and keys, its stop time and pace, how it stands, and why it failed. */
-import { element } from "./main.js";
+import { element } from "./elements.js";
 
 const ACTIVE = ["running", "paused"];
 const WORDS = { none: "no run yet", running: "running", paused: "paused", done: "done", stopped: "stopped", failed: "failed" };
@@ -63,7 +63,7 @@ export function start(app) {
   bar.append(failure);
   app.begin = begin;
 
-  app.keys?.push(["Space", "run or pause"], [".", "one step"], ["s", "stop"], ["r", "run anew"]);
+  app.keys.push(["Space", "run or pause"], [".", "one step"], ["s", "stop"], ["r", "run anew"]);
   document.addEventListener("keydown", (event) => {
     const action = { " ": go, ".": onward, s: () => ACTIVE.includes(state()) && ask("stop"), r: begin }[event.key];
     if (!action || event.repeat || isTyped(event) || (event.key === " " && event.target.closest("button, summary, a, [role]"))) return;
@@ -115,7 +115,7 @@ export function start(app) {
     const { failing } = now;
     if (!failing) return;
     mark(failing.block);
-    failure.append(element("button", { type: "button", onclick: () => app.select(failing.block) }, `Show ${failing.block}`));
+    failure.append(element("button", { type: "button", onclick: () => app.reveal(failing.block) }, `Show ${failing.block}`));
     if (!failing.signals.length) return;
     const head = ["t (s)", ...failing.signals].map((name) => element("th", { scope: "col" }, name));
     const rows = failing.rows.map((row, k) => element("tr", {}, ...[failing.t[k], ...row].map((x) => element("td", {}, shown(x, 9)))));
