@@ -2,6 +2,7 @@
 import { connect } from "./connection.js";
 import * as drawing from "./drawing.js";
 import * as runbar from "./runbar.js";
+import * as scopes from "./scopes.js";
 
 const connection = connect();
 const listeners = new Map();
@@ -23,7 +24,7 @@ const app = {
     document.getElementById("announcer").textContent = text;
   },
 };
-for (const part of [drawing, runbar]) part.start(app);
+for (const part of [drawing, runbar, scopes]) part.start(app);
 
 connection.on("hello", (hello) => {
   if (app.state.server && app.state.server !== hello.server) return location.reload();
