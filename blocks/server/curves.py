@@ -24,8 +24,10 @@ from ..text.element_names import element_names
 __all__ = ["Curve", "Source", "Window", "elements", "extremes", "firsts", "packed", "values_at"]
 
 Array = np.ndarray[Any, Any]
-Reduced = tuple[Array, Array, int, int]
-"""Times (m,), columns (n, m), and where the last bin begins: in the rows, and in what it gives."""
+Reduced = tuple[Array, Array, Array, Array]
+"""Times (m,), columns (n, m), and where each bin begins: in the rows, and in these."""
+LATE = 2
+"""Rows at the end that may still change."""
 ROWS = 4
 """Rows of a pixel that are sent as they are."""
 
@@ -38,7 +40,7 @@ class Source(Protocol):
         """By signal the first column, shape and unit."""
 
     def rows(self) -> tuple[Array, Array]:
-        """Times (n,) and values (n, columns) up to now; they grow at the end only."""
+        """Times (n,) and values (n, columns) up to now; they grow at the end, where the last ones may still change."""
 
 
 def elements(source: Source) -> dict[str, tuple[int, str]]:
@@ -99,14 +101,15 @@ def extremes(t: Array, columns: Sequence[Array], origin: float, step: float) -> 
             (low, at_low), (high, at_high) = found
             pair = np.where((at_low <= at_high)[:, None], np.column_stack([low, high]), np.column_stack([high, low]))
             reduced[k] = pair[kept]
-    return times, reduced, int(first[-1]), len(times) - int(kept[-1].sum())
+    given = kept.sum(axis=1)
+    return times, reduced, first, np.cumsum(given) - given
 
 
 def firsts(t: Array, columns: Sequence[Array], origin: float, step: float) -> Reduced:
     """The first row of each bin, and how many it holds as one column more: events, of which a pixel shows one."""
     first, last = _bins(t, origin, step)
     reduced = np.stack([*(values[first] for values in columns), last - first + 1]).astype(np.float32)
-    return t[first], reduced, int(first[-1]), len(first) - 1
+    return t[first], reduced, first, np.arange(len(first))
 
 
 # --- frames ----------------------------------------------------------------------------------------------------------
@@ -141,14 +144,17 @@ class Curve:
         self.extent = extent if given is None else given
         self.is_open = given is None and extent is None
         self.is_begun = self.is_reduced = False
-        self.origin, self.done, self.end, self.sent = 0.0, 0, 0, 0
+        self.origin, self.done, self.sent = 0.0, 0, 0
+        self.mark: tuple[int, bytes, bytes] | None = None
 
     def frame(self, until: float = math.inf) -> tuple[int, Array, Array] | None:
         """What is new up to a time: `from`, times, columns; None where nothing is."""
         t, values = self.source.rows()
         begin, end = self._rows(t, until)
-        if end <= self.end and self.is_begun:
+        mark = (end, t[end - 1 : end].tobytes(), values[end - 1 : end].tobytes())
+        if mark == self.mark:
             return None
+        self.mark = mark
         many = ROWS * self.window.width
         reduced = end - begin > (many // 2 if self.is_reduced else many) or self.reduce is not extremes
         if self.is_open and end > begin and (not self.extent or t[end - 1] - t[begin] > self.extent):
@@ -156,16 +162,18 @@ class Curve:
         if not self.is_begun or reduced != self.is_reduced:
             self.is_begun, self.is_reduced, self.done, self.sent = True, reduced, begin, 0
             self.origin = float(t[begin]) if end > begin else 0.0
-        since, self.end = self.sent, end
+        since = self.sent
         times, new = t[self.done : end], values[self.done : end]
         columns = [new[:, k] if factor == 1.0 else new[:, k] * factor for k, factor in self.columns]
-        if not reduced or end == self.done:
+        final = max(0, len(times) - LATE)
+        if not reduced or not len(times):
             with np.errstate(over="ignore"):
-                block = np.array(columns, np.float32).reshape(len(columns), end - self.done)
-            self.done, self.sent = end, self.sent + end - self.done
+                block = np.array(columns, np.float32).reshape(len(columns), len(times))
+            self.done, self.sent = self.done + final, self.sent + final
             return since, times, block
-        times, block, open_row, final = self.reduce(times, columns, self.origin, self._step())
-        self.done, self.sent = self.done + open_row, self.sent + final
+        times, block, first, places = self.reduce(times, columns, self.origin, self._step())
+        still = int(np.searchsorted(first, final, side="right")) - 1  # this bin may get other rows
+        self.done, self.sent = self.done + int(first[still]), self.sent + int(places[still])
         return since, times, block
 
     def _step(self) -> float:

@@ -39,7 +39,7 @@ def unscope(session: Session, page: Page, *, scope: str) -> Answer:
 def drawn(session: Session, page: Page) -> Answer:
     """The page has drawn what it got, and takes more."""
     page.is_ready = True
-    return None
+    return {"is": "drawn"}
 
 
 @handles

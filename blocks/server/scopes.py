@@ -60,7 +60,7 @@ class Scope:
 class Live(Source, Protocol):
     """A run under way, or one that was."""
 
-    run: Any
+    prepared: Any
 
     @property
     def t(self) -> float: ...
@@ -134,7 +134,7 @@ class Page:
     def _fill(self, scope: Scope) -> None:
         """The curves of a scope, from their beginning."""
         curves: dict[tuple[str, Any], tuple[Curve, dict[str, Any]]] = {}
-        settings = None if self.live is None else self.live.run.settings
+        settings = None if self.live is None else self.live.prepared.plan.settings
         extent = None if settings is None or settings.stop is None else float(settings.stop - settings.start)
         own: dict[str, str] = {}  # the units that the scope has, by signal
         if self.live is not None:

@@ -35,8 +35,8 @@ class Rows:
         return self.all_t[: self.count], self.all_values[: self.count]
 
     @property
-    def run(self) -> Any:
-        return SimpleNamespace(settings=SimpleNamespace(start=Fraction(0), stop=Fraction(7)))
+    def prepared(self) -> Any:
+        return SimpleNamespace(plan=SimpleNamespace(settings=SimpleNamespace(start=Fraction(0), stop=Fraction(7))))
 
     @property
     def t(self) -> float:
@@ -109,14 +109,15 @@ def test_least_and_largest_values_of_bins_are_those_of_a_loop(seed: int) -> None
     run = random_rows(3000, seed)
     t, values = run.rows()
     origin, step = float(t[0]), 7.0 / 200
-    times, reduced, row, final = extremes(t, list(values.T), origin, step)
+    times, reduced, first, places = extremes(t, list(values.T), origin, step)
     for k in range(3):
         wanted_t, wanted = slowly(t, values[:, k], origin, step)
         assert times.tolist() == wanted_t
         with np.errstate(over="ignore"):
             assert np.array_equal(reduced[k], np.array(wanted).astype(np.float32), equal_nan=True)
-    # The last bin begins where they say: without it, the rest is the same.
-    assert extremes(t[:row], list(values[:row].T), origin, step)[0].tolist() == times[:final].tolist()
+    # Bins begin where they say: what lies before is the same without them.
+    for row, place in zip(first[1:], places[1:], strict=True):
+        assert extremes(t[:row], list(values[:row].T), origin, step)[0].tolist() == times[:place].tolist()
 
 
 @pytest.mark.parametrize(
@@ -153,6 +154,25 @@ def test_frames_of_a_growing_run_end_as_one_frame_of_the_whole(window: dict[str,
         assert np.array_equal(shown.t, whole.t)
         assert np.array_equal(shown.columns, whole.columns, equal_nan=True)
     assert len(whole.t) <= 4 * 100 + 4
+
+
+@pytest.mark.parametrize("width", [400, 20])
+def test_the_last_rows_may_change_until_others_follow(width: int) -> None:
+    run, rng = random_rows(1000, 3), np.random.default_rng(4)
+    shown = Shown(Curve(run, [(0, 1.0), (2, 1.0)], Window(width=width), 7.0))
+    for count in range(0, 1000, 7):
+        run.count = count + 1
+        right = run.all_values[count].copy()
+        run.all_values[count] = rng.normal(size=3) + 100.0
+        shown.take()
+        assert count == 0 or shown.columns[0].max() > 90.0
+        run.all_values[count] = right
+    run.count = 1000
+    shown.take()
+    whole = Shown(Curve(run, [(0, 1.0), (2, 1.0)], Window(width=width), 7.0))
+    whole.take()
+    assert np.array_equal(shown.t, whole.t)
+    assert np.array_equal(shown.columns, whole.columns, equal_nan=True)
 
 
 def test_few_rows_come_as_they_are_and_a_peak_of_one_row_is_seen_among_many() -> None:
@@ -241,7 +261,7 @@ def test_a_page_gets_its_signals_ghosts_files_and_events() -> None:
     run.fired.append(Event(6.5, "b", "event"))
     assert [*page.frames(1, run)] == []  # before it has drawn what it got
     page.is_ready = True
-    assert [unpacked(frame)[1].tolist() for frame in page.frames(1, run)] == [[6.0, 6.5]]
+    assert [unpacked(frame)[1].tolist() for frame in page.frames(1, run)] == [[2.5, 6.0, 6.5]]
 
 
 def test_ghosts_come_as_far_as_the_run_that_a_scope_follows() -> None:

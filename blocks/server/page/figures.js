@@ -1,5 +1,5 @@
 /** Figures of a report that zoom: a button shows their rows in place of the picture, which is what prints. */
-import uPlot from "./vendor/uPlot.esm.js";
+import uPlot from "./vendor/uplot.js";
 
 const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer;
 const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();

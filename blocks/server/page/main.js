@@ -5,6 +5,7 @@ import * as drawing from "./drawing.js";
 import * as lists from "./lists.js";
 import * as panel from "./panel.js";
 import * as runbar from "./runbar.js";
+import * as scopes from "./scopes.js";
 
 const connection = connect();
 const listeners = new Map();
@@ -97,7 +98,7 @@ function splitters() {
   }
 }
 
-for (const part of [drawing, lists, panel, runbar]) part.start(app);
+for (const part of [drawing, lists, panel, runbar, scopes]) part.start(app);
 app.keys.push(["?", "these keys"], ["Tab", "from pane to pane; arrows move inside lists"]);
 splitters();
 document.addEventListener("keydown", (event) => {

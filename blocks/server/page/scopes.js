@@ -1,6 +1,6 @@
 /** Scopes: signals over a shared time axis, with a cursor, ghosts of earlier runs, measured files, events. */
 import uPlot from "./vendor/uplot.js";
-import { Curve, drawn, highest, near } from "./curves.js";
+import { Curve, drawn, near } from "./curves.js";
 
 /** Colors on light and on dark, and dashes: as in figures of results. */
 const COLORS = [
@@ -336,7 +336,7 @@ export function start(app) {
         const context = swatch.getContext("2d");
         const { color: stroke, dash, width, alpha } = this.look(line);
         context.clearRect(0, 0, 44, 16);
-        Object.assign(context, { strokeStroke: stroke, strokeStyle: stroke, lineWidth: 2 * width, globalAlpha: alpha });
+        Object.assign(context, { strokeStyle: stroke, lineWidth: 2 * width, globalAlpha: alpha });
         context.setLineDash(dash.map((length) => 2 * length));
         context.beginPath();
         context.moveTo(0, 8);
