@@ -2,6 +2,7 @@
 import { connect } from "./connection.js";
 import { counted, dialog, element } from "./elements.js";
 import * as drawing from "./drawing.js";
+import * as knobs from "./knobs.js";
 import * as lists from "./lists.js";
 import * as panel from "./panel.js";
 import * as runbar from "./runbar.js";
@@ -98,7 +99,7 @@ function splitters() {
   }
 }
 
-for (const part of [drawing, lists, panel, runbar, scopes]) part.start(app);
+for (const part of [drawing, lists, panel, knobs, runbar, scopes]) part.start(app);
 app.keys.push(["?", "these keys"], ["Tab", "from pane to pane; arrows move inside lists"]);
 splitters();
 document.addEventListener("keydown", (event) => {
