@@ -33,7 +33,9 @@ ROUNDS = 2  # of rerouting each net
 AGAIN = 60  # nets, above which only those are rerouted that found no path of their own
 REPAIRS = 6  # of these, in turns
 HASTE = 1.1  # weight of what lies ahead, above that number of nets: fewer states to look at for a few bends more
+MORE_HASTE = 1.5  # after an edit
 RIGHT, DOWN, LEFT, UP = range(4)
+RIGHTWARDS, DOWNWARDS = (1, 0, -1, 0), (0, 1, 0, -1)
 
 
 class TooFarApart(Exception):
@@ -57,7 +59,7 @@ class Maze:
             self._block(room)
         self.owner = ([0] * size, [0] * size)  # of the level line and of the upright line through a point: net + 1
         self.blocked: dict[int, set[int]] = {}  # nets that found no path of their own, and those that they ran over
-        self.haste = 1.0 if len(graph.nets) <= AGAIN else HASTE
+        self.haste = 1.0
         self.starts: list[int] = []
         self.ends: list[list[tuple[int, int]]] = []  # points, and the directions in which they are entered
         self._reserve()
@@ -74,6 +76,9 @@ class Maze:
         self.wide = len(self.xs)
         if self.wide * len(self.ys) > MOST:
             raise TooFarApart
+        across = [b - a for a, b in pairwise(self.xs)], [b - a for a, b in pairwise(self.ys)]
+        # How far it is to the next line, by direction; 0 from the last one.
+        self.steps = [*([*lengths, 0.0] for lengths in across), *([0.0, *lengths] for lengths in across)]
 
     def _block(self, room: tuple[float, float, float, float]) -> None:
         """Forbid all pieces that enter the inside of a room."""
@@ -123,18 +128,20 @@ class Maze:
         """For each net the path to each of its sinks. earlier: paths, or () for none, that
         are kept where they still can be.
         """
-        ways: dict[int, list[list[int]]] = {}
-        for index, paths in enumerate(earlier):
-            kept = self._kept(index, paths) if all(paths) else None
-            if kept is not None:
-                ways[index] = kept
+        kept = {index: self._kept(index, paths) for index, paths in enumerate(earlier) if all(paths)}
+        ways = {index: found for index, found in kept.items() if found}
         rest = [index for index in range(len(self.graph.nets)) if index not in ways]
         rest.sort(key=lambda index: (self._span(index), index))
-        if len(rest) <= AGAIN and not ways:
-            self._all(rest, ways)
-        else:
+        if len(self.graph.nets) > AGAIN:
+            self.haste = HASTE if not ways else MORE_HASTE
+        if ways or len(rest) > AGAIN:
             self._each(rest, ways)
-        return tuple(self._paths(index, ways[index]) for index in range(len(self.graph.nets)))
+        else:
+            self._all(rest, ways)
+        return tuple(
+            tuple(earlier[index]) if earlier and ways[index] is kept.get(index) else self._paths(index, ways[index])
+            for index in range(len(self.graph.nets))
+        )
 
     def _all(self, order: list[int], ways: dict[int, list[list[int]]]) -> None:
         """Route each net some times, and all of them in another order where one found no path of its own."""
@@ -175,7 +182,7 @@ class Maze:
     def _kept(self, index: int, paths: Sequence[Path]) -> list[list[int]] | None:
         """The points of earlier paths of a net, which are its own now; None where one does not lead as it did."""
         ways = []
-        for (goal, _), path in zip(self.ends[index], paths, strict=True):
+        for (goal, _), path, (first, last) in zip(self.ends[index], paths, self._tips(index), strict=True):
             way = [self.starts[index]]
             for point in (*(self._known(corner) for corner in path[1:-1]), goal):
                 level = way[-1] // self.wide == point // self.wide
@@ -183,9 +190,9 @@ class Maze:
                     return None
                 step = (1 if level else self.wide) * (1 if point > way[-1] else -1)
                 way += range(way[-1] + step, point + step, step)
+            if path != simplified((first, self._place(way[0]), *path[1:-1], self._place(goal), last)):
+                return None
             ways.append(way)
-        if tuple(paths) != self._paths(index, ways):
-            return None
         pieces = [(min(a, b), 0 if abs(a - b) == 1 else 1, a, b) for way in ways for a, b in pairwise(way)]
         for low, line, a, b in pieces:
             owner = self.owner[line]
@@ -250,14 +257,8 @@ class Maze:
         """
         if goal in before or goal == start:
             return [goal]
-        own, wide, xs, ys = index + 1, self.wide, self.xs, self.ys
-        beyond = wide * (len(ys) - 1)  # points from here on have none below
-        gx, gy = self._place(goal)
-        far, deep = [abs(x - gx) * self.haste for x in xs], [abs(y - gy) * self.haste for y in ys]
-        goal_row, goal_column = divmod(goal, wide)
-        side = [(column >= goal_column) + (column > goal_column) for column in range(wide)]
-        height = [3 * ((row >= goal_row) + (row > goal_row)) for row in range(len(ys))]
-        turns = _turns(entry, self.haste)
+        own, wide = index + 1, self.wide
+        far, deep, side, height, turns = self._ahead(goal, entry)
         heap: list[tuple[float, int]] = []
         cost: dict[int, float] = {}
         origin: dict[int, int] = {}
@@ -290,17 +291,10 @@ class Maze:
                     cost[other] = value
                     origin[other] = state
                     heappush(heap, (value + rest + turns[turned][place], other))
-            # The step ahead.
-            if way == RIGHT and column + 1 < wide:
-                next_, column, added = point + 1, column + 1, xs[column + 1] - xs[column]
-            elif way == LEFT and column:
-                next_, column, added = point - 1, column - 1, xs[column] - xs[column - 1]
-            elif way == DOWN and point < beyond:
-                next_, row, added = point + wide, row + 1, ys[row + 1] - ys[row]
-            elif way == UP and row:
-                next_, row, added = point - wide, row - 1, ys[row] - ys[row - 1]
-            else:
+            added = self.steps[way][row if line else column]
+            if not added:
                 continue
+            next_, row, column = point + (1, wide, -1, -wide)[way], row + DOWNWARDS[way], column + RIGHTWARDS[way]
             if self.wall[line][point if point < next_ else next_]:
                 added += THROUGH
             if along[next_] not in (0, own) or along[point] not in (0, own):
@@ -314,15 +308,26 @@ class Maze:
                 heappush(heap, (value + far[column] + deep[row] + turns[way][side[column] + height[row]], other))
         return [start, goal]  # not reached: every state can be left
 
-    def _paths(self, index: int, ways: Sequence[Sequence[int]]) -> tuple[Path, ...]:
-        net = self.graph.nets[index]
-        node, port = net.source
+    def _ahead(self, goal: int, entry: int) -> tuple[list[float], list[float], list[int], list[int], list[list[float]]]:
+        """What lies ahead at least: distances by column and by row; and bends by direction, and the place by both."""
+        row, column = divmod(goal, self.wide)
+        far = [abs(x - self.xs[column]) * self.haste for x in self.xs]
+        deep = [abs(y - self.ys[row]) * self.haste for y in self.ys]
+        side = [(other >= column) + (other > column) for other in range(self.wide)]
+        height = [3 * ((other >= row) + (other > row)) for other in range(len(self.ys))]
+        return far, deep, side, height, _turns(entry, self.haste)
+
+    def _tips(self, index: int) -> list[tuple[Point, Point]]:
+        """Where each wire of a net begins and ends."""
+        (node, port), sinks = self.graph.nets[index].source, self.graph.nets[index].sinks
         first = self._point(node, self.graph.nodes[node].outputs[port])
-        paths = []
-        for (sink, port), way in zip(net.sinks, ways, strict=True):
-            last = self._point(sink, self.graph.nodes[sink].inputs[port])
-            paths.append(simplified([first, *(self._place(point) for point in way), last]))
-        return tuple(paths)
+        return [(first, self._point(sink, self.graph.nodes[sink].inputs[port])) for sink, port in sinks]
+
+    def _paths(self, index: int, ways: Sequence[Sequence[int]]) -> tuple[Path, ...]:
+        return tuple(
+            simplified([first, *(self._place(point) for point in way), last])
+            for (first, last), way in zip(self._tips(index), ways, strict=True)
+        )
 
 
 @cache
