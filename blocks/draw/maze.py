@@ -181,25 +181,26 @@ class Maze:
 
     def _kept(self, index: int, paths: Sequence[Path]) -> list[list[int]] | None:
         """The points of earlier paths of a net, which are its own now; None where one does not lead as it did."""
-        ways = []
+        ways, runs = [], []
         for (goal, _), path, (first, last) in zip(self.ends[index], paths, self._tips(index), strict=True):
             way = [self.starts[index]]
             for point in (*(self._known(corner) for corner in path[1:-1]), goal):
-                level = way[-1] // self.wide == point // self.wide
-                if point < 0 or not (level or way[-1] % self.wide == point % self.wide):
+                line = 0 if way[-1] // self.wide == point // self.wide else 1
+                if point < 0 or (line and way[-1] % self.wide != point % self.wide):
                     return None
-                step = (1 if level else self.wide) * (1 if point > way[-1] else -1)
+                low, high, step = min(way[-1], point), max(way[-1], point), self.wide if line else 1
+                runs.append((line, slice(low, high, step), slice(low, high + 1, step)))
+                step = step if point > way[-1] else -step
                 way += range(way[-1] + step, point + step, step)
             if path != simplified((first, self._place(way[0]), *path[1:-1], self._place(goal), last)):
                 return None
             ways.append(way)
-        pieces = [(min(a, b), 0 if abs(a - b) == 1 else 1, a, b) for way in ways for a, b in pairwise(way)]
-        for low, line, a, b in pieces:
-            owner = self.owner[line]
-            if self.wall[line][low] or owner[a] not in (0, index + 1) or owner[b] not in (0, index + 1):
+        for line, pieces, points in runs:
+            if 1 in self.wall[line][pieces] or not {0, index + 1}.issuperset(self.owner[line][points]):
                 return None
-        for _, line, a, b in pieces:
-            self.owner[line][a] = self.owner[line][b] = index + 1
+        for line, pieces, points in runs:
+            if self.wall[line][pieces]:
+                self.owner[line][points] = [index + 1] * len(self.owner[line][points])
         return ways
 
     def _span(self, index: int) -> float:
