@@ -87,8 +87,8 @@ class Guard:
             token = path.removeprefix("/?token=")
             return "/", self._fits(token) or token in self.tickets
         if self.framed and path.startswith("/k/"):
-            token, _, rest = path.removeprefix("/k/").partition("/")
-            return f"/{rest}", self._fits(token)
+            token, slash, rest = path.removeprefix("/k/").partition("/")
+            return slash + rest, self._fits(token)
         name = cookie_name(self.port)
         pairs = (pair.strip().partition("=") for pair in cookies.split(";"))
         values = [value for key, _, value in pairs if key == name]
