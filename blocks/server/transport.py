@@ -151,6 +151,8 @@ class Transport:
             self._loop.call_soon_threadsafe(self._ending.set)
         if self._thread.ident is not None:
             self._thread.join(2 * PATIENCE)
+        else:
+            self._loop.close()
         self._listening.close()
 
     def _run(self) -> None:
