@@ -29,10 +29,11 @@ export function start(app) {
     );
   };
 
+  const free = ({ default: value }) => (value === null || value === "" ? "not wired" : `not wired: ${shown(value)}`);
   const input = (row) =>
     element(
       "li", {}, element("span", { class: "name" }, row.name),
-      element("span", { class: "value" }, row.from ? link(row.from, row.source) : row.source || (row.default === null || row.default === "" ? "not wired" : shown(row.default)), unit(row.unit)),
+      element("span", { class: "value" }, row.from ? link(row.from, row.source) : row.source || free(row), unit(row.unit)),
       row.doc ? element("span", { class: "what" }, row.doc) : null,
     );
 
