@@ -1,7 +1,9 @@
 /** The page: one `app` that all its parts share, and the parts. */
 import { connect } from "./connection.js";
 import { counted, dialog, element } from "./elements.js";
+import * as analysis from "./analysis.js";
 import * as drawing from "./drawing.js";
+import * as knobs from "./knobs.js";
 import * as lists from "./lists.js";
 import * as panel from "./panel.js";
 import * as runbar from "./runbar.js";
@@ -98,7 +100,7 @@ function splitters() {
   }
 }
 
-for (const part of [drawing, lists, panel, runbar, scopes]) part.start(app);
+for (const part of [drawing, lists, panel, runbar, knobs, scopes, analysis]) part.start(app);
 app.keys.push(["?", "these keys"], ["Tab", "from pane to pane; arrows move inside lists"]);
 splitters();
 document.addEventListener("keydown", (event) => {

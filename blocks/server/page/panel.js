@@ -1,11 +1,5 @@
 /** The panel: what the selected block is, its parameters, its ports; without one, the diagram itself. */
-import { element, trusted } from "./elements.js";
-
-/** A number as a person reads it. */
-export function shown(value) {
-  if (Array.isArray(value)) return `[${value.map(shown).join(", ")}]`;
-  return typeof value === "number" ? String(Number(value.toPrecision(6))) : String(value ?? "");
-}
+import { element, shown, trusted } from "./elements.js";
 
 export function start(app) {
   const place = document.getElementById("panel");
