@@ -13,12 +13,12 @@ export function start(app) {
     const isBound = row.text.startsWith("=");
     const isOther = row.text && !isBound && row.default && row.default !== row.text && Number(row.default) !== row.value;
     const notes = [row.why && !isBound && `not in a run: ${row.why}`, isOther && `default ${row.default}`].filter(Boolean);
-    const value = row.value === null ? row.text || row.default : shown(row.value);
+    const value = row.value === null || isBound ? row.text || row.default : shown(row.value);
     return element(
       "li", { class: `parameter${row.tunable ? " tunable" : ""}`, "data-name": row.path },
       element("span", { class: "name" }, row.name),
-      element("span", { class: "value", title: row.why || null }, value, unit(row.value === null ? "" : row.unit)),
-      element("span", { class: "what" }, row.doc, isBound ? element("code", {}, row.text) : null),
+      element("span", { class: "value", title: row.why || null }, value, unit(row.value === null || isBound ? "" : row.unit)),
+      element("span", { class: "what" }, row.doc, isBound && row.value !== null ? element("b", {}, ` ${shown(row.value)} ${row.unit}`) : null),
       notes.length ? element("span", { class: "notes" }, notes.join("; ")) : null,
     );
   };
