@@ -33,3 +33,11 @@ export function trusted(html) {
   const nodes = new DOMParser().parseFromString(html, "text/html").body.childNodes;
   return [...nodes].map((node) => document.adoptNode(node));
 }
+
+/** A number as people read it; of a list, each. @param {any} x */
+export function shown(x, digits = 6) {
+  if (Array.isArray(x)) return `[${x.map((one) => shown(one, digits)).join(", ")}]`;
+  if (typeof x !== "number") return String(x ?? "");
+  const isFar = x !== 0 && (Math.abs(x) >= 1e6 || Math.abs(x) < 1e-4);
+  return isFar ? x.toExponential(digits - 1).replace(/\.?0+e/, "e") : String(Number(x.toPrecision(digits)));
+}

@@ -1,6 +1,5 @@
 /** Knobs: fields and sliders of parameters and inputs, the board of those that are pinned, what was changed and turned. */
-import { dialog, element } from "./elements.js";
-import { shown } from "./runbar.js";
+import { dialog, element, shown } from "./elements.js";
 
 const ACTIVE = ["running", "paused"];
 const TYPED = 500; // ms after which a value that is typed counts, without Return

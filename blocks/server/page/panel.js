@@ -1,11 +1,5 @@
 /** The panel: what the selected block is, its parameters, its ports; without one, the diagram itself. */
-import { element, trusted } from "./elements.js";
-
-/** A number as a person reads it. */
-export function shown(value) {
-  if (Array.isArray(value)) return `[${value.map(shown).join(", ")}]`;
-  return typeof value === "number" ? String(Number(value.toPrecision(6))) : String(value ?? "");
-}
+import { element, shown, trusted } from "./elements.js";
 
 export function start(app) {
   const place = document.getElementById("panel");
@@ -19,20 +13,21 @@ export function start(app) {
     const isBound = row.text.startsWith("=");
     const isOther = row.text && !isBound && row.default && row.default !== row.text && Number(row.default) !== row.value;
     const notes = [row.why && !isBound && `not in a run: ${row.why}`, isOther && `default ${row.default}`].filter(Boolean);
-    const value = row.value === null ? row.text || row.default : shown(row.value);
+    const value = row.value === null || isBound ? row.text || row.default : shown(row.value);
     return element(
       "li", { class: `parameter${row.tunable ? " tunable" : ""}`, "data-name": row.path },
       element("span", { class: "name" }, row.name),
-      element("span", { class: "value", title: row.why || null }, value, unit(row.value === null ? "" : row.unit)),
-      element("span", { class: "what" }, row.doc, isBound ? element("code", {}, row.text) : null),
+      element("span", { class: "value", title: row.why || null }, value, unit(row.value === null || isBound ? "" : row.unit)),
+      element("span", { class: "what" }, row.doc, isBound && row.value !== null ? element("b", {}, ` ${shown(row.value)} ${row.unit}`) : null),
       notes.length ? element("span", { class: "notes" }, notes.join("; ")) : null,
     );
   };
 
+  const free = ({ default: value }) => (value === null || value === "" ? "not wired" : `not wired: ${shown(value)}`);
   const input = (row) =>
     element(
       "li", {}, element("span", { class: "name" }, row.name),
-      element("span", { class: "value" }, row.from ? link(row.from, row.source) : row.source || (row.default === null || row.default === "" ? "not wired" : shown(row.default)), unit(row.unit)),
+      element("span", { class: "value" }, row.from ? link(row.from, row.source) : row.source || free(row), unit(row.unit)),
       row.doc ? element("span", { class: "what" }, row.doc) : null,
     );
 

@@ -1,12 +1,8 @@
 /** The run: its buttons and keys, its stop time and pace, how it stands, and why it failed. */
-import { element } from "./elements.js";
+import { element, shown } from "./elements.js";
 
 const ACTIVE = ["running", "paused"];
 const WORDS = { none: "no run yet", running: "running", paused: "paused", done: "done", stopped: "stopped", failed: "failed" };
-
-/** A number as people read it. */
-export const shown = (x, digits = 6) =>
-  typeof x !== "number" ? String(x) : x !== 0 && (Math.abs(x) >= 1e6 || Math.abs(x) < 1e-4) ? x.toExponential(digits - 1).replace(/\.?0+e/, "e") : String(Number(x.toPrecision(digits)));
 
 /** Whether a key belongs to what has the focus, and not to the page. */
 const isTyped = ({ target, ctrlKey, metaKey, altKey }) =>
