@@ -207,7 +207,8 @@ def linear(session: Session, *, t: float | None = None, amplitude: dict[str, flo
     except AnalysisError as error:
         return {**told, "states": [], "modes": [], "sizes": {}, "notes": [], "period": None, "faults": _faults(error)}
     n, wide = model.nstates, sum(int(np.prod(entry.shape, dtype=int)) for entry in plan.inputs)
-    high = sum(len(plan.signal(name).references) for name in plan.log)
+    planned = session.document.planned or plan
+    high = sum(len(planned.signal(name).references) for name in planned.log)
     notes = [f"{b.path} ({b.type}): {b.method}" for b in model.report if b.contributes and b.method != "exact"]
     sizes = {"A": [n, n], "B": [n, wide], "C": [high, n], "D": [high, wide]}
     return {
