@@ -1,6 +1,7 @@
 /** The page: one `app` that all its parts share, and the parts. */
 import { connect } from "./connection.js";
 import { counted, dialog, element } from "./elements.js";
+import * as analysis from "./analysis.js";
 import * as drawing from "./drawing.js";
 import * as knobs from "./knobs.js";
 import * as lists from "./lists.js";
@@ -99,7 +100,7 @@ function splitters() {
   }
 }
 
-for (const part of [drawing, lists, panel, knobs, runbar, scopes]) part.start(app);
+for (const part of [drawing, lists, panel, knobs, runbar, scopes, analysis]) part.start(app);
 app.keys.push(["?", "these keys"], ["Tab", "from pane to pane; arrows move inside lists"]);
 splitters();
 document.addEventListener("keydown", (event) => {
