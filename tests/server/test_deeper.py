@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 
 from blocks import Diagram, Gain, Integrator, Relay, Sum, TransferFunction
-from blocks.server import deeper  # noqa: F401  # the messages that it answers
+from blocks.server import deeper, knobs, panel, scope_messages  # noqa: F401  # the messages that they answer
 from blocks.server.document import Document
 from blocks.server.messages import answer
 from blocks.server.session import Session
 from blocks.text.errors import AnalysisError, UsageError
+
+from .test_browser import served
 
 DIAGRAMS = Path(__file__).resolve().parents[2] / "diagrams"
 Ask = Callable[..., Any]
@@ -189,3 +191,30 @@ def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path) -> N
     session.document.shown.sweep({"gain.k": [1.0, 2.0]}, **two)
     kept = ask("band", signals=["plant.y"], file="two.parquet")["signals"]["plant.y"]
     assert np.array(kept[1][0]) == pytest.approx(1.5 * unit, rel=1e-5)
+
+
+@pytest.mark.long
+def test_a_page_shows_the_margins_of_the_wire_that_is_clicked(chromium: Any) -> None:
+    with served(DIAGRAMS / "analysis/smeso_pd.json") as (url, _), chromium() as page:
+        page.open(url)
+        page.until("document.querySelector('#drawing [data-net=\"control.u\"] path')")
+        x, y = page.evaluate(
+            "(() => { const line = document.querySelector('[data-net=\"control.u\"] path.run');"
+            " const p = line.getPointAtLength(9).matrixTransform(line.getScreenCTM()); return [p.x, p.y]; })()"
+        )
+        page.click_at(x, y)
+        page.press("b")
+        page.until("document.querySelector('.analysis-body .fault')?.textContent.includes('infinite slope')")
+        page.click(".law input[type=checkbox]")
+        page.until("document.querySelectorAll('.analysis-body .chart').length === 3")
+        first = page.text(".analysis-body table")
+        assert "4.3126 (12.69 dB) at 41.466 rad/s" in first
+        page.evaluate("document.querySelector('.law input[type=range]').focus()")
+        page.press("ArrowLeft")
+        page.until(f"document.querySelector('.analysis-body table').innerText !== {first!r}")
+        page.evaluate("document.querySelector('.chart').focus()")
+        page.press("End")
+        page.until("document.querySelector('#announcer').textContent.includes('rad/s')")
+        page.evaluate("document.querySelector('[data-what=modes]').click()")
+        page.until("document.querySelector('.analysis-body caption')?.textContent.includes('5 states')")
+        page.assert_clean()
