@@ -11,7 +11,13 @@ from typing import Any
 
 from ..text.errors import Fault, UsageError
 from .options import (
-    takes_engine, takes_json, takes_library, takes_parameters, takes_several, takes_trust, takes_variants,
+    takes_engine,
+    takes_json,
+    takes_library,
+    takes_parameters,
+    takes_several,
+    takes_trust,
+    takes_variants,
 )  # fmt: skip
 from .output import emit, printable
 from .signals import INTERRUPTED

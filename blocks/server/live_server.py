@@ -73,6 +73,8 @@ class LiveServer:
 
     def start(self) -> LiveServer:
         """Read the diagram, and let pages in; those that came too early waited. Raises UsageError: there is no file."""
+        # The modules of the messages that pages may send are here for what they declare.
+        from . import deeper, knobs, panel, scope_messages  # noqa: F401
         from .document import Document
         from .session import Session
 
