@@ -166,6 +166,7 @@ class Session:
             told = _failed(error)
         client.send({**told, "re": number})
 
+    @property
     def is_asked_more(self) -> bool:
         """Whether another question waits to be answered aside: what takes very long ends for it."""
         return not self._aside.empty()
