@@ -470,7 +470,7 @@ export function start(app) {
     const button = (text, act, attributes = {}) => element("button", { type: "button", onclick: act, ...attributes }, text);
     const signal = element("input", { list: "scope-signals", placeholder: "Signal", "aria-label": "Signal for a new scope" });
     const open = () => signal.value.trim() && app.openScope(signal.value.trim().split(/[\s;]+/)) && (signal.value = "");
-    signal.onkeydown = (event) => event.key === "Enter" && open();
+    signal.onkeydown = (event) => void (event.key === "Enter" && open());
     const span = element("input", { type: "number", min: "0", step: "any", value: "10", class: "narrow", "aria-label": "Seconds to follow" });
     const follow = button("Follow the last", () => look(window_.span ? {} : { span: Math.max(1e-9, Number(span.value) || 10) }), { "aria-pressed": "false" });
     span.onchange = () => window_.span && look({ span: Math.max(1e-9, Number(span.value) || 10) });
