@@ -145,7 +145,7 @@ def script(session: Session) -> Answer:
     library = [each if isinstance(each, str) else each.__name__ for each in items]
     if any(isinstance(each, type) for each in items):
         message = f"has block types that a script cannot load by name: {', '.join(library)}."
-        raise UsageError(Fault("E501", document.name, message, "Name their module: library=\"my_blocks\"."))
+        raise UsageError(Fault("E501", document.name, message, 'Name their module: library="my_blocks".'))
     text = session.running.script(document.path.resolve(), library=library, variants=session.chosen)
     return {"is": "script", "text": text}
 

@@ -106,8 +106,6 @@ def _notes(entry: BlockEntry) -> Iterator[str]:
         yield f"Triggered every {_text(trigger['every'])}."
     elif trigger is not None:
         yield f"Triggered by its input trigger, {_text(trigger.get('direction', 'up'))}."
-    if entry.variants:
-        yield f"Variants: base, {', '.join(entry.variants)}; chosen: {entry.variant or 'base'}."
     if entry.stream:
         yield f"Random numbers from the stream {entry.stream}."
 

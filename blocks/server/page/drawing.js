@@ -89,7 +89,6 @@ export function start(app) {
     stage.replaceChildren(document.adoptNode(drawn));
     boxes = new Map([...drawn.querySelectorAll("g[data-path]")].map((box) => [box.dataset.path, box]));
     nets = Map.groupBy(drawn.querySelectorAll("[data-net]"), (part) => part.dataset.net);
-    for (const [name, box] of boxes) box.classList.toggle("opens", app.block(full(name))?.kind === "diagram");
     const before = known.get(level);
     if (before) Object.assign(at, before), before.fitted ? fit() : place();
     else fit();

@@ -4,7 +4,7 @@
 export function element(tag, attributes = {}, ...children) {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
-    if (name.startsWith("on")) made[name] = value;
+    if (name.startsWith("on")) made[name] = (event) => void value(event); // who returns false takes the event away
     else if (value !== null && value !== false) made.setAttribute(name, value === true ? "" : value);
   }
   made.append(...children.filter((child) => child !== null));
@@ -15,7 +15,7 @@ export function element(tag, attributes = {}, ...children) {
 export function dialog(label, ...children) {
   const made = element("dialog", { "aria-label": label }, ...children);
   const back = document.activeElement;
-  made.onclick = (event) => event.target === made && made.close();
+  made.onclick = (event) => void (event.target === made && made.close());
   made.onclose = () => {
     made.remove();
     if (document.activeElement === document.body) back?.focus();

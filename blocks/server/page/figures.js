@@ -60,7 +60,7 @@ for (const figure of JSON.parse(document.getElementById("zoom").textContent)) {
     picture.before(shown);
     const plots = figure.panels.map((panel) => plotted(panel, figure, shown));
     shown.append(Object.assign(document.createElement("p"), { className: "source", textContent: figure.told }));
-    shown.onkeydown = (event) => turned(event.key, plots) && event.preventDefault();
+    shown.onkeydown = (event) => void (turned(event.key, plots) && event.preventDefault());
   };
   picture.before(button);
 }

@@ -13,7 +13,7 @@ export function roving(list) {
     event.preventDefault();
     items[to].focus();
   };
-  list.onfocusin = ({ target }) => list.querySelectorAll("button").forEach((item) => (item.tabIndex = item === target ? 0 : -1));
+  list.addEventListener("focusin", ({ target }) => list.querySelectorAll("button").forEach((item) => (item.tabIndex = item === target ? 0 : -1)));
 }
 
 export function start(app) {

@@ -38,7 +38,7 @@ export function start(app) {
   const again = button("Run anew", "Begin again at the start (r)", begin);
 
   const stop = element("input", { type: "text", size: 8, autocomplete: "off", spellcheck: "false" });
-  stop.onkeydown = ({ key }) => key === "Enter" && begin();
+  stop.onkeydown = ({ key }) => void (key === "Enter" && begin());
   bar.append(element("label", { title: "When the run ends: a number of seconds, or with a unit, as in 5 min" }, "Stop time ", stop));
   const choice = element("select", {});
   for (const [value, text] of [["", "as fast as it goes"], ["1", "real time (1x)"], ["10", "10x"], ["other", "other"]])

@@ -1,0 +1,169 @@
+"""What a page shows of a block."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import blocks
+from blocks import Block, Diagram, Gain, Input, Parameter, output
+from blocks.server.document import Document
+from blocks.server.panel import panel_of
+
+PAPER = Path(__file__).resolve().parents[2] / "diagrams/paper/iadrc.json"
+EVIL = "</script><img src=x onerror=alert(1)>"
+
+
+class Tags(HTMLParser):
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: set[str] = set()
+        self.attributes: set[str] = set()
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        self.tags.add(tag)
+        self.attributes |= {name for name, _ in attrs}
+
+
+@pytest.fixture(scope="module")
+def paper() -> Document:
+    return Document(PAPER)
+
+
+def rows(told: dict[str, Any], key: str = "parameters") -> dict[str, dict[str, Any]]:
+    return {row["name"]: row for row in told[key]}
+
+
+def test_a_block_is_told_with_its_equations_its_values_and_where_its_inputs_come_from(paper: Document) -> None:
+    told = panel_of(paper, "motor_right")
+    assert (told["type"], told["kind"]) == ("PMDCMotor", "block")
+    assert "<mfrac>" in told["mathml"]
+    assert "domega/dt" in told["mathml"]  # what a screen reader says of the equation
+    assert rows(told)["Ra"] | {"why": ""} == {
+        "name": "Ra", "path": "motor_right.Ra", "text": "", "doc": "armature resistance", "value": 0.1557,
+        "unit": "Ohm", "tunable": True, "why": "", "choices": [], "default": "0.1557",
+    }  # fmt: skip
+    assert rows(told)["Jeq"]["text"] == "=Jeq"
+    assert not rows(told)["omega_start"]["tunable"]
+    assert "start value" in rows(told)["omega_start"]["why"]
+    inputs = rows(told, "inputs")
+    assert (inputs["v"]["source"], inputs["v"]["from"], inputs["v"]["unit"]) == (
+        "control_right.u",
+        "control_right",
+        "V",
+    )
+    assert rows(told, "outputs")["omega"]["signal"] == "motor_right.omega"
+    assert [row["name"] for row in told["states"]] == ["omega", "i"]
+
+
+def test_values_are_those_that_the_diagram_is_computed_with(paper: Document) -> None:
+    """The flat model is the second witness of every number that is shown in SI."""
+    flat = {block.path: block.resolved.values for block in paper.shown.flatten().blocks}
+    compared = 0
+    for path, values in flat.items():
+        for name, row in rows(panel_of(paper, path)).items():
+            known = values[name]
+            if isinstance(row["value"], float) and row["unit"] == known.unit:
+                assert row["value"] == float(known.value), row
+                compared += 1
+    assert compared > 50
+
+
+def test_a_diagram_and_a_subdiagram_are_told_with_their_parameters(paper: Document) -> None:
+    whole = panel_of(paper, "")
+    assert rows(whole)["heading"]["value"] == 45.0
+    assert rows(whole)["heading"]["unit"] == "deg"
+    assert rows(whole, "outputs")["x"] == {"name": "x", "unit": "m", "doc": "from robot.x", "signal": "x"}
+    inner = panel_of(paper, "robot")
+    assert inner["kind"] == "diagram"
+    assert rows(inner)["heading"]["text"] == "=heading"
+    assert rows(inner, "inputs")["omega_left"]["from"] == "motor_left"
+    deep = panel_of(paper, "control_right.nlsef")
+    assert rows(deep, "inputs")["r1"]["from"] == "control_right.td"
+
+
+def test_a_block_that_is_not_there_is_refused(paper: Document) -> None:
+    for path in ("motor", "motor_right.omega", "control_right.x", "..", "__class__"):
+        with pytest.raises(blocks.UsageError, match="E502"):
+            panel_of(paper, path)
+    with pytest.raises(blocks.UsageError, match="'motor_right'"):
+        panel_of(paper, "motor_righ")
+
+
+class Hostile(Block):
+    __doc__ = f"""y = k u {EVIL}
+
+        y = x_{{<img/src=x>}} + k {EVIL}
+
+    {EVIL}: an entry `{EVIL}`
+
+    - a point {EVIL}
+    References: {EVIL}
+    """
+    k = Parameter(1.0, doc=EVIL)
+    u = Input(doc=EVIL)
+
+    @output(doc=EVIL)
+    def y(k, u):
+        return k * u
+
+
+def test_no_text_of_a_class_or_a_file_becomes_html() -> None:
+    diagram = Diagram("hostile", library=[Hostile])
+    diagram.parameter("K", 1.0, doc=EVIL)
+    block = diagram.add("evil", Hostile(), doc=EVIL)
+    diagram.wire(block.u, block.y)  # a loop: a fault
+    document = Document(diagram)
+    for path in ("", "evil"):
+        told = panel_of(document, path)
+        found = Tags(told["mathml"] + told["more"])
+        assert not found.tags & {"img", "script"}
+        assert found.attributes <= {
+            "class",
+            "role",
+            "aria-label",
+            "displaystyle",
+            "form",
+            "width",
+            "lspace",
+            "rspace",
+            "stretchy",
+        }
+    assert "&lt;/script&gt;" in told["mathml"]
+    assert told["doc"] == EVIL
+
+
+def test_a_diagram_with_faults_is_told_as_far_as_it_can_be() -> None:
+    text = """{"format": "blocks-diagram", "version": 2, "name": "f", "doc": ["one", "- two", "three: `four`"],
+      "blocks": {"odd": {"type": "Gainn", "parameters": {"k": 2}},
+        "sum": {"type": "Sum", "parameters": {"signs": "+-"}}},
+      "wires": {"sum.u1": "odd.y"}}"""
+    document = Document(Diagram.from_json(text))
+    odd = panel_of(document, "odd")
+    assert [fault["code"] for fault in odd["faults"]] == ["E103"]
+    assert odd["parameters"] == []
+    whole = panel_of(document, "")
+    assert whole["mathml"] == "<p>one</p>"
+    assert whole["more"] == '<p class="point">two</p><p>three: <code>four</code></p>'
+    total = panel_of(document, "sum")
+    assert rows(total)["signs"]["text"] == "+-"
+    assert rows(total, "inputs")["u2"]["source"] == ""
+    assert {fault["code"] for fault in panel_of(document, "")["faults"]} == {"E101", "E103"}
+
+
+def test_what_triggers_or_enables_a_part_is_said() -> None:
+    inner = Diagram("inner")
+    gain = inner.add("g", Gain(k=1.0))
+    inner.wire(gain.u, inner.input("u"))
+    inner.output("y", gain.y)
+    diagram = Diagram("outer")
+    diagram.add("slow", inner, trigger={"every": "10 ms"})
+    diagram.add("off", inner, enable={"states": "reset"})
+    document = Document(diagram)
+    assert panel_of(document, "slow")["notes"] == ["Triggered every 10 ms."]
+    assert panel_of(document, "off")["notes"] == ["Enabled by its input enable; while it is off: states reset."]
+    assert "enable" in rows(panel_of(document, "off"), "inputs")
