@@ -116,7 +116,7 @@ export function start(app) {
     const head = ["t (s)", ...failing.signals].map((name) => element("th", { scope: "col" }, name));
     const rows = failing.rows.map((row, k) => element("tr", {}, ...[failing.t[k], ...row].map((x) => element("td", {}, shown(x, 9)))));
     failure.append(
-      element("table", {}, element("caption", {}, `The last steps at the inputs of ${failing.block}`), element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...rows)),
+      element("table", {}, element("caption", {}, `The last steps of what ${failing.block} reads and gives`), element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...rows)),
     );
   }
   const mark = (path) => {
