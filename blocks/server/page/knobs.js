@@ -224,7 +224,7 @@ export function start(app) {
     if (pinned.has(name)) return;
     pinned.add(name);
     const made = knob(name, true);
-    made.prepend(element("label", { for: `board-${name}` }, name));
+    made.prepend(element("label", { for: `board-${name}` }, `${name} `, made.querySelector(".changed")));
     board.append(made);
     open();
     made.querySelector("input[type=range]").focus(); // arrows turn it, and Space runs
