@@ -23,8 +23,10 @@ import numpy as np
 from ..api.run import Run
 from ..engines.driver import Simulation
 from ..engines.run.memory_estimate import COPIES_OF_MASTER
+from ..model.flatten import BlockSource, ValueSource
 from ..results.results import Event, Results
 from ..text.available_memory import Watch
+from ..text.element_names import element_names
 from ..text.errors import BlocksError, Fault, FMUError, SimulationError, UsageError
 
 __all__ = ["LiveRun", "Turned"]
@@ -34,6 +36,8 @@ SLICE = 0.01
 """s of computing after which the engine comes back at the latest."""
 PERIOD = 0.03
 """s between two looks at the rows, and between two looks at the clock of a paced run."""
+LAST = 20
+"""Rows before a failure that are shown."""
 SHARE = 20
 """The looks at the rows take one part in so many of the time."""
 
@@ -321,6 +325,34 @@ class LiveRun:
         self._rows.show(results)
         t, values = self._rows.view
         return results.changed(t=t.copy(), values=values.copy())
+
+    # --- what went wrong ---------------------------------------------------------------------------------------------
+
+    def failing(self) -> dict[str, Any] | None:
+        """The block that a failed run failed in, and the last rows of what it reads and gives, as far as it is recorded.
+
+        {"block": path, "signals": names of elements, "t": times, "rows": values by time}; None where no block is known.
+        """
+        flat = self.prepared.flat
+        places = {block.path: k for k, block in enumerate(flat.blocks) if not block.hidden}
+        path = "" if self.error is None else self.error.faults[0].place
+        while path and path not in places:
+            path = path.rpartition(".")[0]
+        if not path:
+            return None
+        sources = flat.blocks[places[path]].sources.values()
+        read = {source for each in sources for source in each if not isinstance(source, ValueSource)}
+        columns: tuple[dict[str, int], dict[str, int]] = {}, {}  # of what it reads, and of what it gives
+        for name, (first, shape, _) in self.columns.items():
+            its = flat.signals[name if name in flat.signals else name.rpartition("[")[0]].sources
+            is_given = any(isinstance(source, BlockSource) and source.block == places[path] for source in its)
+            if is_given or read.intersection(its):
+                elements = enumerate(element_names(name, shape), first)
+                columns[is_given].update({element: k for k, element in elements})
+        told = columns[0] | columns[1]
+        t, values = self.rows()
+        rows = values[-LAST:][:, list(told.values())]
+        return {"block": path, "signals": list(told), "t": t[-LAST:].tolist(), "rows": rows.tolist()}
 
     # --- to do it again ----------------------------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ and a look at the file twice a second. So no handler needs a lock. What takes lo
 
 from __future__ import annotations
 
+import math
 import queue
 import secrets
 import threading
@@ -18,7 +19,6 @@ from ..model.trust import Paths
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.version import __version__
 from .document import Document, told_fault
-from .failing import failing_of
 from .live_run import LiveRun
 from .messages import ASIDE, Answer, answer, handles
 from .scopes import Page, trim
@@ -236,7 +236,7 @@ class Session:
             "is": "run", "id": self.number, "state": live.state, "t": live.t, "steps": live.steps,
             "rejected": live.rejected, "pace": live.pace, "lag": live.lag, "seconds": live.seconds, "faults": faults,
             "start": float(settings.start), "stop": None if settings.stop is None else float(settings.stop),
-            "failing": failing_of(live) if live.error is not None else None,
+            "failing": _plain(live.failing()),
         }  # fmt: skip
 
     def tell_run(self) -> None:
@@ -252,6 +252,13 @@ class Session:
 def _failed(error: Exception) -> dict[str, Any]:
     what = f"blocks itself failed ({type(error).__name__}: {error})."
     return {"is": "error", "faults": [told_fault(Fault("E901", "", what, "Please report it."), set())]}
+
+
+def _plain(failing: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Where a run failed, numbers that are not finite as texts."""
+    if failing is None:
+        return None
+    return {**failing, "rows": [[x if math.isfinite(x) else str(x) for x in row] for row in failing["rows"]]}
 
 
 # --- messages --------------------------------------------------------------------------------------------------------

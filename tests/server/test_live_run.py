@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from blocks import Diagram, Results, SimulationError, UsageError
-from blocks.server.failing import failing_of
 from blocks.server.live_run import PERIOD, LiveRun
 from tests.support.places import DIAGRAMS, PAPER
 
@@ -203,8 +202,10 @@ def test_a_run_that_fails_keeps_its_rows_and_names_the_block(tmp_path: Path, eng
     assert live.state == "failed"
     assert str(live.error) == str(plain.value)
     assert bits(live.results()) == bits(plain.value.results)
-    failing, t = failing_of(live), plain.value.results.t.tolist()
-    assert failing == {"block": "b", "signals": ["u (a.y)"], "t": t[-5:], "rows": [[1 - each] for each in t[-5:]]}
+    failing, t = live.failing(), plain.value.results.t
+    assert failing is not None
+    assert (failing["block"], failing["signals"], failing["t"]) == ("b", ["a.y", "b.y"], t.tolist())
+    assert failing["rows"] == [[1 - each, float(np.sqrt(1 - each))] for each in t.tolist()]
     with pytest.raises(UsageError, match="is over"):
         live.set("zero.value", 1.0)
 

@@ -100,7 +100,7 @@ function splitters() {
   }
 }
 
-for (const part of [drawing, lists, panel, knobs, runbar, scopes, analysis]) part.start(app);
+for (const part of [drawing, lists, panel, runbar, knobs, scopes, analysis]) part.start(app);
 app.keys.push(["?", "these keys"], ["Tab", "from pane to pane; arrows move inside lists"]);
 splitters();
 document.addEventListener("keydown", (event) => {
