@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 from ..api.diagram import Diagram
 from ..model.trust import Paths
+from ..text.element_names import indexed
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.version import __version__
 from .document import Document, told_fault
@@ -207,15 +208,18 @@ class Session:
         self.number += 1
         self.begun[self.number], self.chosen = {**self.values, **self.inputs}, dict(self.document.variants)
         self.live = self.runs[self.number] = LiveRun(run, self.changed)
-        trim(self.runs, self.live)
+        trim(self.runs, self.live, self.pages.values())
         return self.live
 
-    def _logged(self, shown: Diagram) -> list[str] | None:
-        """What a live run records: all signals, unless these are too many; None: what the file says."""
+    def _logged(self, shown: Diagram) -> list[str]:
+        """What a live run records: all signals; where these are too many, those of the file and of the scopes."""
         planned = self.document.planned or shown.check()
         names = list(planned.signals)
         elements = sum(len(planned.signal(name).references) for name in names)
-        return names if elements <= MOST_LOGGED else None
+        if elements <= MOST_LOGGED:
+            return names
+        scoped = {indexed(name)[0] for page in self.pages.values() for name in page.signals()}
+        return list(dict.fromkeys([*planned.log, *(name for name in names if name in scoped)]))
 
     @property
     def running(self) -> LiveRun:
