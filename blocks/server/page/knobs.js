@@ -63,7 +63,11 @@ export function start(app) {
     note(told.name, { name: told.name, text: told.text, was: told.was });
   });
   app.connection.on("changed", () => look([...facts.keys()]));
-  app.on("document", () => look([...facts.keys(), ...pinned]));
+  app.on("document", async () => {
+    const stored = JSON.parse(sessionStorage.getItem("pinned") ?? "[]"); // the page was loaded again
+    await look([...new Set([...facts.keys(), ...stored])]);
+    stored.forEach(onto);
+  });
 
   // --- one parameter ------------------------------------------------------------------------------------------------
 
@@ -164,7 +168,13 @@ export function start(app) {
     return { input: made, show, range: element("details", {}, element("summary", {}, "range"), end(0, "Least value"), " to ", end(1, "Greatest value"), ` ${unit}`) };
   }
 
-  const pin = (name) => element("button", { type: "button", onclick: () => onto(name), "aria-label": `Put ${name} on the board` }, "Pin");
+  const pin = (name) => {
+    const onclick = () => {
+      onto(name)?.focus(); // arrows turn it, and Space runs
+      app.announce(`${name} is on the board of knobs.`);
+    };
+    return element("button", { type: "button", onclick, "aria-label": `Put ${name} on the board` }, "Pin");
+  };
   async function back(name) {
     const told = await app.connection.ask("reset", name === null ? {} : { name }).catch((error) => app.announce(error.message));
     if (!told) return;
@@ -190,15 +200,11 @@ export function start(app) {
     if (told.variants.length) place.querySelector("header").after(variants(panel.path, told));
   });
 
-  function variants(path, { variants: choices, variant }) {
+  function variants(path, { variants: choices, variant, anew: isOther }) {
     const choice = element("select", {}, ...choices.map((one) => element("option", { value: one }, one)));
-    const offer = element("button", { type: "button", hidden: true, onclick: () => app.begin() });
     choice.value = variant;
-    choice.onchange = async () => {
-      if (!(await app.connection.ask("variant", { path, name: choice.value }).catch((error) => app.announce(error.message)))) return;
-      offer.textContent = `Run anew with ${path} = ${choice.value}`;
-      offer.hidden = false;
-    };
+    choice.onchange = () => app.connection.ask("variant", { path, name: choice.value }).catch((error) => app.announce(error.message));
+    const offer = element("button", { type: "button", hidden: !isOther, onclick: () => app.begin() }, `Run anew with ${path} = ${variant}`);
     return element("p", { class: "variants" }, element("label", {}, "Variant ", choice), " ", offer);
   }
 
@@ -214,21 +220,23 @@ export function start(app) {
   const record = element(
     "details", { hidden: true }, element("summary", {}, "Turned in this run"),
     element("table", {}, element("thead", {}, head), turned),
-    element("button", { type: "button", onclick: () => script() }, "Script that repeats this run"),
   );
-  const place = element("section", { id: "knobs", "aria-label": "Knobs", hidden: true }, board, changes, keep, resets, refusal, record);
+  const scripts = element("button", { type: "button", hidden: true, onclick: () => script() }, "Script that repeats this run");
+  const place = element("section", { id: "knobs", "aria-label": "Knobs", hidden: true }, board, changes, keep, resets, scripts, refusal, record);
   document.getElementById("runbar").append(place);
-  const open = () => (place.hidden = !pinned.size && !changes.children.length && !turned.children.length);
+  const open = () => {
+    place.hidden = !pinned.size && !changes.children.length && !turned.children.length;
+    sessionStorage.setItem("pinned", JSON.stringify([...pinned]));
+  };
 
-  async function onto(name) {
-    if (pinned.has(name)) return;
+  function onto(name) {
+    if (pinned.has(name) || !facts.get(name)?.tunable || facts.get(name).low === null) return null;
     pinned.add(name);
     const made = knob(name, true);
     made.prepend(element("label", { for: `board-${name}` }, `${name} `, made.querySelector(".changed")));
     board.append(made);
     open();
-    made.querySelector("input[type=range]").focus(); // arrows turn it, and Space runs
-    app.announce(`${name} is on the board of knobs.`);
+    return made.querySelector("input[type=range]");
   }
   function unpin(name) {
     pinned.delete(name);
@@ -273,6 +281,7 @@ export function start(app) {
   }
   let run = 0;
   app.on("run", ({ id }) => {
+    scripts.hidden = id === 0;
     if (id !== run) look([]);
     run = id;
   });
