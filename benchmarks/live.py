@@ -16,7 +16,6 @@ from contextlib import contextmanager
 import numpy as np
 
 from blocks import Diagram
-from blocks.server.curves import packed
 from blocks.server.live_run import LiveRun
 from blocks.server.live_server import LiveServer
 from tests.support.browser import Browser, found
