@@ -3,7 +3,7 @@
     svg(diagram, ports_of(diagram, resolver))
 
 The stages: `parts` (names) -> `piece` (shapes) -> `graph` (nodes and nets) -> `layered`, or `pinned` where
-the file gives positions -> `picture` (places) -> `svg`. `compose` runs them, level by level.
+the file gives positions, with wires by `maze` -> `picture` (places) -> `svg`. `compose` runs them, level by level.
 """
 
 from .compose import picture

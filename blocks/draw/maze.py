@@ -33,7 +33,7 @@ ROUNDS = 2  # of rerouting each net
 AGAIN = 60  # nets, above which only those are rerouted that found no path of their own
 REPAIRS = 6  # of these, in turns
 HASTE = 1.1  # weight of what lies ahead, above that number of nets: fewer states to look at for a few bends more
-MORE_HASTE = 1.5  # after an edit
+MORE_HASTE = 1.2  # after an edit
 RIGHT, DOWN, LEFT, UP = range(4)
 RIGHTWARDS, DOWNWARDS = (1, 0, -1, 0), (0, 1, 0, -1)
 
