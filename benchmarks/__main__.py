@@ -10,6 +10,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from blocks.text.errors import BlocksError
 
 from . import (
+    drawing,
     fmu,
     large_fmu,
     linear,
@@ -45,6 +46,7 @@ BENCHMARKS = {
     "linear": linear.main,
     "master": master.main,
     "streamed": streamed.main,
+    "drawing": drawing.main,
 }
 
 

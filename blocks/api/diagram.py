@@ -643,6 +643,27 @@ class Diagram:
             engine=engine, variants=variants, trust=trust, **settings,
         )  # fmt: skip
 
+    def live(
+        self,
+        *,
+        parameters: Mapping[str, Any] | None = None,
+        inputs: Mapping[str, Any] | None = None,
+        variants: Mapping[str, str] | None = None,
+        engine: str | None = None,
+        trust: Paths = (),
+        port: int = 0,
+    ) -> Any:
+        """A server that shows this diagram in a browser: `url`, `stop()`; a notebook shows the page itself.
+
+        Signals are shown while it runs, and parameters are turned. It ends with `stop()` or with Python, and serves
+        this machine alone; whoever has the `url` can use it. port: of 127.0.0.1; 0: a free one. The others as of `run`;
+        nothing is written into the file that the diagram came from. Raises UsageError (E501) where the port is taken.
+        """
+        return late(
+            "live", self,
+            values=parameters, inputs=inputs, variants=variants, engine=engine, trust=trust, port=port,
+        )  # fmt: skip
+
     # --- linear models -----------------------------------------------------------------------------------------
 
     def linearize(

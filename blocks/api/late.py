@@ -1,6 +1,7 @@
 """What a Diagram can do by means of rooms above this one: found by name when it is first called.
 
-Sweeps and tunings are made of many runs, so that their rooms stand on this one; a person looks for them on the Diagram.
+Sweeps and tunings are made of many runs, and a live server has one, so that their rooms stand on this one; a person
+looks for them on the Diagram.
 This is the only way up, and `tests/project/test_project.py` holds that nothing else takes it.
 """
 
@@ -11,7 +12,10 @@ from typing import Any
 
 __all__ = ["late"]
 
-_MODULES = {"sweep": "studies.sweep_run", "tune": "studies.tuning", "fit": "studies.identification"}
+_MODULES = {
+    "sweep": "studies.sweep_run", "tune": "studies.tuning", "fit": "studies.identification",
+    "live": "server.live_server",
+}  # fmt: skip
 
 
 def late(name: str, *arguments: Any, **named: Any) -> Any:

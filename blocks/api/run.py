@@ -354,6 +354,24 @@ class Run:
         return self._simulation.tried
 
     @property
+    @_by_one_thread
+    def rejected_by_block(self) -> dict[str, int]:
+        """How many steps were rejected as the error of a state of this block was the largest, by path.
+
+        Of methods with an adaptive step, since the run began here; of a stiff method and with a master: {}.
+        """
+        plan, counts = self._prepared.plan, self._simulation.engine.blamed.tolist()
+        by_path: dict[str, int] = {}
+        if isinstance(plan, Plan):
+            paths = {instance.path for instance in plan.instances}
+            for name, count in zip(plan.states, counts, strict=True):
+                while count and name and name not in paths:
+                    name = name.rpartition(".")[0]
+                if count:
+                    by_path[name] = by_path.get(name, 0) + count
+        return by_path
+
+    @property
     def ended(self) -> Fault | None:
         """The warning that an FMU ended the run before its stop (W206), which its results have too; else None."""
         return self._simulation.over

@@ -37,10 +37,16 @@ def picture(
     faults: Sequence[Fault] = (),
     rates: Mapping[str, str] | None = None,
     marks: Marks | None = None,
+    earlier: Picture | None = None,
 ) -> Picture:
-    """The picture of a diagram; see `svg`. marks: of one that holds two diagrams."""
+    """The picture of a diagram; see `svg`. marks: of one that holds two diagrams.
+
+    earlier: the picture before an edit of a diagram with positions: wires near which nothing changed run as in it. That
+    takes a fraction of the time, but what comes out hangs on what came before, so that it is to be drawn without this
+    when there is time.
+    """
     located, elsewhere = _located(diagram, faults, min(depth, DEEPEST))
-    drawing = _Drawer(ports, located, dict(rates or {}), marks).level(diagram, "", min(depth, DEEPEST))
+    drawing = _Drawer(ports, located, dict(rates or {}), marks, earlier).level(diagram, "", min(depth, DEEPEST))
     return replace(drawing, elsewhere=elsewhere, marks=marks)
 
 
@@ -90,8 +96,10 @@ class _Drawer:
         faults: Mapping[str, list[Fault]],
         rates: Mapping[str, str],
         marks: Marks | None,
+        earlier: Picture | None,
     ) -> None:
         self.ports, self.faults, self.rates, self.compared = ports, faults, rates, marks
+        self.earlier = earlier.routes if earlier else {}
 
     def level(self, diagram: DiagramValue, prefix: str, depth: int, *, stacked: bool = False) -> Picture:
         """One diagram with all that lies in it. stacked: its terminals must be free to the left and to the right."""
@@ -101,13 +109,16 @@ class _Drawer:
         graph = graph_of(parts, pieces)
         arranged = None
         if any(node.fixed for node in graph.nodes):
-            arranged = pinned(graph)
+            known = [[self.earlier.get(ends, ()) for ends in _ends(parts, signal)] for signal in parts.signals]
+            arranged = pinned(graph, known if self.earlier else ())
             if arranged is not None and stacked and not reachable(graph, arranged):
                 arranged = None
         if arranged is None:
             return self.placed(parts, pieces, graph, layered(graph, stacked=stacked))
         left, top, _, _ = extent(graph, arranged)
-        return replace(self.placed(parts, pieces, graph, arranged), origin=(-left, -top))
+        nets = zip(parts.signals, arranged.paths, strict=True)
+        routes = {ends: path for net, paths in nets for ends, path in zip(_ends(parts, net), paths, strict=True)}
+        return replace(self.placed(parts, pieces, graph, arranged), origin=(-left, -top), routes=routes)
 
     def placed(self, parts: Parts, pieces: Sequence[Piece], graph: Graph, arranged: Arranged) -> Picture:
         left, top, right, bottom = extent(graph, arranged)
@@ -130,9 +141,7 @@ class _Drawer:
                 opens += inner.opens
         for signal, paths in zip(parts.signals, arranged.paths, strict=True):
             rate = self.rate(parts, signal)
-            source = (parts.parts[signal.source[0]].path, signal.source[1])
-            for (index, port), points in zip(signal.sinks, paths, strict=True):
-                sink = parts.parts[index].path, port
+            for (source, sink), points in zip(_ends(parts, signal), paths, strict=True):
                 mark = self.compared.wires.get(sink) if self.compared else None
                 wires.append(Wire(signal.name, source, sink, points, signal.wide, rate, mark))
             dots += [Dot(signal.name, x, y, rate) for x, y in junctions(paths)]
@@ -210,6 +219,12 @@ class _Drawer:
         piece.texts.append(Text(-width / 2 + 10, -height / 2 + 16, header, HEADER, "start", "frametitle"))
         self.marks(piece)
         return piece
+
+
+def _ends(parts: Parts, net: Net) -> list[tuple[tuple[str, str], tuple[str, str]]]:
+    """Source and sink of each wire of a net, as (path of the box, port)."""
+    index, port = net.source
+    return [((parts.parts[index].path, port), (parts.parts[sink].path, entry)) for sink, entry in net.sinks]
 
 
 def _invented(names: Sequence[str], known: dict[str, Point], edge: float, height: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from ..text.errors import Fault
 from .graph import Path, Point
@@ -117,6 +117,7 @@ class Picture:
     """Everything with its place; the top left corner is (0, 0).
 
     origin: where the position [0, 0] of the file's `layout` lies; None where its positions are not those of the file.
+    routes: the wires by source and sink, from that origin.
     """
 
     title: str
@@ -129,6 +130,7 @@ class Picture:
     elsewhere: tuple[Fault, ...] = ()
     marks: Marks | None = None
     origin: Point | None = None
+    routes: Mapping[tuple[tuple[str, str], tuple[str, str]], Path] = field(default_factory=dict, repr=False)
 
     def moved(self, dx: float, dy: float) -> Picture:
         return replace(

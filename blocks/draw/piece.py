@@ -80,11 +80,11 @@ def graph_of(parts: Parts, pieces: Sequence[Piece]) -> Graph:
     closed = all(piece.inside is None for piece in pieces)
     given: dict[int, Point] = {}
     if closed:
+        place = {part.name: index for index, part in reversed(list(enumerate(parts.parts)))}
         for name, raw in parts.diagram.layout.items():
-            index = next((i for i, part in enumerate(parts.parts) if part.name == name), None)
             point = _position(raw)
-            if index is not None and point is not None:
-                given[index] = point
+            if name in place and point is not None:
+                given[place[name]] = point
     nodes = [_node(piece, given.get(index)) for index, piece in enumerate(pieces)]
     inputs = [{name: k for k, name in enumerate(piece.shape.inputs)} for piece in pieces]
     outputs = [{name: k for k, name in enumerate(piece.shape.outputs)} for piece in pieces]

@@ -42,7 +42,7 @@ def _thousandths(character: str) -> int:
 
 def plain(text: str) -> str:
     """The text with a replacement character for all that is not printable, controls and surrogates among it."""
-    return "".join(c if c.isprintable() else "\ufffd" for c in text)
+    return text if text.isprintable() else "".join(c if c.isprintable() else "\ufffd" for c in text)
 
 
 def cut(text: str, most: int) -> str:

@@ -17,6 +17,7 @@ from ..analysis.operating import find_operating_point, limit_cycles
 from ..analysis.text import check_loop, lines
 from ..api.run import Run, started
 from ..compile.coupling import Coupling
+from ..compile.plan import Plan
 from ..frequency import figure_curves as curves
 from ..frequency.delayed import DelayedModel
 from ..frequency.lapack import eigenvectors
@@ -63,7 +64,7 @@ def _at(session: Session, t: float | None) -> tuple[dict[str, Any], dict[str, An
 def _again(live: LiveRun, t: float, turned: list[Any]) -> Run:
     """Another run, which went as the live one did up to a time, and stands there."""
     prepared, options = live.prepared, live.options
-    if prepared.plan.foreign:
+    if isinstance(prepared.plan, Plan) and prepared.plan.foreign:
         options = replace(options, engine="reference")
     options = replace(options, progress=None, out=None)
     settings = {**prepared.settings, "log": []}
@@ -357,6 +358,6 @@ def _swept(session: Session, signals: list[str], vary: Mapping[str, list[float]]
         shown.settings(inputs={**shown.value.run.get("inputs", {}), **session.inputs})
     sweep: Sweep = shown.sweep(
         limits, n=n, sampler="lhs", seed=seed, measures=[], log=signals, parameters=parameters,
-        trust=session.trust, threads=1, progress=look,
+        engine=session.engine, trust=session.trust, threads=1, progress=look,
     )  # fmt: skip
     return sweep

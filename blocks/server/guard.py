@@ -49,6 +49,8 @@ class Guard:
             raise ValueError("a token has at least 20 letters, digits, - or _")
         self.token, self.port, self.routes, self.framed = token, port, {*routes, SOCKET}, framed
         self.hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
+        self.tickets: set[str] = set()
+        """Tokens that let one page in, once."""
 
     def admit(self, method: str, path: str, headers: Iterable[tuple[str, str]]) -> Admitted | Refusal:
         """headers: names and values as they came; one that decides and stands twice is refused."""
@@ -76,15 +78,17 @@ class Guard:
             return Refusal(401, "Open the address with the token that `blocks live` printed when it began.")
         if route not in self.routes:
             return Refusal(404, "There is nothing here.")
+        self.tickets -= {path.removeprefix("/?token=")}
         return Admitted(route, enters=path.startswith("/?"))
 
     def _route(self, path: str, cookies: str) -> tuple[str, bool]:
         """The path without its token, and whether there is one that is right."""
         if path.startswith("/?token="):
-            return "/", self._fits(path.removeprefix("/?token="))
+            token = path.removeprefix("/?token=")
+            return "/", self._fits(token) or token in self.tickets
         if self.framed and path.startswith("/k/"):
-            token, _, rest = path.removeprefix("/k/").partition("/")
-            return f"/{rest}", self._fits(token)
+            token, slash, rest = path.removeprefix("/k/").partition("/")
+            return slash + rest, self._fits(token)
         name = cookie_name(self.port)
         pairs = (pair.strip().partition("=") for pair in cookies.split(";"))
         values = [value for key, _, value in pairs if key == name]

@@ -6,6 +6,7 @@ go on; no step is cut for a pause. What was set is known by the step it came aft
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import threading
@@ -22,8 +23,10 @@ import numpy as np
 from ..api.run import Run
 from ..engines.driver import Simulation
 from ..engines.run.memory_estimate import COPIES_OF_MASTER
+from ..model.flatten import BlockSource, ValueSource
 from ..results.results import Event, Results
 from ..text.available_memory import Watch
+from ..text.element_names import element_names
 from ..text.errors import BlocksError, Fault, FMUError, SimulationError, UsageError
 
 __all__ = ["LiveRun", "Turned"]
@@ -33,6 +36,8 @@ SLICE = 0.01
 """s of computing after which the engine comes back at the latest."""
 PERIOD = 0.03
 """s between two looks at the rows, and between two looks at the clock of a paced run."""
+LAST = 20
+"""Rows before a failure that are shown."""
 SHARE = 20
 """The looks at the rows take one part in so many of the time."""
 
@@ -71,6 +76,7 @@ class LiveRun:
         self._rows = _Rows(1 + results.values.shape[1])
         self._rows.show(results)
         self._final: Results | None = None
+        self._blamed: dict[str, int] = {}
         self._run: Run | None = run
         self._condition = threading.Condition()
         self._wish, self._version = "paused", 0  # running, step, paused or stopped; how often something was asked
@@ -187,7 +193,7 @@ class LiveRun:
         final = self._final
         if final is not None:
             self._events, self.steps, self.rejected = final.events, final.statistics.steps, final.statistics.rejected
-        self.t = run.t
+        self.t, self._blamed = run.t, run.rejected_by_block
         with self._condition:
             self.state, self._run = state, None
             asked, self._asked = self._asked, deque()
@@ -311,6 +317,44 @@ class LiveRun:
         self._rows.show(results)
         t, values = self._rows.view
         return results.changed(t=t.copy(), values=values.copy())
+
+    # --- what went wrong ---------------------------------------------------------------------------------------------
+
+    def rejected_by_block(self) -> dict[str, int]:
+        """As of `Run`."""
+        if not self.is_over:
+            with contextlib.suppress(UsageError):  # it may have ended meanwhile
+                return self._ask(lambda simulation: self._present.rejected_by_block)
+        self._thread.join()
+        return self._blamed
+
+    def failing(self) -> dict[str, Any] | None:
+        """The block that a failed run failed in, and the last rows of what it reads and gives, as far as it is recorded.
+
+        {"block": path, "signals": names of elements, "t": times, "rows": values by time}; None where no block is known.
+        """
+        flat = self.prepared.flat
+        places = {block.path: k for k, block in enumerate(flat.blocks) if not block.hidden}
+        path = "" if self.error is None else self.error.faults[0].place
+        while path and path not in places:
+            path = path.rpartition(".")[0]
+        if not path:
+            return None
+        sources = flat.blocks[places[path]].sources.values()
+        read = {source for each in sources for source in each if not isinstance(source, ValueSource)}
+        read_names, given_names, columns = [], [], {}
+        for name, (first, shape, _) in self.columns.items():
+            base = name if name in flat.signals else name.rpartition("[")[0]
+            its = flat.signals[base].sources
+            names = read_names if read.intersection(its) else given_names
+            if names is given_names and not any(isinstance(s, BlockSource) and s.block == places[path] for s in its):
+                continue
+            elements = element_names(name, shape)
+            names += elements
+            columns.update(zip(elements, range(first, first + len(elements)), strict=True))
+        t, values = self.rows()
+        rows = values[-LAST:, [columns[name] for name in (*read_names, *given_names)]]
+        return {"block": path, "signals": [*read_names, *given_names], "t": t[-LAST:].tolist(), "rows": rows.tolist()}
 
     # --- to do it again ----------------------------------------------------------------------------------------------
 

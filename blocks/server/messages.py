@@ -51,13 +51,15 @@ def handles_aside(function: Callable[..., Answer]) -> Callable[..., Answer]:
 
 
 def message_of(sent: str | bytes) -> dict[str, Any]:
-    """A message as an object of JSON. Raises UsageError (E501) where it is none."""
+    """A message as an object of JSON, with the name of what is asked for, and a number. Raises UsageError (E501)."""
     try:
         message = json.loads(sent, parse_constant=_no_number) if isinstance(sent, str) else None
     except (ValueError, RecursionError):
         message = None
     if not isinstance(message, dict):
         raise UsageError(Fault("E501", "message", "is not an object of JSON."))
+    if not isinstance(message.get("do"), str) or type(message.get("id", 0)) is not int:
+        raise UsageError(Fault("E501", "message", "needs a name as its `do`, and a whole number as its `id`."))
     return message
 
 

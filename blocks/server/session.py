@@ -114,11 +114,14 @@ class Session:
                 client, what = None, ""
             if what == "close":
                 break
-            self._do(client, what)
-            if time.monotonic() - looked > LOOK:
-                looked = time.monotonic()
-                if self.document.has_changed() and self.document.read():
-                    self.tell_document()
+            try:
+                self._do(client, what)
+                if time.monotonic() - looked > LOOK:
+                    looked = time.monotonic()
+                    if self.document.has_changed() and self.document.read():
+                        self.tell_document()
+            except Exception as error:  # what one page asked for, or a bad file, must not silence the others
+                self.broadcast(_failed(error))
         if self.live is not None:
             self.live.stop()
 
@@ -153,16 +156,16 @@ class Session:
         number = message.get("id")
         try:
             told: Answer = answer(self, message, self.pages.get(client))
+            if told is not None:
+                client.send({**told, "re": number})
+            return
         except BlocksError as error:
             paths = {block["path"] for block in self.document.told()["blocks"]}
             told = {"is": "error", "faults": [told_fault(fault, paths) for fault in error.faults]}
         except Exception as error:  # a page must not end the session of another one
-            what = f"blocks itself failed ({type(error).__name__}: {error})."
-            told = {"is": "error", "faults": [told_fault(Fault("E901", "", what, "Please report it."), set())]}
-        if told is not None:
-            client.send({**told, "re": number})
+            told = _failed(error)
+        client.send({**told, "re": number})
 
-    @property
     def is_asked_more(self) -> bool:
         """Whether another question waits to be answered aside: what takes very long ends for it."""
         return not self._aside.empty()
@@ -243,6 +246,11 @@ class Session:
             return
         self._told = now
         self.broadcast(self.run_told())
+
+
+def _failed(error: Exception) -> dict[str, Any]:
+    what = f"blocks itself failed ({type(error).__name__}: {error})."
+    return {"is": "error", "faults": [told_fault(Fault("E901", "", what, "Please report it."), set())]}
 
 
 # --- messages --------------------------------------------------------------------------------------------------------

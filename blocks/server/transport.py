@@ -125,7 +125,7 @@ class Transport:
         try:
             self._listening = socket.create_server(("127.0.0.1", port))
         except (OSError, OverflowError) as error:
-            why = getattr(error, "strerror", None) or str(error)
+            why = error.strerror if isinstance(error, OSError) else "a port is a number up to 65535"
             cure = "Choose another one, or none: then a free one is found."
             raise UsageError(Fault("E501", f"--port {port}", f"cannot be opened: {why}.", cure)) from None
         self.port: int = self._listening.getsockname()[1]
@@ -136,6 +136,12 @@ class Transport:
         self._ending = asyncio.Event()
         self._thread = threading.Thread(target=self._run, daemon=True, name=f"server {self.port}")
 
+    def ticket(self) -> str:
+        """An address that lets one page in, once."""
+        token = new_token()
+        self._guard.tickets |= {token}
+        return f"http://127.0.0.1:{self.port}/?token={token}"
+
     def start(self) -> None:
         self._thread.start()
 
@@ -145,6 +151,8 @@ class Transport:
             self._loop.call_soon_threadsafe(self._ending.set)
         if self._thread.ident is not None:
             self._thread.join(2 * PATIENCE)
+        else:
+            self._loop.close()
         self._listening.close()
 
     def _run(self) -> None:
@@ -162,11 +170,8 @@ class Transport:
             close_timeout=PATIENCE / 2,
             logger=_SILENT,
         )
-        async with server:
+        async with server:  # which closes the pages at its end
             await self._ending.wait()
-            server.server.close()
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(server.server.wait_closed(), PATIENCE)
 
     # --- requests -----------------------------------------------------------------------------------------------------
 

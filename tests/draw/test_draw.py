@@ -20,6 +20,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.drawing import placed
 from blocks.draw import Picture, Ports, picture, ports_of, rendered, svg
 from blocks.draw.graph import pieces
 from blocks.draw.picture import Box, Wire
@@ -268,6 +269,31 @@ def test_the_rest_is_laid_out_around_given_positions() -> None:
         if len(kept) == 2:
             assert places["motor"][0] - places["control"][0] == 480
             assert places["motor"][1] - places["control"][1] == 160
+
+
+@pytest.mark.parametrize("loops", [3, long(14)])  # up to 60 nets, and more
+def test_after_an_edit_wires_elsewhere_run_as_before(loops: int) -> None:
+    value = placed(loops)
+    made = pictured(value)
+    check(made)
+    (x, y), wires = value.layout["limit2"], value.wires
+    edits = [
+        {"layout": {**value.layout, "limit2": [x, y + 40]}},
+        {"layout": {**value.layout, "limit2": [x + 3, y + 17]}},  # off the grid
+        {"wires": {**wires, "law1.y": "plant2.y"}},
+        {"wires": {sink: source for sink, source in wires.items() if sink != "law1.y"}},
+        {"blocks": {**value.blocks, "new": BlockEntry(type="Gain")}, "layout": {**value.layout, "new": [60, 90]}},
+    ]
+    for edit in edits:
+        edited = replace(value, **edit)
+        again = pictured(edited, earlier=made)
+        check(again)
+        same = [ends for ends, path in again.routes.items() if made.routes.get(ends) == path]
+        assert len(same) > len(made.routes) / 2
+    assert pictured(value, earlier=made) == made
+    # Nothing is taken from a picture of something else.
+    other = load(ROOT / "diagrams" / "motor_pid.json")
+    assert pictured(other, earlier=made) == pictured(other)
 
 
 def test_a_position_that_is_none_is_not_used() -> None:
@@ -749,6 +775,10 @@ def test_given_positions_are_kept_in_random_diagrams(value: DiagramValue, random
     for a, b in combinations(places, 2):
         assert places[a][0] - places[b][0] == layout[a][0] - layout[b][0]
         assert places[a][1] - places[b][1] == layout[a][1] - layout[b][1]
+    if len(layout) == len(value.blocks):
+        column, row = cells[len(layout)]
+        moved = replace(value, layout={**layout, min(layout): [400.0 * column, 330.0 * row]})
+        check(picture(moved, kind_ports(moved), earlier=made))
 
 
 def test_the_values_of_a_file_are_json_numbers() -> None:

@@ -51,6 +51,10 @@ class Exchange:
         self.past: list[list[Point]] = [[] for _ in coupling.elements]
         self.segment = self.inputs.segment(self.t)
 
+    @property
+    def blamed(self) -> Array:
+        return np.empty(0, dtype=int)
+
     def pause(self, every: float, at: float) -> None:
         pass  # a moment is one step
 

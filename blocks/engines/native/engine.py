@@ -611,6 +611,11 @@ class NativeEngine:
         return int(self.sim.steps + self.sim.rejected)
 
     @property
+    def blamed(self) -> Array:
+        counts: Array = array(self.sim.blamed, self._nx, ctypes.c_int64)
+        return counts[self.model.place]
+
+    @property
     def recorded_bytes(self) -> float:
         rows = self.sim.rows
         return float(rows.bytes) - ((rows.end or 0) - (rows.next or 0))  # without the room for more of them

@@ -37,7 +37,7 @@ from .chattering import CrossingWatch, ProgressWatch
 from .event_update import Instants
 from .failures import Failures
 from .inside_step import InsideStep, in_time
-from .methods import error_norm, first_step, trial
+from .methods import error_norm, first_step, trial, worst
 from .python_code import CompiledPrograms, Evaluator
 from .rows import Row, RunRows
 
@@ -56,7 +56,7 @@ _ON_THE_WAY = np.array([*_ENDS, 0.25, 0.5, 0.75, *(1.0 - _ENDS[::-1]), 1.0])
 _UNKNOWN: tuple[float, Array] = (math.nan, np.empty(0))
 _KEPT = (
     "now", "segment", "inputs", "broken", "outstanding", "crossing", "changed", "left", "sides", "located", "steps",
-    "rejected", "evaluations", "instant_count", "events",
+    "rejected", "blamed", "evaluations", "instant_count", "events",
 )  # fmt: skip
 
 
@@ -101,6 +101,7 @@ class ReferenceEngine:
         plan, settings = self.plan, self.settings
         self.atol = settings.atol * np.array(plan.nominal, dtype=float)
         self.steps = self.rejected = self.evaluations = self.instant_count = 0
+        self.blamed = np.zeros(len(plan.states), dtype=int)
         self.events: list[Event] = []
         self.longest = longest_step(plan)
         t = float(settings.start)
@@ -443,6 +444,7 @@ class ReferenceEngine:
             if h <= least or step <= least:
                 raise self.failures.too_small(attempt, self._weights())
             self.rejected += 1
+            self.blamed[worst(attempt.error, now.x, attempt.x1, self.atol, rtol)] += 1
             grow = 1.0
             factor = max(_LEAST, _SAFETY * error ** (-1 / tableau.order)) if math.isfinite(error) else 0.1
             h = max(step * factor, least)

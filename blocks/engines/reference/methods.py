@@ -14,7 +14,7 @@ import numpy as np
 
 from ...compile.tableaus import Tableau
 
-__all__ = ["Trial", "error_norm", "first_step", "trial"]
+__all__ = ["Trial", "error_norm", "first_step", "trial", "worst"]
 
 Array = np.ndarray[Any, Any]
 Rates = Callable[[float, Array], Array]
@@ -83,6 +83,12 @@ def error_norm(error: Array, x0: Array, x1: Array, atol: Array, rtol: float) -> 
         return np.inf
     # max hands NaN on, so that a step with NaN is never accepted.
     return float(np.max(np.abs(error) / (atol + rtol * size)))
+
+
+def worst(error: Array, x0: Array, x1: Array, atol: Array, rtol: float) -> int:
+    """The state with the largest error, or one that is not finite."""
+    parts = np.abs(error) / (atol + rtol * np.maximum(np.abs(x0), np.abs(x1)))
+    return int(np.argmax(np.where(np.isfinite(x1 + error), parts, np.inf)))
 
 
 def first_step(

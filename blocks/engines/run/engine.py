@@ -91,6 +91,11 @@ class Engine(Protocol):
         ...
 
     @property
+    def blamed(self) -> Array:
+        """For each state, the rejected steps in which its error was the largest: (n,); of a master none, (0,)."""
+        ...
+
+    @property
     def recorded_bytes(self) -> float:
         """What the recorded rows take."""
         ...

@@ -251,7 +251,7 @@ export function start(app) {
 
   // --- blocks colored, each with its number in the legend ---
   const legend = element("div", { id: "color-legend", hidden: true });
-  const by = element("select", { "aria-label": "Color of blocks", onchange: () => colorBy() }, element("option", { value: "" }, "no colors"), element("option", { value: "rate" }, "by rate"), element("option", { value: "rejected" }, "by rejected steps"));
+  const by = element("select", { "aria-label": "Color of blocks", onchange: () => colorBy() }, element("option", { value: "" }, "no colors"), element("option", { value: "rate" }, "by rate"));
   let colored = null;
   async function colorBy() {
     colored = by.value ? await app.ask("color", { by: by.value }) : null;
@@ -278,7 +278,7 @@ export function start(app) {
       label.setAttribute("x", String(x + 3));
       label.setAttribute("y", String(y + 10));
       label.textContent = typeof value === "number" ? String(value) : String(group(value) + 1);
-      box.append(label);
+      face.parentNode.append(label);
     }
     const items = colored.legend.length ? colored.legend.map((words, k) => [k % 6, `${k + 1}: ${words}`]) : [[0, "no step rejected for it"], [1, "few"], [4, `many (most: ${most})`]];
     legend.replaceChildren(...items.map(([k, words]) => element("span", { class: "key", "data-color": k }, words)));

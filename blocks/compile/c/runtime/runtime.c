@@ -2341,6 +2341,7 @@ void blocks_reset(BlocksSim *s)
     s->soft = INFINITY;
     s->exact = s->has_first = s->has_before = s->outstanding = s->crossing = s->changed = s->has_left = 0;
     s->steps = s->rejected = s->evaluations = s->instants = 0;
+    for (int i = 0; i < model->nx; i++) s->blamed[i] = 0;
     s->failure = BLOCKS_FINE;
     s->fired_events.used = 0;
     for (int i = 0; i < s->setup->nmeasures; i++) {
@@ -2406,7 +2407,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
     int count = (int)(sizeof pieces / sizeof pieces[0]);
     for (int i = 0; i < count; i++) doubles += room(pieces[i].n) + 8;
     for (int i = 0; i < model->stages; i++) doubles += room(nx + ns + nm) + 8;
-    size_t integers = 2 * nr + nh + ne + 8, bytes = 4 * nc + nr + ns + 64;
+    size_t integers = 2 * nr + nx + nh + ne + 8, bytes = 4 * nc + nr + ns + 64;
     s->arena = calloc(doubles + 8, sizeof(double));
     int64_t *longs = calloc(integers, sizeof(int64_t));
     uint8_t *flags = calloc(bytes, 1);
@@ -2430,7 +2431,8 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         s->k[i] = place;
         place += room(nx + ns + nm) + 8;
     }
-    s->ticks_backup = longs + nr;
+    s->blamed = longs + nr;
+    s->ticks_backup = longs + nr + nx; /* and, behind it, what else an instant goes back to */
     s->firing = flags + nr;
     s->changed_sides = flags + nr + 2 * nc;
     blocks_reset(s);

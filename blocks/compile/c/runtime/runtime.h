@@ -246,6 +246,7 @@ struct BlocksSim {
     double slice, deadline;       /* s; inf: no pauses, and no look at the clock; 0: a pause after each step */
     double soft;                  /* a pause after the step that reaches this time, for which none is cut; inf: none */
     int64_t *ticks;               /* (nrates) number of the next tick */
+    int64_t *blamed;              /* (nx) rejected steps in which the error of a state was the largest */
     double *events, *own;         /* (nevents) */
     double *located, *sides;      /* (ns) distances beyond, and values at sides_t */
     double *fired;                /* (ncauses) when each crossing fired last; -inf: never */

@@ -176,6 +176,23 @@ static inline __attribute__((always_inline)) double error_norm(const BlocksSetup
     return (bad[0] + bad[1]) + (bad[2] + bad[3]) == 0.0 ? least > other ? least : other : NAN;
 }
 
+#if BLOCKS_METHOD_DOPRI5
+/* Note the state with the largest error of a step that is rejected, or one that is not finite. */
+static __attribute__((noinline)) void blame(BlocksSim *s, double h)
+{
+    const double *x = s->memory.x, *x1 = s->x1, *k0 = s->k[0], *k2 = s->k[2], *k3 = s->k[3], *k4 = s->k[4], *k5 = s->k[5],
+                 *k6 = s->k[6];
+    double most = -1.0;
+    int worst = 0;
+    for (int i = 0; i < BLOCKS_NX; i++) {
+        double error = h * ERROR(i), size = blocks_larger(fabs(x[i]), fabs(x1[i]));
+        double part = isfinite(x1[i] + error) ? fabs(error) / (s->setup->atol[i] + s->setup->rtol * size) : INFINITY;
+        if (part > most) most = part, worst = i;
+    }
+    s->blamed[worst]++;
+}
+#endif
+
 #if IS_WATCHED
 
 /* Whether a side may have changed in a step. Between instants most crossings are affine in the states, so that inside a
@@ -556,6 +573,9 @@ static int run(BlocksSim *s, double target)
                 return blocks_fail(s, BLOCKS_TOO_SMALL, 0, step);
             }
             s->rejected++;
+            GIVE_BACK;
+            GIVE_STEP;
+            blame(s, step);
             grow = 1.0;
             double factor = isfinite(error) ? blocks_larger(0.2, 0.9 * pow(error, -1.0 / 5)) : 0.1;
             h = blocks_larger(step * factor, least);

@@ -1,0 +1,94 @@
+"""`blocks live`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import threading
+import time
+from typing import Any
+
+from ..text.errors import Fault, UsageError
+from .options import (
+    takes_engine,
+    takes_json,
+    takes_library,
+    takes_parameters,
+    takes_several,
+    takes_trust,
+    takes_variants,
+)  # fmt: skip
+from .output import emit, printable
+from .signals import INTERRUPTED
+from .values import assignments, variants_of
+
+__all__ = ["add"]
+
+
+def add(verbs: Any) -> None:
+    live = verbs.add_parser(
+        "live",
+        help="draw and run a diagram in the browser",
+        description="Draw a diagram in the browser, run it there, and turn its parameters while it runs. The server is "
+        "this command, for this machine alone; it ends with Ctrl-C.",
+    )
+    live.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
+    live.add_argument("--port", metavar="N", type=int, default=0, help="port of 127.0.0.1 (default: a free one)")
+    live.add_argument("--no-browser", action="store_true", help="print the address, and open no browser")
+    takes_parameters(live)
+    takes_several(live, "--input", "NAME=VALUE", "the value of an input of the diagram (default: its own, or 0)")
+    takes_variants(live)
+    takes_engine(live)
+    takes_trust(live)
+    takes_json(live, "the address as a JSON object, and no browser")
+    live.add_argument("--host", help=argparse.SUPPRESS)
+    live.set_defaults(verb=_live)
+    takes_library(live)
+
+
+def _live(options: argparse.Namespace) -> int:
+    if options.host is not None:
+        port = options.port or 8000
+        cure = f"From another one: ssh -L {port}:127.0.0.1:{port} HOST, and here --port {port}."
+        raise UsageError(Fault("E501", f"--host {options.host}", "the server is for this machine alone.", cure))
+    if not os.path.isfile(options.diagram):
+        raise UsageError(Fault("E501", options.diagram, "is no file.", "Name a diagram file."))
+    from ..server.live_server import LiveServer
+
+    server = LiveServer(
+        options.diagram,
+        library=options.library,
+        variants=variants_of(options.variants),
+        values=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
+        inputs=assignments("--input", options.input, "r=1.5 rad/s"),
+        engine=options.engine,
+        trust=options.trust,
+        port=options.port,
+    )
+    # Before the diagram is read, which takes longer: a page that comes early waits.
+    if options.json:
+        emit({"event": "live", "url": server.url})
+    else:
+        print(printable(f"{options.diagram} is live at {server.url} (Ctrl-C ends it)"), flush=True)
+    try:
+        server.start()
+        if not options.no_browser and not options.json and _has_screen():
+            threading.Thread(target=_open, args=(server.ticket,), daemon=True).start()
+        while True:
+            time.sleep(3600.0)
+    except KeyboardInterrupt:  # as other signals come here, too
+        return INTERRUPTED
+    finally:
+        server.stop()
+
+
+def _has_screen() -> bool:
+    """Whether a browser can open a window: one that runs in the terminal would take it from this command."""
+    return sys.platform in ("win32", "darwin") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")))
+
+
+def _open(url: str) -> None:
+    import webbrowser
+
+    webbrowser.open(url)
