@@ -1,7 +1,7 @@
 """A live diagram: its command, its page in Chromium, its run beside `run()`. Times of pages are those of the page.
 
-Chromium is found by BLOCKS_CHROMIUM or on the PATH (Debian's `chromium`); without it the page is left out. Other work on
-the machine spoils frames before all else: the reference is the same page at rest, in the same browser.
+Chromium is found by BLOCKS_CHROMIUM or on the PATH (Debian's `chromium`); without it the page is left out. Other
+work on the machine spoils frames before all else: the reference is the same page at rest, in the same browser.
 """
 
 from __future__ import annotations
@@ -12,12 +12,10 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 
 from blocks import Diagram
-from blocks.server.curves import packed
 from blocks.server.live_run import LiveRun
 from blocks.server.live_server import LiveServer
 from tests.support.browser import Browser, found

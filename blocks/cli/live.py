@@ -53,7 +53,9 @@ def _live(options: argparse.Namespace) -> int:
         cure = f"From another one: ssh -L {port}:127.0.0.1:{port} HOST, and here --port {port}."
         raise UsageError(Fault("E501", f"--host {options.host}", "the server is for this machine alone.", cure))
     if not os.path.isfile(options.diagram):
-        raise UsageError(Fault("E501", options.diagram, "is no file.", "Name a diagram file."))
+        from ..api.diagram import Diagram
+
+        Diagram.load(options.diagram)  # tells why, before there is an address
     from ..server.live_server import LiveServer
 
     server = LiveServer(

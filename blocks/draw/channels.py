@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from heapq import heapify, heappop, heappush
 from itertools import pairwise
 
 __all__ = ["Trunk", "tracks_of"]
@@ -141,37 +142,41 @@ def _crossed(a: Trunk, b: Trunk) -> int:
 def _ordered(trunks: list[Trunk], after: list[list[int]]) -> list[Trunk]:
     """The trunks from left to right, as the precedences demand, and with few crossings."""
     count = len(trunks)
-    gain = [[0] * count for _ in range(count)]
+    gain: list[list[int]] = []
     if count <= MOST:
+        gain = [[0] * count for _ in range(count)]
         for i in range(count):
             for j in range(i + 1, count):
                 gain[i][j] = _crossed(trunks[i], trunks[j]) - _crossed(trunks[j], trunks[i])
                 gain[j][i] = -gain[i][j]
-    score = [sum(row) for row in gain]
+    score = [sum(row) for row in gain] or [0] * count
     waiting = _waiting(after)
-    ready = [index for index in range(count) if not waiting[index]]
+    ready = [(score[index], index) for index in range(count) if not waiting[index]]
+    heapify(ready)
     ordered = []
     while ready:
-        index = min(ready, key=lambda i: (score[i], i))
-        ready.remove(index)
+        _, index = heappop(ready)
         ordered.append(trunks[index])
-        for other in range(count):
-            score[other] -= gain[other][index]
+        for other, row in enumerate(gain):
+            score[other] -= row[index]
         for other in after[index]:
             waiting[other] -= 1
             if not waiting[other]:
-                ready.append(other)
+                heappush(ready, (score[other], other))
+        if gain:
+            ready = [(score[other], other) for _, other in ready]
+            heapify(ready)
     return ordered
 
 
 def _assign(ordered: Sequence[Trunk]) -> int:
     """Give each trunk the leftmost track that its predecessors leave; the number of tracks."""
     count = 0
-    for index, trunk in enumerate(ordered):
-        top, bottom = trunk.top - APART, trunk.bottom + APART
-        trunk.track = 0
-        for other in ordered[:index]:
-            if (other.top < bottom and top < other.bottom) or other.then is trunk:
+    spans = [(trunk.top, trunk.bottom, trunk) for trunk in ordered]
+    for index, (top, bottom, trunk) in enumerate(spans):
+        top, bottom, trunk.track = top - APART, bottom + APART, 0
+        for above, below, other in spans[:index]:
+            if (above < bottom and top < below) or other.then is trunk:
                 trunk.track = max(trunk.track, other.track + 1)
         count = max(count, trunk.track + 1)
     return count

@@ -9,7 +9,9 @@ References: R. E. Barlow et al., Statistical Inference under Order Restrictions,
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
 
 from .order import Columns
 
@@ -21,7 +23,9 @@ BESIDE_WIRE = 14.0  # a node and a wire that passes it
 BETWEEN_WIRES = 12.0
 SWEEPS = 14
 PASSES = 4
+LARGE = 600  # items, above which half of the sweeps and one pass are made
 MOST = 60  # items that move at once
+SHIFTS = 100  # ways that are tried for each of them
 BEND = 40.0  # a bend is as bad as this length
 
 Pull = tuple[float, float]  # wanted height, weight
@@ -40,9 +44,10 @@ def heights_of(columns: Columns) -> dict[int, float]:
     links = _links(columns)
     best, least = dict(height), _bends(links, height)
     count = len(columns.order)
-    for sweep in range(SWEEPS):
+    sweeps = SWEEPS if len(height) <= LARGE else SWEEPS // 2
+    for sweep in range(sweeps):
         rightwards = sweep % 2 == 0
-        both = sweep >= SWEEPS - 6
+        both = 7 * sweep >= 4 * sweeps
         for place in range(count) if rightwards else reversed(range(count)):
             items = columns.order[place]
             pulls = [_pulls(links[item], height, None if both else rightwards) for item in items]
@@ -137,13 +142,8 @@ def _isotonic(pulls: Sequence[list[Pull]], gaps: Sequence[float]) -> list[float]
 
 def _median(pulls: Sequence[Pull]) -> float:
     """The lower weighted median of sorted pulls."""
-    half = sum(weight for _, weight in pulls) / 2
-    reached = 0.0
-    for value, weight in pulls:
-        reached += weight
-        if reached >= half - 1e-12:
-            return value
-    return 0.0
+    reached = list(accumulate(weight for _, weight in pulls))
+    return pulls[bisect_left(reached, reached[-1] / 2 - 1e-12)][0] if pulls else 0.0
 
 
 def _cost_of(off: float, weight: float) -> float:
@@ -159,7 +159,7 @@ def _straightened(
     height = dict(height)
     columns = _Columns(order, gaps)
     groups: dict[int, set[int]] = {}
-    for _ in range(PASSES):
+    for _ in range(PASSES if len(height) <= LARGE else 1):
         moved = False
         for start in height:
             group = _group(start, links, height, groups)
@@ -182,6 +182,8 @@ def _group(start: int, links: Links, height: Mapping[int, float], known: dict[in
             if other not in group and abs(height[other] + dy - height[item]) < 0.5:
                 group.add(other)
                 ready.append(other)
+        if len(group) > MOST:
+            break  # it will not move
     known.update(dict.fromkeys(group, group))
     return group
 
@@ -197,20 +199,16 @@ class _Columns:
                 self.beside[items[index]].append((items[index - 1], -least))
                 self.beside[items[index - 1]].append((items[index], least))
 
-    def pushed(self, item: int, shift: float, height: Mapping[int, float]) -> Iterator[int]:
-        """The neighbors that are in the way when an item moves by a shift."""
-        for other, least in self.beside[item]:
-            if least * shift > 0 and (height[other] - height[item] - shift - least) * least < -1e-9:
-                yield other
-
 
 def _moved(
     group: set[int], height: dict[int, float], links: Links, columns: _Columns, groups: dict[int, set[int]]
 ) -> bool:
     """Move a group, with all that it pushes, to where wires cost less; whether there is such a place."""
+    if len(group) > MOST:
+        return False
     wanted = [height[o] + dy - height[item] for item in sorted(group) for o, dy, _, _ in links[item] if o not in group]
     best, gain, chosen = 0.0, 1e-6, group
-    for shift in dict.fromkeys(wanted):
+    for shift in dict.fromkeys(wanted[:: 1 + len(wanted) // SHIFTS]):
         if abs(shift) < 1e-9:
             continue
         moving = _with_pushed(group, shift, height, links, columns, groups)
@@ -240,8 +238,9 @@ def _with_pushed(
     """A group with all that must move with it; None where that is too much."""
     moving, ready = set(group), sorted(group)
     for item in ready:
-        for other in columns.pushed(item, shift, height):
-            if other not in moving:
+        for other, least in columns.beside[item]:
+            in_the_way = least * shift > 0 and (height[other] - height[item] - shift - least) * least < -1e-9
+            if in_the_way and other not in moving:
                 new = _group(other, links, height, groups) - moving
                 moving |= new
                 ready += sorted(new)

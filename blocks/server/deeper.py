@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from ..studies.sampling import Uniform
 from ..studies.statistics import quantiles
 from ..studies.sweep import QUANTILES, Sweep
 from ..text.errors import AnalysisError, BlocksError, Fault, UsageError, did_you_mean
-from .document import told_fault
+from .document import inside, told_fault
 from .live_run import LiveRun
 from .messages import Answer, handles, handles_aside
 from .session import Session
@@ -331,11 +330,7 @@ def _numbers(values: Array) -> list[float | None]:
 
 def _saved(session: Session, file: str) -> Sweep:
     """The sweep of a file in the folder of the project. Raises UsageError (E501)."""
-    folder = session.document.folder
-    path = (folder / file).resolve()
-    if not path.is_relative_to(folder) or Path(file).is_absolute():
-        raise UsageError(Fault("E501", file[:200], "lies outside of the folder of the diagram.", "Move it there."))
-    return Sweep.load(path)
+    return Sweep.load(inside(session.document.folder, file))
 
 
 def _swept(session: Session, signals: list[str], vary: Mapping[str, list[float]], n: int, seed: int) -> Sweep:

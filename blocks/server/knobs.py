@@ -17,7 +17,6 @@ from .messages import Answer, handles
 from .session import Session
 
 if TYPE_CHECKING:
-    from .document import Document
     from .live_run import LiveRun
 
 __all__ = ["changed", "turned"]
@@ -31,7 +30,7 @@ def knobs(session: Session, *, names: list[str], path: str = "") -> Answer:
     """Parameters and inputs, by path and by name, with their values in this session; and the variants of a block."""
     facts = session.document.facts
     known = [facts[name].told(_values(session, facts[name]).get(name)) for name in names if name in facts]
-    return {"is": "knobs", "knobs": known, **_variants(session.document, path), **changed(session)}
+    return {"is": "knobs", "knobs": known, **_variants(session, path), **changed(session)}
 
 
 @handles
@@ -192,16 +191,22 @@ def _fact(session: Session, name: str) -> Fact:
     return facts[name]
 
 
-def _variants(document: Document, path: str) -> dict[str, Any]:
-    """The variants of the block at a path, and which of them is taken."""
-    inside = document.shown.value if document.diagram is not None else None
-    entry = None
+def _variants(session: Session, path: str) -> dict[str, Any]:
+    """The variants of the block at a path, which of them is taken, and whether the run has another one."""
+    document = session.document
+    inside, entry, choice, known = None if document.diagram is None else document.diagram.value, None, "base", ""
     for name in path.split(".") if path else ():
+        known = f"{known}.{name}" if known else name
         entry = inside.blocks.get(name) if inside is not None else None
-        inside = entry.inner if entry is not None else None
+        if entry is None:
+            break
+        choice = document.variants.get(known, entry.variant or "base")
+        inside = entry.variants.get(choice, entry).inner
     if entry is None or not entry.variants:
-        return {"variants": [], "variant": ""}
-    return {"variants": ["base", *entry.variants], "variant": entry.variant or "base"}
+        return {"variants": [], "variant": "", "anew": False}
+    live = session.live
+    begun = None if live is None else session.chosen.get(path, entry.variant or "base")
+    return {"variants": ["base", *entry.variants], "variant": choice, "anew": begun not in (None, choice)}
 
 
 def _values(session: Session, fact: Fact) -> dict[str, Any]:

@@ -144,6 +144,14 @@ class LiveRun:
         """The events from the since-th on."""
         return list(self._events[since:])
 
+    def rejected_by_block(self) -> dict[str, int]:
+        """As of `Run`."""
+        if not self.is_over:
+            with contextlib.suppress(UsageError):  # it may have ended meanwhile
+                return self._ask(lambda simulation: self._present.rejected_by_block)
+        self._thread.join()
+        return self._blamed
+
     def _wish_for(self, wish: str) -> None:
         if not self.is_over and self._wish != "stopped":
             self._wish, self._version = wish, self._version + 1
@@ -283,7 +291,7 @@ class LiveRun:
 
     def _stand(self, simulation: Simulation) -> None:
         """It is paused: all that belongs to this moment has happened, and is shown."""
-        if not self._is_standing:
+        if not self._is_standing or self.state != "paused":  # told to go on and to pause at once
             simulation.values(())
             self._look(simulation)
             with self._condition:
@@ -320,16 +328,8 @@ class LiveRun:
 
     # --- what went wrong ---------------------------------------------------------------------------------------------
 
-    def rejected_by_block(self) -> dict[str, int]:
-        """As of `Run`."""
-        if not self.is_over:
-            with contextlib.suppress(UsageError):  # it may have ended meanwhile
-                return self._ask(lambda simulation: self._present.rejected_by_block)
-        self._thread.join()
-        return self._blamed
-
     def failing(self) -> dict[str, Any] | None:
-        """The block that a failed run failed in, and the last rows of what it reads and gives, as far as it is recorded.
+        """The block that a failed run failed in, and the last rows of what it reads and gives, where that is recorded.
 
         {"block": path, "signals": names of elements, "t": times, "rows": values by time}; None where no block is known.
         """
@@ -342,19 +342,17 @@ class LiveRun:
             return None
         sources = flat.blocks[places[path]].sources.values()
         read = {source for each in sources for source in each if not isinstance(source, ValueSource)}
-        read_names, given_names, columns = [], [], {}
+        columns: tuple[dict[str, int], dict[str, int]] = {}, {}  # of what it reads, and of what it gives
         for name, (first, shape, _) in self.columns.items():
-            base = name if name in flat.signals else name.rpartition("[")[0]
-            its = flat.signals[base].sources
-            names = read_names if read.intersection(its) else given_names
-            if names is given_names and not any(isinstance(s, BlockSource) and s.block == places[path] for s in its):
-                continue
-            elements = element_names(name, shape)
-            names += elements
-            columns.update(zip(elements, range(first, first + len(elements)), strict=True))
+            its = flat.signals[name if name in flat.signals else name.rpartition("[")[0]].sources
+            is_given = any(isinstance(source, BlockSource) and source.block == places[path] for source in its)
+            if is_given or read.intersection(its):
+                elements = enumerate(element_names(name, shape), first)
+                columns[is_given].update({element: k for k, element in elements})
+        told = columns[0] | columns[1]
         t, values = self.rows()
-        rows = values[-LAST:, [columns[name] for name in (*read_names, *given_names)]]
-        return {"block": path, "signals": [*read_names, *given_names], "t": t[-LAST:].tolist(), "rows": rows.tolist()}
+        rows = values[-LAST:][:, list(told.values())]
+        return {"block": path, "signals": list(told), "t": t[-LAST:].tolist(), "rows": rows.tolist()}
 
     # --- to do it again ----------------------------------------------------------------------------------------------
 

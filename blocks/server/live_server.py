@@ -1,8 +1,8 @@
 """A diagram live in a browser, from the first line of its address to its end.
 
-    server = LiveServer("loop.json")      # has an address
-    server.start()                        # reads the diagram, and serves it
-    server.stop()
+server = LiveServer("loop.json")      # has an address
+server.start()                        # reads the diagram, and serves it
+server.stop()
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -105,6 +105,10 @@ class Page:
         self.files[name] = file
         self.refresh()
 
+    def signals(self) -> list[str]:
+        """What its scopes show, by name."""
+        return [name for scope in self.scopes.values() for name in scope.signals]
+
     def refresh(self) -> None:
         """Begin all curves anew: the run, the ghosts or the files are others."""
         for scope in self.scopes.values():
@@ -195,12 +199,14 @@ def check(name: str, file: Source, own: Mapping[str, str]) -> None:
         raise UsageError(*faults)
 
 
-def trim(runs: dict[int, Any], live: Any) -> None:
-    """Forget the oldest runs where there are too many, or their rows take too much memory."""
+def trim(runs: dict[int, Any], live: Any, pages: Iterable[Page]) -> None:
+    """Forget the oldest runs where there are too many, or their rows take too much memory; pages show them no more."""
     others = [number for number, run in runs.items() if run is not live]
     sizes = {number: sum(part.nbytes for part in runs[number].rows()) for number in others}
     while others and (len(others) > MOST_RUNS or sum(sizes[number] for number in others) > MOST_BYTES):
         runs.pop(others.pop(0))
+    for page in pages:
+        page.ghosts = {number: run for number, run in page.ghosts.items() if number in runs}
 
 
 def _fits(a: str, b: str) -> bool:

@@ -6,6 +6,7 @@ and a look at the file twice a second. So no handler needs a lock. What takes lo
 
 from __future__ import annotations
 
+import math
 import queue
 import secrets
 import threading
@@ -15,10 +16,10 @@ from typing import Any, Protocol
 
 from ..api.diagram import Diagram
 from ..model.trust import Paths
+from ..text.element_names import indexed
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.version import __version__
 from .document import Document, told_fault
-from .failing import failing_of
 from .live_run import LiveRun
 from .messages import ASIDE, Answer, answer, handles
 from .scopes import Page, trim
@@ -166,6 +167,7 @@ class Session:
             told = _failed(error)
         client.send({**told, "re": number})
 
+    @property
     def is_asked_more(self) -> bool:
         """Whether another question waits to be answered aside: what takes very long ends for it."""
         return not self._aside.empty()
@@ -206,15 +208,18 @@ class Session:
         self.number += 1
         self.begun[self.number], self.chosen = {**self.values, **self.inputs}, dict(self.document.variants)
         self.live = self.runs[self.number] = LiveRun(run, self.changed)
-        trim(self.runs, self.live)
+        trim(self.runs, self.live, self.pages.values())
         return self.live
 
-    def _logged(self, shown: Diagram) -> list[str] | None:
-        """What a live run records: all signals, unless these are too many; None: what the file says."""
+    def _logged(self, shown: Diagram) -> list[str]:
+        """What a live run records: all signals; where these are too many, those of the file and of the scopes."""
         planned = self.document.planned or shown.check()
         names = list(planned.signals)
         elements = sum(len(planned.signal(name).references) for name in names)
-        return names if elements <= MOST_LOGGED else None
+        if elements <= MOST_LOGGED:
+            return names
+        scoped = {indexed(name)[0] for page in self.pages.values() for name in page.signals()}
+        return list(dict.fromkeys([*planned.log, *(name for name in names if name in scoped)]))
 
     @property
     def running(self) -> LiveRun:
@@ -235,7 +240,7 @@ class Session:
             "is": "run", "id": self.number, "state": live.state, "t": live.t, "steps": live.steps,
             "rejected": live.rejected, "pace": live.pace, "lag": live.lag, "seconds": live.seconds, "faults": faults,
             "start": float(settings.start), "stop": None if settings.stop is None else float(settings.stop),
-            "failing": failing_of(live) if live.error is not None else None,
+            "failing": _plain(live.failing()),
         }  # fmt: skip
 
     def tell_run(self) -> None:
@@ -251,6 +256,13 @@ class Session:
 def _failed(error: Exception) -> dict[str, Any]:
     what = f"blocks itself failed ({type(error).__name__}: {error})."
     return {"is": "error", "faults": [told_fault(Fault("E901", "", what, "Please report it."), set())]}
+
+
+def _plain(failing: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Where a run failed, numbers that are not finite as texts."""
+    if failing is None:
+        return None
+    return {**failing, "rows": [[x if math.isfinite(x) else str(x) for x in row] for row in failing["rows"]]}
 
 
 # --- messages --------------------------------------------------------------------------------------------------------

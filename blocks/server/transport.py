@@ -122,12 +122,13 @@ class Transport:
     ) -> None:
         """Raises UsageError (E501) where the port is taken."""
         self._received, self._connected, self._disconnected = received, connected, disconnected
+        cure = "Choose another one, or none: then a free one is found."
+        if not 0 <= port <= 65535:
+            raise UsageError(Fault("E501", f"--port {port}", "is no port: these are numbers up to 65535.", cure))
         try:
             self._listening = socket.create_server(("127.0.0.1", port))
-        except (OSError, OverflowError) as error:
-            why = error.strerror if isinstance(error, OSError) else "a port is a number up to 65535"
-            cure = "Choose another one, or none: then a free one is found."
-            raise UsageError(Fault("E501", f"--port {port}", f"cannot be opened: {why}.", cure)) from None
+        except OSError as error:
+            raise UsageError(Fault("E501", f"--port {port}", f"cannot be opened: {error.strerror}.", cure)) from None
         self.port: int = self._listening.getsockname()[1]
         self._files = dict(_files())
         self._guard = Guard(token, self.port, self._files, framed=framed)

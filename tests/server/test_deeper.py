@@ -185,7 +185,7 @@ def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path) -> N
     assert high == pytest.approx(5.8 * unit, rel=0.05)
     with pytest.raises(UsageError, match="2 to 500"):
         ask("band", signals=["plant.y"], vary={"gain.k": [1.0, 3.0]}, n=501)
-    with pytest.raises(UsageError, match="outside of the folder"):
+    with pytest.raises(UsageError, match="outside of the diagram's folder"):
         ask("band", signals=["plant.y"], file="../sweep.parquet")
     two = {"measures": [], "log": ["plant.y"], "engine": "reference", "out": tmp_path / "two.parquet"}
     session.document.shown.sweep({"gain.k": [1.0, 2.0]}, **two)

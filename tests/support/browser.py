@@ -223,7 +223,7 @@ class Browser:
                 self.screenshot(picture)
                 raise AssertionError(
                     f"not within {deadline:g} s: {condition}\n{why}\nmessages: {self.messages}\n"
-                    f"picture: {picture}\n{str(shown)[:1500]}"
+                    f"picture: {picture}\n{' '.join(str(shown).split())[:1500]}"
                 )
             time.sleep(0.02)
 

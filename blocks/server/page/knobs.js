@@ -19,29 +19,32 @@ export function start(app) {
   const waiting = new Map();
   let isBusy = false;
   /** Set a value: at most one message is under way, and of each parameter only the newest value waits. */
-  async function turn(name, value) {
-    waiting.set(name, value);
+  async function turn(name, value, origin) {
+    waiting.set(name, [value, origin]);
     if (isBusy) return;
     isBusy = true;
     while (waiting.size) {
-      const [next, wanted] = waiting.entries().next().value;
+      const [next, [wanted, from]] = waiting.entries().next().value;
       waiting.delete(next);
-      await put(next, wanted, {});
+      await put(next, wanted, from, {});
     }
     isBusy = false;
   }
-  async function put(name, value, fields) {
+  async function put(name, value, origin, fields) {
     try {
-      await app.connection.ask("set", { name, value, ...fields });
+      const { text, t } = await app.connection.ask("set", { name, value, ...fields });
+      // A slider says its value itself.
+      if (document.activeElement?.type !== "range") app.announce(`${name} is ${text}${t === undefined ? "" : ` from t = ${shown(t)} s on`}.`);
       return true;
     } catch (error) {
       const [{ code, message, cure }] = error.faults ?? [{ code: "", message: error.message, cure: "" }];
-      update(name, { text: `${code} ${message} ${code === "E117" ? "" : cure}`, value, isFixed: code === "E117" });
+      const isFixed = code === "E117";
+      update(name, { text: `${code} ${message} ${isFixed ? "" : cure}`, value, isFixed, origin });
       return false;
     }
   }
-  async function anew(name, value) {
-    if (await put(name, value, { anew: true })) app.begin();
+  async function anew(name, value, origin) {
+    if (await put(name, value, origin, { anew: true })) app.begin();
   }
   async function look(names, path = null) {
     const told = await app.connection.ask("knobs", path === null ? { names } : { names, path }).catch(() => null);
@@ -60,7 +63,11 @@ export function start(app) {
     note(told.name, { name: told.name, text: told.text, was: told.was });
   });
   app.connection.on("changed", () => look([...facts.keys()]));
-  app.on("document", () => look([...facts.keys(), ...pinned]));
+  app.on("document", async () => {
+    const stored = JSON.parse(sessionStorage.getItem("pinned") ?? "[]"); // the page was loaded again
+    await look([...new Set([...facts.keys(), ...stored])]);
+    stored.forEach(onto);
+  });
 
   // --- one parameter ------------------------------------------------------------------------------------------------
 
@@ -72,20 +79,21 @@ export function start(app) {
     const changed = element("span", { class: "changed" });
     const reset = element("button", { type: "button", hidden: true, onclick: () => back(name), "aria-label": `Reset ${name}` }, "Reset");
     const field = input(fact, id);
-    const slider = fact.low === null || !fact.tunable ? null : slide(name);
-    const parts = [field, slider?.input ?? null, changed, reset];
-    if (slider) parts.push(isOnBoard ? slider.range : pin(name));
-    if (isOnBoard) parts.push(element("button", { type: "button", onclick: () => unpin(name), "aria-label": `Take ${name} off the board` }, "Unpin"));
-    const made = element("div", { class: "knob", role: "group", "aria-label": name }, ...parts, error);
-    const offer = (value) => element("button", { type: "button", onclick: () => anew(name, value) }, `Run anew with ${name} = ${value}`);
+    const slider = fact.low === null || !fact.tunable ? null : slide(name, (value) => turn(name, value, made));
+    const off = { type: "button", onclick: () => unpin(name), "aria-label": `Take ${name} off the board` };
+    const side = isOnBoard ? element("button", off, "Unpin") : slider && pin(name);
+    const parts = [field, side, slider?.input ?? null, isOnBoard ? slider.range : null, changed, isOnBoard ? null : reset, error];
+    const made = element("div", { class: "knob", role: "group", "aria-label": name }, ...parts);
+    const offer = (value) =>
+      element("button", { type: "button", onclick: () => anew(name, value, made) }, `Run anew with ${name} = ${value}`);
     let timer = 0;
     const typed = (isDone) => {
       clearTimeout(timer);
       const value = field.type === "checkbox" ? field.checked : field.value;
       if (value === (field.type === "checkbox" ? facts.get(name).value : facts.get(name).text)) return error.replaceChildren();
       if (!facts.get(name).tunable && isActive()) error.replaceChildren("It cannot change in a run. ", offer(value));
-      else if (isDone) turn(name, value);
-      else timer = setTimeout(() => turn(name, value), TYPED);
+      else if (isDone) turn(name, value, made);
+      else timer = setTimeout(() => turn(name, value, made), TYPED);
     };
     field.oninput = () => typed(field.tagName === "SELECT" || field.type === "checkbox");
     field.onkeydown = ({ key }) => {
@@ -94,9 +102,11 @@ export function start(app) {
     };
     field.onblur = () => typed(true);
     const show = (now, failed, isForced = false) => {
+      if (failed && failed.origin !== made) return;
       error.replaceChildren(...(failed ? [failed.text, ...(failed.isFixed ? [" ", offer(failed.value)] : [])] : []));
       field.toggleAttribute("aria-invalid", failed !== null);
-      changed.textContent = now.changed ? `● changed (file: ${now.was || "none"})` : "";
+      changed.textContent = now.changed ? "● changed" : "";
+      changed.title = `The file has ${now.was || "none"}`;
       reset.hidden = !now.changed;
       slider?.show(now);
       if (failed || (document.activeElement === field && !isForced)) return; // what is typed stays
@@ -119,7 +129,7 @@ export function start(app) {
   }
 
   /** A slider over the declared range, or over one around the value, which can be edited. */
-  function slide(name) {
+  function slide(name, act) {
     const { low, high, log, type, unit } = facts.get(name);
     if (!ranges.has(name)) ranges.set(name, [low, high, log]);
     const made = element("input", { type: "range", min: 0, max: 1000, step: 1, "aria-label": `${name} slider` });
@@ -138,7 +148,7 @@ export function start(app) {
     const say = (x) => made.setAttribute("aria-valuetext", `${shown(x)} ${unit}`.trim());
     made.oninput = () => {
       say(value());
-      turn(name, value());
+      act(value());
     };
     const end = (index, word) => {
       const edited = element("input", { type: "number", step: "any", value: ranges.get(name)[index], "aria-label": `${word} of the slider of ${name}` });
@@ -155,10 +165,16 @@ export function start(app) {
       say(now.value);
       if (document.activeElement !== made || now.value !== value()) made.value = at(now.value);
     };
-    return { input: made, show, range: element("span", { class: "range" }, end(0, "Least value"), " to ", end(1, "Greatest value"), ` ${unit}`) };
+    return { input: made, show, range: element("details", {}, element("summary", {}, "range"), end(0, "Least value"), " to ", end(1, "Greatest value"), ` ${unit}`) };
   }
 
-  const pin = (name) => element("button", { type: "button", onclick: () => onto(name), "aria-label": `Put ${name} on the board` }, "Pin");
+  const pin = (name) => {
+    const onclick = () => {
+      onto(name)?.focus(); // arrows turn it, and Space runs
+      app.announce(`${name} is on the board of knobs.`);
+    };
+    return element("button", { type: "button", onclick, "aria-label": `Put ${name} on the board` }, "Pin");
+  };
   async function back(name) {
     const told = await app.connection.ask("reset", name === null ? {} : { name }).catch((error) => app.announce(error.message));
     if (!told) return;
@@ -184,15 +200,11 @@ export function start(app) {
     if (told.variants.length) place.querySelector("header").after(variants(panel.path, told));
   });
 
-  function variants(path, { variants: choices, variant }) {
+  function variants(path, { variants: choices, variant, anew: isOther }) {
     const choice = element("select", {}, ...choices.map((one) => element("option", { value: one }, one)));
-    const offer = element("button", { type: "button", hidden: true, onclick: () => app.begin() });
     choice.value = variant;
-    choice.onchange = async () => {
-      if (!(await app.connection.ask("variant", { path, name: choice.value }).catch((error) => app.announce(error.message)))) return;
-      offer.textContent = `Run anew with ${path} = ${choice.value}`;
-      offer.hidden = false;
-    };
+    choice.onchange = () => app.connection.ask("variant", { path, name: choice.value }).catch((error) => app.announce(error.message));
+    const offer = element("button", { type: "button", hidden: !isOther, onclick: () => app.begin() }, `Run anew with ${path} = ${variant}`);
     return element("p", { class: "variants" }, element("label", {}, "Variant ", choice), " ", offer);
   }
 
@@ -208,20 +220,23 @@ export function start(app) {
   const record = element(
     "details", { hidden: true }, element("summary", {}, "Turned in this run"),
     element("table", {}, element("thead", {}, head), turned),
-    element("button", { type: "button", onclick: () => script() }, "Script that repeats this run"),
   );
-  const place = element("section", { id: "knobs", "aria-label": "Knobs", hidden: true }, board, changes, keep, resets, refusal, record);
+  const scripts = element("button", { type: "button", hidden: true, onclick: () => script() }, "Script that repeats this run");
+  const place = element("section", { id: "knobs", "aria-label": "Knobs", hidden: true }, board, changes, keep, resets, scripts, refusal, record);
   document.getElementById("runbar").append(place);
-  const open = () => (place.hidden = !pinned.size && !changes.children.length && !turned.children.length);
+  const open = () => {
+    place.hidden = !pinned.size && !changes.children.length && !turned.children.length;
+    sessionStorage.setItem("pinned", JSON.stringify([...pinned]));
+  };
 
-  async function onto(name) {
-    if (pinned.has(name)) return;
+  function onto(name) {
+    if (pinned.has(name) || !facts.get(name)?.tunable || facts.get(name).low === null) return null;
     pinned.add(name);
     const made = knob(name, true);
-    made.prepend(element("label", { for: `board-${name}` }, name));
+    made.prepend(element("label", { for: `board-${name}` }, `${name} `, made.querySelector(".changed")));
     board.append(made);
     open();
-    app.announce(`${name} is on the board of knobs.`);
+    return made.querySelector("input[type=range]");
   }
   function unpin(name) {
     pinned.delete(name);
@@ -232,20 +247,22 @@ export function start(app) {
     app.announce(`${name} is off the board.`);
   }
 
+  const file = () => app.state.document?.file || "the file";
+
   /** A changed value in the list of them; null: it is as in the file again. */
   function note(name, change) {
     [...changes.children].find((one) => one.dataset.name === name)?.remove();
     if (change) {
       const { text, was } = change;
       changes.append(element(
-        "li", { "data-name": name }, `● ${name} = ${text}${was ? ` (file: ${was})` : ""} `,
-        element("button", { type: "button", onclick: () => write([name]), "aria-label": `Keep ${name}` }, "Keep"),
+        "li", { "data-name": name }, `● ${name} = ${text}${was ? ` (file: ${was})` : ""}`,
+        element("button", { type: "button", onclick: () => write([name]), title: `Write it into ${file()}`, "aria-label": `Keep ${name} in ${file()}` }, "Keep"),
         element("button", { type: "button", onclick: () => back(name), "aria-label": `Reset ${name}` }, "Reset"),
       ));
     }
     const count = changes.children.length;
-    keep.hidden = resets.hidden = !count;
-    keep.textContent = `Keep ${count === 1 ? "it" : `all ${count}`} in ${app.state.document?.file || "the file"}`;
+    keep.hidden = resets.hidden = count < 2;
+    keep.textContent = `Keep all ${count} in ${file()}`;
     open();
   }
   function row({ steps, t, name, text }) {
@@ -264,6 +281,7 @@ export function start(app) {
   }
   let run = 0;
   app.on("run", ({ id }) => {
+    scripts.hidden = id === 0;
     if (id !== run) look([]);
     run = id;
   });

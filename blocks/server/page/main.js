@@ -100,7 +100,7 @@ function splitters() {
   }
 }
 
-for (const part of [drawing, lists, panel, knobs, runbar, scopes, analysis]) part.start(app);
+for (const part of [drawing, lists, panel, runbar, knobs, scopes, analysis]) part.start(app);
 app.keys.push(["?", "these keys"], ["Tab", "from pane to pane; arrows move inside lists"]);
 splitters();
 document.addEventListener("keydown", (event) => {
@@ -123,11 +123,19 @@ connection.on("run", (run) => {
   app.emit("run", run);
 });
 connection.on("knob", (knob) => app.emit("knob", knob));
-connection.on("closed", () => {
+connection.on("closed", async () => {
   const gone = document.getElementById("gone");
   gone.textContent = "The server has ended. What is shown stays; run blocks live again, and open the address that it prints.";
   gone.hidden = false;
   app.emit("closed");
+  // The same server lets this page in again, as after a sleep of the machine; another one at this address does not.
+  let answer = null;
+  while (!answer) {
+    await new Promise((resolve) => setTimeout(resolve, 1000));
+    answer = await fetch("./", { method: "HEAD", cache: "no-store" }).catch(() => null);
+  }
+  if (answer.ok) return location.reload();
+  gone.textContent = "Another server has this address now. What is shown stays; open the address that blocks live printed.";
 });
 app.on("document", (told) => {
   document.title = `${told.name} - blocks`;

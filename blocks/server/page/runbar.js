@@ -62,7 +62,7 @@ export function start(app) {
   app.keys.push(["Space", "run or pause"], [".", "one step"], ["s", "stop"], ["r", "run anew"]);
   document.addEventListener("keydown", (event) => {
     const action = { " ": go, ".": onward, s: () => ACTIVE.includes(state()) && ask("stop"), r: begin }[event.key];
-    if (!action || event.repeat || isTyped(event) || (event.key === " " && event.target.closest("button, summary, a, [role]"))) return;
+    if (!action || event.repeat || isTyped(event) || (event.key === " " && event.target.closest("button, summary, a"))) return;
     event.preventDefault();
     action();
   });
@@ -73,7 +73,7 @@ export function start(app) {
     const of = end === null || end === undefined ? "" : ` of ${shown(end)}`;
     const parts = [`${WORDS[now]}: t = ${shown(t)}${of} s`, `${steps} steps, ${rejected} rejected`];
     if (now === "running" && wanted !== null) parts.push(lag > 0.1 ? `${shown(lag, 2)} s behind ${shown(wanted)}x` : `at ${shown(wanted)}x`);
-    else if (seconds > 0 && t > (begun ?? 0)) parts.push(`${shown((t - (begun ?? 0)) / seconds, 2)}x real time`);
+    else if (["running", "done"].includes(now) && wanted === null && seconds > 0 && t > (begun ?? 0)) parts.push(`${shown((t - (begun ?? 0)) / seconds, 2)}x real time`);
     if (app.state.document?.coupled) parts.push("sets act at communication points");
     return parts.join(" · ");
   };
@@ -111,12 +111,13 @@ export function start(app) {
     const { failing } = now;
     if (!failing) return;
     mark(failing.block);
-    failure.append(element("button", { type: "button", onclick: () => app.reveal(failing.block) }, `Show ${failing.block}`));
+    failure.append(element("button", { type: "button", onclick: () => app.reveal(failing.block) }, `Show ${failing.block}`), " ");
+    failure.append(element("button", { type: "button", onclick: () => (failure.hidden = true) }, "Hide"));
     if (!failing.signals.length) return;
     const head = ["t (s)", ...failing.signals].map((name) => element("th", { scope: "col" }, name));
-    const rows = failing.rows.map((row, k) => element("tr", {}, ...[failing.t[k], ...row].map((x) => element("td", {}, shown(x, 9)))));
+    const rows = failing.rows.map((row, k) => element("tr", {}, ...[failing.t[k], ...row].map((x, j) => element("td", {}, shown(x, j ? 7 : 12)))));
     failure.append(
-      element("table", {}, element("caption", {}, `The last steps at the inputs of ${failing.block}`), element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...rows)),
+      element("table", {}, element("caption", {}, `The last steps of what ${failing.block} reads and gives`), element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...rows.slice(-5))),
     );
   }
   const mark = (path) => {

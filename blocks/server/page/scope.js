@@ -112,7 +112,7 @@ export class Scope {
     });
     const known = new Set(this.lines.filter(({ kind }) => !kind).flatMap(({ name }) => [name, parts(name)[0]]));
     const missing = this.signals.filter((name) => !known.has(name) && !name.includes("|")).map((name) =>
-      element("tr", {}, element("th", { scope: "row" }, name), element("td", { colspan: "5" }, run ? "not recorded in this run" : "no run yet"), element("td", {}, button({ name, label: name }))));
+      element("tr", {}, element("th", { scope: "row" }, name), element("td", { colspan: "5" }, run ? "not recorded: run anew" : "no run yet"), element("td", {}, button({ name, label: name }))));
     this.rows.replaceChildren(...this.cells.map(({ row }) => row), ...missing);
     this.build();
     this.swatches();
@@ -132,7 +132,7 @@ export class Scope {
     this.u = new uPlot({
       width: this.plot.clientWidth || 600, height: this.plot.clientHeight || 160, scales, axes, legend: { show: false },
       // All plots are as wide as the one with the most axes: they share their times.
-      padding: [8, () => 12 + AXIS * (this.host.axes() - this.units.length), 0, 0],
+      padding: [8, () => 16 + AXIS * (this.host.axes() - this.units.length), 0, 0],
       series: [{}, ...this.units.map((_unit, k) => ({ scale: `y${k}`, paths: () => null, points: { show: false } }))],
       cursor: { x: false, y: false, points: { show: false }, drag: { x: true, y: false, setScale: false } },
       hooks: { draw: [() => this.draw()], setSelect: [() => this.selected()], setCursor: [() => this.moved()] },

@@ -234,6 +234,7 @@ export function start(app) {
 
   async function listRuns(told) {
     const answer = told ?? (await quietly(ask("runs")));
+    for (const one of [earlier.parentNode, file.parentNode, path, save]) one.hidden = !answer; // a page without a server
     if (!answer) return;
     runs = answer.runs.filter((one) => !one.is_live);
     earlier.textContent = `Earlier runs (${runs.length})`;

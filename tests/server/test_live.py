@@ -1,0 +1,147 @@
+"""`blocks live` and `Diagram.live()`: from the address to the end."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from websockets.sync.client import ClientConnection, connect
+
+from blocks import Diagram, Gain, ModelError
+from blocks.cli import main
+from blocks.server.live_server import LiveServer
+from tests.support.places import ROOT
+
+MOTOR = str(ROOT / "diagrams/motor_pid.json")
+
+
+@contextmanager
+def page_of(url: str) -> Iterator[ClientConnection]:
+    """The socket of a page that the address lets in."""
+    parts = urlsplit(url)
+    connection = http.client.HTTPConnection(parts.netloc, timeout=60)
+    connection.request("GET", f"{parts.path}?{parts.query}" if parts.query else parts.path)
+    response = connection.getresponse()
+    cookie = (response.getheader("Set-Cookie") or "").partition(";")[0]
+    path = "/ws" if parts.query else f"{parts.path}ws"
+    assert response.status == (303 if parts.query else 200)
+    given: dict[str, Any] = {"origin": f"http://{parts.netloc}", "additional_headers": {"Cookie": cookie}}
+    with connect(f"ws://{parts.netloc}{path}", proxy=None, max_size=None, **given) as page:
+        yield page
+    connection.close()
+
+
+def asked(page: ClientConnection, **message: Any) -> dict[str, Any]:
+    """The answer to a message."""
+    page.send(json.dumps({**message, "id": 7}))
+    while True:
+        told = page.recv(timeout=60)
+        if isinstance(told, str) and (answer := json.loads(told)).get("re") == 7:
+            return dict(answer)
+
+
+@pytest.mark.long
+def test_a_command_prints_its_address_serves_and_ends_by_a_signal() -> None:
+    words = [sys.executable, "-m", "blocks", "live", MOTOR, "--json", "--set", "pid.kp=0.5", "--input", "r=7"]
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
+            assert process.stdout is not None
+            told = json.loads(process.stdout.readline())
+            assert told["event"] == "live"
+            with page_of(told["url"]) as page:  # waits until the diagram is read
+                hello = json.loads(page.recv(timeout=60))
+                assert (hello["is"], hello["document"]["name"]) == ("hello", "motor_pid")
+                process.send_signal(number)
+                rest = process.communicate(timeout=60)
+            assert (process.returncode, *rest) == (128 + number, "", "")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([MOTOR, "--host", "0.0.0.0"], "E501 --host 0.0.0.0: the server is for this machine alone. From another"),
+        ([MOTOR, "--port", "70000"], "E501 --port 70000: is no port: these are numbers up to 65535."),
+        (["no/such.json"], 'E007 "no/such.json" does not exist.'),
+        ([str(ROOT)], f'E007 "{ROOT}" is a folder.'),
+        ([MOTOR, "--set", "kp"], "E501 --set kp: is not NAME=VALUE."),
+        ([MOTOR, "--variant", "kp"], "E501 --variant kp"),
+        ([MOTOR, "--stop", "1"], "E501 blocks live: --stop is not known here."),
+    ],
+)
+def test_a_command_that_cannot_serve_says_why(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["live", *words]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err[: len(said)]) == ("", said)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "\x00", '{"format": "blocks-diagram", "version": 99}'])
+def test_a_file_with_faults_opens_and_tells_them(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "broken.json"
+    path.write_text(text)
+    server = LiveServer(path).start()
+    try:
+        with page_of(server.url) as page:
+            document = json.loads(page.recv(timeout=60))["document"]
+            assert document["faults"]
+            assert document["faults"][0]["code"].startswith("E")
+            assert asked(page, do="run")["is"] == "error"
+            assert asked(page, do="draw")["is"] == "error"
+    finally:
+        server.stop()
+
+
+def test_a_missing_file_leaves_no_server(tmp_path: Path) -> None:
+    server = LiveServer(tmp_path / "none.json")
+    with pytest.raises(ModelError, match=r"none\.json"):
+        server.start()
+    server.stop()
+
+
+def test_a_notebook_shows_a_diagram_that_has_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in list(os.environ):
+        if name.startswith(("JUPYTERHUB", "COLAB", "KAGGLE", "BINDER")):
+            monkeypatch.delenv(name)
+    loop = Diagram("loop")
+    loop.wire(loop.add("gain", Gain(k=2.0)).u, loop.input("u", default=3.0))
+    server = loop.live(parameters={"gain.k": 5.0})
+    try:
+        html = server._repr_html_()
+        assert f'<iframe src="{server.url}"' in html
+        monkeypatch.setenv("JUPYTERHUB_USER", "somebody")
+        told = server._repr_html_()
+        assert "<iframe" not in told
+        assert f"ssh -L {server.port}:127.0.0.1:{server.port}" in told
+        with page_of(server.url) as page:
+            assert json.loads(page.recv(timeout=60))["document"]["file"] == ""
+            assert asked(page, do="panel", path="gain")["type"] == "Gain"
+            assert asked(page, do="step", stop=1.0)["is"] == "run"
+            assert asked(page, do="values", t=0.0)["values"]["gain.y"] == 15.0
+            refused = asked(page, do="keep")
+            assert refused["faults"][0]["message"] == "has no file that could keep the values."
+    finally:
+        server.stop()
+
+
+@pytest.mark.long
+def test_what_python_leaves_behind_ends_with_it() -> None:
+    program = (
+        "from blocks import Diagram\n"
+        f"server = Diagram.load({MOTOR!r}).live()\n"
+        "server._open.begin().go(1.0)\n"
+        "print(server.url)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, timeout=120)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("http://127.0.0.1:")

@@ -1,0 +1,212 @@
+"""What pages ask of their scopes, of a session with real runs; and the same in a browser."""
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import blocks.server.scope_messages  # noqa: F401  # its messages
+from blocks import Diagram, Results
+from blocks.server import scopes, session
+from blocks.server.document import Document, inside
+from blocks.server.messages import answer
+from blocks.server.scopes import Page
+from blocks.server.session import Session
+from blocks.server.transport import Transport, new_token
+from blocks.text.errors import UsageError
+
+from .test_scopes import unpacked
+
+DIAGRAMS = Path(__file__).parents[2] / "diagrams"
+Do = Callable[..., dict[str, Any]]
+
+
+class Client:
+    """A page that nobody sees."""
+
+    def send(self, message: Any, slot: str = "") -> bool:
+        return True
+
+
+@pytest.fixture
+def motor(tmp_path: Path) -> Iterator[tuple[Session, Page, Do]]:
+    """A session of a PID loop with a page of no browser, and what answers it."""
+    path = tmp_path / "lab" / "motor_pid.json"
+    path.parent.mkdir()
+    path.write_bytes((DIAGRAMS / "motor_pid.json").read_bytes())
+    made, page = Session(Document(path)), Page()
+    made.pages[Client()] = page
+    yield made, page, lambda do, **fields: answer(made, {"do": do, **fields}, page) or {}
+    made.close()
+
+
+def run(made: Session, stop: float = 0.2) -> Results:
+    live = made.begin(stop)
+    live.go()
+    assert live.wait(60.0)
+    return live.results()
+
+
+def test_frames_and_values_are_those_of_the_results(motor: tuple[Session, Page, Do]) -> None:
+    made, _, do = motor
+    page = Page()  # which the session does not feed
+    answer(made, {"do": "scope", "scope": "1", "signals": ["motor.omega"], "width": 8000}, page)
+    results = run(made)
+    frames = [unpacked(frame) for frame in page.frames(made.number, made.live)]
+    header, t, columns = frames[0]
+    assert header["signals"] == ["motor.omega"]
+    assert header["units"] == ["rad/s"]
+    assert t.tolist() == results.t.tolist()
+    assert columns[0].tolist() == results["motor.omega"].astype(np.float32).tolist()
+    at = float(results.t[7] + 0.25 * (results.t[8] - results.t[7]))
+    wanted = np.interp(at, results.t, results["motor.omega"])
+    assert do("values", t=at)["values"]["motor.omega"] == pytest.approx(wanted, rel=1e-14)
+    assert do("values", t=results.t[7])["values"]["motor.omega"] == results["motor.omega"][7]
+
+
+def test_earlier_runs_are_named_by_what_was_turned_shown_and_forgotten(motor: tuple[Session, Page, Do]) -> None:
+    made, page, do = motor
+    do("scope", scope="1", signals=["motor.omega"], width=500)
+    first = run(made)
+    made.values["motor.Ra"] = 1.5
+    live = made.begin(0.2)
+    live.set("motor.Ra", 2.5)
+    live.go()
+    assert live.wait(60.0)
+    run(made)
+    told = do("runs")["runs"]
+    wanted = ["run 1", "run 2: motor.Ra = 1.5, motor.Ra = 2.5 at 0 s", "run 3: motor.Ra = 1.5"]
+    assert [one["label"] for one in told] == wanted
+    assert [one["is_live"] for one in told] == [False, False, True]
+    do("ghost", run=1, on=True)
+    quiet = Page()  # which the session does not feed
+    answer(made, {"do": "scope", "scope": "1", "signals": ["motor.omega"], "width": 500}, quiet)
+    answer(made, {"do": "ghost", "run": 1, "on": True}, quiet)
+    shown = [unpacked(frame) for frame in quiet.frames(made.number, made.live)]
+    ghost = next(columns for header, _, columns in shown if header.get("ghost") == 1)
+    assert ghost[0].max() == np.float32(first["motor.omega"].max())
+    with pytest.raises(UsageError, match=re.escape("E501 run 3: is no earlier run that is kept.")):
+        do("ghost", run=3, on=True)
+    do("forget", run=1)
+    assert [*page.ghosts] == []
+    assert [one["id"] for one in do("runs")["runs"]] == [2, 3]
+
+
+def test_the_oldest_runs_are_forgotten(motor: tuple[Session, Page, Do], monkeypatch: pytest.MonkeyPatch) -> None:
+    made, page, do = motor
+    monkeypatch.setattr(scopes, "MOST_RUNS", 2)
+    run(made, 0.01)
+    run(made, 0.01)
+    do("ghost", run=1, on=True)
+    run(made, 0.01)
+    assert [*page.ghosts] == [1]
+    run(made, 0.01)
+    assert [*made.runs] == [2, 3, 4]
+    assert [*page.ghosts] == []
+    monkeypatch.setattr(scopes, "MOST_BYTES", 1)
+    run(made, 0.01)
+    assert [*made.runs] == [5]
+
+
+def test_of_many_signals_those_of_the_scopes_are_recorded(
+    motor: tuple[Session, Page, Do], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, _, do = motor
+    monkeypatch.setattr(session, "MOST_LOGGED", 1)
+    log = [*made.document.shown.check().log]
+    other = next(name for name in made.document.shown.check().signals if name not in log)
+    do("scope", scope="1", signals=[other, "unknown"], width=100)
+    assert run(made, 0.01).names == (*log, other)
+
+
+def test_results_are_saved_in_the_folder_of_the_diagram_alone(motor: tuple[Session, Page, Do]) -> None:
+    made, _, do = motor
+    with pytest.raises(UsageError, match="there is no run"):
+        do("save", path="a.csv")
+    results = run(made)
+    for path in ("../a.csv", "/tmp/a.csv", "x/../../a.csv", "", ".", "a\n.csv"):
+        with pytest.raises(UsageError, match=re.escape("lies outside of the diagram's folder.")):
+            do("save", path=path)
+    (made.document.folder / "link").symlink_to(made.document.folder.parent)
+    with pytest.raises(UsageError, match=re.escape("lies outside of the diagram's folder.")):
+        do("save", path="link/a.csv")
+    for path in ("motor_pid.json", "a.txt"):
+        with pytest.raises(UsageError, match="E501"):
+            do("save", path=path, replaces=True)
+    assert do("save", path="a.csv") == {"is": "saved", "path": "a.csv"}
+    again = Results.load(made.document.folder / "a.csv")
+    assert np.array_equal(again.values, results.values)
+    with pytest.raises(UsageError, match="is there already"):
+        do("save", path="a.csv")
+    do("save", path="a.csv", replaces=True)
+    assert inside(made.document.folder, "new/a.csv") == made.document.folder / "new" / "a.csv"
+
+
+def test_a_measured_file_is_told_by_its_columns(motor: tuple[Session, Page, Do]) -> None:
+    _, page, do = motor
+    told = do("overlay", name="lab.csv", text="t [ms],motor.omega [rpm],temperature\n0,1,2\n500,3,4\n")
+    assert told["columns"] == [{"name": "motor.omega", "unit": "rpm"}, {"name": "temperature", "unit": ""}]
+    assert (told["start"], told["stop"]) == (0.0, 0.5)
+    for k in range(7):
+        do("overlay", name=f"{k}.csv", text="t,x\n0,1\n")
+    with pytest.raises(UsageError, match="is one more than 8 files"):
+        do("overlay", name="9.csv", text="t,x\n0,1\n")
+    do("unoverlay", name="lab.csv")
+    assert len(page.files) == 7
+
+
+FILE = """(async () => {
+  const input = document.querySelector('input[type=file]'), list = new DataTransfer();
+  list.items.add(new File(['time,motor_right.omega [rpm]\\n49,9\\n50,9.5\\n51,9.6\\n'], 'lab <b>.csv'));
+  input.files = list.files;
+  await input.onchange();
+})()"""
+
+
+@pytest.mark.long
+def test_scopes_in_a_browser(chromium: Any) -> None:
+    """A run in scopes: the numbers of the legend, zoom, the cursor by keys, ghosts and a measured file."""
+    made = Session(Document(Diagram.load(DIAGRAMS / "paper" / "iadrc.json")))
+    transport = Transport(new_token(), made.received, made.connected, made.disconnected)
+    transport.start()
+    try:
+        with chromium() as page:
+            page.open(transport.url)
+            page.until("document.querySelector('#drawing svg [data-net]')")
+            made.received(next(iter(made.pages)), {"do": "run", "id": 0})
+            # A first run opens a scope of what the file logs.
+            page.until("document.querySelectorAll('.scope tbody tr').length === 3")
+            page.until("document.querySelector('.scope-runs').textContent.includes('none yet')")
+            assert made.running.wait(60.0)
+            results = made.running.results()
+            legend = "[...document.querySelectorAll('.scope tbody tr')].map(row => row.innerText.split('\\t'))"
+            high = f"{results['motor_right.omega'].max():.5g}"
+            page.until(f"({legend}).some(row => row[0].trim() === 'motor_right.omega' && row[4] === '{high}')")
+            page.until("document.querySelector('.scope caption').textContent === '0 s to 100 s; 2 events'")
+            page.click(".scope .u-over")
+            page.until("document.querySelector('.scope-at').textContent.includes('pinned')")
+            page.evaluate("document.querySelector('.scope-plot').focus()")
+            page.press("Home", "+", "Shift+ArrowRight")
+            page.until("document.querySelector('.scope-at').textContent === 't = 2 s, pinned'")
+            page.until("document.querySelector('.scope caption').textContent === '0 s to 50 s; 2 events'")
+            # The value at the cursor on its wire, as the results have it.
+            right = np.interp(2.0, results.t, results["motor_right.omega"])
+            shown = "[...document.querySelectorAll('.wire-value')].map(one => one.textContent)"
+            page.until(f"({shown}).includes('{float(f'{right:.5g}'):g}')")
+            made.values["motor_right.Ra"] = 0.2
+            made.received(next(iter(made.pages)), {"do": "run", "id": 0})
+            page.evaluate("document.querySelector('.scope-bar details').open = true")
+            page.until("document.querySelector('.scope-runs input')")
+            page.click(".scope-runs input")
+            page.until(f"({legend}).some(row => row[0].trim() === 'motor_right.omega, run 1')")
+            page.evaluate(FILE)
+            page.until(f"({legend}).some(row => row[0].trim() === 'motor_right.omega, lab <b>.csv')")
+            tree = page.accessible()
+            assert any(node["role"] == "table" and "0 s to 50 s" in node["name"] for node in tree)
+            page.assert_clean()
+    finally:
+        transport.stop()
+        made.close()
