@@ -12,7 +12,7 @@ import control
 import numpy as np
 import pytest
 
-from blocks import Diagram, Gain, Integrator, Relay, Sum, TransferFunction
+from blocks import Diagram, Gain, Integrator, Relay, Sum, TransferFunction, TransportDelay
 from blocks.server import deeper, knobs, panel, scope_messages  # noqa: F401  # the messages that they answer
 from blocks.server.document import Document
 from blocks.server.messages import answer
@@ -77,6 +77,23 @@ def test_a_loop_that_is_not_stable_and_one_that_bears_any_gain_are_told_as_such(
     told = asking(DIAGRAMS / "motor_pid.json")[0]("response", signal="control.u")["margins"]
     assert (told["stable"], told["gain"], told["gain_frequency"]) == (True, None, None)
     assert ["gain margin", "none: any more gain is borne"] in told["table"]
+
+
+def test_a_loop_with_an_exact_delay_has_its_exact_margins(asking: Any) -> None:
+    made = loop(2.0)
+    made.swap("gain", TransportDelay(delay=0.5))
+    ask, session = asking(made)
+    told = ask("response", signal="gain.y")["margins"]
+    system = control.tf([1.0], [1.0, 3.0, 2.0, 0.0])
+    _, phase, _, crossover = control.margin(system)
+    assert told["phase_deg"] == pytest.approx(phase - math.degrees(0.5 * crossover))
+    assert told["delay"] == pytest.approx(math.radians(phase) / crossover - 0.5)
+    assert told["stable"] is True
+    session.values["gain.delay"] = 5.0
+    assert ask("response", signal="gain.y")["margins"]["stable"] is False
+    modes = ask("linear")
+    assert "Padé" in modes["notes"][0]
+    assert not all(mode["stable"] for mode in modes["modes"])
 
 
 def test_the_response_from_an_input_is_that_of_the_closed_loop(asking: Any) -> None:
@@ -167,6 +184,19 @@ def test_blocks_are_colored_by_their_rates(asking: Any) -> None:
         asking(DIAGRAMS / "motor_pid.json")[0]("color", by="speed")
 
 
+def test_blocks_are_colored_by_the_steps_that_were_rejected_for_them(asking: Any) -> None:
+    ask, session = asking(DIAGRAMS / "paper/iadrc.json", engine="reference")
+    live = session.begin(2.0)
+    live.go()
+    assert live.wait(60.0)
+    blocks = ask("color", by="rejected")["blocks"]
+    assert sum(count for path, count in blocks.items() if "." not in path) == live.rejected > 0
+    inside = sum(count for path, count in blocks.items() if path.startswith("control_right."))
+    assert blocks["control_right"] == inside
+    with pytest.raises(UsageError, match="no run"):
+        asking(DIAGRAMS / "motor_pid.json")[0]("color", by="rejected")
+
+
 def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path) -> None:
     made = Diagram("lag")
     plant = made.add("plant", TransferFunction(num=[1.0], den=[1.0, 1.0]))
@@ -185,7 +215,7 @@ def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path) -> N
     assert high == pytest.approx(5.8 * unit, rel=0.05)
     with pytest.raises(UsageError, match="2 to 500"):
         ask("band", signals=["plant.y"], vary={"gain.k": [1.0, 3.0]}, n=501)
-    with pytest.raises(UsageError, match="outside of the diagram's folder"):
+    with pytest.raises(UsageError, match="lies outside of"):
         ask("band", signals=["plant.y"], file="../sweep.parquet")
     two = {"measures": [], "log": ["plant.y"], "engine": "reference", "out": tmp_path / "two.parquet"}
     session.document.shown.sweep({"gain.k": [1.0, 2.0]}, **two)
@@ -195,8 +225,8 @@ def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path) -> N
 
 @pytest.mark.long
 def test_a_page_shows_the_margins_of_the_wire_that_is_clicked(chromium: Any) -> None:
-    with served(DIAGRAMS / "analysis/smeso_pd.json") as (url, _), chromium() as page:
-        page.open(url)
+    with served(DIAGRAMS / "analysis/smeso_pd.json") as server, chromium() as page:
+        page.open(server.url)
         page.until("document.querySelector('#drawing [data-net=\"control.u\"] path')")
         x, y = page.evaluate(
             "(() => { const line = document.querySelector('[data-net=\"control.u\"] path.run');"
