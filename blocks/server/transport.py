@@ -215,15 +215,12 @@ class Transport:
         return Response(status, HTTPStatus(status).phrase, headers, b"" if request.method == "HEAD" else body)
 
     def _policy(self) -> str:
-        """What the page may do: run its own modules, and talk to this server. Nothing that is text becomes a program.
-
-        A drawing carries its style sheet in itself, which is why styles may stand in the page.
-        """
+        """What the page may do: run its own modules, and talk to this server. No text becomes a program or a style."""
         sockets = " ".join(f"ws://{host}" for host in sorted(self._guard.hosts))
         notebooks = "http://localhost:* http://127.0.0.1:* https://localhost:* vscode-webview:"
         frames = notebooks if self._guard.framed else "'none'"
         return (
-            "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+            "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
             f"connect-src 'self' {sockets}; base-uri 'none'; form-action 'none'; "
             f"frame-ancestors {frames}"
         )

@@ -85,7 +85,12 @@ export function start(app) {
       app.state.level = level;
       app.selectWire(null);
     }
-    const drawn = new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
+    // The policy of the page lets no style sheet stand in a text, so that none can bring one: this one is taken out.
+    const [styled, style] = text.match(/<style>(.*?)<\/style>/s);
+    const sheet = new CSSStyleSheet();
+    sheet.replaceSync(style);
+    document.adoptedStyleSheets = [sheet];
+    const drawn = new DOMParser().parseFromString(text.replace(styled, ""), "image/svg+xml").documentElement;
     stage.replaceChildren(document.adoptNode(drawn));
     boxes = new Map([...drawn.querySelectorAll("g[data-path]")].map((box) => [box.dataset.path, box]));
     nets = Map.groupBy(drawn.querySelectorAll("[data-net]"), (part) => part.dataset.net);
