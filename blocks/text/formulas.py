@@ -15,6 +15,8 @@ sign or a relation.
 
 A formula that is read keeps every word of its text, in order: `plain` gives it back. Its fractions and exponents reach
 as far as the grammar says, and `value` computes it by the same tree, so that tests can hold it against the block.
+
+Longer than other modules: each rule of the grammar is a method here, and each is short.
 """
 
 from __future__ import annotations

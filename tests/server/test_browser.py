@@ -107,7 +107,7 @@ def test_a_run_that_fails_shows_the_block_and_its_last_inputs(chromium: Any, tmp
         page.until('document.querySelector(\'#stage [data-path="root"].failing, #stage [data-path="x"].failing\')')
         told = page.text("#failure")
         assert "E303" in told
-        assert "The last steps at the inputs of" in told
+        assert "The last steps of what" in told
         page.assert_clean()
 
 
