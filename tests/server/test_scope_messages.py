@@ -67,6 +67,17 @@ def test_frames_and_values_are_those_of_the_results(motor: tuple[Session, Page, 
     assert do("values", t=results.t[7])["values"]["motor.omega"] == results["motor.omega"][7]
 
 
+def test_the_values_at_the_end_of_a_run_are_those_of_its_last_row(motor: tuple[Session, Page, Do]) -> None:
+    made, _, do = motor
+    assert do("values", t=0.0)["values"] == {}
+    run(made, 0.0105)  # between two rows of its grid
+    live = made.live
+    assert live is not None
+    assert live.rows()[0][-1] < live.t
+    assert do("values", t=live.t) == do("values", t=live.rows()[0][-1])
+    assert do("values", t=live.t + 1e-6)["values"] == {}
+
+
 def test_earlier_runs_are_named_by_what_was_turned_shown_and_forgotten(motor: tuple[Session, Page, Do]) -> None:
     made, page, do = motor
     do("scope", scope="1", signals=["motor.omega"], width=500)
