@@ -44,9 +44,16 @@ def drawn(session: Session, page: Page) -> Answer:
 
 @handles
 def values(session: Session, *, t: float) -> Answer:
-    """The values of all recorded signals at a time; those of vectors and matrices as lists."""
-    found = {} if session.live is None else values_at(session.live, t)
-    return {"is": "values", "t": t, "values": found}
+    """The values of all recorded signals at a time; those of vectors and matrices as lists.
+
+    A run that records on a grid has its last row before its time: up to that, it is the last row that counts.
+    """
+    live = session.live
+    if live is None:
+        return {"is": "values", "t": t, "values": {}}
+    times = live.rows()[0]
+    at = min(t, float(times[-1])) if len(times) and t <= live.t else t
+    return {"is": "values", "t": at, "values": values_at(live, at)}
 
 
 @handles

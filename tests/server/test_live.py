@@ -78,9 +78,7 @@ def test_a_command_prints_its_address_serves_and_ends_by_a_signal() -> None:
         ([MOTOR, "--stop", "1"], "E501 blocks live: --stop is not known here."),
     ],
 )
-def test_a_command_that_cannot_serve_says_why(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_that_cannot_serve_says_why(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["live", *words]) == 2
     out, err = capsys.readouterr()
     assert (out, err[: len(said)]) == ("", said)

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,17 @@ def test_frames_and_values_are_those_of_the_results(motor: tuple[Session, Page, 
     wanted = np.interp(at, results.t, results["motor.omega"])
     assert do("values", t=at)["values"]["motor.omega"] == pytest.approx(wanted, rel=1e-14)
     assert do("values", t=results.t[7])["values"]["motor.omega"] == results["motor.omega"][7]
+
+
+def test_the_values_at_the_end_of_a_run_are_those_of_its_last_row(motor: tuple[Session, Page, Do]) -> None:
+    made, _, do = motor
+    assert do("values", t=0.0)["values"] == {}
+    rows = np.array([0.0, 0.01]), np.array([[1.0], [2.0]])  # of a grid, while the run is between two of its rows
+    live: Any = SimpleNamespace(t=0.015, columns={"x": (0, (), "m")}, rows=lambda: rows, stop=lambda: None)
+    made.live = live
+    assert do("values", t=0.015) == {"is": "values", "t": 0.01, "values": {"x": 2.0}}
+    assert do("values", t=0.005)["values"] == {"x": 1.5}
+    assert do("values", t=0.016)["values"] == {}
 
 
 def test_earlier_runs_are_named_by_what_was_turned_shown_and_forgotten(motor: tuple[Session, Page, Do]) -> None:

@@ -100,7 +100,7 @@ export function lineDrawn({ ctx, bbox, scales }, scale, curve, column, { color, 
   const [kx, ky, ratio] = [bbox.width / (t1 - t0), bbox.height / (scale.max - scale.min), devicePixelRatio];
   const [t, values, base] = [curve.t, curve.columns[column], bbox.top + bbox.height];
   const path = new Path2D();
-  let [isDown, drawn, wasX, wasY] = [false, 0, 0, 0];
+  let [isDown, travelled, wasX, wasY] = [false, 0, 0, 0];
   for (let i = first; i < end; i += 1) {
     const value = values[i];
     if (value - value !== 0) {
@@ -110,15 +110,16 @@ export function lineDrawn({ ctx, bbox, scales }, scale, curve, column, { color, 
     const [x, y] = [bbox.left + (t[i] - t0) * kx, base - (value - scale.min) * ky];
     // What moves by less than half a pixel is not seen, and would take its time.
     if (isDown && i + 1 < end && Math.abs(x - wasX) < 0.75 && Math.abs(y - wasY) < 0.5) continue;
-    if (isDown) path.lineTo(x, y);
-    else path.moveTo(x, y);
+    if (isDown) {
+      path.lineTo(x, y);
+      travelled += Math.abs(y - wasY);
+    } else path.moveTo(x, y);
     [isDown, wasX, wasY] = [true, x, y];
-    drawn += 1;
     if (dots && end - first < bbox.width / 8) path.rect(x - ratio, y - ratio, 2 * ratio, 2 * ratio), path.moveTo(x, y);
   }
   Object.assign(ctx, { strokeStyle: color, lineWidth: width * ratio, globalAlpha: alpha, lineJoin: "round" });
   // Where a line fills its area, a dash would not be seen and takes the time of ten lines.
-  ctx.setLineDash(drawn > 2 * bbox.width ? [] : dash.map((length) => length * ratio));
+  ctx.setLineDash(travelled > 20 * bbox.height ? [] : dash.map((length) => length * ratio));
   ctx.stroke(path);
   ctx.setLineDash([]);
   ctx.globalAlpha = 1;

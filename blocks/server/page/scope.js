@@ -6,8 +6,8 @@ import { element } from "./elements.js";
 /** Colors on light and on dark, and dashes: as in figures of results. */
 const COLORS = [["#b45309", "#fbbf24"], ["#1d4ed8", "#7aa2ff"], ["#0f766e", "#34d399"], ["#7e22ce", "#c4b5fd"], ["#64748b", "#cbd5e1"], ["#be123c", "#fb7185"]];
 const DASHES = [[], [7, 3], [2, 2], [9, 2, 2, 2], [14, 3], [4, 2, 1, 2, 1, 2]];
-const AXIS = 64; // pixels beside a plot
-const SMALLEST = 4e-6; // part of a value that an axis shows at least: float32 has no finer ones
+const AXIS = 78; // pixels beside a plot
+const SMALLEST = 1e-5; // part of a value that an axis shows at least: float32 has no finer ones
 export const dark = matchMedia("(prefers-color-scheme: dark)");
 const ink = () => (dark.matches ? "#e5e7eb" : "#1f2937");
 const faint = () => (dark.matches ? "#64748b66" : "#94a3b880");
@@ -22,7 +22,8 @@ export const seconds = (t) => `${+t.toPrecision(8)} s`;
 const parts = (name) => [name.replace(/\[[\d,]+\]$/, ""), Number(/\[(\d+)\]$/.exec(name)?.[1] ?? 0)];
 /** Labels of an axis: as many decimals as their distance has. */
 const ticks = (_u, splits, _axis, _space, step) => {
-  const digits = Math.max(0, Math.ceil(-Math.log10(step) - 1e-9));
+  let digits = Math.max(0, Math.floor(-Math.log10(step)));
+  while (digits < 12 && Math.abs(step * 10 ** digits - Math.round(step * 10 ** digits)) > 1e-6) digits += 1;
   const isOdd = digits > 9 || Math.abs(splits.at(-1)) >= 1e7;
   return splits.map((x) => (x === null ? "" : isOdd ? x.toExponential(3) : x.toFixed(digits).replace("-", "−")));
 };
@@ -132,7 +133,7 @@ export class Scope {
     this.u = new uPlot({
       width: this.plot.clientWidth || 600, height: this.plot.clientHeight || 160, scales, axes, legend: { show: false },
       // All plots are as wide as the one with the most axes: they share their times.
-      padding: [8, () => 16 + AXIS * (this.host.axes() - this.units.length), 0, 0],
+      padding: [8, () => 24 + AXIS * (this.host.axes() - this.units.length), 0, 0],
       series: [{}, ...this.units.map((_unit, k) => ({ scale: `y${k}`, paths: () => null, points: { show: false } }))],
       cursor: { x: false, y: false, points: { show: false }, drag: { x: true, y: false, setScale: false } },
       hooks: { draw: [() => this.draw()], setSelect: [() => this.selected()], setCursor: [() => this.moved()] },
@@ -190,7 +191,8 @@ export class Scope {
     u.ctx.clip();
     const band = this.host.band();
     const order = ["ghost", "overlay", ""];
-    for (const line of this.lines.toSorted((a, b) => order.indexOf(a.kind) - order.indexOf(b.kind))) {
+    // The first signal comes last: it stays on top.
+    for (const line of this.lines.toReversed().sort((a, b) => order.indexOf(a.kind) - order.indexOf(b.kind))) {
       const scale = u.scales[`y${this.units.indexOf(line.unit)}`];
       if (band && !line.kind) bandDrawn(u, scale, band, ...parts(line.name), this.look(line).color);
       lineDrawn(u, scale, line.curve, line.column, this.look(line));

@@ -35,7 +35,7 @@ export function start(app) {
     const begin = run()?.start ?? settings.start ?? 0;
     const stop = (run() ? run().stop : settings.stop) ?? -Infinity;
     if (view.span) {
-      const now = Math.max(run()?.t ?? begin, ...[...scopes.values()].map(({ curves }) => curves.get("run")?.last ?? begin));
+      const now = Math.max(begin, ...[...scopes.values()].map(({ curves }) => curves.get("run")?.last ?? begin));
       return [Math.max(begin, now - view.span), Math.max(now, begin + view.span)];
     }
     const end = Math.max(stop, last());
@@ -322,7 +322,8 @@ export function start(app) {
     if (cursor === null && wires.checked && isQuiet) fetchValues();
     draw();
   });
-  app.on("wire", (name) => name && app.openScope([name]));
+  // With the analysis open, a click on a wire chooses its loop.
+  app.on("wire", (name) => name && document.getElementById("analysis").hidden && app.openScope([name]));
   app.on("drawn", label);
   dark.addEventListener("change", () => {
     each((scope) => scope.swatches());
