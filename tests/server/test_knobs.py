@@ -173,6 +173,25 @@ def test_keep_refuses_a_file_that_changed_and_one_that_would_say_something_else(
         asking(opened(Diagram.load(path)))("keep")
 
 
+def test_values_of_a_file_inside_go_there_and_are_read_again(
+    tmp_path: Path, opened: Callable[[Any], Session]
+) -> None:
+    shutil.copytree(ROOT / "diagrams" / "paper", tmp_path / "paper")
+    path, inner = tmp_path / "paper" / "wheel_iadrc.json", tmp_path / "paper" / "control_iadrc.json"
+    old, before = inner.read_text(), path.read_bytes()
+    session = opened(path)
+    do = asking(session)
+    name = "control.td.R"
+    do("set", name=name, value=12)
+    (change,) = do("keep")["kept"]
+    assert (change["new"], inner.read_text().count("12"), path.read_bytes()) == ("12", old.count("12") + 1, before)
+    assert (session.values, session.document.facts[name].text, session.document.has_changed()) == ({}, "12 1/s", False)
+    inner.write_text(old)
+    assert session.document.has_changed()
+    assert session.document.read()
+    assert session.document.facts[name].text == "16.8199 1/s"
+
+
 def test_bad_values_leave_that_of_before(loop: tuple[Path, Session, Do]) -> None:
     _, session, do = loop
     do("set", name="gain.k", value=3)
