@@ -303,9 +303,10 @@ def test_a_run_that_fails_tells_its_block_and_what_came_in(opened: Callable[[Any
 def test_the_robot_is_slid_turned_kept_and_replayed_in_the_browser(tmp_path: Path, chromium: Any) -> None:
     shutil.copytree(ROOT / "diagrams" / "paper", tmp_path / "paper")
     path = tmp_path / "paper" / "iadrc.json"
-    with served(path) as (url, session), chromium() as page:
-        page.open(url)
+    with served(path) as server, chromium() as page:
+        page.open(server.url)
         page.until("document.querySelector('#panel .knob')")
+        session = server._open
         page.click("[aria-label='Put torque on the board']")
         page.evaluate("document.querySelector('#runbar select').value = '10'")
         page.press(" ")
