@@ -42,7 +42,7 @@ class Document:
         self.revision, self.text = 0, b""
         self._drawings: dict[str, str] = {}
         self._facts: dict[str, Fact] | None = None
-        self._seen: tuple[int, int] | None = None
+        self._seen: dict[Path, tuple[int, int] | None] = {}
         self.read()
 
     @property
@@ -65,21 +65,19 @@ class Document:
         return self.diagram.with_variants(self.variants) if self.variants else self.diagram
 
     def has_changed(self) -> bool:
-        """Whether the file is another one than was read."""
-        return self.path is not None and self._stamp() != self._seen
+        """Whether the file, or one that it names, is another one than was read."""
+        return self.path is not None and self._stamps() != self._seen
 
-    def _stamp(self) -> tuple[int, int] | None:
+    def _stamps(self) -> dict[Path, tuple[int, int] | None]:
+        """When each file of the diagram was written, and how large it is; None for one that is not there."""
         assert self.path is not None
-        try:
-            found = self.path.stat()
-        except OSError:
-            return None
-        return found.st_mtime_ns, found.st_size
+        named = () if self.diagram is None else _files_of(self.diagram.value)
+        return {path: _stamp(path) for path in (self.path, *named)}
 
     def read(self) -> bool:
         """Read the file and check it; returns whether anything is new. Raises UsageError where there is no file."""
         if self.path is not None:
-            self._seen = self._stamp()
+            seen, self._seen = self._seen, self._stamps()
             try:
                 text = self.path.read_bytes()
             except OSError:
@@ -87,7 +85,8 @@ class Document:
                     return False
                 Diagram.load(self.path, library=self.library)  # tells why
                 raise
-            if self.revision and text == self.text:
+            same = {path: stamp for path, stamp in self._seen.items() if path != self.path}
+            if self.revision and text == self.text and same.items() <= seen.items():
                 return False
             self.text = text
             try:
@@ -96,6 +95,7 @@ class Document:
                 self.faults, self.planned = error.faults, None
                 self.revision += 1
                 return True
+            self._seen = {**self._stamps(), **self._seen}
         self.revision += 1
         self.check()
         return True
@@ -163,6 +163,27 @@ class Document:
         labels = {} if self.planned is None else self.planned.rate_labels
         rates = {name.removeprefix(prefix): label for name, label in labels.items() if name.startswith(prefix)}
         return svg(value, ports_of(value, shown._draft.resolver), faults=faults, rates=rates)
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return None
+    return found.st_mtime_ns, found.st_size
+
+
+def _files_of(value: DiagramValue) -> Iterator[Path]:
+    """The files of subdiagrams and FMUs that a diagram names, its variants' too."""
+    waiting = list(value.blocks.values())
+    while waiting:
+        entry = waiting.pop()
+        name = entry.fmu or (entry.diagram if isinstance(entry.diagram, str) else "")
+        if name:
+            yield Path(value.folder) / name
+        waiting += entry.variants.values()
+        if entry.inner is not None:
+            yield from _files_of(entry.inner)
 
 
 def told_fault(fault: Fault, paths: set[str]) -> dict[str, Any]:

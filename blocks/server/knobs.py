@@ -111,11 +111,10 @@ def keep(session: Session, *, names: list[str] | None = None) -> Answer:
     )
     owners = [path for path in document.variants if any(name.startswith(f"{path}.") for name in parameters)]
     variants |= {path: document.variants[path] for path in owners}  # their parameters stand in the variant
-    facts = document.facts
     edit = edit_of(
-        document.diagram, document.path, [_written(facts, name, raw) for name, raw in parameters.items()],
+        document.diagram, document.path, [_written(_fact(session, name), raw) for name, raw in parameters.items()],
         parameters=parameters, variants=variants, text=document.text,
-        inputs=[_written(facts, name, raw) for name, raw in inputs.items()],
+        inputs=[_written(_fact(session, name), raw) for name, raw in inputs.items()],
     )  # fmt: skip
     try:
         edit.write()
@@ -186,7 +185,7 @@ def _fact(session: Session, name: str) -> Fact:
         if session.document.planned is None:
             cure = "Mend its faults first."
             raise UsageError(Fault("E502", legible(name[:200]), "cannot be set while the diagram has faults.", cure))
-        cure = did_you_mean(name[:200], facts)
+        cure = did_you_mean(name[:200], facts) or "Reset it, where the file has lost it."
         raise UsageError(Fault("E502", legible(name[:200]), "there is no such input or parameter.", cure))
     return facts[name]
 
@@ -241,15 +240,11 @@ def _check(session: Session, fact: Fact, raw: Any) -> None:
         raise UsageError(Fault("E502", fact.name, message)) from None
 
 
-def _written(facts: Mapping[str, Fact], name: str, raw: Any) -> Value:
+def _written(fact: Fact, raw: Any) -> Value:
     """What Keep writes: a bare number stays one, in the declared unit; a quantity keeps the unit of the file."""
-    fact = facts.get(name)
-    if fact is None:
-        cure = "Reset it, or give it to a run in Python."
-        raise UsageError(Fault("E501", legible(name), "is not in the diagram any more.", cure))
     if isinstance(raw, Mapping) and (fact.is_input or str(raw.get("unit", "")) == fact.declared):
         raw = fact.bare(raw)
     if isinstance(raw, Mapping):
-        return Value(name, (), raw["value"], str(raw.get("unit", fact.declared)), dict(raw))
+        return Value(fact.name, (), raw["value"], str(raw.get("unit", fact.declared)), dict(raw))
     has_unit = isinstance(raw, (int, float, list)) and not isinstance(raw, bool)
-    return Value(name, (), raw, fact.declared if has_unit else None, raw)
+    return Value(fact.name, (), raw, fact.declared if has_unit else None, raw)

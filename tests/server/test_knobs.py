@@ -173,6 +173,25 @@ def test_keep_refuses_a_file_that_changed_and_one_that_would_say_something_else(
         asking(opened(Diagram.load(path)))("keep")
 
 
+def test_values_of_a_file_inside_go_there_and_are_read_again(
+    tmp_path: Path, opened: Callable[[Any], Session]
+) -> None:
+    shutil.copytree(ROOT / "diagrams" / "paper", tmp_path / "paper")
+    path, inner = tmp_path / "paper" / "wheel_iadrc.json", tmp_path / "paper" / "control_iadrc.json"
+    old, before = inner.read_text(), path.read_bytes()
+    session = opened(path)
+    do = asking(session)
+    name = "control.td.R"
+    do("set", name=name, value=12)
+    (change,) = do("keep")["kept"]
+    assert (change["new"], inner.read_text().count("12"), path.read_bytes()) == ("12", old.count("12") + 1, before)
+    assert (session.values, session.document.facts[name].text, session.document.has_changed()) == ({}, "12 1/s", False)
+    inner.write_text(old)
+    assert session.document.has_changed()
+    assert session.document.read()
+    assert session.document.facts[name].text == "16.8199 1/s"
+
+
 def test_bad_values_leave_that_of_before(loop: tuple[Path, Session, Do]) -> None:
     _, session, do = loop
     do("set", name="gain.k", value=3)
@@ -284,9 +303,10 @@ def test_a_run_that_fails_tells_its_block_and_what_came_in(opened: Callable[[Any
 def test_the_robot_is_slid_turned_kept_and_replayed_in_the_browser(tmp_path: Path, chromium: Any) -> None:
     shutil.copytree(ROOT / "diagrams" / "paper", tmp_path / "paper")
     path = tmp_path / "paper" / "iadrc.json"
-    with served(path) as (url, session), chromium() as page:
-        page.open(url)
+    with served(path) as server, chromium() as page:
+        page.open(server.url)
         page.until("document.querySelector('#panel .knob')")
+        session = server._open
         page.click("[aria-label='Put torque on the board']")
         page.evaluate("document.querySelector('#runbar select').value = '10'")
         page.press(" ")
