@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from ..frequency.lapack import eigenvectors
 from ..frequency.margins import Margins, margins
 from ..linear.harmonic_balance import Linearizer
 from ..linear.nonlinearities import nonlinear
+from ..linear.operating_point import OperatingPoint, standing
 from ..linear.signals import place
 from ..linear.transfer import LoopOfRates, Transfer
 from ..studies.sampling import Uniform
@@ -41,6 +43,8 @@ MOST_ROWS = 500
 """Runs of a band that is asked for in a page."""
 MOST_POINTS = 1000
 """Points of time of a band."""
+_POINTS: WeakKeyDictionary[LiveRun, tuple[Any, OperatingPoint]] = WeakKeyDictionary()
+"""Where each run was linearized last."""
 _SHARE = 0.1
 """The least part of a state in a mode that is named with it, relative to the largest."""
 
@@ -57,7 +61,12 @@ def _at(session: Session, t: float | None) -> tuple[dict[str, Any], dict[str, An
         return given, told
     turned = [each for each in list(live.turned) if each.t <= t]
     told = {"t": t, "run": True, "turned": [[each.name, each.value, each.t] for each in turned]}
-    return {"at": _again(live, t, turned), "trust": session.trust}, told
+    key = (t, len(turned))
+    known, point = _POINTS.get(live, (None, None))
+    if known != key:  # a slider asks for one point again and again
+        point = standing(session.document.shown.point(at=_again(live, t, turned), trust=session.trust))
+        _POINTS[live] = (key, point)
+    return {"at": point, "trust": session.trust}, told
 
 
 def _again(live: LiveRun, t: float, turned: list[Any]) -> Run:
@@ -114,7 +123,9 @@ def response(
 
 
 def _faults(error: BlocksError) -> list[dict[str, Any]]:
-    return [told_fault(fault, set()) for fault in error.faults]
+    cure = {"E701": "Give the amplitude at which it works, by its slider."}  # the library's names its own arguments
+    faults = [replace(fault, cure=cure.get(fault.code, fault.cure)) for fault in error.faults]
+    return [told_fault(fault, set()) for fault in faults]
 
 
 def _response(linearizer: Linearizer, signal: str, input: str, output: str) -> dict[str, Any]:
@@ -275,7 +286,16 @@ def color(session: Session, *, by: str) -> Answer:
         labels = {path: _label(path, paths, known) for path in paths}
         order = sorted(set(labels.values()), key=lambda label: (label not in ("continuous",), label))
         return {"is": "color", "by": by, "blocks": labels, "legend": order}
-    raise UsageError(Fault("E501", "color.by", f"{by!r} is no way to color.", did_you_mean(by, ["rate"])))
+    if by == "rejected":
+        live = session.running
+        counts = live.rejected_by_block()
+        if live.rejected and not counts:
+            message = "this method does not tell for which block a step was rejected; explicit ones do."
+            raise UsageError(Fault("E501", live.prepared.plan.settings.method, message, 'As "dopri5".'))
+        sums = {path: sum(count for inner, count in counts.items() if _is_in(inner, path)) for path in paths}
+        return {"is": "color", "by": by, "blocks": sums, "legend": []}
+    cure = did_you_mean(by, ["rate", "rejected"])
+    raise UsageError(Fault("E501", "color.by", f"{by!r} is no way to color.", cure))
 
 
 def _is_in(inner: str, path: str) -> bool:
@@ -285,7 +305,7 @@ def _is_in(inner: str, path: str) -> bool:
 def _label(path: str, paths: list[str], known: Mapping[str, str]) -> str:
     """The rate of a block; of a subdiagram the rates of its blocks together."""
     leaves = [p for p in paths if _is_in(p, path) and not any(q.startswith(f"{p}.") for q in paths)]
-    return ", ".join(sorted({known.get(leaf, "continuous") for leaf in leaves}))
+    return " and ".join(sorted({known.get(leaf, "continuous") for leaf in leaves}))
 
 
 # --- bands of a sweep ------------------------------------------------------------------------------------------------

@@ -167,6 +167,19 @@ def test_blocks_are_colored_by_their_rates(asking: Any) -> None:
         asking(DIAGRAMS / "motor_pid.json")[0]("color", by="speed")
 
 
+def test_blocks_are_colored_by_the_steps_that_were_rejected_for_them(asking: Any) -> None:
+    ask, session = asking(DIAGRAMS / "paper/iadrc.json", engine="reference")
+    live = session.begin(2.0)
+    live.go()
+    assert live.wait(60.0)
+    blocks = ask("color", by="rejected")["blocks"]
+    assert sum(count for path, count in blocks.items() if "." not in path) == live.rejected > 0
+    inside = sum(count for path, count in blocks.items() if path.startswith("control_right."))
+    assert blocks["control_right"] == inside
+    with pytest.raises(UsageError, match="no run"):
+        asking(DIAGRAMS / "motor_pid.json")[0]("color", by="rejected")
+
+
 def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path) -> None:
     made = Diagram("lag")
     plant = made.add("plant", TransferFunction(num=[1.0], den=[1.0, 1.0]))
@@ -185,7 +198,7 @@ def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path) -> N
     assert high == pytest.approx(5.8 * unit, rel=0.05)
     with pytest.raises(UsageError, match="2 to 500"):
         ask("band", signals=["plant.y"], vary={"gain.k": [1.0, 3.0]}, n=501)
-    with pytest.raises(UsageError, match="outside of the diagram's folder"):
+    with pytest.raises(UsageError, match="lies outside of"):
         ask("band", signals=["plant.y"], file="../sweep.parquet")
     two = {"measures": [], "log": ["plant.y"], "engine": "reference", "out": tmp_path / "two.parquet"}
     session.document.shown.sweep({"gain.k": [1.0, 2.0]}, **two)

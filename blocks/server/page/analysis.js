@@ -18,7 +18,7 @@ export function start(app) {
   let cursor = null;
   const amplitudes = new Map(); // by the signal of a law
   const signals = element("datalist", { id: "analysis-signals" });
-  const text = (label, attributes = {}) => element("input", { list: "analysis-signals", size: 18, "aria-label": label, spellcheck: "false", onchange: () => ask(), ...attributes });
+  const text = (label, attributes = {}) => element("input", { list: "analysis-signals", size: 15, "aria-label": label, spellcheck: "false", onchange: () => ask(), ...attributes });
   const [signal, input, output] = [text("Loop opened at"), text("From"), text("To")];
   const when = element("select", { "aria-label": "Where it is linearized", onchange: () => ask() }, element("option", { value: "start" }, "at the start"), element("option", { value: "cursor" }, "at the cursor"));
   const tabs = Object.entries(WHATS).map(([key, label]) => element("button", { "aria-pressed": "false", onclick: () => turn(key), "data-what": key }, label));
@@ -70,14 +70,14 @@ export function start(app) {
 
   // --- what comes back ---
   const where = ({ t, run, turned }) => {
-    const set = turned.map(([name, value]) => `${name} = ${Array.isArray(value) || typeof value !== "number" ? JSON.stringify(value) : short(value)}`);
+    const set = turned.map(([name, value]) => `${name} = ${typeof value === "number" ? short(value) : value?.unit ? `${value.value} ${value.unit}` : JSON.stringify(value)}`);
     return `Linearized at t = ${short(t)} s${run ? ` of the run${set.length ? `, with ${set.join(", ")} set in it` : ""}` : ""}.`;
   };
   /** A slider for each law that bends, over the orders of magnitude around 1. */
   function sliders(laws) {
     return laws.slice(0, 8).map((law) => {
       const on = amplitudes.has(law.signal);
-      const number = element("output", {}, on ? short(amplitudes.get(law.signal)) : "slope where it stands");
+      const number = element("output", {}, on ? short(amplitudes.get(law.signal)) : "off");
       const slider = element("input", { type: "range", min: -5, max: 3, step: 0.05, "aria-label": `Amplitude of ${law.signal}`, disabled: !on });
       slider.value = String(Math.log10(amplitudes.get(law.signal) ?? 0.1));
       const box = element("input", { type: "checkbox" });
@@ -86,15 +86,15 @@ export function start(app) {
         if (to === null) amplitudes.delete(law.signal);
         else amplitudes.set(law.signal, to);
         slider.disabled = to === null;
-        number.textContent = to === null ? "slope where it stands" : short(to);
+        number.textContent = to === null ? "off" : short(to);
         slider.setAttribute("aria-valuetext", number.textContent);
         ask();
       };
       const value = () => Number((10 ** Number(slider.value)).toPrecision(3));
       slider.oninput = () => set(value());
       box.onchange = () => set(box.checked ? value() : null);
-      const why = law.rough ? "no slope where it stands" : `stands at ${short(law.value)}`;
-      return element("div", { class: "law" }, element("label", {}, box, ` sine at ${law.signal}`), slider, number, element("span", { class: "unit" }, `(${law.laws.join(", ")}: ${why})`));
+      const why = `${law.laws.join(", ")}: ${law.rough ? "no slope where it stands, at" : "off: its slope where it stands, at"} ${short(law.value)}`;
+      return element("div", { class: "law", title: why }, element("label", {}, box, ` sine at ${law.signal}`), slider, number, law.rough ? element("b", { class: "unit" }, "no slope") : null);
     });
   }
   /** The sliders stay as they are while one is moved. */
@@ -184,7 +184,7 @@ export function start(app) {
   const number = (label, value) => element("input", { type: "number", step: "any", value, "aria-label": label, class: "short" });
   const [low, high, rows_] = [number("from", ""), number("to", ""), number("Runs", "50")];
   const file = element("input", { size: 14, placeholder: "or sweep.parquet", "aria-label": "File of a saved sweep" });
-  const shown = text("Signal of the band", { onchange: null });
+  const shown = text("Signal of the band", { onchange: () => null });
   const go = element("button", { onclick: () => bandOf() }, "Show the band");
   const none = element("button", { onclick: () => (app.showBand?.(null), hint("The band is gone."), app.announce("The band is gone.")) }, "Remove");
   const rest = element("input", { type: "checkbox", onchange: () => ask() });
@@ -251,7 +251,7 @@ export function start(app) {
 
   // --- blocks colored, each with its number in the legend ---
   const legend = element("div", { id: "color-legend", hidden: true });
-  const by = element("select", { "aria-label": "Color of blocks", onchange: () => colorBy() }, element("option", { value: "" }, "no colors"), element("option", { value: "rate" }, "by rate"));
+  const by = element("select", { "aria-label": "Color of blocks", onchange: () => colorBy() }, element("option", { value: "" }, "no colors"), element("option", { value: "rate" }, "by rate"), element("option", { value: "rejected" }, "by rejected steps"));
   let colored = null;
   async function colorBy() {
     colored = by.value ? await app.ask("color", { by: by.value }) : null;
@@ -265,7 +265,7 @@ export function start(app) {
     legend.hidden = !colored;
     if (!colored) return;
     const most = Math.max(1, ...Object.values(colored.blocks).filter(Number.isFinite));
-    const group = (value) => (typeof value === "number" ? (value ? 1 + Math.min(4, Math.floor((4 * value) / most)) : 0) : colored.legend.indexOf(value));
+    const group = (value) => (typeof value === "number" ? (value ? 1 + Math.min(3, Math.floor((4 * value) / most)) : 0) : colored.legend.indexOf(value));
     const prefix = app.state.level ? `${app.state.level}.` : "";
     for (const box of document.querySelectorAll("#drawing g[data-path]:not(.frame)")) {
       const value = colored.blocks[prefix + box.dataset.path];

@@ -124,6 +124,13 @@ export function lineDrawn({ ctx, bbox, scales }, scale, curve, column, { color, 
   ctx.globalAlpha = 1;
 }
 
+/** The least and the largest value of a band between two times; without one Infinity and -Infinity. */
+export function bandRange(band, name, element, t0, t1) {
+  const levels = band?.signals[name]?.map((one) => one[element]) ?? [];
+  const seen = levels.flatMap((level) => level.filter((value, i) => value !== null && band.t[i] >= t0 && band.t[i] <= t1));
+  return [Math.min(...seen), Math.max(...seen)];
+}
+
 /** Draw the outer quantiles of a sweep as an area, and the middle one as a thin line. */
 export function bandDrawn(u, scale, { t, signals }, name, element, color) {
   const quantiles = signals[name]?.map((one) => one[element]);

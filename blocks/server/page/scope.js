@@ -1,6 +1,6 @@
 /** One scope: its plot, its legend with the numbers, and how both follow what comes. */
 import uPlot from "./vendor/uplot.js";
-import { Curve, bandDrawn, lineDrawn, marksDrawn } from "./curves.js";
+import { Curve, bandDrawn, bandRange, lineDrawn, marksDrawn } from "./curves.js";
 import { element } from "./elements.js";
 
 /** Colors on light and on dark, and dashes: as in figures of results. */
@@ -171,8 +171,8 @@ export class Scope {
       let [low, high] = [Infinity, -Infinity];
       for (const line of this.lines) {
         if (line.unit !== unit) continue;
-        const found = line.curve.range(line.column, t0, t1);
-        [low, high] = [Math.min(low, found[0]), Math.max(high, found[1])];
+        const found = [line.curve.range(line.column, t0, t1), bandRange(this.host.band(), ...parts(line.name), t0, t1)];
+        [low, high] = [Math.min(low, ...found.map((one) => one[0])), Math.max(high, ...found.map((one) => one[1]))];
       }
       const least = (SMALLEST * Math.max(Math.abs(low), Math.abs(high)) - (high - low)) / 2;
       if (least > 0 && high > low) [low, high] = [low - least, high + least];
