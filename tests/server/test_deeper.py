@@ -208,8 +208,8 @@ def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path) -> N
 
 @pytest.mark.long
 def test_a_page_shows_the_margins_of_the_wire_that_is_clicked(chromium: Any) -> None:
-    with served(DIAGRAMS / "analysis/smeso_pd.json") as (url, _), chromium() as page:
-        page.open(url)
+    with served(DIAGRAMS / "analysis/smeso_pd.json") as server, chromium() as page:
+        page.open(server.url)
         page.until("document.querySelector('#drawing [data-net=\"control.u\"] path')")
         x, y = page.evaluate(
             "(() => { const line = document.querySelector('[data-net=\"control.u\"] path.run');"
