@@ -6,7 +6,7 @@ stood there, which is run again up to it, with all that was set until then. Freq
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, replace
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -22,6 +22,7 @@ from ..frequency import figure_curves as curves
 from ..frequency.delayed import DelayedModel
 from ..frequency.lapack import eigenvectors
 from ..frequency.margins import Margins, margins
+from ..frequency.response import poles
 from ..linear.harmonic_balance import Linearizer
 from ..linear.nonlinearities import nonlinear
 from ..linear.operating_point import OperatingPoint, standing
@@ -45,6 +46,7 @@ MOST_POINTS = 1000
 """Points of time of a band."""
 _POINTS: WeakKeyDictionary[LiveRun, tuple[Any, OperatingPoint]] = WeakKeyDictionary()
 """Where each run was linearized last."""
+_PADE = 5
 _SHARE = 0.1
 """The least part of a state in a mode that is named with it, relative to the largest."""
 
@@ -119,37 +121,51 @@ def response(
     try:
         return {**told, **_response(linearizer, signal, input, output), "faults": []}
     except AnalysisError as error:
-        return {**told, "curve": None, "margins": None, "lines": [], "faults": _faults(error)}
+        return {**told, "curve": None, "margins": None, "lines": [], "faults": _faults(error, told["laws"])}
 
 
-def _faults(error: BlocksError) -> list[dict[str, Any]]:
-    cure = {"E701": "Give the amplitude at which it works, by its slider."}  # the library's names its own arguments
-    faults = [replace(fault, cure=cure.get(fault.code, fault.cure)) for fault in error.faults]
-    return [told_fault(fault, set()) for fault in faults]
+def _faults(error: BlocksError, laws: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The faults as the page gets them: it has sliders where the library names its own arguments."""
+    cured = [
+        replace(fault, cure="Give the amplitude at which it works, by its slider.")
+        if fault.code == "E701" and any(fault.place in law["laws"] for law in laws)
+        else fault
+        for fault in error.faults
+    ]
+    return [told_fault(fault, set()) for fault in cured]
 
 
 def _response(linearizer: Linearizer, signal: str, input: str, output: str) -> dict[str, Any]:
-    model = _model(linearizer, signal, input, output)
-    known = margins(model) if signal else None
-    told: dict[str, Any] = {"margins": None if known is None else _margins(known)}
-    told["lines"] = [] if isinstance(model, DelayedModel) else list(lines(model, is_loop=bool(signal)))
-    if isinstance(model, LoopOfRates):
-        return {**told, "curve": None}
-    return {**told, "curve": _curve(model, linearizer.graph.plan.name)}
-
-
-def _model(linearizer: Linearizer, signal: str, input: str, output: str) -> Transfer | DelayedModel:
-    """The model; where exact delays contribute, of which there is no state space, its response alone."""
-    try:
+    def made(pade: int) -> Transfer:
         if not signal:
-            return linearizer.transfer(input, output)
-        loop = linearizer.loop_transfer(signal)
+            return linearizer.transfer(input, output, pade=pade)
+        loop = linearizer.loop_transfer(signal, pade=pade)
         check_loop(loop, signal)
         return loop
+
+    model, notes = _or_pade(made)
+    exact: Transfer | DelayedModel = model
+    unstable, integrators = None, 0
+    if notes and not model.dt:  # its response is known exactly, and its poles on the right are those of the model
+        exact = linearizer.delayed_loop(signal) if signal else linearizer.delayed(input, output)
+        found = poles(model)
+        small = 1e-9 * np.max(np.abs(found), initial=0.0)
+        unstable, integrators = int(np.sum(found.real > small)), int(np.sum(np.abs(found) <= small))
+    known = margins(exact, unstable_poles=unstable, integrators=integrators) if signal else None
+    told: dict[str, Any] = {"margins": None if known is None else _margins(known)}
+    told["lines"] = [*notes, *lines(model, is_loop=bool(signal))]
+    curve = None if isinstance(model, LoopOfRates) else _curve(exact, linearizer.graph.plan.name)
+    return {**told, "curve": curve}
+
+
+def _or_pade(make: Callable[[int], Transfer]) -> tuple[Transfer, list[str]]:
+    """A model; where exact delays contribute, of which there is no state space, with Padé models, and words on it."""
+    try:
+        return make(0), []
     except AnalysisError as error:
         if {fault.code for fault in error.faults} != {"E707"}:
             raise
-    return linearizer.delayed_loop(signal) if signal else linearizer.delayed(input, output)
+    return make(_PADE), [f"Poles and zeros: with Padé models of order {_PADE} for exact delays."]
 
 
 def _margins(known: Margins) -> dict[str, Any]:
@@ -214,13 +230,14 @@ def linear(session: Session, *, t: float | None = None, amplitude: dict[str, flo
     rough = {law.node: law.slot for law in linearizer.slopes.laws}
     told: dict[str, Any] = {"is": "linear", "at": at, "laws": list(_told_laws(linearizer, rough.items()))}
     try:
-        model = linearizer.whole()
+        model, notes = _or_pade(lambda pade: linearizer.whole(pade=pade))
     except AnalysisError as error:
-        return {**told, "states": [], "modes": [], "sizes": {}, "notes": [], "period": None, "faults": _faults(error)}
+        faults = _faults(error, told["laws"])
+        return {**told, "states": [], "modes": [], "sizes": {}, "notes": [], "period": None, "faults": faults}
     n, wide = model.nstates, sum(int(np.prod(entry.shape, dtype=int)) for entry in plan.inputs)
     planned = session.document.planned or plan
     high = sum(len(planned.signal(name).references) for name in planned.log)
-    notes = [f"{b.path} ({b.type}): {b.method}" for b in model.report if b.contributes and b.method != "exact"]
+    notes += [f"{b.path} ({b.type}): {b.method}" for b in model.report if b.contributes and b.method != "exact"]
     sizes = {"A": [n, n], "B": [n, wide], "C": [high, n], "D": [high, wide]}
     return {
         **told, "states": list(model.states), "modes": list(_modes(model)), "sizes": sizes, "notes": notes,

@@ -12,7 +12,7 @@ import control
 import numpy as np
 import pytest
 
-from blocks import Diagram, Gain, Integrator, Relay, Sum, TransferFunction
+from blocks import Diagram, Gain, Integrator, Relay, Sum, TransferFunction, TransportDelay
 from blocks.server import deeper, knobs, panel, scope_messages  # noqa: F401  # the messages that they answer
 from blocks.server.document import Document
 from blocks.server.messages import answer
@@ -77,6 +77,23 @@ def test_a_loop_that_is_not_stable_and_one_that_bears_any_gain_are_told_as_such(
     told = asking(DIAGRAMS / "motor_pid.json")[0]("response", signal="control.u")["margins"]
     assert (told["stable"], told["gain"], told["gain_frequency"]) == (True, None, None)
     assert ["gain margin", "none: any more gain is borne"] in told["table"]
+
+
+def test_a_loop_with_an_exact_delay_has_its_exact_margins(asking: Any) -> None:
+    made = loop(2.0)
+    made.swap("gain", TransportDelay(delay=0.5))
+    ask, session = asking(made)
+    told = ask("response", signal="gain.y")["margins"]
+    system = control.tf([1.0], [1.0, 3.0, 2.0, 0.0])
+    _, phase, _, crossover = control.margin(system)
+    assert told["phase_deg"] == pytest.approx(phase - math.degrees(0.5 * crossover))
+    assert told["delay"] == pytest.approx(math.radians(phase) / crossover - 0.5)
+    assert told["stable"] is True
+    session.values["gain.delay"] = 5.0
+    assert ask("response", signal="gain.y")["margins"]["stable"] is False
+    modes = ask("linear")
+    assert "Padé" in modes["notes"][0]
+    assert not all(mode["stable"] for mode in modes["modes"])
 
 
 def test_the_response_from_an_input_is_that_of_the_closed_loop(asking: Any) -> None:
