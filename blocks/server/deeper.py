@@ -282,10 +282,14 @@ def describe(session: Session, *, t: float | None = None, rest: bool = False) ->
         values: dict[str, Any] = {"parameters": session.values, "trust": session.trust}
         given = {"at": find_operating_point(shown, inputs=session.inputs, **values)}
         told = {"t": given["at"].t, "run": False, "turned": []}
-    cycles = limit_cycles(shown, **given)
+    try:
+        cycles = limit_cycles(shown, **given)
+    except AnalysisError as error:
+        cure = {} if rest else {"E705": 'Look "where it rests".'}  # the library's names its own arguments
+        raise AnalysisError(*(replace(f, cure=f.cure and cure.get(f.code, f.cure)) for f in error.faults)) from None
     rows = [{**asdict(cycle), "period": cycle.period, "stable": bool(cycle.stable)} for cycle in cycles]
     unknown = [{"law": name, "low": low, "high": high} for name, low, high in cycles.unknown]
-    return {"is": "describe", "at": told, "cycles": rows, "unknown": unknown}
+    return {"is": "describe", "at": {**told, "rest": rest}, "cycles": rows, "unknown": unknown}
 
 
 # --- colors of the drawing -------------------------------------------------------------------------------------------

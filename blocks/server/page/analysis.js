@@ -20,7 +20,9 @@ export function start(app) {
   const signals = element("datalist", { id: "analysis-signals" });
   const text = (label, attributes = {}) => element("input", { list: "analysis-signals", size: 15, "aria-label": label, spellcheck: "false", onchange: () => ask(), ...attributes });
   const [signal, input, output] = [text("Loop opened at"), text("From"), text("To")];
-  const when = element("select", { "aria-label": "Where it is linearized", onchange: () => ask() }, element("option", { value: "start" }, "at the start"), element("option", { value: "cursor" }, "at the cursor"));
+  const points = { start: "at the start", cursor: "at the cursor", rest: "where it rests" };
+  const choice = (...keys) => element("select", { "aria-label": "Where it is linearized", onchange: () => ask() }, ...keys.map((key) => element("option", { value: key }, points[key])));
+  const [when, around] = [choice("start", "cursor"), choice("rest", "start", "cursor")]; // a limit cycle goes around a point of rest
   const tabs = Object.entries(WHATS).map(([key, label]) => element("button", { "aria-pressed": "false", onclick: () => turn(key), "data-what": key }, label));
   const fields = element("span", { class: "fields" });
   const body = element("div", { class: "analysis-body", "aria-busy": "false" });
@@ -49,9 +51,10 @@ export function start(app) {
     isAsked = false;
     body.setAttribute("aria-busy", "false");
   }
+  const isAtCursor = () => (what === "cycles" ? around : when).value === "cursor" && what !== "band";
   const point = () => {
     const t = cursor ?? (app.state.run?.id ? app.state.run.t : null);
-    return when.value === "cursor" && t !== null ? { t } : {};
+    return isAtCursor() && t !== null ? { t } : {};
   };
   const bent = () => ({ amplitude: Object.fromEntries(amplitudes) });
   const hint = (words) => body.replaceChildren(element("p", { class: "hint" }, words));
@@ -65,11 +68,12 @@ export function start(app) {
       if (!input.value || !output.value) return hint("Name the signal where a change is put in, and the one that is looked at.");
       later("response", { input: input.value, output: output.value, ...point(), ...bent() }, showResponse);
     } else if (what === "modes") later("linear", { ...point(), ...bent() }, showModes);
-    else if (what === "cycles") later("describe", { ...point(), rest: rest.checked }, showCycles);
+    else if (what === "cycles") later("describe", { ...point(), rest: around.value === "rest" }, showCycles);
   }
 
   // --- what comes back ---
-  const where = ({ t, run, turned }) => {
+  const where = ({ t, run, turned, rest }) => {
+    if (rest) return "Around the point where the diagram rests.";
     const set = turned.map(([name, value]) => `${name} = ${typeof value === "number" ? short(value) : value?.unit ? `${value.value} ${value.unit}` : JSON.stringify(value)}`);
     return `Linearized at t = ${short(t)} s${run ? ` of the run${set.length ? `, with ${set.join(", ")} set in it` : ""}` : ""}.`;
   };
@@ -187,7 +191,6 @@ export function start(app) {
   const shown = text("Signal of the band", { onchange: () => null });
   const go = element("button", { onclick: () => bandOf() }, "Show the band");
   const none = element("button", { onclick: () => (app.showBand?.(null), hint("The band is gone."), app.announce("The band is gone.")) }, "Remove");
-  const rest = element("input", { type: "checkbox", onchange: () => ask() });
   const ends = element("span", {}, field("from", input), " ", field("to", output));
   function bandOf() {
     const given = file.value ? { file: file.value } : { vary: { [varied.value]: [low, high].map((one) => Number(one.value)) }, n: Number(rows_.value) };
@@ -208,7 +211,7 @@ export function start(app) {
   function turn(to) {
     what = to;
     tabs.forEach((tab) => tab.setAttribute("aria-pressed", String(tab.dataset.what === what)));
-    const given = { loop: [field("opened at", signal), when], response: [ends, when], modes: [when], cycles: [field("where it rests", rest), when],
+    const given = { loop: [field("opened at", signal), when], response: [ends, when], modes: [when], cycles: [around],
       band: [field("of", shown), varied, field("from", low), field("to", high), field("runs", rows_), file, go, none, parameters] }[what];
     fields.replaceChildren(...given);
     if (what === "band") hint("Runs of the diagram with a parameter between two values; 5, 50 and 95 % of them are drawn over the scopes.");
@@ -241,12 +244,12 @@ export function start(app) {
   app.on("knob", () => ask());
   let state = "";
   app.on("run", (run) => {
-    if (run.state !== "running" && run.state !== state && when.value === "cursor") ask();
+    if (run.state !== "running" && run.state !== state && isAtCursor()) ask();
     state = run.state;
   });
   app.on("cursor", (t) => {
     cursor = t;
-    if (when.value === "cursor" && what !== "band") ask();
+    if (isAtCursor()) ask();
   });
 
   // --- blocks colored, each with its number in the legend ---

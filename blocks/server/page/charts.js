@@ -76,7 +76,7 @@ export function chart({ name, width, height, x, y, curves, marks = [], circles =
   for (const { x: a, y: b, text, to } of marks) {
     if (to !== undefined) inner.append(part("line", { class: "margin", x1: px(a), x2: px(a), y1: py(b), y2: py(to) }));
     inner.append(part("circle", { class: "mark", cx: px(a), cy: py(b), r: 3.5 }, part("title", {}, text)));
-    const isLate = px(a) > LEFT + 0.7 * w;
+    const isLate = isSquare || px(a) > LEFT + 0.7 * w;
     inner.append(part("text", { class: "mark", x: px(a) + (isLate ? -7 : 7), y: Math.max(py(b) - 6, TOP + 10), "text-anchor": isLate ? "end" : "start" }, text));
   }
   const dot = part("circle", { class: "dot", r: 4, visibility: "hidden" });
