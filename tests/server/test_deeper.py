@@ -197,7 +197,9 @@ def test_blocks_are_colored_by_the_steps_that_were_rejected_for_them(asking: Any
         asking(DIAGRAMS / "motor_pid.json")[0]("color", by="rejected")
 
 
-def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path) -> None:
+def test_a_band_holds_the_quantiles_of_a_sweep(
+    asking: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made = Diagram("lag")
     plant = made.add("plant", TransferFunction(num=[1.0], den=[1.0, 1.0]))
     gain = made.add("gain", Gain(k=1.0))
@@ -217,6 +219,10 @@ def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path) -> N
         ask("band", signals=["plant.y"], vary={"gain.k": [1.0, 3.0]}, n=501)
     with pytest.raises(UsageError, match="lies outside of"):
         ask("band", signals=["plant.y"], file="../sweep.parquet")
+    with monkeypatch.context() as patch:
+        patch.setattr(Session, "is_asked_more", True)
+        with pytest.raises(UsageError, match="another question came when 0 of 40"):
+            ask("band", signals=["plant.y"], vary={"gain.k": [1.0, 3.0]}, n=40)
     two = {"measures": [], "log": ["plant.y"], "engine": "reference", "out": tmp_path / "two.parquet"}
     session.document.shown.sweep({"gain.k": [1.0, 2.0]}, **two)
     kept = ask("band", signals=["plant.y"], file="two.parquet")["signals"]["plant.y"]
