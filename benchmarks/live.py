@@ -10,8 +10,9 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 
@@ -21,12 +22,14 @@ from blocks.server.live_server import LiveServer
 from tests.support.browser import Browser, found
 
 from .diagrams import ROOT
+from .streamed import waves
 
 __all__ = ["main"]
 
 PAPER = ROOT / "diagrams/paper/iadrc.json"
 SIGNALS = ("motor_right.omega", "motor_left.omega", "control_right.u", "control_left.u")
 REPEATS = 5
+WAVES, ROWS = 33, 200_000
 WATCH = """
 addEventListener('DOMContentLoaded', () => new MutationObserver((_, watch) => {
   if (!document.querySelector('#drawing svg [data-path]')) return;
@@ -53,13 +56,13 @@ def main() -> None:
         with Browser() as page:
             page.open(server.url)
             page.until("document.querySelector('#drawing svg [data-path]')")
-            _frames(page, server)
-            _into_scopes(page, server)
+            _frames(page)
+    _into_scopes()
 
 
 @contextmanager
-def _served() -> Iterator[LiveServer]:
-    server = LiveServer(PAPER).start()
+def _served(source: Path | Diagram = PAPER) -> Iterator[LiveServer]:
+    server = LiveServer(source).start()
     try:
         yield server
     finally:
@@ -137,7 +140,7 @@ def _p95(times: list[float]) -> float:
     return float(np.percentile(times, 95))
 
 
-def _frames(page: Browser, server: LiveServer) -> None:
+def _frames(page: Browser) -> None:
     """Frames at rest, while the drawing is dragged, and while four scopes show a run at 10 times real time."""
     page.begin_frames()
     time.sleep(2.0)
@@ -150,18 +153,49 @@ def _frames(page: Browser, server: LiveServer) -> None:
         page.drag(x, y, x - 200, y - (-1) ** turn * 100, steps=60)
         x, y = (x - 200, y) if turn % 2 == 0 else (x + 200, y)
     _tell("frames while the drawing is dragged, p95", _p95(page.end_frames()), "ms", 20, beside=f"at rest {rest:.1f}")
-    for signal in SIGNALS:
-        page.evaluate(f"document.dispatchEvent(new CustomEvent('blocks-scope', {{detail: ['{signal}']}}))")
-    server.session.begin().go(10.0)
-    page.until("document.querySelectorAll('#scopes canvas').length")
+    _open_scopes(page, SIGNALS)
+    page.evaluate("[...document.querySelectorAll('#runbar select')].at(-1).value = '10'")
+    _press(page, "Run")
+    page.until("document.getElementById('runbar').dataset.state === 'running'")
     page.begin_frames()
     time.sleep(5.0)
-    _tell("frames with scopes at 10x, p95", _p95(page.end_frames()), "ms", 20, beside=f"at rest {rest:.1f}")
+    _tell("frames, four scopes at 10x, p95", _p95(page.end_frames()), "ms", 20, beside=f"at rest {rest:.1f}")
+    _press(page, "Stop")
 
 
-def _into_scopes(page: Browser, server: LiveServer) -> None:
-    """Values that the page draws each second: whole frames, one after the other."""
-    raise NotImplementedError
+def _into_scopes() -> None:
+    """Recorded values that scopes take each second: from Run until four of them show the last row."""
+    made = waves(WAVES, ROWS)
+    made.run()  # compiled
+    with _served(made) as server, Browser() as page:
+        page.open(server.url)
+        page.until("document.querySelector('#stage svg [data-path]')")
+        _open_scopes(page, [f"s{k}.y" for k in range(4)])
+        for k in range(4, WAVES - 1):
+            page.evaluate(
+                f"(one => {{ one.value = 's{k}.y'; one.onchange(); }})"
+                f"([...document.querySelectorAll('#scopes [aria-label=\"Add a signal to this scope\"]')][{k % 4}])"
+            )
+        begun = time.perf_counter()
+        _press(page, "Run")
+        page.until(f"[...document.querySelectorAll('.scope-legend caption')].every(one => /to {ROWS // 1000} s/"
+                   ".test(one.textContent)) && document.getElementById('runbar').dataset.state === 'done'")  # fmt: skip
+        wall = time.perf_counter() - begun
+    begun = time.perf_counter()
+    made.run()
+    alone = time.perf_counter() - begun
+    rate = ROWS * (WAVES - 1) / wall / 1e6
+    _tell("values into scopes", rate, "million/s", 4, at_least=True, beside=f"{wall:.2f} s, run() alone {alone:.2f} s")
+
+
+def _open_scopes(page: Browser, signals: Sequence[str]) -> None:
+    for signal in signals:
+        page.evaluate(f"document.querySelector('#lists [data-signal=\"{signal}\"]').click()")
+    page.until(f"document.querySelectorAll('#scopes canvas').length >= {len(signals)}")
+
+
+def _press(page: Browser, name: str) -> None:
+    page.evaluate(f"[...document.querySelectorAll('#runbar button')].find(one => one.textContent === '{name}').click()")
 
 
 if __name__ == "__main__":
