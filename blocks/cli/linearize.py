@@ -91,8 +91,6 @@ def _linearize(options: argparse.Namespace) -> int:
         raise UsageError(Fault("E501", "--figure", "there is no file to draw it to.", "Give one: --plot FILE.svg"))
     if options.pade < 0:
         raise UsageError(Fault("E501", f"--pade {options.pade}", "is no order of a model.", "Use 1 to 10."))
-    from ..analysis.text import check_loop, entry, figure, lines
-
     is_loop = options.loop is not None
     if is_loop == bool(options.sources or options.sinks) or (not is_loop and not (options.sources and options.sinks)):
         cure = "As in --from r --to motor.omega, or --loop control.u."
@@ -102,9 +100,12 @@ def _linearize(options: argparse.Namespace) -> int:
     linearizer = diagram.linearizer(overrides={name: raw_number(v) for name, v in given.items()}, **point)
     if is_loop:
         model = linearizer.loop_transfer(options.loop, openings=options.openings, pade=options.pade)
-        check_loop(model, options.loop)
     else:
         model = linearizer.transfer(options.sources, options.sinks, openings=options.openings, pade=options.pade)
+    from ..analysis.text import check_loop, entry, figure, lines
+
+    if is_loop:
+        check_loop(model, options.loop)
     if options.json:
         emit(entry(model, is_loop=is_loop))
     else:
