@@ -130,7 +130,7 @@ class LiveRun:
         """All that was recorded up to now."""
         if self._final is None:
             try:
-                return self._ask(lambda simulation: self._joined(self._present.results))
+                return self._ask(lambda simulation: self._joined(self._present.results, is_final=False))
             except UsageError:
                 if self._final is None:
                     raise
@@ -320,11 +320,11 @@ class LiveRun:
         now = perf_counter()
         self._next = now + max(PERIOD, SHARE * (now - begun))
 
-    def _joined(self, results: Results) -> Results:
+    def _joined(self, results: Results, *, is_final: bool = True) -> Results:
         """Results with all rows; of a run that goes on, a copy of these."""
         self._rows.show(results)
         t, values = self._rows.view
-        return results.changed(t=t.copy(), values=values.copy())
+        return results.changed(t=t if is_final else t.copy(), values=values if is_final else values.copy())
 
     # --- what went wrong ---------------------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from blocks import Block, Diagram, Parameter, Results, State
 from blocks.compile.tableaus import METHODS, Tableau
 from blocks.engines.reference.methods import error_norm, trial
+from tests.support.places import DIAGRAMS
 
 Array = np.ndarray[Any, Any]
 
@@ -391,3 +392,37 @@ def test_a_fixed_step_that_does_not_divide_the_span_ends_with_a_shorter_one() ->
     assert run(Oscillator(), stop=1.0, method="rk4", step=0.3).t.tolist() == [0.0, 0.3, 0.6, 0.9, 1.0]
     assert run(Oscillator(), stop=0.1, method="rk4", step=0.3).t.tolist() == [0.0, 0.1]
     assert run(Oscillator(), start=1.0, stop=1.0, method="rk4", step=0.3).t.tolist() == [1.0]
+
+
+@pytest.mark.parametrize("engine", ["native", "reference"])
+def test_a_rejected_step_counts_for_the_block_with_the_largest_error(engine: str) -> None:
+    """An oscillator rests, and a pendulum is driven."""
+    d = Diagram("two")
+    d.add("rests", Oscillator(x_start=0.0))
+    d.add("moves", Pendulum())
+    run = d.start(stop=30.0, engine=engine)
+    run.finish()
+    rejected = run.results.statistics.rejected
+    assert rejected > 0
+    assert run.rejected_by_block == {"moves": rejected}
+    motor = Diagram.load(DIAGRAMS / "motor_pid.json").start(engine=engine)
+    motor.finish()
+    assert motor.rejected_by_block == {"control": 20, "motor": 1}  # of both engines
+    stiff = d.start(stop=1.0, engine=engine, method="radau")
+    stiff.finish()
+    assert stiff.rejected_by_block == {}
+
+
+@pytest.mark.parametrize("engine", ["native", "reference"])
+def test_advance_past_cuts_no_step(engine: str) -> None:
+    """Without a grid a run has rows where its steps end."""
+    d = Diagram("one")
+    d.add("p", Pendulum())
+    plain = d.run(stop=10.0, engine=engine)
+    run = d.start(stop=10.0, engine=engine)
+    for t in (0.1, 2.0, 2.0, 7.3):
+        run.advance_past(t)
+        assert run.t == plain.t[np.searchsorted(plain.t, t)]
+    run.advance_past(20.0)
+    assert run.t == 10.0
+    assert run.results.values.tobytes() == plain.values.tobytes()
