@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -44,11 +45,18 @@ def test_the_drawing_is_the_one_of_blocks_draw(chromium: Any) -> None:
             " one.querySelectorAll('.wire-value').forEach(text => text.remove());"  # at the cursor of the scopes
             " const svg = new XMLSerializer().serializeToString(one); return svg; })()"
         )
-        wanted = page.evaluate(
-            "new XMLSerializer().serializeToString(new DOMParser().parseFromString("
-            f"{json.dumps(Diagram.load(PAPER).draw())}, 'image/svg+xml').documentElement)"
+        # The style sheet is taken out of it, as the policy of the page wants, and adopted by the page.
+        before, style, after = re.split(r"<style>(.*?)</style>", Diagram.load(PAPER).draw())
+        wanted, asked, adopted = page.evaluate(
+            "(() => { const sheet = new CSSStyleSheet();"
+            " const rules = of => [...of.cssRules].map(rule => rule.cssText).join('');"
+            f" sheet.replaceSync({json.dumps(style)}); const one = new DOMParser().parseFromString("
+            f"{json.dumps(before + after)}, 'image/svg+xml').documentElement;"
+            " return [new XMLSerializer().serializeToString(one),"
+            " rules(sheet), rules(document.adoptedStyleSheets[0])]; })()"
         )
         assert made == wanted
+        assert adopted == asked != ""
         page.assert_clean()
 
 
