@@ -1,29 +1,33 @@
-"""Looking deeper: loops, linear models, limit cycles and bands of the diagram that is open, with its turned values.
+"""Looking deeper: loops, responses, modes, limit cycles and bands of the diagram that is open, with its turned values.
 
-All is linearized at a point: without a time as the diagram stands at its start; at a time `t` in s as the live run
-stood there, which is run again up to it, with all that was set until then. Frequencies are in rad/s.
+All answers have one form: a title, figures (a name and an SVG each), the curve that can be read out, a table, notes,
+lines of more, faults, and the laws of which an amplitude can be given. It is linearized `at` the "start", where it
+comes to "rest", or at a time in s as the live run stood there, which is run again up to it, with all that was set until
+then. amplitude: by the signal of a law, that of the sine for which its describing function stands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ..analysis.operating import find_operating_point, limit_cycles
+from ..analysis.operating import find_operating_point
 from ..analysis.text import check_loop, lines
 from ..api.run import Run, started
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
-from ..frequency import figure_curves as curves
+from ..frequency import figures
 from ..frequency.delayed import DelayedModel
+from ..frequency.figure_curves import curve_of, decibel_of, phase_of, single_channels, span_of
 from ..frequency.lapack import eigenvectors
-from ..frequency.margins import Margins, margins
+from ..frequency.margins import margins
 from ..frequency.response import poles
 from ..linear.harmonic_balance import Linearizer
+from ..linear.limit_cycles import limit_cycles
 from ..linear.nonlinearities import nonlinear
 from ..linear.operating_point import OperatingPoint, standing
 from ..linear.signals import place
@@ -31,15 +35,16 @@ from ..linear.transfer import LoopOfRates, Transfer
 from ..studies.sampling import Uniform
 from ..studies.statistics import quantiles
 from ..studies.sweep import QUANTILES, Sweep
-from ..text.errors import AnalysisError, BlocksError, Fault, UsageError, did_you_mean
+from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
 from .document import inside, told_fault
+from .facts import text_of
 from .live_run import LiveRun
 from .messages import Answer, handles, handles_aside
 from .session import Session
 
-__all__ = ["band", "color", "describe", "linear", "response"]
+__all__ = ["band", "color", "cycles", "modes", "response"]
 
-Array = np.ndarray[Any, Any]
+Amplitude = dict[str, float] | None
 MOST_ROWS = 500
 """Runs of a band that is asked for in a page."""
 MOST_POINTS = 1000
@@ -54,29 +59,34 @@ _SHARE = 0.1
 # --- where it is linearized ------------------------------------------------------------------------------------------
 
 
-def _at(session: Session, t: float | None) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Where, as `Diagram.linearizer` takes it, and as the page is told."""
-    live = session.live
-    if t is None or live is None or isinstance(live.prepared.plan, Coupling):  # of which there is no linear model
-        told: dict[str, Any] = {"t": t, "run": False, "turned": []}
-        given = {"at": t, "held": session.inputs, "parameters": session.values, "trust": session.trust}
-        return given, told
-    turned = [each for each in list(live.turned) if each.t <= t]
-    told = {"t": t, "run": True, "turned": [[each.name, each.value, each.t] for each in turned]}
-    key = (t, len(turned))
-    known, point = _POINTS.get(live, (None, None))
-    if known != key:  # a slider asks for one point again and again
-        point = standing(session.document.shown.point(at=_again(live, t, turned), trust=session.trust))
-        _POINTS[live] = (key, point)
-    return {"at": point, "trust": session.trust}, told
+def _linearizer(session: Session, at: str | float, amplitude: Amplitude) -> tuple[Linearizer, str]:
+    """The slopes where they are asked for, with describing functions; and where that is, in words."""
+    shown, live, words = session.document.shown, session.live, ""
+    given: dict[str, Any] = {"held": session.inputs, "parameters": session.values}
+    if at == "rest":
+        own = {"parameters": session.values, "trust": session.trust}
+        given, words = {"at": find_operating_point(shown, inputs=session.inputs, **own)}, ", where the diagram rests"
+    elif isinstance(at, str) and at != "start":
+        raise UsageError(Fault("E501", "at", f"{at!r} is no place.", 'It is "start", "rest", or a time in s.'))
+    elif isinstance(at, str) or live is None or isinstance(live.prepared.plan, Coupling):  # which has no linear model
+        given["at"] = None if at == "start" else at
+    else:
+        turned = [each for each in list(live.turned) if each.t <= at]
+        known, point = _POINTS.get(live, (None, None))
+        if known != (at, len(turned)):  # a slider asks for one point again and again
+            point = standing(shown.point(at=_again(live, at, turned), trust=session.trust))
+            _POINTS[live] = ((at, len(turned)), point)
+        sets = ", ".join(f"{each.name} = {text_of(each.value)}" for each in turned)
+        given, words = {"at": point}, " of the run" + (f", with {sets} set in it" if sets else "")
+    linearizer = shown.linearizer(**given, trust=session.trust, amplitude=amplitude)
+    return linearizer, f"Linearized at t = {linearizer.slopes.point.t:.6g} s{words}."
 
 
 def _again(live: LiveRun, t: float, turned: list[Any]) -> Run:
     """Another run, which went as the live one did up to a time, and stands there."""
-    prepared, options = live.prepared, live.options
+    prepared, options = live.prepared, replace(live.options, progress=None, out=None)
     if isinstance(prepared.plan, Plan) and prepared.plan.foreign:
         options = replace(options, engine="reference")
-    options = replace(options, progress=None, out=None)
     settings = {**prepared.settings, "log": []}
     run = started(prepared.value, prepared.resolver, dict(prepared.parameters), settings, options, likes=[prepared])
     for each in turned:
@@ -86,76 +96,35 @@ def _again(live: LiveRun, t: float, turned: list[Any]) -> Run:
     return run
 
 
-def _linearizer(session: Session, t: float | None, amplitude: Mapping[str, float] | None) -> tuple[Linearizer, Any]:
-    """The slopes at a point, and with describing functions where amplitudes are given."""
-    given, told = _at(session, t)
-    linearizer = session.document.shown.linearizer(**given, amplitude=amplitude)
-    return linearizer, {**told, "t": linearizer.slopes.point.t, "amplitude": dict(amplitude or {})}
-
-
-# --- loops and responses ---------------------------------------------------------------------------------------------
-
-
-@handles_aside
-def response(
-    session: Session,
-    *,
-    signal: str = "",
-    input: str = "",
-    output: str = "",
-    t: float | None = None,
-    amplitude: dict[str, float] | None = None,
+def _answer(
+    linearizer: Linearizer, where: str, made: Callable[[], dict[str, Any]], laws: list[dict[str, Any]]
 ) -> Answer:
-    """The loop opened at a signal, with its margins; or the response from a signal to another.
-
-    amplitude: by the signal of a law, that of the sine for which its describing function stands. Where a law has no
-    slope, `faults` says so in the place of curves, and `laws` which amplitudes can be given.
-    """
-    if bool(signal) == bool(input and output) or bool(input) != bool(output):
-        cure = "Pick a wire, or an input and an output."
-        raise UsageError(Fault("E501", "response", "needs a signal, or an input and an output.", cure))
-    linearizer, at = _linearizer(session, t, amplitude)
-    ends = (signal, signal, [signal]) if signal else (input, output, [])
-    told: dict[str, Any] = {"is": "response", "signal": signal, "input": input, "output": output, "at": at}
-    told["laws"] = list(_laws(linearizer, *ends))
+    """What is made at a point. Where that is refused, `faults` says so, and `laws` which amplitudes can be given."""
+    told: dict[str, Any] = {"is": "analysis", "title": where, "laws": laws, "faults": []}
     try:
-        return {**told, **_response(linearizer, signal, input, output), "faults": []}
+        return told | made()
     except AnalysisError as error:
-        return {**told, "curve": None, "margins": None, "lines": [], "faults": _faults(error, told["laws"])}
+        rough = {name for law in laws for name in law["laws"]}
+        cure = "Give the amplitude at which it works, by its slider."
+        faults = [replace(f, cure=cure) if f.code == "E701" and f.place in rough else f for f in error.faults]
+        return told | {"faults": [told_fault(fault, set()) for fault in faults]}
 
 
-def _faults(error: BlocksError, laws: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The faults as the page gets them: it has sliders where the library names its own arguments."""
-    cured = [
-        replace(fault, cure="Give the amplitude at which it works, by its slider.")
-        if fault.code == "E701" and any(fault.place in law["laws"] for law in laws)
-        else fault
-        for fault in error.faults
-    ]
-    return [told_fault(fault, set()) for fault in cured]
+def _laws(linearizer: Linearizer, *ends: list[str]) -> list[dict[str, Any]]:
+    """The laws that bend and read one signal, by it, on the way from inputs to outputs, with openings.
 
-
-def _response(linearizer: Linearizer, signal: str, input: str, output: str) -> dict[str, Any]:
-    def made(pade: int) -> Transfer:
-        if not signal:
-            return linearizer.transfer(input, output, pade=pade)
-        loop = linearizer.loop_transfer(signal, pade=pade)
-        check_loop(loop, signal)
-        return loop
-
-    model, notes = _or_pade(made)
-    exact: Transfer | DelayedModel = model
-    unstable, integrators = None, 0
-    if notes and not model.dt:  # its response is known exactly, and its poles on the right are those of the model
-        exact = linearizer.delayed_loop(signal) if signal else linearizer.delayed(input, output)
-        found = poles(model)
-        small = 1e-9 * np.max(np.abs(found), initial=0.0)
-        unstable, integrators = int(np.sum(found.real > small)), int(np.sum(np.abs(found) <= small))
-    known = margins(exact, unstable_poles=unstable, integrators=integrators) if signal else None
-    told: dict[str, Any] = {"margins": None if known is None else _margins(known)}
-    told["lines"] = [*notes, *lines(model, is_loop=bool(signal))]
-    curve = None if isinstance(model, LoopOfRates) else _curve(exact, linearizer.graph.plan.name)
-    return {**told, "curve": curve}
+    rough: it has no slope where it stands.
+    """
+    graph, slopes = linearizer.graph, linearizer.slopes
+    without, found = {law.slot for law in slopes.laws}, dict[str, dict[str, Any]]()
+    nodes = linearizer.nonlinear_nodes(*([place(graph, name) for name in names] for names in ends))
+    for node, slot in ((node, slot) for node, slots in nodes.items() for slot in slots):
+        if nonlinear(graph, node).get(slot) == frozenset({slot}):
+            name, value = graph.slot_name(slot), _finite(slopes.everything_of(slot))
+            law = found.setdefault(name, {"signal": name, "value": value, "laws": [], "rough": False})
+            law["laws"].append(graph.node_name(node))
+            law["rough"] = law["rough"] or slot in without
+    return sorted(found.values(), key=lambda law: not law["rough"])
 
 
 def _or_pade(make: Callable[[int], Transfer]) -> tuple[Transfer, list[str]]:
@@ -168,88 +137,76 @@ def _or_pade(make: Callable[[int], Transfer]) -> tuple[Transfer, list[str]]:
     return make(_PADE), [f"Poles and zeros: with Padé models of order {_PADE} for exact delays."]
 
 
-def _margins(known: Margins) -> dict[str, Any]:
-    """Margins as numbers, with their frequencies, and as rows of a table; none where there is no such margin."""
-    frequencies = {"gain": known.gain_frequency, "gain_low": known.gain_low_frequency, "delay": known.delay_frequency}
-    return {
-        **known.as_json(),
-        **{f"{name}_frequency": _finite(value) for name, value in frequencies.items()},
-        "table": [list(row) for part in known.parts() for row in part.rows],
-    }
-
-
-def _curve(model: Transfer | DelayedModel, name: str) -> dict[str, Any]:
-    """Bode and Nyquist curves, as `blocks linearize --plot` draws them."""
-    shown = curves.single_channels({name: model}, name)[0]
-    omega, values = curves.curve_of(shown, curves.span_of([shown], None))
-    _, plane = curves.full_curve_of(shown)
-    return {
-        "omega": omega.tolist(), "decibel": curves.decibel_of(values).tolist(),
-        "degrees": curves.phase_of(omega, values).tolist(), "real": plane.real.tolist(), "imag": plane.imag.tolist(),
-    }  # fmt: skip
-
-
-def _laws(linearizer: Linearizer, input: str, output: str, openings: list[str]) -> Iterator[dict[str, Any]]:
-    """The laws on the way that bend, of which an amplitude can be given, by the signal that they read."""
-    graph = linearizer.graph
-    ins, outs = ([place(graph, name)] for name in (input, output))
-    nodes = linearizer.nonlinear_nodes(ins, outs, [place(graph, name) for name in openings])
-    yield from _told_laws(linearizer, [(node, slot) for node, slots in nodes.items() for slot in slots])
-
-
-def _told_laws(linearizer: Linearizer, laws: Iterable[tuple[int, int]]) -> Iterator[dict[str, Any]]:
-    """Of nodes and the slots that they read, those of one signal; rough: it has no slope where it stands."""
-    graph, slopes = linearizer.graph, linearizer.slopes
-    without = {law.slot for law in slopes.laws}
-    found: dict[str, dict[str, Any]] = {}
-    for node, slot in laws:
-        if nonlinear(graph, node).get(slot) == frozenset({slot}):
-            name, value = graph.slot_name(slot), _finite(slopes.everything_of(slot))
-            law = found.setdefault(name, {"signal": name, "value": value, "laws": [], "rough": False})
-            law["laws"].append(graph.node_name(node))
-            law["rough"] = law["rough"] or slot in without
-    yield from found.values()
-
-
 def _finite(value: float | None) -> float | None:
     return float(value) if value is not None and np.isfinite(value) else None
+
+
+# --- loops and responses ---------------------------------------------------------------------------------------------
+
+
+@handles_aside
+def response(
+    session: Session, *, input: str, output: str = "", at: str | float = "start", amplitude: Amplitude = None
+) -> Answer:
+    """The response from a signal to another; without this one the loop opened at the first, with its margins."""
+    linearizer, where = _linearizer(session, at, amplitude)
+    title = f"{input} to {output}. " if output else f"Loop opened at {input}. "
+    laws = _laws(linearizer, [input], [output or input], [] if output else [input])
+    return _answer(linearizer, title + where, lambda: _over_frequency(linearizer, input, output), laws)
+
+
+def _over_frequency(linearizer: Linearizer, input: str, output: str) -> dict[str, Any]:
+    def made(pade: int) -> Transfer:
+        if output:
+            return linearizer.transfer(input, output, pade=pade)
+        return linearizer.loop_transfer(input, pade=pade)
+
+    model, notes = _or_pade(made)
+    exact: Transfer | DelayedModel = model
+    unstable, integrators = None, 0
+    if not output:
+        check_loop(model, input)
+    if notes and not model.dt:  # its response is known exactly, and its poles on the right are those of the model
+        exact = linearizer.delayed(input, output) if output else linearizer.delayed_loop(input)
+        found = poles(model)
+        small = 1e-9 * np.max(np.abs(found), initial=0.0)
+        unstable, integrators = int(np.sum(found.real > small)), int(np.sum(np.abs(found) <= small))
+    told: dict[str, Any] = {"more": [*notes, *lines(model, is_loop=not output)]}
+    if not output:
+        known = margins(exact, unstable_poles=unstable, integrators=integrators)
+        told |= {"margins": known.as_json(), "rows": [list(row) for part in known.parts() for row in part.rows]}
+    if isinstance(model, LoopOfRates):  # one frequency comes back as several
+        return told
+    shown = single_channels(exact, "response")[0]
+    omega, values = curve_of(shown, span_of([shown], None))
+    told["curve"] = [x.tolist() for x in (omega, decibel_of(values), phase_of(omega, values))]
+    drawn = [figure(exact, margins=not output) for figure in (figures.bode, figures.nyquist)]
+    return told | {"figures": [figure.forms["image/svg+xml"](figure) for figure in drawn]}
 
 
 # --- the linear model ------------------------------------------------------------------------------------------------
 
 
 @handles_aside
-def linear(session: Session, *, t: float | None = None, amplitude: dict[str, float] | None = None) -> Answer:
-    """The linear model of the whole diagram: its modes, the names of its states, and how large A, B, C and D are.
+def modes(session: Session, *, at: str | float = "start", amplitude: Amplitude = None) -> Answer:
+    """The modes of the linear model of the whole diagram, with the states that take part in each."""
+    linearizer, where = _linearizer(session, at, amplitude)
 
-    B and D are those of the inputs of the diagram, C and D those of the signals that its runs record. amplitude, laws,
-    faults: as of `response`.
-    """
-    linearizer, at = _linearizer(session, t, amplitude)
-    plan = linearizer.graph.plan
-    rough = {law.node: law.slot for law in linearizer.slopes.laws}
-    told: dict[str, Any] = {"is": "linear", "at": at, "laws": list(_told_laws(linearizer, rough.items()))}
-    try:
+    def made() -> dict[str, Any]:
         model, notes = _or_pade(lambda pade: linearizer.whole(pade=pade))
-    except AnalysisError as error:
-        faults = _faults(error, told["laws"])
-        return {**told, "states": [], "modes": [], "sizes": {}, "notes": [], "period": None, "faults": faults}
-    n, wide = model.nstates, sum(int(np.prod(entry.shape, dtype=int)) for entry in plan.inputs)
-    planned = session.document.planned or plan
-    high = sum(len(planned.signal(name).references) for name in planned.log)
-    notes += [f"{b.path} ({b.type}): {b.method}" for b in model.report if b.contributes and b.method != "exact"]
-    sizes = {"A": [n, n], "B": [n, wide], "C": [high, n], "D": [high, wide]}
-    return {
-        **told, "states": list(model.states), "modes": list(_modes(model)), "sizes": sizes, "notes": notes,
-        "period": model.dt or None, "faults": [],
-    }  # fmt: skip
+        plane = f"z, sampled every {model.dt:g} s" if model.dt else "1/s"
+        head = [f"eigenvalue [{plane}]", "decays", "damping", "frequency [rad/s]", "time constant [s]", "states in it"]
+        notes += [f"{b.path} ({b.type}): {b.method}" for b in model.report if b.contributes and b.method != "exact"]
+        return {"head": head, "rows": list(_modes(model)), "notes": [f"{model.nstates} states.", *notes]}
+
+    return _answer(linearizer, where, made, _laws(linearizer, [], []))
 
 
-def _modes(model: Transfer) -> Iterator[dict[str, Any]]:
-    """Eigenvalues, fastest growth first, with damping, frequency and the states that take part.
+def _modes(model: Transfer) -> Iterator[list[Any]]:
+    """A row for each eigenvalue or pair of them, fastest growth first.
 
-    Of a sampled model with the pole z also s = ln z / T, of which damping and frequency are. A pair is one mode. The
-    part of a state in a mode is |w_k v_k|, of the left and the right eigenvector, whatever the units of states.
+    Of a sampled model with the pole z damping and frequency are those of s = ln z / T. The part of a state in a mode is
+    |w_k v_k|, of the left and the right eigenvector, whatever the units of states.
     """
     if not model.nstates:
         return
@@ -258,38 +215,36 @@ def _modes(model: Transfer) -> Iterator[dict[str, Any]]:
         s = np.log(values) / model.dt if model.dt else values
         parts = np.abs(left * right)
     for k in sorted(range(len(values)), key=lambda k: (-s[k].real, abs(s[k]))):
-        if values[k].imag < 0:
+        pole, size, most = values[k], abs(s[k]), float(parts[:, k].max())
+        if pole.imag < 0:
             continue
-        size, most = abs(s[k]), float(parts[:, k].max())
         named = [i for i in np.argsort(-parts[:, k], kind="stable").tolist() if parts[i, k] > _SHARE * most]
-        yield {
-            "pole": [float(values[k].real), float(values[k].imag)],
-            "s": [_finite(s[k].real), _finite(s[k].imag)],
-            "frequency": _finite(size),
-            "damping": _finite(-s[k].real / size) if 0 < size < np.inf else None,
-            "time_constant": _finite(-1.0 / s[k].real) if s[k].real < 0 else None,
-            "stable": bool(s[k].real < 0),
-            "states": [model.states[i] for i in named[:4]] if most > 0 else [],
-        }
+        damping = _finite(-s[k].real / size) if 0 < size < np.inf else None
+        constant = _finite(-1.0 / s[k].real) if s[k].real < 0 else None
+        states = ", ".join(model.states[i] for i in named[:4]) if most > 0 else ""
+        text = f"{pole.real:.6g} ± {pole.imag:.6g}j" if pole.imag else f"{pole.real:.6g}"
+        yield [text, "yes" if s[k].real < 0 else "no", damping, _finite(size), constant, states]
 
 
 @handles_aside
-def describe(session: Session, *, t: float | None = None, rest: bool = False) -> Answer:
-    """The limit cycles around the point, by harmonic balance; rest: around where the diagram rests."""
-    given, told = _at(session, t)
-    shown = session.document.shown
-    if rest:
-        values: dict[str, Any] = {"parameters": session.values, "trust": session.trust}
-        given = {"at": find_operating_point(shown, inputs=session.inputs, **values)}
-        told = {"t": given["at"].t, "run": False, "turned": []}
+def cycles(session: Session, *, at: str | float = "rest") -> Answer:
+    """The limit cycles around the point, by harmonic balance."""
     try:
-        cycles = limit_cycles(shown, **given)
-    except AnalysisError as error:
-        cure = {} if rest else {"E705": 'Look "where it rests".'}  # the library's names its own arguments
-        raise AnalysisError(*(replace(f, cure=f.cure and cure.get(f.code, f.cure)) for f in error.faults)) from None
-    rows = [{**asdict(cycle), "period": cycle.period, "stable": bool(cycle.stable)} for cycle in cycles]
-    unknown = [{"law": name, "low": low, "high": high} for name, low, high in cycles.unknown]
-    return {"is": "describe", "at": {**told, "rest": rest}, "cycles": rows, "unknown": unknown}
+        linearizer, where = _linearizer(session, at, None)
+        found = limit_cycles(linearizer)
+    except AnalysisError as error:  # whose cures name arguments of the library
+        cures = {"E702": 'Look "at the start".'} if at == "rest" else {"E705": 'Look "where it rests".'}
+        raise AnalysisError(*(replace(f, cure=cures.get(f.code, f.cure)) for f in error.faults)) from None
+    rows: list[list[Any]] = []
+    for c in found:
+        amplitudes = ", ".join(f"{name} {a:.4g}" for name, a in c.amplitudes.items())
+        rows.append([c.omega, c.period, "yes" if c.stable else "no", amplitudes, c.kind])
+    notes = [f"{name}: not judged at amplitudes of {low:.4g} to {high:.4g}." for name, low, high in found.unknown]
+    head = ["frequency [rad/s]", "period [s]", "stable", "amplitudes", "found by"]
+    return {
+        "is": "analysis", "title": f"{len(rows) or 'No'} limit cycles. {where}", "laws": [], "faults": [],
+        "head": head if rows else [], "rows": rows, "notes": notes,
+    }  # fmt: skip
 
 
 # --- colors of the drawing -------------------------------------------------------------------------------------------
@@ -297,36 +252,33 @@ def describe(session: Session, *, t: float | None = None, rest: bool = False) ->
 
 @handles
 def color(session: Session, *, by: str) -> Answer:
-    """What each block is colored by: "rate", how often it is computed; "rejected", how many steps failed for it."""
-    paths = [block["path"] for block in session.document.told()["blocks"]]
+    """What each block is colored by: "rate", how often it is computed; "rejected", how many steps failed for it.
+
+    A subdiagram has the rates of its blocks, and the sum of their steps.
+    """
+    blocks = session.document.told()["blocks"]
+    known: dict[str, Any]
     if by == "rate":
         planned = session.document.planned
         if planned is None:
             raise UsageError(Fault("E501", "rate", "the diagram has faults.", "Mend them first."))
-        known = {path: label for path, label in planned.rate_labels.items() if path in set(paths)}
-        labels = {path: _label(path, paths, known) for path in paths}
-        order = sorted(set(labels.values()), key=lambda label: (label not in ("continuous",), label))
-        return {"is": "color", "by": by, "blocks": labels, "legend": order}
-    if by == "rejected":
+        leaves = [block["path"] for block in blocks if block["kind"] != "diagram"]
+        known = {path: planned.rate_labels.get(path, "continuous") for path in leaves}
+    elif by == "rejected":
         live = session.running
-        counts = live.rejected_by_block()
-        if live.rejected and not counts:
+        known = live.rejected_by_block()
+        if live.rejected and not known:
             message = "this method does not tell for which block a step was rejected; explicit ones do."
             raise UsageError(Fault("E501", live.prepared.plan.settings.method, message, 'As "dopri5".'))
-        sums = {path: sum(count for inner, count in counts.items() if _is_in(inner, path)) for path in paths}
-        return {"is": "color", "by": by, "blocks": sums, "legend": []}
-    cure = did_you_mean(by, ["rate", "rejected"])
-    raise UsageError(Fault("E501", "color.by", f"{by!r} is no way to color.", cure))
-
-
-def _is_in(inner: str, path: str) -> bool:
-    return inner == path or inner.startswith(f"{path}.")
-
-
-def _label(path: str, paths: list[str], known: Mapping[str, str]) -> str:
-    """The rate of a block; of a subdiagram the rates of its blocks together."""
-    leaves = [p for p in paths if _is_in(p, path) and not any(q.startswith(f"{p}.") for q in paths)]
-    return " and ".join(sorted({known.get(leaf, "continuous") for leaf in leaves}))
+    else:
+        cure = did_you_mean(by, ["rate", "rejected"])
+        raise UsageError(Fault("E501", "color.by", f"{by!r} is no way to color.", cure))
+    found: dict[str, Any] = {}
+    for path in (block["path"] for block in blocks):
+        own = [value for inner, value in known.items() if f"{inner}.".startswith(f"{path}.")]
+        found[path] = " and ".join(sorted(set(own))) if by == "rate" else sum(own)
+    legend = sorted(set(found.values()), key=lambda label: (label != "continuous", label)) if by == "rate" else []
+    return {"is": "color", "blocks": found, "legend": legend}
 
 
 # --- bands of a sweep ------------------------------------------------------------------------------------------------
@@ -336,64 +288,55 @@ def _label(path: str, paths: list[str], known: Mapping[str, str]) -> str:
 def band(
     session: Session,
     *,
-    signals: list[str],
-    vary: dict[str, list[float]] | None = None,
+    signal: str,
+    parameter: str = "",
+    low: float = 0.0,
+    high: float = 0.0,
     n: int = 50,
-    seed: int = 0,
     file: str = "",
 ) -> Answer:
-    """Quantiles (5, 50 and 95 %) of signals over time: of a sweep of parameters between two values, or of a saved one.
+    """Quantiles (5, 50 and 95 %) of a signal over time: of runs with a parameter between two values, or a saved sweep.
 
-    A sweep ends without a result where another message waits to be computed.
+    It ends without a result where another message waits to be computed. Raises UsageError (E501, E502).
     """
-    if bool(file) == bool(vary):
-        raise UsageError(Fault("E501", "band", "needs parameters to vary, or the file of a sweep."))
-    sweep = _saved(session, file) if file else _swept(session, signals, vary or {}, n, seed)
-    told, thin = dict[str, Any](), -(-len(sweep.t) // MOST_POINTS)
-    for name in signals:
-        if name not in sweep.signals:
-            cure = did_you_mean(name, sweep.signals) or f"It has {', '.join(sweep.signals) or 'none'}."
-            raise UsageError(Fault("E502", name, "is no signal of this sweep.", cure))
-        values = sweep.signals[name].reshape(len(sweep), len(sweep.t), -1)[:, ::thin]
-        levels = quantiles(values, np.array(QUANTILES))
-        told[name] = [[_numbers(row) for row in level.T] for level in levels]  # by quantile, then element
+    if bool(file) == bool(parameter):
+        raise UsageError(Fault("E501", "band", "needs a parameter to vary, or the file of a sweep."))
+    folder = session.document.folder
+    sweep = Sweep.load(inside(folder, file)) if file else _swept(session, signal, parameter, (low, high), n)
+    if signal not in sweep.signals:
+        cure = did_you_mean(signal, sweep.signals) or f"It has {', '.join(sweep.signals) or 'none'}."
+        raise UsageError(Fault("E502", signal, "is no signal of this sweep.", cure))
+    t = sweep.t[:: -(-len(sweep.t) // MOST_POINTS)].tolist()
+    values = sweep.signals[signal].reshape(len(sweep), len(sweep.t), -1)[:, :: -(-len(sweep.t) // MOST_POINTS)]
+    levels = [[[*map(_finite, row)] for row in level.T] for level in quantiles(values, np.array(QUANTILES))]
     good = int(np.count_nonzero(sweep.status == "ok"))
-    failed = sorted({text for text in sweep.messages if text})[:3]
+    picked = range(0, len(t), max(1, len(t) // 10))
     return {
-        "is": "band", "t": sweep.t[::thin].tolist(), "signals": told, "quantiles": list(QUANTILES), "rows": len(sweep),
-        "good": good, "messages": failed, "varied": list(sweep.varied),
+        "is": "analysis", "title": f"Band of {signal} over {good} of {len(sweep)} runs.", "faults": [], "laws": [],
+        "notes": sorted({text for text in sweep.messages if text})[:3],
+        "head": ["t [s]", *(f"{100 * q:g} %" for q in QUANTILES)],
+        "rows": [[t[k], *(level[0][k] for level in levels)] for k in picked],
+        "band": {"t": t, "signals": {signal: levels}},  # by quantile, then element
     }  # fmt: skip
 
 
-def _numbers(values: Array) -> list[float | None]:
-    return [_finite(value) for value in values.tolist()]
-
-
-def _saved(session: Session, file: str) -> Sweep:
-    """The sweep of a file in the folder of the project. Raises UsageError (E501)."""
-    return Sweep.load(inside(session.document.folder, file))
-
-
-def _swept(session: Session, signals: list[str], vary: Mapping[str, list[float]], n: int, seed: int) -> Sweep:
+def _swept(session: Session, signal: str, parameter: str, limits: tuple[float, float], n: int) -> Sweep:
     if not 2 <= n <= MOST_ROWS:
         raise UsageError(Fault("E501", "band.n", f"{n} rows: 2 to {MOST_ROWS} can be run here.", "Use blocks sweep."))
-    limits = {}
-    for name, pair in vary.items():
-        if len(pair) != 2 or not pair[0] < pair[1]:
-            raise UsageError(Fault("E501", name, f"{pair} is no pair of limits, the lower one first."))
-        limits[name] = Uniform(*pair)
+    if not limits[0] < limits[1]:
+        raise UsageError(Fault("E501", parameter, f"{limits} are no limits, the lower one first."))
 
     def look(done: int, rows: int) -> None:
         if session.is_asked_more:
             message = f"another question came when {done} of {rows} rows were done."
             raise UsageError(Fault("E501", "band", message, "Ask for it again."))
 
-    parameters = {name: value for name, value in session.values.items() if name not in vary}
     shown = session.document.shown.copy()
     if session.inputs:
         shown.settings(inputs={**shown.value.run.get("inputs", {}), **session.inputs})
     sweep: Sweep = shown.sweep(
-        limits, n=n, sampler="lhs", seed=seed, measures=[], log=signals, parameters=parameters,
-        engine=session.engine, trust=session.trust, threads=1, progress=look,
+        {parameter: Uniform(*limits)}, n=n, sampler="lhs", measures=[], log=[signal], threads=1, progress=look,
+        parameters={name: value for name, value in session.values.items() if name != parameter},
+        engine=session.engine, trust=session.trust,
     )  # fmt: skip
     return sweep

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..compile.inputs import constant
 from ..studies.gains_file import Value, edit_of
@@ -14,45 +14,54 @@ from ..text.printable import legible, quoted
 from ..text.quantity_text import value_in
 from .facts import Fact, text_of
 from .messages import Answer, handles
+from .panel import knobs_of
 from .session import Session
 
-if TYPE_CHECKING:
-    from .live_run import LiveRun
-
-__all__ = ["changed", "turned"]
+__all__ = ["ACTIVE"]
 
 ACTIVE = ("running", "paused")
 """The states of a run that can be turned."""
 
 
 @handles
-def knobs(session: Session, *, names: list[str], path: str = "") -> Answer:
-    """Parameters and inputs, by path and by name, with their values in this session; and the variants of a block."""
-    facts = session.document.facts
-    known = [facts[name].told(_values(session, facts[name]).get(name)) for name in names if name in facts]
-    return {"is": "knobs", "knobs": known, **_variants(session, path), **changed(session)}
+def knobs(session: Session, *, names: list[str], since: int = 0) -> Answer:
+    """Parameters and inputs, by path and by name, with their values in this session.
+
+    changed: all that is set in place of what the file says: name, value, and the value there. turned: what was turned
+    in the run, in order, beyond the first `since`: steps, t, name and value.
+    """
+    facts, live = session.document.facts, session.live
+
+    def text(name: str, raw: Any) -> str:
+        return facts[name].text(raw) if name in facts else text_of(raw)
+
+    changes = {name: text(name, raw) for name, raw in (*session.values.items(), *session.inputs.items())}
+    changes |= {path: f"variant {choice}" for path, choice in session.document.variants.items()}
+    turned = [] if live is None else live.turned[max(0, since) :]
+    return {
+        "is": "knobs", "knobs": [*knobs_of(session, names).values()],
+        "changed": [[name, now, facts[name].was if name in facts else ""] for name, now in changes.items()],
+        "turned": [[each.steps, each.t, each.name, text(each.name, each.value)] for each in turned],
+    }  # fmt: skip
 
 
 @handles
 def set(session: Session, *, name: str, value: Any, anew: bool = False) -> Answer:
-    """Give a parameter or an input another value: numbers in the unit in which it is shown, or a text as typed.
+    """Give a parameter or an input another value: a number, or elements, in its declared unit, or a text as typed.
 
     It acts at once in a run that goes on, and counts for the next ones. anew: for the next ones only, as for what
     cannot change in a run. Raises what `Run.set` raises; the value of before stays then.
     """
-    fact = _fact(session, name)
+    fact, live = _fact(session, name), session.live
     raw = _raw(fact, value)
-    live = session.live
-    done = None
+    told = {"is": "set", "name": name, "text": fact.text(raw), "t": None}
     if not anew and live is not None and live.state in ACTIVE:
-        done = live.set(name, raw)
+        told["t"] = live.set(name, raw).t
     else:
         _check(session, fact, raw)
-    _values(session, fact)[name] = raw
-    told = {"name": name, "value": fact.number(raw), "text": text_of(raw, fact.declared), "was": fact.text}
-    at = {} if done is None else {"steps": done.steps, "t": done.t}
-    session.broadcast({"is": "knob", **told, **at})
-    return {"is": "set", **told, **at}
+    (session.inputs if fact.is_input else session.values)[name] = raw
+    session.broadcast({"is": "changed"})
+    return told
 
 
 @handles
@@ -77,7 +86,8 @@ def reset(session: Session, *, name: str | None = None) -> Answer:
         document.variants = {path: v for path, v in document.variants.items() if name is not None and path != name}
         document.check()
         session.tell_document()
-    return {**_told(session), "later": later}
+    session.broadcast({"is": "changed"})
+    return {"is": "done", "later": later}
 
 
 @handles
@@ -90,7 +100,7 @@ def variant(session: Session, *, path: str, name: str) -> Answer:
     document.variants = chosen
     document.check()
     session.tell_document()
-    return _told(session)
+    return {"is": "done"}
 
 
 @handles
@@ -128,8 +138,7 @@ def keep(session: Session, *, names: list[str] | None = None) -> Answer:
             del known[name]
     document.read()
     session.tell_document()
-    changes = [{"line": c.line, "old": c.old, "new": c.new, "file": c.file} for c in edit.changes]
-    return {**_told(session), "kept": changes}
+    return {"is": "done", "kept": [{"old": change.old, "new": change.new} for change in edit.changes]}
 
 
 @handles
@@ -151,34 +160,6 @@ def script(session: Session) -> Answer:
 # --- values ----------------------------------------------------------------------------------------------------------
 
 
-def changed(session: Session) -> dict[str, Any]:
-    """What the session has set in place of what the file says, and what was turned in its run."""
-    facts, changes = session.document.facts, []
-    for name, raw in (*session.values.items(), *session.inputs.items()):
-        fact = facts.get(name)
-        text = text_of(raw, "" if fact is None else fact.declared)
-        changes.append({"name": name, "text": text, "was": "" if fact is None else fact.text})
-    for path, choice in session.document.variants.items():
-        changes.append({"name": path, "text": f"variant {choice}", "was": ""})
-    return {"changed": changes, "turned": [] if session.live is None else turned(session.live, facts)}
-
-
-def turned(live: LiveRun, facts: Mapping[str, Fact]) -> list[dict[str, Any]]:
-    """What was turned in a run, in order."""
-    units = {name: fact.declared for name, fact in facts.items()}
-    return [
-        {"steps": each.steps, "t": each.t, "name": each.name, "text": text_of(each.value, units.get(each.name, ""))}
-        for each in live.turned
-    ]
-
-
-def _told(session: Session) -> dict[str, Any]:
-    """Tell all pages what is changed now; the answer."""
-    told = changed(session)
-    session.broadcast({"is": "changed", **told})
-    return {"is": "done", **told}
-
-
 def _fact(session: Session, name: str) -> Fact:
     facts = session.document.facts
     if name not in facts:
@@ -190,39 +171,18 @@ def _fact(session: Session, name: str) -> Fact:
     return facts[name]
 
 
-def _variants(session: Session, path: str) -> dict[str, Any]:
-    """The variants of the block at a path, which of them is taken, and whether the run has another one."""
-    document = session.document
-    inside, entry, choice, known = None if document.diagram is None else document.diagram.value, None, "base", ""
-    for name in path.split(".") if path else ():
-        known = f"{known}.{name}" if known else name
-        entry = inside.blocks.get(name) if inside is not None else None
-        if entry is None:
-            break
-        choice = document.variants.get(known, entry.variant or "base")
-        inside = entry.variants.get(choice, entry).inner
-    if entry is None or not entry.variants:
-        return {"variants": [], "variant": "", "anew": False}
-    live = session.live
-    begun = None if live is None else session.chosen.get(path, entry.variant or "base")
-    return {"variants": ["base", *entry.variants], "variant": choice, "anew": begun not in (None, choice)}
-
-
-def _values(session: Session, fact: Fact) -> dict[str, Any]:
-    """The values of the session that one of these belongs to."""
-    return session.inputs if fact.is_input else session.values
-
-
 def _raw(fact: Fact, value: Any) -> Any:
     """A value of the page as a file would hold it. Raises UsageError (E501) and ModelError (E0xx)."""
+    if isinstance(value, list):
+        return [_raw(fact, item) for item in value]
     if not isinstance(value, str):
-        if not isinstance(value, (bool, int, float, list)):
+        if not isinstance(value, (bool, int, float)):
             raise UsageError(Fault("E501", fact.name, f"{quoted(json.dumps(value)[:80])} is no value."))
-        return fact.quantity(value)
+        return value
     text = value.strip()
     if not text and fact.type != "text":
-        raise UsageError(Fault("E501", fact.name, "has no value.", f"As in {fact.text}."))
-    return value if fact.type == "text" else fact.quantity(value_in(text, file=fact.name))
+        raise UsageError(Fault("E501", fact.name, "has no value.", f"As in {fact.was}."))
+    return value if fact.type == "text" else value_in(text, file=fact.name)
 
 
 def _check(session: Session, fact: Fact, raw: Any) -> None:
@@ -241,10 +201,8 @@ def _check(session: Session, fact: Fact, raw: Any) -> None:
 
 
 def _written(fact: Fact, raw: Any) -> Value:
-    """What Keep writes: a bare number stays one, in the declared unit; a quantity keeps the unit of the file."""
-    if isinstance(raw, Mapping) and (fact.is_input or str(raw.get("unit", "")) == fact.declared):
-        raw = fact.bare(raw)
-    if isinstance(raw, Mapping):
-        return Value(fact.name, (), raw["value"], str(raw.get("unit", fact.declared)), dict(raw))
-    has_unit = isinstance(raw, (int, float, list)) and not isinstance(raw, bool)
-    return Value(fact.name, (), raw, fact.declared if has_unit else None, raw)
+    """What Keep writes: a bare number in the declared unit; a quantity in its own, which an input cannot have."""
+    if isinstance(raw, Mapping) and not fact.is_input:
+        return Value(fact.name, (), raw["value"], str(raw.get("unit", fact.unit)), dict(raw))
+    value = fact.number(raw)
+    return Value(fact.name, (), value, fact.unit if fact.type in ("real", "int") else None, value)

@@ -9,9 +9,11 @@ from typing import Any
 import pytest
 
 import blocks
+import blocks.server.panel  # its message
 from blocks import Block, Diagram, Gain, Input, Parameter, output
 from blocks.server.document import Document
-from blocks.server.panel import panel_of
+from blocks.server.messages import answer
+from blocks.server.session import Session
 
 PAPER = Path(__file__).resolve().parents[2] / "diagrams/paper/iadrc.json"
 EVIL = "</script><img src=x onerror=alert(1)>"
@@ -29,64 +31,70 @@ class Tags(HTMLParser):
         self.attributes |= {name for name, _ in attrs}
 
 
+def panel_of(source: Any, path: str) -> dict[str, Any]:
+    told = answer(source, {"do": "panel", "path": path})
+    assert told is not None
+    return told
+
+
 @pytest.fixture(scope="module")
-def paper() -> Document:
-    return Document(PAPER)
+def paper() -> Session:
+    return Session(Document(PAPER))
 
 
-def rows(told: dict[str, Any], key: str = "parameters") -> dict[str, dict[str, Any]]:
-    return {row["name"]: row for row in told[key]}
+def rows(told: dict[str, Any], title: str = "Parameters") -> dict[str, dict[str, Any]]:
+    return {row["name"]: row for row in told["rows"].get(title, [])}
 
 
-def test_a_block_is_told_with_its_equations_its_values_and_where_its_inputs_come_from(paper: Document) -> None:
+def test_a_block_is_told_with_its_equations_its_values_and_where_its_inputs_come_from(paper: Session) -> None:
     told = panel_of(paper, "motor_right")
     assert (told["type"], told["kind"]) == ("PMDCMotor", "block")
     assert "<mfrac>" in told["mathml"]
     assert "domega/dt" in told["mathml"]  # what a screen reader says of the equation
-    assert rows(told)["Ra"] | {"why": ""} == {
-        "name": "Ra", "path": "motor_right.Ra", "text": "", "doc": "armature resistance", "value": 0.1557,
-        "unit": "Ohm", "tunable": True, "why": "", "choices": [], "default": "0.1557",
+    ra = rows(told)["Ra"]
+    assert (ra["doc"], ra["unit"], ra["text"], ra["note"]) == ("armature resistance", "Ohm", "0.1557", "")
+    assert ra["knob"] == {
+        "name": "motor_right.Ra", "text": "0.1557 Ohm", "was": "0.1557 Ohm", "changed": False, "value": 0.1557,
+        "unit": "Ohm", "type": "real", "low": 0.0, "high": 0.3114, "log": False, "choices": [], "why": "",
+        "bound": False,
     }  # fmt: skip
-    assert rows(told)["Jeq"]["text"] == "=Jeq"
-    assert not rows(told)["omega_start"]["tunable"]
-    assert "start value" in rows(told)["omega_start"]["why"]
-    inputs = rows(told, "inputs")
-    assert (inputs["v"]["source"], inputs["v"]["from"], inputs["v"]["unit"]) == (
-        "control_right.u",
-        "control_right",
-        "V",
-    )
-    assert rows(told, "outputs")["omega"]["signal"] == "motor_right.omega"
-    assert [row["name"] for row in told["states"]] == ["omega", "i"]
+    assert (rows(told)["Jeq"]["text"], rows(told)["Jeq"]["knob"]["bound"]) == ("=Jeq", True)
+    assert "start value" in rows(told)["omega_start"]["knob"]["why"]
+    v = rows(told, "Inputs")["v"]
+    assert (v["text"], v["link"], v["unit"]) == ("control_right.u", "control_right", "V")
+    assert rows(told, "Outputs")["omega"]["signal"] == "motor_right.omega"
+    assert [*rows(told, "Memory")] == ["omega", "i"]
 
 
-def test_values_are_those_that_the_diagram_is_computed_with(paper: Document) -> None:
-    """The flat model is the second witness of every number that is shown in SI."""
-    flat = {block.path: block.resolved.values for block in paper.shown.flatten().blocks}
-    compared = 0
-    for path, values in flat.items():
-        for name, row in rows(panel_of(paper, path)).items():
-            known = values[name]
-            if isinstance(row["value"], float) and row["unit"] == known.unit:
-                assert row["value"] == float(known.value), row
-                compared += 1
-    assert compared > 50
+def test_values_are_those_that_the_diagram_is_computed_with(paper: Session) -> None:
+    """The flat model is the second witness of numbers that are shown in SI; what is computed follows what is set."""
+    for session in (paper, Session(Document(PAPER), values={"Jeq": 0.5, "control_right.td.R": 12.0})):
+        compared = 0
+        for block in session.document.shown.flatten(parameters=session.values).blocks:
+            for name, row in rows(panel_of(session, block.path)).items():
+                known, knob = block.resolved.values[name], row["knob"]
+                if knob is not None and isinstance(knob["value"], float) and knob["unit"] == known.unit:
+                    assert knob["value"] == float(known.value), row
+                    compared += 1
+        assert compared > 50
+        assert rows(panel_of(session, "motor_left"))["Jeq"]["knob"]["value"] == session.values.get("Jeq", 0.2752)
 
 
-def test_a_diagram_and_a_subdiagram_are_told_with_their_parameters(paper: Document) -> None:
+def test_a_diagram_and_a_subdiagram_are_told_with_their_parameters(paper: Session) -> None:
     whole = panel_of(paper, "")
-    assert rows(whole)["heading"]["value"] == 45.0
-    assert rows(whole)["heading"]["unit"] == "deg"
-    assert rows(whole, "outputs")["x"] == {"name": "x", "unit": "m", "doc": "from robot.x", "signal": "x"}
+    heading = rows(whole)["heading"]["knob"]
+    assert (heading["value"], heading["unit"]) == (45.0, "deg")
+    x = rows(whole, "Outputs")["x"]
+    assert (x["unit"], x["doc"], x["signal"]) == ("m", "from robot.x", "x")
     inner = panel_of(paper, "robot")
     assert inner["kind"] == "diagram"
     assert rows(inner)["heading"]["text"] == "=heading"
-    assert rows(inner, "inputs")["omega_left"]["from"] == "motor_left"
+    assert rows(inner, "Inputs")["omega_left"]["link"] == "motor_left"
     deep = panel_of(paper, "control_right.nlsef")
-    assert rows(deep, "inputs")["r1"]["from"] == "control_right.td"
+    assert rows(deep, "Inputs")["r1"]["link"] == "control_right.td"
 
 
-def test_a_block_that_is_not_there_is_refused(paper: Document) -> None:
+def test_a_block_that_is_not_there_is_refused(paper: Session) -> None:
     for path in ("motor", "motor_right.omega", "control_right.x", "..", "__class__"):
         with pytest.raises(blocks.UsageError, match="E502"):
             panel_of(paper, path)
@@ -117,7 +125,7 @@ def test_no_text_of_a_class_or_a_file_becomes_html() -> None:
     diagram.parameter("K", 1.0, doc=EVIL)
     block = diagram.add("evil", Hostile(), doc=EVIL)
     diagram.wire(block.u, block.y)  # a loop: a fault
-    document = Document(diagram)
+    document = Session(Document(diagram))
     for path in ("", "evil"):
         told = panel_of(document, path)
         found = Tags(told["mathml"] + told["more"])
@@ -142,16 +150,16 @@ def test_a_diagram_with_faults_is_told_as_far_as_it_can_be() -> None:
       "blocks": {"odd": {"type": "Gainn", "parameters": {"k": 2}},
         "sum": {"type": "Sum", "parameters": {"signs": "+-"}}},
       "wires": {"sum.u1": "odd.y"}}"""
-    document = Document(Diagram.from_json(text))
+    document = Session(Document(Diagram.from_json(text)))
     odd = panel_of(document, "odd")
     assert [fault["code"] for fault in odd["faults"]] == ["E103"]
-    assert odd["parameters"] == []
+    assert odd["rows"] == {}
     whole = panel_of(document, "")
     assert whole["mathml"] == "<p>one</p>"
     assert whole["more"] == '<p class="point">two</p><p>three: <code>four</code></p>'
     total = panel_of(document, "sum")
     assert rows(total)["signs"]["text"] == "+-"
-    assert rows(total, "inputs")["u2"]["source"] == ""
+    assert rows(total, "Inputs")["u2"]["text"] == "not wired"
     assert {fault["code"] for fault in panel_of(document, "")["faults"]} == {"E101", "E103"}
 
 
@@ -163,7 +171,7 @@ def test_what_triggers_or_enables_a_part_is_said() -> None:
     diagram = Diagram("outer")
     diagram.add("slow", inner, trigger={"every": "10 ms"})
     diagram.add("off", inner, enable={"states": "reset"})
-    document = Document(diagram)
+    document = Session(Document(diagram))
     assert panel_of(document, "slow")["notes"] == ["Triggered every 10 ms."]
     assert panel_of(document, "off")["notes"] == ["Enabled by its input enable; while it is off: states reset."]
-    assert "enable" in rows(panel_of(document, "off"), "inputs")
+    assert "enable" in rows(panel_of(document, "off"), "Inputs")

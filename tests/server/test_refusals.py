@@ -60,15 +60,15 @@ TABLE: dict[str, list[Row]] = {
     "overlay": [({"name": "a.csv", "text": "no table"}, "a.csv"), ({"name": "a.csv", "text": ""}, "a.csv")],
     "unoverlay": [],
     "save": [*(({"path": path}, OUTSIDE) for path in PLACES), ({"path": "run.csv"}, NO_RUN)],
-    "response": [({"signal": "nothing"}, "nothing"), ({"input": "u", "output": "nothing"}, "nothing")],
-    "linear": [({"amplitude": {"nothing": 1.0}}, "nothing")],
-    "describe": [],
+    "response": [({"input": "nothing"}, "nothing"), ({"input": "u", "output": "nothing"}, "nothing")],
+    "modes": [({"amplitude": {"nothing": 1.0}}, "nothing"), ({"at": "end"}, "end")],
+    "cycles": [],
     "color": [({"by": "__class__"}, "__class__")],
     "band": [
-        *(({"signals": [], "file": path}, OUTSIDE) for path in PLACES if path),
-        ({"signals": ["gain.y"], "vary": {"gain.k": [1.0, 2.0]}, "n": 10**9}, "rows"),
-        ({"signals": ["gain.y"], "vary": {"gain.k": [2.0, 1.0]}}, "limits"),
-        ({"signals": ["gain.y"]}, "needs parameters"),
+        *(({"signal": "gain.y", "file": path}, OUTSIDE) for path in PLACES if path),
+        ({"signal": "gain.y", "parameter": "gain.k", "high": 1.0, "n": 10**9}, "rows"),
+        ({"signal": "gain.y", "parameter": "gain.k", "low": 2.0, "high": 1.0}, "limits"),
+        ({"signal": "gain.y"}, "needs a parameter"),
     ],
 }
 WRONG: dict[Any, list[Any]] = {
@@ -176,7 +176,7 @@ def test_a_live_run_takes_the_fmus_that_a_run_takes(tmp_path: Path) -> None:
         Diagram.load(path).run()
     for trust in ((), str(project)):
         session = Session(Document(path), trust=trust)
-        for message in ({"do": "run"}, {"do": "step"}, {"do": "linear"}):
+        for message in ({"do": "run"}, {"do": "step"}, {"do": "modes"}):
             with pytest.raises(BlocksError, match="E218") as again:
                 answer(session, message, None)
             assert again.value.faults == refused.value.faults

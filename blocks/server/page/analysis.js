@@ -1,222 +1,142 @@
 /** Looking deeper: loops and their margins, responses, modes, limit cycles, bands of sweeps; blocks colored by rate. */
-import { chart, short } from "./charts.js";
-import { element } from "./elements.js";
+import { element, fault, shown, table } from "./elements.js";
 
-const WHATS = { loop: "Loop", response: "Response", modes: "Modes", cycles: "Limit cycles", band: "Band" };
-const field = (label, input) => element("label", {}, `${label} `, input);
-const table = (caption, head, rows) =>
-  element("table", {}, element("caption", {}, caption),
-    head.length ? element("thead", {}, element("tr", {}, ...head.map((text) => element("th", { scope: "col" }, text)))) : null,
-    element("tbody", {}, ...rows.map(([first, ...rest]) => element("tr", {}, element("th", { scope: "row" }, first), ...rest.map((text) => element("td", {}, text))))));
-const complex = ([re, im]) => (im ? `${short(re)} ± ${short(im)}j` : short(re));
-const faultsOf = (faults) => faults.map((one) => element("p", { class: "fault" }, element("b", {}, one.code), ` ${one.place}: ${one.message} ${one.cure}`));
+const AT = { at: ["at", [["start", "at the start"], ["cursor", "at the cursor"], ["rest", "where it rests"]]] };
+/** By view: its name, what the server is asked, its fields with their labels, and what to do while one of them lacks. */
+const VIEWS = {
+  loop: { label: "Loop", ask: "response", fields: { input: ["opened at", "signals"], ...AT }, must: ["input"],
+    hint: "Click a wire of a loop, or name its signal: the loop is opened there." },
+  response: { label: "Response", ask: "response", fields: { input: ["from", "signals"], output: ["to", "signals"], ...AT }, must: ["input", "output"],
+    hint: "Name the signal where a change is put in, and the one that is looked at." },
+  modes: { label: "Modes", ask: "modes", fields: AT, must: [] },
+  cycles: { label: "Limit cycles", ask: "cycles", fields: { at: ["at", AT.at[1].toReversed()] }, must: [] },
+  band: { label: "Band", ask: "band", must: ["signal"],
+    fields: { signal: ["of", "signals"], parameter: ["vary", "parameters"], low: ["from", "number"], high: ["to", "number"], n: ["runs", "number"], file: ["or a saved sweep", "text"] },
+    hint: "Runs of the diagram with a parameter between two values; 5, 50 and 95 % of them are drawn over the scopes." },
+};
 
 /** @param {any} app */
 export function start(app) {
   const place = document.getElementById("analysis");
-  let what = "loop";
-  let cursor = null;
+  let [what, cursor] = ["loop", null];
   const amplitudes = new Map(); // by the signal of a law
-  const signals = element("datalist", { id: "analysis-signals" });
-  const text = (label, attributes = {}) => element("input", { list: "analysis-signals", size: 15, "aria-label": label, spellcheck: "false", onchange: () => ask(), ...attributes });
-  const [signal, input, output] = [text("Loop opened at"), text("From"), text("To")];
-  const points = { start: "at the start", cursor: "at the cursor", rest: "where it rests" };
-  const choice = (...keys) => element("select", { "aria-label": "Where it is linearized", onchange: () => ask() }, ...keys.map((key) => element("option", { value: key }, points[key])));
-  const [when, around] = [choice("start", "cursor"), choice("rest", "start", "cursor")]; // a limit cycle goes around a point of rest
-  const tabs = Object.entries(WHATS).map(([key, label]) => element("button", { "aria-pressed": "false", onclick: () => turn(key), "data-what": key }, label));
-  const fields = element("span", { class: "fields" });
+  const lists = { signals: element("datalist", { id: "analysis-signals" }), parameters: element("datalist", { id: "analysis-parameters" }) };
   const body = element("div", { class: "analysis-body", "aria-busy": "false" });
+
+  // --- a form for each view ---
+  function field(name, label, kind) {
+    const named = { name, "aria-label": label, onchange: () => what === "band" || ask() };
+    const made = Array.isArray(kind) ? element("select", named, ...kind.map(([value, text]) => element("option", { value }, text)))
+      : kind === "number" ? element("input", { ...named, type: "number", step: "any", class: "short" })
+        : element("input", { ...named, list: `analysis-${kind}`, size: 14, spellcheck: "false" });
+    return element("label", {}, Array.isArray(kind) ? "" : `${label} `, made);
+  }
+  const forms = Object.fromEntries(Object.entries(VIEWS).map(([key, { fields }]) => {
+    const onsubmit = (event) => [event.preventDefault(), ask()];
+    const submit = key === "band" ? [element("button", {}, "Show the band"), element("button", { type: "button", onclick: () => remove() }, "Remove")] : [];
+    return [key, element("form", { class: "fields", onsubmit }, ...Object.entries(fields).map(([name, [label, kind]]) => field(name, label, kind)), ...submit)];
+  }));
+  const tabs = Object.entries(VIEWS).map(([key, { label }]) => element("button", { "aria-pressed": "false", onclick: () => turn(key), "data-what": key }, label));
   const close = element("button", { onclick: () => show(false), title: "Close (B)" }, "Close");
-  place.append(element("header", { class: "bar" }, element("h2", {}, "Analysis"), element("span", { class: "tabs", role: "group", "aria-label": "What is shown" }, ...tabs), fields, close), body, signals);
+  place.append(element("header", { class: "bar" }, element("h2", {}, "Analysis"), element("span", { class: "tabs", role: "group", "aria-label": "What is shown" }, ...tabs), ...Object.values(forms), close), body, ...Object.values(lists));
+
+  const isAtCursor = () => forms[what].elements.at?.value === "cursor";
+  function given() {
+    const fields = Object.fromEntries([...forms[what].elements].filter((one) => one.value && one.name).map((one) => [one.name, one.type === "number" ? one.valueAsNumber : one.value]));
+    if (VIEWS[what].must.some((name) => !(name in fields))) return null;
+    if (isAtCursor()) fields.at = cursor ?? (app.state.run?.id ? app.state.run.t : "start");
+    return "amplitude" in fields || ["band", "cycles"].includes(what) ? fields : { ...fields, amplitude: Object.fromEntries(amplitudes) };
+  }
 
   // --- asking: one question at a time, and the last one counts ---
-  let isAsked = false;
-  let next = null;
-  async function later(name, given, then) {
-    next = { name, given, then };
+  let [isAsked, next] = [false, null];
+  async function ask() {
+    if (place.hidden) return;
+    const fields = given();
+    next = fields && [VIEWS[what].ask, fields];
+    if (!fields) body.replaceChildren(element("p", { class: "hint" }, VIEWS[what].hint));
     if (isAsked) return;
     isAsked = true;
     body.setAttribute("aria-busy", "true");
     while (next) {
-      const { name: asked, given: with_, then: take } = next;
+      const asked = next;
       next = null;
-      const answer = await app.connection.ask(asked, with_).catch((error) => ({ faults: error.faults ?? [{ code: "", place: "", message: error.message, cure: "" }] }));
-      if (next) continue;
-      const failed = answer.is ? null : answer.faults;
-      if (failed) body.replaceChildren(...faultsOf(failed));
-      else take(answer);
-      const said = failed ? failed.map((one) => `${one.place}: ${one.message}`).join(" ") : body.dataset.said;
-      if (said) app.announce(said);
+      const answer = await app.connection.ask(...asked).catch((error) => ({ title: "", laws: [], faults: error.faults ?? [{ code: "", place: "", message: error.message, cure: "" }] }));
+      if (!next && given()) fill(answer);
     }
     isAsked = false;
     body.setAttribute("aria-busy", "false");
   }
-  const isAtCursor = () => (what === "cycles" ? around : when).value === "cursor" && what !== "band";
-  const point = () => {
-    const t = cursor ?? (app.state.run?.id ? app.state.run.t : null);
-    return isAtCursor() && t !== null ? { t } : {};
-  };
-  const bent = () => ({ amplitude: Object.fromEntries(amplitudes) });
-  const hint = (words) => body.replaceChildren(element("p", { class: "hint" }, words));
-  function ask() {
-    if (place.hidden) return;
-    body.dataset.said = "";
-    if (what === "loop") {
-      if (!signal.value) return hint("Click a wire of a loop, or name its signal: the loop is opened there.");
-      later("response", { signal: signal.value, ...point(), ...bent() }, showResponse);
-    } else if (what === "response") {
-      if (!input.value || !output.value) return hint("Name the signal where a change is put in, and the one that is looked at.");
-      later("response", { input: input.value, output: output.value, ...point(), ...bent() }, showResponse);
-    } else if (what === "modes") later("linear", { ...point(), ...bent() }, showModes);
-    else if (what === "cycles") later("describe", { ...point(), rest: around.value === "rest" }, showCycles);
-  }
 
   // --- what comes back ---
-  const where = ({ t, run, turned, rest }) => {
-    if (rest) return "Around the point where the diagram rests.";
-    const set = turned.map(([name, value]) => `${name} = ${typeof value === "number" ? short(value) : value?.unit ? `${value.value} ${value.unit}` : JSON.stringify(value)}`);
-    return `Linearized at t = ${short(t)} s${run ? ` of the run${set.length ? `, with ${set.join(", ")} set in it` : ""}` : ""}.`;
-  };
   /** A slider for each law that bends, over the orders of magnitude around 1. */
-  function sliders(laws) {
-    return laws.slice(0, 8).map((law) => {
-      const on = amplitudes.has(law.signal);
-      const number = element("output", {}, on ? short(amplitudes.get(law.signal)) : "off");
-      const slider = element("input", { type: "range", min: -5, max: 3, step: 0.05, "aria-label": `Amplitude of ${law.signal}`, disabled: !on });
-      slider.value = String(Math.log10(amplitudes.get(law.signal) ?? 0.1));
-      const box = element("input", { type: "checkbox" });
-      box.checked = on;
-      const set = (to) => {
-        if (to === null) amplitudes.delete(law.signal);
-        else amplitudes.set(law.signal, to);
-        slider.disabled = to === null;
-        number.textContent = to === null ? "off" : short(to);
-        slider.setAttribute("aria-valuetext", number.textContent);
-        ask();
-      };
-      const value = () => Number((10 ** Number(slider.value)).toPrecision(3));
-      slider.oninput = () => set(value());
-      box.onchange = () => set(box.checked ? value() : null);
-      const why = `${law.laws.join(", ")}: ${law.rough ? "no slope where it stands, at" : "off: its slope where it stands, at"} ${short(law.value)}`;
-      return element("div", { class: "law", title: why }, element("label", {}, box, ` sine at ${law.signal}`), slider, number, law.rough ? element("b", { class: "unit" }, "no slope") : null);
-    });
-  }
-  /** The sliders stay as they are while one is moved. */
-  function keepLaws(laws) {
-    const key = laws.map((law) => law.signal).join();
-    const old = body.querySelector(".laws");
-    if (old?.dataset.key === key) return old;
-    const made = element("div", { class: "laws", "data-key": key }, ...sliders(laws));
-    return made;
-  }
-  function fill(answer, ...children) {
-    const laws = keepLaws(answer.laws ?? []);
-    const rest_ = element("div", { class: "analysis-result" }, ...faultsOf(answer.faults ?? []), ...children);
-    if (laws.isConnected) body.querySelector(".analysis-result").replaceWith(rest_);
-    else body.replaceChildren(...(laws.children.length ? [laws] : []), rest_);
-    if (answer.faults?.length) body.dataset.said = answer.faults.map((one) => one.message).join(" ");
-  }
-  function showResponse(answer) {
-    const { curve, margins, at } = answer;
-    const title = answer.signal ? `Loop opened at ${answer.signal}` : `${answer.input} to ${answer.output}`;
-    const figures = curve ? charts(title, curve, margins) : [];
-    const numbers = margins ? table(`${title}. ${where(at)}`, [], margins.table) : element("p", {}, answer.faults.length ? where(at) : `${title}. ${where(at)}`);
-    const lines = answer.lines.length ? element("details", {}, element("summary", {}, "Poles, zeros and blocks"), element("pre", {}, answer.lines.join("\n"))) : null;
-    body.dataset.said = margins ? margins.table.slice(0, 4).map((row) => row.join(": ")).join(". ") : title;
-    fill(answer, element("div", { class: "charts" }, ...figures, element("div", { class: "numbers" }, numbers, lines)));
-  }
-  function charts(title, curve, margins) {
-    const width = Math.max(280, Math.min(430, (place.clientWidth - 40) / 3));
-    const { omega, decibel, degrees, real, imag } = curve;
-    const x = () => ({ label: "rad/s", range: [omega[0], omega.at(-1)], log: true });
-    const span = (values, least) => {
-      const known = values.filter(Number.isFinite);
-      const [low, high] = [Math.min(...known), Math.max(...known)];
-      const more = Math.max(0.06 * (high - low), least);
-      return [low - more, high + more];
+  function slider({ signal, laws, rough, value: stands }) {
+    const on = element("input", { type: "checkbox" });
+    const made = element("input", { type: "range", min: -5, max: 3, step: 0.05, "aria-label": `Amplitude of ${signal}` });
+    const number = element("output");
+    const tell = () => {
+      made.disabled = !on.checked;
+      number.textContent = on.checked ? shown(amplitudes.get(signal), 4) : "off";
+      made.setAttribute("aria-valuetext", number.textContent);
     };
-    const near = (w) => omega.reduce((best, one, k) => (Math.abs(Math.log(one / w)) < Math.abs(Math.log(omega[best] / w)) ? k : best), 0);
-    const isMargin = margins && margins.phase_deg !== null;
-    const gains = margins?.gain_frequency ? [{ x: margins.gain_frequency, y: -20 * Math.log10(margins.gain), to: 0, text: `${short(20 * Math.log10(margins.gain))} dB` }] : [];
-    const phase = isMargin ? degrees[near(margins.crossover)] : 0;
-    const border = isMargin ? phase - margins.phase_deg : 0; // an odd multiple of 180
-    const phases = isMargin ? [{ x: margins.crossover, y: phase, to: border, text: `${short(margins.phase_deg)}°` }] : [];
-    const told = (k) => `${short(omega[k])} rad/s: ${short(decibel[k])} dB, ${short(degrees[k])}°`;
-    const common = { width, height: 140, told, announce: app.announce };
-    const level = (value) => ({ x: [omega[0], omega.at(-1)], y: [value, value], style: "level" });
-    const bode = [
-      chart({ ...common, name: `${title}: gain in dB over frequency`, height: 126, x: { ...x(), label: "" }, y: { label: "gain [dB]", range: span(decibel, 3) }, curves: [{ x: omega, y: decibel }, level(0)], marks: gains }),
-      chart({ ...common, name: `${title}: phase in degrees over frequency`, x: x(), y: { label: "phase [°]", range: span(degrees, 10), whole: 1 }, curves: [{ x: omega, y: degrees }, ...(isMargin ? [level(border)] : [])], marks: phases }),
-    ];
-    const reach = Math.min(3, Math.max(1.2, ...real.filter((v, k) => Math.hypot(v, imag[k]) < 3).map(Math.abs)));
-    const plane = answerPlane(title, real, imag, reach, { ...common, height: 270, width }, Boolean(margins));
-    return [element("div", {}, ...bode), plane];
+    on.checked = amplitudes.has(signal);
+    made.value = String(Math.log10(amplitudes.get(signal) ?? 0.1));
+    on.onchange = made.oninput = () => {
+      if (on.checked) amplitudes.set(signal, Number((10 ** Number(made.value)).toPrecision(3)));
+      else amplitudes.delete(signal);
+      tell();
+      ask();
+    };
+    tell();
+    const title = `${laws.join(", ")}: ${rough ? "no slope where it stands, at" : "off: its slope where it stands, at"} ${shown(stands, 4)}`;
+    return element("div", { class: "law", title }, element("label", {}, on, ` sine at ${signal}`), made, number, rough ? element("b", { class: "unit" }, "no slope") : null);
   }
-  function answerPlane(title, real, imag, reach, common, isLoop) {
-    const told = (k) => `${short(real[k])} ${imag[k] < 0 ? "-" : "+"} ${short(Math.abs(imag[k]))}j`;
-    const curves = [{ x: real, y: imag }, { x: real, y: imag.map((value) => -value), style: "mirror" }];
-    const marks = isLoop ? [{ x: -1, y: 0, text: "-1" }] : [];
-    const axis = (label) => ({ label, range: [-reach, reach] });
-    return chart({ ...common, name: `${title}: Nyquist curve`, x: axis("real part"), y: axis("imaginary part"), curves, marks, circles: isLoop ? [[0, 0, 1]] : [], told, isSquare: true });
+  /** Words on a point of the curve, which moves by the arrow keys. */
+  function reading([omega, decibel, degrees]) {
+    const words = element("output");
+    const at = element("input", { type: "range", min: 0, max: omega.length - 1, "aria-label": "Read out the curve" });
+    at.oninput = () => {
+      words.textContent = `${shown(omega[at.value], 4)} rad/s: ${shown(decibel[at.value], 4)} dB, ${shown(degrees[at.value], 4)}°`;
+      at.setAttribute("aria-valuetext", words.textContent);
+    };
+    at.oninput();
+    return element("p", { class: "law" }, at, words);
   }
-  function showModes(answer) {
-    const rows = answer.modes.map((mode) => [
-      complex(mode.pole), mode.stable ? "yes" : "no", short(mode.damping), short(mode.frequency), short(mode.time_constant), mode.states.join(", ") || "-",
-    ]);
-    const plane = answer.period ? `z, sampled every ${short(answer.period)} s` : "1/s";
-    const sizes = Object.entries(answer.sizes).map(([name, [n, m]]) => `${name} ${n} × ${m}`).join(", ");
-    const count = answer.modes.filter((mode) => !mode.stable).length;
-    body.dataset.said = `${answer.modes.length} modes, ${count} do not decay.`;
-    const made = table(`${answer.states.length} states. ${where(answer.at)}`, [`eigenvalue [${plane}]`, "decays", "damping", "frequency [rad/s]", "time constant [s]", "states that take part"], rows);
-    const notes = answer.notes.length ? element("p", { class: "hint" }, answer.notes.join("; ")) : null;
-    fill(answer, ...(rows.length ? [made, element("p", {}, `${sizes}: from the inputs of the diagram to the signals that it records.`)] : []), notes ?? "");
-  }
-  function showCycles(answer) {
-    const rows = answer.cycles.map((one) => [
-      short(one.omega), short(one.period), one.stable ? "yes" : "no", Object.entries(one.amplitudes).map(([name, value]) => `${name} ${short(value)}`).join(", "), one.kind,
-    ]);
-    const words = rows.length ? "" : "No limit cycles.";
-    body.dataset.said = words || `${rows.length} limit cycles.`;
-    const unknown = answer.unknown.map((one) => element("p", { class: "hint" }, `${one.law}: not judged at amplitudes of ${short(one.low)} to ${short(one.high)}.`));
-    const made = table(where(answer.at), ["frequency [rad/s]", "period [s]", "stable", "amplitudes", "found by"], rows);
-    body.replaceChildren(rows.length ? made : element("p", {}, `${words} ${where(answer.at)}`), ...unknown);
-  }
-
-  // --- a band over the scopes ---
-  const varied = element("input", { size: 14, "aria-label": "Parameter to vary", list: "analysis-parameters", placeholder: "parameter" });
-  const parameters = element("datalist", { id: "analysis-parameters" });
-  const number = (label, value) => element("input", { type: "number", step: "any", value, "aria-label": label, class: "short" });
-  const [low, high, rows_] = [number("from", ""), number("to", ""), number("Runs", "50")];
-  const file = element("input", { size: 14, placeholder: "or sweep.parquet", "aria-label": "File of a saved sweep" });
-  const shown = text("Signal of the band", { onchange: () => null });
-  const go = element("button", { onclick: () => bandOf() }, "Show the band");
-  const none = element("button", { onclick: () => (app.showBand?.(null), hint("The band is gone."), app.announce("The band is gone.")) }, "Remove");
-  const ends = element("span", {}, field("from", input), " ", field("to", output));
-  function bandOf() {
-    const given = file.value ? { file: file.value } : { vary: { [varied.value]: [low, high].map((one) => Number(one.value)) }, n: Number(rows_.value) };
-    hint("Running ...");
-    later("band", { signals: [shown.value], ...given }, (answer) => {
-      app.openScope([shown.value]);
-      app.showBand?.(answer);
-      body.dataset.said = `Band of ${shown.value} over ${answer.good} of ${answer.rows} runs.`;
-      const values = answer.signals[shown.value].map((level) => level[0]);
-      const every = Math.max(1, Math.floor(answer.t.length / 10));
-      const rows = answer.t.map((t, k) => [short(t), ...values.map((level) => short(level[k]))]).filter((_, k) => k % every === 0);
-      body.replaceChildren(element("p", {}, `${body.dataset.said} ${answer.messages.join(" ")}`), element("details", {}, element("summary", {}, "As a table"), table(`Quantiles of ${shown.value}`, ["t [s]", ...answer.quantiles.map((q) => `${100 * q} %`)], rows)));
+  function fill({ title, laws, faults, figures = [], curve, head = [], rows = [], notes = [], more = [], band }) {
+    const key = laws.map((law) => law.signal).join();
+    let sliders = body.querySelector(".laws"); // which stay as they are while one is moved
+    if (sliders?.dataset.key !== key) sliders = element("div", { class: "laws", "data-key": key }, ...laws.slice(0, 8).map(slider));
+    const known = body.querySelectorAll("img"); // shown until the next ones are read
+    const pictures = figures.map((svg, k) => {
+      const made = known[k] ?? element("img");
+      return Object.assign(made, { src: `data:image/svg+xml,${encodeURIComponent(svg)}`, alt: `${k ? "Nyquist curve" : "Bode plot"}. ${title}` });
     });
+    const cells = rows.map((row) => row.map((cell) => (typeof cell === "number" ? shown(cell, 5) : cell ?? "-")));
+    const numbers = element("div", { class: "numbers" },
+      element("p", {}, title), ...faults.map(fault), rows.length ? table(head, cells) : null, curve ? reading(curve) : null,
+      ...notes.map((note) => element("p", { class: "hint" }, note)),
+      more.length ? element("details", {}, element("summary", {}, "Poles, zeros and blocks"), element("pre", {}, more.join("\n"))) : null);
+    const result = element("div", { class: "result" }, ...pictures, numbers);
+    if (sliders.isConnected) body.querySelector(".result").replaceWith(result);
+    else body.replaceChildren(sliders, result);
+    if (band) {
+      app.openScope(Object.keys(band.signals));
+      app.showBand(band);
+    }
+    app.announce([title, ...faults.map((one) => one.message), ...notes, ...(head.length ? [] : cells.slice(0, 4).map((row) => row.join(": ")))].join(" "));
   }
-  app.on("panel", ({ panel }) => parameters.replaceChildren(...panel.parameters.map((row) => element("option", { value: row.path }))));
+  function remove() {
+    app.showBand(null);
+    app.announce("The band is gone.");
+  }
 
   // --- the pane ---
   function turn(to) {
     what = to;
     tabs.forEach((tab) => tab.setAttribute("aria-pressed", String(tab.dataset.what === what)));
-    const given = { loop: [field("opened at", signal), when], response: [ends, when], modes: [when], cycles: [around],
-      band: [field("of", shown), varied, field("from", low), field("to", high), field("runs", rows_), file, go, none, parameters] }[what];
-    fields.replaceChildren(...given);
-    if (what === "band") hint("Runs of the diagram with a parameter between two values; 5, 50 and 95 % of them are drawn over the scopes.");
-    else body.replaceChildren();
-    ask();
+    Object.entries(forms).forEach(([key, form]) => (form.hidden = key !== what));
+    body.replaceChildren(element("p", { class: "hint" }, VIEWS[what].hint ?? ""));
+    if (what !== "band") ask();
   }
   function show(isOpen) {
     place.hidden = !isOpen;
@@ -232,16 +152,19 @@ export function start(app) {
     event.preventDefault();
     show(place.hidden);
   });
+  const anew = () => what !== "band" && ask();
   app.on("wire", (name) => {
     if (!name) return;
-    signal.value = shown.value = name;
+    forms.loop.elements.input.value = forms.band.elements.signal.value = name;
     if (what === "loop") ask();
   });
-  app.on("document", ({ signals: known }) => {
-    signals.replaceChildren(...known.map((one) => element("option", { value: one.name })));
-    ask();
+  const options = (list, names) => list.replaceChildren(...names.map((value) => element("option", { value })));
+  app.on("panel", ({ rows }) => options(lists.parameters, (rows.Parameters ?? []).filter(({ knob }) => knob).map(({ knob }) => knob.name)));
+  app.on("document", ({ signals }) => {
+    options(lists.signals, signals.map((one) => one.name));
+    anew();
   });
-  app.on("knob", () => ask());
+  app.on("knob", anew);
   let state = "";
   app.on("run", (run) => {
     if (run.state !== "running" && run.state !== state && isAtCursor()) ask();
@@ -254,11 +177,11 @@ export function start(app) {
 
   // --- blocks colored, each with its number in the legend ---
   const legend = element("div", { id: "color-legend", hidden: true });
-  const by = element("select", { "aria-label": "Color of blocks", onchange: () => colorBy() }, element("option", { value: "" }, "no colors"), element("option", { value: "rate" }, "by rate"), element("option", { value: "rejected" }, "by rejected steps"));
+  const by = element("select", { "aria-label": "Color of blocks", onchange: () => colorBy() }, ...[["", "no colors"], ["rate", "by rate"], ["rejected", "by rejected steps"]].map(([value, text]) => element("option", { value }, text)));
   let colored = null;
   async function colorBy() {
     colored = by.value ? await app.ask("color", { by: by.value }) : null;
-    if (by.value && !colored) by.value = "";
+    if (!colored) by.value = "";
     paint();
     if (colored) app.announce(legend.textContent);
   }
@@ -277,9 +200,7 @@ export function start(app) {
       box.dataset.color = String(group(value) % 6);
       const { x, y } = face.getBBox();
       const label = document.createElementNS("http://www.w3.org/2000/svg", "text");
-      label.setAttribute("class", "color-number");
-      label.setAttribute("x", String(x + 3));
-      label.setAttribute("y", String(y + 10));
+      Object.entries({ class: "color-number", x: x + 3, y: y + 10 }).forEach(([key, number]) => label.setAttribute(key, number));
       label.textContent = typeof value === "number" ? String(value) : String(group(value) + 1);
       face.parentNode.append(label);
     }

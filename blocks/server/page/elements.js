@@ -25,6 +25,16 @@ export function dialog(label, ...children) {
   return made;
 }
 
+/** A fault, as the server tells it. */
+export const fault = ({ code, place, message, cure, warning }) =>
+  element("p", { class: warning ? "warning" : "fault" }, element("b", {}, code), ` ${place}: ${message} ${cure}`);
+
+/** A table. head: may be empty; the first cell of a row names it. */
+export const table = (head, rows) =>
+  element("table", {},
+    head.length ? element("thead", {}, element("tr", {}, ...head.map((text) => element("th", { scope: "col" }, text)))) : null,
+    element("tbody", {}, ...rows.map(([first, ...rest]) => element("tr", {}, element("th", { scope: "row" }, first), ...rest.map((text) => element("td", {}, text))))));
+
 /** "1 fault", "2 faults". */
 export const counted = (count, noun) => `${count === 0 ? "no" : count} ${noun}${count === 1 ? "" : "s"}`;
 

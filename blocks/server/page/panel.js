@@ -1,48 +1,28 @@
 /** The panel: what the selected block is, its parameters, its ports; without one, the diagram itself. */
-import { element, shown, trusted } from "./elements.js";
+import { element, fault, shown, trusted } from "./elements.js";
 
 export function start(app) {
   const place = document.getElementById("panel");
-  const link = (path, text) => element("button", { class: "link", onclick: () => app.reveal(path) }, text);
-  const unit = (text) => (text ? element("span", { class: "unit" }, text) : null);
+  const link = (text, onclick, attributes = {}) => element("button", { class: "link", onclick, ...attributes }, text);
+  const span = (name, ...children) => element("span", { class: name }, ...children);
 
-  const section = (title, rows) =>
-    rows.length ? [element("h3", {}, title), element("ul", { class: "rows" }, ...rows)] : [];
-
-  const parameter = (row) => {
-    const isBound = row.text.startsWith("=");
-    const isOther = row.text && !isBound && row.default && row.default !== row.text && Number(row.default) !== row.value;
-    const notes = [row.why && !isBound && `not in a run: ${row.why}`, isOther && `default ${row.default}`].filter(Boolean);
-    const value = row.value === null || isBound ? row.text || row.default : shown(row.value);
-    return element(
-      "li", { class: `parameter${row.tunable ? " tunable" : ""}`, "data-name": row.path },
-      element("span", { class: "name" }, row.name),
-      element("span", { class: "value", title: row.why || null }, value, unit(row.value === null || isBound ? "" : row.unit)),
-      element("span", { class: "what" }, row.doc, isBound && row.value !== null ? element("b", {}, ` ${shown(row.value)} ${row.unit}`) : null),
-      notes.length ? element("span", { class: "notes" }, notes.join("; ")) : null,
-    );
+  const row = ({ name, doc, unit, text, note, knob, link: to, signal }) => {
+    const isSignal = app.state.document.signals.some((one) => one.name === signal);
+    const value = [
+      ...(knob ? [app.knob?.(knob) ?? `${knob.text}${knob.bound ? ` = ${shown(knob.value)} ${knob.unit}` : ""}`] : [to ? link(text, () => app.reveal(to)) : text]),
+      isSignal ? link("scope", () => app.openScope([signal]), { title: `Show ${signal} in a scope` }) : null,
+      unit && !knob ? span("unit", unit) : null,
+    ];
+    const notes = [note, knob?.why && !knob.bound && `not in a run: ${knob.why}`].filter(Boolean).join("; ");
+    return element("li", {}, span("name", name), span("value", ...value.filter(Boolean)), doc ? span("what", doc) : null, notes ? span("notes", notes) : null);
   };
 
-  const free = ({ default: value }) => (value === null || value === "" ? "not wired" : `not wired: ${shown(value)}`);
-  const input = (row) =>
-    element(
-      "li", {}, element("span", { class: "name" }, row.name),
-      element("span", { class: "value" }, row.from ? link(row.from, row.source) : row.source || free(row), unit(row.unit)),
-      row.doc ? element("span", { class: "what" }, row.doc) : null,
-    );
-
-  const output = (row) => {
-    const isSignal = app.state.document.signals.some((one) => one.name === row.signal);
-    const open = () => app.openScope([row.signal]);
-    return element(
-      "li", {}, element("span", { class: "name" }, row.name),
-      element("span", { class: "value" }, isSignal ? element("button", { class: "link", title: `Show ${row.signal} in a scope`, onclick: open }, "scope") : null, unit(row.unit)),
-      row.doc ? element("span", { class: "what" }, row.doc) : null,
-    );
-  };
-
-  const fault = (one) =>
-    element("li", { class: one.warning ? "warning" : "fault" }, element("b", {}, one.code), ` ${one.place}: ${one.message} ${one.cure}`);
+  function variants({ path, variants: choices, variant, anew }) {
+    if (!app.knob || !choices.length) return null;
+    const choice = element("select", { onchange: () => app.ask("variant", { path, name: choice.value }) }, ...choices.map((one) => element("option", { selected: one === variant }, one)));
+    const offer = element("button", { hidden: !anew, onclick: () => app.begin() }, `Run anew with ${path} = ${variant}`);
+    return element("p", {}, element("label", {}, "Variant ", choice), " ", offer);
+  }
 
   let asked = 0;
   const show = async (path) => {
@@ -52,22 +32,20 @@ export function start(app) {
     const name = path?.split(".").pop() ?? app.state.document.name;
     const kind = { diagram: path ? "subdiagram" : "diagram", fmu: "FMU", block: "block" }[panel.kind];
     const open = path && panel.kind === "diagram" ? element("button", { onclick: () => app.open(path) }, "Open") : null;
-    const hasFocus = place.contains(document.activeElement);
-    place.replaceChildren(
+    const focused = place.contains(document.activeElement) ? document.activeElement : null;
+    const parts = [
       element("header", {}, element("h2", {}, name), element("p", { class: "type" }, panel.type === name ? kind : `${panel.type} · ${kind}`), open),
+      variants(panel),
       element("div", { class: "doc" }, ...trusted(panel.mathml)),
-      ...(panel.faults.length ? [element("ul", { class: "faults" }, ...panel.faults.map(fault))] : []),
-      ...(panel.doc ? [element("p", { class: "own" }, panel.doc)] : []),
+      panel.faults.length ? element("div", { class: "faults" }, ...panel.faults.map(fault)) : null,
+      panel.doc ? element("p", { class: "own" }, panel.doc) : null,
       ...panel.notes.map((note) => element("p", { class: "note" }, note)),
-      ...section("Parameters", panel.parameters.map(parameter)),
-      ...section("Inputs", panel.inputs.map(input)),
-      ...section("Outputs", panel.outputs.map(output)),
-      ...section("Memory", panel.states.map((row) =>
-        element("li", {}, element("span", { class: "name" }, row.name), element("span", { class: "value" }, row.kind, unit(row.unit)), element("span", { class: "what" }, row.doc)))),
-      ...(panel.more ? [element("details", { class: "doc" }, element("summary", {}, element("h3", {}, "More")), ...trusted(panel.more))] : []),
-    );
-    if (hasFocus) place.focus();
-    app.emit("panel", { panel, place });
+      ...Object.entries(panel.rows).flatMap(([title, rows]) => [element("h3", {}, title), element("ul", { class: "rows" }, ...rows.map(row))]),
+      panel.more ? element("details", { class: "doc" }, element("summary", {}, element("h3", {}, "More")), ...trusted(panel.more)) : null,
+    ];
+    place.replaceChildren(...parts.filter(Boolean));
+    if (focused) (focused.isConnected ? focused : place).focus();
+    app.emit("panel", panel);
   };
   app.on("select", show);
   app.on("document", () => show(app.state.selected));
