@@ -11,6 +11,7 @@ from importlib import resources
 from typing import Any, NamedTuple
 
 from ..contract.block import Block
+from ..contract.interface import Interface
 from ..model.block_types import Library, library_types
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import legible
@@ -156,17 +157,17 @@ def measures() -> Mapping[str, str]:
     return MEASURES
 
 
-def sheet_of(cls: type[Block]) -> Sheet:
-    """What a block class says of itself."""
+def sheet_of(cls: type[Block], interface: Interface | None = None) -> Sheet:
+    """What a block class says of itself. interface: of a block, whose ports then stand for those without parameters."""
     declaration = cls.declaration
-    inputs, outputs = _ports(cls)
+    inputs, outputs = _ports(cls, interface)
     parameters = (
         ParameterRow(p.name, _unit(p), _default(p), p.doc, _kind(declaration, p)) for p in declaration.settable.values()
     )
     return Sheet(cls.__name__, declaration.doc, tuple(inputs), tuple(outputs), tuple(parameters))
 
 
-def _ports(cls: type[Block]) -> tuple[list[PortRow], list[PortRow]]:
+def _ports(cls: type[Block], interface: Interface | None) -> tuple[list[PortRow], list[PortRow]]:
     from ..contract.resolution import resolve
 
     declaration = cls.declaration
@@ -180,7 +181,7 @@ def _ports(cls: type[Block]) -> tuple[list[PortRow], list[PortRow]]:
         **declaration.algebraics,
     }
     try:
-        interface = resolve(cls, {}).interface
+        interface = interface or resolve(cls, {}).interface
     except BlocksError:  # a type with parameters that must be given has no ports yet
         inputs = [PortRow(name, _unit(v), "", v.doc) for name, v in declaration.inputs.items()]
         outputs = [

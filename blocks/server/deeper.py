@@ -64,20 +64,19 @@ def _linearizer(session: Session, at: str | float, amplitude: Amplitude) -> tupl
     shown, live, words = session.document.shown, session.live, ""
     given: dict[str, Any] = {"held": session.inputs, "parameters": session.values}
     if at == "rest":
-        own = {"parameters": session.values, "trust": session.trust}
-        given, words = {"at": find_operating_point(shown, inputs=session.inputs, **own)}, ", where the diagram rests"
+        point = find_operating_point(shown, inputs=session.inputs, parameters=session.values, trust=session.trust)
+        given, words = {"at": point}, ", where the diagram rests"
     elif isinstance(at, str) and at != "start":
         raise UsageError(Fault("E501", "at", f"{at!r} is no place.", 'It is "start", "rest", or a time in s.'))
     elif isinstance(at, str) or live is None or isinstance(live.prepared.plan, Coupling):  # which has no linear model
         given["at"] = None if at == "start" else at
     else:
         turned = [each for each in list(live.turned) if each.t <= at]
-        known, point = _POINTS.get(live, (None, None))
-        if known != (at, len(turned)):  # a slider asks for one point again and again
-            point = standing(shown.point(at=_again(live, at, turned), trust=session.trust))
-            _POINTS[live] = ((at, len(turned)), point)
+        key = (at, len(turned))
+        if live not in _POINTS or _POINTS[live][0] != key:  # a slider asks for one point again and again
+            _POINTS[live] = (key, standing(shown.point(at=_again(live, at, turned), trust=session.trust)))
         sets = ", ".join(f"{each.name} = {text_of(each.value)}" for each in turned)
-        given, words = {"at": point}, " of the run" + (f", with {sets} set in it" if sets else "")
+        given, words = {"at": _POINTS[live][1]}, " of the run" + (f", with {sets} set in it" if sets else "")
     linearizer = shown.linearizer(**given, trust=session.trust, amplitude=amplitude)
     return linearizer, f"Linearized at t = {linearizer.slopes.point.t:.6g} s{words}."
 
@@ -275,8 +274,8 @@ def color(session: Session, *, by: str) -> Answer:
         raise UsageError(Fault("E501", "color.by", f"{by!r} is no way to color.", cure))
     found: dict[str, Any] = {}
     for path in (block["path"] for block in blocks):
-        own = [value for inner, value in known.items() if f"{inner}.".startswith(f"{path}.")]
-        found[path] = " and ".join(sorted(set(own))) if by == "rate" else sum(own)
+        own: list[Any] = [value for inner, value in known.items() if f"{inner}.".startswith(f"{path}.")]
+        found[path] = " and ".join(sorted({*own})) if by == "rate" else sum(own)
     legend = sorted(set(found.values()), key=lambda label: (label != "continuous", label)) if by == "rate" else []
     return {"is": "color", "blocks": found, "legend": legend}
 
@@ -286,15 +285,9 @@ def color(session: Session, *, by: str) -> Answer:
 
 @handles_aside
 def band(
-    session: Session,
-    *,
-    signal: str,
-    parameter: str = "",
-    low: float = 0.0,
-    high: float = 0.0,
-    n: int = 50,
-    file: str = "",
-) -> Answer:
+    session: Session, *, signal: str, parameter: str = "", low: float = 0.0, high: float = 0.0,
+    n: int = 50, file: str = "",
+) -> Answer:  # fmt: skip
     """Quantiles (5, 50 and 95 %) of a signal over time: of runs with a parameter between two values, or a saved sweep.
 
     It ends without a result where another message waits to be computed. Raises UsageError (E501, E502).
@@ -306,16 +299,15 @@ def band(
     if signal not in sweep.signals:
         cure = did_you_mean(signal, sweep.signals) or f"It has {', '.join(sweep.signals) or 'none'}."
         raise UsageError(Fault("E502", signal, "is no signal of this sweep.", cure))
-    t = sweep.t[:: -(-len(sweep.t) // MOST_POINTS)].tolist()
-    values = sweep.signals[signal].reshape(len(sweep), len(sweep.t), -1)[:, :: -(-len(sweep.t) // MOST_POINTS)]
+    thin = slice(None, None, -(-len(sweep.t) // MOST_POINTS))
+    t, values = sweep.t[thin].tolist(), sweep.signals[signal].reshape(len(sweep), len(sweep.t), -1)[:, thin]
     levels = [[[*map(_finite, row)] for row in level.T] for level in quantiles(values, np.array(QUANTILES))]
+    rows = [[t[k], *(level[0][k] for level in levels)] for k in range(0, len(t), max(1, len(t) // 10))]
     good = int(np.count_nonzero(sweep.status == "ok"))
-    picked = range(0, len(t), max(1, len(t) // 10))
     return {
         "is": "analysis", "title": f"Band of {signal} over {good} of {len(sweep)} runs.", "faults": [], "laws": [],
-        "notes": sorted({text for text in sweep.messages if text})[:3],
+        "notes": sorted({text for text in sweep.messages if text})[:3], "rows": rows,
         "head": ["t [s]", *(f"{100 * q:g} %" for q in QUANTILES)],
-        "rows": [[t[k], *(level[0][k] for level in levels)] for k in picked],
         "band": {"t": t, "signals": {signal: levels}},  # by quantile, then element
     }  # fmt: skip
 

@@ -54,7 +54,7 @@ def set(session: Session, *, name: str, value: Any, anew: bool = False) -> Answe
     """
     fact, live = _fact(session, name), session.live
     raw = _raw(fact, value)
-    told = {"is": "set", "name": name, "text": fact.text(raw), "t": None}
+    told: dict[str, Any] = {"is": "set", "name": name, "text": fact.text(raw), "t": None}
     if not anew and live is not None and live.state in ACTIVE:
         told["t"] = live.set(name, raw).t
     else:
@@ -163,10 +163,7 @@ def script(session: Session) -> Answer:
 def _fact(session: Session, name: str) -> Fact:
     facts = session.document.facts
     if name not in facts:
-        if session.document.planned is None:
-            cure = "Mend its faults first."
-            raise UsageError(Fault("E502", legible(name[:200]), "cannot be set while the diagram has faults.", cure))
-        cure = did_you_mean(name[:200], facts) or "Reset it, where the file has lost it."
+        cure = did_you_mean(name[:200], facts) or "Mend the faults of the diagram, or reset what the file has lost."
         raise UsageError(Fault("E502", legible(name[:200]), "there is no such input or parameter.", cure))
     return facts[name]
 

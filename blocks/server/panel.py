@@ -6,10 +6,10 @@ ports and memory are rows of one form (`_row`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from ..api.catalog import sheet_of
+from ..api.catalog import ParameterRow, PortRow, Sheet, sheet_of
 from ..contract.type_texts import names_of, pieces_of
 from ..model.diagram import BlockEntry, DiagramValue
 from ..model.hierarchy import DiagramScope, Hierarchy, Leaf
@@ -37,8 +37,7 @@ def panel(session: Session, *, path: str) -> Answer:
 
     Values are in the unit beside them, which is that in which a bare number is meant. Raises UsageError (E502).
     """
-    document = session.document
-    shown = document.shown
+    document, shown = session.document, session.document.shown
     scope, entry, found = _found(Hierarchy(taken(shown.value), shown._draft.resolver, {}).root, path)
     kind = "diagram" if entry is None or entry.inner is not None else "fmu" if entry.fmu else "block"
     told: Row = {
@@ -48,23 +47,71 @@ def panel(session: Session, *, path: str) -> Answer:
         "faults": [told_fault(f, {path}) for f in document.faults if not path or f"{f.place}.".startswith(f"{path}.")],
     }  # fmt: skip
     inner = scope.value if entry is None else entry.inner
+    memory: list[PortRow] = []
     if inner is not None:
-        told |= {"type": inner.name, **_of_text(_joined(inner.doc))}
-        rows = _of_diagram(session, inner, f"{path}." if path else "", entry)
+        sheet = _sheet(inner, () if entry is None else entry.control_inputs)
+        told |= {"type": inner.name, **_of_text(sheet.doc)}
     else:
         assert entry is not None
-        cls = found.interface.cls if isinstance(found, Leaf) else entry.cls or shown.types.get(entry.type)
+        interface = found.interface if isinstance(found, Leaf) else None
+        cls = entry.cls or shown.types.get(entry.type) if interface is None else interface.cls
         if cls is None:
             return told
-        told |= _told_by(cls, entry)
-        rows = _of_type(cls, path, entry, found)
-    told["rows"] = {title: some[:MOST_ROWS] for title, some in rows.items() if some}
-    known = knobs_of(session, [row["knob"] for some in told["rows"].values() for row in some])
-    for row in (row for some in told["rows"].values() for row in some):
-        row["knob"] = known.get(row["knob"])
-    for row in told["rows"].get("Inputs", []) if entry is not None else ():
-        row |= _source(scope, path, row["name"])
+        sheet = sheet_of(cls, interface)
+        told |= _of_type(cls, is_stranger=bool(entry.fmu))
+        for how, table in (("state", cls.declaration.states), ("discrete", cls.declaration.discretes)):
+            memory += [PortRow(x, v.unit if isinstance(v.unit, str) else "", how, v.doc) for x, v in table.items()]
+    sections: Iterable[tuple[str, Sequence[Any]]] = (
+        ("Parameters", sheet.parameters), ("Inputs", sheet.inputs), ("Outputs", sheet.outputs), ("Memory", memory),
+    )  # fmt: skip
+    names = [row.name for some in (sheet.parameters, sheet.inputs) for row in some[:MOST_ROWS]]
+    known = knobs_of(session, [f"{path}.{name}".lstrip(".") for name in names])
+    for title, rows in sections:
+        told["rows"][title] = [_row(session, title, row, path, scope, entry, known) for row in rows[:MOST_ROWS]]
     return told
+
+
+def _row(
+    session: Session, title: str, row: Any, path: str, scope: DiagramScope, entry: BlockEntry | None, known: Any
+) -> Row:
+    """A line of the panel.
+
+    note: what is smaller below it. knob: what can be turned, of those that are known. link: the block that the text
+    leads to. signal: what a scope can show.
+    """
+    name, planned = f"{path}.{row.name}".lstrip("."), session.document.planned
+    told: Row = {
+        "name": row.name, "doc": row.doc, "unit": row.unit.replace("*", ""), "text": row.default, "note": "",
+        "knob": None, "link": "", "signal": "",
+    }  # fmt: skip
+    if title == "Parameters":
+        text = _text(entry.parameters.get(row.name)) if entry is not None else ""
+        note = f"default {row.default}" if text and row.default not in ("", text) else ""
+        told |= {"text": text or row.default, "note": note, "knob": known.get(name)}
+    elif title == "Inputs":
+        source = _source(scope, path, row.name) if entry is not None else {}
+        free = f"not wired: {row.default}" if row.default else "not wired"
+        told |= {"text": free, "knob": known.get(name), **source}
+    elif title == "Outputs":
+        told |= {"text": "", "signal": name}
+        if planned is not None and name in planned.signals:
+            told["unit"] = planned.signal(name).unit
+    return told
+
+
+def _sheet(value: DiagramValue, controls: tuple[str, ...]) -> Sheet:
+    """A diagram, described as a block type is. controls: inputs that it has besides its own."""
+    parameters = []
+    for name, said in value.parameters.items():
+        more = said if isinstance(said, Mapping) else {}
+        own = _text({key: more[key] for key in ("value", "unit") if key in more} or said)
+        parameters.append(ParameterRow(name, str(more.get("unit", "")), own, _joined(more.get("doc")), ""))
+    inputs = [
+        PortRow(name, str(raw.get("unit", "")), _text(raw.get("default")), _joined(raw.get("doc")))
+        for name, raw in (*value.inputs.items(), *((name, {}) for name in controls))
+    ]
+    outputs = [PortRow(name, "", "", f"from {source}") for name, source in value.outputs.items()]
+    return Sheet(value.name, _joined(value.doc), tuple(inputs), tuple(outputs), tuple(parameters))
 
 
 def knobs_of(session: Session, names: list[str]) -> dict[str, Row]:
@@ -77,13 +124,6 @@ def knobs_of(session: Session, names: list[str]) -> dict[str, Row]:
         for name in facts.keys() & now.keys() - set_.keys():
             told[name] |= {key: now[name].told(None)[key] for key in ("value", "low", "high", "text")}
     return told
-
-
-def _row(name: str, doc: str, unit: str, text: str, **more: str) -> Row:
-    """A line of the panel. note: what is smaller below it. knob: the name of what can be turned. link: the block that
-    the text leads to. signal: what a scope can show."""
-    empty = dict.fromkeys(("note", "knob", "link", "signal"), "")
-    return {"name": name, "doc": doc, "unit": unit, "text": text, **empty, **more}
 
 
 def _found(root: DiagramScope, path: str) -> tuple[DiagramScope, BlockEntry | None, Leaf | DiagramScope | None]:
@@ -140,35 +180,9 @@ def _variants(session: Session, path: str) -> Row:
     return {"variants": ["base", *entry.variants], "variant": choice, "anew": begun not in (None, choice)}
 
 
-# --- a block type ------------------------------------------------------------------------------------------------
-
-
-def _of_type(cls: Any, path: str, entry: BlockEntry, found: Any) -> dict[str, list[Row]]:
-    declaration = cls.declaration
-    rows: dict[str, list[Row]] = {"Parameters": [], "Inputs": [], "Outputs": [], "Memory": []}
-    for p in sheet_of(cls).parameters[:MOST_ROWS]:
-        text = _text(entry.parameters.get(p.name))
-        note = f"default {p.default}" if text and p.default not in ("", text) else ""
-        unit = p.unit if p.unit != "*" else ""
-        rows["Parameters"].append(_row(p.name, p.doc, unit, text or p.default, note=note, knob=f"{path}.{p.name}"))
-    if not isinstance(found, Leaf):
-        return rows
-    docs = {name: v.doc for table in (declaration.readable, declaration.given) for name, v in table.items()}
-    for port in [*found.interface.inputs.values()][:MOST_ROWS]:
-        free = "not wired" if port.default is None else f"not wired: {port.default[0]:g}"
-        rows["Inputs"].append(_row(port.name, docs.get(port.variable, ""), port.unit, free))
-    for port in [*found.interface.outputs.values()][:MOST_ROWS]:
-        doc = docs.get(port.variable, "")
-        rows["Outputs"].append(_row(port.name, doc, port.unit, "", signal=f"{path}.{port.name}"))
-    for kind, table in (("state", declaration.states), ("discrete", declaration.discretes)):
-        for name, v in table.items():
-            rows["Memory"].append(_row(name, v.doc, v.unit if isinstance(v.unit, str) else "", kind))
-    return rows
-
-
-def _told_by(cls: Any, entry: BlockEntry) -> dict[str, str]:
+def _of_type(cls: Any, *, is_stranger: bool) -> dict[str, str]:
     """What a class says: its first line with the equations below it, and the rest."""
-    if entry.fmu:  # a stranger's text
+    if is_stranger:
         return _of_text(cls.declaration.doc[:LONGEST_DOC])
     names = names_of(cls)
     summary, pieces = pieces_of(cls)
@@ -183,33 +197,6 @@ def _of_text(text: str) -> dict[str, str]:
     lines = (f'<p class="point">{inline_html(x[2:], None)}</p>' if x.startswith("- ") else html_of([Paragraph(x)], None)
              for x in rest)  # fmt: skip
     return {"mathml": f"<p>{inline_html(first, None)}</p>" if first else "", "more": "".join(lines)}
-
-
-# --- a diagram ---------------------------------------------------------------------------------------------------
-
-
-def _of_diagram(
-    session: Session, value: DiagramValue, prefix: str, entry: BlockEntry | None
-) -> dict[str, list[Row]]:
-    rows: dict[str, list[Row]] = {"Parameters": [], "Inputs": [], "Outputs": []}
-    for name, said in value.parameters.items():
-        more = said if isinstance(said, Mapping) else {}
-        own = _text({key: more[key] for key in ("value", "unit") if key in more} or said)
-        text = _text(entry.parameters.get(name)) if entry is not None else ""
-        note = f"default {own}" if text and text != own else ""
-        unit, doc = str(more.get("unit", "")), _joined(more.get("doc"))
-        rows["Parameters"].append(_row(name, doc, unit, text or own, note=note, knob=prefix + name))
-    controls = entry.control_inputs if entry is not None else ()
-    for name, raw in (*value.inputs.items(), *((name, {}) for name in controls)):
-        free = f"not wired: {_text(raw['default'])}" if "default" in raw else "not wired"
-        unit, knob = str(raw.get("unit", "")), name if entry is None else ""
-        rows["Inputs"].append(_row(name, _joined(raw.get("doc")), unit, free, knob=knob))
-    planned = session.document.planned
-    for name, source in value.outputs.items():
-        signal = prefix + name
-        unit = planned.signal(signal).unit if planned is not None and signal in planned.signals else ""
-        rows["Outputs"].append(_row(name, f"from {source}", unit, "", signal=signal))
-    return rows
 
 
 def _source(scope: DiagramScope, path: str, port: str) -> dict[str, str]:

@@ -40,7 +40,7 @@ export function start(app) {
       panel.faults.length ? element("div", { class: "faults" }, ...panel.faults.map(fault)) : null,
       panel.doc ? element("p", { class: "own" }, panel.doc) : null,
       ...panel.notes.map((note) => element("p", { class: "note" }, note)),
-      ...Object.entries(panel.rows).flatMap(([title, rows]) => [element("h3", {}, title), element("ul", { class: "rows" }, ...rows.map(row))]),
+      ...Object.entries(panel.rows).filter(([, rows]) => rows.length).flatMap(([title, rows]) => [element("h3", {}, title), element("ul", { class: "rows" }, ...rows.map(row))]),
       panel.more ? element("details", { class: "doc" }, element("summary", {}, element("h3", {}, "More")), ...trusted(panel.more)) : null,
     ];
     place.replaceChildren(...parts.filter(Boolean));
