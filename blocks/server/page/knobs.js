@@ -257,28 +257,22 @@ export function start(app) {
     look();
   });
 
-  async function write(names) {
+  /** Ask; what is refused is told below the changes. */
+  function tried(name, fields) {
     refusal.textContent = "";
-    try {
-      const { kept } = await app.connection.ask("keep", names ? { names } : {});
-      app.announce(`Kept: ${kept.map(({ old, new: now }) => `${old || "nothing"} is ${now} now`).join(", ") || "nothing had to change"}.`);
-    } catch (error) {
-      refusal.textContent = error.message;
-    }
+    return app.connection.ask(name, fields).catch((error) => (refusal.textContent = error.message) && null);
   }
-
+  async function write(names) {
+    const told = await tried("keep", names ? { names } : {});
+    if (told) app.announce(`Kept: ${told.kept.map(({ old, new: now }) => `${old || "nothing"} is ${now} now`).join(", ") || "nothing had to change"}.`);
+  }
   async function script() {
-    const told = await app.connection.ask("script").catch((error) => (refusal.textContent = error.message) && null);
+    const told = await tried("script");
     if (!told) return;
     const text = element("textarea", { readonly: true, rows: 12, cols: 80, "aria-label": "Script" });
     text.value = told.text;
-    const copy = button("Copy", async () => {
-      text.select();
-      await navigator.clipboard?.writeText(told.text).catch(() => document.execCommand("copy"));
-      copy.textContent = "Copied";
-    });
-    const url = `data:text/x-python;charset=utf-8,${encodeURIComponent(told.text)}`;
-    const save = element("a", { href: url, download: `${app.state.document.name}_run.py` }, "Save");
-    const opened = dialog("Script that repeats this run", text, element("p", {}, copy, " ", save, " ", button("Close", () => opened.close())));
+    const save = element("a", { href: `data:text/x-python;charset=utf-8,${encodeURIComponent(told.text)}`, download: `${app.state.document.name}_run.py` }, "Save");
+    const opened = dialog("Script that repeats this run", text, element("p", {}, save, " ", button("Close", () => opened.close())));
+    text.select();
   }
 }
