@@ -39,20 +39,17 @@ def panel(session: Session, *, path: str) -> Answer:
     """
     document, shown = session.document, session.document.shown
     scope, entry, found = _found(Hierarchy(taken(shown.value), shown._draft.resolver, {}).root, path)
-    kind = "diagram" if entry is None or entry.inner is not None else "fmu" if entry.fmu else "block"
+    kind = "diagram" if entry.inner is not None else "fmu" if entry.fmu else "block"
     told: Row = {
-        "is": "panel", "path": path, "type": "" if entry is None else entry.type or entry.what, "kind": kind,
-        "doc": "" if entry is None else _joined(entry.doc), "notes": [] if entry is None else [*_notes(entry)],
-        "mathml": "", "more": "", "rows": {}, **_variants(session, path),
+        "is": "panel", "path": path, "type": entry.type or entry.what, "kind": kind, "doc": _joined(entry.doc),
+        "notes": [*_notes(entry)], "mathml": "", "more": "", "rows": {}, **_variants(session, path),
         "faults": [told_fault(f, {path}) for f in document.faults if not path or f"{f.place}.".startswith(f"{path}.")],
     }  # fmt: skip
-    inner = scope.value if entry is None else entry.inner
     memory: list[PortRow] = []
-    if inner is not None:
-        sheet = _sheet(inner, () if entry is None else entry.control_inputs)
-        told |= {"type": inner.name, **_of_text(sheet.doc)}
+    if entry.inner is not None:
+        sheet = _sheet(entry.inner, entry.control_inputs)
+        told |= {"type": sheet.name, **_of_text(sheet.doc)}
     else:
-        assert entry is not None
         interface = found.interface if isinstance(found, Leaf) else None
         cls = entry.cls or shown.types.get(entry.type) if interface is None else interface.cls
         if cls is None:
@@ -67,35 +64,30 @@ def panel(session: Session, *, path: str) -> Answer:
     names = [row.name for some in (sheet.parameters, sheet.inputs) for row in some[:MOST_ROWS]]
     known = knobs_of(session, [f"{path}.{name}".lstrip(".") for name in names])
     for title, rows in sections:
-        told["rows"][title] = [_row(session, title, row, path, scope, entry, known) for row in rows[:MOST_ROWS]]
+        told["rows"][title] = [_row(title, row, path, scope, entry, known) for row in rows[:MOST_ROWS]]
     return told
 
 
-def _row(
-    session: Session, title: str, row: Any, path: str, scope: DiagramScope, entry: BlockEntry | None, known: Any
-) -> Row:
+def _row(title: str, row: Any, path: str, scope: DiagramScope, entry: BlockEntry, known: Mapping[str, Row]) -> Row:
     """A line of the panel.
 
     note: what is smaller below it. knob: what can be turned, of those that are known. link: the block that the text
     leads to. signal: what a scope can show.
     """
-    name, planned = f"{path}.{row.name}".lstrip("."), session.document.planned
+    name = f"{path}.{row.name}".lstrip(".")
     told: Row = {
         "name": row.name, "doc": row.doc, "unit": row.unit.replace("*", ""), "text": row.default, "note": "",
         "knob": None, "link": "", "signal": "",
     }  # fmt: skip
     if title == "Parameters":
-        text = _text(entry.parameters.get(row.name)) if entry is not None else ""
+        text = _text(entry.parameters.get(row.name))
         note = f"default {row.default}" if text and row.default not in ("", text) else ""
         told |= {"text": text or row.default, "note": note, "knob": known.get(name)}
     elif title == "Inputs":
-        source = _source(scope, path, row.name) if entry is not None else {}
         free = f"not wired: {row.default}" if row.default else "not wired"
-        told |= {"text": free, "knob": known.get(name), **source}
+        told |= {"text": free, "knob": known.get(name), **_source(scope, path, row.name)}
     elif title == "Outputs":
         told |= {"text": "", "signal": name}
-        if planned is not None and name in planned.signals:
-            told["unit"] = planned.signal(name).unit
     return told
 
 
@@ -126,15 +118,15 @@ def knobs_of(session: Session, names: list[str]) -> dict[str, Row]:
     return told
 
 
-def _found(root: DiagramScope, path: str) -> tuple[DiagramScope, BlockEntry | None, Leaf | DiagramScope | None]:
+def _found(root: DiagramScope, path: str) -> tuple[DiagramScope, BlockEntry, Leaf | DiagramScope | None]:
     """The scope around the block at a path, its entry, and it with its numbers, unless these are faulty."""
-    scope, entry, found = root, None, None
+    scope, entry = root, BlockEntry(diagram=root.value)
+    found: Leaf | DiagramScope | None = root
     for name in path.split(".") if path else ():
-        scope = found if isinstance(found, DiagramScope) else scope
-        if (entry is not None and scope is not found) or name not in scope.value.blocks:
-            cure = did_you_mean(name[:200], scope.value.blocks)
+        if not isinstance(found, DiagramScope) or name not in found.value.blocks:
+            cure = did_you_mean(name[:200], found.value.blocks) if isinstance(found, DiagramScope) else ""
             raise UsageError(Fault("E502", quoted(path[:200]), "there is no such block.", cure))
-        entry, found = scope.value.blocks[name], scope.children.get(name)
+        scope, entry, found = found, found.value.blocks[name], found.children.get(name)
     return scope, entry, found
 
 

@@ -85,7 +85,7 @@ def test_a_diagram_and_a_subdiagram_are_told_with_their_parameters(paper: Sessio
     heading = rows(whole)["heading"]["knob"]
     assert (heading["value"], heading["unit"]) == (45.0, "deg")
     x = rows(whole, "Outputs")["x"]
-    assert (x["unit"], x["doc"], x["signal"]) == ("m", "from robot.x", "x")
+    assert (x["doc"], x["signal"]) == ("from robot.x", "x")
     inner = panel_of(paper, "robot")
     assert inner["kind"] == "diagram"
     assert rows(inner)["heading"]["text"] == "=heading"

@@ -8,7 +8,6 @@ const ELEMENTS = 6; // of a vector that has a field for each
 export function start(app) {
   /** What shows a parameter or an input, by place and name. @type {Map<string, any>} */
   const knobs = new Map();
-  const ranges = new Map(); // [low, high, is logarithmic] of a slider, as edited
   const button = (text, onclick, label = null) => element("button", { type: "button", onclick, "aria-label": label }, text);
 
   // --- values -------------------------------------------------------------------------------------------------------
@@ -87,9 +86,9 @@ export function start(app) {
     const error = element("span", { class: "error", role: "alert", id: `${id}-error` });
     const [changed, note] = [element("span", { class: "changed" }), element("span", { class: "unit" })];
     const reset = button("Reset", () => back(name), `Reset ${name}`);
-    const slider = fact.low === null || fact.why ? null : slide(fact, (value) => turn(name, value, root));
+    const slider = fact.low === null || fact.why ? null : slide(name, (value) => turn(name, value, root));
     const side = isOnBoard ? button("Unpin", () => unpin(name), `Take ${name} off the board`) : slider && button("Pin", () => pin(root.fact), `Put ${name} on the board`);
-    const parts = [...fields, note, side, slider?.input ?? null, isOnBoard ? slider.range : null, changed, isOnBoard ? null : reset, error];
+    const parts = [...fields, note, side, slider?.input ?? null, changed, isOnBoard ? null : reset, error];
     const root = element("div", { class: "knob", role: "group", "aria-label": name, "data-kind": kind }, ...parts);
     const isBox = field.type === "checkbox";
     const read = () => (isBox ? field.checked : count ? fields.map((one) => one.value) : field.value);
@@ -105,6 +104,7 @@ export function start(app) {
       else fields.forEach((one, k) => (one.value = count ? String(root.fact.value[k]) : root.fact.text));
       taken = JSON.stringify(read());
     };
+    if (slider) slider.input.onblur = () => root.show(root.fact);
     for (const one of fields) {
       one.oninput = () => {
         clearTimeout(timer);
@@ -146,43 +146,28 @@ export function start(app) {
     return element("input", { type: "text", autocomplete: "off", spellcheck: "false", ...named });
   }
 
-  /** A slider over the declared range, or over one around the value, which can be edited. */
-  function slide({ name, low, high, log, type, unit, value: begun }, act) {
-    if (!ranges.has(name)) ranges.set(name, [low, high, log]);
-    let now = begun;
+  /** A slider over the declared range, or over one around the value, which follows it when the slider is left. */
+  function slide(name, act) {
+    let fact = null;
     const made = element("input", { type: "range", min: 0, max: 1000, step: 1, "aria-label": `${name} slider` });
-    const at = (x) => {
-      const [a, b, isLog] = ranges.get(name);
-      return 1000 * (isLog ? Math.log(x / a) / Math.log(b / a) : (x - a) / (b - a));
+    const value = ({ low, high, log, type }) => {
+      if (log) return Number((low * (high / low) ** (made.value / 1000)).toPrecision(3));
+      const step = type === "int" ? 1 : 10 ** Math.floor(Math.log10((high - low) / 1000));
+      return Number((Math.round((low + ((high - low) * made.value) / 1000) / step) * step).toPrecision(12));
     };
-    const value = () => {
-      const [a, b, isLog] = ranges.get(name);
-      if (isLog) return Number((a * (b / a) ** (made.value / 1000)).toPrecision(3));
-      const step = type === "int" ? 1 : 10 ** Math.floor(Math.log10((b - a) / 1000));
-      return Number((Math.round((a + ((b - a) * made.value) / 1000) / step) * step).toPrecision(12));
-    };
-    const say = (x) => made.setAttribute("aria-valuetext", `${shown(x)} ${unit}`.trim());
+    const say = (x) => made.setAttribute("aria-valuetext", `${shown(x)} ${fact.unit}`.trim());
     made.oninput = () => {
-      say(value());
-      act(value());
+      say(value(fact));
+      act(value(fact));
     };
-    const end = (index, word) => {
-      const edited = element("input", { type: "number", step: "any", value: ranges.get(name)[index], "aria-label": `${word} of the slider of ${name}` });
-      edited.onchange = () => {
-        const [a, b, isLog] = ranges.get(name).with(index, edited.valueAsNumber);
-        if (a < b) ranges.set(name, [a, b, isLog && a > 0]);
-        edited.value = ranges.get(name)[index];
-        made.value = at(now);
-      };
-      return edited;
+    const show = (now) => {
+      if (fact && document.activeElement === made) return; // it says its value itself
+      fact = now;
+      const { value: x, low, high, log } = fact;
+      made.value = 1000 * (log ? Math.log(x / low) / Math.log(high / low) : (x - low) / (high - low));
+      say(x);
     };
-    const show = (fact) => {
-      now = fact.value;
-      if (document.activeElement === made) return; // it says its value itself
-      say(now);
-      made.value = at(now);
-    };
-    return { input: made, show, range: element("details", {}, element("summary", {}, "range"), end(0, "Least value"), " to ", end(1, "Greatest value"), ` ${unit}`) };
+    return { input: made, show };
   }
 
   // --- the board ----------------------------------------------------------------------------------------------------

@@ -7,11 +7,11 @@ export function start(app) {
   const span = (name, ...children) => element("span", { class: name }, ...children);
 
   const row = ({ name, doc, unit, text, note, knob, link: to, signal }) => {
-    const isSignal = app.state.document.signals.some((one) => one.name === signal);
+    const known = app.state.document.signals.find((one) => one.name === signal);
     const value = [
       ...(knob ? [app.knob?.(knob) ?? `${knob.text}${knob.bound ? ` = ${shown(knob.value)} ${knob.unit}` : ""}`] : [to ? link(text, () => app.reveal(to)) : text]),
-      isSignal ? link("scope", () => app.openScope([signal]), { title: `Show ${signal} in a scope` }) : null,
-      unit && !knob ? span("unit", unit) : null,
+      known ? link("scope", () => app.openScope([signal]), { title: `Show ${signal} in a scope` }) : null,
+      knob ? null : span("unit", unit || known?.unit || ""),
     ];
     const notes = [note, knob?.why && !knob.bound && `not in a run: ${knob.why}`].filter(Boolean).join("; ");
     return element("li", {}, span("name", name), span("value", ...value.filter(Boolean)), doc ? span("what", doc) : null, notes ? span("notes", notes) : null);
