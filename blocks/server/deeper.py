@@ -179,7 +179,7 @@ def _over_frequency(linearizer: Linearizer, input: str, output: str) -> dict[str
     shown = single_channels(exact, "response")[0]
     omega, values = curve_of(shown, span_of([shown], None))
     told["curve"] = [x.tolist() for x in (omega, decibel_of(values), phase_of(omega, values))]
-    drawn = [figure(exact, margins=not output) for figure in (figures.bode, figures.nyquist)]
+    drawn = [figures.bode(exact, margins=False)] if output else [figures.bode(exact), figures.nyquist(exact)]
     return told | {"figures": [figure.forms["image/svg+xml"](figure) for figure in drawn]}
 
 

@@ -7,6 +7,7 @@ ports and memory are rows of one form (`_row`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from ..api.catalog import ParameterRow, PortRow, Sheet, sheet_of
@@ -15,7 +16,7 @@ from ..model.diagram import BlockEntry, DiagramValue
 from ..model.hierarchy import DiagramScope, Hierarchy, Leaf
 from ..model.variants import taken
 from ..text.docstrings import Lines, Paragraph, html_of, inline_html
-from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import quoted
 from .document import told_fault
 from .facts import facts_of, text_of
@@ -108,13 +109,14 @@ def _sheet(value: DiagramValue, controls: tuple[str, ...]) -> Sheet:
 
 def knobs_of(session: Session, names: list[str]) -> dict[str, Row]:
     """Parameters and inputs, by path and by name, as they are in this session."""
-    document, set_ = session.document, {**session.values, **session.inputs}
+    document, given = session.document, {**session.values, **session.inputs}
     facts = {name: document.facts[name] for name in names if name in document.facts}
-    told = {name: fact.told(set_.get(name)) for name, fact in facts.items()}
-    if session.values and any(not row["changed"] for row in told.values()):  # what is computed follows what is set
-        now = facts_of(document.shown, document.planned, session.values)
-        for name in facts.keys() & now.keys() - set_.keys():
-            told[name] |= {key: now[name].told(None)[key] for key in ("value", "low", "high", "text")}
+    told = {name: fact.told(given.get(name)) for name, fact in facts.items()}
+    if session.values and facts.keys() - given.keys():  # what is computed follows what is set
+        with suppress(BlocksError):  # a file that is read anew may have lost that
+            now = facts_of(document.shown, document.planned, session.values)
+            for name in facts.keys() & now.keys() - given.keys():
+                told[name] |= {key: now[name].told(None)[key] for key in ("value", "low", "high", "text")}
     return told
 
 

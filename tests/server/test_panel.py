@@ -80,6 +80,11 @@ def test_values_are_those_that_the_diagram_is_computed_with(paper: Session) -> N
         assert rows(panel_of(session, "motor_left"))["Jeq"]["knob"]["value"] == session.values.get("Jeq", 0.2752)
 
 
+def test_what_is_set_and_no_more_in_the_file_hides_nothing() -> None:
+    told = panel_of(Session(Document(PAPER), values={"gone": 1.0, "Jeq": 0.5}), "")
+    assert (rows(told)["Jeq"]["knob"]["value"], rows(told)["torque"]["knob"]["value"]) == (0.5, 3.0)
+
+
 def test_a_diagram_and_a_subdiagram_are_told_with_their_parameters(paper: Session) -> None:
     whole = panel_of(paper, "")
     heading = rows(whole)["heading"]["knob"]

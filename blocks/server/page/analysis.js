@@ -53,16 +53,16 @@ export function start(app) {
   async function ask() {
     if (place.hidden) return;
     const fields = given();
-    next = fields && [VIEWS[what].ask, fields];
+    next = fields && { view: what, fields };
     if (!fields) body.replaceChildren(element("p", { class: "hint" }, VIEWS[what].hint));
     if (isAsked) return;
     isAsked = true;
     body.setAttribute("aria-busy", "true");
     while (next) {
-      const asked = next;
+      const { view, fields: asked } = next;
       next = null;
-      const answer = await app.connection.ask(...asked).catch((error) => ({ title: "", laws: [], faults: error.faults ?? [{ code: "", place: "", message: error.message, cure: "" }] }));
-      if (!next && given()) fill(answer);
+      const answer = await app.connection.ask(VIEWS[view].ask, asked).catch((error) => ({ title: "", laws: [], faults: error.faults ?? [{ code: "", place: "", message: error.message, cure: "" }] }));
+      if (!next && view === what && given()) fill(answer);
     }
     isAsked = false;
     body.setAttribute("aria-busy", "false");
