@@ -1,15 +1,15 @@
 /** Looking deeper: loops and their margins, responses, modes, limit cycles, bands of sweeps; blocks colored by rate. */
 import { element, fault, shown, table } from "./elements.js";
 
-const AT = { at: ["at", [["start", "at the start"], ["cursor", "at the cursor"], ["rest", "where it rests"]]] };
-/** By view: its name, what the server is asked, its fields with their labels, and what to do while one of them lacks. */
+const AT = { at: ["Where it is linearized", [["start", "at the start"], ["cursor", "at the cursor"], ["rest", "where it rests"]]] };
+/** By view: its name, what the server is asked, its fields with their labels, those that must be filled, and what it needs. */
 const VIEWS = {
   loop: { label: "Loop", ask: "response", fields: { input: ["opened at", "signals"], ...AT }, must: ["input"],
     hint: "Click a wire of a loop, or name its signal: the loop is opened there." },
   response: { label: "Response", ask: "response", fields: { input: ["from", "signals"], output: ["to", "signals"], ...AT }, must: ["input", "output"],
     hint: "Name the signal where a change is put in, and the one that is looked at." },
   modes: { label: "Modes", ask: "modes", fields: AT, must: [] },
-  cycles: { label: "Limit cycles", ask: "cycles", fields: { at: ["at", AT.at[1].toReversed()] }, must: [] },
+  cycles: { label: "Limit cycles", ask: "cycles", fields: { at: [AT.at[0], AT.at[1].toReversed()] }, must: [] },
   band: { label: "Band", ask: "band", must: ["signal"],
     fields: { signal: ["of", "signals"], parameter: ["vary", "parameters"], low: ["from", "number"], high: ["to", "number"], n: ["runs", "number"], file: ["or a saved sweep", "text"] },
     hint: "Runs of the diagram with a parameter between two values; 5, 50 and 95 % of them are drawn over the scopes." },

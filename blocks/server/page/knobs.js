@@ -8,6 +8,7 @@ const ELEMENTS = 6; // of a vector that has a field for each
 export function start(app) {
   /** What shows a parameter or an input, by place and name. @type {Map<string, any>} */
   const knobs = new Map();
+  const isTunable = (fact) => fact.low !== null && !fact.why;
   const button = (text, onclick, label = null) => element("button", { type: "button", onclick, "aria-label": label }, text);
 
   // --- values -------------------------------------------------------------------------------------------------------
@@ -86,10 +87,11 @@ export function start(app) {
     const error = element("span", { class: "error", role: "alert", id: `${id}-error` });
     const [changed, note] = [element("span", { class: "changed" }), element("span", { class: "unit" })];
     const reset = button("Reset", () => back(name), `Reset ${name}`);
-    const slider = fact.low === null || fact.why ? null : slide(name, (value) => turn(name, value, root));
+    const slider = isTunable(fact) ? slide(name, (value) => turn(name, value, root)) : null;
     const side = isOnBoard ? button("Unpin", () => unpin(name), `Take ${name} off the board`) : slider && button("Pin", () => pin(root.fact), `Put ${name} on the board`);
-    const parts = [...fields, note, side, slider?.input ?? null, changed, isOnBoard ? null : reset, error];
-    const root = element("div", { class: "knob", role: "group", "aria-label": name, "data-kind": kind }, ...parts);
+    const parts = isOnBoard ? [element("label", { for: id }, `${name} `, changed), ...fields] : fields;
+    const more = [note, side, slider?.input ?? null, ...(isOnBoard ? [] : [changed, reset]), error];
+    const root = element("div", { class: "knob", role: "group", "aria-label": name, "data-kind": kind }, ...parts, ...more);
     const isBox = field.type === "checkbox";
     const read = () => (isBox ? field.checked : count ? fields.map((one) => one.value) : field.value);
     let [timer, taken, isOpen] = [0, "", false]; // isOpen: what was taken waits for an answer, or was refused
@@ -187,19 +189,12 @@ export function start(app) {
     record.hidden = !turned.children.length;
     place.hidden = !board.children.length && !changes.children.length && record.hidden;
   };
-  const stored = (names) => sessionStorage.setItem("pinned", JSON.stringify(names ?? [...board.children].map((one) => one.fact.name)));
-
-  function onto(fact) {
-    if (fact.low === null || fact.why) return null;
-    const one = app.knob(fact, "board");
-    if (!one.querySelector("label")) one.prepend(element("label", { for: `board-${fact.name}` }, `${fact.name} `, one.querySelector(".changed")));
-    board.append(one);
-    open();
-    return one;
-  }
+  const stored = () => sessionStorage.setItem("pinned", JSON.stringify([...board.children].map((one) => one.fact.name)));
   function pin(fact) {
-    onto(fact).querySelector("input[type=range]").focus(); // arrows turn it, and Space runs
+    board.append(app.knob(fact, "board"));
+    open();
     stored();
+    board.lastChild.querySelector("input[type=range]").focus(); // arrows turn it, and Space runs
     app.announce(`${fact.name} is on the board of knobs.`);
   }
   function unpin(name) {
@@ -211,8 +206,7 @@ export function start(app) {
   app.on("document", async () => {
     const names = JSON.parse(sessionStorage.getItem("pinned") ?? "[]"); // also when the page was loaded again
     const told = names.length ? await app.ask("knobs", { names }) : null;
-    board.replaceChildren();
-    told?.knobs.forEach(onto);
+    board.replaceChildren(...(told?.knobs ?? []).filter(isTunable).map((fact) => app.knob(fact, "board")));
     look();
   });
 
