@@ -45,7 +45,7 @@ export function start(app) {
     const fields = Object.fromEntries([...forms[what].elements].filter((one) => one.value && one.name).map((one) => [one.name, one.type === "number" ? one.valueAsNumber : one.value]));
     if (VIEWS[what].must.some((name) => !(name in fields))) return null;
     if (isAtCursor()) fields.at = cursor ?? (app.state.run?.id ? app.state.run.t : "start");
-    return "amplitude" in fields || ["band", "cycles"].includes(what) ? fields : { ...fields, amplitude: Object.fromEntries(amplitudes) };
+    return ["band", "cycles"].includes(what) ? fields : { ...fields, amplitude: Object.fromEntries(amplitudes) };
   }
 
   // --- asking: one question at a time, and the last one counts ---
@@ -54,7 +54,7 @@ export function start(app) {
     if (place.hidden) return;
     const fields = given();
     next = fields && { view: what, fields };
-    if (!fields) body.replaceChildren(element("p", { class: "hint" }, VIEWS[what].hint));
+    if (!fields || what === "band") body.replaceChildren(element("p", { class: "hint" }, fields ? "Running ..." : VIEWS[what].hint));
     if (isAsked) return;
     isAsked = true;
     body.setAttribute("aria-busy", "true");
