@@ -19,7 +19,7 @@ from ..contract.enumerations import enumeration_of
 from ..model.diagram import DiagramValue
 from ..model.values import expressions_in
 from ..text.json_number import Number
-from ..text.units import to_si
+from ..text.units import same_quantity, scale
 
 __all__ = ["Fact", "facts_of", "text_of"]
 
@@ -73,15 +73,12 @@ class Fact:
         return "" if raw is None else text_of(raw if value is None else value, self.unit)
 
     def number(self, raw: Any) -> Any:
-        """The number, or the list of them, of a raw value; None where it is an expression or a table."""
+        """The number, or the list of them, of a raw value; None where it is an expression, a table, or does not fit."""
         unit, value = self.unit, raw
         if isinstance(raw, Mapping):
             unit, value = str(raw.get("unit", unit)), raw.get("value")
-        if value is None or any(expressions_in(value)):
-            return None
-        if unit == self.unit:
-            return value
-        return _in_unit(np.vectorize(lambda x: to_si(x, unit), [float])(value), self.unit)
+        is_number = value is not None and not any(expressions_in(value)) and same_quantity(unit, self.unit)
+        return _in_unit(value, unit, self.unit) if is_number else None
 
     def span(self, value: Any) -> tuple[float | None, float | None, bool]:
         """The range of a slider, and whether it is logarithmic: the declared one, or one around the value."""
@@ -122,14 +119,14 @@ def _fact(setting: Setting, raw: Any, choices: tuple[str, ...]) -> Fact:
     if setting.type == "text":
         return Fact(setting.path, raw, setting.values[0], "", "text", choices=choices, why=setting.why)
     unit = setting.display or setting.unit
-    values = np.array(setting.values).reshape(setting.shape)
-    nominal = values.astype(bool).tolist() if setting.type == "bool" else _in_unit(values, unit)
+    nominal = np.array(setting.values, bool if setting.type == "bool" else float).reshape(setting.shape).tolist()
+    nominal = _in_unit(nominal, setting.unit, unit)
     known = raw.get("value") if isinstance(raw, Mapping) and raw.get("unit", unit) == unit else raw
     if isinstance(known, Number) and not setting.shape:
         nominal = float(known)  # without the rounding of SI
     is_bound = any(expressions_in(raw))
     why = f"it is computed: {text_of(raw)}" if is_bound else setting.why
-    low, high = (None if x is None else _in_unit(np.array(x), unit) for x in (setting.low, setting.high))
+    low, high = (None if x is None else _in_unit(x, setting.unit, unit) for x in (setting.low, setting.high))
     return Fact(setting.path, raw, nominal, unit, setting.type, low, high, setting.low_open, choices, why, is_bound)
 
 
@@ -153,10 +150,12 @@ def _entry(value: DiagramValue, path: str) -> Any:
     return given[name] if name in given else inside.parameters.get(name) if inside is not None else None
 
 
-def _in_unit(values: Any, unit: str) -> Any:
-    """An array of numbers in SI as one, or as a list, in another unit, rounded as far as that makes digits."""
-    scale = to_si(1.0, unit) if unit else 1.0
-    return np.vectorize(lambda x: x if scale == 1.0 else float(f"{x / scale:.14g}"), [float])(values).tolist()
+def _in_unit(value: Any, unit: str, to: str) -> Any:
+    """A number, or a list of them, in another unit, rounded as far as that makes digits."""
+    if unit == to:
+        return value
+    factor = scale(unit, to)
+    return np.vectorize(lambda x: float(f"{x * factor:.14g}"), [float])(value).tolist()
 
 
 def text_of(raw: Any, unit: str = "") -> str:

@@ -54,14 +54,14 @@ def set(session: Session, *, name: str, value: Any, anew: bool = False) -> Answe
     """
     fact, live = _fact(session, name), session.live
     raw = _raw(fact, value)
-    told: dict[str, Any] = {"is": "set", "name": name, "text": fact.text(raw), "t": None}
+    t = None
     if not anew and live is not None and live.state in ACTIVE:
-        told["t"] = live.set(name, raw).t
+        t = live.set(name, raw).t
     else:
         _check(session, fact, raw)
     (session.inputs if fact.is_input else session.values)[name] = raw
     session.broadcast({"is": "changed"})
-    return told
+    return {"is": "set", "text": fact.text(raw), "t": t}
 
 
 @handles

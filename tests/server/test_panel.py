@@ -81,7 +81,9 @@ def test_values_are_those_that_the_diagram_is_computed_with(paper: Session) -> N
 
 
 def test_what_is_set_and_no_more_in_the_file_hides_nothing() -> None:
-    told = panel_of(Session(Document(PAPER), values={"gone": 1.0, "Jeq": 0.5}), "")
+    values = {"gone": 1.0, "Jeq": 0.5, "heading": {"value": 2, "unit": "kg"}}
+    told = panel_of(Session(Document(PAPER), values=values), "")
+    assert rows(told)["heading"]["knob"]["text"] == "2 kg"
     assert (rows(told)["Jeq"]["knob"]["value"], rows(told)["torque"]["knob"]["value"]) == (0.5, 3.0)
 
 
