@@ -20,7 +20,7 @@ from ..text.element_names import indexed
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.version import __version__
 from .document import Document, told_fault
-from .live_run import LiveRun
+from .live_run import LiveRun, own_fault
 from .messages import ASIDE, Answer, answer, handles
 from .scopes import Page, trim
 
@@ -39,6 +39,9 @@ class Client(Protocol):
 
     def send(self, message: dict[str, Any] | bytes, slot: str = "") -> bool:
         """Send a message, or a binary frame, from any thread; of the frames in a slot only the newest waits."""
+
+    def answered(self) -> None:
+        """One of its messages was."""
 
 
 class Session:
@@ -154,18 +157,17 @@ class Session:
             self._answer(*asked)
 
     def _answer(self, client: Client, message: Mapping[str, Any]) -> None:
-        number = message.get("id")
         try:
-            told: Answer = answer(self, message, self.pages.get(client))
-            if told is not None:
-                client.send({**told, "re": number})
-            return
+            told = answer(self, message, self.pages.get(client))
         except BlocksError as error:
             paths = {block["path"] for block in self.document.told()["blocks"]}
             told = {"is": "error", "faults": [told_fault(fault, paths) for fault in error.faults]}
         except Exception as error:  # a page must not end the session of another one
             told = _failed(error)
-        client.send({**told, "re": number})
+        finally:
+            client.answered()
+        if told is not None:
+            client.send({**told, "re": message.get("id")})
 
     @property
     def is_asked_more(self) -> bool:
@@ -254,8 +256,7 @@ class Session:
 
 
 def _failed(error: Exception) -> dict[str, Any]:
-    what = f"blocks itself failed ({type(error).__name__}: {error})."
-    return {"is": "error", "faults": [told_fault(Fault("E901", "", what, "Please report it."), set())]}
+    return {"is": "error", "faults": [told_fault(own_fault(error), set())]}
 
 
 def _plain(failing: dict[str, Any] | None) -> dict[str, Any] | None:

@@ -219,3 +219,27 @@ def test_what_cannot_be_set_is_refused_and_the_run_goes_on(mixed: Path) -> None:
     assert bits(live.finished()) == bits(Diagram.load(mixed).run())
     assert live.turned == []
     assert live.events(1) == list(live.results().events[1:])
+
+
+def test_the_slowest_pace_waits_until_it_is_told_otherwise(mixed: Path) -> None:
+    live = Watched(mixed)
+    live.go(1e-300)  # for longer than a clock can count
+    with live.news:
+        assert live.news.wait_for(lambda: live.t > 0.0, PATIENCE)
+    live.pause()
+    live.until("paused")
+    assert bits(live.finished()) == bits(Diagram.load(mixed).run())
+
+
+def test_what_blocks_itself_does_wrong_is_told_as_the_error_of_the_run(
+    mixed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = Watched(mixed)
+    live.step()
+    live.until("paused")
+    monkeypatch.setattr(live, "_look", {}.__getitem__)
+    live.go()
+    assert live.wait(PATIENCE)
+    assert live.state == "failed"
+    assert str(live.error).startswith("E901 blocks itself failed (KeyError")
+    assert live.results().t[0] == 0.0

@@ -31,6 +31,9 @@ class Client:
     def send(self, message: Any, slot: str = "") -> bool:
         return True
 
+    def answered(self) -> None:
+        pass
+
 
 @pytest.fixture
 def motor(tmp_path: Path) -> Iterator[tuple[Session, Page, Do]]:
