@@ -76,11 +76,11 @@ class Session:
         self._is_told = threading.Event()  # news of the run wait in the queue
         self._told = 0.0
         self._aside: queue.SimpleQueue[tuple[Client, Mapping[str, Any]] | None] = queue.SimpleQueue()
-        self._threads = [
-            threading.Thread(target=work, name="blocks session", daemon=True) for work in (self._work, self._work_aside)
-        ]
-        for thread in self._threads:
-            thread.start()
+        # Python waits for this one: it ends daemon threads where they are, which an FMU that computes does not survive.
+        self._thread = threading.Thread(target=self._work, name="blocks session", daemon=False)
+        self._second = threading.Thread(target=self._work_aside, name="blocks session", daemon=True)
+        self._thread.start()
+        self._second.start()
 
     # --- from other threads ------------------------------------------------------------------------------------------
 
@@ -101,17 +101,15 @@ class Session:
             self._todo.put((None, "news"))
 
     def close(self) -> None:
-        """End the run and the thread."""
+        """End the run and the threads, after what they are in: a step of an FMU may take long."""
         self._todo.put((None, "close"))
-        self._aside.put(None)
-        for thread in self._threads:
-            thread.join(timeout=5.0)
+        self._thread.join()
 
     # --- in its own thread -------------------------------------------------------------------------------------------
 
     def _work(self) -> None:
         looked = time.monotonic()
-        while True:
+        while threading.main_thread().is_alive():  # else Python is about to end
             try:
                 client, what = self._todo.get(timeout=LOOK)
             except queue.Empty:
@@ -126,8 +124,9 @@ class Session:
                         self.tell_document()
             except Exception as error:  # what one page asked for, or a bad file, must not silence the others
                 self.broadcast(_failed(error))
-        if self.live is not None:
-            self.live.stop()
+        self._aside.put(None)
+        self._leave()
+        self._second.join()
 
     def _do(self, client: Client | None, what: Any) -> None:
         if what == "news":
@@ -198,9 +197,7 @@ class Session:
 
     def begin(self, stop: Any = None) -> LiveRun:
         """A new run, which stands at its start, in the place of the one that was."""
-        if self.live is not None:
-            self.live.stop()
-            self.live = None
+        self._leave()
         shown = self.document.shown
         settings: dict[str, Any] = {} if stop is None else {"stop": stop}
         run = shown.start(
@@ -212,6 +209,13 @@ class Session:
         self.live = self.runs[self.number] = LiveRun(run, self.changed)
         trim(self.runs, self.live, self.pages.values())
         return self.live
+
+    def _leave(self) -> None:
+        """End the run, and wait until its FMUs are freed: of some there can be only one."""
+        if self.live is not None:
+            self.live.stop()
+            self.live.wait()
+            self.live = None
 
     def _logged(self, shown: Diagram) -> list[str]:
         """What a live run records: all signals; where these are too many, those of the file and of the scopes."""

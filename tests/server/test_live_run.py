@@ -41,6 +41,7 @@ MIXED = {
 TURNED = [("r", -1.0, 2.0), ("gain.k", 0.5, 3.0)]
 MOTOR = (DIAGRAMS / "motor_pid.json", [("kp", 0.05, 0.5), ("motor.Ra", 0.5, 2.0)])
 ROBOT = (PAPER / "iadrc.json", [("motor_left.Ra", 1.0, 3.0)])
+VARIANTS = {"motor_left": "me", "motor_right": "me"}
 KINDS: dict[str, tuple[Any, Any, dict[str, Any]]] = {
     "mixed": (None, TURNED, {}),
     "grid": (None, TURNED, {"every": 0.05}),
@@ -49,6 +50,8 @@ KINDS: dict[str, tuple[Any, Any, dict[str, Any]]] = {
     "master": (None, TURNED, {"master": {"couple": "each", "step": 0.02}, "stop": 1}),
     "motor": (*MOTOR, {}),
     "paper": (*ROBOT, {"stop": 2}),
+    "co-simulation": (PAPER / "iadrc_fmu.json", ROBOT[1], {"stop": 0.5}),
+    "model exchange": (PAPER / "iadrc_fmu.json", ROBOT[1], {"stop": 2, "variants": VARIANTS}),
 }
 
 
@@ -126,7 +129,7 @@ def test_a_live_run_has_the_bits_of_the_run_and_of_its_script(mixed: Path, kind:
     first = live.set(turned[0][0], turned[0][1])
     assert (first.steps, first.t) == (0, 0.0)
     results, scope = played(live, rng, float(plain.t[-1]), turned), dict[str, Any]()
-    exec(live.script(path), scope)
+    exec(live.script(path, variants=settings.get("variants")), scope)
     assert bits(results) == bits(scope["results"])
     assert not np.array_equal(results.values, plain.values)
 
