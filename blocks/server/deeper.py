@@ -298,12 +298,12 @@ def describe(session: Session, *, t: float | None = None, rest: bool = False) ->
 @handles
 def color(session: Session, *, by: str) -> Answer:
     """What each block is colored by: "rate", how often it is computed; "rejected", how many steps failed for it."""
-    paths = [block["path"] for block in session.document.told()["blocks"]]
+    paths = sorted(session.document.paths)
     if by == "rate":
         planned = session.document.planned
         if planned is None:
             raise UsageError(Fault("E501", "rate", "the diagram has faults.", "Mend them first."))
-        known = {path: label for path, label in planned.rate_labels.items() if path in set(paths)}
+        known = {path: label for path, label in planned.rate_labels.items() if path in paths}
         labels = {path: _label(path, paths, known) for path in paths}
         order = sorted(set(labels.values()), key=lambda label: (label not in ("continuous",), label))
         return {"is": "color", "by": by, "blocks": labels, "legend": order}

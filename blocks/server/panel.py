@@ -34,7 +34,7 @@ def panel_of(document: Document, path: str) -> dict[str, Any]:
 
     Values are in the unit beside them, which is that in which a bare number is meant. Raises UsageError (E502).
     """
-    shown = document.shown
+    shown = document.visible
     hierarchy = Hierarchy(taken(shown.value), shown._draft.resolver, {})
     scope, entry, found = _found(hierarchy.root, path)
     told: dict[str, Any] = {

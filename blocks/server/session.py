@@ -157,10 +157,11 @@ class Session:
 
     def _answer(self, client: Client, message: Mapping[str, Any]) -> None:
         try:
-            told = answer(self, message, self.pages.get(client))
-        except BlocksError as error:
-            paths = {block["path"] for block in self.document.told()["blocks"]}
-            told = {"is": "error", "faults": [told_fault(fault, paths) for fault in error.faults]}
+            try:
+                told = answer(self, message, self.pages.get(client))
+            except BlocksError as error:
+                paths = self.document.paths
+                told = {"is": "error", "faults": [told_fault(fault, paths) for fault in error.faults]}
         except Exception as error:  # a page must not end the session of another one
             told = _failed(error)
         finally:
@@ -197,8 +198,8 @@ class Session:
 
     def begin(self, stop: Any = None) -> LiveRun:
         """A new run, which stands at its start, in the place of the one that was."""
-        self._leave()
         shown = self.document.shown
+        self._leave()
         settings: dict[str, Any] = {} if stop is None else {"stop": stop}
         run = shown.start(
             parameters=dict(self.values), inputs=dict(self.inputs) or None, engine=self.engine, trust=self.trust,
@@ -240,7 +241,7 @@ class Session:
         if live is None:
             return {"is": "run", "id": 0, "state": "none"}
         settings = live.prepared.plan.settings
-        paths = {block["path"] for block in self.document.told()["blocks"]} if live.error else set()
+        paths = self.document.paths if live.error else set()
         faults = [] if live.error is None else [told_fault(fault, paths) for fault in live.error.faults]
         return {
             "is": "run", "id": self.number, "state": live.state, "t": live.t, "steps": live.steps,
