@@ -24,7 +24,8 @@ class Document:
     """An open diagram: of a file, or one that was built in Python.
 
     path: its file; None for one without. diagram: as it was read last without structural faults; None where it never
-    was. planned: what it compiles to; None where it has faults. revision: counts the readings.
+    was. error: of the last reading, where it failed. planned: what it compiles to; None where it has faults. revision:
+    counts the readings.
     """
 
     def __init__(
@@ -37,6 +38,7 @@ class Document:
         self.path = None if isinstance(source, Diagram) else Path(source)
         self.library, self.variants = library, dict(variants or {})
         self.diagram: Diagram | None = source if isinstance(source, Diagram) else None
+        self.error: BlocksError | None = None
         self.planned: Plan | Coupling | None = None
         self.faults: tuple[Fault, ...] = ()
         self.revision, self.text = 0, b""
@@ -58,15 +60,27 @@ class Document:
 
     @property
     def shown(self) -> Diagram:
-        """The diagram with its chosen variants. Raises UsageError (E501) where there is none that can be read."""
-        if self.diagram is None:
+        """The diagram of the file with its chosen variants. Raises BlocksError where the file says none."""
+        if self.error is not None or self.diagram is None:
+            cause = "" if self.error is None else f": {self.error.faults[0]}"
             cure = "Mend its faults first."
-            raise UsageError(Fault("E501", self.name, "the file cannot be read as a diagram.", cure))
+            raise UsageError(Fault("E501", self.name, f"the file cannot be read as a diagram{cause}", cure))
         return self.diagram.with_variants(self.variants) if self.variants else self.diagram
 
+    @property
+    def visible(self) -> Diagram:
+        """What is drawn: the same, or what the file said before it had faults. Raises UsageError (E501) as well."""
+        try:
+            return self.shown
+        except BlocksError:
+            if self.diagram is None:
+                raise
+            return self.diagram
+
     def has_changed(self) -> bool:
-        """Whether the file, or one that it names, is another one than was read."""
-        return self.path is not None and self._stamps() != self._seen
+        """Whether the file, or one that it names, may be another one than was read."""
+        # Which files one names that could not be read is not known.
+        return self.path is not None and (self.error is not None or self._stamps() != self._seen)
 
     def _stamps(self) -> dict[Path, tuple[int, int] | None]:
         """When each file of the diagram was written, and how large it is; None for one that is not there."""
@@ -79,23 +93,26 @@ class Document:
         if self.path is not None:
             seen, self._seen = self._seen, self._stamps()
             try:
-                text = self.path.read_bytes()
+                text = self.path.read_bytes() if self.path.is_file() or not self.revision else None  # a pipe would wait
             except OSError:
+                text = None
+            if text is None:
                 if self.revision:  # it is being replaced, or it went: what was read stays open
+                    self._seen = seen
                     return False
                 Diagram.load(self.path, library=self.library)  # tells why
-                raise
             same = {path: stamp for path, stamp in self._seen.items() if path != self.path}
-            if self.revision and text == self.text and same.items() <= seen.items():
+            before = self.error
+            if self.revision and text == self.text and before is None and same.items() <= seen.items():
                 return False
-            self.text = text
+            self.text = text or b""
             try:
-                self.diagram = Diagram.load(self.path, library=self.library)
+                self.diagram, self.error = Diagram.load(self.path, library=self.library), None
+                self._seen = {**self._stamps(), **self._seen}
             except BlocksError as error:
-                self.faults, self.planned = error.faults, None
-                self.revision += 1
-                return True
-            self._seen = {**self._stamps(), **self._seen}
+                self.error = error
+                if before is not None and before.faults == error.faults:
+                    return False
         self.revision += 1
         self.check()
         return True
@@ -105,6 +122,8 @@ class Document:
         self._drawings.clear()
         self._facts = None
         try:
+            if self.error is not None:
+                raise self.error
             self.planned = self.shown.check()
             self.faults = self.planned.warnings
         except BlocksError as error:
@@ -114,7 +133,7 @@ class Document:
     def facts(self) -> dict[str, Fact]:
         """Its parameters and inputs, by path and by name; none while it has faults."""
         if self._facts is None:
-            self._facts = facts_of(self.shown, self.planned)
+            self._facts = facts_of(self.visible, self.planned) if self.planned is not None else {}
         return self._facts
 
     # --- what the page gets ------------------------------------------------------------------------------------------
@@ -122,7 +141,7 @@ class Document:
     def told(self) -> dict[str, Any]:
         """The document as the page gets it."""
         blocks = list(self._blocks())
-        paths = {block["path"] for block in blocks}
+        paths = self.paths
         settings = {} if self.planned is None else _settings(self.planned)
         return {
             "revision": self.revision,
@@ -136,9 +155,14 @@ class Document:
             "coupled": isinstance(self.planned, Coupling),
         }
 
+    @property
+    def paths(self) -> set[str]:
+        """Those of its blocks."""
+        return {block["path"] for block in self._blocks()}
+
     def _blocks(self) -> Iterator[dict[str, Any]]:
         if self.diagram is not None:
-            yield from _blocks_of(self.shown.value, "")
+            yield from _blocks_of(self.visible.value, "")
 
     def _signals(self, paths: set[str]) -> Iterator[dict[str, Any]]:
         planned = self.planned
@@ -157,7 +181,7 @@ class Document:
         return self._drawings[level]
 
     def _drawn(self, level: str) -> str:
-        shown = self.shown
+        shown = self.visible
         value, prefix = _inside(shown.value, level), level + "." if level else ""
         faults = _below(self.faults, prefix)
         labels = {} if self.planned is None else self.planned.rate_labels

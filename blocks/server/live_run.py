@@ -29,7 +29,7 @@ from ..text.available_memory import Watch
 from ..text.element_names import element_names
 from ..text.errors import BlocksError, Fault, FMUError, SimulationError, UsageError
 
-__all__ = ["LiveRun", "Turned"]
+__all__ = ["LiveRun", "Turned", "own_fault"]
 
 Array = np.ndarray[Any, Any]
 SLICE = 0.01
@@ -40,6 +40,8 @@ LAST = 20
 """Rows before a failure that are shown."""
 SHARE = 20
 """The looks at the rows take one part in so many of the time."""
+LONGEST = 60.0
+"""s that it waits at most before it looks again; a very slow pace waits for longer than a clock can count."""
 
 _Made = TypeVar("_Made")
 
@@ -82,6 +84,7 @@ class LiveRun:
         self._wish, self._version = "paused", 0  # running, step, paused or stopped; how often something was asked
         self._asked: deque[tuple[Callable[[Simulation], Any], Future[Any]]] = deque()
         self._is_standing = False  # all of this moment has happened, and is shown
+        self._is_shown = False  # what was known at a look at this moment
         self._at = math.nan  # the time of the last moment
         self._soft = math.inf  # the time at which the engine comes back
         self._stepped_from: float | None = None
@@ -193,6 +196,9 @@ class LiveRun:
         except (SimulationError, FMUError) as error:
             self.error, self._final = error, self._joined(error.results if error.results is not None else run.results)
             error.results = self._final
+        except Exception as error:
+            self.error = error if isinstance(error, BlocksError) else SimulationError(own_fault(error))
+            self._final = self._joined(run.results)
         finally:
             self._end(run, state)
 
@@ -223,7 +229,7 @@ class LiveRun:
 
     def _turn(self, simulation: Simulation) -> bool:
         if simulation.t != self._at:  # a set is known by its time: it comes at the first moment of that, not later
-            self._at, self._is_standing = simulation.t, False
+            self._at, self._is_standing, self._is_shown = simulation.t, False, False
             while self._wish != "stopped":
                 version = self._version
                 self._answer(simulation)
@@ -232,7 +238,7 @@ class LiveRun:
                     break
                 with self._condition:
                     if self._version == version:
-                        self._condition.wait(None if seconds == math.inf else seconds)
+                        self._condition.wait(None if seconds == math.inf else min(seconds, LONGEST))
         if self._wish == "stopped":
             simulation.values(())  # what is outstanding happens
             self._look(simulation)
@@ -273,10 +279,13 @@ class LiveRun:
             return self._go_on(simulation, math.inf)
         clock = self._clock(pace)
         if t > clock:
-            if perf_counter() >= self._next:
+            seconds, early = (t - clock) / pace, self._next - perf_counter()
+            if not self._is_shown and early > 0.0:
+                return min(seconds, early)
+            if not self._is_shown:
                 self._look(simulation)
                 self.changed()
-            return (t - clock) / pace
+            return seconds
         return self._go_on(simulation, max(clock + PERIOD * pace, math.nextafter(t, math.inf)))
 
     def _clock(self, pace: float) -> float:
@@ -302,7 +311,7 @@ class LiveRun:
     def _set(self, simulation: Simulation, name: str, value: Any) -> Turned:
         simulation.values(())  # as `advance_past` does
         self._present.set(name, value)
-        self._is_standing = False
+        self._is_standing = self._is_shown = False
         self.turned.append(turned := Turned(simulation.steps, simulation.t, name, value))
         return turned
 
@@ -312,7 +321,7 @@ class LiveRun:
         self._rows.add(simulation.engine.taken())
         results = simulation.results()  # with the last row alone
         self._rows.show(results)
-        self._events = results.events
+        self._events, self._is_shown = results.events, True
         self.t, self.steps, self.rejected = simulation.t, simulation.steps, simulation.tried - simulation.steps
         if self.pace is not None and self._wish == "running":
             self.lag = max(0.0, (self._clock(self.pace) - self.t) / self.pace)
@@ -381,6 +390,11 @@ class LiveRun:
         else:
             lines += [f"run.advance_past({self.t!r})  # {self.steps} steps", "results = run.results"]
         return "\n".join([*lines, ""])
+
+
+def own_fault(error: Exception) -> Fault:
+    """The fault (E901) of blocks itself that an exception is."""
+    return Fault("E901", "", f"blocks itself failed ({type(error).__name__}: {error}).", "Please report it.")
 
 
 class _Rows:

@@ -19,7 +19,7 @@ __all__ = ["Measured"]
 
 Array = np.ndarray[Any, Any]
 LARGEST = 8 * 2**20
-_HEAD = re.compile(r"(.*\S)\s+[\[(]([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)[\])]")
+_HEAD = re.compile(r"(.*\S)\s+[\[(]([^\[\]()]*(?:\([^()]*\)[^\[\]()]*)?)[\])]")
 _TIMES = ("time", "t")
 
 

@@ -38,7 +38,7 @@ def panel(session: Session, *, path: str) -> Answer:
 
     Values are in the unit beside them, which is that in which a bare number is meant. Raises UsageError (E502).
     """
-    document, shown = session.document, session.document.shown
+    document, shown = session.document, session.document.visible
     scope, entry, found = _found(Hierarchy(taken(shown.value), shown._draft.resolver, {}).root, path)
     kind = "diagram" if entry.inner is not None else "fmu" if entry.fmu else "block"
     told: Row = {
@@ -114,7 +114,7 @@ def knobs_of(session: Session, names: list[str]) -> dict[str, Row]:
     told = {name: fact.told(given.get(name)) for name, fact in facts.items()}
     if session.values and facts.keys() - given.keys():  # what is computed follows what is set
         with suppress(BlocksError):  # a file that is read anew may have lost that
-            now = facts_of(document.shown, document.planned, session.values)
+            now = facts_of(document.visible, document.planned, session.values)
             for name in facts.keys() & now.keys() - given.keys():
                 told[name] |= {key: now[name].told(None)[key] for key in ("value", "low", "high", "text")}
     return told

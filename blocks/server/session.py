@@ -20,7 +20,7 @@ from ..text.element_names import indexed
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.version import __version__
 from .document import Document, told_fault
-from .live_run import LiveRun
+from .live_run import LiveRun, own_fault
 from .messages import ASIDE, Answer, answer, handles
 from .scopes import Page, trim
 
@@ -39,6 +39,9 @@ class Client(Protocol):
 
     def send(self, message: dict[str, Any] | bytes, slot: str = "") -> bool:
         """Send a message, or a binary frame, from any thread; of the frames in a slot only the newest waits."""
+
+    def answered(self) -> None:
+        """One of its messages was."""
 
 
 class Session:
@@ -73,11 +76,11 @@ class Session:
         self._is_told = threading.Event()  # news of the run wait in the queue
         self._told = 0.0
         self._aside: queue.SimpleQueue[tuple[Client, Mapping[str, Any]] | None] = queue.SimpleQueue()
-        self._threads = [
-            threading.Thread(target=work, name="blocks session", daemon=True) for work in (self._work, self._work_aside)
-        ]
-        for thread in self._threads:
-            thread.start()
+        # Python waits for this one: it ends daemon threads where they are, which an FMU that computes does not survive.
+        self._thread = threading.Thread(target=self._work, name="blocks session", daemon=False)
+        self._second = threading.Thread(target=self._work_aside, name="blocks session", daemon=True)
+        self._thread.start()
+        self._second.start()
 
     # --- from other threads ------------------------------------------------------------------------------------------
 
@@ -98,17 +101,15 @@ class Session:
             self._todo.put((None, "news"))
 
     def close(self) -> None:
-        """End the run and the thread."""
+        """End the run and the threads, after what they are in: a step of an FMU may take long."""
         self._todo.put((None, "close"))
-        self._aside.put(None)
-        for thread in self._threads:
-            thread.join(timeout=5.0)
+        self._thread.join()
 
     # --- in its own thread -------------------------------------------------------------------------------------------
 
     def _work(self) -> None:
         looked = time.monotonic()
-        while True:
+        while threading.main_thread().is_alive():  # else Python is about to end
             try:
                 client, what = self._todo.get(timeout=LOOK)
             except queue.Empty:
@@ -123,8 +124,9 @@ class Session:
                         self.tell_document()
             except Exception as error:  # what one page asked for, or a bad file, must not silence the others
                 self.broadcast(_failed(error))
-        if self.live is not None:
-            self.live.stop()
+        self._aside.put(None)
+        self._leave()
+        self._second.join()
 
     def _do(self, client: Client | None, what: Any) -> None:
         if what == "news":
@@ -154,18 +156,18 @@ class Session:
             self._answer(*asked)
 
     def _answer(self, client: Client, message: Mapping[str, Any]) -> None:
-        number = message.get("id")
         try:
-            told: Answer = answer(self, message, self.pages.get(client))
-            if told is not None:
-                client.send({**told, "re": number})
-            return
-        except BlocksError as error:
-            paths = {block["path"] for block in self.document.told()["blocks"]}
-            told = {"is": "error", "faults": [told_fault(fault, paths) for fault in error.faults]}
+            try:
+                told = answer(self, message, self.pages.get(client))
+            except BlocksError as error:
+                paths = self.document.paths
+                told = {"is": "error", "faults": [told_fault(fault, paths) for fault in error.faults]}
         except Exception as error:  # a page must not end the session of another one
             told = _failed(error)
-        client.send({**told, "re": number})
+        finally:
+            client.answered()
+        if told is not None:
+            client.send({**told, "re": message.get("id")})
 
     @property
     def is_asked_more(self) -> bool:
@@ -196,10 +198,8 @@ class Session:
 
     def begin(self, stop: Any = None) -> LiveRun:
         """A new run, which stands at its start, in the place of the one that was."""
-        if self.live is not None:
-            self.live.stop()
-            self.live = None
         shown = self.document.shown
+        self._leave()
         settings: dict[str, Any] = {} if stop is None else {"stop": stop}
         run = shown.start(
             parameters=dict(self.values), inputs=dict(self.inputs) or None, engine=self.engine, trust=self.trust,
@@ -210,6 +210,13 @@ class Session:
         self.live = self.runs[self.number] = LiveRun(run, self.changed)
         trim(self.runs, self.live, self.pages.values())
         return self.live
+
+    def _leave(self) -> None:
+        """End the run, and wait until its FMUs are freed: of some there can be only one."""
+        if self.live is not None:
+            self.live.stop()
+            self.live.wait()
+            self.live = None
 
     def _logged(self, shown: Diagram) -> list[str]:
         """What a live run records: all signals; where these are too many, those of the file and of the scopes."""
@@ -234,7 +241,7 @@ class Session:
         if live is None:
             return {"is": "run", "id": 0, "state": "none"}
         settings = live.prepared.plan.settings
-        paths = {block["path"] for block in self.document.told()["blocks"]} if live.error else set()
+        paths = self.document.paths if live.error else set()
         faults = [] if live.error is None else [told_fault(fault, paths) for fault in live.error.faults]
         return {
             "is": "run", "id": self.number, "state": live.state, "t": live.t, "steps": live.steps,
@@ -254,8 +261,7 @@ class Session:
 
 
 def _failed(error: Exception) -> dict[str, Any]:
-    what = f"blocks itself failed ({type(error).__name__}: {error})."
-    return {"is": "error", "faults": [told_fault(Fault("E901", "", what, "Please report it."), set())]}
+    return {"is": "error", "faults": [told_fault(own_fault(error), set())]}
 
 
 def _plain(failing: dict[str, Any] | None) -> dict[str, Any] | None:

@@ -38,6 +38,10 @@ LONGEST_FILE = 16 * 2**20
 """Bytes of a message, which may hold measured signals."""
 MOST_WAITING = 64 * 2**20
 """Bytes that wait for a page that does not take them; beyond, it is cut off, and connects again when it can."""
+MOST_ASKED = 64
+"""Messages of a page that wait for their answers before no more are read."""
+LARGE = 2**18
+"""Characters of a message that is answered before another one is read."""
 PATIENCE = 2.0  # s for pages to close when the server ends
 _SILENT = logging.getLogger("blocks.server")
 _SILENT.addHandler(logging.NullHandler())
@@ -53,7 +57,8 @@ class Client:
         self._waiting: dict[object, str | bytes] = {}  # in the order of sending
         self._bytes = 0
         self._is_open = True
-        self._ready = asyncio.Event()
+        self._ready, self._has_answer = asyncio.Event(), asyncio.Event()
+        self._asked = 0  # messages without an answer
 
     def send(self, message: Message | str | bytes, slot: str = "") -> bool:
         """Send a message, or a frame (bytes). Of the frames in one slot only the newest waits for a slow page.
@@ -79,6 +84,21 @@ class Client:
         """Whether a frame still waits in this slot: who would append to it makes a larger one later."""
         with self._lock:
             return slot in self._waiting
+
+    def answered(self) -> None:
+        """Its oldest message was: the page may ask more."""
+        with contextlib.suppress(RuntimeError):  # the server has ended
+            self._loop.call_soon_threadsafe(self._take_answer)
+
+    def _take_answer(self) -> None:
+        self._asked -= 1
+        self._has_answer.set()
+
+    async def _wait_for_answers(self, most: int) -> None:
+        """Until no more than so many messages are without an answer."""
+        while self._asked > most:
+            self._has_answer.clear()
+            await self._has_answer.wait()
 
     async def _pass_on(self) -> None:
         while self._is_open:
@@ -234,7 +254,11 @@ class Transport:
             self._connected(client)
             async for sent in connection:
                 try:
-                    self._received(client, message_of(sent))
+                    message = message_of(sent)
+                    client._asked += 1
+                    self._received(client, message)
+                    # What it sends meanwhile waits in the network, and then in the page, not here.
+                    await client._wait_for_answers(0 if len(sent) > LARGE else MOST_ASKED)
                 except UsageError as error:
                     client.send({"is": "error", "faults": [_told(fault) for fault in error.faults]})
         except ConnectionClosed:

@@ -57,6 +57,9 @@ class Page:
         self.got.append(message)
         return True
 
+    def answered(self) -> None:
+        pass
+
 
 @pytest.fixture
 def opened() -> Iterator[Callable[[Any], Session]]:

@@ -19,10 +19,15 @@ from websockets.sync.client import ClientConnection, connect
 
 from blocks import Diagram, Gain, ModelError
 from blocks.cli import main
+from blocks.fmi.callbacks import instances
+from blocks.server.document import Document
 from blocks.server.live_server import LiveServer
+from blocks.server.session import Session
 from tests.support.places import ROOT
 
 MOTOR = str(ROOT / "diagrams/motor_pid.json")
+FMUS = str(ROOT / "diagrams/paper/iadrc_fmu.json")
+"""Two FMUs for Co-Simulation."""
 
 
 @contextmanager
@@ -133,13 +138,55 @@ def test_a_notebook_shows_a_diagram_that_has_no_file(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.long
-def test_what_python_leaves_behind_ends_with_it() -> None:
+@pytest.mark.parametrize(("path", "pace"), [(MOTOR, 1.0), (FMUS, None)])
+def test_what_python_leaves_behind_ends_with_it(path: str, pace: float | None, tmp_path: Path) -> None:
     program = (
         "from blocks import Diagram\n"
-        f"server = Diagram.load({MOTOR!r}).live()\n"
-        "server._open.begin().go(1.0)\n"
+        f"server = Diagram.load({path!r}).live()\n"
+        f"server._open.begin(1e4).go({pace})\n"
         "print(server.url)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, timeout=120)
+    given: dict[str, Any] = {"cwd": ROOT, "timeout": 120, "env": {**os.environ, "TMPDIR": str(tmp_path)}}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, **given)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("http://127.0.0.1:")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_ends_a_run_with_its_fmus(number: signal.Signals, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "blocks", "live", FMUS, "--json"]
+    given: dict[str, Any] = {"cwd": ROOT, "text": True, "env": {**os.environ, "TMPDIR": str(tmp_path)}}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **given) as process:
+        assert process.stdout is not None
+        with page_of(json.loads(process.stdout.readline())["url"]) as page:
+            assert asked(page, do="run", stop=1e4)["state"] == "running"
+            assert list(tmp_path.iterdir())
+            process.send_signal(number)
+            rest = process.communicate(timeout=60)
+    assert (process.returncode, *rest) == (128 + number, "", "")
+    assert not list(tmp_path.iterdir())
+
+
+def test_fmus_are_freed_when_a_run_stops_ends_fails_or_gives_way_to_another() -> None:
+    session = Session(Document(FMUS))
+    for stop in (1e4, 1e4, 0.01):
+        live = session.begin(stop)
+        assert len(instances()) == 2  # those of the run before are gone
+        live.go()
+    assert live.wait(60)
+    assert not instances()
+    live = session.begin(1e4)
+    live.stop()
+    assert live.wait(60)
+    assert not instances()
+    live = session.begin(1e4)
+    live._look = {}.__getitem__  # type: ignore[method-assign, assignment]  # a mistake of blocks itself
+    live.go()
+    assert live.wait(60)
+    assert live.state == "failed"
+    assert not instances()
+    session.begin(1e4).go()
+    session.close()
+    assert not instances()

@@ -41,6 +41,7 @@ MIXED = {
 TURNED = [("r", -1.0, 2.0), ("gain.k", 0.5, 3.0)]
 MOTOR = (DIAGRAMS / "motor_pid.json", [("kp", 0.05, 0.5), ("motor.Ra", 0.5, 2.0)])
 ROBOT = (PAPER / "iadrc.json", [("motor_left.Ra", 1.0, 3.0)])
+VARIANTS = {"motor_left": "me", "motor_right": "me"}
 KINDS: dict[str, tuple[Any, Any, dict[str, Any]]] = {
     "mixed": (None, TURNED, {}),
     "grid": (None, TURNED, {"every": 0.05}),
@@ -49,6 +50,8 @@ KINDS: dict[str, tuple[Any, Any, dict[str, Any]]] = {
     "master": (None, TURNED, {"master": {"couple": "each", "step": 0.02}, "stop": 1}),
     "motor": (*MOTOR, {}),
     "paper": (*ROBOT, {"stop": 2}),
+    "co-simulation": (PAPER / "iadrc_fmu.json", ROBOT[1], {"stop": 0.5}),
+    "model exchange": (PAPER / "iadrc_fmu.json", ROBOT[1], {"stop": 2, "variants": VARIANTS}),
 }
 
 
@@ -126,7 +129,7 @@ def test_a_live_run_has_the_bits_of_the_run_and_of_its_script(mixed: Path, kind:
     first = live.set(turned[0][0], turned[0][1])
     assert (first.steps, first.t) == (0, 0.0)
     results, scope = played(live, rng, float(plain.t[-1]), turned), dict[str, Any]()
-    exec(live.script(path), scope)
+    exec(live.script(path, variants=settings.get("variants")), scope)
     assert bits(results) == bits(scope["results"])
     assert not np.array_equal(results.values, plain.values)
 
@@ -219,3 +222,27 @@ def test_what_cannot_be_set_is_refused_and_the_run_goes_on(mixed: Path) -> None:
     assert bits(live.finished()) == bits(Diagram.load(mixed).run())
     assert live.turned == []
     assert live.events(1) == list(live.results().events[1:])
+
+
+def test_the_slowest_pace_waits_until_it_is_told_otherwise(mixed: Path) -> None:
+    live = Watched(mixed)
+    live.go(1e-300)  # for longer than a clock can count
+    with live.news:
+        assert live.news.wait_for(lambda: live.t > 0.0, PATIENCE)
+    live.pause()
+    live.until("paused")
+    assert bits(live.finished()) == bits(Diagram.load(mixed).run())
+
+
+def test_what_blocks_itself_does_wrong_is_told_as_the_error_of_the_run(
+    mixed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = Watched(mixed)
+    live.step()
+    live.until("paused")
+    monkeypatch.setattr(live, "_look", {}.__getitem__)
+    live.go()
+    assert live.wait(PATIENCE)
+    assert live.state == "failed"
+    assert str(live.error).startswith("E901 blocks itself failed (KeyError")
+    assert live.results().t[0] == 0.0

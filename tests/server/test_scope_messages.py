@@ -31,6 +31,9 @@ class Client:
     def send(self, message: Any, slot: str = "") -> bool:
         return True
 
+    def answered(self) -> None:
+        pass
+
 
 @pytest.fixture
 def motor(tmp_path: Path) -> Iterator[tuple[Session, Page, Do]]:
@@ -72,7 +75,8 @@ def test_the_values_at_the_end_of_a_run_are_those_of_its_last_row(motor: tuple[S
     made, _, do = motor
     assert do("values", t=0.0)["values"] == {}
     rows = np.array([0.0, 0.01]), np.array([[1.0], [2.0]])  # of a grid, while the run is between two of its rows
-    live: Any = SimpleNamespace(t=0.015, columns={"x": (0, (), "m")}, rows=lambda: rows, stop=lambda: None)
+    live: Any = SimpleNamespace(t=0.015, columns={"x": (0, (), "m")}, rows=lambda: rows)
+    live.stop = live.wait = lambda: None
     made.live = live
     assert do("values", t=0.015) == {"is": "values", "t": 0.01, "values": {"x": 2.0}}
     assert do("values", t=0.005)["values"] == {"x": 1.5}

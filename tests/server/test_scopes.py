@@ -305,6 +305,12 @@ def test_measured_files_that_cannot_be_shown_are_refused(text: str, wanted: str)
         Measured.read("lab.csv", text)
 
 
+def test_a_long_head_is_read_at_once() -> None:
+    """Backtracking over all ways to split it, it took minutes, in which nobody was answered."""
+    head = f"a [{100_000 * 'x'}"
+    assert list(Measured.read("lab.csv", f"t,{head}\n0,1\n").columns) == [head]
+
+
 def test_a_file_that_blocks_wrote_is_read_as_results_are(tmp_path: Path) -> None:
     results = blocks.Diagram.load("diagrams/motor_pid.json").run(stop=0.01)
     results.save(tmp_path / "r.csv")

@@ -42,6 +42,7 @@ class Session:
 
     def received(self, client: Client, message: dict[str, Any]) -> None:
         self.got.append(message)
+        client.answered()
         client.send({"is": "echo", **message})
 
 
@@ -228,6 +229,36 @@ def test_a_page_that_takes_nothing_is_cut_off(
             pass
         assert not client._waiting
         assert not client.send("more")
+
+
+@pytest.mark.parametrize(("size", "most"), [(0, transport.MOST_ASKED + 1), (transport.LARGE, 1)])
+def test_a_page_that_asks_faster_than_it_is_answered_waits(
+    server: Transport, session: Session, monkeypatch: pytest.MonkeyPatch, size: int, most: int
+) -> None:
+    patience, waiting = threading.Event(), list[Client]()
+
+    def held(client: Client, message: dict[str, Any]) -> None:
+        waiting.append(client)
+        if len(waiting) >= most:
+            patience.set()
+
+    monkeypatch.setattr(server, "_received", held)
+    with socket_of(server) as page, socket_of(server) as other:
+        asking = threading.Thread(target=lambda: [page.send(f'{{"do": "a"}}{size * " "}') for _ in range(200)])
+        asking.start()
+        assert patience.wait(60)
+        monkeypatch.setattr(server, "_received", session.received)
+        other.recv(timeout=60)
+        for _ in range(20):  # what another page asks is answered meanwhile
+            other.send('{"do": "b"}')
+            other.recv(timeout=60)
+        assert (len(waiting), [message["do"] for message in session.got]) == (most, 20 * ["b"])
+        for client in waiting:
+            client.answered()
+        page.recv(timeout=60)
+        for _ in range(200 - most):
+            assert json.loads(page.recv(timeout=60))["do"] == "a"
+        asking.join()
 
 
 def test_a_server_ends_with_its_pages_and_a_port_is_free_again(session: Session) -> None:
