@@ -38,6 +38,24 @@ addEventListener('DOMContentLoaded', () => new MutationObserver((_, watch) => {
 }).observe(document, {subtree: true, childList: true}));
 """
 
+TAKEN = """
+window.taken = {};
+window.WebSocket = class extends WebSocket {
+  constructor(url) {
+    super(url);
+    this.addEventListener('message', ({data}) => {
+      if (typeof data === 'string') return;
+      const length = new DataView(data).getUint32(0, true);
+      const {scope, count, signals} = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+      const t = new Float64Array(data, 4 + length, count).at(-1);
+      const note = () => { if (signals.length > 2) taken[scope] = t; };
+      requestAnimationFrame(() => requestAnimationFrame(note));
+    });
+  }
+};
+"""
+"""Notes for each scope the last time that it has drawn, by the frames that come."""
+
 
 def _tell(label: str, value: float, unit: str, goal: float, *, at_least: bool = False, beside: str = "") -> None:
     is_met = value >= goal if at_least else value <= goal
@@ -168,6 +186,7 @@ def _into_scopes() -> None:
     made = waves(WAVES, ROWS)
     made.run()  # compiled
     with _served(made) as server, Browser() as page:
+        page.call("Page.addScriptToEvaluateOnNewDocument", source=TAKEN)
         page.open(server.url)
         page.until("document.querySelector('#stage svg [data-path]')")
         _open_scopes(page, [f"s{k}.y" for k in range(4)])
@@ -178,8 +197,8 @@ def _into_scopes() -> None:
             )
         begun = time.perf_counter()
         _press(page, "Run")
-        page.until(f"[...document.querySelectorAll('.scope-legend caption')].every(one => /to {ROWS // 1000} s/"
-                   ".test(one.textContent)) && document.getElementById('runbar').dataset.state === 'done'")  # fmt: skip
+        times = "Object.values(window.taken)"
+        page.until(f"{times}.length === 4 && {times}.every(t => t > {ROWS / 1000 - 0.002})")
         wall = time.perf_counter() - begun
     begun = time.perf_counter()
     made.run()

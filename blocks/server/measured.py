@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..results.table import TIMES, columns_of, parsed, refusal, sizes_of, without_twins
 from ..text import units
 from ..text.csv_text import read_columns
 from ..text.errors import BlocksError, Fault, UsageError
@@ -20,10 +20,10 @@ __all__ = ["Measured"]
 Array = np.ndarray[Any, Any]
 LARGEST = 8 * 2**20
 _HEAD = re.compile(r"(.*\S)\s+[\[(]([^\[\]()]*(?:\([^()]*\)[^\[\]()]*)?)[\])]")
-_TIMES = ("time", "t")
+"""A name and a unit: "omega [rad/s]"; the number of an element is none: "u[0]"."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Measured:
     """The columns of a file by name: the first one is the time, `time` or `t`; a head may say a unit: `omega [rpm]`.
 
@@ -40,54 +40,32 @@ class Measured:
     @classmethod
     def read(cls, name: str, text: str) -> Measured:
         """name: of the file. Raises UsageError (E503), with all faults of its heads."""
-
-        def refuse(message: str, cure: str = "") -> UsageError:
-            return UsageError(Fault("E503", name, message, cure))
-
+        refuse = refusal(name)
         if len(text) > LARGEST:
             raise refuse(f"is larger than {LARGEST // 2**20} MiB.", "Leave out columns or rows.")
         try:
             heads, table = read_columns(io.StringIO(text.removeprefix("\ufeff"), newline=""), ())
         except ValueError as error:
             raise refuse(str(error)) from None
-        named = [_head(head) for head in heads]
-        if named[0][0].lower() not in _TIMES:
+        found = [_HEAD.fullmatch(head) for head in heads]
+        names = [match[1] if match else head for match, head in zip(found, heads, strict=True)]
+        given = {match[1]: match[2].strip() for match in found if match}
+        if names[0].lower() not in TIMES:
             raise refuse("has no column 'time' in front.", "The first line is: time,NAME,... or time [ms],NAME [V],...")
-        known, faults = _own_units(text), []
-        for column, unit in (pair for pair in named if pair[1]):
+        faults = []
+        for column, unit in given.items():
             try:
-                units.parse(unit)
+                units.scale(unit, "s" if column == names[0] else unit)
             except BlocksError as error:
                 faults += [Fault("E503", f"{name}: {column}", f.message, f.cure) for f in error.faults]
-        if named[0][1] and not faults and not units.same_quantity(named[0][1], "s"):
-            faults.append(Fault("E503", f"{name}: time", f"is in {named[0][1]}, which is no unit of time."))
         if faults:
             raise UsageError(*faults)
-        t = table[:, 0] * units.scale(named[0][1] or "s", "s")
+        t = table[:, 0] * units.scale(given.get(names[0], "s"), "s")
         wrong = np.flatnonzero(~np.isfinite(t) | (np.diff(t, prepend=-np.inf) < 0))
         if len(wrong):
             raise refuse(f"row {wrong[0] + 1}: the time is no number, or lies before that of the row above.")
-        if not len(t) or len(named) < 2:
-            raise refuse("holds no rows." if not len(t) else "has no column but its times.")
-        columns = {}
-        for k, (column, unit) in enumerate(named[1:]):
-            columns[column] = (k, (), unit or known.get(column) or known.get(column.partition("[")[0], ""))
-        if len(columns) < len(named) - 1:
-            raise refuse("has two columns of one name.")
-        return cls(t, table[:, 1:], columns)
-
-
-def _head(text: str) -> tuple[str, str]:
-    """The name and the unit in a head: "omega [rad/s]"; the number of an element is none: "u[0]"."""
-    found = _HEAD.fullmatch(text)
-    return (found[1], found[2].strip()) if found else (text, "")
-
-
-def _own_units(text: str) -> dict[str, str]:
-    """The units that a file of blocks says in its comments, by signal."""
-    found = re.search(r"^# units: (\{.*\})\s*$", text[:100_000], re.MULTILINE)
-    try:
-        told = json.loads(found[1]) if found else {}
-    except ValueError:
-        return {}
-    return {name: unit for name, unit in told.items() if isinstance(unit, str)}
+        if not table[:, 1:].size:
+            raise refuse("has no rows, or no column but its times.")
+        own = re.search(r"^# units: (.*)$", text, re.MULTILINE)
+        told, _ = sizes_of({"units": parsed(own[1], refuse)} if own else {}, refuse)
+        return cls(t, table[:, 1:], columns_of(without_twins(names[1:], refuse), given, told, {}))

@@ -24,15 +24,12 @@ def scope(
     session: Session, page: Page, *, scope: str, signals: list[str], width: int,
     t0: float | None = None, t1: float | None = None, span: float | None = None,
 ) -> Answer:  # fmt: skip
-    """Open a scope, or change it: frames follow."""
-    page.open(Scope(scope, signals, Window(width=min(max(width, 16), WIDEST), t0=t0, t1=t1, span=span)))
+    """Open a scope, or change it: frames follow. One without signals is closed."""
+    if signals:
+        page.open(Scope(scope, signals, Window(width=min(max(width, 16), WIDEST), t0=t0, t1=t1, span=span)))
+    else:
+        page.scopes.pop(scope, None)
     return {"is": "scope", "scope": scope}
-
-
-@handles
-def unscope(session: Session, page: Page, *, scope: str) -> Answer:
-    page.scopes.pop(scope, None)
-    return {"is": "unscope", "scope": scope}
 
 
 @handles
@@ -66,7 +63,7 @@ def runs(session: Session, page: Page) -> Answer:
         some = turned if len(turned) <= 4 else [*turned[:3], f"and {len(turned) - 3} more"]
         label = f"run {number}" + (f": {', '.join(some)}" if some else "")
         kept = {"is_live": run is session.live, "is_shown": number in page.ghosts}
-        told.append({"id": number, "label": label, "stop": run.t, "turned": turned, **kept})
+        told.append({"id": number, "label": label, **kept})
     return {"is": "runs", "runs": told}
 
 
@@ -77,44 +74,31 @@ def _text(value: Any) -> str:
 
 
 @handles
-def ghost(session: Session, page: Page, *, run: int, on: bool) -> Answer:
-    """Show an earlier run beside the one under way, or no more."""
+def ghost(session: Session, page: Page, *, run: int, on: bool, forget: bool = False) -> Answer:
+    """Show an earlier run beside the one under way, or no more; or forget it, with its rows."""
     if run not in session.runs or session.runs[run] is session.live:
         raise UsageError(Fault("E501", f"run {run}", "is no earlier run that is kept.", "Choose one of the list."))
-    page.ghosts.pop(run, None)
-    if on:
-        page.ghosts[run] = session.runs[run]
-    page.refresh()
+    (page.ghosts.add if on else page.ghosts.discard)(run)
+    if forget:
+        del session.runs[run]
     return runs(session, page)
 
 
 @handles
-def forget(session: Session, page: Page, *, run: int) -> Answer:
-    """Let go of the rows of an earlier run."""
-    if session.runs.get(run) is not session.live:
-        session.runs.pop(run, None)
-        for each in session.pages.values():
-            if each.ghosts.pop(run, None) is not None:
-                each.refresh()
-    return runs(session, page)
+def overlay(session: Session, page: Page, *, name: str, text: str | None) -> Answer:
+    """Show a measured file over the scopes: its columns of the names of signals, and those that a scope names.
 
-
-@handles
-def overlay(session: Session, page: Page, *, name: str, text: str) -> Answer:
-    """Show a measured file over the scopes: its columns of the names of signals, and those that a scope names."""
+    text: of the file; None takes it away.
+    """
+    if text is None:
+        page.files.pop(name, None)
+        return {"is": "overlay", "name": name, "columns": []}
     if len(page.files) >= MOST_FILES and name not in page.files:
         raise UsageError(Fault("E501", quoted(name), f"is one more than {MOST_FILES} files.", "Remove one."))
     read = Measured.read(name, text)
     page.add(name, read)
     columns = [{"name": column, "unit": unit} for column, (_, unit) in elements(read).items()]
-    return {"is": "overlay", "name": name, "columns": columns, "start": float(read.t[0]), "stop": float(read.t[-1])}
-
-
-@handles
-def unoverlay(session: Session, page: Page, *, name: str) -> Answer:
-    page.files.pop(name, None)
-    page.refresh()
-    return {"is": "unoverlay", "name": name}
+    return {"is": "overlay", "name": name, "columns": columns}
 
 
 @handles_aside

@@ -148,7 +148,7 @@ class Session:
             self._show(client)
 
     def _show(self, client: Client) -> None:
-        for number, frame in enumerate(self.pages[client].frames(self.number, self.live)):
+        for number, frame in enumerate(self.pages[client].frames(self.runs, self.live)):
             client.send(frame, slot=f"scopes {number}")
 
     def _work_aside(self) -> None:
@@ -208,7 +208,7 @@ class Session:
         self.number += 1
         self.begun[self.number], self.chosen = {**self.values, **self.inputs}, dict(self.document.variants)
         self.live = self.runs[self.number] = LiveRun(run, self.changed)
-        trim(self.runs, self.live, self.pages.values())
+        trim(self.runs, self.live)
         return self.live
 
     def _leave(self) -> None:

@@ -114,7 +114,7 @@ def thinned(t: Array, values: Array, most: int) -> tuple[Array, Array]:
     """At most some `most` rows: of more, the least and the largest value of each column in each stretch of time."""
     if len(t) <= most:
         return t, values
-    times, columns, _, _ = extremes(t, list(values.T), float(t[0]), 2.0 * float(t[-1] - t[0]) / most)
+    times, columns, _ = extremes(t, list(values.T), 2.0 * float(t[-1] - t[0]) / most, float(t[0]))
     return times, columns.T
 
 

@@ -59,7 +59,7 @@ def test_frames_and_values_are_those_of_the_results(motor: tuple[Session, Page, 
     page = Page()  # which the session does not feed
     answer(made, {"do": "scope", "scope": "1", "signals": ["motor.omega"], "width": 8000}, page)
     results = run(made)
-    frames = [unpacked(frame) for frame in page.frames(made.number, made.live)]
+    frames = [unpacked(frame) for frame in page.frames(made.runs, made.live)]
     header, t, columns = frames[0]
     assert header["signals"] == ["motor.omega"]
     assert header["units"] == ["rad/s"]
@@ -101,13 +101,13 @@ def test_earlier_runs_are_named_by_what_was_turned_shown_and_forgotten(motor: tu
     quiet = Page()  # which the session does not feed
     answer(made, {"do": "scope", "scope": "1", "signals": ["motor.omega"], "width": 500}, quiet)
     answer(made, {"do": "ghost", "run": 1, "on": True}, quiet)
-    shown = [unpacked(frame) for frame in quiet.frames(made.number, made.live)]
-    ghost = next(columns for header, _, columns in shown if header.get("ghost") == 1)
+    shown = [unpacked(frame) for frame in quiet.frames(made.runs, made.live)]
+    ghost = next(columns for header, _, columns in shown if header["kind"] == "ghost")
     assert ghost[0].max() == np.float32(first["motor.omega"].max())
     with pytest.raises(UsageError, match=re.escape("E501 run 3: is no earlier run that is kept.")):
         do("ghost", run=3, on=True)
-    do("forget", run=1)
-    assert [*page.ghosts] == []
+    do("ghost", run=1, on=False, forget=True)
+    assert page.ghosts == set()
     assert [one["id"] for one in do("runs")["runs"]] == [2, 3]
 
 
@@ -118,10 +118,11 @@ def test_the_oldest_runs_are_forgotten(motor: tuple[Session, Page, Do], monkeypa
     run(made, 0.01)
     do("ghost", run=1, on=True)
     run(made, 0.01)
-    assert [*page.ghosts] == [1]
+    assert [of for kind, of, _ in page.sources if kind == "ghost"] == [1]
     run(made, 0.01)
+    do("drawn")
     assert [*made.runs] == [2, 3, 4]
-    assert [*page.ghosts] == []
+    assert [of for kind, of, _ in page.sources if kind == "ghost"] == []
     monkeypatch.setattr(scopes, "MOST_BYTES", 1)
     run(made, 0.01)
     assert [*made.runs] == [5]
@@ -165,12 +166,11 @@ def test_a_measured_file_is_told_by_its_columns(motor: tuple[Session, Page, Do])
     _, page, do = motor
     told = do("overlay", name="lab.csv", text="t [ms],motor.omega [rpm],temperature\n0,1,2\n500,3,4\n")
     assert told["columns"] == [{"name": "motor.omega", "unit": "rpm"}, {"name": "temperature", "unit": ""}]
-    assert (told["start"], told["stop"]) == (0.0, 0.5)
     for k in range(7):
         do("overlay", name=f"{k}.csv", text="t,x\n0,1\n")
     with pytest.raises(UsageError, match="is one more than 8 files"):
         do("overlay", name="9.csv", text="t,x\n0,1\n")
-    do("unoverlay", name="lab.csv")
+    do("overlay", name="lab.csv", text=None)
     assert len(page.files) == 7
 
 

@@ -1,11 +1,13 @@
 /** One scope: its plot, its legend with the numbers, and how both follow what comes. */
 import uPlot from "./vendor/uplot.js";
-import { Curve, bandDrawn, bandRange, lineDrawn, marksDrawn } from "./curves.js";
-import { element } from "./elements.js";
+import { part } from "./charts.js";
+import { Curve, drawBand, drawLine, drawMarks } from "./curves.js";
+import { counted, element } from "./elements.js";
 
 /** Colors on light and on dark, and dashes: as in figures of results. */
 const COLORS = [["#b45309", "#fbbf24"], ["#1d4ed8", "#7aa2ff"], ["#0f766e", "#34d399"], ["#7e22ce", "#c4b5fd"], ["#64748b", "#cbd5e1"], ["#be123c", "#fb7185"]];
 const DASHES = [[], [7, 3], [2, 2], [9, 2, 2, 2], [14, 3], [4, 2, 1, 2, 1, 2]];
+const KINDS = ["ghost", "overlay", "run"]; // of curves, those above others last
 const AXIS = 78; // pixels beside a plot
 const SMALLEST = 1e-5; // part of a value that an axis shows at least: float32 has no finer ones
 export const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -29,12 +31,12 @@ const ticks = (_u, splits, _axis, _space, step) => {
 };
 
 export class Scope {
-  /** host: shown() the span of time, run(), unit(name), label(run), axes() of the widest scope, band(), and what is to be done. */
-  constructor(id, signals, host) {
-    Object.assign(this, { id, signals, host, keys: "", spoken: "", lines: [], units: [""], values: {} });
-    /** @type {Map<string, Curve>} "run", "ghost 3", "overlay lab.csv", "events" */
+  /** pane: all scopes, with the times and the cursor that they share. */
+  constructor(id, signals, pane) {
+    Object.assign(this, { id, signals, pane, keys: "", spoken: "", lines: [], units: [""] });
+    /** @type {Map<string, Curve>} "run 0", "ghost 3", "overlay lab.csv", "events 0" */
     this.curves = new Map();
-    this.plot = element("div", { class: "scope-plot", tabindex: "0", role: "group", onkeydown: host.keys });
+    this.plot = element("div", { class: "scope-plot", tabindex: "0", role: "group", onkeydown: pane.press });
     this.caption = element("caption");
     this.rows = element("tbody");
     this.line = element("div", { class: "scope-cursor", hidden: true });
@@ -44,7 +46,7 @@ export class Scope {
       this.include(add.value.trim());
       add.value = "";
     };
-    const close = element("button", { onclick: () => host.remove(this) }, "Close");
+    const close = element("button", { onclick: () => pane.remove(this) }, "Close");
     const legend = element("table", {}, this.caption, element("thead", {}, element("tr", {}, ...heads)), this.rows);
     this.section = element("section", { class: "scope" }, this.plot, element("div", { class: "scope-side" }, element("div", { class: "tools" }, add, close), legend));
     new ResizeObserver(() => this.resized()).observe(this.plot);
@@ -53,17 +55,18 @@ export class Scope {
   include(name) {
     if (!name || this.signals.includes(name)) return;
     this.signals = [...this.signals, name];
-    this.host.ask(this);
+    this.pane.ask(this);
+    this.arrange();
   }
 
-  exclude({ name, curve, kind }) {
-    const column = kind === "overlay" ? `${curve.header.overlay}|${name}` : name;
-    if (kind === "overlay" && !this.signals.includes(column)) return this.host.lose(curve.header.overlay);
+  exclude({ name, kind, of }) {
+    const column = kind === "overlay" ? `${of}|${name}` : name;
+    if (kind === "overlay" && !this.signals.includes(column)) return this.pane.lose(of);
     this.signals = this.signals.filter((one) => one !== column && one !== parts(column)[0]);
-    this.keys = "";
-    if (!this.signals.length) return this.host.remove(this);
+    if (!this.signals.length) return this.pane.remove(this);
     this.curves.clear();
-    return this.host.ask(this);
+    this.pane.ask(this);
+    return this.arrange();
   }
 
   resized() {
@@ -71,32 +74,33 @@ export class Scope {
     if (!width || !height) return;
     this.u?.setSize({ width, height });
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.host.ask(this), 150);
+    this.timer = setTimeout(() => this.pane.ask(this), 150);
   }
 
   take(frame, since) {
-    const { ghost, overlay, kind, events } = frame.header;
-    const key = events ? "events" : ghost ? `ghost ${ghost}` : overlay ? `overlay ${overlay}` : "run";
+    const { kind, of, from } = frame.header;
+    const key = `${kind} ${of}`;
     if (!this.curves.has(key)) this.curves.set(key, new Curve());
     this.curves.get(key).take(frame, since);
-    if (kind === "replace") this.arrange();
+    if (from === null) this.arrange();
   }
 
-  /** Axes and legend for the lines that there are now: {curve, column, name, unit, label, kind, style}. */
+  /** Axes and legend for the lines that there are now: {curve, column, name, unit, label, kind, of, look}. */
   arrange() {
-    const styles = new Map();
-    this.lines = [...this.curves].filter(([key]) => key !== "events").flatMap(([key, curve]) => {
-      const { signals, units, ghost, overlay } = curve.header;
-      return signals.map((name, column) => {
-        const own = overlay ? `${key} ${name}` : name;
-        if (!styles.has(own)) styles.set(own, styles.size);
-        const label = ghost ? `${name}, ${this.host.label(ghost)}` : overlay ? `${name}, ${overlay}` : name;
-        const kind = ghost ? "ghost" : overlay ? "overlay" : "";
-        return { curve, column, name, label, kind, unit: units?.[column] ?? this.host.unit(parts(name)[0]), style: styles.get(own) };
-      });
-    });
-    const run = this.host.run();
-    const keys = JSON.stringify([this.lines.map(({ label, unit }) => [label, unit]), this.signals, Boolean(run)]);
+    const styles = [];
+    this.lines = [...this.curves.values()].filter(({ header }) => header.kind !== "events").flatMap((curve) =>
+      curve.header.signals.map((name, column) => {
+        const { kind, of, units } = curve.header;
+        const own = kind === "overlay" ? `${of}|${name}` : name;
+        if (!styles.includes(own)) styles.push(own);
+        const style = styles.indexOf(own) % COLORS.length;
+        const look = { color: COLORS[style][dark.matches ? 1 : 0], dash: DASHES[style], width: 1.5, dots: kind === "overlay" };
+        if (kind === "ghost") Object.assign(look, { dash: [2, 3], width: 1, alpha: 0.6 });
+        const label = kind === "run" ? name : `${name}, ${kind === "ghost" ? this.pane.label(of) : of}`;
+        return { curve, column, name, label, kind, of, unit: units[column], look };
+      }));
+    const run = this.pane.run();
+    const keys = JSON.stringify([this.lines.map(({ label, unit }) => [label, unit]), this.signals, Boolean(run), dark.matches]);
     if (keys === this.keys) return;
     this.keys = keys;
     this.units = [...new Set(this.lines.map(({ unit }) => unit))];
@@ -104,20 +108,22 @@ export class Scope {
     const names = this.signals.join(", ");
     this.section.setAttribute("aria-label", `Scope of ${names}`);
     this.plot.setAttribute("aria-label", `${names} over time. Arrow keys move the cursor, plus and minus zoom, 0 shows all, F follows.`);
-    const button = (line) => element("button", { "aria-label": `Remove ${line.label}`, onclick: () => this.exclude(line) }, "×");
-    this.cells = this.lines.map((line) => {
-      const swatch = element("canvas", { width: "56", height: "12", "aria-hidden": "true" });
-      const numbers = [0, 1, 2, 3].map(() => element("td"));
-      const row = element("tr", { class: line.kind }, element("th", { scope: "row" }, swatch, line.label), element("td", { class: "unit" }, line.unit || "-"), ...numbers, element("td", {}, line.kind === "ghost" ? "" : button(line)));
-      return { line, swatch, numbers, row };
-    });
-    const known = new Set(this.lines.filter(({ kind }) => !kind).flatMap(({ name }) => [name, parts(name)[0]]));
-    const missing = this.signals.filter((name) => !known.has(name) && !name.includes("|")).map((name) =>
-      element("tr", {}, element("th", { scope: "row" }, name), element("td", { colspan: "5" }, run ? "not recorded: run anew" : "no run yet"), element("td", {}, button({ name, label: name }))));
-    this.rows.replaceChildren(...this.cells.map(({ row }) => row), ...missing);
+    const row = (line, ...cells) => {
+      const { color, dash, width } = line.look ?? { dash: [] };
+      const path = part("path", { d: "M0 3H28", stroke: color, "stroke-width": width, "stroke-dasharray": dash.join(" ") });
+      const remove = element("button", { "aria-label": `Remove ${line.label}`, onclick: () => this.exclude(line) }, "×");
+      const head = element("th", { scope: "row" }, color ? part("svg", { "aria-hidden": "true" }, path) : "", line.label);
+      return element("tr", { class: line.kind }, head, ...cells, element("td", {}, line.kind === "ghost" ? "" : remove));
+    };
+    this.cells = this.lines.map(() => [0, 1, 2, 3].map(() => element("td")));
+    const known = new Set(this.lines.flatMap(({ name, kind }) => (kind === "run" ? [name, parts(name)[0]] : [])));
+    const missing = this.signals.filter((name) => !known.has(name) && !name.includes("|"));
+    const why = run ? "not recorded: run anew" : "no run yet";
+    this.rows.replaceChildren(
+      ...this.lines.map((line, k) => row(line, element("td", { class: "unit" }, line.unit || "-"), ...this.cells[k])),
+      ...missing.map((name) => row({ name, label: name }, element("td", { colspan: "5" }, why))));
     this.build();
-    this.swatches();
-    this.host.arranged();
+    this.pane.arranged();
   }
 
   build() {
@@ -126,14 +132,14 @@ export class Scope {
     const scales = { x: { time: false, range: (_u, min, max) => [min, max] } };
     const axes = [{ ...axis, label: "time [s]", labelGap: -2, size: 24 }];
     this.units.forEach((unit, k) => {
-      scales[`y${k}`] = { range: (_u, min, max) => [min ?? 0, max ?? 1] };
+      scales[`y${k}`] = { range: () => this.range(unit) };
       axes.push({ ...axis, scale: `y${k}`, side: k ? 1 : 3, label: unit ? `[${unit}]` : " ", size: AXIS - 16, grid: k ? { show: false } : line });
     });
     this.u?.destroy();
     this.u = new uPlot({
       width: this.plot.clientWidth || 600, height: this.plot.clientHeight || 160, scales, axes, legend: { show: false },
       // All plots are as wide as the one with the most axes: they share their times.
-      padding: [8, () => 24 + AXIS * (this.host.axes() - this.units.length), 0, 0],
+      padding: [8, () => 24 + AXIS * (this.pane.axes() - this.units.length), 0, 0],
       series: [{}, ...this.units.map((_unit, k) => ({ scale: `y${k}`, paths: () => null, points: { show: false } }))],
       cursor: { x: false, y: false, points: { show: false }, drag: { x: true, y: false, setScale: false } },
       hooks: { draw: [() => this.draw()], setSelect: [() => this.selected()], setCursor: [() => this.moved()] },
@@ -142,11 +148,11 @@ export class Scope {
     over.append(this.line);
     over.addEventListener("wheel", (event) => {
       event.preventDefault();
-      if (event.shiftKey) this.host.pan(Math.sign(event.deltaX || event.deltaY) * 0.1);
-      else this.host.zoom(1.2 ** Math.sign(event.deltaY), this.u.posToVal(event.offsetX, "x"));
+      if (event.shiftKey) this.pane.pan(Math.sign(event.deltaX || event.deltaY) * 0.1);
+      else this.pane.zoom(1.2 ** Math.sign(event.deltaY), this.u.posToVal(event.offsetX, "x"));
     }, { passive: false });
-    over.addEventListener("click", () => this.isDragged || this.host.pin());
-    over.addEventListener("dblclick", () => this.host.all());
+    over.addEventListener("click", () => this.isDragged || this.pane.pin());
+    over.addEventListener("dblclick", () => this.pane.look({}));
   }
 
   selected() {
@@ -155,95 +161,89 @@ export class Scope {
     setTimeout(() => (this.isDragged = false));
     if (!this.isDragged) return;
     this.u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
-    this.host.look({ t0: this.u.posToVal(left, "x"), t1: this.u.posToVal(left + width, "x") });
+    this.pane.look({ t0: this.u.posToVal(left, "x"), t1: this.u.posToVal(left + width, "x") });
   }
 
   moved() {
     const { left } = this.u.cursor;
     if (left === undefined || left < 0 || left === this.was) return;
     this.was = left;
-    this.host.hover(this.u.posToVal(left, "x"));
+    this.pane.hover(this.u.posToVal(left, "x"));
   }
 
-  /** Give uPlot the ranges of now; it draws. */
-  show([t0, t1]) {
-    if (!this.u || !this.plot.clientWidth) return;
-    this.units.forEach((unit, k) => {
-      let [low, high] = [Infinity, -Infinity];
-      for (const line of this.lines) {
-        if (line.unit !== unit) continue;
-        const found = [line.curve.range(line.column, t0, t1), bandRange(this.host.band(), ...parts(line.name), t0, t1)];
-        [low, high] = [Math.min(low, ...found.map((one) => one[0])), Math.max(high, ...found.map((one) => one[1]))];
-      }
-      const least = (SMALLEST * Math.max(Math.abs(low), Math.abs(high)) - (high - low)) / 2;
-      if (least > 0 && high > low) [low, high] = [low - least, high + least];
-      const [min, max] = low > high ? [0, 1] : uPlot.rangeNum(low, high, 0.1, true);
-      this.u.setScale(`y${k}`, { min, max });
+  band = ({ name, kind }) => (kind === "run" ? this.pane.band(parts(name).join()) : undefined);
+
+  /** What an axis shows. */
+  range(unit) {
+    const [t0, t1] = this.pane.shown();
+    const found = this.lines.filter((line) => line.unit === unit).flatMap((line) => {
+      const band = this.band(line);
+      return [line.curve.range(line.column, t0, t1, 1), ...(band?.columns ?? []).map((_, k) => band.range(k, t0, t1))];
     });
-    this.u.setScale("x", { min: t0, max: t1 });
+    let [low, high] = [Math.min(...found.map(([least]) => least)), Math.max(...found.map(([, most]) => most))];
+    const least = (SMALLEST * Math.max(Math.abs(low), Math.abs(high)) - (high - low)) / 2;
+    if (least > 0 && high > low) [low, high] = [low - least, high + least];
+    return low > high ? [0, 1] : uPlot.rangeNum(low, high, 0.1, true);
+  }
+
+  /** Give uPlot the times of now; it draws. */
+  show([min, max]) {
+    if (this.u && this.plot.clientWidth) this.u.setScale("x", { min, max });
   }
 
   draw() {
     const { u } = this;
+    const { left, top, width, height } = u.bbox;
     u.ctx.save();
     u.ctx.beginPath();
-    u.ctx.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height);
+    u.ctx.rect(left, top, width, height);
     u.ctx.clip();
-    const band = this.host.band();
-    const order = ["ghost", "overlay", ""];
     // The first signal comes last: it stays on top.
-    for (const line of this.lines.toReversed().sort((a, b) => order.indexOf(a.kind) - order.indexOf(b.kind))) {
+    for (const line of this.lines.toReversed().sort((a, b) => KINDS.indexOf(a.kind) - KINDS.indexOf(b.kind))) {
       const scale = u.scales[`y${this.units.indexOf(line.unit)}`];
-      if (band && !line.kind) bandDrawn(u, scale, band, ...parts(line.name), this.look(line).color);
-      lineDrawn(u, scale, line.curve, line.column, this.look(line));
+      const band = this.band(line);
+      if (band) drawBand(u, scale, band, line.look.color);
+      drawLine(u, scale, line.curve, line.column, line.look);
     }
-    if (this.curves.has("events")) marksDrawn(u, this.curves.get("events"), ink());
+    if (this.curves.has("events 0")) drawMarks(u, this.curves.get("events 0"), ink());
     u.ctx.restore();
     this.place();
   }
 
-  look({ kind, style }) {
-    const color = COLORS[style % COLORS.length][dark.matches ? 1 : 0];
-    if (kind === "ghost") return { color, dash: [2, 3], width: 1, alpha: 0.6, dots: false };
-    return { color, dash: DASHES[style % DASHES.length], width: 1.5, alpha: 1, dots: kind === "overlay" };
-  }
-
-  swatches() {
-    for (const { line, swatch } of this.cells ?? []) {
-      const context = swatch.getContext("2d");
-      const { color, dash, width, alpha } = this.look(line);
-      context.reset();
-      Object.assign(context, { strokeStyle: color, lineWidth: 2 * width, globalAlpha: alpha });
-      context.setLineDash(dash.map((length) => 2 * length));
-      context.stroke(new Path2D("M0 6H56"));
-    }
-  }
-
   /** The cursor's line. */
   place() {
-    const t = this.host.cursor();
+    const t = this.pane.cursor();
     const left = t === null || !this.u ? -1 : this.u.valToPos(t, "x");
     this.line.hidden = !(left >= 0 && left <= this.u.over.clientWidth);
     if (!this.line.hidden) this.line.style.transform = `translateX(${left}px)`;
   }
 
   /** The numbers of the legend. values: of the run, at the cursor. */
-  tell(values = this.values) {
-    this.values = values;
-    const [cursor, [t0, t1]] = [this.host.cursor(), this.host.shown()];
+  tell(values) {
+    const [cursor, [t0, t1]] = [this.pane.cursor(), this.pane.shown()];
     const spoken = [];
-    for (const { line, numbers } of this.cells ?? []) {
-      const [name, k] = parts(line.name);
-      const own = line.name in values ? values[line.name] : [values[name] ?? null].flat()[k];
-      const at = cursor === null ? null : line.kind ? line.curve.at(line.column, cursor) : own;
-      const [low, high, last] = line.curve.range(line.column, t0, t1, true);
-      [at, low > high ? null : low, low > high ? null : high, last].forEach((value, i) => (numbers[i].textContent = short(value)));
-      if (at != null) spoken.push(`${line.label} ${short(at)} ${line.unit}`.trim());
-    }
+    this.lines.forEach(({ curve, column, name, label, kind, unit }, k) => {
+      const [base, element_] = parts(name);
+      const own = name in values ? values[name] : [values[base] ?? null].flat()[element_];
+      const at = cursor === null ? null : kind === "run" ? own : curve.at(column, cursor);
+      const [low, high, last] = curve.range(column, t0, t1);
+      [at, low > high ? null : low, low > high ? null : high, last].forEach((value, i) => (this.cells[k][i].textContent = short(value)));
+      if (at != null) spoken.push(`${label} ${short(at)} ${unit}`.trim());
+    });
     this.spoken = spoken.join(", ");
-    const events = this.curves.get("events");
-    const count = events?.total(t0, t1) ?? 0;
-    const near = events && cursor !== null ? events.near(cursor, (4 * (t1 - t0)) / (this.u?.over.clientWidth || 600)) : "";
-    this.caption.textContent = [`${seconds(t0)} to ${seconds(t1)}`, count && `${count} event${count > 1 ? "s" : ""}`, near].filter(Boolean).join("; ");
+    const close = (4 * (t1 - t0)) / (this.u?.over.clientWidth || 600);
+    const near = cursor === null ? [] : this.events(cursor - close, cursor + close);
+    const fired = near.length && `${near[1][0]}: ${near[1][1]} at ${seconds(near[2])}${near[0] > 1 ? ` and ${near[0] - 1} more` : ""}`;
+    const [count] = this.events(t0, t1);
+    this.caption.textContent = [`${seconds(t0)} to ${seconds(t1)}`, count && counted(count, "event"), fired].filter(Boolean).join("; ");
+  }
+
+  /** Of the events between two times: how many, what the first one is, and when. */
+  events(t0, t1) {
+    const curve = this.curves.get("events 0");
+    const [first, end] = curve?.rows(t0, t1) ?? [0, 0];
+    if (first >= end) return [];
+    const [causes, counts] = curve.columns;
+    return [counts[end - 1] - counts[first] + 1, curve.header.events[causes[first]], curve.t[first]];
   }
 }

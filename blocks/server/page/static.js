@@ -39,12 +39,11 @@ export function connect() {
       const from = Math.max(0, after(t0 ?? -Infinity) - 1);
       const to = Math.min(t.length, after(t1 ?? Infinity) + 1);
       const units = names.map((name) => rows.units[name]);
-      const header = { scope, run: 1, kind: "replace", from: 0, signals: names, units, count: to - from };
+      const header = { scope, kind: "run", of: 0, from: null, signals: names, units, count: to - from };
       const columns = names.map((name) => column(name).slice(from, to));
       queueMicrotask(() => tell("frame", { header, t: t.slice(from, to), columns }));
       return { is: "scope", scope };
     },
-    unscope: ({ scope }) => ({ is: "unscope", scope }),
     drawn: () => ({ is: "drawn" }),
     runs: () => ({ is: "runs", runs: [] }),
     /** Values at a time, linear between rows as the plots are. */
