@@ -1,5 +1,6 @@
 """What pages ask of their scopes, of a session with real runs; and the same in a browser."""
 
+import json
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -226,3 +227,38 @@ def test_scopes_in_a_browser(chromium: Any) -> None:
     finally:
         transport.stop()
         made.close()
+
+
+SLOW = """const send = WebSocket.prototype.send;
+WebSocket.prototype.send = function (text) {
+  setTimeout(() => send.call(this, text), text.includes('"do":"values"') ? 200 : 0);
+};"""
+"""Questions for values wait: the run ends before the answer."""
+
+
+@pytest.mark.long
+def test_values_on_wires_after_runs_of_few_rows_are_those_of_the_last_row(
+    chromium: Any, motor: tuple[Session, Page, Do]
+) -> None:
+    made, _, _ = motor
+    transport = Transport(new_token(), made.received, made.connected, made.disconnected)
+    transport.start()
+    nets = "[...document.querySelectorAll('#drawing g[data-net]')].filter(one => one.querySelector('path.run'))"
+    shown = "[...document.querySelectorAll('.wire-value')].map(one => one.textContent)"
+    try:
+        with chromium() as page:
+            page.call("Page.addScriptToEvaluateOnNewDocument", source=SLOW)
+            page.open(transport.url)
+            page.until("document.querySelector('.wire-value')")
+            names = dict.fromkeys(page.evaluate(f"{nets}.map(one => one.dataset.net)"))
+            for number, stop in enumerate((1.025, 1.0053, 1.06), 1):
+                page.evaluate(f"document.querySelector('#runbar label input').value = '{stop}'")
+                page.press("r")
+                page.until(f"document.getElementById('runbar').innerText.includes('done: t = {stop} of')")
+                assert made.number == number
+                results = Diagram.load(DIAGRAMS / "motor_pid.json").run(stop=stop)
+                texts = [f"{float(f'{results[name][-1]:.5g}'):.5g}" for name in names]
+                page.until(f"JSON.stringify({shown}) === {json.dumps(json.dumps(texts, separators=(',', ':')))}")
+            page.assert_clean()
+    finally:
+        transport.stop()

@@ -27,10 +27,15 @@ export function start(app) {
       return null;
     }
   };
-  const settings = () => (stop.value.trim() ? { stop: stop.value.trim(), pace: pace() } : { pace: pace() });
+  /** The stop time: a number of seconds, or a text with a unit; the file's without one. */
+  const until = () => {
+    const text = stop.value.trim();
+    return text ? { stop: Number.isNaN(Number(text)) ? text : Number(text) } : {};
+  };
+  const settings = () => ({ ...until(), pace: pace() });
   const begin = () => ask("run", settings());
   const go = () => (state() === "running" ? ask("pause") : state() === "paused" ? ask("resume", { pace: pace() }) : begin());
-  const onward = () => ask("step", ACTIVE.includes(state()) || !stop.value.trim() ? {} : { stop: stop.value.trim() });
+  const onward = () => ask("step", ACTIVE.includes(state()) ? {} : until());
 
   const run = button("Run", "Run or pause (Space)", go);
   const step = button("Step", "One step of the engine (.)", onward);
