@@ -46,6 +46,7 @@ class Simulation:
         self.engine, self.progress = engine, progress
         self.flush: Callable[[], None] | None = None  # called after each moment, as `progress` is
         self.watch = Watch()
+        self.taken_bytes = 0.0  # of rows that `until` took from the engine and keeps
         self.interrupted, self.seconds = False, 0.0
         self.is_telling = False  # `progress` runs, whose errors are not those of this run
         self._check_range(engine.plan.settings.start)
@@ -83,7 +84,7 @@ class Simulation:
 
     @property
     def recorded_bytes(self) -> float:
-        return self.engine.recorded_bytes
+        return self.engine.recorded_bytes + self.taken_bytes
 
     def advance_to(self, stop: Fraction, until: Callable[[], bool] | None = None) -> bool:
         """Run up to and including the instant at `stop`, or to where an FMU ends the run.
@@ -109,7 +110,7 @@ class Simulation:
                         look_up()
                         if engine.t == t:  # an instant, or a step that was refused
                             continue
-                        self.watch.look(engine.recorded_bytes, copies)
+                        self.watch.look(self.recorded_bytes, copies)
                         if self.flush is not None:
                             self.flush()
                         if self.progress is not None:
@@ -170,7 +171,7 @@ class Simulation:
                 raise
             failed: SimulationError | FMUError = error
         except MemoryError:
-            failed = no_room(self.engine.plan.name, self.engine.t, self.engine.recorded_bytes)
+            failed = no_room(self.engine.plan.name, self.engine.t, self.recorded_bytes)
         except BlocksError:
             raise
         except BaseException:

@@ -194,10 +194,10 @@ class LiveRun:
             state = "stopped" if run.advance_until(self._is_enough) else "done"
             self._final = self._joined(run.results.changed(interrupted=state == "stopped"))
         except (SimulationError, FMUError) as error:
-            self.error, self._final = error, self._joined(error.results if error.results is not None else run.results)
-            error.results = self._final
+            self.error = error
+            error.results = self._final = self._joined(error.results if error.results is not None else run.results)
         except Exception as error:
-            self.error = error if isinstance(error, BlocksError) else SimulationError(own_fault(error))
+            state, self.error = "failed", error if isinstance(error, BlocksError) else SimulationError(own_fault(error))
             self._final = self._joined(run.results)
         finally:
             self._end(run, state)
@@ -325,13 +325,15 @@ class LiveRun:
         self.t, self.steps, self.rejected = simulation.t, simulation.steps, simulation.tried - simulation.steps
         if self.pace is not None and self._wish == "running":
             self.lag = max(0.0, (self._clock(self.pace) - self.t) / self.pace)
+        simulation.taken_bytes = self._rows.bytes
         self._watch.look(self._rows.bytes, COPIES_OF_MASTER)
         now = perf_counter()
         self._next = now + max(PERIOD, SHARE * (now - begun))
 
     def _joined(self, results: Results, *, is_final: bool = True) -> Results:
         """Results with all rows; of a run that goes on, a copy of these."""
-        self._rows.show(results)
+        with contextlib.suppress(MemoryError):  # the last rows have no place
+            self._rows.show(results)
         t, values = self._rows.view
         return results.changed(t=t if is_final else t.copy(), values=values if is_final else values.copy())
 
@@ -393,7 +395,10 @@ class LiveRun:
 
 
 def own_fault(error: Exception) -> Fault:
-    """The fault (E901) of blocks itself that an exception is."""
+    """The fault that an exception is: of blocks itself (E901), or that there is no memory (E311)."""
+    if isinstance(error, MemoryError):
+        cure = "Forget earlier runs, record fewer signals (log), or on a coarser grid (every)."
+        return Fault("E311", "", "there is not enough memory for this.", cure)
     return Fault("E901", "", f"blocks itself failed ({type(error).__name__}: {error}).", "Please report it.")
 
 

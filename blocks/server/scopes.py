@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..text import units
+from ..text.available_memory import available
 from ..text.errors import BlocksError, Fault, UsageError
 from .curves import Curve, Source, Window, elements, packed
 
@@ -18,7 +19,7 @@ __all__ = ["EventRows", "Live", "Page", "Scope", "trim"]
 Array = np.ndarray[Any, Any]
 MOST_SIGNALS, MOST_SCOPES, MOST_RUNS = 64, 32, 8
 MOST_BYTES = 2**30
-"""Of the rows of earlier runs: the oldest are forgotten first."""
+"""Of the rows of earlier runs, where as many are left to this process: the oldest are forgotten first."""
 
 
 class Live(Source, Protocol):
@@ -169,9 +170,8 @@ def _fits(a: str, b: str) -> bool:
         return a == b
 
 
-def trim(runs: dict[int, Any], live: Live) -> None:
-    """Forget the oldest runs but the live one where there are too many, or their rows take too much memory."""
-    sizes = {number: sum(part.nbytes for part in run.rows()) for number, run in runs.items() if run is not live}
-    while sizes and (len(sizes) > MOST_RUNS or sum(sizes.values()) > MOST_BYTES):
-        oldest = min(sizes)
-        del runs[oldest], sizes[oldest]
+def trim(runs: dict[int, Any]) -> None:
+    """Forget the oldest runs where there are too many, or their rows take too much memory."""
+    sizes, most = [sum(part.nbytes for part in run.rows()) for run in runs.values()], min(MOST_BYTES, available())
+    while len(sizes) > MOST_RUNS or sum(sizes) > most:
+        del runs[next(iter(runs))], sizes[0]

@@ -200,6 +200,7 @@ class Session:
         """A new run, which stands at its start, in the place of the one that was."""
         shown = self.document.shown
         self._leave()
+        trim(self.runs)
         settings: dict[str, Any] = {} if stop is None else {"stop": stop}
         run = shown.start(
             parameters=dict(self.values), inputs=dict(self.inputs) or None, engine=self.engine, trust=self.trust,
@@ -208,7 +209,6 @@ class Session:
         self.number += 1
         self.begun[self.number], self.chosen = {**self.values, **self.inputs}, dict(self.document.variants)
         self.live = self.runs[self.number] = LiveRun(run, self.changed)
-        trim(self.runs, self.live)
         return self.live
 
     def _leave(self) -> None:

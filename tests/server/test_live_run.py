@@ -3,6 +3,7 @@
 import contextlib
 import json
 import random
+import re
 import threading
 import time
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 from blocks import Diagram, Results, SimulationError, UsageError
 from blocks.server.live_run import PERIOD, LiveRun
+from blocks.text import available_memory
 from tests.support.places import DIAGRAMS, PAPER
 
 pytestmark = pytest.mark.usefixtures("no_thread_left")
@@ -246,3 +248,25 @@ def test_what_blocks_itself_does_wrong_is_told_as_the_error_of_the_run(
     assert live.state == "failed"
     assert str(live.error).startswith("E901 blocks itself failed (KeyError")
     assert live.results().t[0] == 0.0
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_run_that_takes_too_much_memory_fails_and_says_how_much(
+    mixed: Path, engine: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(available_memory, "INTERVAL", 1e-9)  # s from one look to the next
+    live = Watched(mixed, engine=engine)
+    while live.steps < 100:
+        live.step()
+        live.until("paused")
+    monkeypatch.setattr(available_memory, "available", lambda: 0.0)
+    live.go()
+    assert live.wait(PATIENCE)
+    assert live.error is not None
+    assert live.error.faults[0].code == "E311"
+    told = re.search(r"the recorded rows take ([\d.]+) kB", str(live.error))
+    assert told is not None
+    results = live.results()
+    size = results.t.nbytes + results.values.nbytes
+    assert size > 4000.0
+    assert float(told[1]) * 1000 == pytest.approx(size, rel=0.05)  # rounded
