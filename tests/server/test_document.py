@@ -102,4 +102,4 @@ def test_what_stands_in_place_of_a_file_for_a_while_is_not_waited_for(session: S
     path.write_text(text.replace("0.5", "0.25"))
     assert session.document.has_changed()
     assert session.document.read()
-    assert session.document.facts["gain.k"].text == "0.25"
+    assert session.document.facts["gain.k"].was == "0.25"
