@@ -1,8 +1,8 @@
 /** What the parts of the page are made of. */
 
-/** An element with attributes, and with children: elements or texts. */
+/** An element with attributes, and with children: elements or texts. One of SVG is named so: "svg:path". */
 export function element(tag, attributes = {}, ...children) {
-  const made = document.createElement(tag);
+  const made = tag.startsWith("svg:") ? document.createElementNS("http://www.w3.org/2000/svg", tag.slice(4)) : document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
     if (name.startsWith("on")) made[name] = (event) => void value(event); // who returns false takes the event away
     else if (value !== null && value !== false) made.setAttribute(name, value === true ? "" : value);

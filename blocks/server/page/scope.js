@@ -1,8 +1,7 @@
 /** One scope: its plot, its legend with the numbers, and how both follow what comes. */
 import uPlot from "./vendor/uplot.js";
-import { part } from "./charts.js";
 import { Curve, drawBand, drawLine, drawMarks } from "./curves.js";
-import { counted, element } from "./elements.js";
+import { counted, element, shown, table } from "./elements.js";
 
 /** Colors on light and on dark, and dashes: as in figures of results. */
 const COLORS = [["#b45309", "#fbbf24"], ["#1d4ed8", "#7aa2ff"], ["#0f766e", "#34d399"], ["#7e22ce", "#c4b5fd"], ["#64748b", "#cbd5e1"], ["#be123c", "#fb7185"]];
@@ -14,22 +13,11 @@ export const dark = matchMedia("(prefers-color-scheme: dark)");
 const ink = () => (dark.matches ? "#e5e7eb" : "#1f2937");
 const faint = () => (dark.matches ? "#64748b66" : "#94a3b880");
 
-export function short(value) {
-  if (value == null) return "-";
-  if (!Number.isFinite(value)) return "not finite";
-  return value !== 0 && Math.abs(value) < 1e-4 ? value.toExponential(3) : String(+value.toPrecision(5));
-}
+/** A value, as a number in the legend or on a wire. */
+export const short = (value) => (value == null ? "-" : Number.isFinite(value) ? shown(value, 5) : "not finite");
 export const seconds = (t) => `${+t.toPrecision(8)} s`;
 /** The signal and the number of the element that a name means: "u[1]" of a vector. */
 const parts = (name) => [name.replace(/\[[\d,]+\]$/, ""), Number(/\[(\d+)\]$/.exec(name)?.[1] ?? 0)];
-/** Labels of an axis: as many decimals as their distance has. */
-const ticks = (_u, splits, _axis, _space, step) => {
-  let digits = Math.max(0, Math.floor(-Math.log10(step)));
-  while (digits < 12 && Math.abs(step * 10 ** digits - Math.round(step * 10 ** digits)) > 1e-6) digits += 1;
-  const isOdd = digits > 9 || Math.abs(splits.at(-1)) >= 1e7;
-  return splits.map((x) => (x === null ? "" : isOdd ? x.toExponential(3) : x.toFixed(digits).replace("-", "−")));
-};
-
 export class Scope {
   /** pane: all scopes, with the times and the cursor that they share. */
   constructor(id, signals, pane) {
@@ -38,16 +26,16 @@ export class Scope {
     this.curves = new Map();
     this.plot = element("div", { class: "scope-plot", tabindex: "0", role: "group", onkeydown: pane.press });
     this.caption = element("caption");
-    this.rows = element("tbody");
     this.line = element("div", { class: "scope-cursor", hidden: true });
-    const heads = ["signal", "unit", "cursor", "min", "max", "last", ""].map((head) => element("th", { scope: "col" }, head));
     const add = element("input", { list: "scope-signals", placeholder: "Add a signal", "aria-label": "Add a signal to this scope" });
     add.onchange = () => {
       this.include(add.value.trim());
       add.value = "";
     };
     const close = element("button", { onclick: () => pane.remove(this) }, "Close");
-    const legend = element("table", {}, this.caption, element("thead", {}, element("tr", {}, ...heads)), this.rows);
+    const legend = table(["signal", "unit", "cursor", "min", "max", "last", ""], []);
+    legend.prepend(this.caption);
+    [this.rows] = legend.tBodies;
     this.section = element("section", { class: "scope" }, this.plot, element("div", { class: "scope-side" }, element("div", { class: "tools" }, add, close), legend));
     new ResizeObserver(() => this.resized()).observe(this.plot);
   }
@@ -110,9 +98,9 @@ export class Scope {
     this.plot.setAttribute("aria-label", `${names} over time. Arrow keys move the cursor, plus and minus zoom, 0 shows all, F follows.`);
     const row = (line, ...cells) => {
       const { color, dash, width } = line.look ?? { dash: [] };
-      const path = part("path", { d: "M0 3H28", stroke: color, "stroke-width": width, "stroke-dasharray": dash.join(" ") });
+      const path = element("svg:path", { d: "M0 3H28", stroke: color, "stroke-width": width, "stroke-dasharray": dash.join(" ") });
       const remove = element("button", { "aria-label": `Remove ${line.label}`, onclick: () => this.exclude(line) }, "×");
-      const head = element("th", { scope: "row" }, color ? part("svg", { "aria-hidden": "true" }, path) : "", line.label);
+      const head = element("th", { scope: "row" }, color ? element("svg:svg", { "aria-hidden": "true" }, path) : "", line.label);
       return element("tr", { class: line.kind }, head, ...cells, element("td", {}, line.kind === "ghost" ? "" : remove));
     };
     this.cells = this.lines.map(() => [0, 1, 2, 3].map(() => element("td")));
@@ -128,7 +116,7 @@ export class Scope {
 
   build() {
     const line = { stroke: faint, width: 0.5 };
-    const axis = { stroke: ink, grid: line, ticks: { ...line, size: 4 }, font: "12px sans-serif", labelFont: "12px sans-serif", labelSize: 16, values: ticks };
+    const axis = { stroke: ink, grid: line, ticks: { ...line, size: 4 }, font: "12px sans-serif", labelFont: "12px sans-serif", labelSize: 16, values: (_u, splits) => splits.map((x) => shown(x, 12)) };
     const scales = { x: { time: false, range: (_u, min, max) => [min, max] } };
     const axes = [{ ...axis, label: "time [s]", labelGap: -2, size: 24 }];
     this.units.forEach((unit, k) => {
@@ -166,9 +154,7 @@ export class Scope {
 
   moved() {
     const { left } = this.u.cursor;
-    if (left === undefined || left < 0 || left === this.was) return;
-    this.was = left;
-    this.pane.hover(this.u.posToVal(left, "x"));
+    if (left >= 0) this.pane.hover(this.u.posToVal(left, "x"));
   }
 
   band = ({ name, kind }) => (kind === "run" ? this.pane.band(parts(name).join()) : undefined);

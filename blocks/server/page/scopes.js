@@ -1,5 +1,4 @@
 /** Scopes: signals over a shared time axis, with a cursor, ghosts of earlier runs, measured files, events. */
-import { part } from "./charts.js";
 import { Curve } from "./curves.js";
 import { element } from "./elements.js";
 import { Scope, dark, seconds, short } from "./scope.js";
@@ -97,7 +96,7 @@ export function start(app) {
       const [name, line] = [level + wire.dataset.net, wire.querySelector("path.run")];
       if (!line || labels.has(name)) continue;
       const { x, y } = line.getPointAtLength(4);
-      labels.set(name, part("text", { class: "wire-value", x, y: y - 4, "aria-hidden": "true" }));
+      labels.set(name, element("svg:text", { class: "wire-value", x, y: y - 4, "aria-hidden": "true" }));
       wire.parentNode.append(labels.get(name));
     }
     fetchValues();
@@ -111,7 +110,7 @@ export function start(app) {
     ask: ({ id, signals, plot }) => noting(ask("scope", { scope: id, signals, width: Math.max(16, plot.clientWidth), ...view })),
     cursor: () => cursor,
     band: (name) => bands.get(name),
-    hover: (t) => isPinned || point(t),
+    hover: (t) => isPinned || t === cursor || point(t),
     pin() {
       isPinned = !isPinned && cursor !== null;
       point(cursor);

@@ -45,7 +45,6 @@ export function connect() {
       return { is: "scope", scope };
     },
     drawn: () => ({ is: "drawn" }),
-    runs: () => ({ is: "runs", runs: [] }),
     /** Values at a time, linear between rows as the plots are. */
     values({ t: time }) {
       const row = after(time) - 1;
