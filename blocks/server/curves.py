@@ -2,7 +2,7 @@
 
 A frame holds, little-endian: the length of its header (u32), the header in JSON, padded with spaces so that what
 follows lies at a multiple of 8, the times in s (float64; float32 would fail near 1e4 s), and a column of float32 for
-each signal of the header. What the page has of this curve at the time `from` and later is replaced; null: all of it.
+each signal of the header. It is the whole curve: a page that is too slow misses frames and no rows.
 
 Rows are told by bins of at most a pixel: each gives two rows, the least and the largest value of each signal, so that a
 peak of a single row is seen; the rows of a bin that has no more are these two. The length of a bin is a power of two,
@@ -114,9 +114,10 @@ class Window:
 
 
 class Curve:
-    """Rows of one source on their way to one scope, which go on where they ended.
+    """Rows of one source on their way to one scope.
 
-    columns: those of the source, each with a factor. header: what its frames say besides the rows.
+    columns: those of the source, each with a factor. header: what its frames say besides the rows. step, done, t and
+    block: the length of a bin, the rows that are in bins for good, and what was made of them.
     """
 
     def __init__(
@@ -124,28 +125,30 @@ class Curve:
     ) -> None:
         self.source, self.columns, self.window, self.header = source, columns, window, header
         self.step, self.done = 0.0, 0
+        self.t, self.block = np.empty(0), np.empty((len(columns), 0), np.float32)
         self.mark: tuple[int, bytes, bytes] | None = None
 
-    def frame(self, until: float = math.inf) -> tuple[float | None, Array, Array] | None:
-        """What is new up to a time: `from`, times, columns; None where nothing is."""
+    def frame(self, until: float = math.inf) -> bytes | None:
+        """The curve up to a time; None where it is as it was."""
         t, values = self.source.rows()
         begin, end = self.window.rows(t, until)
         mark = (end, t[end - 1 : end].tobytes(), values[end - 1 : end].tobytes())
         if mark == self.mark:
             return None
         self.mark = mark
-        length = self.window.length or (float(t[end - 1] - t[begin]) if end > begin else 0.0)
-        step = 2.0 ** math.floor(math.log2(max(length / self.window.width, SHORTEST)))
-        is_anew = step != self.step
-        if is_anew:
-            self.step, self.done = step, begin
-        since = None if is_anew else float(t[self.done])
-        new = values[self.done : end]
-        columns = [new[:, k] if factor == 1.0 else new[:, k] * factor for k, factor in self.columns]
-        times, block, firsts = extremes(t[self.done : end], columns, step)
-        if len(firsts):  # a bin that may get other rows is told again
+        if end > begin:
+            length = self.window.length or float(t[end - 1] - t[begin])
+            step = 2.0 ** math.floor(math.log2(max(length / self.window.width, SHORTEST)))
+            if step != self.step:
+                self.step, self.done = step, begin
+            new = values[self.done : end]
+            columns = [new[:, k] if factor == 1.0 else new[:, k] * factor for k, factor in self.columns]
+            times, block, firsts = extremes(t[self.done : end], columns, step)
+            kept = slice(*np.searchsorted(self.t, [t[begin], t[self.done]]))
+            self.t, self.block = np.append(self.t[kept], times), np.append(self.block[:, kept], block, axis=1)
+            # A bin that may get other rows is looked at again.
             self.done += int(firsts[np.searchsorted(firsts, max(0, len(new) - LATE), side="right") - 1])
-        return since, times, block
+        return packed(self.header, self.t, self.block)
 
 
 def packed(header: Mapping[str, Any], t: Array, columns: Array) -> bytes:

@@ -12,7 +12,7 @@ import numpy as np
 from ..text import units
 from ..text.available_memory import available
 from ..text.errors import BlocksError, Fault, UsageError
-from .curves import Curve, Source, Window, elements, packed
+from .curves import Curve, Source, Window, elements
 
 __all__ = ["EventRows", "Live", "Page", "Scope", "trim"]
 
@@ -32,18 +32,19 @@ class Live(Source, Protocol):
 
 
 class EventRows:
-    """Events of a run as a source: for each the number of what it is among `told`, and how many there are up to it."""
+    """Events of a run as a source: for each the place of what it is in `told`, and how many there are up to it."""
 
     columns: Mapping[str, tuple[int, tuple[int, ...], str]] = {"cause": (0, (), ""), "count": (1, (), "")}
 
     def __init__(self, live: Live) -> None:
-        self.live, self.told = live, dict[tuple[str, str], int]()
+        self.live, self.told = live, list[tuple[str, str]]()
         self._t, self._values = np.empty(0), np.empty((0, 2))
 
     def rows(self) -> tuple[Array, Array]:
         count = len(self._t)
         if new := self.live.events(count):
-            causes = [self.told.setdefault((event.block, event.what), len(self.told)) for event in new]
+            self.told += dict.fromkeys(cause for event in new if (cause := (event.block, event.what)) not in self.told)
+            causes = [self.told.index((event.block, event.what)) for event in new]
             numbers = np.arange(count, count + len(new)) + 1
             self._t = np.append(self._t, [event.t for event in new])
             self._values = np.append(self._values, np.column_stack([causes, numbers]), axis=0)
@@ -84,7 +85,9 @@ class Scope:
             if _fits(unit, wanted):
                 columns.append((known[name][0], units.scale(unit, wanted)))
                 shown[name] = wanted
-        header = {"kind": kind, "of": of, "signals": [*shown], "units": [*shown.values()]}
+        header = {"scope": self.name, "kind": kind, "of": of, "signals": [*shown], "units": [*shown.values()]}
+        if isinstance(source, EventRows):
+            header["events"] = source.told
         return Curve(source, columns, self.window, header)
 
 
@@ -144,12 +147,10 @@ class Page:
         for scope in self.scopes.values():
             follows = scope.window.span is not None and scope.window.t0 is None
             for curve in scope.curves:
-                new = curve.frame(live.t if live and follows and curve.source is not live else math.inf)
-                if new is not None:
+                frame = curve.frame(live.t if live and follows and curve.source is not live else math.inf)
+                if frame is not None:
                     self.is_ready = False
-                    since, t, block = new
-                    told = {"events": [*curve.source.told]} if isinstance(curve.source, EventRows) else {}
-                    yield packed({"scope": scope.name, **curve.header, **told, "from": since}, t, block)
+                    yield frame
 
 
 def _check(name: str, file: Source, own: Mapping[str, str]) -> None:

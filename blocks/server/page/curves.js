@@ -11,34 +11,15 @@ function search(t, count, x, isLarger = false) {
   return low;
 }
 
-/** Times and columns that grow; rows that a frame brings again are replaced. */
+/** The columns of a frame over their times. */
 export class Curve {
-  header = { signals: [] };
-  t = new Float64Array(0);
-  /** @type {Float32Array[]} */
-  columns = [];
-  count = 0;
+  constructor({ header = {}, t, columns }) {
+    Object.assign(this, { header, t, columns, count: t.length });
+  }
 
   /** The last time; -Infinity where there is none. */
   get last() {
-    return this.count ? this.t[this.count - 1] : -Infinity;
-  }
-
-  /** Take a frame; rows before `since` are let go when they are many. */
-  take({ header, t, columns }, since = -Infinity) {
-    const from = header.from === null ? 0 : search(this.t, this.count, header.from);
-    const gone = Math.min(from, search(this.t, this.count, since));
-    const first = gone > 8192 && gone > this.count / 2 ? gone : 0;
-    const count = from - first + t.length;
-    const isLarge = count <= this.t.length && this.columns.length === columns.length;
-    const joined = (old, added) => {
-      const made = isLarge ? old : new added.constructor(2 * count);
-      if (old && (first || !isLarge)) made.set(old.subarray(first, from));
-      made.set(added, from - first);
-      return made;
-    };
-    this.columns = columns.map((column, k) => joined(this.columns[k], column));
-    Object.assign(this, { header, count, t: joined(this.t, t) });
+    return this.t[this.count - 1] ?? -Infinity;
   }
 
   /** The rows between two times. more: with so many on both sides, to which lines lead. */

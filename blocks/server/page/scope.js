@@ -65,12 +65,10 @@ export class Scope {
     this.timer = setTimeout(() => this.pane.ask(this), 150);
   }
 
-  take(frame, since) {
-    const { kind, of, from } = frame.header;
-    const key = `${kind} ${of}`;
-    if (!this.curves.has(key)) this.curves.set(key, new Curve());
-    this.curves.get(key).take(frame, since);
-    if (from === null) this.arrange();
+  take(frame) {
+    const { kind, of } = frame.header;
+    this.curves.set(`${kind} ${of}`, new Curve(frame));
+    this.arrange();
   }
 
   /** Axes and legend for the lines that there are now: {curve, column, name, unit, label, kind, of, look}. */

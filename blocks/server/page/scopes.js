@@ -180,8 +180,7 @@ export function start(app) {
     for (const [name, levels] of Object.entries(answer?.signals ?? {})) {
       for (const k of levels[0].keys()) {
         const columns = levels.map((level) => Float32Array.from(level[k], (value) => value ?? NaN));
-        bands.set(`${name},${k}`, new Curve());
-        bands.get(`${name},${k}`).take({ header: { from: null }, t: Float64Array.from(answer.t), columns });
+        bands.set(`${name},${k}`, new Curve({ t: answer.t, columns }));
       }
     }
     draw();
@@ -212,7 +211,7 @@ export function start(app) {
   }
   app.connection.onFrame((frame) => {
     mustAnswer = true;
-    scopes.find(({ id }) => id === frame.header.scope)?.take(frame, view.span && shown()[0] - view.span);
+    scopes.find(({ id }) => id === frame.header.scope)?.take(frame);
     draw();
   });
 

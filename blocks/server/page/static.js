@@ -39,7 +39,7 @@ export function connect() {
       const from = Math.max(0, after(t0 ?? -Infinity) - 1);
       const to = Math.min(t.length, after(t1 ?? Infinity) + 1);
       const units = names.map((name) => rows.units[name]);
-      const header = { scope, kind: "run", of: 0, from: null, signals: names, units, count: to - from };
+      const header = { scope, kind: "run", of: 0, signals: names, units, count: to - from };
       const columns = names.map((name) => column(name).slice(from, to));
       queueMicrotask(() => tell("frame", { header, t: t.slice(from, to), columns }));
       return { is: "scope", scope };
