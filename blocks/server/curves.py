@@ -139,8 +139,7 @@ class Curve:
         if end > begin:
             length = self.window.length or float(t[end - 1] - t[begin])
             step = 2.0 ** math.floor(math.log2(max(length / self.window.width, SHORTEST)))
-            if step != self.step:
-                self.step, self.done = step, begin
+            self.step, self.done = step, max(begin, self.done if step == self.step else 0)
             new = values[self.done : end]
             columns = [new[:, k] if factor == 1.0 else new[:, k] * factor for k, factor in self.columns]
             times, block, firsts = extremes(t[self.done : end], columns, step)

@@ -52,8 +52,10 @@ class Measured:
         given = {match[1]: match[2].strip() for match in found if match}
         if names[0].lower() not in TIMES:
             raise refuse("has no column 'time' in front.", "The first line is: time,NAME,... or time [ms],NAME [V],...")
+        own = re.search(r"^# units: (.*)$", text, re.MULTILINE)
+        told, _ = sizes_of({"units": parsed(own[1], refuse)} if own else {}, refuse)
         faults = []
-        for column, unit in given.items():
+        for column, unit in {**told, **given}.items():
             try:
                 units.scale(unit, "s" if column == names[0] else unit)
             except BlocksError as error:
@@ -66,6 +68,4 @@ class Measured:
             raise refuse(f"row {wrong[0] + 1}: the time is no number, or lies before that of the row above.")
         if not table[:, 1:].size:
             raise refuse("has no rows, or no column but its times.")
-        own = re.search(r"^# units: (.*)$", text, re.MULTILINE)
-        told, _ = sizes_of({"units": parsed(own[1], refuse)} if own else {}, refuse)
         return cls(t, table[:, 1:], columns_of(without_twins(names[1:], refuse), given, told, {}))

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..text import units
 from ..text.available_memory import available
-from ..text.errors import BlocksError, Fault, UsageError
+from ..text.errors import Fault, UsageError
 from .curves import Curve, Source, Window, elements
 
 __all__ = ["EventRows", "Live", "Page", "Scope", "trim"]
@@ -80,9 +80,9 @@ class Scope:
         known, columns, shown = elements(source), list[tuple[int, float]](), dict[str, str]()
         picked = dict.fromkeys(known, "") if kind == "events" else self.units(source, str(of))
         for name, unit in picked.items():
-            fitting = (have for have in own.values() if kind == "overlay" and have and unit and _fits(unit, have))
+            fitting = (have for have in own.values() if kind == "overlay" and have and unit and units.same_quantity(unit, have))
             wanted = own[name] or unit if name in own else next(fitting, unit)
-            if _fits(unit, wanted):
+            if units.same_quantity(unit, wanted):
                 columns.append((known[name][0], units.scale(unit, wanted)))
                 shown[name] = wanted
         header = {"scope": self.name, "kind": kind, "of": of, "signals": [*shown], "units": [*shown.values()]}
@@ -106,7 +106,7 @@ class Page:
 
     def open(self, scope: Scope) -> None:
         """Open a scope, or change it. Raises UsageError (E501), and E505 where units do not fit."""
-        own, length = scope.units(self.live), scope.window.length
+        own, length = self._units(scope, self.files), scope.window.length
         if len(self.scopes) >= MOST_SCOPES and scope.name not in self.scopes:
             raise UsageError(Fault("E501", "scope", f"more than {MOST_SCOPES} scopes cannot be open.", "Close some."))
         if length is not None and not length > 0.0:
@@ -114,16 +114,26 @@ class Page:
         if len(own) > MOST_SIGNALS:
             message = f"{len(own)} signals are more than {MOST_SIGNALS} in one scope."
             raise UsageError(Fault("E501", "scope", message, "Open another one for some of them."))
-        for name, file in self.files.items():
-            _check(name, file, own)
         scope.show(self.sources, own)
         self.scopes[scope.name] = scope
 
     def add(self, name: str, file: Source) -> None:
         """Show a measured file over the scopes. Raises UsageError (E505) where its units do not fit."""
         for scope in self.scopes.values():
-            _check(name, file, scope.units(self.live))
+            self._units(scope, {name: file})
         self.files[name] = file
+
+    def _units(self, scope: Scope, files: Mapping[str, Source]) -> dict[str, str]:
+        """Those of the scope. Raises UsageError (E505) where a measured file has other quantities of these names."""
+        own, faults = scope.units(self.live), []
+        for name, file in files.items():
+            for column, (_, unit) in elements(file).items():
+                if not units.same_quantity(unit, own.get(column, "")):
+                    message = f"is in {own[column]}, and in {unit} in {name}, which are different quantities."
+                    faults.append(Fault("E505", column, message, "Mend the unit in the head of its column."))
+        if faults:
+            raise UsageError(*faults)
+        return own
 
     def signals(self) -> list[str]:
         """What its scopes show, by name."""
@@ -151,24 +161,6 @@ class Page:
                 if frame is not None:
                     self.is_ready = False
                     yield frame
-
-
-def _check(name: str, file: Source, own: Mapping[str, str]) -> None:
-    """Raise UsageError (E505) for the columns of a measured file that are other quantities than their signals."""
-    faults = []
-    for column, (_, unit) in elements(file).items():
-        if not _fits(unit, own.get(column, "")):
-            message = f"is in {own[column]}, and in {unit} in {name}, which are different quantities."
-            faults.append(Fault("E505", column, message, "Mend the unit in the head of its column."))
-    if faults:
-        raise UsageError(*faults)
-
-
-def _fits(a: str, b: str) -> bool:
-    try:
-        return units.same_quantity(a, b)
-    except BlocksError:  # a unit that cannot be read is equal to itself only
-        return a == b
 
 
 def trim(runs: dict[int, Any]) -> None:

@@ -1,8 +1,8 @@
 /** Curves of scopes: rows as they come in frames, and how they are drawn on a canvas. */
 
 /** The first index from which on times are at least x, or larger. */
-function search(t, count, x, isLarger = false) {
-  let [low, high] = [0, count];
+function search(t, x, isLarger = false) {
+  let [low, high] = [0, t.length];
   while (low < high) {
     const middle = (low + high) >> 1;
     if (t[middle] < x || (isLarger && t[middle] === x)) low = middle + 1;
@@ -14,17 +14,17 @@ function search(t, count, x, isLarger = false) {
 /** The columns of a frame over their times. */
 export class Curve {
   constructor({ header = {}, t, columns }) {
-    Object.assign(this, { header, t, columns, count: t.length });
+    Object.assign(this, { header, t, columns });
   }
 
   /** The last time; -Infinity where there is none. */
   get last() {
-    return this.t[this.count - 1] ?? -Infinity;
+    return this.t.at(-1) ?? -Infinity;
   }
 
   /** The rows between two times. more: with so many on both sides, to which lines lead. */
   rows(t0, t1, more = 0) {
-    return [Math.max(0, search(this.t, this.count, t0) - more), Math.min(this.count, search(this.t, this.count, t1, true) + more)];
+    return [Math.max(0, search(this.t, t0) - more), Math.min(this.t.length, search(this.t, t1, true) + more)];
   }
 
   /** Least, largest and last finite value of a column between two times, or of so many more rows. */
@@ -44,9 +44,9 @@ export class Curve {
 
   /** The value of a column at a time, on the line between its rows; null outside. */
   at(column, t) {
-    const [after, values] = [search(this.t, this.count, t, true), this.columns[column]];
+    const [after, values] = [search(this.t, t, true), this.columns[column]];
     if (after && this.t[after - 1] === t) return values[after - 1];
-    if (after === 0 || after === this.count) return null;
+    if (after === 0 || after === this.t.length) return null;
     const share = (t - this.t[after - 1]) / (this.t[after] - this.t[after - 1]);
     return (1 - share) * values[after - 1] + share * values[after];
   }
@@ -91,8 +91,8 @@ export function drawBand(u, scale, curve, color) {
   const { x, y } = places(u, scale);
   const path = new Path2D();
   const trace = (column, i) => Number.isFinite(column[i]) && path.lineTo(x(curve.t[i]), y(column[i]));
-  for (let i = 0; i < curve.count; i += 1) trace(curve.columns[0], i);
-  for (let i = curve.count - 1; i >= 0; i -= 1) trace(curve.columns.at(-1), i);
+  for (let i = 0; i < curve.t.length; i += 1) trace(curve.columns[0], i);
+  for (let i = curve.t.length - 1; i >= 0; i -= 1) trace(curve.columns.at(-1), i);
   Object.assign(u.ctx, { fillStyle: color, globalAlpha: 0.2 });
   u.ctx.fill(path);
   drawLine(u, scale, curve, curve.columns.length >> 1, { color, alpha: 0.6 });

@@ -150,9 +150,11 @@ export class Scope {
     this.pane.look({ t0: this.u.posToVal(left, "x"), t1: this.u.posToVal(left + width, "x") });
   }
 
+  /** The mouse has moved, and not only the times beneath it. */
   moved() {
     const { left } = this.u.cursor;
-    if (left >= 0) this.pane.hover(this.u.posToVal(left, "x"));
+    if (left >= 0 && left !== this.was) this.pane.hover(this.u.posToVal(left, "x"));
+    this.was = left;
   }
 
   band = ({ name, kind }) => (kind === "run" ? this.pane.band(parts(name).join()) : undefined);

@@ -110,7 +110,7 @@ export function start(app) {
     ask: ({ id, signals, plot }) => noting(ask("scope", { scope: id, signals, width: Math.max(16, plot.clientWidth), ...view })),
     cursor: () => cursor,
     band: (name) => bands.get(name),
-    hover: (t) => isPinned || t === cursor || point(t),
+    hover: (t) => isPinned || point(t),
     pin() {
       isPinned = !isPinned && cursor !== null;
       point(cursor);
