@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from ..text.errors import Fault, UsageError
 from ..text.printable import legible, quoted
 from .curves import Window, elements, values_at
 from .document import inside
+from .facts import text_of
 from .measured import Measured
 from .messages import Answer, handles, handles_aside
 from .scopes import Page, Scope
@@ -58,19 +56,12 @@ def runs(session: Session, page: Page) -> Answer:
     """The runs whose rows are kept, the one that is shown last, each with what was turned in it."""
     told = []
     for number, run in session.runs.items():
-        turned = [f"{name} = {_text(value)}" for name, value in session.begun.get(number, {}).items()]
-        turned += [f"{each.name} = {_text(each.value)} at {each.t:.6g} s" for each in run.turned]
+        turned = [f"{name} = {text_of(value)[:60]}" for name, value in session.begun.get(number, {}).items()]
+        turned += [f"{each.name} = {text_of(each.value)[:60]} at {each.t:.6g} s" for each in run.turned]
         some = turned if len(turned) <= 4 else [*turned[:3], f"and {len(turned) - 3} more"]
         label = f"run {number}" + (f": {', '.join(some)}" if some else "")
-        kept = {"is_live": run is session.live, "is_shown": number in page.ghosts}
-        told.append({"id": number, "label": label, **kept})
+        told.append({"id": number, "label": label, "is_live": run is session.live, "is_shown": number in page.ghosts})
     return {"is": "runs", "runs": told}
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return f"{_text(value.get('value'))} {value.get('unit', '')}".strip()
-    return f"{value:.6g}" if isinstance(value, float) else str(value)[:60]
 
 
 @handles

@@ -80,8 +80,8 @@ class Scope:
         known, columns, shown = elements(source), list[tuple[int, float]](), dict[str, str]()
         picked = dict.fromkeys(known, "") if kind == "events" else self.units(source, str(of))
         for name, unit in picked.items():
-            fitting = (have for have in own.values() if kind == "overlay" and have and unit and units.same_quantity(unit, have))
-            wanted = own[name] or unit if name in own else next(fitting, unit)
+            beside = (have for have in own.values() if have and unit and units.same_quantity(unit, have))
+            wanted = own[name] or unit if name in own else next(beside, unit)
             if units.same_quantity(unit, wanted):
                 columns.append((known[name][0], units.scale(unit, wanted)))
                 shown[name] = wanted
