@@ -71,24 +71,25 @@ class Scope:
         return {element: unit for _, element, unit in sorted(shown, key=lambda one: one[0])}
 
     def show(self, sources: Sequence[tuple[str, Any, Source]], own: Mapping[str, str]) -> None:
-        """Begin its curves anew. sources: with kind and name or number each; own: units of its elements."""
-        curves = (self._curve(*source, own) for source in sources)
-        self.curves = [curve for curve in curves if curve.columns]
+        """Begin its curves anew, in units of its own; what is of another quantity than its signal is left out.
 
-    def _curve(self, kind: str, of: Any, source: Source, own: Mapping[str, str]) -> Curve:
-        """What it shows of a source, in units of its own; what is of another quantity is left out."""
-        known, columns, shown = elements(source), list[tuple[int, float]](), dict[str, str]()
-        picked = dict.fromkeys(known, "") if kind == "events" else self.units(source, str(of))
-        for name, unit in picked.items():
-            beside = (have for have in own.values() if have and unit and units.same_quantity(unit, have))
-            wanted = own[name] or unit if name in own else next(beside, unit)
-            if units.same_quantity(unit, wanted):
-                columns.append((known[name][0], units.scale(unit, wanted)))
-                shown[name] = wanted
-        header = {"scope": self.name, "kind": kind, "of": of, "signals": [*shown], "units": [*shown.values()]}
-        if isinstance(source, EventRows):
-            header["events"] = source.told
-        return Curve(source, columns, self.window, header)
+        sources: each with its kind, and which of that it is. own: the units of its elements of the run.
+        """
+        self.curves = []
+        for kind, of, source in sources:
+            known, columns, shown = elements(source), list[tuple[int, float]](), dict[str, str]()
+            picked = dict.fromkeys(known, "") if kind == "events" else self.units(source, str(of))
+            for name, unit in picked.items():
+                beside = (have for have in own.values() if have and unit and units.same_quantity(unit, have))
+                wanted = own[name] or unit if name in own else next(beside, unit)
+                if units.same_quantity(unit, wanted):
+                    columns.append((known[name][0], units.scale(unit, wanted)))
+                    shown[name] = wanted
+            header = {"scope": self.name, "kind": kind, "of": of, "signals": [*shown], "units": [*shown.values()]}
+            if isinstance(source, EventRows):
+                header["events"] = source.told
+            if columns:
+                self.curves.append(Curve(source, columns, self.window, header))
 
 
 class Page:
