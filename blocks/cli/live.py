@@ -20,7 +20,7 @@ from .options import (
     takes_variants,
 )  # fmt: skip
 from .output import emit, printable
-from .signals import INTERRUPTED
+from .signals import INTERRUPTED, end_now
 from .values import assignments, variants_of
 
 __all__ = ["add"]
@@ -82,7 +82,10 @@ def _live(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:  # as other signals come here, too
         return INTERRUPTED
     finally:
-        server.stop()
+        try:
+            server.stop()
+        except KeyboardInterrupt:
+            end_now()
 
 
 def _has_screen() -> bool:

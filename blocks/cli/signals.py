@@ -19,7 +19,7 @@ from typing import Any
 from ..fmi.patience import pressed_again
 from .output import say
 
-__all__ = ["INTERRUPTED", "Heard", "ended_at_once", "hearing"]
+__all__ = ["INTERRUPTED", "Heard", "end_now", "ended_at_once", "hearing"]
 
 INTERRUPTED = 128 + int(signal.SIGINT)
 ENDING = tuple(number for name in ("SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None)
@@ -97,6 +97,11 @@ def end(status: int) -> None:
 
 
 _heard: list[Heard] = []
+
+
+def end_now() -> None:
+    """End this process although a thread does not come back, as in the code of an FMU."""
+    end(_heard[-1].status if _heard else INTERRUPTED)
 
 
 def ended_at_once() -> None:

@@ -40,6 +40,8 @@ LAST = 20
 """Rows before a failure that are shown."""
 SHARE = 20
 """The looks at the rows take one part in so many of the time."""
+PATIENCE = 5.0
+"""s that who asks the run waits for its next moment."""
 LONGEST = 60.0
 """s that it waits at most before it looks again; a very slow pace waits for longer than a clock can count."""
 
@@ -149,9 +151,11 @@ class LiveRun:
 
     def rejected_by_block(self) -> dict[str, int]:
         """As of `Run`."""
-        if not self.is_over:
-            with contextlib.suppress(UsageError):  # it may have ended meanwhile
-                return self._ask(lambda simulation: self._present.rejected_by_block)
+        try:
+            return self._ask(lambda simulation: self._present.rejected_by_block)
+        except UsageError:
+            if not self.is_over:
+                raise
         self._thread.join()
         return self._blamed
 
@@ -166,7 +170,7 @@ class LiveRun:
         return self.state in ("done", "stopped", "failed")
 
     def _ask(self, what: Callable[[Simulation], _Made]) -> _Made:
-        """What the thread of the run answers at its next moment."""
+        """What the thread of the run answers at its next moment. Raises UsageError (E501): that does not come."""
         future: Future[_Made] = Future()
         with self._condition:
             if not self.is_over:
@@ -175,7 +179,19 @@ class LiveRun:
                 self._condition.notify_all()
             else:
                 future.set_exception(self._no_more())
-        return future.result()
+        try:
+            return future.result(PATIENCE)
+        except TimeoutError:
+            if not future.cancel():  # it is being answered
+                return future.result()
+            raise UsageError(self.busy) from None
+
+    @property
+    def busy(self) -> Fault:
+        """The fault that it comes to no moment."""
+        message = f"has been in one step for more than {PATIENCE:g} s."
+        cure = "Wait, or end the server: an FMU may hang (isolate, timeout)."
+        return Fault("E501", self.prepared.plan.name, message, cure)
 
     def _no_more(self) -> UsageError:
         return UsageError(Fault("E501", self.prepared.plan.name, "the run is over.", "Begin another one."))
@@ -252,6 +268,8 @@ class LiveRun:
         """Do what was asked for."""
         while self._asked:
             what, future = self._asked.popleft()
+            if not future.set_running_or_notify_cancel():
+                continue
             try:
                 future.set_result(what(simulation))
             except BaseException as error:

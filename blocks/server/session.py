@@ -20,7 +20,7 @@ from ..text.element_names import indexed
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.version import __version__
 from .document import Document, told_fault
-from .live_run import LiveRun, own_fault
+from .live_run import PATIENCE, LiveRun, own_fault
 from .messages import ASIDE, Answer, answer, handles
 from .scopes import Page, trim
 
@@ -199,7 +199,7 @@ class Session:
     def begin(self, stop: Any = None) -> LiveRun:
         """A new run, which stands at its start, in the place of the one that was."""
         shown = self.document.shown
-        self._leave()
+        self._leave(PATIENCE)
         trim(self.runs)
         settings: dict[str, Any] = {} if stop is None else {"stop": stop}
         run = shown.start(
@@ -211,11 +211,12 @@ class Session:
         self.live = self.runs[self.number] = LiveRun(run, self.changed)
         return self.live
 
-    def _leave(self) -> None:
-        """End the run, and wait until its FMUs are freed: of some there can be only one."""
+    def _leave(self, patience: float | None = None) -> None:
+        """End the run, and wait until its FMUs are freed: of some there can be only one. Raises UsageError (E501)."""
         if self.live is not None:
             self.live.stop()
-            self.live.wait()
+            if not self.live.wait(patience):
+                raise UsageError(self.live.busy)
             self.live = None
 
     def _logged(self, shown: Diagram) -> list[str]:

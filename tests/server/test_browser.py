@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from blocks import Diagram, Gain, Integrator, Ramp, Sqrt, Step
+from blocks.fmi.callbacks import instances
 from blocks.server.live_server import LiveServer
 from blocks.server.static_page import page_of
 
@@ -92,6 +93,42 @@ def test_the_papers_robot_is_drawn_run_paused_turned_and_replayed(chromium: Any,
     assert made.t.tobytes() == results.t.tobytes()
     for name in made.names:
         assert np.asarray(made[name]).tobytes() == np.asarray(results[name]).tobytes(), name
+
+
+def test_a_robot_with_fmus_for_co_simulation_runs_takes_values_and_is_replayed(chromium: Any, native: None) -> None:
+    with served(PAPER.with_name("iadrc_fmu.json")) as server, chromium() as page:
+        session = server._open
+        shown(page, server.url)
+        page.click('#runbar input[type="text"]')  # the stop time
+        page.type("2")
+        page.evaluate("document.activeElement.blur()")
+        page.press(".")
+        standing(page, "paused")
+        page.until("document.getElementById('runbar').textContent.includes('communication points')")
+        assert session.running.t == 0.001
+        page.click('#lists [data-path="motor_left"]')
+        knob = '#panel input[aria-label="motor_left.Ra"]'
+        page.until(f"document.querySelector('{knob}')")
+        page.evaluate(f"document.querySelector('{knob}').select()")
+        page.click(knob, count=3)
+        page.type("0.3")
+        page.press("Enter")
+        page.until("document.querySelector('#knobs').textContent.includes('motor_left.Ra')")
+        page.click('#lists [data-signal="motor_left.omega"]')
+        page.until("document.querySelector('#scopes canvas')")
+        press(page, "Resume")
+        standing(page, "done")
+        page.assert_clean()
+        live = session.running
+        assert [(each.t, each.name) for each in live.turned] == [(0.001, "motor_left.Ra")]
+        assert not instances()
+        results, script = live.results(), live.script(PAPER.with_name("iadrc_fmu.json"), variants=session.chosen)
+    again: dict[str, Any] = {}
+    exec(script, again)
+    assert again["results"].t.tobytes() == results.t.tobytes()
+    assert again["results"].values.tobytes() == results.values.tobytes()
+    plain = Diagram.load(PAPER.with_name("iadrc_fmu.json")).run(stop=2, log=results.names)
+    assert again["results"].values.tobytes() != plain.values.tobytes()
 
 
 def test_a_run_that_fails_shows_the_block_and_its_last_inputs(chromium: Any, tmp_path: Path) -> None:

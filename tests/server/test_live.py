@@ -23,6 +23,7 @@ from blocks.fmi.callbacks import instances
 from blocks.server.document import Document
 from blocks.server.live_server import LiveServer
 from blocks.server.session import Session
+from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
 from tests.support.places import ROOT
 
 MOTOR = str(ROOT / "diagrams/motor_pid.json")
@@ -190,3 +191,30 @@ def test_fmus_are_freed_when_a_run_stops_ends_fails_or_gives_way_to_another() ->
     session.begin(1e4).go()
     session.close()
     assert not instances()
+
+
+@pytest.mark.long
+@NEEDS_COMPILER
+def test_a_second_signal_ends_a_command_whose_fmu_hangs(tmp_path: Path) -> None:
+    (tmp_path / "unpacked").mkdir()
+    make(tmp_path, name="plant")
+    fault = {"fault": FAULTS.index("hang"), "t_fault": 0.0}
+    text = {"format": "blocks-diagram", "version": 2, "name": "hangs", "run": {"stop": 100}}
+    text |= {"blocks": {"f": {"fmu": "plant.fmu", "kind": "CS", "parameters": fault}}}
+    (tmp_path / "hangs.json").write_text(json.dumps(text))
+    words = [sys.executable, "-m", "blocks", "live", str(tmp_path / "hangs.json"), "--json"]
+    given: dict[str, Any] = {"cwd": ROOT, "text": True, "env": {**os.environ, "TMPDIR": str(tmp_path / "unpacked")}}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **given) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        with page_of(json.loads(process.stdout.readline())["url"]) as page:
+            assert asked(page, do="run")["state"] == "running"
+            assert asked(page, do="draw")["is"] == "drawing"
+            refused = asked(page, do="run")  # as there would be two of the FMU
+            assert "in one step" in refused["faults"][0]["message"]
+            process.send_signal(signal.SIGINT)
+            assert "once more ends it at once" in process.stderr.readline()
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert not list((tmp_path / "unpacked").iterdir())

@@ -270,3 +270,26 @@ def test_a_run_that_takes_too_much_memory_fails_and_says_how_much(
     size = results.t.nbytes + results.values.nbytes
     assert size > 4000.0
     assert float(told[1]) * 1000 == pytest.approx(size, rel=0.05)  # rounded
+
+
+def test_who_asks_a_run_that_hangs_in_a_step_does_not_wait_for_ever(
+    mixed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("blocks.server.live_run.PATIENCE", 0.05)
+    live, hangs, goes_on = Watched(mixed), threading.Event(), threading.Event()
+    step = live._present._simulation.engine.proceed
+
+    def proceed(stop: Any) -> bool:
+        hangs.set()
+        assert goes_on.wait(PATIENCE)
+        return step(stop)
+
+    monkeypatch.setattr(live._present._simulation.engine, "proceed", proceed)
+    live.go()
+    assert hangs.wait(PATIENCE)
+    for ask in (lambda: live.set("gain.k", 1.0), live.results, live.rejected_by_block):
+        with pytest.raises(UsageError, match=r"has been in one step for more than"):
+            ask()
+    goes_on.set()
+    assert bits(live.finished()) == bits(Diagram.load(mixed).run())  # what was refused does not come later
+    assert live.turned == []

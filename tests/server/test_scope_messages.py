@@ -77,7 +77,7 @@ def test_the_values_at_the_end_of_a_run_are_those_of_its_last_row(motor: tuple[S
     assert do("values", t=0.0)["values"] == {}
     rows = np.array([0.0, 0.01]), np.array([[1.0], [2.0]])  # of a grid, while the run is between two of its rows
     live: Any = SimpleNamespace(t=0.015, columns={"x": (0, (), "m")}, rows=lambda: rows)
-    live.stop = live.wait = lambda: None
+    live.stop, live.wait = lambda: None, lambda patience: True
     made.live = live
     assert do("values", t=0.015) == {"is": "values", "t": 0.01, "values": {"x": 2.0}}
     assert do("values", t=0.005)["values"] == {"x": 1.5}
