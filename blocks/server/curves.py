@@ -22,7 +22,7 @@ import numpy as np
 
 from ..text.element_names import element_names
 
-__all__ = ["Curve", "Source", "Window", "elements", "extremes", "packed", "values_at"]
+__all__ = ["Curve", "Source", "Window", "elements", "extremes", "packed", "row_at", "values_at"]
 
 Array = np.ndarray[Any, Any]
 LATE = 2
@@ -50,22 +50,27 @@ def elements(source: Source) -> dict[str, tuple[int, str]]:
     return found
 
 
-def values_at(source: Source, t: float) -> dict[str, Any]:
-    """The value of each signal at a time, linear between rows as the plots are, the right one at a jump.
+def row_at(source: Source, t: float) -> list[float | None] | None:
+    """The columns at a time, linear between rows as the plots are, the right ones at a jump; None outside of the rows.
 
-    Of vectors and matrices a flat list. None is a value that is not finite; outside of the rows there is nothing.
+    None in it is a value that is not finite.
     """
     times, values = source.rows()
     after = int(np.searchsorted(times, t, side="right"))
     if after == 0 or (after == len(times) and times[-1] < t):
-        return {}
+        return None
     row = values[after - 1]
     if times[after - 1] < t:
         share = (t - times[after - 1]) / (times[after] - times[after - 1])
         with np.errstate(invalid="ignore", over="ignore"):
             row = (1.0 - share) * row + share * values[after]
-    told = [value if math.isfinite(value) else None for value in row.tolist()]
-    return {
+    return [value if math.isfinite(value) else None for value in row.tolist()]
+
+
+def values_at(source: Source, t: float) -> dict[str, Any]:
+    """The value of each signal at a time, as `row_at` has it; of vectors and matrices a flat list."""
+    told = row_at(source, t)
+    return {} if told is None else {
         name: told[first : first + math.prod(shape)] if shape else told[first]
         for name, (first, shape, _) in source.columns.items()
     }
@@ -75,7 +80,7 @@ def extremes(t: Array, columns: Sequence[Array], step: float, origin: float = 0.
     """The least and the largest value of each bin, at its first and its last time; and the first row of each bin.
 
     A bin: the rows with one floor((t - origin) / step). The order of the two is that of the first and the last value. A
-    bin of one row gives that row. NaN counts only where a bin holds nothing else.
+    bin of one row gives that row. NaN counts only where a bin holds nothing else. The last row is the last of all.
     """
     with np.errstate(invalid="ignore", over="ignore"):  # NaN; what is infinite in float32
         first = np.flatnonzero(np.diff(np.floor((t - origin) / step), prepend=np.nan) != 0)
@@ -87,7 +92,11 @@ def extremes(t: Array, columns: Sequence[Array], step: float, origin: float = 0.
             falls = values[first] > values[last]
             ends[falls] = ends[falls, ::-1]
             reduced[k] = ends[kept]
-    return t[np.column_stack([first, last])[kept]], reduced, first
+        times = t[np.column_stack([first, last])[kept]]
+        if len(t) and last[-1] > first[-1] + 1:
+            times = np.append(times, t[-1])
+            reduced = np.column_stack([reduced, np.array([values[-1] for values in columns], np.float32)])
+    return times, reduced, first
 
 
 @dataclass(frozen=True, kw_only=True)

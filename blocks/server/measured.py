@@ -21,6 +21,8 @@ Array = np.ndarray[Any, Any]
 LARGEST = 8 * 2**20
 _HEAD = re.compile(r"(.*\S)\s+[\[(]([^\[\]()]*(?:\([^()]*\)[^\[\]()]*)?)[\])]")
 """A name and a unit: "omega [rad/s]"; the number of an element is none: "u[0]"."""
+_DECIMAL_COMMA = re.compile(r'(?:^|(?<=,))"[+-]?\d+,\d+"', re.MULTILINE)
+"""A quoted cell that would pass as a gap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,8 @@ class Measured:
         refuse = refusal(name)
         if len(text) > LARGEST:
             raise refuse(f"is larger than {LARGEST // 2**20} MiB.", "Leave out columns or rows.")
+        if (found := _DECIMAL_COMMA.search(text)) is not None:
+            raise refuse(f"{found[0]} has a decimal comma, where a point is needed.")
         try:
             heads, table = read_columns(io.StringIO(text.removeprefix("\ufeff"), newline=""), ())
         except ValueError as error:

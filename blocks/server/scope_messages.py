@@ -38,17 +38,17 @@ def drawn(session: Session, page: Page) -> Answer:
 
 
 @handles
-def values(session: Session, *, t: float) -> Answer:
-    """The values of all recorded signals at a time; those of vectors and matrices as lists.
+def values(session: Session, page: Page, *, t: float) -> Answer:
+    """The values of all recorded signals at a time; those of vectors and matrices as lists. others: as of `Page`.
 
     A run that records on a grid has its last row before its time: up to that, it is the last row that counts.
     """
-    live = session.live
+    live, others = session.live, page.others_at(t)
     if live is None:
-        return {"is": "values", "t": t, "values": {}}
+        return {"is": "values", "t": t, "values": {}, "others": others}
     times = live.rows()[0]
     at = min(t, float(times[-1])) if len(times) and t <= live.t else t
-    return {"is": "values", "t": at, "values": values_at(live, at)}
+    return {"is": "values", "t": at, "values": values_at(live, at), "others": others}
 
 
 @handles

@@ -12,7 +12,7 @@ import numpy as np
 from ..text import units
 from ..text.available_memory import available
 from ..text.errors import Fault, UsageError
-from .curves import Curve, Source, Window, elements
+from .curves import Curve, Source, Window, elements, row_at
 
 __all__ = ["EventRows", "Live", "Page", "Scope", "trim"]
 
@@ -139,6 +139,19 @@ class Page:
     def signals(self) -> list[str]:
         """What its scopes show, by name."""
         return [name for scope in self.scopes.values() for name in scope.signals]
+
+    def others_at(self, t: float) -> dict[str, dict[str, list[float | None]]]:
+        """By scope the values at a time of the curves of ghosts and of measured files, in the units of the scope."""
+        told: dict[str, dict[str, list[float | None]]] = {}
+        for scope in self.scopes.values():
+            for curve in scope.curves:
+                kind, which = curve.header["kind"], curve.header["of"]
+                row = row_at(curve.source, t) if kind in ("ghost", "overlay") else None
+                if row is not None:
+                    scaled = [(row[k], factor) for k, factor in curve.columns]
+                    values = [None if value is None else value * factor for value, factor in scaled]
+                    told.setdefault(scope.name, {})[f"{kind} {which}"] = values
+        return told
 
     def frames(self, runs: Mapping[int, Live], live: Live | None) -> Iterator[bytes]:
         """What is new in all scopes since the page has drawn what it got. live: the run that is shown, of the runs."""

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import blocks.server.scope_messages  # noqa: F401  # its messages
-from blocks import Diagram, Results
+from blocks import Diagram, Gain, Results, Sine, ZeroOrderHold
 from blocks.server import scopes, session
 from blocks.server.document import Document, inside
 from blocks.server.messages import answer
@@ -79,7 +79,7 @@ def test_the_values_at_the_end_of_a_run_are_those_of_its_last_row(motor: tuple[S
     live: Any = SimpleNamespace(t=0.015, columns={"x": (0, (), "m")}, rows=lambda: rows)
     live.stop, live.wait = lambda: None, lambda patience: True
     made.live = live
-    assert do("values", t=0.015) == {"is": "values", "t": 0.01, "values": {"x": 2.0}}
+    assert do("values", t=0.015) == {"is": "values", "t": 0.01, "values": {"x": 2.0}, "others": {}}
     assert do("values", t=0.005)["values"] == {"x": 1.5}
     assert do("values", t=0.016)["values"] == {}
 
@@ -262,3 +262,46 @@ def test_values_on_wires_after_runs_of_few_rows_are_those_of_the_last_row(
             page.assert_clean()
     finally:
         transport.stop()
+
+
+@pytest.mark.long
+def test_numbers_at_the_cursor_are_those_of_the_run_that_is_shown(chromium: Any, native: None) -> None:
+    """Far from t = 0, of 20,000 rows, after a new run, of a ghost and of an element of a matrix."""
+    d = Diagram("far")
+    d.wire(d.add("gain", Gain(k=2.0)).u, d.add("sine", Sine(omega=2e4)).y)
+    d.wire(d.add("hold", ZeroOrderHold(period=1e-3)).u, "gain.y")
+    d.settings(start=1e6, stop=1000000.02, method="rk4", step=1e-6, log=["gain.y"])
+    made = Session(Document(d))
+    transport = Transport(new_token(), made.received, made.connected, made.disconnected)
+    transport.start()
+    try:
+        with chromium() as page:
+            page.open(transport.url)
+            page.until("document.querySelector('#drawing svg [data-net]')")
+            client = next(iter(made.pages))
+            made.received(client, {"do": "run", "id": 0})
+            page.until("document.querySelector('.scope-plot canvas')")
+            assert made.running.wait(60.0)
+            page.until("document.querySelector('#runbar .told').textContent.includes('t = 1000000.02 of')")
+            first = made.running.results()
+            page.evaluate("document.querySelector('.scope-plot').focus()")
+            page.press("Home", "Shift+ArrowRight", "ArrowRight", "ArrowRight", "ArrowRight")
+            page.until("document.querySelector('.scope-at').textContent === 't = 1000000.00092 s, pinned'")
+            cells = "[...document.querySelectorAll('.scope tbody tr')].map(row => row.innerText.split('\\t'))"
+            at = float(np.interp(1000000.00092, first.t, first["gain.y"]))
+            last = float(first["gain.y"][-1])
+            page.until(f"{cells}.some(row => Math.abs(row[2] - {at}) < 2e-4 && Math.abs(row[5] - {last}) < 2e-4)")
+            made.values["gain.k"] = 3.0
+            made.received(client, {"do": "run", "id": 0})
+            wires = "[...document.querySelectorAll('.wire-value')].map(one => Number(one.textContent))"
+            page.until(f"{wires}.some(one => Math.abs(one - {1.5 * at}) < 4e-4)")
+            page.evaluate("document.querySelector('.scope-bar details').open = true")
+            page.until("document.querySelector('.scope-runs input')")
+            page.click(".scope-runs input")
+            page.until(f"{cells}.some(row => row[0].includes('run 1') && Math.abs(row[2] - {at}) < 2e-4)")
+            scope = "Scope.prototype.element.call({pane: {shape: () => [2, 3]}}, 'm.y[1,0]')"
+            assert page.evaluate(f"import('/page/scope.js').then(({{Scope}}) => {scope})") == ["m.y", 3]
+            page.assert_clean()
+    finally:
+        transport.stop()
+        made.close()

@@ -66,7 +66,7 @@ class Shown:
 
 
 def slowly(t: Any, values: Any, step: float) -> tuple[list[float], list[float]]:
-    """Least and largest value of each bin, one value after the other."""
+    """Least and largest value of each bin, one value after the other, and the last row."""
     bins: dict[int, list[tuple[float, float]]] = {}
     for time, value in zip(t.tolist(), values.tolist(), strict=True):
         bins.setdefault(math.floor(time / step), []).append((time, value))
@@ -76,6 +76,8 @@ def slowly(t: Any, values: Any, step: float) -> tuple[list[float], list[float]]:
         falls = rows[0][1] > rows[-1][1]
         picked += sorted([min(numbers), max(numbers)], reverse=falls)[: len(rows)]
         times += [rows[0][0], rows[-1][0]][: len(rows)]
+    if sum(math.floor(time / step) == math.floor(t[-1] / step) for time in t) > 2:
+        return [*times, float(t[-1])], [*picked, float(values[-1])]
     return times, picked
 
 
@@ -146,6 +148,9 @@ def test_few_rows_come_as_they_are_and_a_peak_of_one_row_is_seen_among_many() ->
     assert len(many.t) <= 2002
     assert many.columns[0].max() == 7.0
     assert abs(many.t[many.columns[0].argmax()] - t[123_456]) < 1.0 / 500
+    values[-3:, 0] = [4.0, 9.0, 5.0]  # the legend tells the last value, which is neither the least nor the largest
+    many.take()
+    assert (many.t[-1], many.columns[0][-1]) == (t[-1], 5.0)
 
 
 @pytest.mark.parametrize("window", [{}, {"span": 5.0}])
@@ -250,6 +255,7 @@ def test_many_events_give_a_mark_for_a_pixel_and_how_many_there_are() -> None:
         ("time,x\n1,2\n0,3\n", "E503 lab.csv: row 2: the time is no number, or lies before that of the row above."),
         ("time,x\nnan,2\n", "E503 lab.csv: row 1: the time is no number"),
         ("time,x\n1,2,3\n", "E503 lab.csv: line 2: 3 cells for 2 columns."),
+        ('time,x,y\n0,1,"-2,5"\n', 'E503 lab.csv: "-2,5" has a decimal comma, where a point is needed.'),
         ("time,x [rdps]\n1,2\n", "E503 lab.csv: x: "),
         ("time [kg],x\n1,2\n", "E503 lab.csv: time: "),
         ("time,x [V],x [A]\n1,2,3\n", "E503 lab.csv: has two columns of the name 'x'."),

@@ -41,15 +41,6 @@ export class Curve {
     }
     return [low, high, last];
   }
-
-  /** The value of a column at a time, on the line between its rows; null outside. */
-  at(column, t) {
-    const [after, values] = [search(this.t, t, true), this.columns[column]];
-    if (after && this.t[after - 1] === t) return values[after - 1];
-    if (after === 0 || after === this.t.length) return null;
-    const share = (t - this.t[after - 1]) / (this.t[after] - this.t[after - 1]);
-    return (1 - share) * values[after - 1] + share * values[after];
-  }
 }
 
 /** Where times and values lie on the canvas. u: the plot; scale: that of the values. */
@@ -76,6 +67,8 @@ export function drawLine(u, scale, curve, column, { color, dash = [], width = 1,
     if (wasDown) travelled += Math.abs(y - wasY);
     path[wasDown ? "lineTo" : "moveTo"](x, y);
     [wasX, wasY] = [x, y];
+    // The only row, or one between gaps, is seen as well.
+    if (!wasDown && (i + 1 === end || values[i + 1] - values[i + 1] !== 0)) path.rect(x - ratio, y - ratio, 2 * ratio, 2 * ratio);
     if (!dots || end - first >= bbox.width / 8) continue;
     path.rect(x - ratio, y - ratio, 2 * ratio, 2 * ratio);
     path.moveTo(x, y);

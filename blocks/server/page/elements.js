@@ -51,3 +51,9 @@ export function shown(x, digits = 6) {
   const isFar = x !== 0 && (Math.abs(x) >= 1e6 || Math.abs(x) < 1e-4);
   return isFar ? x.toExponential(digits - 1).replace(/\.?0+e/, "e") : String(Number(x.toPrecision(digits)));
 }
+
+/** A time, with the digits that a part of the span around it takes. */
+export function seconds(t, [t0, t1], least = 8) {
+  const digits = 5 + Math.log10(Math.max(Math.abs(t0), Math.abs(t1)) / (t1 - t0));
+  return `${+t.toPrecision(Math.min(Math.max(Math.ceil(digits), least), 17))} s`;
+}

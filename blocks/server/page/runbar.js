@@ -1,5 +1,5 @@
 /** The run: its buttons and keys, its stop time and pace, how it stands, and why it failed. */
-import { element, shown } from "./elements.js";
+import { element, seconds as timed, shown } from "./elements.js";
 
 const ACTIVE = ["running", "paused"];
 const WORDS = { none: "no run yet", running: "running", paused: "paused", done: "done", stopped: "stopped", failed: "failed" };
@@ -75,8 +75,9 @@ export function start(app) {
   /** @param {any} told_ how the run stands @returns {string} */
   const sentence = ({ state: now, t, stop: end, steps, rejected, pace: wanted, lag, seconds, start: begun }) => {
     if (now === "none") return WORDS.none;
-    const of = end === null || end === undefined ? "" : ` of ${shown(end)}`;
-    const parts = [`${WORDS[now]}: t = ${shown(t)}${of} s`, `${steps} steps, ${rejected} rejected`];
+    const time = (x) => timed(x, [begun ?? 0, Math.max(end ?? t, t)], 6).slice(0, -2);
+    const of = end === null || end === undefined ? "" : ` of ${time(end)}`;
+    const parts = [`${WORDS[now]}: t = ${time(t)}${of} s`, `${steps} steps, ${rejected} rejected`];
     if (now === "running" && wanted !== null) parts.push(lag > 0.1 ? `${shown(lag, 2)} s behind ${shown(wanted)}x` : `at ${shown(wanted)}x`);
     else if (["running", "done"].includes(now) && wanted === null && seconds > 0 && t > (begun ?? 0)) parts.push(`${shown((t - (begun ?? 0)) / seconds, 2)}x real time`);
     if (app.state.document?.coupled) parts.push("sets act at communication points");

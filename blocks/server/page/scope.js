@@ -1,7 +1,7 @@
 /** One scope: its plot, its legend with the numbers, and how both follow what comes. */
 import uPlot from "./vendor/uplot.js";
 import { Curve, drawBand, drawLine, drawMarks } from "./curves.js";
-import { counted, element, shown, table } from "./elements.js";
+import { counted, element, seconds, shown, table } from "./elements.js";
 
 /** Colors on light and on dark, and dashes: as in figures of results. */
 const COLORS = [["#b45309", "#fbbf24"], ["#1d4ed8", "#7aa2ff"], ["#0f766e", "#34d399"], ["#7e22ce", "#c4b5fd"], ["#64748b", "#cbd5e1"], ["#be123c", "#fb7185"]];
@@ -14,10 +14,16 @@ const ink = () => (dark.matches ? "#e5e7eb" : "#1f2937");
 const faint = () => (dark.matches ? "#64748b66" : "#94a3b880");
 
 /** A value, as a number in the legend or on a wire. */
-export const short = (value) => (value == null ? "-" : Number.isFinite(value) ? shown(value, 5) : "not finite");
-export const seconds = (t) => `${+t.toPrecision(8)} s`;
-/** The signal and the number of the element that a name means: "u[1]" of a vector. */
-const parts = (name) => [name.replace(/\[[\d,]+\]$/, ""), Number(/\[(\d+)\]$/.exec(name)?.[1] ?? 0)];
+export function short(value) {
+  if (value == null || !Number.isFinite(value)) return value == null ? "-" : "not finite";
+  const size = Math.abs(value);
+  return size >= 1e5 && size < 1e7 ? String(Math.round(value)) : shown(value, 5); // 123456 is not 123460
+}
+/** The signal that a name is an element of, "u" of "u[1]"; or the name. */
+const owner = (name) => name.replace(/\[[\d,]+\]$/, "");
+/** Pixels from a time to the next at the axis: far from 0 their labels are long. */
+const apart = (_u, _axis, t0, t1) => Math.max(50, 52 + 7 * Math.log10(Math.max(Math.abs(t0), Math.abs(t1)) / (t1 - t0)));
+
 export class Scope {
   /** pane: all scopes, with the times and the cursor that they share. */
   constructor(id, signals, pane) {
@@ -40,6 +46,13 @@ export class Scope {
     new ResizeObserver(() => this.resized()).observe(this.plot);
   }
 
+  /** The signal that has an element, and the place of this among all: "M[1,0]" of a matrix. */
+  element(name) {
+    const index = /\[([\d,]+)\]$/.exec(name)?.[1].split(",").map(Number) ?? [];
+    const shape = this.pane.shape(owner(name));
+    return [owner(name), index.reduce((k, i, axis) => k * (shape[axis] ?? 1) + i, 0)];
+  }
+
   include(name) {
     if (!name || this.signals.includes(name)) return;
     this.signals = [...this.signals, name];
@@ -50,7 +63,7 @@ export class Scope {
   exclude({ name, kind, of }) {
     const column = kind === "overlay" ? `${of}|${name}` : name;
     if (kind === "overlay" && !this.signals.includes(column)) return this.pane.lose(of);
-    this.signals = this.signals.filter((one) => one !== column && one !== parts(column)[0]);
+    this.signals = this.signals.filter((one) => one !== column && one !== owner(column));
     if (!this.signals.length) return this.pane.remove(this);
     this.curves.clear();
     this.pane.ask(this);
@@ -102,7 +115,7 @@ export class Scope {
       return element("tr", { class: line.kind }, head, ...cells, element("td", {}, line.kind === "ghost" ? "" : remove));
     };
     this.cells = this.lines.map(() => [0, 1, 2, 3].map(() => element("td")));
-    const known = new Set(this.lines.flatMap(({ name, kind }) => (kind === "run" ? [name, parts(name)[0]] : [])));
+    const known = new Set(this.lines.flatMap(({ name, kind }) => (kind === "run" ? [name, owner(name)] : [])));
     const missing = this.signals.filter((name) => !known.has(name) && !name.includes("|"));
     const why = run ? "not recorded: run anew" : "no run yet";
     this.rows.replaceChildren(
@@ -116,7 +129,7 @@ export class Scope {
     const line = { stroke: faint, width: 0.5 };
     const axis = { stroke: ink, grid: line, ticks: { ...line, size: 4 }, font: "12px sans-serif", labelFont: "12px sans-serif", labelSize: 16, values: (_u, splits) => splits.map((x) => shown(x, 12)) };
     const scales = { x: { time: false, range: (_u, min, max) => [min, max] } };
-    const axes = [{ ...axis, label: "time [s]", labelGap: -2, size: 24 }];
+    const axes = [{ ...axis, label: "time [s]", labelGap: -2, size: 24, space: apart }];
     this.units.forEach((unit, k) => {
       scales[`y${k}`] = { range: () => this.range(unit) };
       axes.push({ ...axis, scale: `y${k}`, side: k ? 1 : 3, label: unit ? `[${unit}]` : " ", size: AXIS - 16, grid: k ? { show: false } : line });
@@ -157,7 +170,7 @@ export class Scope {
     this.was = left;
   }
 
-  band = ({ name, kind }) => (kind === "run" ? this.pane.band(parts(name).join()) : undefined);
+  band = ({ name, kind }) => (kind === "run" ? this.pane.band(this.element(name).join()) : undefined);
 
   /** What an axis shows. */
   range(unit) {
@@ -204,14 +217,14 @@ export class Scope {
     if (!this.line.hidden) this.line.style.transform = `translateX(${left}px)`;
   }
 
-  /** The numbers of the legend. values: of the run, at the cursor. */
-  tell(values) {
+  /** The numbers of the legend. values: of the run, at the cursor; others: of the curves beside it. */
+  tell(values, others) {
     const [cursor, [t0, t1]] = [this.pane.cursor(), this.pane.shown()];
     const spoken = [];
-    this.lines.forEach(({ curve, column, name, label, kind, unit }, k) => {
-      const [base, element_] = parts(name);
-      const own = name in values ? values[name] : [values[base] ?? null].flat()[element_];
-      const at = cursor === null ? null : kind === "run" ? own : curve.at(column, cursor);
+    this.lines.forEach(({ curve, column, name, label, kind, of, unit }, k) => {
+      const [base, place] = this.element(name);
+      const own = base in values ? ([values[base]].flat()[place] ?? NaN) : null;
+      const at = cursor === null ? null : kind === "run" ? own : others[`${kind} ${of}`]?.[column];
       const [low, high, last] = curve.range(column, t0, t1);
       [at, low > high ? null : low, low > high ? null : high, last].forEach((value, i) => (this.cells[k][i].textContent = short(value)));
       if (at != null) spoken.push(`${label} ${short(at)} ${unit}`.trim());
@@ -219,9 +232,9 @@ export class Scope {
     this.spoken = spoken.join(", ");
     const close = (4 * (t1 - t0)) / (this.u?.over.clientWidth || 600);
     const near = cursor === null ? [] : this.events(cursor - close, cursor + close);
-    const fired = near.length && `${near[1][0]}: ${near[1][1]} at ${seconds(near[2])}${near[0] > 1 ? ` and ${near[0] - 1} more` : ""}`;
+    const fired = near.length && `${near[1][0]}: ${near[1][1]} at ${seconds(near[2], [t0, t1])}${near[0] > 1 ? ` and ${near[0] - 1} more` : ""}`;
     const [count] = this.events(t0, t1);
-    this.caption.textContent = [`${seconds(t0)} to ${seconds(t1)}`, count && counted(count, "event"), fired].filter(Boolean).join("; ");
+    this.caption.textContent = [`${seconds(t0, [t0, t1])} to ${seconds(t1, [t0, t1])}`, count && counted(count, "event"), fired].filter(Boolean).join("; ");
   }
 
   /** Of the events between two times: how many, what the first one is, and when. */

@@ -1,7 +1,7 @@
 /** Scopes: signals over a shared time axis, with a cursor, ghosts of earlier runs, measured files, events. */
 import { Curve } from "./curves.js";
-import { element } from "./elements.js";
-import { Scope, dark, seconds, short } from "./scope.js";
+import { element, seconds } from "./elements.js";
+import { Scope, dark, short } from "./scope.js";
 
 const TURN = 33; // ms between two frames that are asked for
 const NUMBERS = 150; // ms between two looks at the numbers
@@ -63,12 +63,12 @@ export function start(app) {
     cursor = t;
     isPinned &&= t !== null;
     app.emit("cursor", t);
-    at.textContent = t === null ? "" : `t = ${seconds(t)}${isPinned ? ", pinned" : ""}`;
+    at.textContent = t === null ? "" : `t = ${seconds(t, shown())}${isPinned ? ", pinned" : ""}`;
     scopes.forEach((scope) => scope.place());
     fetchValues(speaks);
   }
 
-  let [isAsked, isWanted, askedAt, values] = [false, false, 0, {}];
+  let [isAsked, isWanted, askedAt, values, others] = [false, false, 0, {}, {}];
   /** Values at the cursor, or at the end of the run; one question at a time, of which the last one counts. */
   async function fetchValues(speaks = false) {
     isWanted = isAsked;
@@ -78,13 +78,13 @@ export function start(app) {
     const answer = t === undefined ? null : await quietly(ask("values", { t }));
     isAsked = false;
     if (isWanted) return fetchValues(speaks);
-    values = answer?.values ?? {};
+    [values, others] = [answer?.values ?? {}, answer?.others ?? {}];
     tell();
     for (const [name, label] of labels) {
       const some = name in values && wires.checked ? [values[name]].flat() : [];
       label.textContent = some.slice(0, 3).map((one) => short(one ?? NaN)).join(", ") + (some.length > 3 ? ", ..." : "");
     }
-    if (speaks && cursor !== null) app.announce(`${seconds(cursor)}. ${scopes.map(({ spoken }) => spoken).join(". ")}`);
+    if (speaks && cursor !== null) app.announce(`${seconds(cursor, shown())}. ${scopes.map(({ spoken }) => spoken).join(". ")}`);
   }
 
   /** @type {Map<string, Element>} labels beside the beginnings of wires, by signal */
@@ -117,7 +117,9 @@ export function start(app) {
     },
     label: (id) => runs.find((one) => one.id === id)?.label ?? `run ${id}`,
     axes: () => Math.max(1, ...scopes.map(({ units }) => units.length)),
+    shape: (name) => app.state.document?.signals.find((one) => one.name === name)?.shape ?? [],
     arranged() {
+      fetchValues();
       if (pane.axes() === most) return;
       most = pane.axes();
       scopes.forEach((scope) => scope.u?.redraw(false, true));
@@ -207,7 +209,7 @@ export function start(app) {
   }
   function tell() {
     telling = clearTimeout(telling);
-    scopes.forEach((scope) => scope.tell(values));
+    scopes.forEach((scope) => scope.tell(values, others[scope.id] ?? {}));
   }
   app.connection.onFrame((frame) => {
     mustAnswer = true;
@@ -307,7 +309,7 @@ export function start(app) {
     const state = now.id && `${now.id} ${now.state}`;
     if (state !== was) listRuns();
     was = state;
-    if (cursor === null && (now.state !== "running" || performance.now() - askedAt > NUMBERS)) fetchValues();
+    if (now.state !== "running" || performance.now() - askedAt > NUMBERS) fetchValues(); // at a pinned cursor too
     draw();
   });
   // With the analysis open, a click on a wire chooses its loop.
