@@ -45,8 +45,8 @@ class Measured:
         refuse = refusal(name)
         if len(text) > LARGEST:
             raise refuse(f"is larger than {LARGEST // 2**20} MiB.", "Leave out columns or rows.")
-        if (found := _DECIMAL_COMMA.search(text)) is not None:
-            raise refuse(f"{found[0]} has a decimal comma, where a point is needed.")
+        if (comma := _DECIMAL_COMMA.search(text)) is not None:
+            raise refuse(f"{comma[0]} has a decimal comma, where a point is needed.")
         try:
             heads, table = read_columns(io.StringIO(text.removeprefix("\ufeff"), newline=""), ())
         except ValueError as error:
