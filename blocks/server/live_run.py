@@ -29,7 +29,7 @@ from ..text.available_memory import Watch
 from ..text.element_names import element_names
 from ..text.errors import BlocksError, Fault, FMUError, SimulationError, UsageError
 
-__all__ = ["LiveRun", "Turned", "own_fault"]
+__all__ = ["LiveRun", "Turned", "check_pace", "own_fault"]
 
 Array = np.ndarray[Any, Any]
 SLICE = 0.01
@@ -100,8 +100,7 @@ class LiveRun:
 
     def go(self, pace: float | None = None) -> None:
         """Go on; pace: simulated s per s of the clock, None: as fast as it goes. Raises UsageError (E501)."""
-        if pace is not None and not (isinstance(pace, (int, float)) and 0.0 < pace < math.inf):
-            raise UsageError(Fault("E501", "pace", f"{pace!r} is no number above 0.", "1 is real time."))
+        check_pace(pace)
         with self._condition:
             self.pace, self._origin, self.lag = pace, None, 0.0
             self._wish_for("running")
@@ -410,6 +409,12 @@ class LiveRun:
         else:
             lines += [f"run.advance_past({self.t!r})  # {self.steps} steps", "results = run.results"]
         return "\n".join([*lines, ""])
+
+
+def check_pace(pace: float | None) -> None:
+    """Raise UsageError (E501) for what is no pace."""
+    if pace is not None and not (isinstance(pace, (int, float)) and 0.0 < pace < math.inf):
+        raise UsageError(Fault("E501", "pace", f"{pace!r} is no number above 0.", "1 is real time."))
 
 
 def own_fault(error: Exception) -> Fault:

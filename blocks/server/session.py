@@ -20,7 +20,7 @@ from ..text.element_names import indexed
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.version import __version__
 from .document import Document, told_fault
-from .live_run import PATIENCE, LiveRun, own_fault
+from .live_run import PATIENCE, LiveRun, check_pace, own_fault
 from .messages import ASIDE, Answer, answer, handles
 from .scopes import Page, trim
 
@@ -283,6 +283,7 @@ def draw(session: Session, *, level: str = "") -> Answer:
 
 @handles
 def run(session: Session, *, stop: str | float | None = None, pace: float | None = None) -> Answer:
+    check_pace(pace)  # a run that stands stays where the question is refused
     session.begin(stop).go(pace)
     return session.run_told()
 

@@ -56,10 +56,13 @@ def page_of(diagram: Diagram, results: Results | None = None, *, variants: Mappi
         levels = ["", *(block["path"] for block in document["blocks"] if block["kind"] == "diagram")]
         asked: list[dict[str, Any]] = [{"do": "draw", "level": level} for level in levels]
         asked += [{"do": "panel", "path": path} for path in ["", *(block["path"] for block in document["blocks"])]]
-        answers = [[list(one.values()), answer(session, one)] for one in asked]
+        told = [answer(session, one) or {} for one in asked]
+        for row in (row for one in told for rows in one.get("rows", {}).values() for row in rows):
+            row["knob"] = row["knob"] and {**row["knob"], "why": ""}  # nothing is turned here
+        answers = [[list(one.values()), what] for one, what in zip(asked, told, strict=True)]
     finally:
         session.close()
-    rows, told = _rows(results), ""
+    rows, words = _rows(results), ""
     document["signals"] = [] if results is None else _signals(document, results)
     if results is not None:
         statistics = results.statistics
@@ -67,10 +70,10 @@ def page_of(diagram: Diagram, results: Results | None = None, *, variants: Mappi
             "id": 1, "state": "done", "start": results.span[0], "t": results.span[1], "stop": results.span[1],
             "steps": statistics.steps, "rejected": statistics.rejected, "seconds": statistics.seconds, "faults": [],
         }  # fmt: skip
-        told = f"a run to {results.span[1]:.10g} s: {results.rows:,} rows of {counted(len(results.columns), 'signal')}"
+        words = f"a run to {results.span[1]:.10g} s: {results.rows:,} rows of {counted(len(results.columns), 'signal')}"
         if rows["stretches"]:
-            told += f", shown by the least and the largest value of each of {rows['stretches']:,} stretches"
-    return _html(document["name"], {"hello": hello, "answers": answers, "rows": rows}, told)
+            words += f", shown by the least and the largest value of each of {rows['stretches']:,} stretches"
+    return _html(document["name"], {"hello": hello, "answers": answers, "rows": rows}, words)
 
 
 def _signals(document: Mapping[str, Any], results: Results) -> list[dict[str, Any]]:

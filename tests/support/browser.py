@@ -37,6 +37,7 @@ _OPTIONS = (
 _KEYS = {
     "Enter": 13, "Tab": 9, "Escape": 27, "Backspace": 8, "Delete": 46, "Home": 36, "End": 35, "PageUp": 33,
     "PageDown": 34, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "F1": 112, "F2": 113, "F5": 116,
+    ".": 190, ",": 188, "-": 189, "/": 191, "'": 222,
 }  # fmt: skip
 _MODIFIERS = {"Alt": 1, "Control": 2, "Meta": 4, "Shift": 8}
 _CENTER = """(selector => {
