@@ -125,7 +125,7 @@ export function start(app) {
     root.refuse = (...words) => {
       isOpen = words.length > 0;
       error.replaceChildren(...words);
-      fields.forEach((one) => one.toggleAttribute("aria-invalid", isOpen));
+      fields.forEach((one) => (one.ariaInvalid = isOpen ? "true" : null));
     };
     root.show = (now) => {
       root.fact = now;

@@ -37,7 +37,7 @@ export function start(app) {
     const buttons = [...list.querySelectorAll("button")];
     const first = buttons.find((one) => one.ariaCurrent) ?? buttons[0];
     buttons.forEach((one) => (one.tabIndex = one === first ? 0 : -1));
-    if (focused >= 0) (buttons[focused] ?? first)?.focus();
+    if (focused >= 0) (buttons[focused] ?? first ?? filter).focus();
     count.textContent = total;
   };
 
@@ -63,7 +63,7 @@ export function start(app) {
     const signals = told.signals.filter((one) => (filter.value ? fits(one.name) : isHere(one.name, prefix)));
     put(groups.signals, signals.map((one) => {
       const shape = one.shape.length ? `[${one.shape.join("×")}]` : "";
-      const open = () => app.openScope([one.name]);
+      const open = () => app.selectWire(one.name);
       return element("li", {}, element("button", { "data-signal": one.name, title: `Show ${one.name} in a scope`, onclick: open },
         element("span", { class: "name" }, (filter.value ? one.name : one.name.slice(prefix.length)) + shape), element("span", { class: "unit" }, one.unit)));
     }), signals.length);
@@ -84,7 +84,7 @@ export function start(app) {
     const { blocks, signals } = app.state.document;
     const entries = [
       ...blocks.map((one) => ({ name: one.path, told: one.type, go: () => app.reveal(one.path) })),
-      ...signals.map((one) => ({ name: one.name, told: one.unit ? `signal, ${one.unit}` : "signal", go: () => app.openScope([one.name]) })),
+      ...signals.map((one) => ({ name: one.name, told: one.unit ? `signal, ${one.unit}` : "signal", go: () => app.selectWire(one.name) })),
     ];
     const rank = ({ name, told }) => {
       const own = name.toLowerCase();

@@ -172,8 +172,8 @@ export function start(app) {
       scope.arrange();
       empty.hidden = true;
       pane.ask(scope);
-      app.announce(`A scope of ${signals.join(", ")} is open.`);
     }
+    app.announce(`A scope of ${scope.signals.join(", ")} is open.`);
     scope.section.scrollIntoView({ block: "nearest" });
   };
   /** Show the band of a sweep over the scopes, as the server answers "band"; null takes it away. */
