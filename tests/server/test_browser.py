@@ -231,7 +231,7 @@ def test_a_file_that_changes_is_shown_and_a_broken_one_does_no_harm(chromium: An
         d.save(path)
         page.until("document.querySelector('#stage [data-path=\"late\"]') && !document.querySelector('#lists .fault')")
         assert page.evaluate(place) == looked
-        assert page.evaluate("document.querySelector('#stage .selected').dataset.path") == "x"
+        assert page.evaluate("document.querySelector('#stage g.selected[data-path]').dataset.path") == "x"
         assert page.evaluate("document.querySelectorAll('#scopes canvas').length") > 0
         page.assert_clean()
 
