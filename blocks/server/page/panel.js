@@ -1,4 +1,4 @@
-/** The panel: what the selected block is, its parameters, its ports; without one, the diagram itself. */
+/** The panel: what the selected block is, its parameters, its ports; without one, the open diagram. */
 import { element, fault, shown, trusted } from "./elements.js";
 
 export function start(app) {
@@ -25,13 +25,14 @@ export function start(app) {
   }
 
   let asked = 0;
-  const show = async (path) => {
+  const show = async (selected) => {
     const number = ++asked;
-    const panel = await app.ask("panel", { path: path ?? "" });
+    const path = selected ?? app.state.level;
+    const panel = await app.ask("panel", { path });
     if (!panel || number !== asked) return;
-    const name = path?.split(".").pop() ?? app.state.document.name;
+    const name = path.split(".").pop() || app.state.document.name;
     const kind = { diagram: path ? "subdiagram" : "diagram", fmu: "FMU", block: "block" }[panel.kind];
-    const open = path && panel.kind === "diagram" ? element("button", { onclick: () => app.open(path) }, "Open") : null;
+    const open = selected && panel.kind === "diagram" ? element("button", { onclick: () => app.open(path) }, "Open") : null;
     const focused = place.contains(document.activeElement) ? document.activeElement : null;
     const parts = [
       element("header", {}, element("h2", {}, name), element("p", { class: "type" }, panel.type === name ? kind : `${panel.type} · ${kind}`), open),
@@ -48,5 +49,6 @@ export function start(app) {
     app.emit("panel", panel);
   };
   app.on("select", show);
+  app.on("level", () => app.state.selected ?? show(null));
   app.on("document", () => show(app.state.selected));
 }

@@ -33,7 +33,14 @@ export function start(app) {
     return text ? { stop: Number.isNaN(Number(text)) ? text : Number(text) } : {};
   };
   const settings = () => ({ ...until(), pace: pace() });
-  const begin = () => ask("run", settings());
+  let isBeginning = false;
+  const begin = async () => {
+    if (isBeginning) return;
+    isBeginning = true;
+    told.textContent = "preparing ..."; // the first time it is compiled, which takes a moment
+    await ask("run", settings());
+    isBeginning = false;
+  };
   const go = () => (state() === "running" ? ask("pause") : state() === "paused" ? ask("resume", { pace: pace() }) : begin());
   const onward = () => ask("step", ACTIVE.includes(state()) ? {} : until());
 
