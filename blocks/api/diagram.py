@@ -42,7 +42,7 @@ from ..model.variants import Swap, taken
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.brief import UnknownName
-from ..text.errors import Fault, ModelError, did_you_mean
+from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible, quoted
 from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan
 from .draft import Draft
@@ -663,6 +663,17 @@ class Diagram:
             "live", self,
             values=parameters, inputs=inputs, variants=variants, engine=engine, trust=trust, port=port,
         )  # fmt: skip
+
+    def edit(self, *, trust: Paths = (), port: int = 0) -> Any:
+        """A server that edits the file of this diagram in a browser: `url`, `stop()`; a notebook shows the page itself.
+
+        Every gesture is written into the file at once, and can be undone there; this object stays as it is, and
+        `Diagram.load` reads what came of it. Raises UsageError (E501) for a diagram that was read from no file.
+        """
+        if not os.path.isfile(self.value.file):
+            cure = "Write one with save, and load it."
+            raise UsageError(Fault("E501", self.name, "was read from no file that could be edited.", cure))
+        return late("edit", self.value.file, library=tuple(self.types.values()), trust=trust, port=port)
 
     # --- linear models -----------------------------------------------------------------------------------------
 

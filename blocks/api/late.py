@@ -14,7 +14,7 @@ __all__ = ["late"]
 
 _MODULES = {
     "sweep": "studies.sweep_run", "tune": "studies.tuning", "fit": "studies.identification",
-    "live": "server.live_server",
+    "live": "server.live_server", "edit": "server.live_server",
 }  # fmt: skip
 
 

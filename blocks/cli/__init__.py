@@ -1,4 +1,4 @@
-"""The command `blocks`: run, live, sweep, study, tune, compare, check, diff, fmt, rename, ..., doctor.
+"""The command `blocks`: run, live, edit, sweep, study, tune, compare, check, diff, fmt, rename, ..., doctor.
 
 Data go to stdout; progress and diagnostics to stderr. Exit codes: 0 fine; 1 ran, but a claim or tolerance failed;
 2 model or usage error, or a file that cannot be written; 3 numerical failure, 4 FMU failure (partial results are kept);
@@ -36,7 +36,7 @@ BROKEN = 70
 """The exit code of a fault of blocks itself, as sysexits.h has it (EX_SOFTWARE)."""
 STDOUT = "stdout"
 COMMANDS = {
-    "new": "new", "run": "run", "live": "live", "sweep": "sweep", "study": "study", "tune": "tune",
+    "new": "new", "run": "run", "live": "live", "edit": "live", "sweep": "sweep", "study": "study", "tune": "tune",
     "compare": "compare", "plot": "plot", "check": "check", "diff": "diff", "fmt": "fmt", "rename": "rename",
     "apply": "apply", "draw": "draw", "list": "listing", "schema": "schema", "export": "export", "fmu": "fmu",
     "linearize": "linearize", "observer": "linearize", "explain": "explain", "doctor": "doctor",

@@ -1,4 +1,4 @@
-"""`blocks live`."""
+"""`blocks live` and `blocks edit`: a diagram in the browser."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 from ..text.errors import Fault, UsageError
@@ -34,6 +35,21 @@ def add(verbs: Any) -> None:
         "this command, for this machine alone; it ends with Ctrl-C.",
     )
     live.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
+    _takes(live)
+    live.set_defaults(verb=_live, edit=False)
+    edit = verbs.add_parser(
+        "edit",
+        help="draw a diagram in the browser, and run it there",
+        description="Edit a diagram file in the browser: every gesture is written into it at once, and can be undone. "
+        "It runs there, too. The server is this command, for this machine alone; it ends with Ctrl-C.",
+    )
+    what = "a diagram file (JSON), which is made where there is none (default: the newest one in this folder and below)"
+    edit.add_argument("diagram", metavar="DIAGRAM", nargs="?", help=what)
+    _takes(edit)
+    edit.set_defaults(verb=_live, edit=True)
+
+
+def _takes(live: argparse.ArgumentParser) -> None:
     live.add_argument("--port", metavar="N", type=int, default=0, help="port of 127.0.0.1 (default: a free one)")
     live.add_argument("--no-browser", action="store_true", help="print the address, and open no browser")
     takes_parameters(live)
@@ -43,7 +59,6 @@ def add(verbs: Any) -> None:
     takes_trust(live)
     takes_json(live, "the address as a JSON object, and no browser")
     live.add_argument("--host", help=argparse.SUPPRESS)
-    live.set_defaults(verb=_live)
     takes_library(live)
 
 
@@ -52,7 +67,9 @@ def _live(options: argparse.Namespace) -> int:
         port = options.port or 8000
         cure = f"From another one: ssh -L {port}:127.0.0.1:{port} HOST, and here --port {port}."
         raise UsageError(Fault("E501", f"--host {options.host}", "the server is for this machine alone.", cure))
-    if not os.path.isfile(options.diagram):
+    if options.diagram is None:
+        options.diagram = _newest()
+    if not options.edit and not os.path.isfile(options.diagram):
         from ..api.diagram import Diagram
 
         Diagram.load(options.diagram)  # tells why, before there is an address
@@ -67,12 +84,14 @@ def _live(options: argparse.Namespace) -> int:
         engine=options.engine,
         trust=options.trust,
         port=options.port,
+        edit=options.edit,
     )
     # Before the diagram is read, which takes longer: a page that comes early waits.
     if options.json:
         emit({"event": "live", "url": server.url})
     else:
-        print(printable(f"{options.diagram} is live at {server.url} (Ctrl-C ends it)"), flush=True)
+        how = "is edited" if options.edit else "is live"
+        print(printable(f"{options.diagram} {how} at {server.url} (Ctrl-C ends it)"), flush=True)
     try:
         server.start()
         if not options.no_browser and not options.json and _has_screen():
@@ -86,6 +105,16 @@ def _live(options: argparse.Namespace) -> int:
             server.stop()
         except KeyboardInterrupt:
             end_now()
+
+
+def _newest() -> str:
+    """The diagram of this folder that was written last. Raises UsageError (E501) where there is none."""
+    from ..server.editor import diagrams_in
+
+    found = [*diagrams_in(Path())]
+    if not found:
+        raise UsageError(Fault("E501", "edit", "there is no diagram in this folder.", "Name one: blocks edit new.json"))
+    return str(max(found, key=lambda path: path.stat().st_mtime))
 
 
 def _has_screen() -> bool:

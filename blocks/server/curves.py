@@ -22,7 +22,7 @@ import numpy as np
 
 from ..text.element_names import element_names
 
-__all__ = ["Curve", "Source", "Window", "elements", "extremes", "packed", "row_at", "values_at"]
+__all__ = ["Curve", "Source", "Window", "elements", "extremes", "packed", "row_at", "thinned", "values_at"]
 
 Array = np.ndarray[Any, Any]
 LATE = 2
@@ -165,3 +165,11 @@ def packed(header: Mapping[str, Any], t: Array, columns: Array) -> bytes:
     text += b" " * (-(4 + len(text)) % 8)
     body = np.ascontiguousarray(t, "<f8").tobytes() + np.ascontiguousarray(columns, "<f4").tobytes()
     return len(text).to_bytes(4, "little") + text + body
+
+
+def thinned(t: Array, values: Array, most: int) -> tuple[Array, Array]:
+    """At most some `most` rows: of more, the least and the largest value of each column in each stretch of time."""
+    if len(t) <= most:
+        return t, values
+    times, columns, _ = extremes(t, list(values.T), 2.0 * float(t[-1] - t[0]) / most, float(t[0]))
+    return times, columns.T

@@ -36,6 +36,7 @@ from ..studies.sampling import Uniform
 from ..studies.statistics import quantiles
 from ..studies.sweep import QUANTILES, Sweep
 from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
+from .curves import thinned
 from .document import inside, told_fault
 from .facts import text_of
 from .live_run import LiveRun
@@ -59,8 +60,13 @@ _SHARE = 0.1
 # --- where it is linearized ------------------------------------------------------------------------------------------
 
 
-def _linearizer(session: Session, at: str | float, amplitude: Amplitude) -> tuple[Linearizer, str]:
-    """The slopes where they are asked for, with describing functions; and where that is, in words."""
+def _linearizer(
+    session: Session, at: str | float, amplitude: Amplitude
+) -> tuple[Linearizer, str, AnalysisError | None]:
+    """The slopes where they are asked for, with describing functions; where that is, in words; and what was refused.
+
+    Where there is no model at an amplitude, the slopes are those without it.
+    """
     shown, live, words = session.document.shown, session.live, ""
     given: dict[str, Any] = {"held": session.inputs, "parameters": session.values}
     if at == "rest":
@@ -75,10 +81,17 @@ def _linearizer(session: Session, at: str | float, amplitude: Amplitude) -> tupl
         key = (at, len(turned))
         if live not in _POINTS or _POINTS[live][0] != key:  # a slider asks for one point again and again
             _POINTS[live] = (key, standing(shown.point(at=_again(live, at, turned), trust=session.trust)))
-        sets = ", ".join(f"{each.name} = {text_of(each.value)}" for each in turned)
+        last = {each.name: each.value for each in turned}
+        sets = ", ".join(f"{name} = {text_of(value)}" for name, value in last.items())
         given, words = {"at": _POINTS[live][1]}, " of the run" + (f", with {sets} set in it" if sets else "")
-    linearizer = shown.linearizer(**given, trust=session.trust, amplitude=amplitude)
-    return linearizer, f"Linearized at t = {linearizer.slopes.point.t:.6g} s{words}."
+    refused = None
+    try:
+        linearizer = shown.linearizer(**given, trust=session.trust, amplitude=amplitude)
+    except AnalysisError as error:
+        if not amplitude:
+            raise
+        linearizer, refused = shown.linearizer(**given, trust=session.trust), error
+    return linearizer, f"Linearized at t = {linearizer.slopes.point.t:.6g} s{words}.", refused
 
 
 def _again(live: LiveRun, t: float, turned: list[Any]) -> Run:
@@ -96,17 +109,25 @@ def _again(live: LiveRun, t: float, turned: list[Any]) -> Run:
 
 
 def _answer(
-    linearizer: Linearizer, where: str, made: Callable[[], dict[str, Any]], laws: list[dict[str, Any]]
-) -> Answer:
+    linearizer: Linearizer, where: str, made: Callable[[], dict[str, Any]], laws: list[dict[str, Any]],
+    refused: AnalysisError | None,
+) -> Answer:  # fmt: skip
     """What is made at a point. Where that is refused, `faults` says so, and `laws` which amplitudes can be given."""
     told: dict[str, Any] = {"is": "analysis", "title": where, "laws": laws, "faults": []}
     try:
+        if refused is not None:
+            raise refused
         return told | made()
-    except AnalysisError as error:
-        rough = {name for law in laws for name in law["laws"]}
-        cure = "Give the amplitude at which it works, by its slider."
-        faults = [replace(f, cure=cure) if f.code == "E701" and f.place in rough else f for f in error.faults]
-        return told | {"faults": [told_fault(fault, set()) for fault in faults]}
+    except AnalysisError as error:  # whose cures name arguments of the library
+        known = {name for law in laws for name in law["laws"]}
+        cures = {"E704": "Choose another amplitude by its slider, or look at its limit cycles."}
+        if laws:
+            cures["E705"] = "Give the amplitude at which the loop works, by its slider."
+        faults = []
+        for f in error.faults:
+            cure = cures["E705"] if f.code == "E701" and f.place in known else cures.get(f.code, f.cure)
+            faults.append(told_fault(replace(f, cure=cure), set()))
+        return told | {"faults": faults}
 
 
 def _laws(linearizer: Linearizer, *ends: list[str]) -> list[dict[str, Any]]:
@@ -148,10 +169,10 @@ def response(
     session: Session, *, input: str, output: str = "", at: str | float = "start", amplitude: Amplitude = None
 ) -> Answer:
     """The response from a signal to another; without this one the loop opened at the first, with its margins."""
-    linearizer, where = _linearizer(session, at, amplitude)
+    linearizer, where, refused = _linearizer(session, at, amplitude)
     title = f"{input} to {output}. " if output else f"Loop opened at {input}. "
     laws = _laws(linearizer, [input], [output or input], [] if output else [input])
-    return _answer(linearizer, title + where, lambda: _over_frequency(linearizer, input, output), laws)
+    return _answer(linearizer, title + where, lambda: _over_frequency(linearizer, input, output), laws, refused)
 
 
 def _over_frequency(linearizer: Linearizer, input: str, output: str) -> dict[str, Any]:
@@ -189,16 +210,17 @@ def _over_frequency(linearizer: Linearizer, input: str, output: str) -> dict[str
 @handles_aside
 def modes(session: Session, *, at: str | float = "start", amplitude: Amplitude = None) -> Answer:
     """The modes of the linear model of the whole diagram, with the states that take part in each."""
-    linearizer, where = _linearizer(session, at, amplitude)
+    linearizer, where, refused = _linearizer(session, at, amplitude)
 
     def made() -> dict[str, Any]:
         model, notes = _or_pade(lambda pade: linearizer.whole(pade=pade))
         plane = f"z, sampled every {model.dt:g} s" if model.dt else "1/s"
         head = [f"eigenvalue [{plane}]", "decays", "damping", "frequency [rad/s]", "time constant [s]", "states in it"]
         notes += [f"{b.path} ({b.type}): {b.method}" for b in model.report if b.contributes and b.method != "exact"]
-        return {"head": head, "rows": list(_modes(model)), "notes": [f"{model.nstates} states.", *notes]}
+        count = "1 state." if model.nstates == 1 else f"{model.nstates} states."
+        return {"head": head, "rows": list(_modes(model)), "notes": [count, *notes]}
 
-    return _answer(linearizer, where, made, _laws(linearizer, [], []))
+    return _answer(linearizer, where, made, _laws(linearizer, [], []), refused)
 
 
 def _modes(model: Transfer) -> Iterator[list[Any]]:
@@ -229,7 +251,7 @@ def _modes(model: Transfer) -> Iterator[list[Any]]:
 def cycles(session: Session, *, at: str | float = "rest") -> Answer:
     """The limit cycles around the point, by harmonic balance."""
     try:
-        linearizer, where = _linearizer(session, at, None)
+        linearizer, where, _ = _linearizer(session, at, None)
         found = limit_cycles(linearizer)
     except AnalysisError as error:  # whose cures name arguments of the library
         cures = {"E702": 'Look "at the start".'} if at == "rest" else {"E705": 'Look "where it rests".'}
@@ -299,14 +321,16 @@ def band(
     if signal not in sweep.signals:
         cure = did_you_mean(signal, sweep.signals) or f"It has {', '.join(sweep.signals) or 'none'}."
         raise UsageError(Fault("E502", signal, "is no signal of this sweep.", cure))
-    thin = slice(None, None, -(-len(sweep.t) // MOST_POINTS))
-    t, values = sweep.t[thin].tolist(), sweep.signals[signal].reshape(len(sweep), len(sweep.t), -1)[:, thin]
-    levels = [[[*map(_finite, row)] for row in level.T] for level in quantiles(values, np.array(QUANTILES))]
-    rows = [[t[k], *(level[0][k] for level in levels)] for k in range(0, len(t), max(1, len(t) // 10))]
+    values = sweep.signals[signal].reshape(len(sweep), len(sweep.t), -1)
+    rows = np.moveaxis(quantiles(values, np.array(QUANTILES)), 1, 0)  # time, quantile, element
+    times, told = thinned(sweep.t, rows.reshape(len(rows), -1), MOST_POINTS)
+    t = times.tolist()
+    levels = [[[*map(_finite, column)] for column in level] for level in told.T.reshape(*rows.shape[1:], -1)]
+    table = [[t[k], *(level[0][k] for level in levels)] for k in range(0, len(t), max(1, len(t) // 10))]
     good = int(np.count_nonzero(sweep.status == "ok"))
     return {
         "is": "analysis", "title": f"Band of {signal} over {good} of {len(sweep)} runs.", "faults": [], "laws": [],
-        "notes": sorted({text for text in sweep.messages if text})[:3], "rows": rows,
+        "notes": sorted({text for text in sweep.messages if text})[:3], "rows": table,
         "head": ["t [s]", *(f"{100 * q:g} %" for q in QUANTILES)],
         "band": {"t": t, "signals": {signal: levels}},  # by quantile, then element
     }  # fmt: skip

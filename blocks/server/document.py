@@ -10,7 +10,7 @@ from typing import Any
 from ..api.diagram import Diagram
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
-from ..draw import ports_of, svg
+from ..draw import picture, ports_of, rendered
 from ..model.diagram import DiagramValue
 from ..text.atomic_write import real
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
@@ -181,12 +181,24 @@ class Document:
         return self._drawings[level]
 
     def _drawn(self, level: str) -> str:
-        shown = self.visible
-        value, prefix = _inside(shown.value, level), level + "." if level else ""
-        faults = _below(self.faults, prefix)
+        value = self.value_at(level)
+        return rendered(picture(value, **self.shown_in(level)), value.name)
+
+    def settled(self) -> list[str]:
+        """Draw well what was drawn in haste; returns the levels that changed."""
+        return []
+
+    def value_at(self, level: str) -> DiagramValue:
+        """The diagram that is drawn at a level. Raises UsageError (E502)."""
+        return _inside(self.visible.value, level)
+
+    def shown_in(self, level: str) -> dict[str, Any]:
+        """What a drawing of a level shows beside the diagram: its ports, faults and rates."""
+        prefix = level + "." if level else ""
         labels = {} if self.planned is None else self.planned.rate_labels
         rates = {name.removeprefix(prefix): label for name, label in labels.items() if name.startswith(prefix)}
-        return svg(value, ports_of(value, shown._draft.resolver), faults=faults, rates=rates)
+        ports = ports_of(self.value_at(level), self.visible._draft.resolver)
+        return {"ports": ports, "faults": _below(self.faults, prefix), "rates": rates}
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..model.trust import Paths
     from .session import Session
 
-__all__ = ["LiveServer", "live"]
+__all__ = ["LiveServer", "edit", "live"]
 
 FAR = ("JUPYTERHUB_USER", "COLAB_RELEASE_TAG", "KAGGLE_KERNEL_RUN_TYPE", "BINDER_SERVICE_HOST")
 """Variables of the environment of notebooks whose browser is on another machine."""
@@ -31,7 +31,8 @@ class LiveServer:
 
     source: a file or a Diagram. library, variants, values (parameters), inputs, engine, trust: as of `Diagram.run`; a
     page can give none of them that makes code run: library and trust. port: 0: a free one. framed: for a notebook.
-    url: its address, which holds the token that lets a page in.
+    edit: pages write the file; where there is none, an empty diagram. url: its address, which holds the token that lets
+    a page in.
     """
 
     def __init__(
@@ -46,8 +47,10 @@ class LiveServer:
         trust: Paths = (),
         port: int = 0,
         framed: bool = False,
+        edit: bool = False,
     ) -> None:
         """Raises UsageError (E501) where the port cannot be opened."""
+        self._edits, self._others = edit, dict[Path, LiveServer]()
         self._source, self._library, self._variants = source, library, variants
         self._given: dict[str, Any] = {"values": values, "inputs": inputs, "engine": engine, "trust": trust}
         self._session: Session | None = None
@@ -74,12 +77,17 @@ class LiveServer:
     def start(self) -> LiveServer:
         """Read the diagram, and let pages in; those that came too early waited. Raises UsageError: there is no file."""
         # The modules of the messages that pages may send are here for what they declare.
-        from . import deeper, knobs, panel, scope_messages  # noqa: F401
+        from . import deeper, gestures, knobs, panel, scope_messages  # noqa: F401
         from .document import Document
+        from .editor import Editor
         from .session import Session
 
         try:
-            document = Document(self._source, library=self._library, variants=self._variants)
+            given: dict[str, Any] = {"library": self._library, "variants": self._variants}
+            if self._edits and isinstance(self._source, (str, Path)):
+                document: Document = Editor(self._source, self._open_tab, **given)
+            else:
+                document = Document(self._source, **given)
             self._session = Session(document, **self._given)
         except BaseException:
             self._transport.stop()
@@ -87,8 +95,17 @@ class LiveServer:
         self._transport.start()
         return self
 
+    def _open_tab(self, path: Path) -> str:
+        """The address of another diagram, edited by a server beside this one."""
+        if path not in self._others:
+            given = {**self._given, "values": None, "inputs": None}
+            self._others[path] = LiveServer(path, library=self._library, edit=True, **given).start()
+        return self._others[path].ticket
+
     def stop(self) -> None:
         """End the run, close the pages and the port. Once more does nothing."""
+        for other in self._others.values():
+            other.stop()
         self._transport.stop()
         if self._session is not None:
             self._session.close()
@@ -112,3 +129,8 @@ class LiveServer:
 def live(diagram: Diagram, **given: Any) -> LiveServer:
     """Serve a diagram to a notebook. given: as of LiveServer."""
     return LiveServer(diagram, framed=True, **given).start()
+
+
+def edit(file: str | Path, **given: Any) -> LiveServer:
+    """Let a notebook edit a diagram file. given: as of LiveServer."""
+    return LiveServer(file, framed=True, edit=True, **given).start()

@@ -49,7 +49,7 @@ def panel(session: Session, *, path: str) -> Answer:
     memory: list[PortRow] = []
     if entry.inner is not None:
         sheet = _sheet(entry.inner, entry.control_inputs)
-        told |= {"type": sheet.name, **_of_text(sheet.doc)}
+        told |= {"type": sheet.name, **_of_text(sheet.doc), "run": _run(entry.inner)}
     else:
         interface = found.interface if isinstance(found, Leaf) else None
         cls = entry.cls or shown.types.get(entry.type) if interface is None else interface.cls
@@ -90,6 +90,13 @@ def _row(title: str, row: Any, path: str, scope: DiagramScope, entry: BlockEntry
     elif title == "Outputs":
         told |= {"text": "", "signal": name}
     return told
+
+
+def _run(value: DiagramValue) -> Row:
+    """What a diagram says of its runs, as typed."""
+    said = {name: _text(value.run.get(name)) for name in ("stop", "every", "method")}
+    measures = {name: _text(raw) for name, raw in value.measures.items()}
+    return said | {"log": list(value.run.get("log", ())), "hasLog": "log" in value.run, "measures": measures}
 
 
 def _sheet(value: DiagramValue, controls: tuple[str, ...]) -> Sheet:

@@ -93,9 +93,13 @@ class Scope:
 
 
 class Page:
-    """The scopes of one page, over the run and what else is shown: earlier runs by number, measured files by name."""
+    """The scopes of one page, over the run and what else is shown: earlier runs by number, measured files by name.
+
+    level: the path of the subdiagram that it shows.
+    """
 
     def __init__(self) -> None:
+        self.level = ""
         self.scopes: dict[str, Scope] = {}
         self.ghosts: set[int] = set()
         self.files: dict[str, Source] = {}

@@ -118,6 +118,8 @@ class Session:
                 break
             try:
                 self._do(client, what)
+                if not what:
+                    self._settle()
                 if time.monotonic() - looked > LOOK:
                     looked = time.monotonic()
                     if self.document.has_changed() and self.document.read():
@@ -146,6 +148,14 @@ class Session:
         elif client in self.pages:
             self._answer(client, what)
             self._show(client)
+
+    def _settle(self) -> None:
+        """When nothing is asked: what was drawn in haste is drawn well."""
+        for level in self.document.settled():
+            told = {"is": "drawing", "level": level, "svg": self.document.drawing(level), "settled": True}
+            for client, page in self.pages.items():
+                if page.level == level:
+                    client.send(told)
 
     def _show(self, client: Client) -> None:
         for number, frame in enumerate(self.pages[client].frames(self.runs, self.live)):
@@ -180,8 +190,14 @@ class Session:
             client.send(message)
 
     def tell_document(self) -> None:
-        """Tell all pages that the document is another one now."""
-        self.broadcast({"is": "document", **self.document.told()})
+        """Tell all pages that the document is another one now, with the drawing of the level that each shows."""
+        told, document = self.document.told(), self.document
+        levels = {"", *(block["path"] for block in told["blocks"] if block["kind"] == "diagram")}
+        for client, page in self.pages.items():
+            while page.level not in levels:
+                page.level = page.level.rpartition(".")[0]
+            svg = document.drawing(page.level) if document.diagram is not None else ""
+            client.send({"is": "document", **told, "level": page.level, "svg": svg})
         for hear in self.hearers:
             hear()
 
@@ -276,8 +292,10 @@ def _plain(failing: dict[str, Any] | None) -> dict[str, Any] | None:
 
 
 @handles
-def draw(session: Session, *, level: str = "") -> Answer:
+def draw(session: Session, page: Page | None, *, level: str = "") -> Answer:
     svg = session.document.drawing(level)
+    if page is not None:
+        page.level = level
     return {"is": "drawing", "level": level, "revision": session.document.revision, "svg": svg}
 
 

@@ -24,7 +24,7 @@ from ..text.element_names import element_names
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted, quoted
 from . import panel, scope_messages  # noqa: F401  # what they answer stands in the page
-from .curves import extremes
+from .curves import thinned
 from .document import Document
 from .messages import answer
 from .session import Session
@@ -32,7 +32,7 @@ from .session import Session
 if TYPE_CHECKING:
     from ..results.figure import Figure
 
-__all__ = ["joined", "page_of", "script_safe", "thinned", "zooming"]
+__all__ = ["joined", "page_of", "script_safe", "zooming"]
 
 Array = np.ndarray[Any, Any]
 PAGE = Path(__file__).parent / "page"
@@ -111,14 +111,6 @@ def _rows(results: Results | None) -> dict[str, Any]:
         "elements": {name: element_names(name, shape) for name, (_, shape, _) in results.columns.items()},
         "stretches": most // 2 if len(t) < results.rows else 0,
     }
-
-
-def thinned(t: Array, values: Array, most: int) -> tuple[Array, Array]:
-    """At most some `most` rows: of more, the least and the largest value of each column in each stretch of time."""
-    if len(t) <= most:
-        return t, values
-    times, columns, _ = extremes(t, list(values.T), 2.0 * float(t[-1] - t[0]) / most, float(t[0]))
-    return times, columns.T
 
 
 def _encoded(t: Array, values: Array) -> dict[str, str]:

@@ -12,7 +12,7 @@ import control
 import numpy as np
 import pytest
 
-from blocks import Diagram, Gain, Integrator, Relay, Sum, TransferFunction, TransportDelay
+from blocks import Diagram, Gain, Integrator, Pulse, Relay, Sum, TransferFunction, TransportDelay
 from blocks.server import deeper, knobs, panel, scope_messages  # noqa: F401  # the messages that they answer
 from blocks.server.document import Document
 from blocks.server.messages import answer
@@ -234,6 +234,43 @@ def test_a_band_holds_the_quantiles_of_a_sweep(
     session.document.shown.sweep({"gain.k": [1.0, 2.0]}, **two)
     kept = ask("band", signal="plant.y", file="two.parquet")["band"]["signals"]["plant.y"]
     assert np.array(kept[1][0]) == pytest.approx(1.5 * unit, rel=1e-5)
+
+
+def test_an_amplitude_without_a_linear_model_is_refused_and_can_be_chosen_anew(asking: Any) -> None:
+    made = loop(2.0)
+    made.swap("gain", Relay(on_at=0.5, off_at=-0.5, on=1.0, off=-1.0))
+    ask, _ = asking(made)
+    told = ask("response", input="gain.y", amplitude={"gain.u": 0.6})
+    assert [(fault["code"], "its slider" in fault["cure"]) for fault in told["faults"]] == [("E704", True)]
+    assert [(law["signal"], law["laws"]) for law in told["laws"]] == [("gain.u", ["gain.y"])]
+
+
+def test_a_value_that_was_set_twice_is_told_as_it_is(asking: Any) -> None:
+    ask, session = asking(DIAGRAMS / "inverted_pendulum.json")
+    live = session.begin()
+    for mass in (0.6, 0.7):
+        live.set("plant.m", mass)
+    live.go()
+    assert live.wait(60.0)
+    assert ask("modes", at=1.0)["title"] == "Linearized at t = 1 s of the run, with plant.m = 0.7 set in it."
+
+
+def test_a_band_keeps_a_peak_of_one_row(asking: Any, tmp_path: Path) -> None:
+    made = Diagram("pulse")
+    pulse = made.add("pulse", Pulse(on=0.50005, off=0.50015))
+    gain = made.add("gain", Gain(k=1.0))
+    made.wire(gain.u, pulse.y)
+    made.settings(stop=1.0, every=1e-4)
+    made.save(tmp_path / "pulse.json")
+    told = asking(tmp_path / "pulse.json")[0]("band", signal="gain.y", parameter="gain.k", low=1.0, high=3.0, n=4)
+    (levels,) = told["band"]["signals"].values()
+    high = np.array(levels[2][0])
+    t = np.array(told["band"]["t"])
+    assert len(t) < 1500
+    assert (t[0], t[-1]) == (0.0, 1.0)
+    assert np.all(np.diff(t) >= 0.0)
+    assert t[high > 0.0] == pytest.approx([0.5], abs=2e-3)  # one row in 10,001
+    assert high.max() > 2.0
 
 
 @pytest.mark.long

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from blocks import BlocksError, Diagram, Gain, ModelError, UsageError
-from blocks.server import deeper, knobs, panel, scope_messages  # noqa: F401  # their messages
+from blocks.server import deeper, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
 from blocks.server.document import Document
 from blocks.server.messages import HANDLERS, answer
 from blocks.server.scopes import Page
@@ -23,6 +23,7 @@ from tests.support.places import ROOT
 
 Row = tuple[dict[str, Any], str]
 NO_RUN = "there is no run"
+SHOWN = "cannot be edited here"
 OUTSIDE = "lies outside of the diagram's folder"
 PLACES = (
     "../run.csv", "/tmp/run.csv", "a/../../run.csv", "out/run.csv", "out", "", ".", "..", "run\0.csv", "run\n.csv",
@@ -67,6 +68,22 @@ TABLE: dict[str, list[Row]] = {
         ({"signal": "gain.y", "parameter": "gain.k", "low": 2.0, "high": 1.0}, "limits"),
         ({"signal": "gain.y"}, "needs a parameter"),
     ],
+    "edit": [({"operations": [{"set": "name", "to": "other"}]}, SHOWN), ({"operations": [{"file": "x"}]}, "level")],
+    "undo": [({}, SHOWN)],
+    "redo": [({}, SHOWN)],
+    "palette": [({}, SHOWN)],
+    "insert": [({"entry": {"type": "Gain"}}, SHOWN)],
+    "place": [({"names": ["gain"], "by": [1.0, 1.0]}, SHOWN)],
+    "arrange": [({"names": []}, SHOWN)],
+    "delete": [({"names": ["gain"], "sinks": []}, SHOWN)],
+    "copy": [({"names": ["gain"]}, SHOWN)],
+    "paste": [({"text": "{}"}, SHOWN)],
+    "duplicate": [({"names": ["gain"]}, SHOWN)],
+    "put": [({"name": "gain.k", "text": "1"}, SHOWN)],
+    "define": [({"kind": "input", "text": "r"}, SHOWN)],
+    "targets": [({"end": "gain.y"}, SHOWN)],
+    "tab": [({"file": "x.json"}, SHOWN)],
+    "upload": [({"name": "x.fmu", "text": ""}, SHOWN)],
 }
 WRONG: dict[Any, list[Any]] = {
     str: [1, True, ["a"], {"a": 1}, "x" * 501],

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from blocks import Diagram
-from blocks.server.static_page import page_of, thinned
+from blocks.server.curves import thinned
+from blocks.server.static_page import page_of
 
 MOTOR = Path(__file__).parents[2] / "diagrams" / "motor_pid.json"
 

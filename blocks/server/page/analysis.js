@@ -148,7 +148,7 @@ export function start(app) {
   const opener = element("button", { title: "Bode, Nyquist, margins, modes, limit cycles, bands (B)", "aria-expanded": "false", "aria-controls": "analysis", onclick: () => show(place.hidden) }, "Analysis");
   app.keys?.push(["B", "analysis of the selected wire: Bode, Nyquist, margins; again: close"]);
   document.addEventListener("keydown", (event) => {
-    if (event.key.toLowerCase() !== "b" || event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input, textarea, select, dialog")) return;
+    if (event.key.toLowerCase() !== "b" || event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input, textarea, select, dialog")) return;
     event.preventDefault();
     show(place.hidden);
   });

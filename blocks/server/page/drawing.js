@@ -76,6 +76,7 @@ export function start(app) {
   let asked = 0;
   /** Show a level; the view of a level is kept while the page is open. */
   const show = async (level, svg = "") => {
+    if (app.hold) return void (app.held = () => show(level)); // a gesture is under way
     const number = ++asked;
     const text = svg || (await app.ask("draw", { level }))?.svg;
     if (number !== asked) return false;
@@ -143,14 +144,15 @@ export function start(app) {
   // --- by hand ---
   /** What lies under a point: thin wires are met from 4 pixels around them. */
   const under = (x, y) => {
-    let wire = null;
+    let [wire, sink] = [null, null];
     for (const [dx, dy] of [[0, 0], [4, 0], [-4, 0], [0, 4], [0, -4]]) {
       const hit = document.elementFromPoint(x + dx, y + dy);
       const box = hit?.closest?.("#stage g[data-path]:not(.frame)");
       if (box && !dx && !dy) return { box: box.dataset.path };
-      wire ??= hit?.closest?.("#stage [data-net]")?.dataset.net ?? null;
+      const part = hit?.closest?.("#stage [data-net]");
+      if (part && wire === null) [wire, sink] = [part.dataset.net, part.dataset.sink ?? null];
     }
-    return wire === null ? {} : { net: wire };
+    return wire === null ? {} : { net: wire, sink };
   };
   let hot = [];
   const hover = ({ box, net }) => {
@@ -159,7 +161,8 @@ export function start(app) {
     hot.forEach((part) => part.classList.add("hot"));
     view.style.cursor = hot.length ? "pointer" : "";
   };
-  const choose = ({ box, net }) => {
+  const choose = ({ box, net, sink }) => {
+    app.state.sink = sink ?? null;
     const block = box && app.block(full(box));
     const name = net ?? (block ? null : box); // terminals stand for their signals
     const isSignal = name != null && app.state.document.signals.some((one) => one.name === full(name));
@@ -171,7 +174,7 @@ export function start(app) {
   const fingers = new Map();
   let travelled = 0;
   view.onpointerdown = (event) => {
-    if (event.button > 1) return;
+    if (event.button > 1 || (fingers.size === 0 && app.hand?.(event))) return;
     fingers.set(event.pointerId, event);
     travelled = fingers.size > 1 ? 99 : 0;
   };
@@ -199,7 +202,7 @@ export function start(app) {
   };
   view.onpointerup = view.onpointercancel = lifted;
   view.onpointerleave = () => hover({});
-  view.ondblclick = (event) => (under(event.clientX, event.clientY).box ? enter() : fit());
+  view.ondblclick = (event) => (under(event.clientX, event.clientY).box ? enter() : app.insert ? app.insert("", event) : fit());
   view.addEventListener("wheel", (event) => {
     event.preventDefault();
     const lines = event.deltaMode ? 16 : 1;
@@ -225,6 +228,7 @@ export function start(app) {
   const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
   view.onkeydown = (event) => {
     const arrow = arrows[event.key];
+    if (app.key?.(event, arrow)) return event.preventDefault();
     if (arrow && event.shiftKey) neighbor(...arrow);
     else if (arrow && !event.altKey && !event.ctrlKey) pan(-STEP * arrow[0], -STEP * arrow[1]);
     else if (event.key === "Enter") enter();
@@ -234,8 +238,8 @@ export function start(app) {
   };
   const keys = { "+": () => zoom(1.25), "=": () => zoom(1.25), "-": () => zoom(1 / 1.25), 0: fit, f: fit, Backspace: leave };
   document.addEventListener("keydown", (event) => {
-    const action = keys[event.key];
-    if (!action || event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input, textarea, select, dialog, #scopes, #analysis")) return;
+    const action = keys[event.shiftKey ? event.key.toLowerCase() : event.key];
+    if (!action || event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input, textarea, select, dialog, #scopes, #analysis")) return;
     event.preventDefault();
     action();
   });
@@ -255,6 +259,9 @@ export function start(app) {
     // A level that is gone is left for the nearest one that is there.
     let open = level;
     while (open && app.block(open)?.kind !== "diagram") open = open.split(".").slice(0, -1).join(".");
-    if (told.blocks.length || svg) show(open, open ? "" : svg);
+    if (told.blocks.length || svg) show(open, open === (told.level ?? "") ? svg : "");
   });
+  app.connection.on("drawing", ({ settled, level, svg }) => settled && level === app.state.level && show(level, svg));
+  /** What those who change the drawing need of it. */
+  app.drawing = { view, stage, under, choose, full, boxes: () => boxes, scale: () => at.k, show, neighbor };
 }

@@ -99,8 +99,9 @@ export function start(app) {
       clearTimeout(timer);
       if (JSON.stringify(read()) === taken) return;
       [taken, isOpen] = [JSON.stringify(read()), true];
-      turn(name, read(), root);
+      (app.put ?? turn)(name, read(), root);
     };
+    if (slider && app.put) slider.input.onchange = () => app.put(name, slider.value(), root);
     const fill = () => {
       if (isBox) field.checked = root.fact.value === true;
       else fields.forEach((one, k) => (one.value = count ? String(root.fact.value[k]) : root.fact.text));
@@ -142,7 +143,7 @@ export function start(app) {
 
   /** The control for a value: a choice, a check box or a text with its unit. */
   function input(fact, id, label) {
-    const named = { id, "aria-label": label, "aria-describedby": `${id}-error`, disabled: fact.bound };
+    const named = { id, "aria-label": label, "aria-describedby": `${id}-error`, disabled: fact.bound && !app.put };
     if (fact.type === "bool" && typeof fact.value === "boolean") return element("input", { type: "checkbox", ...named });
     if (fact.choices.length) return element("select", named, ...fact.choices.map((one) => element("option", {}, one)));
     return element("input", { type: "text", autocomplete: "off", spellcheck: "false", ...named });
@@ -169,7 +170,7 @@ export function start(app) {
       made.value = 1000 * (log ? Math.log(x / low) / Math.log(high / low) : (x - low) / (high - low));
       say(x);
     };
-    return { input: made, show };
+    return { input: made, show, value: () => value(fact) };
   }
 
   // --- the board ----------------------------------------------------------------------------------------------------

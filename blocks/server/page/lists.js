@@ -1,5 +1,6 @@
 /** The lists of blocks, signals and faults, and the search: all of the drawing for who has no mouse, or does not see it. */
-import { counted, dialog, element } from "./elements.js";
+import { choose } from "./chooser.js";
+import { element } from "./elements.js";
 
 const SHOWN = 300;
 
@@ -68,7 +69,7 @@ export function start(app) {
         element("span", { class: "name" }, (filter.value ? one.name : one.name.slice(prefix.length)) + shape), element("span", { class: "unit" }, one.unit)));
     }), signals.length);
     groups.faults.shown.hidden = !told.faults.length;
-    put(groups.faults, told.faults.map((one) => element("li", {}, element("button", {
+    put(groups.faults, told.faults.map((one) => element("li", {}, app.remedy?.(one) ?? null, element("button", {
       class: one.warning ? "warning" : "fault", onclick: () => (one.block ? app.reveal(one.block) : app.announce("This fault is of no block.")),
     }, element("b", {}, one.code), ` ${one.place}: ${one.message}`, element("span", { class: "cure" }, one.cure)))), told.faults.length);
   };
@@ -93,44 +94,8 @@ export function start(app) {
     };
     return entries.map((one) => [rank(one), one]).filter(([order]) => order < 3).sort(([a], [b]) => a - b).slice(0, 12).map(([, one]) => one);
   };
-  app.search = () => {
-    let entries = [];
-    let at = 0;
-    const options = element("ul", { id: "found", role: "listbox", "aria-label": "Found" });
-    const word = element("input", {
-      role: "combobox", "aria-expanded": "true", "aria-controls": "found", "aria-autocomplete": "list", "aria-label": "Search blocks and signals",
-      placeholder: "Block, type or signal", autocomplete: "off", spellcheck: "false",
-    });
-    const mark = () => {
-      [...options.children].forEach((one, index) => (one.ariaSelected = String(index === at)));
-      options.children[at]?.scrollIntoView({ block: "nearest" });
-      word.setAttribute("aria-activedescendant", entries.length ? `found${at}` : "");
-    };
-    const take = (index) => {
-      shown.close();
-      document.getElementById("view").focus();
-      entries[index]?.go();
-    };
-    word.oninput = () => {
-      entries = found(word.value.trim().toLowerCase());
-      at = 0;
-      options.replaceChildren(...entries.map(({ name, told }, index) =>
-        element("li", { role: "option", id: `found${index}`, onclick: () => take(index) }, element("span", { class: "name" }, name), element("span", { class: "type" }, told))));
-      mark();
-      app.announce(`${counted(entries.length, "match").replace(/hs$/, "hes")}`);
-    };
-    word.onkeydown = (event) => {
-      if (event.key === "Enter") take(at);
-      else if (event.key === "ArrowDown") at = Math.min(at + 1, entries.length - 1);
-      else if (event.key === "ArrowUp") at = Math.max(at - 1, 0);
-      else return;
-      event.preventDefault();
-      mark();
-    };
-    const shown = dialog("Search", word, options);
-    shown.classList.add("search");
-    word.oninput();
-  };
+  app.search = () =>
+    choose(app, { label: "Search blocks and signals", placeholder: "Block, type or signal", find: (text) => found(text.toLowerCase()) });
   document.addEventListener("keydown", (event) => {
     const isSlash = event.key === "/" && !event.target.closest("input, textarea, dialog");
     if (!isSlash && !(event.key.toLowerCase() === "k" && (event.ctrlKey || event.metaKey))) return;

@@ -3,6 +3,7 @@ import { connect } from "./connection.js";
 import { counted, dialog, element } from "./elements.js";
 import * as analysis from "./analysis.js";
 import * as drawing from "./drawing.js";
+import * as edit from "./edit.js";
 import * as knobs from "./knobs.js";
 import * as lists from "./lists.js";
 import * as panel from "./panel.js";
@@ -100,7 +101,7 @@ function splitters() {
   }
 }
 
-for (const part of [drawing, lists, panel, runbar, knobs, scopes, analysis]) part.start(app);
+for (const part of [drawing, edit, lists, panel, runbar, knobs, scopes, analysis]) part.start(app);
 app.keys.push(["?", "these keys"], ["Tab", "from pane to pane; arrows move inside lists"]);
 splitters();
 document.addEventListener("keydown", (event) => {
@@ -115,8 +116,9 @@ connection.on("hello", (hello) => {
 });
 connection.on("document", (told) => {
   app.state.document = told;
+  app.state.svg = told.svg;
   app.emit("document", told);
-  app.announce(`${told.file || told.name} was read again: ${counted(told.faults.length, "fault")}.`);
+  if (!told.editing) app.announce(`${told.file || told.name} was read again: ${counted(told.faults.length, "fault")}.`);
 });
 connection.on("run", (run) => {
   app.state.run = run;

@@ -6,10 +6,11 @@ export function start(app) {
   const link = (text, onclick, attributes = {}) => element("button", { class: "link", onclick, ...attributes }, text);
   const span = (name, ...children) => element("span", { class: name }, ...children);
 
-  const row = ({ name, doc, unit, text, note, knob, link: to, signal }) => {
+  const row = (path, title) => ({ name, doc, unit, text, note, knob, link: to, signal }) => {
     const known = app.state.document.signals.find((one) => one.name === signal);
+    const field = app.field?.(path, title, { name, text, knob });
     const value = [
-      ...(knob ? [app.knob?.(knob) ?? `${knob.text}${knob.bound ? ` = ${shown(knob.value)} ${knob.unit}` : ""}`] : [to ? link(text, () => app.reveal(to)) : text]),
+      ...(field ? [field] : knob ? [app.knob?.(knob) ?? `${knob.text}${knob.bound ? ` = ${shown(knob.value)} ${knob.unit}` : ""}`] : [to ? link(text, () => app.reveal(to)) : text]),
       known ? link("scope", () => app.openScope([signal]), { title: `Show ${signal} in a scope` }) : null,
       knob ? null : span("unit", unit || known?.unit || ""),
     ];
@@ -19,7 +20,7 @@ export function start(app) {
 
   function variants({ path, variants: choices, variant, anew }) {
     if (!app.knob || !choices.length) return null;
-    const choice = element("select", { onchange: () => app.ask("variant", { path, name: choice.value }) }, ...choices.map((one) => element("option", { selected: one === variant }, one)));
+    const choice = element("select", { onchange: () => app.ask(...(app.chosen?.(path, choice.value) ?? ["variant", { path, name: choice.value }])) }, ...choices.map((one) => element("option", { selected: one === variant }, one)));
     const offer = element("button", { hidden: !anew, onclick: () => app.begin() }, `Run anew with ${path} = ${variant}`);
     return element("p", {}, element("label", {}, "Variant ", choice), " ", offer);
   }
@@ -38,10 +39,11 @@ export function start(app) {
       element("header", {}, element("h2", {}, name), element("p", { class: "type" }, panel.type === name ? kind : `${panel.type} · ${kind}`), open),
       variants(panel),
       element("div", { class: "doc" }, ...trusted(panel.mathml)),
-      panel.faults.length ? element("div", { class: "faults" }, ...panel.faults.map(fault)) : null,
+      panel.faults.length ? element("div", { class: "faults" }, ...panel.faults.map((one) => element("div", {}, fault(one), app.remedy?.(one) ?? null))) : null,
+      app.forms?.(panel, selected) ?? null,
       panel.doc ? element("p", { class: "own" }, panel.doc) : null,
       ...panel.notes.map((note) => element("p", { class: "note" }, note)),
-      ...Object.entries(panel.rows).filter(([, rows]) => rows.length).flatMap(([title, rows]) => [element("h3", {}, title), element("ul", { class: "rows" }, ...rows.map(row))]),
+      ...Object.entries(panel.rows).filter(([, rows]) => rows.length).flatMap(([title, rows]) => [element("h3", {}, title), element("ul", { class: "rows" }, ...rows.map(row(path, title)))]),
       panel.more ? element("details", { class: "doc" }, element("summary", {}, element("h3", {}, "More")), ...trusted(panel.more)) : null,
     ];
     place.replaceChildren(...parts.filter(Boolean));

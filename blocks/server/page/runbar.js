@@ -73,8 +73,8 @@ export function start(app) {
 
   app.keys.push(["Space", "run or pause"], [".", "one step"], ["s", "stop"], ["r", "run anew"]);
   document.addEventListener("keydown", (event) => {
-    const action = { " ": go, ".": onward, s: () => ACTIVE.includes(state()) && ask("stop"), r: begin }[event.key];
-    if (!action || event.repeat || isTyped(event) || (event.key === " " && event.target.closest("button, summary, a"))) return;
+    const action = { " ": go, ".": onward, s: () => ACTIVE.includes(state()) && ask("stop"), r: begin }[event.shiftKey ? event.key.toLowerCase() : event.key];
+    if (!action || event.defaultPrevented || event.repeat || isTyped(event) || (event.key === " " && event.target.closest("button, summary, a"))) return;
     event.preventDefault();
     action();
   });

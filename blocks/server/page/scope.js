@@ -223,7 +223,7 @@ export class Scope {
     const spoken = [];
     this.lines.forEach(({ curve, column, name, label, kind, of, unit }, k) => {
       const [base, place] = this.element(name);
-      const own = base in values ? ([values[base]].flat()[place] ?? NaN) : null;
+      const own = Object.hasOwn(values, base) ? ([values[base]].flat()[place] ?? NaN) : null;
       const at = cursor === null ? null : kind === "run" ? own : others[`${kind} ${of}`]?.[column];
       const [low, high, last] = curve.range(column, t0, t1);
       [at, low > high ? null : low, low > high ? null : high, last].forEach((value, i) => (this.cells[k][i].textContent = short(value)));

@@ -81,7 +81,7 @@ export function start(app) {
     [values, others] = [answer?.values ?? {}, answer?.others ?? {}];
     tell();
     for (const [name, label] of labels) {
-      const some = name in values && wires.checked ? [values[name]].flat() : [];
+      const some = Object.hasOwn(values, name) && wires.checked ? [values[name]].flat() : [];
       label.textContent = some.slice(0, 3).map((one) => short(one ?? NaN)).join(", ") + (some.length > 3 ? ", ..." : "");
     }
     if (speaks && cursor !== null) app.announce(`${seconds(cursor, shown())}. ${scopes.map(({ spoken }) => spoken).join(". ")}`);

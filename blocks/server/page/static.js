@@ -23,7 +23,7 @@ export function connect() {
   const own = {
     /** All rows, whatever the scope shows of them. */
     scope({ scope, signals: asked }) {
-      const signals = asked.flatMap((name) => rows.elements[name] ?? (rows.units[name] === undefined ? [] : [name]));
+      const signals = asked.flatMap((name) => (Object.hasOwn(rows.units, name) ? [name] : Object.hasOwn(rows.elements, name) ? rows.elements[name] : []));
       const header = { scope, kind: "run", of: 0, signals, units: signals.map((name) => rows.units[name]) };
       const columns = signals.map((name) => all.columns[rows.columns.indexOf(name)]);
       queueMicrotask(() => tell("frame", { header, t, columns }));

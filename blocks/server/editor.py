@@ -1,0 +1,258 @@
+"""A diagram file that pages edit: every gesture is an edit of its text, written at once, and can be undone.
+
+The file is the model. An edit is made of the text that was read last, replaces the file atomically where that still
+holds this text, and is read again as any other program's change would be. What another program wrote is read in first,
+and is a step of the history as well: undoing it brings back the text of before.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from ..draw import Picture, picture, rendered
+from ..editing.applying import edit_file
+from ..editing.edits import Edit, Workspace
+from ..editing.spots import spot_of
+from ..editing.tree import entry_at
+from ..model.diagram import DiagramValue
+from ..model.document import dumps
+from ..model.hierarchy import Resolver
+from ..text import json_text
+from ..text.atomic_write import write_atomically
+from ..text.errors import BlocksError, Fault, UsageError
+from .document import Document
+
+__all__ = ["Editor", "Operations", "diagrams_in", "files_in", "is_diagram", "move"]
+
+Operations = Sequence[Mapping[str, Any]]
+MOST_TEXT = 64 * 2**20
+"""Characters of texts that the history holds; the oldest steps are forgotten first."""
+MOST_FILES = 200
+"""Files of a folder that are listed."""
+
+
+def _blank(path: Path) -> None:
+    """Write an empty diagram where there is no file, or an empty one. Raises UsageError (E501)."""
+    if (path.is_file() and path.stat().st_size == 0) or not path.exists():
+        name = re.sub(r"\W", "_", path.stem, flags=re.ASCII).lstrip("_0123456789") or "diagram"
+        with write_atomically(path) as stream:
+            stream.write(dumps(DiagramValue(name)))
+
+
+def files_in(folder: Path, ending: str) -> Iterator[Path]:
+    """The files with an ending in a folder and in those in it, up to 200."""
+    found = (path for pattern in ("*", "*/*", "*/*/*") for path in sorted(folder.glob(pattern + ending)))
+    shown = (path for path in found if not any(part.startswith(".") for part in path.relative_to(folder).parts))
+    yield from islice((path for path in shown if path.is_file()), MOST_FILES)
+
+
+def is_diagram(path: Path) -> bool:
+    """Whether a file begins as diagrams do."""
+    with suppress(OSError), path.open("rb") as stream:
+        return b'"blocks-diagram"' in stream.read(200)
+    return False
+
+
+def diagrams_in(folder: Path) -> Iterator[Path]:
+    """The diagrams in a folder and in those in it."""
+    return filter(is_diagram, files_in(folder, ".json"))
+
+
+@dataclass(frozen=True)
+class _Step:
+    what: str
+    edit: Edit
+
+    @property
+    def size(self) -> int:
+        return sum(map(len, (*self.edit.texts.values(), *self.edit.were.values())))
+
+
+class Editor(Document):
+    """An open diagram file that can be edited; where there is none, an empty one is written.
+
+    done, undone: steps, the newest last. opens: what opens another file, and returns its address.
+    """
+
+    def __init__(self, source: str | Path, opens: Callable[[Path], str] | None = None, **given: Any) -> None:
+        self.opens = opens
+        self.done: list[_Step] = []
+        self.undone: list[_Step] = []
+        self._pictures: dict[str, Picture] = {}
+        self._rough: set[str] = set()
+        _blank(Path(source))
+        super().__init__(source, **given)
+
+    # --- the file ----------------------------------------------------------------------------------------------------
+
+    @property
+    def file(self) -> Path:
+        assert self.path is not None
+        return self.path
+
+    @property
+    def resolver(self) -> Resolver:
+        """From the name of a type to its class."""
+        return self.visible._draft.resolver
+
+    def read(self) -> bool:
+        """As of Document; what another program wrote becomes a step that can be undone."""
+        before, revision = self.text, self.revision
+        is_new = super().read()
+        if is_new and revision and before != self.text:
+            name = str(self.file)
+            texts = {name: self.text.decode("utf-8", "replace")}
+            self._push(_Step("the change on disk", Edit(texts, {name: before.decode("utf-8", "replace")}, ())))
+            self.undone.clear()
+        return is_new
+
+    def edit(self, what: str, operations: Operations) -> Edit:
+        """Apply operations and write the file. what: the gesture, in words.
+
+        Raises ModelError and UsageError, with nothing changed.
+        """
+        self._catch_up()
+        if self.error is not None:
+            self.shown  # noqa: B018  # says why no edit can be made
+        edit = edit_file(self.file, operations, library=self.library, text=self.text, check=False)
+        if edit.texts:
+            self._write(edit)
+            self._push(_Step(what, edit))
+            self.undone.clear()
+        return edit
+
+    def undo(self) -> str:
+        """Take the last step back; returns which. Raises UsageError (E501)."""
+        return self._back(self.done, self.undone, "undo")
+
+    def redo(self) -> str:
+        """Do the step again that was undone last; returns which. Raises UsageError (E501)."""
+        return self._back(self.undone, self.done, "redo")
+
+    def _back(self, steps: list[_Step], others: list[_Step], what: str) -> str:
+        self._catch_up()
+        if not steps:
+            raise UsageError(Fault("E501", self.file.name, f"there is nothing to {what}."))
+        step = steps[-1]
+        self._write(step.edit.undone)
+        steps.pop()
+        others.append(_Step(step.what, step.edit.undone))
+        return step.what
+
+    def _catch_up(self) -> None:
+        if self.has_changed():
+            self.read()
+
+    def _write(self, edit: Edit) -> None:
+        try:
+            edit.write()
+        except UsageError:
+            self._catch_up()  # so that the next gesture is about what stands there
+            raise
+        super().read()
+
+    def _push(self, step: _Step) -> None:
+        self.done.append(step)
+        size = 0
+        for index in range(len(self.done) - 1, -1, -1):
+            size += self.done[index].size
+            if size > MOST_TEXT and index < len(self.done) - 1:
+                del self.done[: index + 1]
+                break
+
+    # --- what stands there -------------------------------------------------------------------------------------------
+
+    def body(self, level: str) -> Mapping[str, Any]:
+        """The subdiagram at a path as its file says it. Raises ModelError where it cannot be edited."""
+        workspace, first = Workspace.of(self.file, self.library, text=self.text)
+        spot = spot_of(workspace, first, {"in": level} if level else {})
+        body: Mapping[str, Any] = entry_at(spot.value, spot.scope, spot.name)
+        return body
+
+    def positions(self, level: str, but: Iterable[str] = ()) -> dict[str, list[int]]:
+        """Where blocks and terminals of a level stand in its drawing, by name. but: laid out anew, all others stay."""
+        self.drawing(level)
+        made, gone = self._pictures[level], {*but}
+        if gone:
+            value = self.value_at(level)
+            value = replace(value, layout={name: at for name, at in value.layout.items() if name not in gone})
+            made = picture(value, self.shown_in(level)["ports"])
+        x, y = made.origin or (0.0, 0.0)
+        placed: dict[str, list[int]] = {}
+        for box in made.boxes:  # an output that is named like a block follows what it is wired to
+            if box.kind != "frame" and (box.kind != "output" or box.path not in placed):
+                placed[box.path] = [round(box.x - x), round(box.y - y)]
+        return placed
+
+    def placing(self, level: str) -> list[dict[str, Any]]:
+        """The operations that write the positions of a level that has none for some of its blocks."""
+        body = self.body(level)
+        known = body.get("layout", {})
+        if all(name in known for name in body.get("blocks", {})) and known:
+            return []
+        return [move(level, name, at) for name, at in self.positions(level).items() if name not in known]
+
+    # --- what the page gets ------------------------------------------------------------------------------------------
+
+    def told(self) -> dict[str, Any]:
+        told = super().told()
+        for fault, found in zip(told["faults"], self.faults, strict=True):
+            fault["remedy"] = self._remedy(found)
+        last, next_ = ([*steps[-1:], None][0] for steps in (self.done, self.undone))
+        return told | {"editing": {"undo": last.what if last else "", "redo": next_.what if next_ else ""}}
+
+    def _remedy(self, fault: Fault) -> dict[str, Any] | None:
+        """What a button beside a fault does: operations, or an input to wire."""
+        path, meant = list(fault.path), re.match(r"Did you mean '([^']+)'\?", fault.cure)
+        if fault.code == "E101":
+            return {"label": "Connect ...", "sink": fault.place}
+        if meant is None or (fault.file and Path(fault.file).name != self.file.name):
+            return None
+        name = meant[1]
+        try:
+            around = entry_at(json_text.read(self.text).value, fault.path[:-1], "")
+        except BlocksError:
+            return None
+        label = f"Take {name}"
+        if path[-1:] == ["type"]:
+            return {"label": label, "operations": [{"set": path, "to": name}]}
+        if path[-2:-1] == ["parameters"] and fault.code == "E106" and name not in around:
+            return {"label": label, "operations": [{"rename": path, "to": name}]}
+        if path[-2:-1] == ["wires"]:
+            sink = str(path[-1])
+            if " input " in fault.message:
+                return {"label": label, "operations": [{"rename": path, "to": f"{sink.partition('.')[0]}.{name}"}]}
+            source = str(around[path[-1]]).rpartition(".")[0]
+            return {"label": label, "operations": [{"set": path, "to": f"{source}.{name}"}]}
+        return None
+
+    def _drawn(self, level: str) -> str:
+        return self._draw(level, self._pictures.get(level))
+
+    def _draw(self, level: str, earlier: Picture | None) -> str:
+        value = self.value_at(level)
+        self._pictures[level] = made = picture(value, **self.shown_in(level), earlier=earlier)
+        (self._rough.add if earlier else self._rough.discard)(level)
+        return rendered(made, value.name)
+
+    def settled(self) -> list[str]:
+        """Draw what was drawn from an earlier picture as `blocks draw` draws it; returns the levels that changed."""
+        changed = []
+        for level in [*self._rough & self._drawings.keys()]:
+            before = self._drawings[level]
+            self._drawings[level] = self._draw(level, None)
+            changed += [level] if self._drawings[level] != before else []
+        self._rough.clear()
+        return changed
+
+
+def move(level: str, name: str, at: Sequence[float]) -> dict[str, Any]:
+    """The operation that places a block or a terminal."""
+    to = [int(x) if float(x).is_integer() else x for x in at]
+    return {"move": name, "to": to, **({"in": level} if level else {})}

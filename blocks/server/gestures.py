@@ -1,0 +1,474 @@
+"""What a page does to a diagram that it edits: each gesture is a list of operations on its file, and a step of undo."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from ..api.catalog import Catalog
+from ..editing.operations import OPERATIONS
+from ..model.block_ports import port_units
+from ..model.diagram import BASE
+from ..model.diagram_grammar import BODY
+from ..model.document import entries
+from ..model.values import is_expression
+from ..text import json_text, json_writer, units
+from ..text.atomic_write import write_atomically
+from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
+from ..text.printable import legible, quoted
+from ..text.quantity_text import value_in
+from .document import inside
+from .editor import Editor, Operations, diagrams_in, files_in, is_diagram, move
+from .knobs import ACTIVE
+from .messages import Answer, handles
+from .session import Session
+
+__all__: list[str] = []
+
+BESIDE = 30
+"""Pixels between what is copied and its copy."""
+SECTIONS = ("parameters", "inputs", "outputs", "blocks", "wires", "measures", "layout")
+_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+
+
+def _editor(session: Session) -> Editor:
+    """The document. Raises UsageError (E501) where it cannot be edited."""
+    if not isinstance(session.document, Editor):
+        name = session.document.name
+        raise UsageError(Fault("E501", name, "is shown, and cannot be edited here.", "Open it by `blocks edit`."))
+    return session.document
+
+
+def _done(session: Session, what: str, operations: Operations, names: Iterable[str] = ()) -> Answer:
+    """Do a gesture, tell all pages, and answer which names came of it."""
+    editor = _editor(session)
+    edit = editor.edit(what, operations)
+    return _told(session, what, names, [Path(file).name for file in edit.texts if file != str(editor.file)])
+
+
+def _told(session: Session, what: str, names: Iterable[str] = (), files: Sequence[str] = ()) -> Answer:
+    if session.document.planned is not None:  # what is gone cannot be set in the next run
+        for known in (session.values, session.inputs):
+            for name in known.keys() - session.document.facts.keys():
+                del known[name]
+    session.tell_document()
+    return {"is": "edited", "what": what, "names": [*names], "files": [*files]}
+
+
+def _in(level: str, operation: Mapping[str, Any]) -> dict[str, Any]:
+    return {**operation, "in": level} if level else {**operation}
+
+
+@handles
+def edit(session: Session, *, operations: list[dict[str, Any]], level: str = "", what: str = "") -> Answer:
+    """Apply operations of `blocks apply` on a level. what: the gesture, in words."""
+    for operation in operations:
+        if "file" in operation or "in" in operation:
+            raise UsageError(Fault("E501", "edit", "a page edits the level that it shows.", "Give the level."))
+    first = next((key for key in operations[0] if key in OPERATIONS), "edit") if operations else "edit"
+    return _done(session, what[:100] or first, [_in(level, operation) for operation in operations])
+
+
+@handles
+def undo(session: Session) -> Answer:
+    """Take the last gesture back, or a change that another program wrote."""
+    return _told(session, f"undone: {_editor(session).undo()}")
+
+
+@handles
+def redo(session: Session) -> Answer:
+    """Do again what was undone last."""
+    return _told(session, f"done again: {_editor(session).redo()}")
+
+
+# --- blocks ----------------------------------------------------------------------------------------------------------
+
+
+@handles
+def palette(session: Session) -> Answer:
+    """The block types by group with what they say, and the diagrams and FMUs of the folder."""
+    editor = _editor(session)
+    catalog = Catalog.of(editor.library)
+    from ..draw.pictograms import PICTOGRAMS
+
+    told = [
+        {"type": found.name, "group": group, "doc": found.doc, "picture": PICTOGRAMS.get(found.name, ())}
+        for group, members in catalog.groups().items() for found in members
+    ]  # fmt: skip
+    folder = editor.folder
+    files = [*(path for path in diagrams_in(folder) if path != editor.file.resolve()), *files_in(folder, ".fmu")]
+    for path in (file.relative_to(folder) for file in files):
+        kind = "fmu" if path.suffix == ".fmu" else "diagram"
+        told.append({kind: path.as_posix(), "group": f"{kind}s of this folder", "doc": path.name, "picture": ()})
+    return {"is": "palette", "entries": told}
+
+
+@handles
+def insert(
+    session: Session, *, entry: dict[str, str], level: str = "", text: str = "", at: list[float] | None = None,
+    of: str = "", source: str = "", sink: str = "",
+) -> Answer:  # fmt: skip
+    """Add a block: of a type, a subdiagram or an FMU.
+
+    entry: {"type": ...}, {"diagram": ...} or {"fmu": ...}. text: its parameters as typed, "kp=20 ki=3 1/s"; a value
+    alone is that of the first one. at: its place in pixels, from the center of the block or terminal `of`; left out: it
+    stands where the layout puts it. source, sink: what its first free input, or its first output, is wired to.
+    """
+    editor = _editor(session)
+    kind = next((key for key in ("type", "diagram", "fmu") if isinstance(entry.get(key), str)), None)
+    if kind is None:
+        raise UsageError(Fault("E501", "insert.entry", "has no type, diagram or fmu."))
+    body, said = editor.body(level), str(entry[kind])
+    base = said if kind == "type" else Path(said).stem
+    name = _free(body, re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|\W+", "_", base).lower().strip("_"))
+    value: dict[str, Any] = {kind: said}
+    parameters = dict(_typed(text, _parameters(editor, kind, said)))
+    value |= {"parameters": parameters} if parameters else {}
+    operations = [_in(level, {"add": ["blocks", name], "value": value})]
+    if at is not None:
+        operations = [*editor.placing(level), *operations, move(level, name, _place(editor, level, of, at))]
+    if source or sink:
+        operations.append(_wired(editor, level, name, value, source, sink))
+    return _done(session, f"insert {name}", operations, [name])
+
+
+def _free(body: Mapping[str, Any], base: str) -> str:
+    """A name like `base` that no block, input or parameter of a level has."""
+    taken = {name for section in ("blocks", "inputs", "parameters") for name in body.get(section, {})}
+    base = base if _NAME.fullmatch(base) else "block"
+    others = (f"{base}{k}" for k in range(2, len(taken) + 3))
+    return next(name for name in (base, *others) if name not in taken)
+
+
+def _place(editor: Editor, level: str, of: str, at: Sequence[float]) -> list[int]:
+    x, y = editor.positions(level).get(of, (0, 0)) if of else (0, 0)
+    if len(at) != 2:
+        raise UsageError(Fault("E501", "insert.at", "is no place.", "Give [x, y]."))
+    return [round((x + at[0]) / 10) * 10, round((y + at[1]) / 10) * 10]
+
+
+def _parameters(editor: Editor, kind: str, said: str) -> dict[str, str]:
+    """The types of the parameters of a block type, by their names in order; those of others are not known."""
+    if kind != "type":
+        return {}
+    catalog = Catalog.of(editor.library)
+    if said not in catalog.types:
+        cure = did_you_mean(said[:200], catalog.types)
+        raise UsageError(Fault("E103", legible(said[:200]), "there is no such block type.", cure))
+    return {name: str(one.type) for name, one in catalog.types[said].declaration.settable.items()}
+
+
+def _typed(text: str, known: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+    """Parameters as typed, with their raw values. known: their types."""
+    parts = re.split(r"(?:^|\s+)([A-Za-z_]\w*)\s*=(?!=)\s*", text.strip())
+    first = next((name for name, type_ in known.items() if name not in ("unit", "shape")), "")
+    for name, said in ((first, parts[0]), *zip(parts[1::2], parts[2::2], strict=True)):
+        if said.strip() and not name:
+            raise UsageError(Fault("E501", legible(said[:80]), "is a value of no parameter.", 'Write "name=value".'))
+        if said.strip():
+            yield name, _raw(said, name, known.get(name, ""))
+
+
+def _raw(text: str, name: str, type_: str) -> Any:
+    """A typed value as a file holds it: a number, a quantity, a list, an expression, an object, or a text."""
+    text = text.strip()
+    if type_ == "text":
+        return text
+    return json_text.read(text, file=name).value if text.startswith("{") else value_in(text, file=name)
+
+
+def _wired(editor: Editor, level: str, name: str, entry: Mapping[str, Any], source: str, sink: str) -> dict[str, Any]:
+    """What wires a new block of an entry to a source or a sink that is there."""
+    parameters = editor.body(level).get("parameters", {})
+    around = entries(folder=str(editor.folder), parameters=parameters, blocks={name: entry})
+    inputs, outputs = port_units(around, name, around.blocks[name], editor.resolver)
+    if (source and not inputs) or (sink and not outputs):
+        what = "input" if source else "output"
+        raise UsageError(Fault("E501", name, f"has no {what} that could be wired.", "Choose another block."))
+    if source:
+        return _in(level, {"wire": source, "to": f"{name}.{next(iter(inputs))}"})
+    return _in(level, {"wire": f"{name}.{next(iter(outputs))}", "to": sink})
+
+
+@handles
+def place(session: Session, *, names: list[str], by: list[float], level: str = "") -> Answer:
+    """Move blocks and terminals. The first move on a level that was laid out automatically writes all its positions."""
+    editor = _editor(session)
+    if len(by) != 2:
+        raise UsageError(Fault("E501", "place.by", "is no distance.", "Give [x, y]."))
+    standing = editor.positions(level)
+    missing = [name for name in names if name not in standing]
+    if missing:
+        cure = did_you_mean(missing[0], standing)
+        raise UsageError(Fault("E502", legible(missing[0]), "is not in this drawing.", cure))
+    moved = [move(level, name, [standing[name][0] + by[0], standing[name][1] + by[1]]) for name in names]
+    what = names[0] if len(names) == 1 else f"{len(names)} blocks"
+    return _done(session, f"move {what}", [*editor.placing(level), *moved], names)
+
+
+@handles
+def arrange(session: Session, *, names: list[str], level: str = "") -> Answer:
+    """Lay out some blocks, all others stay; without names, all."""
+    editor = _editor(session)
+    before = editor.positions(level)
+    after = editor.positions(level, names or before)
+    changed = [move(level, name, at) for name, at in after.items() if not names or name in names]
+    return _done(session, "lay out", [*(editor.placing(level) if names else ()), *changed], names)
+
+
+@handles
+def delete(session: Session, *, names: list[str], sinks: list[str], level: str = "") -> Answer:
+    """Remove blocks, inputs and outputs with all that means something of them, and the wires to some inputs."""
+    body = _editor(session).body(level)
+    wires, outputs = body.get("wires", {}), body.get("outputs", {})
+    operations: list[dict[str, Any]] = [{"unwire": sink} for sink in dict.fromkeys(sinks) if sink in wires]
+    gone = [name for name in dict.fromkeys([*sinks, *names]) if name in outputs and name not in body.get("blocks", {})]
+    operations += [{"remove": ["outputs", name]} for name in gone]
+    for section in ("inputs", "blocks", "parameters"):
+        operations += [{"remove": [section, name]} for name in dict.fromkeys(names) if name in body.get(section, {})]
+    if not operations:
+        raise UsageError(Fault("E501", "delete", "nothing of this is there.", "Select what to delete."))
+    what = ", ".join([*names, *sinks][:3])
+    return _done(session, f"delete {what}", [_in(level, one) for one in operations])
+
+
+# --- copies ----------------------------------------------------------------------------------------------------------
+
+
+@handles
+def copy(session: Session, *, names: list[str], level: str = "") -> Answer:
+    """Blocks and terminals, with the wires between them and the parameters that they read, as text."""
+    return {"is": "copied", "text": _fragment(_editor(session).body(level), names)}
+
+
+def _fragment(body: Mapping[str, Any], names: Sequence[str]) -> str:
+    taken: dict[str, dict[str, Any]] = {
+        section: {name: entry for name, entry in body.get(section, {}).items() if name in names}
+        for section in ("inputs", "outputs", "blocks", "layout")
+    }
+    own = {*taken["blocks"], *taken["inputs"]}
+    taken["wires"] = {
+        sink: source for sink, source in body.get("wires", {}).items()
+        if sink.partition(".")[0] in own and re.split(r"[.\[]", source)[0] in own
+    }  # fmt: skip
+    taken["outputs"] = {n: source for n, source in taken["outputs"].items() if re.split(r"[.\[]", source)[0] in own}
+    known, read = body.get("parameters", {}), set[str]()
+    waiting = [text for part in ("blocks", "inputs") for text in _expressions(taken[part])]
+    while waiting:
+        new = {name for name in _NAME.findall(waiting.pop()) if name in known} - read
+        read |= new
+        waiting += [text for name in new for text in _expressions(known[name])]
+    taken["parameters"] = {name: entry for name, entry in known.items() if name in read}
+    kept = {section: taken[section] for section in SECTIONS if taken.get(section)}
+    return json_writer.write(kept, one_per_line=lambda path, value: len(path) < 2)
+
+
+def _expressions(value: Any) -> Iterator[str]:
+    if isinstance(value, Mapping):
+        yield from (text for each in value.values() for text in _expressions(each))
+    elif isinstance(value, list):
+        yield from (text for each in value for text in _expressions(each))
+    elif isinstance(value, str) and is_expression(value):
+        yield value
+
+
+@handles
+def paste(
+    session: Session, *, text: str, level: str = "", at: list[float] | None = None, of: str = ""
+) -> Answer:  # fmt: skip
+    """Add what was copied: entries of a diagram, or a whole one. at, of: where its upper left corner goes."""
+    return _pasted(session, "paste", text, level, at, of)
+
+
+@handles
+def duplicate(session: Session, *, names: list[str], level: str = "") -> Answer:
+    """A copy of blocks beside them."""
+    return _pasted(session, "duplicate", _fragment(_editor(session).body(level), names), level, None, "")
+
+
+def _pasted(session: Session, what: str, text: str, level: str, at: list[float] | None, of: str) -> Answer:
+    editor = _editor(session)
+    try:
+        value = json_text.read(text, file="<pasted>").value
+    except ModelError as error:
+        cure = "Copy blocks of a diagram, or their entries from a file."
+        raise UsageError(Fault("E501", what, f"the text is no JSON: {error.faults[0].message}", cure)) from None
+    fields = {field.key for field in BODY.fields}
+    if isinstance(value, Mapping) and not value.keys() & fields and value.keys() & {"type", "diagram", "fmu"}:
+        value = {"blocks": {_free(editor.body(level), "pasted"): value}}
+    found = {key: value[key] for key in SECTIONS if value.get(key)} if isinstance(value, Mapping) else {}
+    if not found:
+        raise UsageError(Fault("E501", what, "the text holds nothing of a diagram.", "Copy some blocks first."))
+    operation: dict[str, Any] = {"paste": found, "by": [BESIDE, BESIDE]}
+    placed = [at_ for at_ in found.get("layout", {}).values() if isinstance(at_, list) and len(at_) == 2]
+    if at is not None and placed:
+        with suppress(TypeError):  # the grammar of the operation says what is wrong
+            x, y = _place(editor, level, of, at)
+            operation["by"] = [x - min(one[0] for one in placed), y - min(one[1] for one in placed)]
+    before = editor.body(level)
+    placing = editor.placing(level) if placed else []
+    editor.edit(what, [*placing, _in(level, operation)])
+    after = editor.body(level)
+    new = {part: after.get(part, {}).keys() - before.get(part, {}).keys() for part in ("blocks", "inputs", "outputs")}
+    names = [name for part, own in new.items() for name in after.get(part, {}) if name in own]
+    return _told(session, what, names)
+
+
+# --- values ----------------------------------------------------------------------------------------------------------
+
+
+@handles
+def put(session: Session, *, name: str, text: str, level: str = "") -> Answer:
+    """Write a parameter of a block ("pid.kp"), or a parameter or an input of the level, as typed; "": its default.
+
+    A run that goes on takes it at once where it can; the answer says where it does not.
+    """
+    editor = _editor(session)
+    body, (block, _, own) = editor.body(level), name.rpartition(".")
+    type_ = ""
+    if block:
+        if block not in body.get("blocks", {}):
+            cure = did_you_mean(block, body.get("blocks", {}))
+            raise UsageError(Fault("E502", legible(name[:200]), "there is no such block.", cure))
+        steps = ["blocks", block, "parameters", own]
+        there, path = body.get("blocks", {})[block], f"{level}.{block}".lstrip(".")
+        choice = editor.variants.get(path, there.get("variant", BASE))
+        if choice in there.get("variants", {}):
+            steps[2:2], there = ["variants", choice], there["variants"][choice]
+        known = Catalog.of(editor.library).types.get(str(there.get("type")))
+        declared = {} if known is None else known.declaration.settable
+        type_ = str(declared[own].type) if own in declared else ""
+        is_there = own in there.get("parameters", {})
+    else:
+        section = next((part for part in ("parameters", "inputs") if own in body.get(part, {})), None)
+        if section is None:
+            raise UsageError(Fault("E502", legible(name[:200]), "there is no such parameter or input."))
+        entry = body[section][own]
+        steps, is_there = [section, own], True
+        if section == "inputs":
+            steps, is_there = [*steps, "default"], "default" in entry
+        elif isinstance(entry, Mapping) and "value" in entry and text.strip():
+            raw = _raw(text, name, "")
+            more: Mapping[str, Any] = raw if _is_quantity(raw) else {"value": raw}
+            operations = [{"set": [*steps, key], "to": one} for key, one in more.items()]
+            return _set(session, name, level, operations, raw)
+    if not text.strip() and type_ != "text":
+        operations = [{"remove": steps}] if is_there else []
+        return _set(session, name, level, operations, None)
+    raw = _raw(text, name, type_)
+    fact = editor.facts.get(f"{level}.{name}".lstrip("."))
+    if _is_quantity(raw) and fact is not None and raw["unit"] == fact.unit and (block or steps[0] == "inputs"):
+        raw = raw["value"]  # a bare number is meant in it
+    return _set(session, name, level, [{"set": steps, "to": raw}], raw)
+
+
+def _set(session: Session, name: str, level: str, operations: Operations, raw: Any) -> Answer:
+    """Write a value, and give it to a run that goes on."""
+    path, live, later = f"{level}.{name}".lstrip("."), session.live, ""
+    told = _done(session, f"set {name}", [_in(level, one) for one in operations])
+    for known in (session.values, session.inputs):
+        known.pop(path, None)
+    if raw is not None and live is not None and live.state in ACTIVE:
+        try:
+            live.set(path, raw)
+        except BlocksError as error:
+            later = error.faults[0].message
+    session.broadcast({"is": "changed"})
+    assert told is not None
+    return told | {"later": later}
+
+
+@handles
+def define(session: Session, *, kind: str, text: str, level: str = "", source: str = "") -> Answer:
+    """Add an input, an output, a parameter or a measure to a level, as typed: "r", "kp=20 V", 'm={"type": ...}'.
+
+    source: what an output shows. kind "entry": another value of an entry, by its place: "run.stop=5 s".
+    """
+    said, _, value = (part.strip() for part in text.partition("="))
+    raw: Any = _raw(value, said, "") if value else None
+    if kind == "entry":
+        return _done(session, f"set {said}", [_in(level, {"set": said, "to": raw})])
+    sections = {"input": "inputs", "output": "outputs", "parameter": "parameters", "measure": "measures"}
+    if kind not in sections:
+        raise UsageError(Fault("E501", "define.kind", f"{quoted(kind)} cannot be added.", did_you_mean(kind, sections)))
+    if kind == "input":
+        more: Mapping[str, Any] = raw if _is_quantity(raw) else {"value": 0 if raw is None else raw}
+        raw = {"default": more["value"]} | {key: one for key, one in more.items() if key == "unit"}
+    elif kind == "output":
+        raw = value or source
+    elif raw is None:
+        raise UsageError(Fault("E501", legible(said[:200]), "has no value.", "As in kp=20 V."))
+    return _done(session, f"add {kind} {said}", [_in(level, {"add": [sections[kind], said], "value": raw})])
+
+
+def _is_quantity(raw: Any) -> bool:
+    return isinstance(raw, Mapping) and raw.keys() == {"value", "unit"}
+
+
+@handles
+def targets(session: Session, *, end: str, level: str = "", kind: str = "") -> Answer:
+    """Where a wire from a port may end, or begin where it is an input: by port "", or why not.
+
+    kind: "in" or "out", where a block has two ports of this name.
+    """
+    editor = _editor(session)
+    value, resolver = editor.value_at(level), editor.resolver
+    sinks: dict[str, str] = {}
+    sources = {name: str(raw.get("unit", "")) for name, raw in value.inputs.items()}
+    for name, entry in value.blocks.items():
+        with suppress(ModelError, AssertionError, KeyError):
+            inputs, outputs = port_units(value, name, entry, resolver)
+            sinks |= {f"{name}.{own}": unit for own, unit in inputs.items()}
+            sources |= {f"{name}.{own}": unit for own, unit in outputs.items()}
+    base = end.partition("[")[0]
+    is_source = base in sources and (kind != "in" or base not in sinks)
+    if not is_source and base not in sinks:
+        cure = did_you_mean(base[:200], [*sources, *sinks])
+        raise UsageError(Fault("E502", legible(end[:200]), "there is no such port.", cure))
+    unit, others = (sources[base], sinks) if is_source else (sinks[base], sources)
+    driven = value.wires if is_source else {}
+    told = {}
+    for name, other in others.items():
+        why = f"is driven by {driven[name]}" if name in driven else ""
+        with suppress(BlocksError):
+            if not why and not units.same_quantity(unit, other):
+                why = f"[{other}] and [{unit}] are different quantities"
+        told[name] = why
+    return {"is": "targets", "ports": told, "source": is_source}
+
+
+@handles
+def tab(session: Session, *, file: str) -> Answer:
+    """Open another diagram of the folder; answers its address."""
+    editor = _editor(session)
+    if editor.opens is None or not is_diagram(path := inside(editor.folder, file)):
+        raise UsageError(Fault("E501", legible(file[:200]), "is no diagram that can be opened here."))
+    return {"is": "tab", "url": editor.opens(path)}
+
+
+@handles
+def upload(session: Session, *, name: str, text: str) -> Answer:
+    """Write an FMU that was dropped on the page into the folder of the diagram. text: its bytes in base64.
+
+    Answers its path as a block of the diagram names it. A file of this name that holds something else stays.
+    """
+    editor = _editor(session)
+    target = inside(editor.folder, name)
+    if target.suffix.lower() != ".fmu" or target.parent != editor.folder.resolve():
+        raise UsageError(Fault("E501", quoted(name[:200]), "is no name of an FMU.", "Drop a file that ends with .fmu."))
+    try:
+        data = base64.b64decode(text, validate=True)
+    except binascii.Error:
+        raise UsageError(Fault("E501", "upload.text", "is no base64.")) from None
+    if not target.exists():
+        with write_atomically(target) as stream:
+            stream.buffer.write(data)
+    elif target.read_bytes() != data:
+        message = "is there already, and holds something else."
+        raise UsageError(Fault("E501", legible(name[:200]), message, "Rename one of the two."))
+    return {"is": "uploaded", "fmu": target.name}

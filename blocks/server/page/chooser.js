@@ -1,0 +1,66 @@
+/** A field whose words choose among entries, as the search and the insertion of blocks do. */
+import { counted, dialog, element } from "./elements.js";
+
+/**
+ * Open it. find: the entries for a text, each with name, what is told of it, picture, why it cannot be chosen, and go.
+ * @param {{label: string, placeholder: string, text?: string, find: (text: string) => any[]}} asked
+ */
+export function choose(app, { label, placeholder, text = "", find }) {
+  let entries = [];
+  let at = 0;
+  const options = element("ul", { id: "found", role: "listbox", "aria-label": "Found" });
+  const word = element("input", {
+    role: "combobox", "aria-expanded": "true", "aria-controls": "found", "aria-autocomplete": "list", "aria-label": label,
+    placeholder, autocomplete: "off", spellcheck: "false",
+  });
+  const mark = () => {
+    [...options.children].forEach((one, index) => (one.ariaSelected = String(index === at)));
+    options.children[at]?.scrollIntoView({ block: "nearest" });
+    word.setAttribute("aria-activedescendant", entries.length ? `found${at}` : "");
+  };
+  const take = (index) => {
+    const chosen = entries[index];
+    if (chosen?.why) return app.announce(`${chosen.name}: ${chosen.why}.`);
+    shown.close();
+    document.getElementById("view").focus();
+    chosen?.go();
+  };
+  word.oninput = () => {
+    entries = find(word.value.trim());
+    at = 0;
+    options.replaceChildren(...entries.map(({ name, told, picture, why }, index) =>
+      element("li", { role: "option", id: `found${index}`, "aria-disabled": why ? "true" : null, onclick: () => take(index) },
+        picture ?? null, element("span", { class: "name" }, name), element("span", { class: "type" }, why || told))));
+    mark();
+    app.announce(`${counted(entries.length, "match").replace(/hs$/, "hes")}`);
+  };
+  word.onkeydown = (event) => {
+    if (event.key === "Enter") take(at);
+    else if (event.key === "ArrowDown") at = Math.min(at + 1, entries.length - 1);
+    else if (event.key === "ArrowUp") at = Math.max(at - 1, 0);
+    else return;
+    event.preventDefault();
+    mark();
+  };
+  const shown = dialog(label, word, options);
+  shown.classList.add("search");
+  word.value = text;
+  word.oninput();
+}
+
+/** Ask for a text; null where none was given. @returns {Promise<string | null>} */
+export function prompted(label, value = "") {
+  return new Promise((resolve) => {
+    const field = element("input", { "aria-label": label, autocomplete: "off", spellcheck: "false", size: 40 });
+    field.value = value;
+    let said = null;
+    const shown = dialog(label, element("label", {}, `${label} `, field), " ", element("button", { onclick: () => done() }, "OK"));
+    const done = () => {
+      said = field.value.trim();
+      shown.close();
+    };
+    field.onkeydown = ({ key }) => void (key === "Enter" && done());
+    shown.addEventListener("close", () => resolve(said || null));
+    field.select();
+  });
+}

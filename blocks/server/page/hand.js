@@ -1,0 +1,259 @@
+/** Editing by hand: blocks are moved, wires drawn and branched, files dropped. Nothing is changed before it is dropped. */
+import { element } from "./elements.js";
+
+const GRID = 10;
+const NEAR = 12; // pixels of the screen from which a port is met
+const LEAST = 4; // pixels before a press is a drag
+
+/** The ports of a box with their places in the drawing. kind: "in" or "out". */
+export function ports(app, name, kind) {
+  const box = app.drawing.boxes().get(name);
+  if (!box?.dataset[kind]) return [];
+  const [x, y] = center(box);
+  return box.dataset[kind].split(";").map((one) => {
+    const [, dx, dy, port] = one.match(/^(\S+) (\S+) ?(.*)$/);
+    const own = port.replaceAll("%3B", ";").replaceAll("%25", "%");
+    const isTerminal = box.matches(".input, .output");
+    return { port: isTerminal ? name : `${name}.${own}`, x: x + Number(dx), y: y + Number(dy), kind };
+  });
+}
+const center = (box) => box.dataset.at.split(" ").map(Number);
+/** By input that is wired, its source. */
+export const driven = (app) => new Map([...app.drawing.stage.querySelectorAll("g.wire[data-sink]")].map(({ dataset }) => [dataset.sink, dataset.net]));
+/** A point of the screen in the drawing. */
+function point(app, { clientX, clientY }) {
+  const { left, top } = app.drawing.stage.getBoundingClientRect();
+  return [(clientX - left) / app.drawing.scale(), (clientY - top) / app.drawing.scale()];
+}
+/** A place for a new block: from the center of some box, as positions are counted from nothing that the page knows. */
+export function near(app, event) {
+  const [x, y] = point(app, event);
+  const [first] = app.drawing.boxes();
+  if (!first) return { at: [x, y] };
+  const [bx, by] = center(first[1]);
+  return { at: [x - bx, y - by], of: first[0] };
+}
+/** Type another name over that of a box. @returns {Promise<string | null>} */
+export function typedOver(app, name) {
+  return new Promise((resolve) => {
+    const box = app.drawing.boxes().get(name);
+    const text = (box.querySelector("text.name") ?? box).getBoundingClientRect();
+    const around = app.drawing.view.getBoundingClientRect();
+    const field = element("input", { class: "typed", "aria-label": `Name of ${name}`, spellcheck: "false", autocomplete: "off" });
+    field.value = name;
+    field.style.left = `${text.x + text.width / 2 - around.x}px`;
+    field.style.top = `${text.y + text.height / 2 - around.y}px`;
+    const done = (value) => {
+      field.onblur = null;
+      field.remove();
+      app.drawing.view.focus();
+      resolve(value);
+    };
+    field.onblur = () => done(field.value.trim());
+    field.onkeydown = (event) => {
+      event.stopPropagation();
+      if (event.key === "Enter") done(field.value.trim());
+      if (event.key === "Escape") done(null);
+    };
+    app.drawing.view.append(field);
+    field.select();
+  });
+}
+
+export function start(app, { picked, pick, act, say, wire }) {
+  const { view, stage, under, choose } = app.drawing;
+  const tip = element("output", { class: "why", hidden: true });
+  view.append(tip);
+  const svg = () => stage.firstElementChild;
+  const shape = (tag, attributes) => {
+    const made = element(`svg:${tag}`, attributes);
+    svg().append(made);
+    return made;
+  };
+  /** The port of a kind that is nearest to a point, if any is near. */
+  const portAt = ([x, y], names = app.drawing.boxes().keys()) => {
+    let [best, least] = [null, NEAR / app.drawing.scale()];
+    for (const name of names)
+      for (const kind of ["out", "in"])
+        for (const one of ports(app, name, kind)) {
+          const far = Math.hypot(one.x - x, one.y - y);
+          if (far < least) [best, least] = [one, far];
+        }
+    return best;
+  };
+
+  // --- moving -------------------------------------------------------------------------------------------------------
+
+  /** Let boxes follow the pointer; wires between them and others are straight until they are dropped. */
+  function moving(names) {
+    const boxes = names.map((name) => app.drawing.boxes().get(name)).filter(Boolean);
+    const isMoved = (end) => names.includes(end.split(/[.[]/)[0]);
+    const ends = new Map([...app.drawing.boxes().keys()].flatMap((name) => [...ports(app, name, "in"), ...ports(app, name, "out")].map((one) => [one.kind + one.port, one])));
+    const [along, stretched] = [[...boxes], []];
+    for (const drawn of stage.querySelectorAll("g.wire[data-sink]")) {
+      const [from, to] = [isMoved(drawn.dataset.net), isMoved(drawn.dataset.sink)];
+      if (from && to) along.push(drawn);
+      else if (from || to) {
+        const [a, b] = [ends.get(`out${drawn.dataset.net}`), ends.get(`in${drawn.dataset.sink}`)];
+        drawn.style.opacity = 0.15;
+        if (a && b) stretched.push({ line: shape("path", { class: "rubber" }), a, b, from, to });
+      }
+    }
+    const draw = (dx, dy) => {
+      along.forEach((one) => one.setAttribute("transform", `translate(${dx} ${dy})`));
+      for (const { line, a, b, from, to } of stretched)
+        line.setAttribute("d", `M${a.x + (from ? dx : 0)} ${a.y + (from ? dy : 0)}L${b.x + (to ? dx : 0)} ${b.y + (to ? dy : 0)}`);
+    };
+    let by = [0, 0];
+    return {
+      move([x, y], [x0, y0]) {
+        by = [Math.round((x - x0) / GRID) * GRID, Math.round((y - y0) / GRID) * GRID];
+        draw(...by);
+      },
+      drop: () => (by[0] || by[1] ? act("place", { names, by }) : app.drawing.show(app.state.level)),
+    };
+  }
+
+  // --- wires --------------------------------------------------------------------------------------------------------
+
+  /** Draw a wire from a port. from: {port, x, y, kind}; before: the input that its end is taken off. */
+  function wiring(from, before = null) {
+    const line = shape("path", { class: "rubber" });
+    let told = null;
+    app.connection.ask("targets", { end: from.port, kind: from.kind, level: app.state.level }).then((answer) => {
+      told = answer;
+      for (const one of candidates()) shape("circle", { class: why(one) ? "target" : "target fits", cx: one.x, cy: one.y, r: why(one) ? 3 : 6 });
+    }, ({ message }) => say(message));
+    const other = from.kind === "out" ? "in" : "out";
+    const candidates = () => [...app.drawing.boxes().keys()].flatMap((name) => ports(app, name, other));
+    const why = ({ port }) => {
+      if (!told || port === before) return "";
+      const base = port.replace(/\[\d+\]$/, "");
+      return port in told.ports ? told.ports[port] : base in told.ports ? told.ports[base] : "";
+    };
+    let met = null;
+    /** The port under the pointer; on a block its first one that fits. */
+    const find = (at, event) => {
+      const near = portAt(at);
+      if (near?.kind === other) return near;
+      const { box } = under(event.clientX, event.clientY);
+      const own = box ? ports(app, box, other) : [];
+      return own.find((one) => !why(one)) ?? own[0] ?? null;
+    };
+    return {
+      move(at, _, event) {
+        met = find(at, event);
+        const [x, y] = met && !why(met) ? [met.x, met.y] : at;
+        line.setAttribute("d", `M${from.x} ${from.y}L${x} ${y}`);
+        tip.hidden = !(met && why(met));
+        tip.textContent = met ? `${met.port} ${why(met)}` : "";
+        const around = view.getBoundingClientRect();
+        Object.assign(tip.style, { left: `${event.clientX - around.x + 12}px`, top: `${event.clientY - around.y + 12}px` });
+      },
+      async drop(at, event) {
+        tip.hidden = true;
+        if (met && why(met)) {
+          say(`${met.port} ${why(met)}.`);
+          return app.drawing.show(app.state.level);
+        }
+        const [source, sink] = from.kind === "out" ? [from.port, met?.port] : [met?.port, from.port];
+        if (met && !(before && sink === before)) return wire(source, sink, before);
+        if (before && !met) return act("delete", { names: [], sinks: [before] });
+        await app.drawing.show(app.state.level);
+        if (!met && under(event.clientX, event.clientY).box === undefined) app.insert("", event, from.kind === "out" ? { source: from.port } : { sink: from.port });
+        return null;
+      },
+    };
+  }
+
+  // --- boxes --------------------------------------------------------------------------------------------------------
+
+  function selecting(isMore) {
+    const frame = shape("rect", { class: "rubber" });
+    return {
+      move([x, y], [x0, y0]) {
+        Object.entries({ x: Math.min(x, x0), y: Math.min(y, y0), width: Math.abs(x - x0), height: Math.abs(y - y0) }).forEach(([name, value]) => frame.setAttribute(name, value));
+      },
+      drop() {
+        const around = frame.getBoundingClientRect();
+        frame.remove();
+        const names = [...app.drawing.boxes()].filter(([, box]) => {
+          const { left, right, top, bottom } = box.getBoundingClientRect();
+          return left < around.right && right > around.left && top < around.bottom && bottom > around.top;
+        });
+        pick(names.map(([name]) => name), isMore);
+      },
+    };
+  }
+
+  // --- the pointer --------------------------------------------------------------------------------------------------
+
+  /** Take a press in the drawing: of the main button of a mouse or a pen. */
+  app.hand = (down) => {
+    if (down.button !== 0 || down.pointerType === "touch" || down.target.closest(".typed")) return false;
+    const from = point(app, down);
+    const met = under(down.clientX, down.clientY);
+    const port = portAt(from);
+    const isMore = down.shiftKey || down.ctrlKey || down.metaKey;
+    let gesture = null;
+    const begin = () => {
+      if (port) {
+        const source = port.kind === "in" ? driven(app).get(port.port) : undefined;
+        if (source === undefined) return wiring(port);
+        const start = [...app.drawing.boxes().keys()].flatMap((name) => ports(app, name, "out")).find((one) => one.port === source);
+        return start ? wiring(start, port.port) : wiring(port); // its end is taken off
+      }
+      if (met.box !== undefined) {
+        if (!picked.has(met.box)) pick([met.box], isMore);
+        return moving([...picked]);
+      }
+      return met.net ? wiring({ port: met.net, x: from[0], y: from[1], kind: "out" }) : selecting(isMore);
+    };
+    const move = (event) => {
+      if (event.pointerId !== down.pointerId) return;
+      if (!gesture && Math.hypot(event.clientX - down.clientX, event.clientY - down.clientY) < LEAST) return;
+      if (!gesture) {
+        gesture = begin();
+        app.hold = true;
+        view.setPointerCapture(down.pointerId);
+      }
+      gesture.move(point(app, event), from, event);
+    };
+    const end = async (event) => {
+      if (event.pointerId !== undefined && event.pointerId !== down.pointerId) return;
+      off.abort();
+      const isDropped = event.type === "pointerup";
+      app.hold = false;
+      const held = app.held;
+      app.held = null;
+      if (gesture && isDropped) await gesture.drop(point(app, event), event);
+      else if (gesture) await app.drawing.show(app.state.level);
+      else if (isDropped) isMore && met.box !== undefined ? pick([met.box], true) : met.box !== undefined ? pick([met.box]) : (pick([]), choose(met));
+      tip.hidden = true;
+      if (held) held();
+    };
+    const off = new AbortController();
+    view.addEventListener("pointermove", move, off);
+    view.addEventListener("pointerup", end, off);
+    view.addEventListener("pointercancel", end, off);
+    document.addEventListener("keydown", (event) => event.key === "Escape" && gesture && end(event), off);
+    return true;
+  };
+
+  // --- FMUs that are dropped ----------------------------------------------------------------------------------------
+
+  view.ondragover = (event) => event.preventDefault();
+  view.ondrop = async (event) => {
+    event.preventDefault();
+    const [file] = event.dataTransfer.files;
+    if (!file) return;
+    if (file.size > 11e6) return say(`${file.name} is larger than 11 MB: put it into the folder of the diagram, and insert it by its name.`);
+    const bytes = new Uint8Array(await file.arrayBuffer());
+    const text = btoa(Array.from(bytes, (one) => String.fromCharCode(one)).join(""));
+    const told = await app.ask("upload", { name: file.name, text });
+    if (!told) return;
+    const { box } = under(event.clientX, event.clientY);
+    if (box && app.block(app.drawing.full(box))) await act("edit", { operations: [{ swap: box, for: { fmu: told.fmu } }], what: `swap ${box}` });
+    else await act("insert", { entry: { fmu: told.fmu }, ...near(app, event) });
+  };
+}

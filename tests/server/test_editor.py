@@ -1,0 +1,396 @@
+"""A diagram that pages edit: gestures, their undoing, the file beside other programs, the page in a browser."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from blocks import PID, BlocksError, Diagram, PMDCMotor, Step, UsageError
+from blocks.draw import picture, ports_of, rendered
+from blocks.model.document import dumps
+from blocks.server import deeper, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
+from blocks.server.editor import Editor
+from blocks.server.live_server import LiveServer
+from blocks.server.messages import answer
+from blocks.server.session import Session
+from blocks.text.atomic_write import write_atomically
+from tests.support.places import ROOT
+
+Ask = Callable[..., Any]
+
+
+@contextmanager
+def edited(path: Path) -> Iterator[tuple[Ask, Editor]]:
+    editor = Editor(path)
+    session = Session(editor)
+    try:
+        yield lambda do, **fields: answer(session, {"do": do, **fields}), editor
+    finally:
+        session.close()
+
+
+def loop(ask: Ask) -> None:
+    """A motor under a PID controller, from an empty file on."""
+    ask("insert", entry={"type": "Step"}, text="at=1 after=2 unit=rad/s")
+    ask("insert", entry={"type": "PID"}, text="kp=20 ki=30 lower=-12 upper=12 unit=rad/s unit_u=V", source="step.y")
+    ask("insert", entry={"type": "PMDCMotor"}, source="pid.u")
+    ask("edit", operations=[{"wire": "pmdc_motor.omega", "to": "pid.y"}])
+    ask("define", kind="output", text="omega", source="pmdc_motor.omega")
+    ask("define", kind="entry", text="run.stop=4")
+
+
+def test_gestures_make_a_diagram_that_runs_and_are_undone_to_the_empty_file(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        empty = path.read_bytes()
+        assert Diagram.load(path).name == "motor"
+        loop(ask)
+        made = path.read_bytes()
+        steps = len(editor.done)
+        built = Diagram("motor")
+        step = built.add("step", Step(at=1, after=2, unit="rad/s"))
+        pid = built.add("pid", PID(kp=20, ki=30, lower=-12, upper=12, unit="rad/s", unit_u="V"))
+        motor = built.add("pmdc_motor", PMDCMotor())
+        for sink, source in ((pid.r, step.y), (motor.v, pid.u), (pid.y, motor.omega)):
+            built.wire(sink, source)
+        built.output("omega", motor.omega)
+        built.settings(stop=4)
+        runs = [one.run(engine="reference") for one in (Diagram.load(path), built)]
+        assert np.array_equal(*(run["pmdc_motor.omega"] for run in runs))
+        for _ in range(steps):
+            ask("undo")
+        assert path.read_bytes() == empty
+        with pytest.raises(UsageError, match="nothing to undo"):
+            ask("undo")
+        for _ in range(steps):
+            ask("redo")
+        assert path.read_bytes() == made == dumps(Diagram.load(path).value).encode()
+        with pytest.raises(UsageError, match="nothing to redo"):
+            ask("redo")
+
+
+def test_the_first_move_in_an_automatic_layout_writes_all_positions_and_moves_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        loop(ask)
+        before = editor.positions("")
+        ask("place", names=["pid"], by=[20, 40])
+        x, y = before["pid"]
+        assert json.loads(path.read_text())["layout"] == before | {"pid": [x + 20, y + 40]}
+        assert editor.positions("") == before | {"pid": [x + 20, y + 40]}
+        editor.settled()
+        value = Diagram.load(path).value
+        shown = rendered(picture(value, ports_of(value, editor.resolver)), value.name)
+        assert editor.drawing("") == shown  # at rest it is what `blocks draw` draws
+        ask("arrange", names=["pid"])
+        ask("arrange", names=[])
+        with pytest.raises(UsageError, match="not in this drawing"):
+            ask("place", names=["nothing"], by=[1, 1])
+
+
+def test_what_another_program_wrote_is_never_overwritten_and_can_be_undone(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        loop(ask)
+        ours = path.read_text()
+        theirs = ours.replace('"kp": 20', '"kp": 21')
+        path.write_text(theirs)
+        ask("put", name="pid.ki", text="31")  # what stands on the disk is read in first
+        assert path.read_text() == theirs.replace('"ki": 30', '"ki": 31')
+        ask("undo")
+        assert path.read_text() == theirs
+        ask("undo")
+        assert path.read_text() == ours
+        ask("redo")
+        edit = gestures.Editor.edit
+        with pytest.MonkeyPatch.context() as patch:  # it is written between our look at the file and our writing
+            patch.setattr(Editor, "_catch_up", lambda self: None)
+            path.write_text(ours)
+            with pytest.raises(UsageError, match="another program has changed it"):
+                edit(editor, "set", [{"set": "run.stop", "to": 9}])
+        assert path.read_text() == ours
+        editor._catch_up()
+        path.write_text('{"format": broken')
+        with pytest.raises(UsageError, match="cannot be read as a diagram"):
+            ask("put", name="pid.ki", text="32")
+        ask("undo")
+        assert path.read_text() == ours
+
+
+def test_a_file_that_cannot_be_written_stays_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        loop(ask)
+        before, steps = path.read_bytes(), len(editor.done)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("blocks.text.atomic_write._sync", Mock(side_effect=OSError(28, "no room")))
+            with pytest.raises(UsageError, match="no room"):
+                ask("put", name="pid.kp", text="1")
+        assert (path.read_bytes(), len(editor.done)) == (before, steps)
+        assert [file.name for file in tmp_path.iterdir()] == ["motor.json"]
+
+
+def test_targets_say_where_a_wire_fits_and_why_not(tmp_path: Path) -> None:
+    with edited(tmp_path / "motor.json") as (ask, _):
+        loop(ask)
+        told = ask("targets", end="pid.u")["ports"]
+        assert told["pmdc_motor.v"] == "is driven by pid.u"
+        assert "different quantities" in told["pmdc_motor.tau"]
+        assert told["pid.manual"] == ""
+        told = ask("targets", end="pmdc_motor.tau")["ports"]
+        assert "different quantities" in told["pid.u"]
+        with pytest.raises(UsageError, match="no such port"):
+            ask("targets", end="pid.nothing")
+
+
+def test_values_are_written_as_typed_and_go_back_to_their_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+
+    def pid() -> Any:
+        return json.loads(path.read_text())["blocks"]["pid"]["parameters"]
+
+    with edited(path) as (ask, _):
+        loop(ask)
+        ask("put", name="pid.kp", text="25 V.s/rad")
+        assert pid()["kp"] == 25  # the declared unit needs no word
+        ask("put", name="pid.upper", text="9000 mV")
+        assert pid()["upper"] == {"value": 9000, "unit": "mV"}
+        ask("put", name="pid.kp", text="=2*3")
+        ask("put", name="pid.ki", text="")
+        ask("put", name="pid.unit_u", text="V")
+        upper = {"value": 9000, "unit": "mV"}
+        assert pid() == {"kp": "=2*3", "lower": -12, "upper": upper, "unit": "rad/s", "unit_u": "V"}
+        ask("define", kind="parameter", text="gain=3 1/s")
+        ask("put", name="gain", text="4")
+        ask("define", kind="input", text="r=1 rad/s")
+        document = json.loads(path.read_text())
+        assert document["parameters"]["gain"] == {"value": 4, "unit": "1/s"}
+        assert document["inputs"]["r"] == {"default": 1, "unit": "rad/s"}
+        ask("put", name="r", text="2")
+        assert json.loads(path.read_text())["inputs"]["r"]["default"] == 2
+        for text, why in (("[1,", "pid.kp"), ('{"a"', "pid.kp")):
+            with pytest.raises(BlocksError, match=why):
+                ask("put", name="pid.kp", text=text)
+
+
+def test_copies_take_wires_and_parameters_along(tmp_path: Path) -> None:
+    with edited(tmp_path / "motor.json") as (ask, _):
+        loop(ask)
+        ask("define", kind="parameter", text="gain=3")
+        ask("put", name="pid.kp", text="=gain")
+        text = ask("copy", names=["pid", "pmdc_motor"])["text"]
+        assert json.loads(text)["wires"] == {"pmdc_motor.v": "pid.u", "pid.y": "pmdc_motor.omega"}
+        assert json.loads(text)["parameters"] == {"gain": 3}
+        assert ask("paste", text=text)["names"] == ["pid_2", "pmdc_motor_2"]
+        assert ask("duplicate", names=["step"])["names"] == ["step_2"]
+    other = tmp_path / "other.json"
+    with edited(other) as (ask, _):
+        assert ask("paste", text=text)["names"] == ["pid", "pmdc_motor"]
+        assert json.loads(other.read_text())["parameters"] == {"gain": 3}
+        assert ask("paste", text='{"type": "Gain"}')["names"] == ["pasted"]
+        for text in ("no json", "[]", "{}", '{"blocks": {"a b": {}}}', '{"blocks": 3}'):
+            with pytest.raises(BlocksError):
+                ask("paste", text=text)
+
+
+def test_a_fault_has_a_button_that_does_what_its_cure_says(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        loop(ask)
+        good = json.loads(path.read_text())
+        for place, bad in (
+            (["blocks", "pid", "type"], "PDI"), (["wires", "pmdc_motor.v"], "pid.uu"),
+            (["blocks", "pid", "parameters", "kdd"], 3),
+        ):  # fmt: skip
+            ask("edit", operations=[{"set": place, "to": bad}])
+            (fault,) = [one for one in editor.told()["faults"] if one.get("remedy")]
+            ask("edit", operations=fault["remedy"]["operations"])
+            assert not editor.told()["faults"]
+        good["blocks"]["pid"]["parameters"]["kd"] = 3
+        assert json.loads(path.read_text()) == good
+        ask("edit", operations=[{"set": ["blocks", "pid", "parameters", "kpp"], "to": 3}])
+        assert [one["remedy"] for one in editor.told()["faults"]] == [None]  # there is a kp
+        ask("undo")
+        ask("delete", names=[], sinks=["pmdc_motor.v"])
+        (fault,) = editor.told()["faults"]
+        assert fault["remedy"] == {"label": "Connect ...", "sink": "pmdc_motor.v"}
+
+
+def test_an_fmu_that_is_dropped_takes_the_place_of_a_block_with_its_wires(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    data = base64.b64encode((ROOT / "fmus/PMDCMotor.fmu").read_bytes()).decode()
+    with edited(path) as (ask, editor):
+        loop(ask)
+        assert ask("upload", name="PMDCMotor.fmu", text=data)["fmu"] == "PMDCMotor.fmu"
+        ask("edit", operations=[{"swap": "pmdc_motor", "for": {"fmu": "PMDCMotor.fmu"}}])
+        entry = json.loads(path.read_text())["blocks"]["pmdc_motor"]
+        assert entry["variants"][entry["variant"]] == {"fmu": "PMDCMotor.fmu"}
+        assert not editor.told()["faults"]
+        for name in ("../x.fmu", "x.so", "sub/x.fmu", ""):
+            with pytest.raises(UsageError):
+                ask("upload", name=name, text=data)
+        with pytest.raises(UsageError, match="something else"):
+            ask("upload", name="PMDCMotor.fmu", text="AAAA")
+        with pytest.raises(UsageError, match="base64"):
+            ask("upload", name="y.fmu", text="?")
+
+
+GESTURES = st.one_of(
+    st.builds(lambda t, x: ("insert", {"entry": {"type": t}, **({"at": [x, x]} if x else {})}),
+              st.sampled_from(["Gain", "Sum", "Integrator", "Step", "PID"]), st.sampled_from([0, 40, -200])),
+    st.builds(lambda k, m: ("wire", (k, m)), st.integers(0, 9), st.integers(0, 9)),
+    st.builds(lambda k: ("delete", k), st.integers(0, 9)),
+    st.builds(lambda k, dx: ("place", (k, dx)), st.integers(0, 9), st.sampled_from([-20, 10, 130])),
+    st.builds(lambda k: ("duplicate", k), st.integers(0, 9)),
+    st.builds(lambda k: ("group", k), st.integers(0, 9)),
+    st.builds(lambda k: ("rename", k), st.integers(0, 9)),
+    st.sampled_from([("arrange", None), ("undo", None), ("redo", None)]),
+)  # fmt: skip
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(GESTURES, min_size=1, max_size=12))
+def test_random_gestures_keep_the_file_canonical_and_are_undone_byte_for_byte(
+    tmp_path: Path, asked: list[tuple[str, Any]]
+) -> None:
+    path = tmp_path / "random.json"
+    path.unlink(missing_ok=True)
+    with edited(path) as (ask, editor):
+        texts = [path.read_bytes()]
+        for do, what in asked:
+            value = Diagram.load(path).value
+            names = list(value.blocks) or ["none"]
+            pick = names[what % len(names)] if isinstance(what, int) else ""
+            steps = len(editor.done)
+            with suppress(BlocksError):
+                if do == "insert":
+                    ask("insert", **what)
+                elif do == "wire":
+                    one, two = (names[k % len(names)] for k in what)
+                    ask("edit", operations=[{"wire": f"{one}.y", "to": f"{two}.u"}])
+                elif do == "place":
+                    ask("place", names=[names[what[0] % len(names)]], by=[what[1], 10])
+                elif do == "delete":
+                    ask("delete", names=[pick], sinks=[])
+                elif do == "duplicate":
+                    ask("duplicate", names=[pick])
+                elif do == "group":
+                    ask("edit", operations=[{"group": [pick], "as": f"{pick}_group"}])
+                elif do == "rename":
+                    ask("edit", operations=[{"rename": ["blocks", pick], "to": f"{pick}x"}])
+                else:
+                    ask(do, **({"names": []} if do == "arrange" else {}))
+            text = path.read_bytes()
+            assert text == editor.text == dumps(Diagram.load(path).value).encode()
+            if len(editor.done) > steps:
+                texts = [*texts[: steps + 1], text]
+            assert text == texts[len(editor.done)]
+            editor.drawing("")
+        while editor.done:
+            ask("undo")
+            assert path.read_bytes() == texts[len(editor.done)]
+
+
+@pytest.mark.long
+def test_a_motor_under_control_is_drawn_by_hand_run_and_undone(chromium: Any, tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    server = LiveServer(path, edit=True).start()
+    empty = path.read_bytes()
+    try:
+        with chromium() as page:
+            page.open(server.url)
+            page.until("!document.getElementById('edits').hidden")
+
+            def settled(what: str) -> None:
+                page.until(f"document.querySelectorAll('#stage {what}').length > 0")
+
+            def box(name: str) -> tuple[float, float]:
+                x, y = page.evaluate(
+                    f"(b => [b.x + b.width / 2, b.y + b.height / 2])(document.querySelector("
+                    f"'#stage [data-path={name}] .face').getBoundingClientRect())"
+                )
+                return x, y
+
+            def port(name: str, kind: str, own: str) -> tuple[float, float]:
+                x, y = page.evaluate(
+                    f"(() => {{ const box = document.querySelector('#stage [data-path={name}]');"
+                    f" const [x, y] = box.dataset.at.split(' ').map(Number);"
+                    f" const [dx, dy] = box.dataset.{kind}.split(';').map(one => one.split(' '))"
+                    f".find(one => one[2] === '{own}').map(Number);"
+                    " const at = document.querySelector('#stage').getBoundingClientRect();"
+                    " const k = at.width / document.querySelector('#stage svg').width.baseVal.value;"
+                    " return [at.x + (x + dx) * k, at.y + (y + dy) * k]; })()"
+                )
+                return x, y
+
+            page.evaluate("document.getElementById('view').focus()")
+            for text, name in (
+                ("step at=1 after=2 unit=rad/s", "step"), ("pid kp=20 ki=30 unit=rad/s unit_u=V", "pid"),
+                ("pmdc", "pmdc_motor"),
+            ):  # fmt: skip
+                page.press(text[0])  # the first letter counts
+                page.until("document.querySelector('dialog.search li')")
+                page.type(text[1:])
+                page.press("Enter")
+                settled(f"[data-path={name}]")
+            x, y = box("pmdc_motor")
+            page.drag(x, y, x + 200, y - 60)
+            page.until("document.querySelector('#stage svg').dataset.origin")
+            for source, sink in (("step.y", "pid.r"), ("pid.u", "pmdc_motor.v"), ("pmdc_motor.omega", "pid.y")):
+                page.drag(*port(source.split(".")[0], "out", source.split(".")[1]),
+                          *port(sink.split(".")[0], "in", sink.split(".")[1]))  # fmt: skip
+                settled(f'[data-sink="{sink}"]')
+            page.drag(*port("step", "out", "y"), *port("pmdc_motor", "in", "tau"))
+            page.until("document.querySelector('#edits .refusal').innerText.includes('different quantities')")
+            page.click_at(*box("pid"))
+            page.press("F2")
+            page.until("document.querySelector('.typed')")
+            page.type("control")
+            page.press("Enter")
+            settled("[data-path=control]")
+            assert Diagram.load(path).check()
+            steps = len(server._open.document.done)  # type: ignore[attr-defined]
+            page.press(*steps * ["Control+z"])
+            page.until("!document.querySelector('#stage [data-path]')")
+            page.assert_clean()
+        assert path.read_bytes() == empty
+    finally:
+        server.stop()
+
+
+def test_an_editor_that_is_killed_while_it_writes_leaves_a_whole_file(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, _):
+        loop(ask)
+        before = path.read_bytes()
+        with suppress(KeyboardInterrupt), write_atomically(path, was=before) as stream:
+            stream.write(before.decode()[:50])
+            stream.flush()
+            assert path.read_bytes() == before  # what a kill here would leave
+            raise KeyboardInterrupt
+        ask("put", name="pid.kp", text="5")
+        assert [file.name for file in tmp_path.iterdir()] == ["motor.json"]
+
+
+def test_a_loaded_diagram_opens_its_file_and_one_made_in_python_says_how(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, _):
+        loop(ask)
+    server = Diagram.load(path).edit()
+    try:
+        assert isinstance(server._open.document, Editor)
+        assert server._open.document.file == path
+    finally:
+        server.stop()
+    with pytest.raises(UsageError, match="save"):
+        Diagram("motor").edit()
