@@ -218,19 +218,21 @@ class Diagram:
         enable: Mapping[str, Any] | None = None,
         trigger: Mapping[str, Any] | None = None,
         stream: str = "",
+        copies: int | str | None = None,
     ) -> Handle:
         """Add a block (or a diagram as a block) and return its ports as attributes.
 
         at: its position in drawings. enable: of a diagram, what its states and outputs do while it is off,
         {"states": "held" | "reset", "outputs": "held" | "reset"}; it gets the bool input `enable`. trigger:
         {"direction": "up" | "down" | "both"}, for the input `trigger`, or {"every": period, "offset": ...}. stream: the
-        name of its stream of random numbers, if that is not its own. Raises ModelError for a name that is taken or
+        name of its stream of random numbers, if that is not its own. copies: how many blocks of it there are, a number or
+        an expression ("=n"); each port has one more dimension then. Raises ModelError for a name that is taken or
         parameters that do not fit.
         """
         self._draft.check_free(name, "block")
         control = {"enable": enable, "trigger": trigger}
         control = {key: value for key, value in control.items() if value is not None}
-        entry = self._entry(name, block, doc=doc, control=control, stream=stream)
+        entry = self._entry(name, block, doc=doc, control=control, stream=stream, copies=copies)
         layout: Mapping[str, Any] = {}
         if at is not None:
             layout = documents.entries(layout={name: raw_of(at)}, blocks={name: {"type": "Block"}}).layout
@@ -240,7 +242,7 @@ class Diagram:
         return Handle(self, name, inputs, outputs)
 
     def _entry(self, name: str, block: Block | Diagram | Subdiagram, **said: Any) -> BlockEntry:
-        """The entry of a block, checked as a file's is. said: its doc, control and stream."""
+        """The entry of a block, checked as a file's is. said: its doc, control, stream and copies."""
         if isinstance(block, Diagram):
             block = subdiagram(block)
         if not isinstance(block, Subdiagram):

@@ -91,11 +91,13 @@ class Draft:
     # --- blocks ------------------------------------------------------------------------------------------------
 
     def block(
-        self, name: str, block: object, *, doc: str, control: Mapping[str, Any] | None = None, stream: str = ""
+        self, name: str, block: object, *, doc: str, control: Mapping[str, Any] | None = None, stream: str = "",
+        copies: Any = None,
     ) -> BlockEntry:
         """The entry of a Block, checked as a file's is. Raises UsageError (E501) for what is none."""
         given, entry = block_entry(name, block, self.folder)
-        return checked_entry(name, entry, given, self.folder, doc=doc, control=control or {}, stream=stream)
+        said = {"doc": doc, "control": control or {}, "stream": stream, "copies": copies}
+        return checked_entry(name, entry, given, self.folder, **said)
 
     def subdiagram(
         self,
@@ -106,6 +108,7 @@ class Draft:
         doc: str,
         control: Mapping[str, Any] | None = None,
         stream: str = "",
+        copies: Any = None,
     ) -> BlockEntry:
         """The entry of a diagram, or of a diagram file, as a block; the block types of a diagram come with it."""
         given = {k: raw_of(v) for k, v in parameters.items() if v is not None}
@@ -116,7 +119,8 @@ class Draft:
             entry = BlockEntry(diagram=source, loaded=documents.load(Path(self.folder) / source))
         if entry.inner is not None:
             given = {**given_values(entry.inner, self.resolver, given)}
-        return checked_entry(name, entry, given, self.folder, doc=doc, control=control or {}, stream=stream)
+        said = {"doc": doc, "control": control or {}, "stream": stream, "copies": copies}
+        return checked_entry(name, entry, given, self.folder, **said)
 
     def ports(self, name: str, entry: BlockEntry) -> Ports:
         """The ports of a block in this diagram, with their units. The value is not read for it."""

@@ -134,6 +134,7 @@ def checked_entry(
     doc: str,
     control: Mapping[str, Any],
     stream: str,
+    copies: Any = None,
 ) -> BlockEntry:
     """The entry of a block with all that it is given, which is checked as a file's is.
 
@@ -147,8 +148,9 @@ def checked_entry(
     described |= {"parameters": given, **({"doc": doc} if doc else {})}
     described |= {key: raw_of(value) for key, value in control.items()}
     described |= {"stream": stream} if stream else {}
+    described |= {} if copies is None else {"copies": raw_of(copies)}
     read = documents.block(name, described, folder)
     return BlockEntry(
         type=entry.type, diagram=entry.diagram, fmu=entry.fmu, cls=entry.cls, loaded=entry.loaded, stream=read.stream,
-        control=read.control, options=read.options, parameters=read.parameters, doc=read.doc,
+        control=read.control, options=read.options, parameters=read.parameters, doc=read.doc, copies=read.copies,
     )  # fmt: skip

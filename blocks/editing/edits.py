@@ -18,7 +18,7 @@ from typing import Any
 from ..model import document as diagrams
 from ..model import study_grammar as studies
 from ..model.block_types import library_types
-from ..model.diagram import FORMAT, VERSION
+from ..model.diagram import FORMAT, PLAIN_VERSION, VERSION
 from ..model.document_reader import DocumentReader, Loading
 from ..model.flatten import Flat, flatten
 from ..model.project import Project, project_of, read_inside
@@ -232,13 +232,13 @@ def changes_of(document: Document, splices: Iterable[Splice], file: str) -> list
 def check_version(document: Document) -> None:
     """Refuse what is neither a diagram nor a study of the newest version (E005, E006)."""
     value = document.value
-    formats = {FORMAT: VERSION, studies.FORMAT: studies.VERSION}
+    formats = {FORMAT: (PLAIN_VERSION, VERSION), studies.FORMAT: (studies.VERSION,) * 2}
     format_ = value.get("format") if isinstance(value, dict) else None
     if not isinstance(format_, str) or format_ not in formats:
         raise ModelError(*diagrams.alone(document)[1])
-    version, newest = value.get("version"), formats[format_]
-    if isinstance(version, Number) and float(version) != newest:
-        is_older = version < newest
+    version, (oldest, newest) = value.get("version"), formats[format_]
+    if isinstance(version, Number) and not oldest <= float(version) <= newest:
+        is_older = version < oldest
         message = f"version {version.text} " + ("must be brought up to date first." if is_older else "cannot be read.")
         cure = f"blocks fmt {document.file}" if is_older else "Update blocks (pip install -U blocks-cosim)."
         fault = Fault("E005", "version", message, cure, ("version",))

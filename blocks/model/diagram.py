@@ -21,6 +21,7 @@ __all__ = [
     "DEEPEST",
     "FORMAT",
     "NAME",
+    "PLAIN_VERSION",
     "VERSION",
     "BlockEntry",
     "DiagramValue",
@@ -32,7 +33,9 @@ __all__ = [
 ]
 
 FORMAT = "blocks-diagram"
-VERSION = 2
+VERSION = 3
+PLAIN_VERSION = 2
+"""That of a diagram without copies, which alone are new in the newest version."""
 BASE = "base"
 """The name that stands for a block itself where one of its variants is chosen."""
 DEEPEST = 30
@@ -79,13 +82,14 @@ class BlockEntry:
     numbers, or of all those in a subdiagram, where it is not that of the block. options: of an FMU, kind, isolate and
     timeout, those that the file gives. variants: what may stand in place of the block, by name; variant: the one that
     does unless another is asked for, "" for the block itself. ports: of a variant, its own names of the block's ports,
-    where they differ. cls: the class, where the block was made in Python. loaded: the value of a diagram that is a
+    where they differ. copies: how many blocks the entry makes, as written; None: the block alone. cls: the class, where the block was made in Python. loaded: the value of a diagram that is a
     file.
     """
 
     type: str = ""
     diagram: DiagramValue | str | None = None
     fmu: str = ""
+    copies: Any = None
     control: Mapping[str, Any] = field(default_factory=dict)
     stream: str = ""
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -138,7 +142,7 @@ class DiagramValue:
     folder: str = field(default="", compare=False, repr=False)  # where its relative paths begin
     positions: Mapping[Any, tuple[int, int]] = field(default_factory=dict, compare=False, repr=False)
     prefix: tuple[str | int, ...] = field(default=(), compare=False, repr=False)
-    version: int = field(default=VERSION, compare=False, repr=False)
+    version: int = field(default=PLAIN_VERSION, compare=False, repr=False)
 
     def fault(self, code: str, place: str, message: str, cure: str = "", path: tuple[str | int, ...] = ()) -> Fault:
         """A fault with its place in the file: that of `path`, or of the nearest thing around it.

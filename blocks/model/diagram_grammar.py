@@ -34,7 +34,7 @@ from ..text.grammar import (
 )
 from ..text.printable import quoted
 from . import streams
-from .diagram import BASE, FORMAT, NAME, VERSION, name_cure
+from .diagram import BASE, FORMAT, NAME, PLAIN_VERSION, VERSION, name_cure
 
 __all__ = [
     "BLOCK", "BODY", "COLUMN", "DIAGRAM", "ELEMENT", "ENABLE", "FIXED_STEP", "INPUT", "INTERPOLATIONS", "LARGEST_SEED",
@@ -447,6 +447,10 @@ TRIGGER = Object(
     })],
     doc='Of a subdiagram: it is computed when its input "trigger" fires, or at ticks.',
 )  # fmt: skip
+_COPIES = Scalar(low=1, high=LARGEST_SIZE, is_whole=True)
+COPIES = Field("copies", AnyOf(_COPIES, EXPRESSION, what=f"{_COPIES.what}, or an expression", is_whole=True), (
+    "How many blocks the entry makes: each port has one more dimension, and parameters may read index and copies."
+))  # fmt: skip
 _BLOCK = (
     Field("type", FILLED, "A block type of the library, or one of your own."),
     Field("diagram", AnyOf(Ref(lambda: BODY, dict, is_left=True), FILE, what="a diagram {...} or the path of one"), (
@@ -484,7 +488,9 @@ VARIANT = Object(
     rules=_RULES, hint=_HINT, what=_SUCH, name="variant", doc="What may stand in place of the block.",
 )  # fmt: skip
 BLOCK = Object(
-    *_BLOCK,
+    *_BLOCK[: len(KINDS)],
+    COPIES,
+    *_BLOCK[len(KINDS) :],
     Field("variant", Text(refers="variant"), (
         'The variant that is taken unless another is asked for; "base": the block itself.'
     )),
@@ -544,16 +550,16 @@ BODY: Object = Object(
 )  # fmt: skip
 
 
-def header(format_: str, version: int, what: str) -> tuple[Field, ...]:
+def header(format_: str, versions: Sequence[int], what: str) -> tuple[Field, ...]:
     """The keys that every file begins with."""
     return (
         Field(SCHEMA, TEXT, "The JSON Schema of this file, for editors: a path or a URL. It is never fetched."),
         Field("format", Constant(format_), f"What marks a {what}.", required=True, is_later=True),
-        Field("version", Constant(version), "The version of the format.", required=True, is_later=True),
+        Field("version", Constant(*versions), "The version of the format.", required=True, is_later=True),
     )
 
 
 DIAGRAM = Object(
-    *header(FORMAT, VERSION, "diagram file"), *BODY.fields, strays=BODY.strays, is_open=True,
+    *header(FORMAT, (PLAIN_VERSION, VERSION), "diagram file"), *BODY.fields, strays=BODY.strays, is_open=True,
     doc="A block diagram with its parameters, wires, run settings and measures.",
 )  # fmt: skip

@@ -19,7 +19,7 @@ from ..text.errors import Fault, ModelError
 from ..text.gc_pause import paused
 from ..text.grammar import Object
 from ..text.json_document import Document
-from .diagram import DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList
+from .diagram import DEEPEST, FORMAT, PLAIN_VERSION, VERSION, BlockEntry, DiagramValue, FaultList
 from .diagram_grammar import BLOCK, BODY, DIAGRAM, SCHEMA, VARIANT
 from .document_reader import DocumentReader, Loading
 from .project import Project, read_inside
@@ -151,7 +151,8 @@ def to_document(value: DiagramValue, *, inner: bool = False) -> dict[str, Any]:
         document["blocks"] = {name: entry_document(entry) for name, entry in value.blocks.items()}
     document |= value.extras
     if not inner:
-        return DIAGRAM.ordered({"format": FORMAT, "version": VERSION} | document)
+        version = VERSION if has_copies(value) else max(value.version, PLAIN_VERSION)
+        return DIAGRAM.ordered({"format": FORMAT, "version": version} | document)
     left = {SCHEMA, "name"} if value.name == "diagram" else {SCHEMA}
     return BODY.ordered({key: entry for key, entry in document.items() if key not in left})
 
@@ -162,11 +163,19 @@ def entry_document(entry: BlockEntry, kind: Object = BLOCK) -> dict[str, Any]:
     if not entry.type and not entry.fmu:
         diagram = entry.diagram
         document = {"diagram": to_document(diagram, inner=True) if isinstance(diagram, DiagramValue) else diagram}
-    keys = ("stream", "doc", "parameters", "ports", "variant")
+    keys = ("copies", "stream", "doc", "parameters", "ports", "variant")
     document |= {key: _plain(getattr(entry, key)) for key in keys if getattr(entry, key)}
     if entry.variants:
         document["variants"] = {name: entry_document(other, VARIANT) for name, other in entry.variants.items()}
     return kind.ordered({**document, **entry.control, **entry.options, **entry.extras})
+
+
+def has_copies(value: DiagramValue) -> bool:
+    """Whether a block of the diagram, or of a subdiagram in the same file, has copies."""
+    inline = (entry.diagram for entry in value.blocks.values() for entry in (entry, *entry.variants.values()))
+    return any(entry.copies is not None for entry in value.blocks.values()) or any(
+        has_copies(inner) for inner in inline if isinstance(inner, DiagramValue)
+    )
 
 
 def _plain(value: Any) -> Any:

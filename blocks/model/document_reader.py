@@ -23,7 +23,7 @@ from ..text.json_document import Document
 from ..text.json_number import Number
 from ..text.printable import legible, quoted
 from . import migrations
-from .diagram import BASE, DEEPEST, FORMAT, VERSION, BlockEntry, DiagramValue, FaultList, is_name
+from .diagram import BASE, DEEPEST, FORMAT, PLAIN_VERSION, VERSION, BlockEntry, DiagramValue, FaultList, is_name
 from .diagram_grammar import (
     BODY,
     CONTROLS,
@@ -69,7 +69,7 @@ class DocumentReader:
     folder: str
     loading: Loading
     above: tuple[Path, ...]  # the files that contain this one, and itself
-    version: int = VERSION  # that the file has
+    version: int = VERSION  # that the file has; a part that is made in Python is of the newest
     depth: int = 0  # how many subdiagrams are around what is being read
 
     def fault(self, code: str, path: Steps, message: str, cure: str = "", *, at_key: bool = False) -> None:
@@ -94,7 +94,7 @@ class DocumentReader:
     def header(self, value: Mapping[str, Any]) -> bool:
         """Whether reading can go on: this is a diagram, perhaps with a fault in its first two keys."""
         if "format" not in value:
-            cure = f'Begin with {{"format": "{FORMAT}", "version": {VERSION}, ...'
+            cure = f'Begin with {{"format": "{FORMAT}", "version": {PLAIN_VERSION}, ...'
             self.fault("E009", (), 'the key "format" is missing.', cure)
             return "blocks" in value
         elif value["format"] != FORMAT:
@@ -103,11 +103,11 @@ class DocumentReader:
                 cure += " This is a study: it is run by `blocks study`."
             self.fault("E006", ("format",), f"the format is {in_words(value['format'])}.", cure)
         elif "version" not in value:
-            self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {VERSION}.')
+            self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {PLAIN_VERSION}.')
             return True
         elif not isinstance(value["version"], Number):
             what = f"must be a number, not {in_words(value['version'])}."
-            self.fault("E005", ("version",), what, f'Write "version": {VERSION}.')
+            self.fault("E005", ("version",), what, f'Write "version": {PLAIN_VERSION}.')
             return True
         elif (migration := migrations.migrated(self.document, migrations.DIAGRAM, VERSION)) is None:
             newer = value["version"] > VERSION
@@ -214,8 +214,10 @@ class DocumentReader:
         parts: dict[str, Any] = {}
         if is_variant:
             parts["ports"] = {name: own for name, own in _table(entry, "ports").items() if isinstance(own, str)}
-        elif "variants" in entry or "variant" in entry:
-            parts |= self.variants(entry, path)
+        else:
+            parts["copies"] = self.copies(entry, path)
+            if "variants" in entry or "variant" in entry:
+                parts |= self.variants(entry, path)
         if kind == "diagram" and isinstance(what, dict):
             if self.is_too_deep((*path, kind)):
                 return BlockEntry()
@@ -234,6 +236,13 @@ class DocumentReader:
             options={key: entry[key] for key in OPTIONS if key in entry} if kind == "fmu" else {},
             **parts,
         )
+
+    def copies(self, entry: Mapping[str, Any], path: Steps) -> Any:
+        """How many copies of a block there are, as written; None of one that has none."""
+        if "copies" in entry and self.version < VERSION:
+            what = f"the file is of version {self.version}, and copies came with version 3."
+            self.fault("E005", (*path, "copies"), what, f'Write "version": {VERSION}.', at_key=True)
+        return entry["copies"] if isinstance(entry.get("copies"), (Number, str)) else None
 
     def variants(self, entry: Mapping[str, Any], path: Steps) -> dict[str, Any]:
         """The variants of a block, and the name of the chosen one."""

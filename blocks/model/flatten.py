@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from itertools import islice
@@ -25,14 +25,18 @@ from ..text.errors import Fault, ModelError
 from ..text.gc_pause import paused
 from ..text.json_document import AT_KEY
 from ..text.printable import legible, quoted
+from .block_signals import FlatSignal, Signals, element_of
+from .copies import Fleet, Later, without_numbers
 from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
-from .diagram import VERSION, DiagramValue
+from .diagram import PLAIN_VERSION, DiagramValue
 from .diagram_grammar import MEASURE_NUMBERS, MEASURES, RUN
-from .hierarchy import DiagramScope, Hierarchy, Leaf, Resolver, Spot
+from .expansion import Expansion
+from .hierarchy import MAX_BLOCKS, DiagramScope, Hierarchy, Leaf, Resolver, Spot
+from .lanes import look_into_copies
 from .settings import MeasureSpec, RunSettings, read_settings, seed_of
 from .values import expressions_in, is_expression, names_in
 from .variants import taken
-from .wires import BlockSource, FlatInput, InputSource, Source, Strand, ValueSource, Wires, WireSource
+from .wires import BlockSource, FlatInput, InputSource, Source, Strand, ValueSource, Wires, WireSource, entered
 
 __all__ = [
     "BlockSource",
@@ -71,50 +75,6 @@ class FlatBlock:
 
 
 @dataclass(frozen=True, slots=True)
-class FlatSignal:
-    """A value that can be recorded, by name: where its elements come from."""
-
-    name: str
-    sources: tuple[Source, ...]
-    shape: tuple[int, ...]
-    units: tuple[str, ...]
-    type: str
-
-    @property
-    def unit(self) -> str:
-        return self.units[0] if len(set(self.units)) == 1 else ""
-
-
-class _Signals(Mapping[str, FlatSignal]):
-    """Signals by name. Blocks have many outputs, and few are asked for: their signals are made on request."""
-
-    def __init__(self) -> None:
-        self._known: dict[str, FlatSignal | tuple[int, Port]] = {}
-        self.told_when_asked: set[str] = set()  # recorded where they are named only
-
-    def add(self, name: str, signal: FlatSignal | tuple[int, Port]) -> None:
-        """Take in a signal, or an output of a block by the block's index."""
-        self._known[name] = signal
-
-    def __getitem__(self, name: str) -> FlatSignal:
-        entry = self._known[name]
-        if isinstance(entry, FlatSignal):
-            return entry
-        index, port = entry
-        sources = tuple(BlockSource(index, port.variable, port.first + k) for k in range(port.size))
-        return FlatSignal(name, sources, port.shape, port.units, port.type)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._known
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._known)
-
-    def __len__(self) -> int:
-        return len(self._known)
-
-
-@dataclass(frozen=True, slots=True)
 class FlatEnabled:
     """An enabled subdiagram: the blocks that say whether it is on and keep its time, and what lies directly in it.
 
@@ -133,7 +93,7 @@ class Flat:
     """A diagram without hierarchy. `diagram`: its source, which knows where the blocks stand in the text."""
 
     name: str
-    blocks: tuple[FlatBlock, ...]
+    blocks: Sequence[FlatBlock]
     inputs: tuple[FlatInput, ...]
     signals: Mapping[str, FlatSignal]
     outputs: tuple[str, ...]
@@ -143,6 +103,7 @@ class Flat:
     warnings: tuple[Fault, ...]
     enabled: tuple[FlatEnabled, ...] = ()
     diagram: DiagramValue | None = field(default=None, compare=False, repr=False)
+    expansion: Expansion | None = field(default=None, compare=False, repr=False)  # where there are copies
     stepped_by: tuple[str, ...] = ()  # the parameters from which the step of a fixed-step method is computed
 
     def placed(self, fault: Fault) -> Fault:
@@ -150,7 +111,7 @@ class Flat:
         if fault.file:
             return fault
         value, known = self.diagram, fault
-        for name in fault.place.split("."):
+        for name in without_numbers(f"{fault.place}.")[0].replace("[]", "").split("."):
             if value is None or name not in value.blocks:
                 break
             known = value.fault(fault.code, fault.place, fault.message, fault.cure, ("blocks", name, AT_KEY))
@@ -192,17 +153,6 @@ def interface_of(diagram: DiagramValue, name: str, resolver: Resolver) -> Interf
     return leaf.interface
 
 
-def element_of(name: str, signals: Mapping[str, FlatSignal]) -> FlatSignal | None:
-    """A signal by name, or one element of it ("z[0]")."""
-    if name in signals:
-        return signals[name]
-    base, index = indexed(name)
-    signal = signals.get(base)
-    if signal is None or index is None or len(signal.shape) != 1 or index >= signal.shape[0]:
-        return None
-    return FlatSignal(name, (signal.sources[index],), (), (signal.units[index],), signal.type)
-
-
 def _blocks_around(signal: str) -> list[str]:
     """The paths of the blocks and subdiagrams that a signal lies in: "a", "a.b" of "a.b.y"."""
     return [signal[:k] for k, letter in enumerate(signal) if letter == "."]
@@ -234,6 +184,8 @@ class _Flattener:
         self.given = {key for key, value in settings.items() if value is not None}
         self.given |= {f"master.{key}" for key in settings.get("master") or ()}
         self.hierarchy = Hierarchy(diagram, resolver, overrides, seed_of(diagram.run, settings.get("seed")))
+        look_into_copies(self.hierarchy)
+        self.hierarchy.check_overrides()
         self.root, self.faults, self.tell = self.hierarchy.root, self.hierarchy.faults, self.hierarchy.tell
         self.wires = Wires(self.hierarchy)
         self.stepped_by: tuple[str, ...] = ()
@@ -297,9 +249,16 @@ class _Flattener:
         assert all(child is not None for scope in self.hierarchy.scopes for child in scope.children.values())
         enabled = self.controlled(blocks)
         self.faults.check()
+        expansion = self.expansion(blocks) if self.hierarchy.fleets else None
+        written: Sequence[FlatBlock] = tuple(blocks)
+        if expansion is not None:
+            signals.expansion = expansion
+            written = Later(expansion.layout.size, lambda: [*expansion.written_out()])
+            scopes = {scope.path: scope.fleet for scope in self.hierarchy.scopes}
+            enabled = tuple(expansion.enabled([(part, scopes[part.path]) for part in enabled]))
         return Flat(
             self.diagram.name,
-            tuple(blocks),
+            written,
             tuple(self.wires.inputs.values()),
             signals,
             tuple(self.diagram.outputs),
@@ -309,15 +268,29 @@ class _Flattener:
             tuple(self.of_older_versions()),
             enabled,
             self.diagram,
+            expansion,
             self.stepped_by,
         )
+
+    def expansion(self, blocks: Sequence[FlatBlock]) -> Expansion:
+        """The blocks with the fleets that they are in. Raises ModelError (E008) for too many."""
+        leaves = self.hierarchy.leaves
+        scopes = [edge.scope for edge in self.wires.gates]
+        scopes += [scope for scope in self.hierarchy.scopes if scope.control for _ in range(3)]
+        fleets = (*(leaf.fleet for leaf in leaves), *(scope.fleet for scope in scopes))
+        each = (*(leaf.each for leaf in leaves), *({} for _ in scopes))
+        expansion = Expansion(tuple(blocks), fleets, each, len(leaves))
+        if expansion.layout.size > MAX_BLOCKS:
+            message = f"the diagram has {expansion.layout.size:,} blocks, but {MAX_BLOCKS:,} are the most."
+            raise ModelError(self.diagram.fault("E008", self.diagram.name, message))
+        return expansion
 
     def of_older_versions(self) -> Iterator[Fault]:
         """Warnings about files of older versions, each once."""
         files = {scope.value.file: scope.value for scope in self.hierarchy.scopes if not scope.value.prefix}
         for value in files.values():
-            if value.version != VERSION:
-                message = f"the file is of version {value.version}; the newest is {VERSION}."
+            if value.version < PLAIN_VERSION:
+                message = f"the file is of version {value.version}; the newest is {PLAIN_VERSION}."
                 yield value.fault("W103", "version", message, "`blocks fmt` brings it up to date.", ("version",))
 
     def check_steps(self) -> None:
@@ -386,41 +359,46 @@ class _Flattener:
 
     # --- names that can be recorded ----------------------------------------------------------------------------
 
-    def signals(self) -> _Signals:
+    def signals(self) -> Signals:
         """Every input and output of the diagram, every output of every block and subdiagram, by its path."""
-        all_signals = _Signals()
+        all_signals = Signals()
 
-        def add(name: str, strand: Strand | None) -> None:
+        def add(name: str, strand: Strand | None, fleet: Fleet | None = None) -> None:
             if strand is not None:
-                all_signals.add(name, FlatSignal(name, strand.sources, strand.shape, strand.units, strand.type))
+                whole = FlatSignal(name, strand.sources, strand.shape, strand.units, strand.type)
+                all_signals.add(name, whole, fleet)
                 for k, element in enumerate(strand.names):
                     of_bus = f"{name}[{element}]"
                     own = FlatSignal(of_bus, strand.sources[k : k + 1], (), strand.units[k : k + 1], strand.types[k])
-                    if element and of_bus not in all_signals:
-                        all_signals.add(of_bus, own)
-                        all_signals.told_when_asked.add(of_bus)
+                    if element:
+                        all_signals.add(of_bus, own, fleet, is_told=False)
+
+        def made(name: str, node: WireSource, fleet: Fleet | None, copied: Fleet | None) -> None:
+            strand = self.wires.strand(node)
+            add(name, strand, fleet)
+            if copied is not None and strand is not None:
+                add(name, entered(copied, strand), copied)
 
         for name in self.diagram.inputs:
             add(name, self.wires.strand(WireSource("input", 0, name)))
         for leaf in self.hierarchy.leaves:
-            path, rearranged = leaf.path, leaf.interface.rearranged
+            rearranged, fleet = leaf.interface.rearranged, leaf.fleet
             for name, port in leaf.interface.outputs.items():
                 for text in self.names_of(leaf, name, all_signals):
-                    if name in rearranged:
-                        add(text, self.wires.strand(WireSource("port", leaf.index, name)))
-                    else:
-                        all_signals.add(text, (leaf.index, port))
+                    if name not in rearranged:
+                        all_signals.add(text, (leaf.index, port), fleet)
+                    if name in rearranged or leaf.copied:
+                        made(text, WireSource("port", leaf.index, name), leaf.scope.fleet, leaf.copied)
             for name, port in leaf.interface.locals.items():
-                if f"{path}.{name}" not in all_signals:
-                    all_signals.add(f"{path}.{name}", (leaf.index, port))
-                    all_signals.told_when_asked.add(f"{path}.{name}")
+                all_signals.add(f"{leaf.path}.{name}", (leaf.index, port), fleet, is_told=False)
         for scope in self.hierarchy.scopes:
             for name in scope.value.outputs:
                 if name in scope.value.inputs:
                     cure = "Rename one: results could not tell them apart."
                     self.tell(scope, "E109", name, "is the name of an input too.", cure, ("outputs", name))
+                outer = scope.fleet if scope.parent is None else scope.parent.fleet
                 for text in self.names_of(scope, name, all_signals):
-                    add(text, self.wires.strand(WireSource("output", scope.index, name)))
+                    made(text, WireSource("output", scope.index, name), outer, scope.copied)
             for name in scope.value.inputs:
                 self.wires.strand(
                     WireSource("input", scope.index, name)
@@ -431,7 +409,7 @@ class _Flattener:
                 self.tell(self.root, "E109", "time", message, cure, (section, "time"))
         return all_signals
 
-    def names_of(self, child: Leaf | DiagramScope, port: str, signals: _Signals) -> list[str]:
+    def names_of(self, child: Leaf | DiagramScope, port: str, signals: Signals) -> list[str]:
         """The names of a port as a signal: for a port of a variant, the block's name and its own."""
         path = child.path
         scope = child.scope if isinstance(child, Leaf) else child.parent
@@ -441,13 +419,13 @@ class _Flattener:
             return [own]
         names = [f"{path}.{name}" for name, other in ports.items() if other == port]
         if names and port not in ports:
-            signals.told_when_asked.add(own)
+            signals.hide(own, child.fleet)
         return names if port in ports else [*names, own]
 
-    def log(self, signals: _Signals) -> tuple[str, ...]:
+    def log(self, signals: Signals) -> tuple[str, ...]:
         """The names to record: signals, elements of them, all outputs of a block, or what a pattern names of these."""
         if self.settings.log is None:
-            return tuple(name for name in signals if name not in signals.told_when_asked)
+            return tuple(signals.told)
         names: dict[str, None] = {}
         for index, name in enumerate(self.settings.log):
             if element_of(name, signals) is not None:
@@ -471,27 +449,30 @@ class _Flattener:
                 self.tell(self.root, "E105", "run.log", f"{what} {quoted(name)}.", cure, spot)
         return tuple(names)
 
-    def signals_like(self, pattern: str, signals: _Signals) -> list[str]:
+    def signals_like(self, pattern: str, signals: Signals) -> list[str]:
         """The names of all signals that a pattern names; where it names none, those of the blocks that it names."""
-        base, bracket, index = pattern.partition("[")
-        open_ = [name for name in signals if name not in signals.told_when_asked]
-        found = [name + bracket + index for name in matching(base, open_)]
-        if bracket or found:
+        base, bracket, index = (pattern[:-1] if pattern.endswith("]") else f"{pattern}[").rpartition("[")
+        end = f"{bracket}{index}]" if pattern.endswith("]") else ""
+        found = [name + end for name in signals.like(base)]
+        if end or found:
             return [name for name in found if element_of(name, signals) is not None]
+        open_ = [name for name in signals if signals.is_told(name)]
         blocks = {*matching(base, dict.fromkeys(part for name in open_ for part in _blocks_around(name)))}
         return [name for name in open_ if not blocks.isdisjoint(_blocks_around(name))]
 
-    def signals_of(self, path: str, signals: _Signals) -> list[str]:
+    def signals_of(self, path: str, signals: Signals) -> list[str]:
         """The names of all signals of a block; none where there is no such block."""
         child: Leaf | DiagramScope | None = self.root
-        for part in path.split("."):
-            child = child.children.get(part) if isinstance(child, DiagramScope) else None
-        if isinstance(child, Leaf):
-            outputs = [name for port in child.interface.outputs for name in self.names_of(child, port, signals)]
-            return [name for name in outputs if name in signals and name not in signals.told_when_asked]
-        if child is None:
+        names, numbers = without_numbers(f"{path}.")
+        for part in names[:-1].split("."):
+            child = child.children.get(part.removesuffix("[]")) if isinstance(child, DiagramScope) else None
+        if child is None or not signals.is_copy(child.fleet, names, numbers):
             return []
-        return [n for n in signals if n.startswith(child.prefix) and n not in signals.told_when_asked]
+        if isinstance(child, Leaf) or (child.copied is not None and not names.endswith("[].")):
+            ports = child.interface.outputs if isinstance(child, Leaf) else child.value.outputs
+            own = [f"{path}{name[len(child.path) :]}" for port in ports for name in self.names_of(child, port, signals)]
+            return [name for name in own if name in signals and signals.is_told(name)]
+        return signals.below(names, numbers)
 
     def is_lost(self, name: str) -> bool:
         """Whether a signal is missing only because of a fault that was reported already."""

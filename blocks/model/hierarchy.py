@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from copy import copy as shallow_copy
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import Any, Protocol
 
 from ..contract.declaration import Declaration
@@ -20,12 +22,15 @@ from ..text.json_document import AT_KEY
 from ..text.json_number import Number
 from ..text.printable import legible, quoted
 from . import streams
+from .copies import Copy, Fleet, depth_of, dimensions, labelled, own_value, stream_of
 from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList
+from .diagram_grammar import LARGEST_SIZE
 from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 
 __all__ = ["DiagramScope", "Hierarchy", "Leaf", "Resolver", "Spot", "spelling", "streams_in"]
 
 MAX_BLOCKS = 1_000_000
+_COPIES_ARE = "an integer from 1 to 100,000"
 
 
 class Resolver(Protocol):
@@ -50,6 +55,13 @@ class Leaf:
     scope: DiagramScope
     resolved: Resolved
     index: int
+    copied: Fleet | None = None  # where the block itself has copies
+    each: dict[int, Resolved] = field(default_factory=dict)  # of the lanes in which its numbers are others
+
+    @property
+    def fleet(self) -> Fleet | None:
+        """The innermost fleet that it is in."""
+        return self.copied or self.scope.fleet
 
     @property
     def path(self) -> str:
@@ -81,15 +93,31 @@ class DiagramScope:
     control: Mapping[str, Any] = field(default_factory=dict)  # what enables or triggers it
     stream: str = ""  # the name of its streams, where its block says one
     clock: tuple[Value, Value] | None = None  # period and offset, where it is triggered by ticks
+    copy: Copy | None = None  # where the diagram itself has copies
     parameters: dict[str, Value | None] = field(default_factory=dict)
     children: dict[str, Leaf | DiagramScope | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.path: str = "" if self.parent is None else self.parent.prefix + self.name
+        self.path: str = "" if self.parent is None else self.parent.prefix + labelled(self.name, self.copy)
         self.prefix: str = self.path and self.path + "."
         self.streams: str = ""  # with which the names of the streams in it begin
+        self.prefixes: tuple[str, ...] = ("",)  # under which its parameters are set: in one copy, or in all of them
+        self.fleet: Fleet | None = None if self.copy is None else self.copy.fleet
         if self.parent is not None:
-            self.streams = streams.joined(self.parent.streams, self.stream or self.name) + "."
+            own = stream_of(self.stream or self.name, self.copy)
+            self.streams = streams.joined(self.parent.streams, own) + "."
+            self.prefixes = tuple(f"{path}." for path in self.parent.paths(self.name, self.copy))
+            self.fleet = self.fleet or self.parent.fleet
+
+    @property
+    def copied(self) -> Fleet | None:
+        """Its copies, where the diagram itself has some."""
+        return None if self.copy is None else self.copy.fleet
+
+    def paths(self, name: str, copy: Copy | None = None) -> tuple[str, ...]:
+        """The paths under which something in it is set, that of a single copy first."""
+        names = dict.fromkeys((labelled(name, copy), name))
+        return tuple(prefix + text for prefix in self.prefixes for text in names)
 
 
 class Hierarchy:
@@ -106,9 +134,13 @@ class Hierarchy:
         self.spelled: dict[Any, Resolved] = {}  # by type and parameters as they are written
         self.units: dict[Any, Unit] = {}  # of parameters whose unit follows from structural ones
         self.drawing: dict[str, _Drawing] = {}  # by the names of streams
+        self.fleets: list[Fleet] = []  # in the order of the text
         _check_size(diagram)
         self.root = self.open(DiagramScope("", None, diagram, 0, 0), {})
-        for path in overrides:
+
+    def check_overrides(self) -> None:
+        """Refuse what is set and is not there, once all copies were looked into."""
+        for path in self.overrides:
             if path not in self.settable:
                 inside = [parameter for parameter in self.settable if parameter.startswith(f"{path}.")]
                 cure = self.faults.guess(path, self.settable)
@@ -151,11 +183,36 @@ class Hierarchy:
             scope.children[name] = self.child(scope, name, entry)
         return scope
 
+    def count(self, scope: DiagramScope, name: str, entry: BlockEntry) -> int | None:
+        """How many copies of a block there are; None after a fault was reported."""
+        spot = ("blocks", name, "copies")
+        for word in ("index", "copies"):
+            if word in scope.value.parameters:
+                message = f"is the name of a parameter, but in the parameters of {name} it is that of its copies."
+                self.tell(scope, "E109", word, message, "Rename the parameter.", ("parameters", word, AT_KEY))
+        value = self.evaluated(scope, entry.copies, "", f"{name}.copies", spot)
+        if value is None:
+            return None
+        count = value.value
+        if not isinstance(count, float) or not count.is_integer() or not 1 <= count <= LARGEST_SIZE:
+            message = f"must be {_COPIES_ARE}, not {quoted(str(count))}."
+            self.tell(scope, "E107", f"{name}.copies", message, "", spot)
+            return None
+        return int(count)
+
     def child(self, scope: DiagramScope, name: str, entry: BlockEntry) -> Leaf | DiagramScope | None:
-        spot = ("blocks", name)
+        spot, copy = ("blocks", name), None
+        if entry.copies is not None:
+            count = self.count(scope, name, entry)
+            if count is None:
+                return None
+            copy = Copy(Fleet(scope.prefix + name, count, scope.fleet), 0, is_first=True)
+            self.fleets.append(copy.fleet)
         if entry.inner is not None:
             depth = scope.depth + 1
-            inner = DiagramScope(name, scope, entry.inner, len(self.scopes), depth, entry.control, entry.stream)
+            inner = DiagramScope(
+                name, scope, entry.inner, len(self.scopes), depth, entry.control, entry.stream, copy=copy
+            )
             trigger = entry.control.get("trigger", {})
             if "every" in trigger:
                 words = {"every": trigger["every"], "offset": trigger.get("offset", 0.0)}
@@ -167,7 +224,7 @@ class Hierarchy:
                     inner.clock = (times[0], times[1])
             return self.open(inner, self.given(inner, entry))
         if entry.type or entry.fmu:
-            return self.leaf(scope, name, entry)
+            return self.leaf(scope, name, entry, copy)
         self.tell(scope, "E007", name, "its subdiagram was not loaded.", "Load the diagram from its file.", spot)
         return None
 
@@ -175,12 +232,14 @@ class Hierarchy:
         """The values that a block entry gives to the parameters of its subdiagram."""
         outer, known = inner.parent, inner.value.parameters
         assert outer is not None
+        within = numbered(outer, inner.copy)
         values: dict[str, Value | None] = {}
         for key, raw in entry.parameters.items():
             place, spot = f"{inner.name}.{legible(key)}", ("blocks", inner.name, "parameters", key)
             if key in known:
                 unit = _unit_of(known[key])
-                values[key] = self.evaluated(outer, raw, unit, place, spot) if _fault_of(unit) is None else None
+                raw = self.own(outer, raw, depth_of(known[key]), inner.copy, place, spot)
+                values[key] = self.evaluated(within, raw, unit, place, spot) if _fault_of(unit) is None else None
             else:
                 cure = self.faults.guess(key, known) or f"Parameters: {_listed(known)}."
                 self.tell(outer, "E106", place, "there is no such parameter.", cure, (*spot, AT_KEY))
@@ -193,7 +252,10 @@ class Hierarchy:
         for name, entry in scope.value.parameters.items():
             scope.parameters[name] = given.get(name)
             unit, spot = _unit_of(entry), ("parameters", name)
-            raw, is_override = self.overridden(scope, name, _outer_raw(scope, name) if name in given else entry)
+            raw, set_at = self.overridden(scope.paths(name), _outer_raw(scope, name) if name in given else entry)
+            is_override = bool(set_at)
+            if is_override and not is_of_one(set_at, scope.name, scope.copy):
+                raw = self.own(scope, raw, depth_of(entry), scope.copy, name, None)
             wrong = _fault_of(unit)
             if wrong is not None:
                 self.tell(scope, wrong.code, name, wrong.message, wrong.cure, (*spot, "unit"))
@@ -212,37 +274,51 @@ class Hierarchy:
             raw, unit, spot_ = raws[name]
             scope.parameters[name] = self.evaluated(scope, _with_unit(raw, unit), unit, name, spot_)
 
-    def overridden(self, scope: DiagramScope, path: str, raw: Any) -> tuple[Any, bool]:
-        """The raw value that counts, and whether it is an override. A bound parameter cannot be set itself (E117)."""
-        full = scope.prefix + path
+    def own(self, scope: DiagramScope, raw: Any, depth: int, copy: Copy | None, place: str, spot: Spot) -> Any:
+        """The raw value of one copy of a block; None after a fault was reported."""
+        if copy is None:
+            return raw
+        try:
+            return own_value(raw, depth, copy.number, copy.fleet.count)
+        except ModelError as error:
+            fault = error.faults[0]
+            self.tell(scope, fault.code, place, fault.message, fault.cure, spot)
+            return None
+
+    def overridden(self, paths: tuple[str, ...], raw: Any) -> tuple[Any, str]:
+        """The raw value that counts, and the path by which it is set ("": it is none that is).
+
+        paths: under which it may be set. A bound parameter cannot be set itself (E117).
+        """
         if not self.overrides:
-            return raw, False
-        self.settable[full] = None
-        if full not in self.overrides:
-            return raw, False
+            return raw, ""
+        self.settable |= dict.fromkeys(paths)
+        full = next((path for path in paths if path in self.overrides), "")
+        if not full:
+            return raw, ""
         bound = next(expressions_in(raw), "")
         if bound:
             message = f"is bound ({quoted(bound)}) and cannot be set itself."
             self.faults.add(Fault("E117", full, message, "Set what it is computed from."))
-        return self.overrides[full], True
+        return self.overrides[full], full
 
     # --- blocks ------------------------------------------------------------------------------------------------
 
-    def leaf(self, scope: DiagramScope, name: str, entry: BlockEntry) -> Leaf | None:
+    def leaf(self, scope: DiagramScope, name: str, entry: BlockEntry, copy: Copy | None = None) -> Leaf | None:
         """A block of a type; None after its faults were reported. Blocks that are written alike share their numbers."""
-        key = None if self.overrides else spelling(entry, scope)
+        key = None if self.overrides or copy else spelling(entry, scope)
         resolved = self.spelled.get(key) if key is not None else None
         if resolved is None:
-            resolved = self.numbers(scope, name, entry)
+            resolved = self.numbers(scope, name, entry, copy)
             if resolved is None:
                 return None
             # Each block reports its own faults, and has its own stream.
             if key is not None and not self.faults and not resolved.interface.declaration.streams:
                 self.spelled[key] = resolved
-        leaf = Leaf(name, scope, resolved, len(self.leaves))
+        leaf = Leaf(name, scope, resolved, len(self.leaves), copy and copy.fleet)
         self.leaves.append(leaf)
         if resolved.interface.declaration.streams:
-            self.check_stream(leaf, streams.joined(scope.streams, entry.stream or name))
+            self.check_stream(leaf, streams.joined(scope.streams, stream_of(entry.stream or name, copy)))
         return leaf
 
     def check_stream(self, leaf: Leaf, stream: str) -> None:
@@ -268,9 +344,9 @@ class Hierarchy:
         known.around |= around
         known.holders |= holder
 
-    def numbers(self, scope: DiagramScope, name: str, entry: BlockEntry) -> Resolved | None:
-        """The type of a block and its values; None after its faults were reported."""
-        spot = ("blocks", name)
+    def numbers(self, scope: DiagramScope, name: str, entry: BlockEntry, copy: Copy | None = None) -> Resolved | None:
+        """The type of a block and its values; None after its faults were reported. copy: which one of its copies."""
+        spot, shown = ("blocks", name), labelled(name, copy)
         cls = entry.cls
         if cls is None and entry.fmu:
             try:
@@ -305,23 +381,30 @@ class Hierarchy:
         if entry.stream and not declaration.streams:
             message, cure = "draws no random numbers, so that it has no stream.", "Leave it out."
             self.tell(scope, "E003", f"{name}.stream", message, cure, (*spot, "stream", AT_KEY))
+        own: set[str] = set()  # those that are set in this copy alone
         for key in declaration.settable if self.overrides else ():
-            raw, is_override = self.overridden(scope, f"{name}.{key}", raws.get(key, (None, None))[0])
-            if is_override:
+            paths = tuple(f"{path}.{key}" for path in scope.paths(name, copy))
+            raw, set_at = self.overridden(paths, raws.get(key, (None, None))[0])
+            if set_at:
                 raws[key] = (raw, None)
+                own |= {key} if is_of_one(set_at, name, copy) else set()
+        within = numbered(scope, copy)
         given: dict[str, Value] = {}
         # Structural ones first: units may follow from them.
         for key in sorted(raws, key=lambda key: not declaration.parameters[key].structural):
             raw, where = raws[key]
+            if copy is not None and key not in own:
+                depth = dimensions(declaration.parameters[key].shape)
+                raw = self.own(scope, raw, depth, copy, f"{shown}.{key}", where)
             declared = self.declared_unit(scope, name, cls, declaration.parameters[key], raws, given)
-            value = None if declared is None else self.evaluated(scope, raw, declared, f"{name}.{key}", where)
+            value = None if declared is None else self.evaluated(within, raw, declared, f"{shown}.{key}", where)
             if value is None:
                 ok = False
             else:
                 given[key] = value
         spots = {key: where for key, (_, where) in raws.items()}
         for key in declaration.streams:
-            stream = streams.joined(scope.streams, entry.stream or name)
+            stream = streams.joined(scope.streams, stream_of(entry.stream or name, copy))
             given[key] = Value(streams.number_of(self.seed, stream))
         if ok and declaration.foreign is not None:  # structural parameters of an FMU are sizes of its arrays
             cls = declaration.foreign.resized(given) or cls
@@ -405,6 +488,29 @@ class Hierarchy:
             return None
         self.resolved[key] = self.resolved[shared] = resolved_block
         return resolved_block
+
+
+def numbered(scope: DiagramScope, copy: Copy | None) -> DiagramScope:
+    """A diagram as the parameters of a copy of a block in it are written: they may read its number and how many there are."""
+    if copy is None:
+        return scope
+    own = {"index": copy.number, "copies": copy.fleet.count}
+    values = {word: Value(float(number), Fraction(number)) for word, number in own.items()}
+    made = shallow_copy(scope)
+    made.parameters = {**scope.parameters, **values}
+    return made
+
+
+def is_equal(one: Value | None, other: Value | None) -> bool:
+    """Whether two values of parameters are one, in the signs of zeros too."""
+    if one is None or other is None:
+        return one is other
+    return _hashable(one.value) == _hashable(other.value) and (one.exact, one.unit) == (other.exact, other.unit)
+
+
+def is_of_one(path: str, name: str, copy: Copy | None) -> bool:
+    """Whether a parameter is set in one copy of a block, by its number."""
+    return copy is not None and not copy.is_first and f".{path}".rpartition(".")[0].endswith(f".{labelled(name, copy)}")
 
 
 def streams_in(diagram: DiagramValue, path: str = "", prefix: str = "") -> Iterator[tuple[str, str]]:

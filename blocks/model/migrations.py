@@ -25,7 +25,8 @@ __all__ = ["DIAGRAM", "STUDY", "MigratedDocument", "Step", "migrated"]
 Step: TypeAlias = Callable[[MigratedDocument], None]
 
 DIAGRAM: dict[int, Step] = {1: pid_takes_r_and_y}
-"""The steps of diagram files, by the version at which each begins. The newest is `blocks.model.diagram.VERSION`."""
+"""The steps of diagram files, by the version at which each begins. The newest is `blocks.model.diagram.VERSION`; all that is
+written as version 2 means the same there."""
 STUDY: dict[int, Step] = {}
 """The steps of study files. The newest version is `blocks.model.study_grammar.VERSION`."""
 
@@ -38,8 +39,11 @@ def migrated(document: Document, steps: Mapping[int, Step], newest: int) -> tupl
         return None
     if version == newest:
         return document, newest
+    missing = [steps[number] for number in range(version, newest) if number in steps]
+    if not missing:  # the newest one has something more, and nothing that is another
+        return document, version
     draft = MigratedDocument(document)
-    for number in range(version, newest):
-        steps[number](draft)
+    for step in missing:
+        step(draft)
     draft.value["version"] = Number(str(newest))
     return Document(draft.value, draft.places, document.text, document.file), version

@@ -416,7 +416,7 @@ ASSUMED = Object(
     Field("contradicts", TEXT, "What the source says otherwise."),
 )
 STUDY = Object(
-    *header(FORMAT, VERSION, "study file"),
+    *header(FORMAT, (VERSION,), "study file"),
     Field("name", NAMES, "The name of the study, and of the folder of its report."),
     Field("title", TEXT, "The title of the report."),
     OPEN_DOC,

@@ -87,7 +87,7 @@ class _Chooser:
         if wanted in ("", BASE):
             return "", replace(entry, variants={}, variant="")
         variant = entry.variants[wanted]
-        return wanted, replace(variant, doc=variant.doc or entry.doc, extras=entry.extras)
+        return wanted, replace(variant, copies=entry.copies, doc=variant.doc or entry.doc, extras=entry.extras)
 
 
 def _with(

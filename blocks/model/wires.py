@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any, Literal, NamedTuple
 
@@ -26,6 +26,7 @@ from ..text.element_names import indexed, named_element
 from ..text.errors import ModelError
 from ..text.json_document import AT_KEY
 from ..text.printable import legible, quoted
+from .copies import CopySource, EachSource, Fleet
 from .diagram_grammar import shape_of
 from .hierarchy import DiagramScope, Hierarchy, Leaf, Spot
 from .values import Absent
@@ -64,8 +65,8 @@ class ValueSource:
     value: float
 
 
-Source = BlockSource | InputSource | ValueSource
-"""Where one element comes from."""
+Source = BlockSource | InputSource | ValueSource | EachSource | CopySource
+"""Where one element comes from; the last two are of copies, and gone where these are written out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +132,7 @@ class Sink:
     scope: DiagramScope  # the diagram around it
     inputs: Mapping[str, Port]
     outputs: Mapping[str, str]  # by name, with units
+    copied: Fleet | None = None
     feeds: dict[str, Feed | dict[int, Feed]] = field(default_factory=dict)  # port -> its wire, or wires by element
 
     def wires(self, port: str) -> Iterable[Feed]:
@@ -212,7 +214,8 @@ class Wires:
 
     def sink(self, scope: DiagramScope, child: Leaf | DiagramScope | None) -> Sink | None:
         if isinstance(child, Leaf):
-            return Sink(child, scope, child.interface.inputs, child.interface.output_units)
+            inputs = {name: of_copies(port, child.copied) for name, port in child.interface.inputs.items()}
+            return Sink(child, scope, inputs, child.interface.output_units, child.copied)
         if isinstance(child, DiagramScope):
             ports, control = self.ports[child.index], control_port(child)
             if control is not None:
@@ -221,7 +224,8 @@ class Wires:
                     place = f"{child.name}.{control.name}"
                     self.tell(scope, "E109", place, message, "Rename the input.", ("blocks", child.name))
                 ports = {**ports, control.name: control}
-            return Sink(child, scope, ports, dict.fromkeys(child.value.outputs, ""))
+            ports = {name: of_copies(port, child.copied) for name, port in ports.items()}
+            return Sink(child, scope, ports, dict.fromkeys(child.value.outputs, ""), child.copied)
         return None
 
     # --- wires to their sinks ----------------------------------------------------------------------------------
@@ -266,7 +270,7 @@ class Wires:
 
     @staticmethod
     def has_element(port: Port, element: int) -> bool:
-        return len(port.shape) == 1 and element < port.size
+        return bool(port.shape) and element < port.shape[0]
 
     def tell_no_block(self, scope: DiagramScope, text: str, name: str, spot: tuple[str | int, ...]) -> None:
         if name in scope.value.outputs and "." not in text:
@@ -446,25 +450,26 @@ class Wires:
                 strand = _strand(all_[port.first : port.first + port.size], port.shape)
                 names = leaf.interface.structural.get("names")
                 names = bus_names(names) if isinstance(names, str) else ()
-                return strand._replace(names=names) if len(names) == port.size and port.shape else strand
+                strand = strand._replace(names=names) if len(names) == port.size and port.shape else strand
+                return leaving(leaf.copied, strand)
             places = range(port.first, port.first + port.size)
             owned = tuple([BlockSource(leaf.index, port.variable, place) for place in places])
-            return Strand(owned, port.units, port.types, port.shape)
+            return leaving(leaf.copied, Strand(owned, port.units, port.types, port.shape))
         scope = self.scopes[node.owner]
         if node.kind == "output":
             try:
                 strand = self.carried(scope, self.ends[node.owner][node.name], node.name, ("outputs", node.name))
             except Absent:
                 return None
-            if scope.control.get("enable", {}).get("outputs") != "reset":
-                return strand
-            return self.gated(scope, node.name, strand, is_output=True)
+            if scope.control.get("enable", {}).get("outputs") == "reset":
+                strand = self.gated(scope, node.name, strand, is_output=True)
+            return leaving(scope.copied, strand)
         port = self.ports[node.owner][node.name]
         if scope.parent is None:
             first = self.inputs[node.name].first
             sources = tuple([InputSource(first + i) for i in range(port.size)])
             return Strand(sources, port.units, port.types, port.shape)
-        fed = self.fed(scope.parent, scope.name, port)
+        fed = self.entering(scope.parent, scope.name, port.name)
         if fed is None:
             return None
         units_ = tuple(own or given for own, given in zip((port.unit,) * port.size, fed.units, strict=True))
@@ -482,7 +487,7 @@ class Wires:
         port = control_port(scope)
         if port is None or scope.parent is None:
             return ()
-        fed = self.fed(scope.parent, scope.name, port)
+        fed = self.entering(scope.parent, scope.name, port.name)
         return None if fed is None else fed.sources
 
     def rearrangement(self, leaf: Leaf, variable: str) -> list[WireElement] | None:
@@ -499,7 +504,7 @@ class Wires:
         parts: dict[str, list[WireElement]] = {name: [] for name in interface.declaration.inputs}
         complete = True
         for port in interface.inputs.values():
-            fed = self.fed(leaf.scope, leaf.name, port)
+            fed = self.entering(leaf.scope, leaf.name, port.name)
             if fed is None:
                 complete = False
             else:
@@ -537,10 +542,10 @@ class Wires:
                 self.strand(feed.node)
         # An input that is many ports has them one after the other.
         parts: dict[str, list[tuple[Source, ...]]] = {name: [] for name in interface.declaration.inputs}
-        take = self.fed if interface.rearranged else self.taking
+        take = self.entering if interface.rearranged or leaf.copied else self.taken_once
         complete = True
         for port in interface.inputs.values():
-            fed = take(leaf.scope, leaf.name, port)
+            fed = take(leaf.scope, leaf.name, port.name)
             if fed is None:
                 complete = False
             else:
@@ -549,28 +554,31 @@ class Wires:
             return None
         return {name: part[0] if len(part) == 1 else tuple(chain(*part)) for name, part in parts.items()}
 
-    def fed(self, scope: DiagramScope, name: str, port: Port) -> Strand | None:
-        """What reaches an input of a subdiagram or of a wiring block; kept, as it is asked for more than once."""
-        key = (scope.index, name, port.name)
+    def entering(self, scope: DiagramScope, name: str, port: str) -> Strand | None:
+        """What reaches an input of a subdiagram, of copies or of a wiring block, as it is seen inside; kept, as it is
+        asked for more than once."""
+        key = (scope.index, name, port)
         if key not in self.taken:
-            self.taken[key] = self.taking(scope, name, port)
+            fed, sink = self.taken_once(scope, name, port), self.sinks[scope.index][name]
+            assert sink is not None
+            self.taken[key] = fed if fed is None or sink.copied is None else entered(sink.copied, fed)
         return self.taken[key]
 
-    def taking(self, scope: DiagramScope, name: str, port: Port) -> Strand | None:
+    def taken_once(self, scope: DiagramScope, name: str, port: str) -> Strand | None:
         """What reaches an input of a block; None where a fault was reported."""
+        sink = self.sinks[scope.index][name]
+        assert sink is not None
         try:
-            return self.reaching(scope, name, port)
+            return self.reaching(scope, name, sink, sink.inputs[port])
         except Absent:
             return None
 
-    def reaching(self, scope: DiagramScope, name: str, port: Port) -> Strand:
-        sink = self.sinks[scope.index][name]
-        assert sink is not None
+    def reaching(self, scope: DiagramScope, name: str, sink: Sink, port: Port) -> Strand:
         if self.spoiled and (scope.index, name, port.name) in self.spoiled:
             raise Absent
         feeds = sink.feeds.get(port.name, {})
         if isinstance(feeds, Feed):
-            return self.fitting(scope, f"{name}.{port.name}", feeds, port, None)
+            return self.fitting(scope, f"{name}.{port.name}", feeds, port, None, sink.copied)
         elements: list[WireElement | None] = [None] * port.size
         if port.default is not None:
             given = zip(port.default, port.units, strict=True)
@@ -579,14 +587,16 @@ class Wires:
         for index, feed in feeds.items():
             try:
                 strand = self.fitting(scope, f"{name}.{port.name}[{index}]", feed, port, index)
-                elements[index] = WireElement(strand.sources[0], strand.units[0], strand.types[0])
+                row = [WireElement(*element) for element in zip(*strand[:3], strict=True)]
+                elements[index * len(row) : (index + 1) * len(row)] = row
             except Absent:
                 absent = True
         if absent:
             raise Absent
         complete = [element for element in elements if element is not None]
         if len(complete) < len(elements):
-            at = f"{name}.{port.name}" + (f"[{elements.index(None)}]" if feeds else "")
+            row = elements.index(None) // math.prod(port.shape[1:])
+            at = f"{name}.{port.name}" + (f"[{row}]" if feeds else "")
             message = "this element of the input is not wired." if feeds else "input is not wired."
             self.tell(scope, "E101", at, message, self.wire_meant(scope, name, at, port), ("blocks", name, AT_KEY))
             raise Absent
@@ -608,13 +618,14 @@ class Wires:
             return strand
         if isinstance(feed.element, str):
             return self.of_bus(scope, strand, feed.text, place, spot)
-        if len(strand.shape) != 1 or feed.element >= strand.shape[0]:
+        if not strand.shape or feed.element >= strand.shape[0]:
             message = f"{indexed(feed.text)[0]} {_extent(strand.shape)}: there is no [{feed.element}]."
             cure = f'Write "{indexed(feed.text)[0]}".' if strand.shape == () else "Elements are counted from 0."
             self.tell(scope, "E105", place, message, cure, spot)
             raise Absent
-        k = slice(feed.element, feed.element + 1)
-        return Strand(strand.sources[k], strand.units[k], strand.types[k], ())
+        row = math.prod(strand.shape[1:])  # of a matrix, as of the vectors of copies, an element is a row
+        k = slice(feed.element * row, (feed.element + 1) * row)
+        return Strand(strand.sources[k], strand.units[k], strand.types[k], strand.shape[1:])
 
     def of_bus(self, scope: DiagramScope, strand: Strand, text: str, place: str, spot: Spot) -> Strand:
         """The element that a wire takes from a bus by its name."""
@@ -628,11 +639,21 @@ class Wires:
         k = strand.names.index(name)
         return Strand(strand.sources[k : k + 1], strand.units[k : k + 1], strand.types[k : k + 1], ())
 
-    def fitting(self, scope: DiagramScope, at: str, feed: Feed, port: Port, index: int | None) -> Strand:
-        """What a wire brings to an input, or to one element of it, if it fits in shape, quantity and type."""
+    def fitting(
+        self, scope: DiagramScope, at: str, feed: Feed, port: Port, index: int | None, copied: Fleet | None = None
+    ) -> Strand:
+        """What a wire brings to an input, or to one element of it, if it fits in shape, quantity and type.
+
+        copied: the copies of the block; what has the size of one reaches all of them.
+        """
         spot = ("wires", at)
         strand = self.carried(scope, feed, at, spot)
-        shape, wanted = (port.shape, port.units) if index is None else ((), port.units[index : index + 1])
+        shape, wanted = port.shape, port.units
+        if index is not None:
+            shape, row = port.shape[1:], math.prod(port.shape[1:])
+            wanted = port.units[index * row : (index + 1) * row]
+        elif copied is not None and strand.shape == shape[1:]:
+            strand = Strand(*(part * copied.count for part in strand[:3]), shape, strand.names)
         if strand.shape != shape:
             message = f"{_extent(shape)}, but {feed.text} {_extent(strand.shape)}."
             cure = ""
@@ -642,7 +663,7 @@ class Wires:
                 cure = f'Wire each element, as in "{at}[0]", or use a Mux.'
             self.tell(scope, "E110", at, message, cure, spot)
             raise Absent
-        if wanted == strand.units and port.types == strand.types:
+        if wanted == strand.units and (port.type,) * len(wanted) == strand.types:
             return strand
         for needed, unit, type_ in zip(wanted, strand.units, strand.types, strict=True):
             if not units.same_quantity(needed, unit):
@@ -676,6 +697,42 @@ class Wires:
         unit = getattr(variable, "unit", None)
         names = [arg for arg in arguments(unit, port.variable) if arg.startswith("unit")] if callable(unit) else []
         return f' and the "{names[0]}" of {name}' if names else ""
+
+
+def of_copies(port: Port, copied: Fleet | None) -> Port:
+    """A port of a block as the port of its copies: it has one more dimension, which comes first."""
+    if copied is None:
+        return port
+    n = copied.count
+    return replace(
+        port, shape=(n, *port.shape), first=0, size=n * port.size, units=port.units * n, declared=port.declared * n,
+        default=port.default and port.default * n,
+    )  # fmt: skip
+
+
+def entered(copied: Fleet, strand: Strand) -> Strand:
+    """What reaches copies, as it is seen in each of them."""
+    n = copied.count
+    size = len(strand.sources) // n
+    columns = (strand.sources[element::size] for element in range(size))
+    sources = tuple(column[0] if column[:-1] == column[1:] else EachSource(copied, column) for column in columns)
+    return Strand(sources, strand.units[:size], strand.types[:size], strand.shape[1:], strand.names[:size])
+
+
+def leaving(copied: Fleet | None, strand: Strand) -> Strand:
+    """What comes out of a block, of copies: of all of them, one after the other."""
+    if copied is None:
+        return strand
+    n = range(copied.count)
+    sources = tuple([_left(copied, number, source) for number in n for source in strand.sources])
+    shape = (copied.count, *strand.shape)
+    return Strand(sources, strand.units * copied.count, strand.types * copied.count, shape)
+
+
+def _left(copied: Fleet, number: int, source: Source) -> Source:
+    if isinstance(source, EachSource) and source.fleet is copied:
+        return source.sources[number]  # type: ignore[no-any-return]
+    return source if isinstance(source, (InputSource, ValueSource)) else CopySource(copied, number, source)
 
 
 def _flat(rows: Any) -> Iterator[Any]:

@@ -19,7 +19,7 @@ __all__ = ["Canonical", "canonical"]
 
 @dataclass(frozen=True)
 class Canonical:
-    """A file as it is and as it should be, the version that it has, and the newest one."""
+    """A file as it is and as it should be, the version that it has, and that in which it is written."""
 
     old: str
     new: str
@@ -39,4 +39,5 @@ def canonical(file: str, stream: BinaryIO | None = None) -> Canonical:
     document = json_text.read(data, file=file)
     is_study = isinstance(document.value, dict) and document.value.get("format") == study_grammar.FORMAT
     new, version = (study.canonical if is_study else documents.canonical)(document)
-    return Canonical(document.text, new, version, study_grammar.VERSION if is_study else diagram.VERSION)
+    newest = study_grammar.VERSION if is_study else max(version, diagram.PLAIN_VERSION)
+    return Canonical(document.text, new, version, newest)

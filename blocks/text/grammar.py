@@ -182,12 +182,16 @@ class Flag(Kind):
 
 @dataclass(eq=False)
 class Constant(Kind):
-    """One value alone, which is checked elsewhere."""
+    """One value alone, or one of a few, which is checked elsewhere."""
 
-    value: Any
+    values: tuple[Any, ...]
+
+    def __init__(self, *values: Any) -> None:
+        super().__init__()
+        self.values = values
 
     def body(self, defs: dict[str, Schema]) -> Schema:
-        return {"const": self.value}
+        return {"const": self.values[0]} if len(self.values) == 1 else {"enum": [*self.values]}
 
 
 class Refusal(NamedTuple):

@@ -1,0 +1,226 @@
+"""Copies: blocks of which one entry makes many, flattened once and written out where somebody asks for each.
+
+A `Fleet` is a block with copies; one that lies in a copy of another fleet has that one as its `outer`. What is known of all copies
+is known of one of them, and `lane` counts the copies: through all outer fleets, the own number running fastest. The
+sources of wires follow in a lane of the block that reads them:
+
+    BlockSource    a block outside of all fleets, or in the same copy as the reader (or in a copy around it)
+    EachSource     what enters a fleet: a source for each of its copies
+    CopySource     what leaves a fleet: a source in one of its copies
+
+Written out, the blocks stand in the order of the text: copy 0 with all that is in it, copy 1, and so on.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from ..text.errors import Fault, ModelError
+
+__all__ = [
+    "Copy", "CopySource", "EachSource", "Fleet", "Later", "Layout", "depth_of", "dimensions", "labelled", "own_value",
+    "stream_of", "without_numbers",
+]  # fmt: skip
+
+T = TypeVar("T")
+
+
+@dataclass(eq=False, slots=True)
+class Fleet:
+    """The copies of one block: its path without numbers, how many there are in each copy of the fleet around it."""
+
+    path: str
+    count: int
+    outer: Fleet | None = None
+
+    @property
+    def total(self) -> int:
+        """How many copies there are in the whole diagram."""
+        return self.count * (1 if self.outer is None else self.outer.total)
+
+    def numbered(self, path: str, lane: int) -> str:
+        """The path of something in this fleet, with the numbers of its copies: "robots[3].motor"."""
+        whole = f"{self.path}[{lane % self.count}]{path[len(self.path) :]}"
+        return whole if self.outer is None else self.outer.numbered(whole, lane // self.count)
+
+    def around(self, other: Fleet | None, lane: int) -> int:
+        """The lane of a fleet around this one that holds a lane of this one; of none: 0."""
+        fleet: Fleet | None = self
+        while fleet is not other:
+            assert fleet is not None
+            fleet, lane = fleet.outer, lane // fleet.count
+        return lane
+
+
+class Copy(NamedTuple):
+    """One copy of a block. is_first: it stands for all, and is shown without its number."""
+
+    fleet: Fleet
+    number: int
+    is_first: bool = False
+
+
+def labelled(name: str, copy: Copy | None) -> str:
+    """The name of a block, as paths show it."""
+    return name if copy is None or copy.is_first else f"{name}[{copy.number}]"
+
+
+def stream_of(name: str, copy: Copy | None) -> str:
+    """The name of a stream of a block: each copy has its own."""
+    return name if copy is None else f"{name}[{copy.number}]"
+
+
+class EachSource(NamedTuple):
+    """An element that enters a fleet from outside: for each copy its source, as it is seen around the fleet."""
+
+    fleet: Fleet
+    sources: tuple[Any, ...]
+
+
+class CopySource(NamedTuple):
+    """An element that leaves a fleet: of one copy of it, a source that is seen inside."""
+
+    fleet: Fleet
+    number: int
+    source: Any
+
+
+class Later(Sequence[T], Generic[T]):
+    """A long tuple that is made when an element of it is first asked for; its length is known before."""
+
+    def __init__(self, size: int, make: Callable[[], Sequence[T]]) -> None:
+        self._size, self._make = size, make
+
+    @cached_property
+    def _items(self) -> tuple[T, ...]:
+        items = tuple(self._make())
+        assert len(items) == self._size, (len(items), self._size)
+        del self._make
+        return items
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._items[index]
+
+    def __iter__(self) -> Iterator[T]:
+        return iter(self._items)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, (tuple, Later)) and self._items == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(self._items)
+
+    def __reduce__(self) -> Any:
+        return tuple, (self._items,)
+
+
+class Layout:
+    """Where the blocks stand once they are written out.
+
+    fleets: the innermost fleet of each block, in the order of the text; those behind `ordered`, the blocks at the edges of
+    subdiagrams, come last, copy by copy.
+    """
+
+    def __init__(self, fleets: Sequence[Fleet | None], ordered: int) -> None:
+        self.fleets = fleets
+        self._first: dict[Fleet, int] = {}  # where the first copy begins, in a copy of the fleet around
+        self._size: dict[Fleet, int] = {}  # how many blocks one copy has
+        self._place: list[int] = []  # of each block, in its copy
+        open_: list[Fleet] = []
+        used = [0]  # blocks so far, in the copy of each open fleet
+        for fleet in [*fleets[:ordered], None]:
+            chain = [] if fleet is None else _chain(fleet)
+            while open_ and (len(chain) < len(open_) or chain[len(open_) - 1] is not open_[-1]):
+                self._size[open_[-1]] = used.pop()
+                used[-1] += self._size[open_[-1]] * open_.pop().count
+            for inner in chain[len(open_) :]:
+                self._first[inner] = used[-1]
+                open_.append(inner)
+                used.append(0)
+            self._place.append(used[-1])
+            used[-1] += 1
+        self.size = self._place.pop()
+        self._last: list[int] = []
+        for fleet in fleets[ordered:]:
+            self._last.append(self.size)
+            self.size += 1 if fleet is None else fleet.total
+        self._ordered = ordered
+
+    def place(self, block: int, lane: int) -> int:
+        """The number of a block in a lane of its fleet, among those that are written out."""
+        if block >= self._ordered:
+            return self._last[block - self._ordered] + lane
+        place, fleet = self._place[block], self.fleets[block]
+        while fleet is not None:
+            place += self._first[fleet] + lane % fleet.count * self._size[fleet]
+            fleet, lane = fleet.outer, lane // fleet.count
+        return place
+
+    def lane(self, block: int, fleet: Fleet | None, lane: int) -> int:
+        """The lane of a block that is read from a lane of a fleet in the same copy."""
+        return 0 if fleet is None else fleet.around(self.fleets[block], lane)
+
+    def each(self) -> Iterator[tuple[int, int]]:
+        """The blocks with their lanes, in the order in which they are written out."""
+        pairs: list[tuple[int, int]] = [(0, 0)] * self.size
+        for block, fleet in enumerate(self.fleets):
+            for lane in range(1 if fleet is None else fleet.total):
+                pairs[self.place(block, lane)] = block, lane
+        return iter(pairs)
+
+
+def _chain(fleet: Fleet) -> list[Fleet]:
+    """A fleet with those around it, from the outside."""
+    return [fleet] if fleet.outer is None else [*_chain(fleet.outer), fleet]
+
+
+# --- values ----------------------------------------------------------------------------------------------------
+
+
+def own_value(raw: Any, depth: int, number: int, count: int) -> Any:
+    """What a raw value says for one copy of a block: its element, where it has one dimension more than the parameter.
+
+    depth: the dimensions of the parameter. Raises ModelError (E110) where there is not an element for each copy.
+    """
+    if isinstance(raw, Mapping) and "csv" in raw:
+        numbers = getattr(raw, "numbers", ())
+        if depth > 0:
+            return raw
+        said: Any = {"value": own_value(list(numbers), depth, number, count)}
+        return said | ({"unit": raw["unit"]} if raw.get("unit") else {})
+    if isinstance(raw, Mapping) and "value" in raw:
+        return {**raw, "value": own_value(raw["value"], depth, number, count)}
+    if not isinstance(raw, (list, tuple)) or depth_of(raw) <= depth:
+        return raw
+    if len(raw) != count:
+        message = f"has {len(raw)} values, but there are {count} copies."
+        raise ModelError(Fault("E110", "", message, "Give one value for all copies, or a list with one for each."))
+    return raw[number]
+
+
+def depth_of(raw: Any) -> int:
+    """How many lists lie in each other in a raw value."""
+    raw = raw.get("value") if isinstance(raw, Mapping) else raw
+    return 1 + max(map(depth_of, raw), default=0) if isinstance(raw, (list, tuple)) else 0
+
+
+def dimensions(shape: Any) -> int:
+    """The dimensions of a parameter of a block type by its declared shape; of one that a function gives: 1."""
+    return len(shape) if isinstance(shape, tuple) else 1
+
+
+_NUMBERS = re.compile(r"\[(0|[1-9][0-9]{0,6})\](?=\.)")
+
+
+def without_numbers(text: str) -> tuple[str, tuple[int, ...]]:
+    """A name without the numbers of copies, and these: "robots[3].motor.i" -> ("robots[].motor.i", (3,))."""
+    return _NUMBERS.sub("[]", text), tuple(map(int, _NUMBERS.findall(text)))
+
+

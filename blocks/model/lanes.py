@@ -1,0 +1,125 @@
+"""What differs among the copies of a block: the numbers of the blocks in them.
+
+A diagram that has copies is opened once, as copy 0 has it. Here the other copies are gone through, as far as something in them is
+another number: by a list, by an expression with `index`, by what was set in one copy, or by a stream.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ..contract.interface import Value
+from .copies import Copy, depth_of, dimensions
+from .diagram import BlockEntry
+from .hierarchy import DiagramScope, Hierarchy, Leaf, is_equal
+from .values import names_in
+
+__all__ = ["look_into_copies"]
+
+
+def look_into_copies(hierarchy: Hierarchy) -> None:
+    """Fill in `each` of the leaves. Faults go to the hierarchy's list; copies behind a faulty one are not looked at."""
+    if hierarchy.fleets and not hierarchy.faults:
+        _Lanes(hierarchy).visit(hierarchy.root, hierarchy.root, frozenset(), 0)
+
+
+class _Lanes:
+    def __init__(self, hierarchy: Hierarchy) -> None:
+        self.hierarchy, self.faults = hierarchy, hierarchy.faults
+        self.touched: set[str] = set()  # the paths of all that holds something that is set in one copy
+        for path in hierarchy.overrides:
+            parts = path.split(".")
+            if "[" in path:
+                self.touched |= {".".join(parts[:k]) for k in range(1, len(parts))}
+        self.read: dict[int, frozenset[str]] = {}  # by the id of an entry: the names that its parameters read
+        self.own: dict[int, bool] = {}  # by the id of a child: whether copies differ in it, whatever is around them
+
+    def visit(self, like: DiagramScope, scope: DiagramScope, changed: frozenset[str], lane: int) -> None:
+        """Look into a diagram. like: as it was opened; scope: the same in a copy; changed: parameters that differ."""
+        for name, child in like.children.items():
+            if child is None or (child.fleet is None and not self.differs(child)):
+                continue
+            entry = like.value.blocks[name]
+            is_changed = not changed.isdisjoint(self.reads(entry))
+            if child.copied is None:
+                if is_changed or self.differs(child) or self.is_touched(scope, name, None):
+                    self.copy(child, scope, entry, None, lane)
+                continue
+            whole = is_changed or self.differs(child)
+            for number in range(child.copied.count):
+                copy = Copy(child.copied, number)
+                if (whole or self.is_touched(scope, name, copy)) and not self.faults:
+                    self.copy(child, scope, entry, copy, lane * child.copied.count + number)
+
+    def is_touched(self, scope: DiagramScope, name: str, copy: Copy | None) -> bool:
+        return bool(self.touched) and not self.touched.isdisjoint(scope.paths(name, copy))
+
+    def reads(self, entry: BlockEntry) -> frozenset[str]:
+        if id(entry) not in self.read:
+            raws = (*entry.parameters.values(), entry.copies, *entry.control.get("trigger", {}).values())
+            self.read[id(entry)] = frozenset(name for raw in raws for name in names_in(raw))
+        return self.read[id(entry)]
+
+    def differs(self, child: Leaf | DiagramScope) -> bool:
+        """Whether copies of something, or of what is in it, differ by themselves: by lists, numbers, or streams."""
+        if id(child) in self.own:
+            return self.own[id(child)]
+        scope = child.scope if isinstance(child, Leaf) else child.parent
+        assert scope is not None
+        entry = scope.value.blocks[child.name]
+        is_own = child.copied is not None and (self.reads(entry) & {"index"} or self.has_lists(child, entry))
+        if isinstance(child, Leaf):
+            is_own = is_own or (child.fleet is not None and child.interface.declaration.streams)
+        else:
+            is_own = any([self.differs(inner) for inner in child.children.values() if inner is not None]) or is_own
+        self.own[id(child)] = bool(is_own)
+        return bool(is_own)
+
+    def has_lists(self, child: Leaf | DiagramScope, entry: BlockEntry) -> bool:
+        raws = dict(entry.parameters)
+        scope = child.scope if isinstance(child, Leaf) else child.parent
+        assert scope is not None
+        for path in scope.paths(child.name):
+            start = f"{path}."
+            raws |= {key[len(start) :]: raw for key, raw in self.hierarchy.overrides.items() if key.startswith(start)}
+        if isinstance(child, Leaf):
+            declared = child.interface.declaration.parameters
+            depths = {key: dimensions(declared[key].shape) for key in raws if key in declared}
+        else:
+            depths = {key: depth_of(raw) for key, raw in child.value.parameters.items()}
+        return any(depth_of(raws[key]) > depths[key] or "csv" in _keys(raws[key]) for key in raws if key in depths)
+
+    def copy(
+        self, child: Leaf | DiagramScope, outer: DiagramScope, entry: BlockEntry, copy: Copy | None, lane: int
+    ) -> None:
+        """Look into one copy of a block, or into a block of a copy."""
+        hierarchy = self.hierarchy
+        if isinstance(child, Leaf):
+            made = hierarchy.numbers(outer, child.name, entry, copy)
+            if made is not None and made is not child.resolved:
+                if made.interface == child.interface:
+                    child.each[lane] = made
+                else:
+                    self.refuse(outer, child.name, "sizes, texts or zeros")
+            return
+        inner = DiagramScope(
+            child.name, outer, child.value, child.index, child.depth, child.control, child.stream, child.clock, copy
+        )
+        hierarchy.parameters(inner, hierarchy.given(inner, entry))
+        pairs = ((name, value, child.parameters[name]) for name, value in inner.parameters.items())
+        changed = frozenset(name for name, value, first in pairs if not is_equal(value, first))
+        for key in ("copies", "every", "offset") if changed else ():
+            for name, of_block in child.value.blocks.items():
+                raw = of_block.copies if key == "copies" else of_block.control.get("trigger", {}).get(key)
+                if not changed.isdisjoint(names_in(raw)):
+                    self.refuse(inner, name, "ticks" if key != "copies" else "copies")
+        if not self.faults:
+            self.visit(child, inner, changed, lane)
+
+    def refuse(self, scope: DiagramScope, name: str, what: str) -> None:
+        message = f"has other {what} in some copies than in others, which would be another type of block."
+        self.hierarchy.tell(scope, "E123", name, message, "Make blocks of their own of these.", ("blocks", name))
+
+
+def _keys(raw: object) -> Mapping[str, Value]:
+    return raw if isinstance(raw, Mapping) else {}
