@@ -24,6 +24,7 @@ This module has data and look-ups in it only. `scheduler` orders programs, `tick
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -37,6 +38,7 @@ from ..text.shown import Part, Shown
 
 if TYPE_CHECKING:
     from ..model.fmu_block import Foreign
+    from .folding import Folded
 
 __all__ = [
     "NOTHING",
@@ -321,6 +323,10 @@ class Plan(Shown):
     continuous: Program = field(default=NOTHING, compare=False, repr=False)  # all but what is computed at ticks
     unknowns: tuple[Reference, ...] = field(default=(), compare=False, repr=False)
     """What is solved for at all times, in the order of z; each search begins at their last values."""
+    folded: Folded | None = field(default=None, compare=False, repr=False)
+    """Of a diagram with copies: the plan of one copy, by which it is printed; its own long tables are made when they are
+    asked for."""
+    written_out: Callable[[], Plan] | None = field(default=None, compare=False, repr=False)
     outline: Callable[[Any], Iterator[Part]] | None = field(default=None, compare=False, repr=False)
     """How it is told to a person, where it was made for one: `compile.outline`, which stands on this module."""
 
@@ -369,8 +375,9 @@ class Plan(Shown):
             return self.signals[name]
         base, _, index = name.rpartition("[")
         whole = self.signals[base]
-        k = int(index[:-1])
-        return PlanSignal(name, (whole.references[k],), (), (whole.units[k],))
+        row = math.prod(whole.shape[1:])
+        k = slice(int(index[:-1]) * row, (int(index[:-1]) + 1) * row)
+        return PlanSignal(name, whole.references[k], whole.shape[1:], whole.units[k])
 
     def node_name(self, node: Node) -> str:
         """The name of a node in messages: block.variable, with the element of an array."""

@@ -18,6 +18,7 @@ from ..model.flatten import BlockSource, Flat, FlatBlock, FlatSignal, InputSourc
 from ..text.errors import Fault, ModelError
 from ..text.gc_pause import paused
 from .fmu_tape import FmuTape
+from .folding import At, folded
 from .memory_layout import ROWS, Footprint, Start, names_of
 from .plan import (
     TICK,
@@ -49,6 +50,9 @@ def plan(flat: Flat) -> Plan:
 
     Raises ModelError (E102 algebraic loop, E119 rates, E120 start) and DeclarationError (E407).
     """
+    as_one = folded(flat, _PlanBuilder) if flat.expansion is not None else None
+    if as_one is not None:
+        return as_one
     with flat.placing():
         return _PlanBuilder(flat).plan()
 
@@ -75,7 +79,8 @@ class _MemoryPlaces:
         """Where a source of a wire is."""
         if isinstance(source, BlockSource):
             row, place = self.footprints[source.block].place[source.variable]
-            return Reference(row, self.first[source.block][ROWS[row]] + place + source.element)
+            index = self.first[source.block][ROWS[row]] + place + source.element
+            return Reference(row, At(index, source.block.lane) if type(source.block) is At else index)
         return (
             Reference("u", source.element) if isinstance(source, InputSource) else Reference("k", float(source.value))
         )

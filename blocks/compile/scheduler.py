@@ -34,6 +34,7 @@ def schedule(
     (E102, E120) where something needs itself.
     """
     wanted = tuple(results)
+    plan = plan.written_out() if plan.written_out is not None else plan
     if not due and start in (False, plan.starting):
         ordered = plan.start if start else plan.continuous
         if ordered.results == wanted:

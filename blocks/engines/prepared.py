@@ -108,7 +108,8 @@ class Prepared:
         parameters = given_values(value, resolver, parameters)
         flat = flat or _flattened(value, resolver, parameters, settings)
         check_trust(value, trust)
-        outside = outside_of(block.interface.declaration for block in flat.blocks)
+        blocks = flat.blocks if flat.expansion is None else flat.expansion.blocks
+        outside = outside_of(block.interface.declaration for block in blocks)
         compiled_plan = couple(flat)
         alike = _Alike(settings)
         return cls(value, resolver, parameters, settings, compiled_plan, outside, alike)._with_flat(flat)

@@ -87,8 +87,9 @@ class Signals(Mapping[str, FlatSignal]):
         counts = [one.count for one in _around(fleet)][: len(numbers)]
         return names.count("[]") == len(counts) and all(k < n for k, n in zip(numbers, counts, strict=False))
 
-    def __getitem__(self, name: str) -> FlatSignal:
-        entry, fleet, lane = self._known.get(name), None, 0
+    def of_copies(self, name: str) -> tuple[FlatSignal, Fleet | None, int]:
+        """A signal with sources as they are seen from a lane of a fleet, and these."""
+        entry, fleet, lane = None if name in self._fleets else self._known.get(name), None, 0
         if entry is None:
             key, numbers = without_numbers(name)
             entry, fleet = self._known[key], self._fleets.get(key)
@@ -102,6 +103,10 @@ class Signals(Mapping[str, FlatSignal]):
             index, port = entry
             sources = tuple(BlockSource(index, port.variable, port.first + k) for k in range(port.size))
             signal = FlatSignal(name, sources, port.shape, port.units, port.type)
+        return signal, fleet, lane
+
+    def __getitem__(self, name: str) -> FlatSignal:
+        signal, fleet, lane = self.of_copies(name)
         if self.expansion is None:
             return signal
         return replace(signal, sources=self.expansion.sources(signal.sources, fleet, lane))

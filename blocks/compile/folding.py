@@ -1,0 +1,409 @@
+"""The Plan of a diagram with copies, planned for one copy: what is computed is known by types, and where it is by ranges.
+
+    Expansion --> the blocks of one copy of each fleet, and what enters fleets --plan--> Plan of one copy
+    its places + ranges of places --> Plan of the whole diagram, whose long tables are made when somebody asks for them
+
+A block in a fleet is computed in lanes, one for each copy. Its places in memory are those of the diagram that is written
+out: `first + stride lane` in each row. What is read in the own lane has a plain reference in the plan of one copy; what one
+certain copy gives has an `At`, which is equal to the plain one and knows its lane. What enters a fleet with another source for each
+copy is gathered by an instance of its own, so that the order of computation follows.
+
+Copies inside of copies are written out in the plan of one copy. Where copies cannot be planned as one (`foldable`), or
+need each other at one time, the diagram is written out and planned whole.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from ..contract.block import Block
+from ..contract.equations import output
+from ..contract.interface import Value
+from ..contract.resolution import Resolved, resolve
+from ..contract.variables import Input, Parameter
+from ..model.copies import CopySource, EachSource, Fleet, Later
+from ..model.expansion import Expansion
+from ..model.flatten import BlockSource, Flat, FlatBlock, Source
+from ..text.errors import BlocksError
+from .memory_layout import ROWS
+from .plan import Plan, PlanSignal, Rate, Reference
+
+__all__ = ["At", "Folded", "folded"]
+
+# mypy: disable-error-code="no-untyped-def,misc,operator"
+
+
+class At(int):
+    """A number of something in the plan of one copy, that of a certain copy."""
+
+    lane: int
+
+    def __new__(cls, number: int, lane: int) -> At:
+        made = super().__new__(cls, number)
+        made.lane = lane
+        return made
+
+    def __reduce__(self) -> Any:
+        return At, (int(self), self.lane)
+
+
+class Gather(Block):
+    """What enters a fleet: for each copy one of its inputs. Its equation says what it depends on, and no more."""
+
+    size = Parameter(1, structural=True, type="int", doc="number of different sources")
+    u = Input(shape=lambda size: size, doc="sources")
+
+    @output
+    def y(u, size):
+        made = u[0]
+        for k in range(1, size):
+            made = made + u[k]
+        return made
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Places of a row side by side: from `first` on in the whole diagram, from `own` on in the plan of one copy; `size` of
+    them for each of `count` copies."""
+
+    first: int
+    own: int
+    size: int
+    count: int
+
+
+@dataclass(frozen=True, eq=False)
+class Folded:
+    """plan: of one copy. fleets: of its instances. segments: by row. gathers: by instance, what each lane reads.
+
+    sizes: of the rows in the whole diagram.
+    """
+
+    plan: Plan
+    fleets: tuple[Fleet | None, ...]
+    segments: Mapping[str, tuple[Segment, ...]]
+    gathers: Mapping[int, tuple[Reference, ...]]
+
+    def places(self, row: str, index: int) -> range:
+        """The places of all copies of a place."""
+        segments = self.segments[row]
+        found = segments[bisect_right(segments, index, key=lambda segment: segment.own) - 1]
+        first = found.first + index - found.own
+        return range(first, first + found.size * found.count, max(found.size, 1))
+
+    def lanes(self, row: str, index: int) -> int:
+        return len(self.places(row, index)) if row in self.segments else 1
+
+    def of_one(self, reference: Reference) -> Reference:
+        """Where something of the whole diagram is in the plan of one copy."""
+        row, index = reference
+        if row not in self.segments:
+            return reference
+        segments = self.segments[row]
+        found = segments[bisect_right(segments, index, key=lambda segment: segment.first) - 1]
+        lane, place = divmod(index - found.first, found.size)
+        return Reference(row, found.own + place if found.count == 1 else At(found.own + place, lane))
+
+    def of_whole(self, reference: Reference) -> Reference:
+        """Where a place of the plan of one copy, of a certain copy or outside of all, is in the whole diagram."""
+        row, index = reference
+        if row not in self.segments:
+            return reference
+        return Reference(row, self.places(row, index)[getattr(index, "lane", 0)])
+
+
+def foldable(expansion: Expansion) -> bool:
+    """Whether copies are planned as one, as far as their blocks tell."""
+    for block, each in zip(expansion.blocks, expansion.each, strict=True):
+        declared, resolved = block.interface.declaration, block.resolved
+        if declared.stepper or declared.foreign or declared.histories or declared.algebraics:
+            return False
+        if block.hidden or block.condition is not None or block.time is not None:
+            return False
+        if any(other.clocks != resolved.clocks or not _alike(other, resolved) for other in each.values()):
+            return False
+    return True
+
+
+def _alike(one: Resolved, other: Resolved) -> bool:
+    """Whether two blocks have equal numbers in what no parameter holds."""
+    tables = one.interface.tables
+    starts = all((one.starts[name] == other.starts[name]).all() for name in one.starts)
+    return starts and all(one.values[name] == other.values[name] for name in tables)
+
+
+class _Folding:
+    """Makes the flat diagram of one copy: `blocks`, in the order of the text, and gathers behind them."""
+
+    def __init__(self, expansion: Expansion) -> None:
+        self.expansion = expansion
+        self.number: dict[tuple[int, int], int] = {}  # of a block in a lane among the inner copies
+        self.entries: list[tuple[int, int]] = []
+        self.roots: list[Fleet | None] = []  # the outermost fleet of each
+        layout = expansion.layout
+        for block, lane in layout.each():
+            fleet = expansion.fleets[block]
+            root = None if fleet is None else _root(fleet)
+            if fleet is None or lane < _inner(fleet):
+                self.number[block, lane] = len(self.entries)
+                self.entries.append((block, lane))
+                self.roots.append(root)
+        self.gathered: dict[Any, int] = {}
+        self.gathers: list[tuple[Fleet, list[Source]]] = []
+        self.blocks = [self.block(*entry) for entry in self.entries]
+        self.blocks += [self.gather(*pair) for pair in self.gathers]
+
+    def block(self, index: int, inner: int) -> FlatBlock:
+        block, fleet = self.expansion.blocks[index], self.expansion.fleets[index]
+        if fleet is None:
+            path = block.path
+        else:
+            root = _root(fleet)
+            path = root.path + fleet.numbered(block.path, inner)[len(root.path) + len("[0]") :]
+        own = None if fleet is None else -1
+        sources = {
+            name: tuple([self.source(source, fleet, inner, own) for source in part])
+            for name, part in block.sources.items()
+        }
+        resolved = self.expansion.each[index].get(inner, block.resolved)
+        return dataclasses.replace(block, path=path, resolved=resolved, sources=sources)
+
+    def source(self, source: Source, fleet: Fleet | None, inner: int, outer: int | None) -> Source:
+        """A source in the plan of one copy.
+
+        fleet, inner: from which it is seen, and the lane among its inner copies. outer: the number of the outermost
+        copy: -1 for that of the reader, None outside.
+        """
+
+        def reduce(to: Fleet | None) -> None:
+            nonlocal fleet, inner, outer
+            while fleet is not to:
+                assert fleet is not None
+                inner //= fleet.count
+                fleet = fleet.outer
+                inner, outer = (inner, outer) if fleet is not None else (0, None)
+
+        while True:
+            if isinstance(source, BlockSource):
+                reduce(self.expansion.fleets[source.block])
+                number = self.number[source.block, inner]
+                return source._replace(block=number if outer in (None, -1) else At(number, outer))
+            if isinstance(source, EachSource):
+                reduce(source.fleet)
+                if source.fleet.outer is None and outer == -1:
+                    return self.entering(source)
+                number = inner % source.fleet.count if source.fleet.outer is not None else outer or 0
+                source = source.sources[number]
+                reduce(fleet.outer)
+            elif isinstance(source, CopySource):
+                reduce(source.fleet.outer)
+                if source.fleet.outer is None:
+                    inner, outer = 0, source.number
+                else:
+                    inner = inner * source.fleet.count + source.number
+                fleet, source = source.fleet, source.source
+            else:
+                return source
+
+    def entering(self, source: EachSource) -> Source:
+        """What gathers the sources of all lanes."""
+        key = tuple(source)
+        if key not in self.gathered:
+            self.gathered[key] = len(self.gathers)
+            self.gathers.append((source.fleet, []))
+            self.gathers[self.gathered[key]][1][:] = [self.source(one, None, 0, None) for one in source.sources]
+        return BlockSource(len(self.entries) + self.gathered[key], "y", 0)
+
+    def gather(self, fleet: Fleet, sources: Sequence[Source]) -> FlatBlock:
+        distinct = tuple(dict.fromkeys(sources))
+        resolved = resolve(Gather, {"size": Value(len(distinct))})
+        return FlatBlock(f"{fleet.path} entered", resolved, {"u": distinct}, hidden=True)
+
+
+def _root(fleet: Fleet) -> Fleet:
+    return fleet if fleet.outer is None else _root(fleet.outer)
+
+
+def _inner(fleet: Fleet) -> int:
+    """How many copies there are in one of the outermost fleet."""
+    return fleet.total // _root(fleet).count
+
+
+def folded(flat: Flat, plan_of: Any) -> Plan | None:
+    """The Plan of a flat diagram with copies; None where it must be written out. plan_of: the builder of a Plan."""
+    expansion = flat.expansion
+    if expansion is None or flat.settings.loops == "solve" or not foldable(expansion):
+        return None
+    folding = _Folding(expansion)
+    one = dataclasses.replace(flat, blocks=tuple(folding.blocks), expansion=None, log=(), measures=())
+    builder = plan_of(one)
+    try:
+        plan = builder.plan()
+    except BlocksError:  # which may be one of copies, or of their being looked at as one
+        return None
+    if plan.starting is not True:
+        return None
+    memory, count = builder.memory, len(folding.entries)
+    roots = (*folding.roots, *(fleet for fleet, _ in folding.gathers))
+    segments = dict(_segments(memory, folding.roots))
+    gathers = {
+        count + k: tuple(map(memory.reference, sources)) for k, (_, sources) in enumerate(folding.gathers)
+    }
+    return _whole(flat, Folded(plan, roots, segments, gathers), builder, folding)
+
+
+def _segments(memory: Any, roots: Sequence[Fleet | None]) -> Iterator[tuple[str, tuple[Segment, ...]]]:
+    """By row, where its places are. The events of blocks have rows of their own, "e"."""
+    ends = (*memory.first[1 : len(roots)], memory.first[len(roots)] if len(memory.first) > len(roots) else memory.sizes)
+    for row, number in ROWS.items():
+        sizes = [end[number] - first[number] for first, end in zip(memory.first, ends, strict=False)]
+        yield row, tuple(_laid(sizes, roots))
+    events = [len(footprint.events) for footprint in memory.footprints[: len(roots)]]
+    yield "e", tuple(_laid(events, roots))
+
+
+def _laid(sizes: Sequence[int], roots: Sequence[Fleet | None]) -> Iterator[Segment]:
+    first = own = 0
+    size, last = 0, roots[0] if roots else None
+    for fleet, more in zip((*roots, None), (*sizes, 0), strict=True):
+        if fleet is not last:
+            count = 1 if last is None else last.count
+            if size:
+                yield Segment(first, own, size, count)
+            first, own, size, last = first + size * count, own + size, 0, fleet
+        size += more
+    if size:
+        yield Segment(first, own, size, 1 if last is None else last.count)
+
+
+def _whole(flat: Flat, made: Folded, builder: Any, folding: _Folding) -> Plan:
+    """The Plan of the whole diagram."""
+    one, expansion = made.plan, flat.expansion
+    assert expansion is not None
+    sizes = {row: sum(s.size * s.count for s in segments) for row, segments in made.segments.items()}
+
+    @dataclass
+    class Whole:
+        @cached_property
+        def plan(self) -> Plan:
+            with flat.placing():
+                return type(builder)(dataclasses.replace(flat, expansion=None)).plan()  # type: ignore[no-any-return]
+
+    whole = Whole()
+
+    def later(name: str, row: str | int) -> Any:
+        return Later(sizes[row] if isinstance(row, str) else row, lambda: getattr(whole.plan, name))
+
+    def names(row: str) -> Iterator[str]:
+        own = getattr(one, "states" if row == "x" else "discretes")
+        for fleet, blocks in _runs(folding.roots):
+            first, last = (_first(builder.memory, row, k) for k in (blocks.start, blocks.stop))
+            if fleet is None:
+                yield from own[first:last]
+                continue
+            rests = [name[len(fleet.path) :] for name in own[first:last]]
+            for number in range(fleet.count):
+                yield from [f"{fleet.path}[{number}]{rest}" for rest in rests]
+
+    def numbers(of: Any) -> tuple[float, ...]:
+        """The numbers of all blocks, copy by copy. of: those of one block."""
+        row: list[float] = []
+        for fleet, blocks in _runs(folding.roots):
+            entries = folding.entries[blocks.start : blocks.stop]
+            start = [expansion.blocks[index].resolved for index, _ in entries]
+            if fleet is None or not any(expansion.each[index] for index, _ in entries):
+                row += [x for resolved in start for x in of(resolved)] * (1 if fleet is None else fleet.count)
+                continue
+            plain = [None if expansion.each[index] else of(expansion.blocks[index].resolved) for index, _ in entries]
+            for number in range(fleet.count):
+                for (index, inner), known in zip(entries, plain, strict=True):
+                    if known is None:
+                        lane = number * _inner(expansion.fleets[index]) + inner  # type: ignore[arg-type]
+                        row += of(expansion.each[index].get(lane, expansion.blocks[index].resolved))
+                    else:
+                        row += known
+        return tuple(row)
+
+    def slots(pairs: Any) -> int:
+        return sum(made.lanes("d", place) for _, place in pairs)
+
+    rates = tuple(
+        Rate(
+            rate.period, rate.offset,
+            Later(slots(rate.outputs), lambda k=k: whole.plan.rates[k].outputs),  # type: ignore[misc]
+            Later(slots(rate.nexts), lambda k=k: whole.plan.rates[k].nexts),  # type: ignore[misc]
+        )
+        for k, rate in enumerate(one.rates)
+    )  # fmt: skip
+    integers = {slot: known for place, known in one.integers.items() for slot in made.places("d", place)}
+    projections = sum(made.lanes(*reference) for _, reference in one.projections)
+    return dataclasses.replace(
+        one,
+        instances=later("instances", expansion.layout.size),
+        states=Later(sizes["x"], lambda: [*names("x")]),
+        discretes=Later(sizes["d"], lambda: [*names("d")]),
+        nominal=numbers(lambda resolved: resolved.nominal),
+        parameters=numbers(lambda resolved: builder.numbers_of(resolved)[0]),
+        tables=later("tables", "c"),
+        x_start=later("x_start", "x"),
+        d_start=later("d_start", "d"),
+        s_start=later("s_start", "s"),
+        derivatives=later("derivatives", "x"),
+        outputs=later("outputs", "w"),
+        crossings=later("crossings", "s"),
+        events=later("events", "e"),
+        rates=rates,
+        projections=later("projections", projections),
+        integers=integers,
+        signals=_WholeSignals(flat, made, folding, builder.memory),
+        log=flat.log,
+        measures=flat.measures,
+        folded=made,
+        written_out=lambda: whole.plan,
+    )
+
+
+def _first(memory: Any, row: str, block: int) -> int:
+    firsts = memory.first
+    return (firsts[block] if block < len(firsts) else memory.sizes)[ROWS[row]]  # type: ignore[no-any-return]
+
+
+def _runs(roots: Sequence[Fleet | None]) -> Iterator[tuple[Fleet | None, range]]:
+    """Blocks of one outermost fleet, or of none, side by side."""
+    first = 0
+    for k in range(1, len(roots) + 1):
+        if k == len(roots) or roots[k] is not roots[first]:
+            yield roots[first], range(first, k)
+            first = k
+
+
+class _WholeSignals(Mapping[str, PlanSignal]):
+    """The signals of the whole diagram by name, each made when it is asked for."""
+
+    def __init__(self, flat: Flat, made: Folded, folding: _Folding, memory: Any) -> None:
+        self._flat, self._folded, self._folding, self._memory = flat, made, folding, memory
+        self._made: dict[str, PlanSignal] = {}
+
+    def __getitem__(self, name: str) -> PlanSignal:
+        if name not in self._made:
+            signal, fleet, lane = self._flat.signals.of_copies(name)  # type: ignore[attr-defined]
+            inner = 1 if fleet is None else _inner(fleet)
+            outer = None if fleet is None else lane // inner
+            sources = [self._folding.source(source, fleet, lane % inner, outer) for source in signal.sources]
+            references = tuple(self._folded.of_whole(self._memory.reference(source)) for source in sources)
+            self._made[name] = PlanSignal(name, references, signal.shape, signal.units)
+        return self._made[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._flat.signals
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._flat.signals)
+
+    def __len__(self) -> int:
+        return len(self._flat.signals)
