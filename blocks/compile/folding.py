@@ -96,6 +96,37 @@ class Folded:
         first = found.first + index - found.own
         return range(first, first + found.size * found.count, max(found.size, 1))
 
+    def spread(self, instances: Sequence[int]) -> list[range]:
+        """The numbers in the whole diagram of what instances, in their order, have one after the other."""
+        numbers: list[range] = []
+        first = k = 0
+        while k < len(instances):
+            fleet, end = self.fleets[instances[k]], k + 1
+            while fleet is not None and end < len(instances) and self.fleets[instances[end]] is fleet:
+                end += 1
+            size = (end - k) * (1 if fleet is None else fleet.count)
+            numbers += [range(first + n, first + size, end - k) for n in range(end - k)]
+            first, k = first + size, end
+        return numbers
+
+    def order(self, instance: int, lane: int) -> tuple[int, int, int]:
+        """What sorts blocks as they stand in the whole diagram."""
+        return self.begins[instance], lane, instance
+
+    @cached_property
+    def begins(self) -> list[int]:
+        """Of each instance the first one of its fleet."""
+        begins: list[int] = []
+        for k, fleet in enumerate(self.fleets):
+            is_same = k > 0 and fleet is not None and self.fleets[k - 1] is fleet
+            begins.append(begins[-1] if is_same else k)
+        return begins
+
+    def in_order(self, row: str, places: Sequence[int]) -> Iterator[int]:
+        """Places of the plan of one copy, in the whole diagram: copy by copy."""
+        whole = [own for place in places for own in self.places(row, place)]
+        return iter(sorted(whole) if places == sorted(places) else whole)
+
     def lanes(self, row: str, index: int) -> int:
         return len(self.places(row, index)) if row in self.segments else 1
 

@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from ..folding import At
 from .functions import comment
-from .loops import LEAST, Call, CallOrder, CallSequence, Copy, EqualCalls, Value, is_affine
+from .loops import LEAST, Call, CallOrder, CallSequence, Copy, EqualCalls, Sink, Value, is_affine
 
 __all__ = ["Printed", "Tables", "print_program", "print_selected"]
 
@@ -56,7 +57,6 @@ def print_program(
     place: Callable[[Value], Value],
     tables: Tables,
     *,
-    x_at: Sequence[int] | None = None,
     loops: bool = True,
     is_aliased: bool = False,
     is_hot: bool = False,
@@ -65,7 +65,7 @@ def print_program(
 
     is_aliased: whether it writes a row that it also reads.
     """
-    return _Program(name, calls, copies, place, tables, x_at, is_aliased, is_hot).printed(loops)
+    return _Program(name, calls, copies, place, tables, is_aliased, is_hot).printed(loops)
 
 
 def print_selected(
@@ -73,28 +73,32 @@ def print_selected(
     programs: Sequence[tuple[Sequence[Call], Sequence[Copy]]],
     place: Callable[[Value], Value],
     tables: Tables,
-    x_at: Sequence[int],
+    numbers: Sequence[Sequence[int]],
 ) -> Printed:
     """Programs of one kind, one of which is chosen by the argument `which`: those of equal form are one function of
-    their lane i. Their copies have no conditions."""
+    their lane i. Their copies have no conditions. numbers: of each program those that choose it, one for each lane."""
     forms: dict[object, list[int]] = {}
     for k, (calls, copies) in enumerate(programs):
         if calls or copies:
-            forms.setdefault(_form(calls, copies), []).append(k)
+            forms.setdefault(_form(calls, copies) if len(numbers[k]) == 1 else k, []).append(k)
     functions, cases = [], []
-    form_of, lane_of = [-1] * len(programs), [0] * len(programs)
+    size = sum(map(len, numbers))
+    form_of, lane_of = [-1] * size, [0] * size
     for number, members in enumerate(forms.values()):
         function = f"{name}_{number}"
-        for lane, k in enumerate(members):
-            form_of[k], lane_of[k] = number, lane
-        if len(members) == 1:
+        for lane, which in enumerate(which for k in members for which in numbers[k]):
+            form_of[which], lane_of[which] = number, lane
+        if len(numbers[members[0]]) > 1:
+            text, more = _one_of(function, *programs[members[0]], place, tables, len(numbers[members[0]]))
+            functions += more
+        elif len(members) == 1:
             calls, copies = programs[members[0]]
-            printed = print_program(function, calls, copies, place, tables, x_at=x_at, loops=False)
+            printed = print_program(function, calls, copies, place, tables, loops=False)
             functions.append(printed.functions)
             text = f"    (void)m, (void)t, (void)x, (void)i, (void)out;\n{printed.body}"
         else:
             all_calls = [call for k in members for call in programs[k][0]]
-            program = _Program(function, all_calls, (), place, tables, x_at, False)
+            program = _Program(function, all_calls, (), place, tables, False)
             groups = [EqualCalls(list(calls)) for calls in zip(*(programs[k][0] for k in members), strict=True)]
             program.assign(groups)
             unit = CallSequence(groups, True)
@@ -112,7 +116,7 @@ def print_selected(
             runs.append((k, form, lane))
     lines = ["    (void)m, (void)t, (void)x, (void)which, (void)out;"]
     if len(runs) <= MOST_RUNS:
-        ends = [*(first for first, _, _ in runs[1:]), len(programs)]
+        ends = [*(first for first, _, _ in runs[1:]), size]
         for (first, form, lane), end in zip(runs, ends, strict=True):
             if form >= 0:
                 at = "which" + (f" + {lane - first}" if lane > first else f" - {first - lane}" if first > lane else "")
@@ -122,6 +126,39 @@ def print_selected(
     lines += [f"    const int lane = {lane_text};", f"    switch ({form_text}) {{", *cases, "    default: break;"]
     lines.append("    }")
     return Printed("\n".join(functions), "\n".join(lines), 0)
+
+
+def _one_of(
+    function: str, calls: Sequence[Call], copies: Sequence[Copy], place: Callable[[Value], Value], tables: Tables,
+    lanes: int,
+) -> tuple[str, list[str]]:  # fmt: skip
+    """The body of a program of copies that gives the values of lane i, and functions that it needs."""
+    unused = "    (void)m, (void)t, (void)x, (void)i, (void)out;"
+    if all(call.lanes == lanes and not call.gathers for call in calls):
+        program = _Program(function, calls, (), place, tables, False)
+        groups = [EqualCalls([call]) for call in calls]
+        program.assign(groups)
+        unit = CallSequence(groups, True)
+        hoisted, body, _ = program.lanes(unit, [copies])
+        return "\n".join([unused, *_rows(unit), *hoisted, *(f"    {line}" for line in body)]), []
+    # It needs values of other copies: all are computed, and one of each is taken.
+    count = 0
+    for call in calls:
+        call.sinks = [[Sink(_wide(sink, lanes)) for sink in sinks] for sinks in call.sinks]
+        count += sum(len(sinks) for sinks in call.sinks)
+    copies = [Copy(copy.value, Sink(_wide(copy.sink, lanes))) for copy in copies]
+    count += len(copies)
+    printed = print_program(f"{function}_all", calls, copies, place, tables)
+    head = "const BlocksMemory *m, double t, const double *x, double *out"
+    whole = f"static void {function}_all({head})\n{{\n    (void)m, (void)t, (void)x, (void)out;\n{printed.body}\n}}\n"
+    lines = [f"    double all[{count * lanes}];", f"    {function}_all(m, t, x, all);"]
+    lines.append(f"    for (int k = 0; k < {count}; k++) out[k] = all[{lanes} * k + i];")
+    return "\n".join([unused, *lines]), [printed.functions, whole]
+
+
+def _wide(sink: Sink, lanes: int) -> range:
+    assert isinstance(sink.index, int)
+    return range(sink.index * lanes, (sink.index + 1) * lanes)
 
 
 def _form(calls: Sequence[Call], copies: Sequence[Copy]) -> object:
@@ -148,14 +185,13 @@ class _Program(CallOrder):
         copies: Sequence[Copy],
         place: Callable[[Value], Value],
         tables: Tables,
-        x_at: Sequence[int] | None,
         is_aliased: bool,
         is_hot: bool = False,
     ) -> None:
         super().__init__(calls)
         self.same: dict[tuple[str, int, int], None] | None = {} if is_hot else None
         self.name, self.copies, self.tables = name, copies, tables
-        self.place_of, self.x_at, self.is_aliased = place, x_at, is_aliased
+        self.place_of, self.is_aliased = place, is_aliased
         self.w_at: dict[int, int] = {}
         self.scratch = 0
 
@@ -171,7 +207,7 @@ class _Program(CallOrder):
                 return
             call, k = self.made[value[1]]
             group, its = self.group_of[call]
-            if unit_of[group] != reader or (group.is_loop and its != lane):
+            if unit_of[group] != reader or (group.is_loop and its != lane) or call.gathers or type(value[1]) is At:
                 wanted[group, k] = None
 
         for number, unit in enumerate(units):
@@ -185,7 +221,7 @@ class _Program(CallOrder):
         for group, k in wanted:
             for call in group.calls:
                 self.w_at[call.values[k]] = self.scratch
-                self.scratch += 1
+                self.scratch += call.lanes
 
     # --- printing -------------------------------------------------------------------------------------------------
 
@@ -230,10 +266,24 @@ class _Program(CallOrder):
         """Where a value is in memory: the row in C and the index."""
         row, index = value
         if row in ("r", "ge"):
-            return "w", self.w_at[index]
+            first = self.w_at[index]
+            return "w", first + index.lane if type(index) is At else first
         row, index = self.place_of(value)
-        if row == "x" and self.x_at is not None:
-            index = self.x_at[index]
+        if row != "t":
+            unit.rows[row] = None
+        return row, index[0] if isinstance(index, range) else index
+
+    def of_lanes(self, value: Value, unit: CallSequence) -> Value:
+        """Where the lanes of a call of copies find a value: the row, and a range of indices, or the one of all."""
+        row, index = value
+        if row in ("r", "ge"):
+            first, lanes = self.w_at[index], self.made[index][0].lanes
+            if type(index) is At:
+                return "w", first + index.lane
+            return "w", range(first, first + lanes) if lanes > 1 else first
+        row, index = self.place_of(value)
+        if row in ("p", "d", "s") and isinstance(index, range) and not is_affine(index, 1):
+            row, index = self.place_of(("copy", value))  # side by side
         if row != "t":
             unit.rows[row] = None
         return row, index
@@ -294,7 +344,9 @@ class _Program(CallOrder):
 
     def loop(self, unit: CallSequence) -> list[str]:
         """A loop over lanes. At -O2 gcc vectorises only loops of an even count, so an odd lane is separate."""
-        count, guard = len(unit.groups[0].calls), unit.groups[0].calls[0].guard
+        if unit.groups[0].calls[0].gathers:
+            return self.gathered(unit)
+        count, guard = unit.groups[0].count, unit.groups[0].calls[0].guard
         hoisted, body, other = self.lanes(unit, [])
         costly = any(group.calls[0].function.costly for group in unit.groups)
         odd = count % 2 and not costly and count > 2
@@ -311,6 +363,17 @@ class _Program(CallOrder):
         guarded = [*hoisted, f"    if ({_due(guard)}) {{", *over(body), "    }"]
         return [*guarded, "    else {", *over(other), "    }"] if other else guarded
 
+    def gathered(self, unit: CallSequence) -> list[str]:
+        """The arguments of a call, one for each lane, side by side in w."""
+        (call,) = unit.groups[0].calls
+        first = self.w_at[call.values[0]]
+        copies = [Copy(value, Sink(first + lane)) for lane, value in enumerate(call.arguments)]
+        lines = [line.replace("out[", "w[") for line in self.copied(copies, unit)]
+        if not call.guard:
+            return lines
+        unit.due = True
+        return [f"    if ({_due(call.guard)}) {{", *(f"    {line}" for line in lines), "    }"]
+
     def lanes(self, unit: CallSequence, copies: Sequence[Sequence[Copy]]) -> tuple[list[str], list[str], list[str]]:
         """What lane i of a unit does: what all lanes share, the calls, and what replaces their values where they are
         not made. copies: of each lane, in equal form."""
@@ -319,10 +382,29 @@ class _Program(CallOrder):
         other: list[str] = []
         local: dict[int, str] = {}  # values of lane 0, for those of all lanes
 
+        is_of_copies = unit.groups[0].calls[0].lanes > 1 if unit.groups else bool(copies)
+
+        def of_copies(kind: str, number: Any, test: str) -> str:
+            """The text of what each lane of a call of copies reads in one place."""
+            if kind in ("r", "ge") and type(number) is int and number in local:
+                return f"(double)({local[number]}{test})" if test else local[number]
+            row, index = self.of_lanes((kind, number), unit)
+            at = self.index(index) if isinstance(index, range) else str(index)
+            if self.same is not None and row in ("q", "n") and isinstance(index, range) and index.step == 1:
+                self.same[row, index[0], len(index)] = None
+                at = at[:-1] + SAME
+            text = _text(row, at)
+            if not isinstance(index, range) and row not in ("t", "c", "offset"):
+                hoisted.append(f"    const double h{len(hoisted)} = {text};")
+                text = f"h{len(hoisted) - 1}"
+            return f"(double)({text}{test})" if test else text
+
         def column(values: Sequence[Value]) -> str:
             """The text of what each lane reads in one place."""
             kind, number = values[0]
             test = " >= 0.0" if kind == "ge" else ""
+            if is_of_copies:
+                return of_copies(kind, number, test)
             if kind in ("r", "ge") and number in local:
                 group, _ = self.group_of[self.made[number][0]]
                 producers = [self.group_of[self.made[index][0]] for _, index in values]
@@ -343,7 +425,7 @@ class _Program(CallOrder):
             return f"(double)({text}{test})" if test else text
 
         for group in unit.groups:
-            calls, count = group.calls, len(group.calls)
+            calls, count = group.calls, group.count
             first = calls[0]
             given = [column([call.arguments[k] for call in calls]) for k in range(len(first.arguments))]
             names = [f"r{len(local) + k}" for k in range(len(first.values))]
@@ -356,21 +438,25 @@ class _Program(CallOrder):
                 body += [f"double {', '.join(names)};", f"{code};{label}"]
             for k, r in enumerate(names):
                 if first.values[k] in self.w_at:
-                    at = self.index([self.w_at[call.values[k]] for call in calls])
+                    at = self.index(self.lane_places([self.w_at[call.values[k]] for call in calls], first))
                     body.append(f"w[{at}] = {r};")
                     if first.fallback is not None:
                         other.append(f"w[{at}] = {column([call.fallback[k] for call in calls if call.fallback])};")
                 for j, sink in enumerate(first.sinks[k]):
-                    at = self.index([call.sinks[k][j].index for call in calls])
+                    at = self.index(_indices([call.sinks[k][j] for call in calls]))
                     conditions = [call.sinks[k][j].condition for call in calls]
                     side = "" if sink.condition is None else column([("s", c) for c in conditions if c is not None])
                     own = column([("s", call.sinks[k][j].index) for call in calls]) if sink.off == "side" else ""
                     body.append(_store(at, r, sink.off, side, own))
         for column_ in zip(*copies, strict=True):
             text = column([copy.value for copy in column_])
-            at = self.index([copy.sink.index for copy in column_])
+            at = self.index(_indices([copy.sink for copy in column_]))
             body.append(f"out[{at}] = {text};")
         return hoisted, body, other
+
+    @staticmethod
+    def lane_places(firsts: list[int], call: Call) -> Sequence[int]:
+        return range(firsts[0], firsts[0] + call.lanes) if call.lanes > 1 else firsts
 
     def index(self, indices: Sequence[int]) -> str:
         """An index as a function of the lane i."""
@@ -386,8 +472,18 @@ class _Program(CallOrder):
         """Copies, those of equal form in loops."""
         lines: list[str] = []
         runs: dict[object, list[Copy]] = {}
+        for copy in copies:
+            if isinstance(copy.sink.index, range):  # of all lanes
+                row, index = self.of_lanes(copy.value, unit)
+                text = _text(row, self.index(index) if isinstance(index, range) else str(index))
+                text = f"(double)({text} >= 0.0)" if copy.value[0] == "ge" else text
+                at = self.index(copy.sink.index)
+                lines.append(f"    for (int i = 0; i < {len(copy.sink.index)}; i++) out[{at}] = {text};")
+        copies = [copy for copy in copies if not isinstance(copy.sink.index, range)]
         for copy in sorted(copies, key=lambda copy: copy.sink.index):
-            key: object = (copy.value[0], copy.sink.condition is None, copy.sink.off)
+            kind = copy.value[0]
+            kind = f"at {self.row(copy.value, unit)[0]}" if kind == "at" else kind
+            key: object = (kind, copy.sink.condition is None, copy.sink.off)
             if local is not None and copy.value[0] in ("r", "ge") and copy.value[1] in local:
                 key = copy
             runs.setdefault(key, []).append(copy)
@@ -434,6 +530,12 @@ def _pieces(copies: list[Copy], where: Callable[[Copy], tuple[int, int]]) -> lis
             pieces.append([copy])
         last, step = place, moved
     return pieces if len(pieces) <= max(4, len(copies) // 16) else [copies]
+
+
+def _indices(sinks: Sequence[Sink]) -> Sequence[int]:
+    """The places of lanes: of calls one by one, or of one call of copies."""
+    first = sinks[0].index
+    return first if isinstance(first, range) else [sink.index for sink in sinks]  # type: ignore[misc]
 
 
 def _text(row: str, index: str) -> str:

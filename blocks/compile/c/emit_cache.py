@@ -13,7 +13,7 @@ import json
 import pickle
 import sys
 from collections.abc import Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import astuple, fields, is_dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ LEAST = 200
 
 # Of the Plan: what emission does not read, and what is digested in another form below.
 _UNREAD = frozenset({"parameters", "nominal", "signals", "log", "measures", "warnings", "outline"})
-_UNREAD |= {"starting", "start", "continuous", "unknowns"}  # what follows from the rest
+_UNREAD |= {"starting", "start", "continuous", "unknowns", "folded", "written_out"}  # what follows from the rest
 _TOLD = frozenset({"instances", "steppers", "foreign", "settings"})
 
 
@@ -61,6 +61,7 @@ def plan_key(plan: Plan, measured: Sequence[Reference], logged: Sequence[Referen
 
     It serves as a key in memory as well.
     """
+    whole, plan = plan, plan if plan.folded is None else plan.folded.plan
     tapes = {id(instance.tape): instance.tape for instance in plan.instances}
     digests = {name: tape.digest for name, tape in tapes.items()}
     # Digests only: nothing is ever unpickled. Equal numbers and texts may be one object or two: no memo.
@@ -79,6 +80,13 @@ def plan_key(plan: Plan, measured: Sequence[Reference], logged: Sequence[Referen
     for field in fields(plan):
         if field.name not in _UNREAD | _TOLD:
             pickler.dump((field.name, _plain(getattr(plan, field.name))))
+    if whole.folded is not None:
+        folded = whole.folded
+        counts = [0 if fleet is None else fleet.count for fleet in folded.fleets]
+        segments = [(row, [astuple(segment) for segment in own]) for row, own in folded.segments.items()]
+        gathers = [(k, [_plain(one) for one in taken]) for k, taken in folded.gathers.items()]
+        lanes = [[getattr(one.index, "lane", -1) for one in instance.arguments] for instance in plan.instances]
+        pickler.dump((counts, segments, gathers, lanes))
     return hashlib.sha256(stream.getvalue()).digest()
 
 
@@ -108,7 +116,7 @@ def _own_digest() -> str:
     """Of the Python files that emit."""
     digest = hashlib.sha256()
     here = Path(__file__).parent
-    others = (here.parent / f"{name}.py" for name in ("motion", "scheduler", "tick_stages"))
+    others = (here.parent / f"{name}.py" for name in ("folding", "motion", "scheduler", "tick_stages"))
     for path in (*sorted(here.glob("*.py")), *others):
         digest.update(path.read_bytes())
     return digest.hexdigest()

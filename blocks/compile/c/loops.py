@@ -20,7 +20,8 @@ __all__ = ["LEAST", "Call", "CallOrder", "CallSequence", "Copy", "EqualCalls", "
 Value = tuple[str, Any]
 """A row of memory and an index in it (in q, n and v: or a name for what has no place yet; in c: an offset). Also
 ("t", 0); ("r", number): a value of a call of this program; ("ge", number): 1 where that is not negative, else 0;
-("offset", number): the number itself."""
+("offset", number): the number itself. In a plan of one copy a value is that of the own lane, unless its number is an `At`, or it is
+("at", (value, lane))."""
 
 LEAST = 4  # equal calls that make a loop where all of their wires are regular
 LEAST_IRREGULAR = 16  # and where they are not: registers are faster than short tables
@@ -29,12 +30,12 @@ MOST_CALLS, MOST_WEIGHT = 64, 1500  # calls and operations in one straight piece
 
 @dataclass(frozen=True, slots=True)
 class Sink:
-    """Where a value goes: a place in `out`. condition: where this side is 0, the value is what `off` says.
+    """Where a value goes: a place in `out`, or one for each lane. condition: where this side is 0, the value is what `off` says.
 
     off: "zero", "side" (1 or -1, as the side `index` is), "inf", or "keep": then nothing is written.
     """
 
-    index: int
+    index: int | range
     condition: int | None = None
     off: str = ""
 
@@ -44,6 +45,7 @@ class Call:
     """One call: its arguments, the numbers of its values, and where these go.
 
     guard: the rates of which one must be due; (): it is always made. fallback: what replaces its values otherwise.
+    lanes: of copies: how many calls it stands for. gathers: it only puts its arguments, one for each lane, side by side.
     """
 
     function: Function
@@ -54,6 +56,8 @@ class Call:
     sinks: list[list[Sink]]
     guard: tuple[int, ...] = ()
     fallback: list[Value] | None = None
+    lanes: int = 1
+    gathers: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +70,19 @@ class Copy:
 
 @dataclass(slots=True, eq=False)
 class EqualCalls:
-    """Equal calls: lanes of a loop, or a single one."""
+    """Equal calls: lanes of a loop, or a single one, which may stand for lanes itself."""
 
     calls: list[Call]
     cluster: int = -1
 
     @property
     def is_loop(self) -> bool:
-        return len(self.calls) > 1
+        return self.count > 1 or self.calls[0].gathers
+
+    @property
+    def count(self) -> int:
+        """The number of lanes."""
+        return len(self.calls) if len(self.calls) > 1 else self.calls[0].lanes
 
 
 @dataclass(slots=True, eq=False)
@@ -91,6 +100,8 @@ def is_affine(indices: Sequence[int], most: int | None = None) -> bool:
     """Whether indices are equally spaced, by `most` at most."""
     if len(indices) < 2:
         return True
+    if isinstance(indices, range):
+        return most is None or abs(indices.step) <= most
     stride = indices[1] - indices[0]
     if most is not None and abs(stride) > most:
         return False
@@ -123,11 +134,13 @@ class CallOrder:
                 rows = tuple(row for row, _ in call.arguments)
                 forms = tuple(tuple((s.condition is None, s.off) for s in sinks) for sinks in call.sinks)
                 fallback = None if call.fallback is None else tuple(row for row, _ in call.fallback)
-                key = (call.function.name, level, rows, forms, call.guard, fallback)
+                key = (call.function.name, level, rows, forms, call.guard, fallback, call.lanes, call.gathers)
                 by_form.setdefault(key, []).append(call)
             groups = []
             for group in by_form.values():
-                if len(group) >= LEAST:
+                if any(call.lanes > 1 or call.gathers for call in group):
+                    groups += [EqualCalls([call]) for call in group]
+                elif len(group) >= LEAST:
                     groups.append(EqualCalls(sorted(group, key=lambda call: call.order)))
                 else:
                     groups += [EqualCalls([call]) for call in group]
@@ -170,7 +183,9 @@ class CallOrder:
             for row, index in call.arguments:
                 if row in ("r", "ge"):
                     other, its = self.group_of[self.made[index][0]]
-                    sources[other] = sources.get(other, True) and its == lane and len(other.calls) == len(group.calls)
+                    is_own = its == lane and type(index) is int and not (call.gathers or other.calls[0].gathers)
+                    is_own = is_own and len(other.calls) == len(group.calls) and other.count == group.count
+                    sources[other] = sources.get(other, True) and is_own
         return sources
 
     def clustered(self, groups: list[EqualCalls]) -> list[list[EqualCalls]]:
@@ -198,7 +213,7 @@ class CallOrder:
     @staticmethod
     def fits(a: list[EqualCalls], b: list[EqualCalls], before: dict[EqualCalls, dict[EqualCalls, bool]]) -> bool:
         calls_a, calls_b = a[0].calls, b[0].calls
-        if len(calls_a) != len(calls_b) or calls_a[0].guard != calls_b[0].guard:
+        if a[0].count != b[0].count or len(calls_a) != len(calls_b) or calls_a[0].guard != calls_b[0].guard:
             return False
         if any(g.calls[0].function.costly for g in a) != any(g.calls[0].function.costly for g in b):
             return False

@@ -20,6 +20,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 from ...text.gc_pause import paused
 from ..motion import looked_at
@@ -30,7 +31,7 @@ from ..tick_stages import stages_of, tick_program
 from .calls import SAME, print_program, print_selected
 from .functions import comment
 from .loops import Call, Copy, Sink
-from .plan_reader import MOVING, PlanReader, ProgramScope
+from .plan_reader import MOVING, Places, PlanReader, ProgramScope
 from .ticks import Clique, Stage, cliques
 
 __all__ = ["Clique", "Emitted", "Stage", "emit"]
@@ -69,7 +70,13 @@ def emit(
     """The model of a Plan. measured, logged: what its programs of these names give. method: whose stepping loop is
     compiled ("euler", "rk4", "dopri5"; any other: none). loops: False prints every call by itself. others: what further
     programs give, by their names; end: C text at the end."""
-    return _Emitter(plan, loops, looked_at(plan, measured, logged)).emitted(method, others, end)
+    folded = plan.folded
+    if folded is None:
+        return _Emitter(plan, loops, looked_at(plan, measured, logged)).emitted(plan, method, others, end)
+    one, of_one = folded.plan, folded.of_one
+    watched = looked_at(one, list(map(of_one, measured)), list(map(of_one, logged)))
+    others = {name: list(map(of_one, asked)) for name, asked in others.items()}
+    return _Emitter(one, True, watched, folded).emitted(plan, method, others, end)
 
 
 _SIGNATURES = {
@@ -85,7 +92,18 @@ _SIGNATURES = {
 _SIGNATURE = "const BlocksMemory *m, double t, const double *x, double *out"
 
 
+def _listed(places: range | int) -> range:
+    return range(places, places + 1) if isinstance(places, int) else places
+
+
+def _moved(places: range | int, by: int) -> range | int:
+    return places + by if isinstance(places, int) else range(places.start + by, places.stop + by, places.step)
+
+
 class _Emitter(PlanReader):
+    whole: Plan
+    """The plan of the whole diagram; `plan` is that of one copy where there are copies."""
+
     def continuous(
         self,
         name: str,
@@ -102,8 +120,21 @@ class _Emitter(PlanReader):
         copies = self.attach(name, calls, asked, sinks, scope)
         if guards:
             self.guard(calls, {node: guard for node, guard in zip(asked, guards, strict=True) if len(node) == 3}, scope)
-        self.states_of[name] = tuple(sorted(self.x_at[i] for i in self.seen_states))
+        self.states_of[name] = self.states_seen()
         return self.printed(name, calls, copies, is_hot=is_quick)
+
+    def states_seen(self) -> tuple[int, ...]:
+        """The places in the model of the states that the program at hand reads."""
+        seen: set[int] = set()
+        for index, lane in self.seen_states:
+            own = self.x_range(index)
+            seen |= {own} if isinstance(own, int) else {own[lane]} if lane >= 0 else set(own)
+        return tuple(sorted(seen))
+
+    def x_range(self, index: int) -> range | int:
+        """The places in the model of a state, in all copies."""
+        first, lanes = self.x_at[index], self.lanes_of("x", index)
+        return range(first, first + lanes) if lanes > 1 else first
 
     def attach(
         self,
@@ -112,8 +143,11 @@ class _Emitter(PlanReader):
         asked: Sequence[Node | Reference],
         sinks: Sequence[Sink],
         scope: ProgramScope,
+        *,
+        is_local: bool = False,
     ) -> list[Copy]:
-        """Attaches sinks to the calls that compute their values; copies for all else."""
+        """Attaches sinks to the calls that compute their values; copies for all else. is_local: what lanes give goes
+        to one place, as one lane alone is computed."""
         producers = {value: (call, k) for call in calls for k, value in enumerate(call.values)}
         copies = []
         for number, (item, sink) in enumerate(zip(asked, sinks, strict=True)):
@@ -123,9 +157,13 @@ class _Emitter(PlanReader):
                 value = self.value(item, scope, (name, number))
             if value[0] == "r":
                 call, k = producers[value[1]]
-                call.sinks[k].append(sink)
-            else:
-                copies.append(Copy(value, sink))
+                if call.lanes == (len(sink.index) if isinstance(sink.index, range) else 1) and not call.gathers:
+                    call.sinks[k].append(sink)
+                    continue
+                if is_local and call.lanes > 1 and type(value[1]) is int:
+                    call.sinks[k].append(sink)
+                    continue
+            copies.append(Copy(value, sink))
         return copies
 
     def guard(self, calls: list[Call], guards: Mapping[Node, tuple[int, ...]], scope: ProgramScope) -> None:
@@ -143,7 +181,7 @@ class _Emitter(PlanReader):
     def printed(self, name: str, calls: list[Call], copies: list[Copy], *, is_hot: bool = False) -> str:
         self.is_hot = is_hot
         printed = print_program(
-            name, calls, copies, self.place, self.tables, x_at=self.x_at, loops=self.loops,
+            name, calls, copies, self.place, self.tables, loops=self.loops,
             is_aliased=self.is_in_prepare, is_hot=name in RATES,
         )  # fmt: skip
         self.scratch = max(self.scratch, printed.scratch)
@@ -180,10 +218,13 @@ class _Emitter(PlanReader):
         kind = "static inline void" if is_inline else "static void"
         self.texts.append(f"{kind} {name}({signature})\n{{\n{text}\n}}\n")
 
-    def selected(self, name: str, programs: Sequence[tuple[list[Call], list[Copy]]]) -> None:
-        """A program that runs one of others, chosen by its argument `which`."""
+    def selected(
+        self, name: str, programs: Sequence[tuple[list[Call], list[Copy]]], numbers: Sequence[range] | None = None
+    ) -> None:
+        """A program that runs one of others, chosen by its argument `which`. numbers: those that choose each of them."""
         self.is_hot = False
-        printed = print_selected(name, programs, self.place, self.tables, self.x_at)
+        own = [range(k, k + 1) for k in range(len(programs))] if numbers is None else numbers
+        printed = print_selected(name, programs, self.place, self.tables, own)
         self.texts += [printed.functions] if printed.functions else []
         self.define(name, printed.body)
 
@@ -192,7 +233,8 @@ class _Emitter(PlanReader):
         scope = ProgramScope({}, {}, {})
         self.seen_states = {}
         calls = self.sliced(asked, scope, held=self.v.__contains__)
-        return calls, self.attach((name, self.new_value()), calls, asked, [Sink(k) for k in range(len(asked))], scope)
+        sinks = [Sink(k) for k in range(len(asked))]
+        return calls, self.attach((name, self.new_value()), calls, asked, sinks, scope, is_local=True)
 
     def beginning(self, resets: tuple[Reference, ...]) -> tuple[list[Call], list[Copy]]:
         """The start values of an enabled subdiagram that begins anew."""
@@ -217,22 +259,30 @@ class _Emitter(PlanReader):
                 for k, sinks in enumerate(group[0].sinks)
                 for j in range(len(sinks))
             ]
-            if len(group) < 4:
+            if len(group) < 4 and self.folded is None:
                 plain += [index for column in columns for index in column]
             else:
                 rest += [index for column in columns for index in column]
         known = dict.fromkeys((*plain, *rest))
         copied = [index for index in range(len(self.plan.states)) if index not in known]
         x_order = [*sorted([*plain, *copied]), *rest]
-        for place, index in enumerate(x_order):
-            self.x_at[index] = place
-        self.x_order = tuple(x_order)
+        whole: list[int] = []
+        for index in x_order:
+            self.x_at[index] = len(whole)
+            places = self.all_places("x", index)
+            whole += places if isinstance(places, range) else [places]
+        self.x_order = tuple(whole)
         for call in calls:
-            call.sinks = [[Sink(self.x_at[s.index], s.condition, s.off) for s in sinks] for sinks in call.sinks]
+            call.sinks = [[self.at_state(sink) for sink in sinks] for sinks in call.sinks]
+
+    def at_state(self, sink: Sink) -> Sink:
+        """A sink of the rate of a state of the plan, as one of the model."""
+        assert isinstance(sink.index, int)
+        return Sink(self.x_range(sink.index), sink.condition, sink.off)
 
     # --- all of them ----------------------------------------------------------------------------------------------
 
-    def emitted(self, method: str, others: Mapping[str, Sequence[Reference]], end: str) -> Emitted:
+    def emitted(self, whole: Plan, method: str, others: Mapping[str, Sequence[Reference]], end: str) -> Emitted:
         plan = self.plan
         conditions = [instance.condition for instance in plan.instances]
 
@@ -242,10 +292,14 @@ class _Emitter(PlanReader):
         def plain(items: Sequence[object]) -> list[Sink]:
             return [Sink(k) for k in range(len(items))]
 
-        def sink(k: int, node: Node, off: str) -> Sink:
+        def sink(k: int | range, node: Node, off: str) -> Sink:
             side = of(node)
             return Sink(k) if side is None else Sink(k, side, off)
 
+        def spread(nodes: Sequence[Node]) -> list[range | int]:
+            return self.spread([node.instance for node in nodes])
+
+        self.whole = whole
         nodes = [cause.node for cause in plan.crossings]
         moving = any(self.level[node] == MOVING for node in nodes)
         is_long = self.rates(sink, moving and method in METHODS)
@@ -254,25 +308,32 @@ class _Emitter(PlanReader):
             if is_long:
                 self.define("rates", "    rates_and_sides(m, t, x, out);")
         quick = self.quick_measures(sink, method, moving=moving)
-        self.define("crossings", self.continuous("crossings", nodes, [sink(k, n, "side") for k, n in enumerate(nodes)]))
+        sinks = [sink(k, n, "side") for k, n in zip(spread(nodes), nodes, strict=True)]
+        self.define("crossings", self.continuous("crossings", nodes, sinks))
         watched = {name: self.watched[name] for name in ("logged", "measured", "remembered")}
         for name, asked in {"solutions": plan.unknowns, **watched, **others}.items():
             self.define(name, self.continuous(name, asked, plain(asked)))
         for name, motion in self.motions.items():
             if motion.phases:
                 named = f"{name}_phases"
-                self.define(named, self.continuous(named, motion.phases, plain(motion.phases)))
+                sinks = list(map(Sink, self.side_by_side(motion.phases)))
+                self.define(named, self.continuous(named, motion.phases, sinks))
         self.refresh()
         if plan.foreign:
             given = [reference for part in plan.foreign for reference in part.inputs]
             self.define("foreign_inputs", self.continuous("foreign_inputs", given, plain(given), is_quick=False))
         nodes = [cause.node for cause in plan.events]
-        sinks = [sink(k, node, "inf") for k, node in enumerate(nodes)]
+        sinks = [sink(k, node, "inf") for k, node in zip(spread(nodes), nodes, strict=True)]
         self.define("event_times", self.continuous("event_times", nodes, sinks, is_quick=False))
         causes = (*plan.crossings, *plan.events)
-        self.selected("resets", [self.part("resets", [node for node, _ in cause.resets]) for cause in causes])
+        self.selected(
+            "resets",
+            [self.part("resets", [node for node, _ in cause.resets]) for cause in causes],
+            self.numbers_of_causes(),
+        )
         nodes = [node for node, _ in plan.projections]
-        self.define("projections", self.continuous("projections", nodes, plain(nodes), is_quick=False))
+        sinks = list(map(Sink, spread(nodes)))
+        self.define("projections", self.continuous("projections", nodes, sinks, is_quick=False))
         self.nexts(sink)
         taken = [[r for _, references, _ in part.inputs for r in references] for part in plan.steppers]
         self.selected("stepper_inputs", [self.part("stepper_inputs", references) for references in taken])
@@ -283,7 +344,23 @@ class _Emitter(PlanReader):
         self.compare_lanes()
         return self.finished(method, cliques, moving, end, quick)
 
-    def rates(self, sink: Callable[[int, Node, str], Sink], has_room: bool) -> bool:
+    def side_by_side(self, nodes: Sequence[Node]) -> list[range | int]:
+        """Places for nodes, those of the lanes of each side by side."""
+        places = Places[Node]()
+        return [places.place(node, self.lanes(node.instance)) for node in nodes]
+
+    def numbers_of_causes(self) -> list[range]:
+        """The numbers of each cause in the whole diagram: crossings, then event times."""
+        crossings = self.spread([cause.instance for cause in self.plan.crossings])
+        events = self.spread([cause.instance for cause in self.plan.events])
+        first = len(self.whole.crossings)
+        numbers = [*((0, own) for own in crossings), *((first, own) for own in events)]
+        return [
+            range(k + own, k + own + 1) if isinstance(own, int) else range(k + own.start, k + own.stop, own.step)
+            for k, own in numbers
+        ]
+
+    def rates(self, sink: Callable[[int | range, Node, str], Sink], has_room: bool) -> bool:
         """The rates; or nothing, and True, where they are long and crossings can follow them: compiling them twice
         would take longer than computing some crossings in vain."""
         nodes = self.plan.derivatives
@@ -293,8 +370,8 @@ class _Emitter(PlanReader):
         calls = self.sliced(nodes, scope, held=lambda node: True)
         copies = self.attach("rates", calls, nodes, sinks, scope)
         self.order_states(calls)
-        copies = [Copy(c.value, Sink(self.x_at[c.sink.index], c.sink.condition, c.sink.off)) for c in copies]
-        copies.sort(key=lambda copy: copy.sink.index)
+        copies = [Copy(copy.value, self.at_state(copy.sink)) for copy in copies]
+        copies.sort(key=lambda copy: copy.sink.index if isinstance(copy.sink.index, int) else copy.sink.index.start)
         printed = len(self.texts)
         body = self.printed("rates", calls, copies, is_hot=True)
         if has_room and len(body) + sum(map(len, self.texts[printed:])) > LONG:
@@ -314,20 +391,23 @@ class _Emitter(PlanReader):
         body = f"    {loop} {{\n        {find}\n        {inner}\n    }}\n    return {int(bool(self.same))};"
         self.texts.append(f"static int lanes_are_same(const BlocksMemory *m)\n{{\n{table}{body}\n}}\n")
 
-    def rates_and_sides(self, crossings: Sequence[Node], sink: Callable[[int, Node, str], Sink]) -> None:
+    def rates_and_sides(self, crossings: Sequence[Node], sink: Callable[[int | range, Node, str], Sink]) -> None:
         """The rates, followed by all crossings: what both need is computed once."""
-        nx = len(self.plan.states)
-        sinks = [sink(self.x_at[k], node, "zero") for k, node in enumerate(self.plan.derivatives)]
+        nx = len(self.whole.states)
+        sinks = [sink(self.x_range(k), node, "zero") for k, node in enumerate(self.plan.derivatives)]
         # Those of equal instances side by side, as their loop writes them.
         kinds: dict[object, list[int]] = {}
         for j, (instance, key, element) in enumerate(crossings):
             kinds.setdefault((id(self.plan.instances[instance].tape), key, element), []).append(j)
-        self.sides = tuple(j for group in kinds.values() for j in group)
-        sinks += [sink(nx + place, crossings[j], "inf") for place, j in enumerate(self.sides)]
-        nodes = [*self.plan.derivatives, *(crossings[j] for j in self.sides)]
+        order = [j for group in kinds.values() for j in group]
+        whole = self.spread([node.instance for node in crossings])
+        self.sides = tuple(k for j in order for k in _listed(whole[j]))
+        at = self.side_by_side([crossings[j] for j in order])
+        sinks += [sink(_moved(place, nx), crossings[j], "inf") for place, j in zip(at, order, strict=True)]
+        nodes = [*self.plan.derivatives, *(crossings[j] for j in order)]
         self.define("rates_and_sides", self.continuous("rates_and_sides", nodes, sinks))
 
-    def quick_measures(self, sink: Callable[[int, Node, str], Sink], method: str, *, moving: bool) -> dict[str, int]:
+    def quick_measures(self, sink: Callable[[int | range, Node, str], Sink], method: str, *, moving: bool) -> dict[str, int]:
         """The programs by which the stepping loop measures: at the end of a step behind its rates; inside, what five
         values tell apart from what they do not. Without them it measures like all that is looked at in parts."""
         plan, asked, motion = self.plan, self.watched["measured"], self.motions["measured"]
@@ -337,8 +417,8 @@ class _Emitter(PlanReader):
         sizes = {"QUICK_MEASURES": int(is_quick), "SHARES_MEASURED": int(is_shared)}
         sizes["DRIVEN_MEASURES"] = int(motion.is_driven)
         if is_shared:
-            first = len(plan.states) + len(plan.crossings)
-            sinks = [sink(self.x_at[k], node, "zero") for k, node in enumerate(plan.derivatives)]
+            first = len(self.whole.states) + len(self.whole.crossings)
+            sinks = [sink(self.x_range(k), node, "zero") for k, node in enumerate(plan.derivatives)]
             sinks += [Sink(first + k) for k in range(len(asked))]
             body = self.continuous("rates_and_measured", [*plan.derivatives, *asked], sinks)
             self.define("rates_and_measured", body)
@@ -359,13 +439,13 @@ class _Emitter(PlanReader):
         scope = ProgramScope({}, {}, {})
         self.seen_states = {}
         calls = self.sliced(nodes, scope, held=lambda node: False)
-        copies = self.attach("refresh", calls, nodes, [Sink(k) for k in range(len(nodes))], scope)
+        copies = self.attach("refresh", calls, nodes, [Sink(self.own_place(node)) for node in nodes], scope)
         self.define("refresh", self.printed("refresh", calls, copies))
 
-    def nexts(self, sink: Callable[[int, Node, str], Sink]) -> None:
+    def nexts(self, sink: Callable[[int | range, Node, str], Sink]) -> None:
         pairs = [(node, slot, k) for k, rate in enumerate(self.plan.rates) for node, slot in rate.nexts]
         nodes = [node for node, _, _ in pairs]
-        sinks = [sink(slot, node, "keep") for node, slot, _ in pairs]
+        sinks = [sink(self.all_places("d", slot), node, "keep") for node, slot, _ in pairs]
         body = self.continuous("nexts", nodes, sinks, is_quick=False, guards=[(k,) for _, _, k in pairs])
         self.define("nexts", body)
 
@@ -379,15 +459,19 @@ class _Emitter(PlanReader):
 
     def start(self) -> None:
         plan = self.plan
-        nx, nd = len(plan.states), len(plan.discretes)
-        asked: list[Node | Reference] = [Reference("x", i) for i in range(nx)]
-        asked += [Reference("d", i) for i in range(nd)]
+        nx, nd = len(self.whole.states), len(self.whole.discretes)
+        asked: list[Node | Reference] = [Reference("x", i) for i in range(len(plan.states))]
+        asked += [Reference("d", i) for i in range(len(plan.discretes))]
         asked += [*plan.s_start, *(reference for part in plan.foreign for reference in part.inputs)]
         program = schedule(plan, asked, start=plan.starting)
-        places = [*self.x_at, *range(nx, len(asked))]
-        self.define("start", self.own("start", program, [Sink(k) for k in places]))
+        places: list[range | int] = [self.x_range(i) for i in range(len(plan.states))]
+        places += [_moved(self.all_places("d", i), nx) for i in range(len(plan.discretes))]
+        places += [_moved(place, nx + nd) for place in self.spread([cause.instance for cause in plan.crossings])]
+        taken = len(asked) - len(places)
+        places += range(nx + nd + len(self.whole.crossings), nx + nd + len(self.whole.crossings) + taken)
+        self.define("start", self.own("start", program, list(map(Sink, places))))
 
-    def outputs(self, sink: Callable[[int, Node, str], Sink]) -> tuple[Clique, ...]:
+    def outputs(self, sink: Callable[[int | range, Node, str], Sink]) -> tuple[Clique, ...]:
         plan = self.plan
         if not plan.rates:
             self.define("outputs", "    (void)clique, (void)stage, (void)due;")
@@ -398,7 +482,8 @@ class _Emitter(PlanReader):
             stages = []
             for number, members in enumerate(stages_of(plan, rates)):
                 slots = tuple((slot, plan.held_nodes[slot][1]) for slot in sorted(members) if slot >= 0)
-                stages.append(Stage(slots, tuple(sorted(-1 - key for key in members if key < 0))))
+                all_slots = sorted((k, rate) for slot, rate in slots for k in _listed(self.all_places("d", slot)))
+                stages.append(Stage(tuple(all_slots), tuple(sorted(-1 - key for key in members if key < 0))))
                 if not slots:
                     continue
                 name = f"outputs_{len(tick_cliques)}_{number}"
@@ -411,7 +496,7 @@ class _Emitter(PlanReader):
         self.define("outputs", "\n".join(["    (void)clique, (void)stage, (void)due;", *cases]))
         return tuple(tick_cliques)
 
-    def stage(self, name: str, slots: Sequence[tuple[int, int]], sink: Callable[[int, Node, str], Sink]) -> str:
+    def stage(self, name: str, slots: Sequence[tuple[int, int]], sink: Callable[[int | range, Node, str], Sink]) -> str:
         """The sampled outputs of one stage; others read the held value of one that is not due."""
         plan = self.plan
         program = tick_program(plan, sorted(slot for slot, _ in slots))
@@ -419,8 +504,10 @@ class _Emitter(PlanReader):
         self.seen_states = {}
         calls = self.calls_of(program, scope)
         nodes = [plan.held_nodes[slot][0] for slot, _ in slots]
-        sinks = [sink(slot, node, "keep") for (slot, _), node in zip(slots, nodes, strict=True)]
-        self.attach(name, calls, nodes, sinks, scope)
+        at = [self.all_places("d", slot) for slot, _ in slots]
+        sinks = [sink(place, node, "keep") for place, node in zip(at, nodes, strict=True)]
+        copies = self.attach(name, calls, nodes, sinks, scope)
+        assert not copies
         self.guard_stage(calls, {node: rate for node, (_, rate) in zip(nodes, slots, strict=True)}, scope)
         return self.printed(name, calls, [])
 
@@ -482,7 +569,7 @@ class _Emitter(PlanReader):
                 continue
             stack.pop()
             depth[key] = 1 + max((depth[other] for other in needs), default=-1)
-            self.q.setdefault(key, len(self.q))
+            self.q.place(key, self.lanes(key[0]))
         by_depth: dict[int, dict[int, list[int]]] = {}
         for (instance, n), level in depth.items():
             by_depth.setdefault(level, {}).setdefault(instance, []).append(n)
@@ -497,7 +584,7 @@ class _Emitter(PlanReader):
                 f"static void {name}({_SIGNATURE})\n{{\n    (void)m, (void)t, (void)x, (void)out;\n{body}\n}}\n"
             )
             bodies.append(f"    {name}(m, t, x, out);")
-        copies = [Copy(("p", index), Sink(slot)) for (row, index), slot in self.q.items() if row == "p"]
+        copies = [Copy(key, Sink(self.own_place(key))) for key in self.q if key[0] == "p"]
         body = self.printed("prepare_copies", [], copies) if copies else ""
         if copies:
             self.texts.append(f"static void prepare_copied({_SIGNATURE})\n{{\n    (void)x, (void)t;\n{body}\n}}\n")
@@ -514,8 +601,16 @@ class _Emitter(PlanReader):
         for n in function.inputs:
             k = int(tape.nodes[n].value)
             arguments.append(self.value(block.arguments[k], scope, (instance, k)))
-        sinks = [[Sink(self.q[instance, n])] for n in nodes]
-        return Call(function, block.path, instance, arguments, [self.new_value() for _ in nodes], sinks)
+        lanes = self.lanes(instance)
+        sinks = [[Sink(self.q.place((instance, n), lanes))] for n in nodes]
+        made = [self.new_value() for _ in nodes]
+        return Call(function, block.path, instance, arguments, made, sinks, lanes=lanes)
+
+    def own_place(self, key: Any) -> range | int:
+        """The places in q or in v of something that is there: of a parameter, a node, a place of memory."""
+        if isinstance(key, Node):
+            return self.v.place(key, self.lanes(key.instance))
+        return (self.v if isinstance(key, Reference) else self.q).place(key, self.lanes_of(*key))
 
     def looked_at(self, name: str) -> str:
         """The tables of what is looked at inside a step: the states that it needs, and how else it moves."""
@@ -524,9 +619,20 @@ class _Emitter(PlanReader):
         self.states_of[name] = tuple(states)
         tables = [("int", "states", states), ("int", "histories", motion.histories)]
         if self.tells_bent(name):
-            tables.append(("uint8_t", "bent", [int(bent) for bent in motion.bent]))
+            tables.append(("uint8_t", "bent", self.all_bent(name)))
         texts = [(kind, what, ", ".join(map(str, items)) or "0") for kind, what, items in tables]
         return "".join(f"static const {kind} {name}_{what}[] = {{{text}}};\n" for kind, what, text in texts)
+
+    def all_bent(self, name: str) -> list[int]:
+        """Whether each signal that is looked at is bent, in the whole diagram."""
+        bent = self.motions[name].bent
+        if name != "crossings":
+            return list(map(int, bent))
+        all_bent = [0] * len(self.whole.crossings)
+        for own, is_bent in zip(self.spread([cause.instance for cause in self.plan.crossings]), bent, strict=True):
+            for k in _listed(own):
+                all_bent[k] = int(is_bent)
+        return all_bent
 
     def tells_bent(self, name: str) -> bool:
         return name in ("crossings", "measured") and not self.motions[name].is_plain
@@ -534,11 +640,17 @@ class _Emitter(PlanReader):
     def looks(self) -> str:
         """What is looked at inside a step, in the order of runtime.h."""
         rows = []
+
+        def of_blocks(asked: Sequence[Node | Reference]) -> list[Node]:
+            return [item for item in asked if isinstance(item, Node)]
+
         for name, asked in self.watched.items():
             motion = self.motions[name]
             phases = f"{name}_phases" if motion.phases else "0"
             bent = f"{name}_bent" if self.tells_bent(name) else "0"
-            counts = f"{len(asked)}, {len(motion.phases)}, {len(self.states_of[name])}, {len(motion.histories)}"
+            sizes = [sum(self.lanes(node.instance) for node in nodes) for nodes in (of_blocks(asked), motion.phases)]
+            sizes[0] += sum(isinstance(item, Reference) for item in asked)
+            counts = f"{sizes[0]}, {sizes[1]}, {len(self.states_of[name])}, {len(motion.histories)}"
             places = f"{name}_states, {name}_histories, {bent}"
             rows.append(f"    {{{name}, {phases}, {counts}, {places}, {motion.checks(name)}}},\n")
         return f"\nstatic const BlocksLook looks[] = {{\n{''.join(rows)}}};\n"
@@ -546,15 +658,15 @@ class _Emitter(PlanReader):
     def finished(
         self, method: str, cliques: tuple[Clique, ...], moving: bool, end: str, quick: dict[str, int]
     ) -> Emitted:
-        plan = self.plan
+        plan, own = self.whole, self.plan
         sizes = {
             "NX": len(plan.states), "ND": len(plan.discretes), "NS": len(plan.crossings), "NP": len(plan.parameters),
             "NU": sum(math.prod(shape) for _, shape, *_ in plan.inputs), "NH": len(plan.histories),
-            "NZ": len(plan.unknowns), "NRATES": len(plan.rates), "NQ": len(self.q), "NV": len(self.v),
+            "NZ": len(plan.unknowns), "NRATES": len(plan.rates), "NQ": self.q.size, "NV": self.v.size,
             "NN": len(self.numbers), "NC": self.offsets[-1], "NW": self.scratch, "NEVENTS": len(plan.events),
             "NLOGGED": len(self.watched["logged"]), "NMEASURED": len(self.watched["measured"]),
             "NREMEMBERED": len(plan.histories), "NPROJECTIONS": len(plan.projections), "MOVING_SIDES": int(moving),
-            "BENT_SIDES": int(any(self.is_bent(cause.node) for cause in plan.crossings)),
+            "BENT_SIDES": int(any(self.is_bent(cause.node) for cause in own.crossings)),
             "TURNING_ROWS": int(bool(self.motions["logged"].phases)),
         }  # fmt: skip
         sizes |= quick
@@ -571,5 +683,5 @@ class _Emitter(PlanReader):
             '#include "fmu_bridge.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",
             "\n".join(self.texts), self.looks(), '\n#include "steps.h"\n', end,
         ])  # fmt: skip
-        table = tuple(value for values in plan.tables for value in values)
+        table = tuple(value for values in own.tables for value in values)
         return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes)

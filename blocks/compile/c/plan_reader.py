@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from ...contract.tape import Tape
 from ..fmu_tape import FmuTape, Request
+from ..folding import At, Folded
 from ..motion import Motions
 from ..plan import AlgebraicLoop, Node, Plan, Program, Reference
 from ..scheduler import schedule
@@ -24,6 +26,7 @@ __all__ = ["FIXED", "HELD", "MOVING", "PlanReader", "ProgramScope"]
 
 FIXED, HELD, MOVING = 0, 1, 2
 _PLAIN = frozenset({"x", "d", "s", "p", "u", "h", "t"})  # rows that are read in place
+_OF_BLOCKS = frozenset("xdspwh")
 _LEVELS = {"p": FIXED, "k": FIXED, "c": FIXED, "d": HELD, "s": HELD, "tick": HELD}
 
 
@@ -39,11 +42,29 @@ class ProgramScope:
     is_hot: bool = False  # whether divisions by parameters become products
 
 
-class PlanReader:
-    """watched: by name, what is looked at inside steps."""
+_GATHER = Function("gather", (), (), 1, 1, True)
+K = TypeVar("K")
 
-    def __init__(self, plan: Plan, loops: bool, watched: Mapping[str, Sequence[Node | Reference]]) -> None:
-        self.plan, self.loops, self.watched = plan, loops, watched
+
+class Places(dict[K, int]):
+    """Places in a row that are given out when they are first asked for; of copies, side by side."""
+
+    size = 0
+
+    def place(self, key: K, lanes: int = 1) -> int | range:
+        if key not in self:
+            self[key], self.size = self.size, self.size + lanes
+        return self[key] if lanes == 1 else range(self[key], self[key] + lanes)
+
+
+class PlanReader:
+    """plan: where there are copies, that of one copy, and folded: what it is for the whole diagram. watched: by name, what
+    is looked at inside steps."""
+
+    def __init__(
+        self, plan: Plan, loops: bool, watched: Mapping[str, Sequence[Node | Reference]], folded: Folded | None = None
+    ) -> None:
+        self.plan, self.loops, self.watched, self.folded = plan, loops, watched, folded
         motions = Motions(plan)
         self.motions = {name: motions.of(asked) for name, asked in watched.items()}
         self.is_bent = motions.is_bent
@@ -52,12 +73,12 @@ class PlanReader:
         self.texts: list[str] = []
         self.scratch = 0
         self.same: dict[tuple[str, int, int], None] = {}  # pieces of q and n that loops read as one number if equal
-        self.seen_states: dict[int, None] = {}  # of the program at hand
+        self.seen_states: dict[tuple[int, int], None] = {}  # of the program at hand, with the lane; -1: in all
         self.sides: tuple[int, ...] = ()  # the crossings in the order in which they follow the rates
         self.kept_tapes: list[Tape] = []
         self.values = 0  # numbers of values given out
-        self.q: dict[tuple[int | str, int], int] = {}  # by instance and node of its tape; ('p', index): a copy
-        self.v: dict[Node | Reference, int] = {}
+        self.q: Places[tuple[int | str, int]] = Places()  # by instance and node of its tape; ('p', index): a copy
+        self.v: Places[Node | Reference] = Places()
         self.n: dict[object, int] = {}
         self.numbers: list[float] = []
         self.offsets = [0]
@@ -67,7 +88,7 @@ class PlanReader:
         self.forms: dict[object, Function] = {}  # by type and results asked for
         self.fixed_arguments: dict[int, int] = {}
         self.before: dict[Node, list[Reference]] = {}  # of what each node reads, what is moving or held
-        self.x_at: list[int] = list(range(len(plan.states)))
+        self.x_at: list[int] = list(range(len(plan.states)))  # of copies: the place of the first
         self.states_of: dict[str, tuple[int, ...]] = {}
         self.is_hot = False  # whether loops of the program at hand read parameters side by side
         self.is_in_prepare = False
@@ -101,11 +122,47 @@ class PlanReader:
                     level = max(level, its)
                     if its > FIXED:
                         before.append(reference)
+                if self.gathered(step.instance) is not None:
+                    level = MOVING  # it is no function of a type, which could be fixed
                 self.level[node], self.before[node] = level, before
 
     def level_of(self, reference: Reference) -> int:
         row, index = reference
         return self.level[self.plan.outputs[index]] if row == "w" else _LEVELS.get(row, MOVING)
+
+    # --- copies ---------------------------------------------------------------------------------------------------
+
+    def lanes(self, instance: int) -> int:
+        """How many copies an instance stands for."""
+        fleet = None if self.folded is None else self.folded.fleets[instance]
+        return 1 if fleet is None else fleet.count
+
+    def gathered(self, instance: int) -> tuple[Reference, ...] | None:
+        """What an instance gathers, one for each lane."""
+        return None if self.folded is None else self.folded.gathers.get(instance)
+
+    def lanes_of(self, row: str, index: int) -> int:
+        """How many copies a place of memory stands for."""
+        if self.folded is None:
+            return 1
+        return self.lanes(self.plan.outputs[index].instance) if row == "w" else self.folded.lanes(row, index)
+
+    def all_places(self, row: str, index: int) -> range | int:
+        """The places of a place of memory in the whole diagram."""
+        places = index if self.folded is None else self.folded.places(row, index)
+        return places[0] if isinstance(places, range) and len(places) == 1 else places
+
+    def spread(self, instances: Sequence[int]) -> list[range | int]:
+        """The numbers in the whole diagram of what instances have one after the other."""
+        if self.folded is None:
+            return list(range(len(instances)))
+        return [numbers[0] if len(numbers) == 1 else numbers for numbers in self.folded.spread(instances)]
+
+    def in_lane(self, value: Value, lane: int | None) -> Value:
+        """A value as it is in a certain lane; None: in that of the reader."""
+        if lane is None:
+            return value
+        return (value[0], At(value[1], lane)) if value[0] in ("r", "ge") else ("at", (value, lane))
 
     def tape_node(self, node: Node) -> int:
         return self.plan.instances[node.instance].tape.results[node.key].nodes[node.element]
@@ -122,7 +179,7 @@ class PlanReader:
     def aliased(self, reference: Reference) -> Reference | None:
         """What an unsampled output shows unchanged: a state, a discrete, an input."""
         node: Node = self.plan.outputs[reference.index]
-        if node in self.in_loop:
+        if node in self.in_loop or self.gathered(node.instance) is not None:
             return None
         tape = self.plan.instances[node.instance].tape
         tape_node = tape.nodes[self.tape_node(node)]
@@ -138,10 +195,13 @@ class PlanReader:
 
     def value(self, reference: Reference, scope: ProgramScope, key: object) -> Value:
         """Where a reference is read in a program. key: for a number, which has a place of its own."""
+        lane: int | None = None
         while True:
-            if reference in scope.held:
-                return scope.held[reference]
             row, index = reference
+            if self.folded is not None and row in _OF_BLOCKS:
+                lane = index.lane if type(index) is At else None if self.lanes_of(row, index) == 1 else lane
+            if reference in scope.held:
+                return self.in_lane(scope.held[reference], lane)
             if reference in scope.moved:
                 reference = scope.moved[reference]
             elif row == "k":
@@ -151,11 +211,11 @@ class PlanReader:
             elif row == "c":
                 return "c", self.offsets[index]
             elif row != "w":
-                return row, index
+                return self.in_lane((row, int(index) if type(index) is At else index), lane)
             else:
                 alias = self.aliased(reference)
                 if alias is None:
-                    return self.node_value(self.plan.outputs[index], scope)
+                    return self.in_lane(self.node_value(self.plan.outputs[index], scope), lane)
                 reference = alias
 
     def node_value(self, node: Node, scope: ProgramScope) -> Value:
@@ -168,18 +228,27 @@ class PlanReader:
     def place(self, value: Value) -> Value:
         """The row and index of a value in memory; what has no place yet gets the next one."""
         row, index = value
+        if row == "at":
+            own, lane = index
+            row, index = self.place(own)
+            return row, index[lane] if isinstance(index, range) else index
         if row == "copy":
             if not self.is_hot:
-                return index  # type: ignore[no-any-return]
+                return self.place(index) if self.folded is not None else index  # type: ignore[no-any-return]
+            lanes = self.lanes_of(*index)
             if index[0] == "p":
-                return "q", self.q.setdefault(index, len(self.q))
-            return "v", self.v.setdefault(Reference(*index), len(self.v))
+                return "q", self.q.place(index, lanes)
+            return "v", self.v.place(Reference(*index), lanes)
         if isinstance(index, int):
-            return value
+            if row == "x":
+                lanes = self.lanes_of(row, index)
+                return row, range(self.x_at[index], self.x_at[index] + lanes) if lanes > 1 else self.x_at[index]
+            return (row, self.all_places(row, index)) if row in _OF_BLOCKS else value
         if row == "q":
-            return "q", self.q.setdefault(index, len(self.q))
+            return "q", self.q.place(index, self.lanes_of("p", index[1]) if index[0] == "p" else self.lanes(index[0]))
         if row == "v":
-            return "v", self.v.setdefault(index, len(self.v))
+            lanes = self.lanes_of(*index) if isinstance(index, Reference) else self.lanes(index.instance)
+            return "v", self.v.place(index, lanes)
         key, number = index
         if key not in self.n:
             self.n[key] = len(self.n)
@@ -241,6 +310,12 @@ class PlanReader:
         tape = block.tape
         if isinstance(tape, FmuTape):
             return self.foreign_call(instance, nodes, scope)
+        gathered = self.gathered(instance)
+        if gathered is not None:
+            scope.made[nodes[0]] = self.new_value()
+            values = [self.value(reference, scope, (instance, k)) for k, reference in enumerate(gathered)]
+            label, made = block.path, [scope.made[nodes[0]]]
+            return Call(_GATHER, label, instance, values, made, [[]], lanes=len(gathered), gathers=True)
         fixed = self.fixed_of(instance) if scope.is_quick else None
         form = (id(tape), scope.is_hot, fixed, *(node.result for node in nodes))
         if form not in self.forms:
@@ -251,7 +326,7 @@ class PlanReader:
             self.forms[form] = self.function(tape, asked, fixed, what)
         function = self.forms[form]
         arguments: list[Value] = []
-        is_plain = not (scope.held or scope.moved)
+        is_plain = not (scope.held or scope.moved or self.folded is not None)
         for n, k in zip(function.inputs, function.arguments, strict=True):
             if k < 0:
                 arguments.append(("q", (instance, n)))
@@ -264,7 +339,8 @@ class PlanReader:
         values = list(range(self.values + 1, self.values + 1 + len(nodes)))
         self.values += len(nodes)
         scope.made.update(zip(nodes, values, strict=True))
-        return Call(function, block.path, instance, arguments, values, [[] for _ in nodes])
+        lanes = self.lanes(instance)
+        return Call(function, block.path, instance, arguments, values, [[] for _ in nodes], lanes=lanes)
 
     def foreign_call(self, instance: int, nodes: Sequence[Node], scope: ProgramScope) -> Call:
         """A call that asks an FMU for nodes: it takes the number of the FMU, time, and the values that they need."""
@@ -409,7 +485,9 @@ class PlanReader:
         stack: list[Node] = []
 
         def ask(reference: Reference) -> None:
+            lane = -1
             while reference.row == "w":
+                lane = getattr(reference.index, "lane", lane)
                 alias = self.aliased(reference)
                 if alias is None:
                     node = self.plan.outputs[reference.index]
@@ -417,8 +495,9 @@ class PlanReader:
                         stack.append(node)
                     return
                 reference = alias
+            lane = getattr(reference.index, "lane", lane)
             if reference.row == "x":
-                self.seen_states[reference.index] = None
+                self.seen_states[int(reference.index), lane] = None
 
         for item in asked:
             if isinstance(item, Node):

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...text.gc_pause import paused
 from ..fmu_tape import FmuTape
+from ..folding import Folded
 from ..plan import Node, Plan, Reference
 from . import runtime_layout
 from .model_code import Emitted
@@ -85,8 +86,8 @@ class RuntimeTables:
         self._of_enabled(plan)
         self.projections = _table(
             [
-                (0 if row == "x" else 1, int(self.place[at]) if row == "x" else at, _condition(plan, node.instance))
-                for node, (row, at) in plan.projections
+                (0 if row == "x" else 1, int(self.place[at]) if row == "x" else at, side)
+                for side, row, at in _projections(plan)
             ],
             runtime_layout.PROJECTION,
         )
@@ -104,6 +105,9 @@ class RuntimeTables:
 
     def _of_causes(self, plan: Plan) -> None:
         """What happens at instants, and what it resets."""
+        if plan.folded is not None:
+            self._of_causes_of_copies(plan, plan.folded)
+            return
         causes = [*plan.crossings, *plan.events]
         instances = plan.instances
         ranks: dict[int, dict[str, int]] = {}
@@ -135,10 +139,48 @@ class RuntimeTables:
             (instances[cause.instance].told_as or instances[cause.instance].path, cause.name) for cause in causes
         ]
 
+    def _of_causes_of_copies(self, plan: Plan, folded: Folded) -> None:
+        """The same where they are known of one copy."""
+        one, first = folded.plan, len(plan.crossings)
+        ranks = {id(i.tape): {key: k for k, key in enumerate(i.tape.results)} for i in one.instances}
+        kinds = [("s", one.crossings, 0), ("e", one.events, first)]
+        number_of = [
+            (folded.places(row, k), begin, cause) for row, causes, begin in kinds for k, cause in enumerate(causes)
+        ]
+        count = first + len(plan.events)
+        rows: list[Any] = [()] * count
+        told: list[Any] = [()] * count
+        resets: list[tuple[Any, tuple[int, ...]]] = []
+        listed: list[tuple[Any, int]] = []
+        for places, begin, cause in number_of:
+            instance, fleet = one.instances[cause.instance], folded.fleets[cause.instance]
+            direction = {"": 0, "up": 1, "down": 2, "both": 3}[cause.direction]
+            known = ranks[id(instance.tape)]
+            pairs = [(known[node.key], folded.places(row, at), row == "x") for node, (row, at) in cause.resets]
+            for lane, place in enumerate(places):
+                number = begin + place
+                # Blocks of one copy stand before those of the next one, and other blocks between fleets.
+                order = folded.order(cause.instance, lane)
+                rows[number] = direction, len(pairs), 0, -1, 1, 0
+                path = instance.path if fleet is None else f"{fleet.path}[{lane}]{instance.path[len(fleet.path) :]}"
+                told[number] = path, cause.name
+                listed.append(((order, known[cause.node.key]), number))
+                for k, (rank, own, is_state) in enumerate(pairs):
+                    at = int(self.place[own[lane]]) if is_state else own[lane]
+                    resets.append(((order, rank, number, k), (number, k, 0 if is_state else 1, at)))
+        begin = 0
+        for number, row in enumerate(rows):
+            rows[number] = (*row[:2], begin, *row[3:])
+            begin += row[1]
+        self.causes = _table(rows, runtime_layout.CAUSE)
+        self.resets = _table([reset for _, reset in sorted(resets)], runtime_layout.RESET)
+        self.listed = np.array([number for _, number in sorted(listed)], dtype=np.int32)
+        self.told_as = told
+
     def _of_ticks(self, plan: Plan) -> None:
         """Rates, and what is computed where some of them tick together."""
         self.rates = _table([(rate.period, rate.offset) for rate in plan.rates], runtime_layout.RATE)
-        of_slot = {slot: node.instance for rate in plan.rates for node, slot in (*rate.outputs, *rate.nexts)}
+        of_slot = _conditions(plan)
         self.masks = [
             np.array([rate in clique.rates for rate in range(len(plan.rates))] or [False], dtype=np.uint8)
             for clique in self.emitted.cliques
@@ -152,14 +194,12 @@ class RuntimeTables:
             for stage in clique.stages:
                 outputs, numbers = stage.slots, stage.steppers
                 stages.append((len(slots), len(outputs), len(steppers), len(numbers)))
-                slots += [(slot, rate, _condition(plan, of_slot[slot])) for slot, rate in outputs]
+                slots += [(slot, rate, of_slot.get(slot, -1)) for slot, rate in outputs]
                 steppers += numbers
         self.cliques = _table(cliques, runtime_layout.CLIQUE)
         self.stages = _table(stages, runtime_layout.STAGE)
         self.slots = _table(slots, runtime_layout.SLOT)
-        nexts = [
-            (slot, k, _condition(plan, node.instance)) for k, rate in enumerate(plan.rates) for node, slot in rate.nexts
-        ]
+        nexts = [(slot, k, of_slot.get(slot, -1)) for k, slot in _nexts(plan)]
         self.nexts = _table(nexts, runtime_layout.SLOT)
         self.stage_steppers = np.array(steppers, dtype=np.int32)
 
@@ -205,6 +245,35 @@ class RuntimeTables:
             members += sorted(known)
         self.members = np.array(members, dtype=float)
         self.has_integers = bool(plan.integers)
+
+
+def _conditions(plan: Plan) -> dict[int, int]:
+    """By place in d the side that says whether what is computed at its ticks is on; where it is always, nothing."""
+    if plan.folded is not None:  # which has no enabled subdiagrams
+        return {}
+    nodes = (pair for rate in plan.rates for pair in (*rate.outputs, *rate.nexts))
+    return {slot: _condition(plan, node.instance) for node, slot in nodes}
+
+
+def _nexts(plan: Plan) -> Iterator[tuple[int, int]]:
+    """The places in d that are replaced at ticks, each with its rate."""
+    own = plan if plan.folded is None else plan.folded.plan
+    for k, rate in enumerate(own.rates):
+        slots = [slot for _, slot in rate.nexts]
+        yield from ((k, s) for s in (slots if plan.folded is None else plan.folded.in_order("d", slots)))
+
+
+def _projections(plan: Plan) -> Iterator[tuple[int, str, int]]:
+    """What is replaced after each step: the side that says whether it is on, the row and the place."""
+    if plan.folded is None:
+        yield from ((_condition(plan, node.instance), *place) for node, place in plan.projections)
+        return
+    references = [place for _, place in plan.folded.plan.projections]
+    instances = [node.instance for node, _ in plan.folded.plan.projections]
+    rows: dict[int, tuple[int, str, int]] = {}
+    for (row, at), numbers in zip(references, plan.folded.spread(instances), strict=True):
+        rows |= {k: (-1, row, place) for k, place in zip(numbers, plan.folded.places(row, at), strict=True)}
+    yield from (rows[k] for k in sorted(rows))
 
 
 def _condition(plan: Plan, instance: int) -> int:

@@ -69,8 +69,9 @@ class Model(RuntimeTables):
             TranslationUnit("model.c", self.emitted.source, beside if plan.foreign else headers),
         ]
         guesses = [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]
-        sides = [0.0 if isinstance(begin, Node) else float(begin.index) for begin in plan.s_start]
-        located = [float(isinstance(begin, Reference)) for begin in plan.s_start]
+        begins = _sides(plan)
+        sides = [0.0 if isinstance(begin, Node) else float(begin.index) for begin in begins]
+        located = [float(isinstance(begin, Reference)) for begin in begins]
         self.begin = tuple(np.array(row, dtype=float) for row in (guesses, sides, located))
         """At the start: where searches begin, the sides of crossings, and which of these are known."""
         self._of_measures: tuple[Any, Any, Measures] | None = None
@@ -126,6 +127,16 @@ class Model(RuntimeTables):
         expected = int(rows) if rows * 8 * (1 + len(self.logged)) <= 2**26 else 256
         self._of_settings = settings, setup, expected
         return setup, expected
+
+
+def _sides(plan: Plan) -> list[Node | Reference]:
+    """The sides of crossings at the start."""
+    if plan.folded is None:
+        return list(plan.s_start)
+    begins: dict[int, Node | Reference] = {}
+    for k, begin in enumerate(plan.folded.plan.s_start):
+        begins |= dict.fromkeys(plan.folded.places("s", k), begin)
+    return [begins[k] for k in sorted(begins)]
 
 
 def _built(plan: Plan, units: Sequence[TranslationUnit]) -> Path:
