@@ -146,8 +146,8 @@ class _Emitter(PlanReader):
         *,
         is_local: bool = False,
     ) -> list[Copy]:
-        """Attaches sinks to the calls that compute their values; copies for all else. is_local: what lanes give goes
-        to one place, as one lane alone is computed."""
+        """Attaches sinks to the calls that compute their values; copies for all else. is_local: a sink of a call of
+        copies is one number: as one lane alone is computed, or the places are given later."""
         producers = {value: (call, k) for call in calls for k, value in enumerate(call.values)}
         copies = []
         for number, (item, sink) in enumerate(zip(asked, sinks, strict=True)):
@@ -368,7 +368,7 @@ class _Emitter(PlanReader):
         scope = ProgramScope({}, {}, {}, True, is_hot=True)
         self.seen_states = {}
         calls = self.sliced(nodes, scope, held=lambda node: True)
-        copies = self.attach("rates", calls, nodes, sinks, scope)
+        copies = self.attach("rates", calls, nodes, sinks, scope, is_local=True)
         self.order_states(calls)
         copies = [Copy(copy.value, self.at_state(copy.sink)) for copy in copies]
         copies.sort(key=lambda copy: copy.sink.index if isinstance(copy.sink.index, int) else copy.sink.index.start)
@@ -610,7 +610,7 @@ class _Emitter(PlanReader):
         """The places in q or in v of something that is there: of a parameter, a node, a place of memory."""
         if isinstance(key, Node):
             return self.v.place(key, self.lanes(key.instance))
-        return (self.v if isinstance(key, Reference) else self.q).place(key, self.lanes_of(*key))
+        return (self.q if key[0] == "p" else self.v).place(key, self.lanes_of(*key))
 
     def looked_at(self, name: str) -> str:
         """The tables of what is looked at inside a step: the states that it needs, and how else it moves."""
