@@ -6,7 +6,7 @@ It is computed only when it is asked for: a run that is neither saved nor writte
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -51,12 +51,13 @@ class Equations:
         """family: all of the same family have the same equations, and may differ in the values of parameters."""
         self.family = family
         self._make: Callable[[], Equations] | None = None
-        plans = [unit.plan for unit in prepared.units] if isinstance(prepared, Coupling) else [prepared]
-        tapes = {instance.path: instance.tape for known in plans if known is not None for instance in known.instances}
         # What the record is made of when it is first asked for; not kept after.
-        self._prepared: tuple[Any, ...] | None = (flat.blocks, flat.inputs, flat.enabled, tapes)
+        self._prepared: tuple[Flat, Plan | Coupling] | None = (flat, prepared)
         self._record: Record | None = None
         self._files: dict[str, str] = {}  # the SHA-256 of the FMU of a block, by path
+        if isinstance(prepared, Plan) and prepared.folded is not None:  # it has no FMUs and no programs
+            return
+        tapes = _tapes(prepared)
         for block in flat.blocks:
             foreign, stepper = block.interface.declaration.foreign, block.interface.declaration.stepper
             if foreign is not None:
@@ -108,10 +109,11 @@ class Equations:
             self._record = self._make().record
             return self._record
         assert prepared is not None
-        blocks, inputs, enabled, tapes = prepared
-        recorder = _Recorder(blocks, inputs, tapes, self._files)
+        flat, made = prepared
+        blocks = flat.blocks
+        recorder = _Recorder(blocks, flat.inputs, _tapes(made), self._files)
         record = recorder.record()
-        for part in enabled:
+        for part in flat.enabled:
             for index in part.resets:
                 reads = record["blocks"][blocks[index].path]["reads"]
                 reads["begins anew with"] = ", ".join(filter(None, (reads.get("begins anew with"), part.path)))
@@ -149,6 +151,12 @@ class Equations:
             *(f"{path} {digests[record['blocks'][path]['numbers']]}" for path in sorted(record["blocks"])),
         )
         return sha256("\n".join(lines))
+
+
+def _tapes(prepared: Plan | Coupling) -> dict[str, Tape]:
+    """The tapes of blocks by their paths."""
+    plans = [unit.plan for unit in prepared.units] if isinstance(prepared, Coupling) else [prepared]
+    return {instance.path: instance.tape for known in plans if known is not None for instance in known.instances}
 
 
 def _file(path: Any) -> str:
@@ -189,7 +197,7 @@ class _Recorder:
     """Builds a record; what blocks share is made once."""
 
     def __init__(
-        self, blocks: tuple[FlatBlock, ...], inputs: Any, tapes: Mapping[str, Tape], files: Mapping[str, str]
+        self, blocks: Sequence[FlatBlock], inputs: Any, tapes: Mapping[str, Tape], files: Mapping[str, str]
     ) -> None:
         self.blocks, self.inputs, self.tapes, self.files = blocks, inputs, tapes, files
         self.types: list[Record] = []

@@ -176,14 +176,16 @@ class _Folding:
         self.number: dict[tuple[int, int], int] = {}  # of a block in a lane among the inner copies
         self.entries: list[tuple[int, int]] = []
         self.roots: list[Fleet | None] = []  # the outermost fleet of each
-        layout = expansion.layout
-        for block, lane in layout.each():
+        pairs = [
+            (block, lane)
+            for block, fleet in enumerate(expansion.fleets)
+            for lane in range(1 if fleet is None else _inner(fleet))
+        ]
+        for block, lane in sorted(pairs, key=lambda pair: expansion.layout.place(*pair)):
             fleet = expansion.fleets[block]
-            root = None if fleet is None else _root(fleet)
-            if fleet is None or lane < _inner(fleet):
-                self.number[block, lane] = len(self.entries)
-                self.entries.append((block, lane))
-                self.roots.append(root)
+            self.number[block, lane] = len(self.entries)
+            self.entries.append((block, lane))
+            self.roots.append(None if fleet is None else _root(fleet))
         self.gathered: dict[Any, int] = {}
         self.gathers: list[tuple[Fleet, list[Source]]] = []
         self.blocks = [self.block(*entry) for entry in self.entries]

@@ -7,6 +7,7 @@ another number: by a list, by an expression with `index`, by what was set in one
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from ..contract.interface import Value
 from .copies import Copy, depth_of, dimensions
@@ -32,6 +33,7 @@ class _Lanes:
             if "[" in path:
                 self.touched |= {".".join(parts[:k]) for k in range(1, len(parts))}
         self.read: dict[int, frozenset[str]] = {}  # by the id of an entry: the names that its parameters read
+        self.names: dict[int, frozenset[str]] = {}  # by the id of a raw value, or of many: the names that it reads
         self.own: dict[int, bool] = {}  # by the id of a child: whether copies differ in it, whatever is around them
 
     def visit(self, like: DiagramScope, scope: DiagramScope, changed: frozenset[str], lane: int) -> None:
@@ -43,13 +45,13 @@ class _Lanes:
             is_changed = not changed.isdisjoint(self.reads(entry))
             if child.copied is None:
                 if is_changed or self.differs(child) or self.is_touched(scope, name, None):
-                    self.copy(child, scope, entry, None, lane)
+                    self.copy(child, scope, entry, None, lane, changed)
                 continue
             whole = is_changed or self.differs(child)
             for number in range(child.copied.count):
                 copy = Copy(child.copied, number)
                 if (whole or self.is_touched(scope, name, copy)) and not self.faults:
-                    self.copy(child, scope, entry, copy, lane * child.copied.count + number)
+                    self.copy(child, scope, entry, copy, lane * child.copied.count + number, changed)
 
     def is_touched(self, scope: DiagramScope, name: str, copy: Copy | None) -> bool:
         return bool(self.touched) and not self.touched.isdisjoint(scope.paths(name, copy))
@@ -90,7 +92,13 @@ class _Lanes:
         return any(depth_of(raws[key]) > depths[key] or "csv" in _keys(raws[key]) for key in raws if key in depths)
 
     def copy(
-        self, child: Leaf | DiagramScope, outer: DiagramScope, entry: BlockEntry, copy: Copy | None, lane: int
+        self,
+        child: Leaf | DiagramScope,
+        outer: DiagramScope,
+        entry: BlockEntry,
+        copy: Copy | None,
+        lane: int,
+        changed_outside: frozenset[str],
     ) -> None:
         """Look into one copy of a block, or into a block of a copy."""
         hierarchy = self.hierarchy
@@ -105,8 +113,15 @@ class _Lanes:
         inner = DiagramScope(
             child.name, outer, child.value, child.index, child.depth, child.control, child.stream, child.clock, copy
         )
-        hierarchy.parameters(inner, hierarchy.given(inner, entry))
-        pairs = ((name, value, child.parameters[name]) for name, value in inner.parameters.items())
+        loose = [key for key, raw in entry.parameters.items() if self.is_loose(raw, changed_outside)]
+        given = hierarchy.given(inner, replace(entry, parameters={key: entry.parameters[key] for key in loose}))
+        read = self.read_inside(child)
+        if hierarchy.overrides or not read.isdisjoint(given):
+            hierarchy.parameters(inner, hierarchy.given(inner, entry))
+            pairs = ((name, value, child.parameters[name]) for name, value in inner.parameters.items())
+        else:
+            inner.parameters = {**child.parameters, **given}
+            pairs = ((name, value, child.parameters[name]) for name, value in given.items())
         changed = frozenset(name for name, value, first in pairs if not is_equal(value, first))
         for key in ("copies", "every", "offset") if changed else ():
             for name, of_block in child.value.blocks.items():
@@ -115,6 +130,19 @@ class _Lanes:
                     self.refuse(inner, name, "ticks" if key != "copies" else "copies")
         if not self.faults:
             self.visit(child, inner, changed, lane)
+
+    def is_loose(self, raw: object, changed: frozenset[str]) -> bool:
+        """Whether a value that a block is given may be another one in another copy."""
+        if id(raw) not in self.names:
+            self.names[id(raw)] = frozenset(names_in(raw))
+        return isinstance(raw, (list, Mapping)) or not self.names[id(raw)].isdisjoint(changed | {"index"})
+
+    def read_inside(self, child: DiagramScope) -> frozenset[str]:
+        """The parameters of a subdiagram from which others of it are computed."""
+        raws = child.value.parameters
+        if id(raws) not in self.names:
+            self.names[id(raws)] = frozenset(name for raw in raws.values() for name in names_in(raw))
+        return self.names[id(raws)]
 
     def refuse(self, scope: DiagramScope, name: str, what: str) -> None:
         message = f"has other {what} in some copies than in others, which would be another type of block."
