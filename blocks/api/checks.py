@@ -38,7 +38,7 @@ def flat_of(
 
 def coupled_block(flat: Flat) -> str:
     """The path of a block that a master steps; "" where there is none."""
-    for block in flat.blocks:
+    for block in flat.one_of_each:
         foreign = block.interface.declaration.foreign
         if foreign is not None and foreign.kind == "CS":
             return block.path
@@ -56,7 +56,7 @@ def single_plan(flat: Flat) -> Plan:
 
 def refuse_fmus(flat: Flat) -> None:
     """Raise ModelError (E606) for a diagram that is to become an FMU, where FMUs are in it."""
-    inside = [block.path for block in flat.blocks if block.interface.declaration.foreign is not None]
+    inside = [block.path for block in flat.one_of_each if block.interface.declaration.foreign is not None]
     if inside:
         cure = "Take a variant with equations, or export the diagram without it."
         raise ModelError(*(Fault("E606", path, "is an FMU, which an FMU cannot hold.", cure) for path in inside))

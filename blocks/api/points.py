@@ -133,7 +133,7 @@ def _standing(
     if at is None:
         return engine_of(begun(parameters, asked, given, flat if like is None else None))
     time = time_of("at", at)
-    has_fmus = any(block.interface.declaration.foreign is not None for block in flat.blocks)
+    has_fmus = any(block.interface.declaration.foreign is not None for block in flat.one_of_each)
     given = given if has_fmus else replace(given, engine=None)
     run = begun(parameters, settings, given)
     start, stop = run.settings.start, run.settings.stop

@@ -136,7 +136,7 @@ def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
 
 def _split(name: str) -> tuple[str, str]:
     """A name without its element, and the element: "" or "[0]"."""
-    path, bracket, rest = name.partition("[")
+    path, bracket, rest = name.rpartition("[") if name.endswith("]") else (name, "", "")
     return path, bracket + rest
 
 
@@ -168,8 +168,9 @@ def _in_unit(value: Any, unit: str) -> float:
 
 def _parameters(value: DiagramValue, flat: Flat) -> Iterator[tuple[str, _Known]]:
     """All parameters that can be given by their paths, those of the diagram first."""
-    yield from _of_diagrams(value, "")
-    for block in flat.blocks:
+    copies = flat.copies
+    yield from _of_diagrams(value, "", "", copies)
+    for block in [*flat.blocks, *(flat.one_of_each if copies else ())]:
         declaration = block.interface.declaration
         for name, parameter in declaration.parameters.items():
             if name in declaration.streams:
@@ -179,7 +180,9 @@ def _parameters(value: DiagramValue, flat: Flat) -> Iterator[tuple[str, _Known]]
             yield f"{block.path}.{name}", _Known(tuple(units), None if known is None else known.value)
 
 
-def _of_diagrams(value: DiagramValue, prefix: str) -> Iterator[tuple[str, _Known]]:
+def _of_diagrams(
+    value: DiagramValue, prefix: str, path: str, copies: Mapping[str, int]
+) -> Iterator[tuple[str, _Known]]:
     for name, raw in value.parameters.items():
         unit = str(raw.get("unit", "")) if isinstance(raw, Mapping) else ""
         try:
@@ -189,4 +192,6 @@ def _of_diagrams(value: DiagramValue, prefix: str) -> Iterator[tuple[str, _Known
         yield prefix + name, _Known((unit,), known)
     for name, block in value.blocks.items():
         if block.inner is not None:
-            yield from _of_diagrams(block.inner, f"{prefix}{name}.")
+            own = f"{path}{name}"
+            for label in (name, *(f"{name}[{k}]" for k in range(copies.get(own, 0)))):
+                yield from _of_diagrams(block.inner, f"{prefix}{label}.", f"{own}.", copies)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -27,6 +27,7 @@ from ..contract.resolution import Resolved, limits
 from ..contract.scalars import Scalar
 from ..contract.tape import TapeNode
 from ..contract.variables import Clock, Parameter
+from ..model.copies import Copy, Fleet, depth_of, dimensions, labelled, own_value
 from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import MEASURE_NUMBERS, TRIGGER
 from ..model.flatten import Flat, FlatBlock
@@ -99,6 +100,21 @@ class _SettingScope:
     prefix: str
     values: dict[str, Value | None] = field(default_factory=dict)
     settings: dict[str, int | None] = field(default_factory=dict)
+    prefixes: tuple[str, ...] = ("",)  # under which its parameters are given: in one copy, or in all of them
+    plain: str = ""  # the prefix without the numbers of copies
+
+    def inside(self, name: str, copy: Copy | None) -> _SettingScope:
+        """That of a subdiagram, or of a block, of which nothing is known yet."""
+        labels = dict.fromkeys((labelled(name, copy), name))
+        prefixes = tuple(f"{prefix}{label}." for prefix in self.prefixes for label in labels)
+        return _SettingScope(f"{self.prefix}{labelled(name, copy)}.", {}, {}, prefixes, f"{self.plain}{name}.")
+
+    def numbered(self, copy: Copy | None) -> _SettingScope:
+        """As the parameters of a copy of a block are written: they may read its number."""
+        if copy is None:
+            return self
+        own = {"index": Value(float(copy.number)), "copies": Value(float(copy.fleet.count))}
+        return replace(self, values={**self.values, **own}, settings={**self.settings, "index": None, "copies": None})
 
 
 class _Numberless(Exception):
@@ -112,11 +128,12 @@ class _Binder:
         self.plain: dict[int, tuple[tuple[Parameter, _DraftSetting], ...]] = {}  # by the id of Resolved
         self.numbers: list[float] = []  # of all settings
         self.owners: list[int] = []  # the setting of each number
+        self.copies = flat.copies
         self.index = 0  # of the next block
         self.place = 0  # of its parameters in p
 
     def settings(self) -> tuple[Setting, ...]:
-        root = self.open(self.diagram, "", {}, _SettingScope(""))
+        root = self.open(self.diagram, {}, _SettingScope(""), _SettingScope(""), None)
         for name, raw in self.diagram.measures.items():
             given = [raw[key] for key in MEASURE_NUMBERS if key in raw]
             self.restrict(root, given, FIXED, f"the measure {name} depends on it")
@@ -126,15 +143,33 @@ class _Binder:
         self.propagate()
         return self.finished()
 
-    def open(self, diagram: DiagramValue, prefix: str, given: Mapping[str, Any], outer: _SettingScope) -> _SettingScope:
+    def overridden(self, scope: _SettingScope, name: str, depth: int, copy: Copy | None) -> tuple[Any, bool]:
+        """The value that a parameter is given by its path, and whether there is one."""
+        for prefix in scope.prefixes:
+            if prefix + name in self.overrides:
+                raw = self.overrides[prefix + name]
+                return (raw if is_of_one(prefix + name, copy) else own_raw(raw, depth, copy)), True
+        return None, False
+
+    def open(
+        self,
+        diagram: DiagramValue,
+        given: Mapping[str, Any],
+        scope: _SettingScope,
+        outer: _SettingScope,
+        copy: Copy | None,
+    ) -> _SettingScope:
         """The settings of a diagram's parameters, and of all in it. given: raw values from outside."""
-        scope = _SettingScope(prefix)
+        prefix = scope.prefix
         raws: dict[str, tuple[Any, _SettingScope]] = {}
         for name, entry in diagram.parameters.items():
-            if prefix + name in self.overrides:
-                raws[name] = (self.overrides[prefix + name], scope)
+            raw, is_given = self.overridden(scope, name, depth_of(entry), copy) if self.overrides else (None, False)
+            if is_given:
+                raws[name] = (raw, scope)
+            elif name in given:
+                raws[name] = (own_raw(given[name], depth_of(entry), copy), outer)
             else:
-                raws[name] = (given[name], outer) if name in given else (entry, scope)
+                raws[name] = (entry, scope)
         for name in order_of({name: names_in(raw) if at is scope else [] for name, (raw, at) in raws.items()}):
             raw, at = raws[name]
             entry = diagram.parameters[name]
@@ -143,12 +178,17 @@ class _Binder:
             scope.values[name] = value
             scope.settings[name] = self.parameter(prefix + name, raw, at, value, known)
         for name, block in diagram.blocks.items():
-            if block.inner is None:
-                self.block(scope, name, block.parameters)
-                continue
+            self.restrict(scope, [block.copies], CONSTANT, f"it is how many copies of {prefix}{name} there are")
             times = [raw for _, raw in TRIGGER.quantities(block.control.get("trigger", {}))]
             self.restrict(scope, times, CONSTANT, f"the ticks of {prefix}{name} depend on it")
-            self.open(block.inner, f"{prefix}{name}.", block.parameters, scope)
+            count = self.copies.get(scope.plain + name)
+            fleet = None if count is None else Fleet(name, count)
+            for one in [None] if fleet is None else [Copy(fleet, k) for k in range(fleet.count)]:
+                inside, within = scope.inside(name, one), scope.numbered(one)
+                if block.inner is None:
+                    self.block(within, inside, block.parameters, one)
+                else:
+                    self.open(block.inner, block.parameters, inside, within, one)
         return scope
 
     def parameter(self, path: str, raw: Any, at: _SettingScope, value: Value, entry: Mapping[str, Any]) -> int | None:
@@ -241,23 +281,30 @@ class _Binder:
             if step.scalar is not None:
                 return Scalar("constant", (), step.scalar.value)
             index = scope.settings[step.word]
-            assert index is not None
+            if index is None:  # the number of a copy
+                known = scope.values[step.word]
+                assert known is not None
+                return Scalar("constant", (), known.value)
             return Scalar("argument", (), float(self.made[index].first))
 
         return program_of(expression.folded(operand, lambda step, operands: recorded(step.op, *operands)))
 
     # --- blocks ------------------------------------------------------------------------------------------------
 
-    def block(self, scope: _SettingScope, name: str, given: Mapping[str, Any]) -> None:
+    def block(self, scope: _SettingScope, inside: _SettingScope, given: Mapping[str, Any], copy: Copy | None) -> None:
         """The settings of a block's parameters; computed defaults come after what they read."""
         block = self.flat.blocks[self.index]
-        path = f"{scope.prefix}{name}"
+        path = inside.prefix[:-1]
         assert block.path == path
         self.index += 1
         raws = dict(given)
-        if self.overrides:
+        if copy is not None or self.overrides:
             keys = block.interface.declaration.parameters
-            raws |= {key: self.overrides[f"{path}.{key}"] for key in keys if f"{path}.{key}" in self.overrides}
+            depths = {key: dimensions(parameter.shape) for key, parameter in keys.items()}
+            raws = {key: own_raw(raw, depths[key], copy) for key, raw in given.items()}
+            for key in keys if self.overrides else ():
+                raw, is_given = self.overridden(inside, key, depths[key], copy)
+                raws |= {key: raw} if is_given else {}
         own: dict[str, int] = {}
         late: dict[str, tuple[Parameter, _DraftSetting]] = {}
         for parameter, known in self.known(block.resolved):
@@ -360,6 +407,16 @@ class _Binder:
                 )
             )
         return tuple(settings)
+
+
+def own_raw(raw: Any, depth: int, copy: Copy | None) -> Any:
+    """The raw value of one copy."""
+    return raw if copy is None else own_value(raw, depth, copy.number, copy.fleet.count)
+
+
+def is_of_one(path: str, copy: Copy | None) -> bool:
+    """Whether a parameter is given by the number of the copy that it belongs to."""
+    return copy is not None and path.rpartition(".")[0].endswith(f"{copy.fleet.path}[{copy.number}]")
 
 
 def _restrict(draft: _DraftSetting, level: int, why: str) -> None:

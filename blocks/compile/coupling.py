@@ -272,8 +272,7 @@ class Coupling(Shown):
 
 def couple(flat: Flat) -> Plan | Coupling:
     """The Plan of a diagram, or its Coupling where a master is needed. Raises ModelError as `plan` does."""
-    blocks = flat.blocks if flat.expansion is None else flat.expansion.blocks
-    foreign = [block.interface.declaration.foreign for block in blocks]
+    foreign = [block.interface.declaration.foreign for block in flat.one_of_each]
     is_needed = flat.settings.master.couple == "each" or any(f is not None and f.kind == "CS" for f in foreign)
     with flat.placing():
         return _Coupler(flat).coupling() if is_needed else plan(flat)

@@ -67,7 +67,7 @@ class Rebinding:
             return False
         self.numbers = numbers(settings)
         blocks = {block.path: block for block in flat.blocks}
-        for path, stream in streams_in(value):
+        for path, stream in streams_in(value, flat.copies):
             keys = blocks[path].interface.declaration.streams if path in blocks else ()
             self.streams += [(stream, by_path[f"{path}.{key}"].places[0]) for key in keys]
         for name in self.free:
@@ -176,7 +176,7 @@ def _unit_of(path: str, value: DiagramValue, blocks: Mapping[str, FlatBlock]) ->
         return declared[0] if len({*declared}) == 1 else declared
     inside: DiagramValue | None = value
     for part in owner.split(".") if owner else ():
-        inside = inside.blocks[part].inner if inside is not None else None
+        inside = inside.blocks[part.partition("[")[0]].inner if inside is not None else None
     entry = inside.parameters.get(name) if inside is not None else None
     return str(entry.get("unit", "")) if isinstance(entry, Mapping) else ""
 

@@ -19,6 +19,7 @@ from ..compile.plan import Plan
 from ..compile.plan_builder import plan
 from ..compile.rebinding import Rebinding
 from ..contract.outside import Outside, outside_of
+from ..contract.resolution import Resolved
 from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import RUN
 from ..model.fingerprint import fingerprint
@@ -108,8 +109,7 @@ class Prepared:
         parameters = given_values(value, resolver, parameters)
         flat = flat or _flattened(value, resolver, parameters, settings)
         check_trust(value, trust)
-        blocks = flat.blocks if flat.expansion is None else flat.expansion.blocks
-        outside = outside_of(block.interface.declaration for block in blocks)
+        outside = outside_of(block.interface.declaration for block in flat.one_of_each)
         compiled_plan = couple(flat)
         alike = _Alike(settings)
         return cls(value, resolver, parameters, settings, compiled_plan, outside, alike)._with_flat(flat)
@@ -284,28 +284,36 @@ def _flattened(
     return flatten(value, resolver, overrides=overrides, settings=settings)
 
 
+def _settled(old: Flat, new: Flat) -> Iterable[tuple[str, Resolved, Resolved]]:
+    """The numbers of all blocks in two flat models, by path."""
+    if old.expansion is not None and new.expansion is not None:
+        return old.expansion.settled(new.expansion)
+    pairs = zip(old.blocks, new.blocks, strict=True)
+    return ((before.path, before.resolved, after.resolved) for before, after in pairs)
+
+
 def _frozen_by(old: Flat, new: Flat) -> str:
     """The change between two flat models that a run under way cannot take over; "" where there is none."""
-    for before, after in zip(old.blocks, new.blocks, strict=True):
+    for path, before, after in _settled(old, new):
         declaration = before.interface.declaration
         memories = {f"{name}_start" for name in (*declaration.states, *declaration.discretes, *declaration.algebraics)}
-        for key, value in after.resolved.values.items():
-            if _equal(before.resolved.values[key].value, value.value):
+        for key, value in after.values.items():
+            if _equal(before.values[key].value, value.value):
                 continue
             parameter = declaration.parameters[key]
             if parameter.structural or parameter.fixed:
-                return f"{before.path}.{key} is {'structural' if parameter.structural else 'fixed'}"
+                return f"{path}.{key} is {'structural' if parameter.structural else 'fixed'}"
             if key in memories:
-                return f"{before.path}.{key} is a start value"
+                return f"{path}.{key} is a start value"
         if before.interface != after.interface:
-            return f"the zeros in the parameters of {before.path} are its structure"
-        for key, (delay, past) in after.resolved.delays.items():
-            known = before.resolved.delays[key]
+            return f"the zeros in the parameters of {path} are its structure"
+        for key, (delay, past) in after.delays.items():
+            known = before.delays[key]
             if known[0] != delay or not _equal(known[1], past):
-                return f"the past of {before.path} is what it was"
-        for key, held in after.resolved.starts.items():
-            if not _equal(before.resolved.starts[key], held):
-                return f"{before.path}.{key} starts at it"
+                return f"the past of {path} is what it was"
+        for key, held in after.starts.items():
+            if not _equal(before.starts[key], held):
+                return f"{path}.{key} starts at it"
     if old.measures != new.measures:
         return "a measure depends on it"
     for key in (*TIMES, "stops", "master"):

@@ -22,13 +22,15 @@ __all__ = ["Expansion"]
 class Expansion:
     """blocks: one of each; fleets: the innermost fleet of each; each: by lane, the numbers that are others in it.
 
-    ordered: how many of the blocks stand in the order of the text; what is at the edges of subdiagrams follows.
+    ordered: how many of the blocks stand in the order of the text; what is at the edges of subdiagrams follows. around: all
+    fleets.
     """
 
     blocks: tuple[FlatBlock, ...]
     fleets: tuple[Fleet | None, ...]
     each: tuple[Mapping[int, Resolved], ...]
     ordered: int
+    around: tuple[Fleet, ...] = ()
 
     @cached_property
     def layout(self) -> Layout:
@@ -50,6 +52,16 @@ class Expansion:
                 source = source.source
             else:
                 return source
+
+    def settled(self, other: Expansion) -> Iterator[tuple[str, Resolved, Resolved]]:
+        """The numbers of blocks here and in another expansion of the same diagram, by path; equal copies stand once."""
+        for k, (block, fleet) in enumerate(zip(self.blocks, self.fleets, strict=True)):
+            one, two = block.resolved, other.blocks[k].resolved
+            yield block.path, one, two
+            for lane in sorted({*self.each[k], *other.each[k]}):
+                assert fleet is not None
+                path = fleet.numbered(block.path, lane)
+                yield path, self.each[k].get(lane, one), other.each[k].get(lane, two)
 
     def sources(self, sources: Sequence[Source], fleet: Fleet | None, lane: int) -> tuple[Source, ...]:
         return tuple([self.source(source, fleet, lane) for source in sources])

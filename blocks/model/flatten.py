@@ -106,6 +106,17 @@ class Flat:
     expansion: Expansion | None = field(default=None, compare=False, repr=False)  # where there are copies
     stepped_by: tuple[str, ...] = ()  # the parameters from which the step of a fixed-step method is computed
 
+    @property
+    def one_of_each(self) -> Sequence[FlatBlock]:
+        """The blocks, of copies one that stands for all: what their types tell."""
+        return self.blocks if self.expansion is None else self.expansion.blocks
+
+    @property
+    def copies(self) -> dict[str, int]:
+        """How many copies there are of a block with copies, by its path without numbers."""
+        fleets = () if self.expansion is None else self.expansion.around
+        return {fleet.path: fleet.count for fleet in fleets}
+
     def placed(self, fault: Fault) -> Fault:
         """The fault with the place in the text of the block that it names, where there is one."""
         if fault.file:
@@ -279,7 +290,7 @@ class _Flattener:
         scopes += [scope for scope in self.hierarchy.scopes if scope.control for _ in range(3)]
         fleets = (*(leaf.fleet for leaf in leaves), *(scope.fleet for scope in scopes))
         each = (*(leaf.each for leaf in leaves), *({} for _ in scopes))
-        expansion = Expansion(tuple(blocks), fleets, each, len(leaves))
+        expansion = Expansion(tuple(blocks), fleets, each, len(leaves), tuple(self.hierarchy.fleets))
         if expansion.layout.size > MAX_BLOCKS:
             message = f"the diagram has {expansion.layout.size:,} blocks, but {MAX_BLOCKS:,} are the most."
             raise ModelError(self.diagram.fault("E008", self.diagram.name, message))

@@ -513,14 +513,21 @@ def is_of_one(path: str, name: str, copy: Copy | None) -> bool:
     return copy is not None and not copy.is_first and f".{path}".rpartition(".")[0].endswith(f".{labelled(name, copy)}")
 
 
-def streams_in(diagram: DiagramValue, path: str = "", prefix: str = "") -> Iterator[tuple[str, str]]:
-    """The paths of all blocks with the name of the stream of random numbers that each has, if it draws from one."""
+def streams_in(
+    diagram: DiagramValue, copies: Mapping[str, int], path: str = "", prefix: str = "", plain: str = ""
+) -> Iterator[tuple[str, str]]:
+    """The paths of all blocks with the name of the stream of random numbers that each has, if it draws from one.
+
+    copies: how many a block has, by its path without numbers, which `plain` is.
+    """
     for name, entry in diagram.blocks.items():
-        stream = streams.joined(prefix, entry.stream or name)
-        if entry.inner is None:
-            yield path + name, stream
-        else:
-            yield from streams_in(entry.inner, f"{path}{name}.", f"{stream}.")
+        count = copies.get(plain + name)
+        for end in [""] if count is None else [f"[{k}]" for k in range(count)]:
+            stream = streams.joined(prefix, (entry.stream or name) + end)
+            if entry.inner is None:
+                yield path + name + end, stream
+            else:
+                yield from streams_in(entry.inner, copies, f"{path}{name}{end}.", f"{stream}.", f"{plain}{name}.")
 
 
 def _outer_raw(scope: DiagramScope, name: str) -> Any:

@@ -59,7 +59,7 @@ def _given_at(diagram: DiagramValue, resolver: Resolver, path: list[str], raw: s
         known = diagram.parameters.get(name)
         known = known.get("value") if isinstance(known, Mapping) else known
         return raw if known is None or (isinstance(known, str) and known[:1] != "=") else read_quantity(raw)
-    entry = diagram.blocks.get(name)
+    entry = diagram.blocks.get(name.partition("[")[0])
     if entry is None:
         return raw
     if entry.inner is not None:
