@@ -130,7 +130,8 @@ class _Drawer:
         for piece, (x, y) in zip(pieces, arranged.centers, strict=True):
             part, path = piece.part, piece.part.path
             faults = () if part.entry is None else tuple(self.faults.get(path, ()))
-            about = tip(part), faults, self.rates.get(path, ""), self.mark(part)
+            copies = "" if part.entry is None or part.entry.copies is None else str(part.entry.copies).lstrip("=")
+            about = tip(part), faults, self.rates.get(path, ""), self.mark(part), copies
             boxes.append(Box(path, piece.kind, 0.0, 0.0, piece.shape, tuple(piece.texts), *about).moved(x, y))
             opens += [Open(path, port, x + dx, y + dy) for port, dx, dy in piece.opens]
             if piece.inside is not None:

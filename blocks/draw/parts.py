@@ -180,9 +180,16 @@ def _block(name: str, entry: BlockEntry, prefix: str, ports: Callable[[str], Por
     if inner is not None:
         optional = frozenset(key for key, raw in inner.inputs.items() if isinstance(raw, Mapping) and "default" in raw)
         inputs = (*inner.inputs, *entry.control_inputs)
-        return Part(name, path, "diagram", entry, Ports(inputs, tuple(inner.outputs), optional))
+        return Part(name, path, "diagram", entry, _of_copies(entry, Ports(inputs, tuple(inner.outputs), optional)))
     kind = "fmu" if entry.fmu else "block" if entry.diagram is None else "diagram"
-    return Part(name, path, kind, entry, ports(path))
+    return Part(name, path, kind, entry, _of_copies(entry, ports(path)))
+
+
+def _of_copies(entry: BlockEntry, ports: Ports) -> Ports:
+    """The ports of a block that has copies: vectors of some size."""
+    if entry.copies is None:
+        return ports
+    return replace(ports, sizes=dict.fromkeys((*ports.inputs, *ports.outputs), MOST_ELEMENTS + 1))
 
 
 def _end(text: str, place: Mapping[str, int]) -> tuple[int, str] | None:

@@ -46,7 +46,7 @@ class Box:
     """A block, a terminal, or the frame around an opened subdiagram, by its center.
 
     kind: block, diagram, fmu, input, output or frame. inputs, outputs: the places of its ports, by name. texts: its
-    texts, in place. tip: its tooltip. rate: a label of `rates`, or "".
+    texts, in place. tip: its tooltip. rate: a label of `rates`, or "". copies: how many there are, as written, or "".
     """
 
     path: str
@@ -59,6 +59,7 @@ class Box:
     faults: tuple[Fault, ...] = ()
     rate: str = ""
     mark: Mark | None = None
+    copies: str = ""
 
     @property
     def edges(self) -> tuple[float, float, float, float]:

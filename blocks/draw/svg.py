@@ -261,6 +261,7 @@ def _box(box: Box, labels: Mapping[str, int], marked: str = "") -> list[str]:
     tip = "\n".join([*changed, *(plain(str(fault)[:400]) for fault in box.faults[:20]), box.tip]).strip()
     if tip:
         lines.append(f"<title>{escaped(tip)}</title>")
+    lines += _stack(box) if box.copies else []
     if box.kind == "frame":
         left, top, _, _ = box.edges
         size = f'width="{num(box.shape.width)}" height="{num(box.shape.height)}"'
@@ -277,6 +278,15 @@ def _box(box: Box, labels: Mapping[str, int], marked: str = "") -> list[str]:
         left, top, _, _ = box.edges
         lines.append(_sign(left, top, box.mark))
     return [*lines, "</g>"]
+
+
+def _stack(box: Box) -> list[str]:
+    """The edges of boxes behind a box that stands for copies, and how many there are."""
+    left, top, right, bottom = box.edges
+    edges = (f"M{num(left + o)} {num(top - o + 3)}v-3H{num(right + o)}V{num(bottom - o)}h-3" for o in (3, 6))
+    count = escaped(cut(box.copies, 12))
+    at = f'x="{num(right + 4)}" y="{num(top - 10)}" text-anchor="end"'
+    return [f'<path class="thin" d="{"".join(edges)}"/>', f'<text class="label" {at}>\u00d7 {count}</text>']
 
 
 _TILDE = "M-4 .8C-2.8 -2.6 -1.2 -1.9 0 0S2.8 2.6 4 -.8"

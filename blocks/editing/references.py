@@ -38,6 +38,7 @@ SECTIONS: Mapping[Kind, str] = {
 MOST_WORK = 1_000_000
 """How many blocks and variants the names of one document may lead into: a few lines can name very many."""
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_COPY = re.compile(r"\[(?:[0-9]+|\*)\](?=\.)")  # the number of a copy, or all of them
 
 # What the last name of a text may be, in this diagram and in one inside of it; the first that exists counts.
 _Last: TypeAlias = tuple[tuple[Kind, ...], tuple[Kind, ...]]
@@ -304,7 +305,7 @@ class _Finder:
             inner = {
                 (inner_body.file, inner_body.scope): inner_body
                 for each in bodies
-                for inner_body, _, _ in each.inside(name, self.documents)
+                for inner_body, _, _ in each.inside(name.partition("[")[0], self.documents)
                 if inner_body is not None
             }
             if not inner:
@@ -329,16 +330,18 @@ class _Finder:
             if word is None:
                 return
             name, start, end = word[0], at, word.end()
+            copy = _COPY.match(text, end)
+            beyond = end if copy is None else copy.end()
             inner: dict[tuple[str, Steps], Body] = {}
             for diagram in bodies:
-                if text.startswith(".", end) and name in diagram.names("block"):
+                if text.startswith(".", beyond) and name in diagram.names("block"):
                     meanings.add(start, end, Target(diagram.file, diagram.scope, "block", name))
-                    inner |= self.inside(diagram, name, text, end + 1, meanings, last)
+                    inner |= self.inside(diagram, name, text, beyond + 1, meanings, last)
                 elif end == len(text) or text[end] == "[":
                     kind = next((kind for kind in kinds if name in diagram.names(kind)), None)
                     if kind is not None:
                         meanings.add(start, end, Target(diagram.file, diagram.scope, kind, name))
-            bodies, at, kinds = list(inner.values()), end + 1, last[1]
+            bodies, at, kinds = list(inner.values()), beyond + 1, last[1]
 
     def inside(
         self, body: Body, name: str, text: str, at: int, meanings: _Meanings, last: _Last

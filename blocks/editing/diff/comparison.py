@@ -93,6 +93,7 @@ class Pairs:
             self.digest(inner) if inner is not None else entry.fmu or entry.type or str(entry.diagram),
             [bool(entry.fmu), inner is not None, entry.variant or BASE],
             {name: digest_of(raw) for name, raw in entry.parameters.items()},
+            entry.copies,
             *(dict(table) for table in (entry.control, entry.options, entry.ports)),
             {name: self.digest_of_entry(variant) for name, variant in entry.variants.items()},
         ]

@@ -56,6 +56,9 @@ class Entries:
             return changed("blocks", within + what, x, y, *units, given=given)
 
         yield from self.identity(old_entry, new_entry, within)
+        copies = old_entry.copies, new_entry.copies
+        if (copies[0] is None) != (copies[1] is None) or not same(*copies):
+            yield part("copies", *copies, given=(copies[0] is not None, copies[1] is not None))
         for key in CONTROLS:
             x, y = old_entry.control.get(key), new_entry.control.get(key)
             if isinstance(x, Mapping) and isinstance(y, Mapping):
