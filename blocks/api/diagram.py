@@ -225,8 +225,8 @@ class Diagram:
         at: its position in drawings. enable: of a diagram, what its states and outputs do while it is off,
         {"states": "held" | "reset", "outputs": "held" | "reset"}; it gets the bool input `enable`. trigger:
         {"direction": "up" | "down" | "both"}, for the input `trigger`, or {"every": period, "offset": ...}. stream: the
-        name of its stream of random numbers, if that is not its own. copies: how many blocks of it there are, a number or
-        an expression ("=n"); each port has one more dimension then. Raises ModelError for a name that is taken or
+        name of its stream of random numbers, if that is not its own. copies: how many blocks of it there are, a number
+        or an expression ("=n"); each port has one more dimension then. Raises ModelError for a name that is taken or
         parameters that do not fit.
         """
         self._draft.check_free(name, "block")

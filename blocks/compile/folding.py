@@ -1,12 +1,12 @@
-"""The Plan of a diagram with copies, planned for one copy: what is computed is known by types, and where it is by ranges.
+"""The Plan of a diagram with copies, planned for one copy: what is computed is known by types, where it is by ranges.
 
     Expansion --> the blocks of one copy of each fleet, and what enters fleets --plan--> Plan of one copy
     its places + ranges of places --> Plan of the whole diagram, whose long tables are made when somebody asks for them
 
-A block in a fleet is computed in lanes, one for each copy. Its places in memory are those of the diagram that is written
-out: `first + stride lane` in each row. What is read in the own lane has a plain reference in the plan of one copy; what one
-certain copy gives has an `At`, which is equal to the plain one and knows its lane. What enters a fleet with another source for each
-copy is gathered by an instance of its own, so that the order of computation follows.
+A block in a fleet is computed in lanes, one for each copy. Its places in memory are those of the diagram that is
+written out: `first + stride lane` in each row. What is read in the own lane has a plain reference in the plan of one
+copy; what a certain copy gives has an `At`, which is equal to the plain one and knows its lane. What enters a fleet with
+another source for each copy is gathered by an instance of its own, so that the order of computation follows.
 
 Copies inside of copies are written out in the plan of one copy. Where copies cannot be planned as one (`foldable`), or
 need each other at one time, the diagram is written out and planned whole.
@@ -35,7 +35,7 @@ from .plan import Plan, PlanSignal, Rate, Reference
 
 __all__ = ["At", "Folded", "folded"]
 
-# mypy: disable-error-code="no-untyped-def,misc,operator"
+# mypy: disable-error-code="no-untyped-def,misc,operator,index"
 
 
 class At(int):
@@ -68,8 +68,10 @@ class Gather(Block):
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Places of a row side by side: from `first` on in the whole diagram, from `own` on in the plan of one copy; `size` of
-    them for each of `count` copies."""
+    """Places of a row side by side: from `first` on in the whole diagram, from `own` on in the plan of one copy.
+
+    size: how many there are for each of `count` copies.
+    """
 
     first: int
     own: int
@@ -206,7 +208,7 @@ class _Folding:
         resolved = self.expansion.each[index].get(inner, block.resolved)
         return dataclasses.replace(block, path=path, resolved=resolved, sources=sources)
 
-    def source(self, source: Source, fleet: Fleet | None, inner: int, outer: int | None) -> Source:
+    def source(self, source: Any, fleet: Fleet | None, inner: int, outer: int | None) -> Source:
         """A source in the plan of one copy.
 
         fleet, inner: from which it is seen, and the lane among its inner copies. outer: the number of the outermost
@@ -231,8 +233,8 @@ class _Folding:
                 if source.fleet.outer is None and outer == -1:
                     return self.entering(source)
                 number = inner % source.fleet.count if source.fleet.outer is not None else outer or 0
+                reduce(source.fleet.outer)
                 source = source.sources[number]
-                reduce(fleet.outer)
             elif isinstance(source, CopySource):
                 reduce(source.fleet.outer)
                 if source.fleet.outer is None:
@@ -241,9 +243,9 @@ class _Folding:
                     inner = inner * source.fleet.count + source.number
                 fleet, source = source.fleet, source.source
             else:
-                return source
+                return source  # type: ignore[no-any-return]
 
-    def entering(self, source: EachSource) -> Source:
+    def entering(self, source: EachSource) -> BlockSource:
         """What gathers the sources of all lanes."""
         key = tuple(source)
         if key not in self.gathered:
@@ -332,6 +334,10 @@ def _whole(flat: Flat, made: Folded, builder: Any, folding: _Folding) -> Plan:
     def later(name: str, row: str | int) -> Any:
         return Later(sizes[row] if isinstance(row, str) else row, lambda: getattr(whole.plan, name))
 
+    def rate(k: int, name: str, pairs: Any) -> Any:
+        size = sum(made.lanes("d", place) for _, place in pairs)
+        return Later(size, lambda: getattr(whole.plan.rates[k], name))
+
     def names(row: str) -> Iterator[str]:
         own = getattr(one, "states" if row == "x" else "discretes")
         for fleet, blocks in _runs(folding.roots):
@@ -362,24 +368,20 @@ def _whole(flat: Flat, made: Folded, builder: Any, folding: _Folding) -> Plan:
                         row += known
         return tuple(row)
 
-    def slots(pairs: Any) -> int:
-        return sum(made.lanes("d", place) for _, place in pairs)
-
     rates = tuple(
-        Rate(
-            rate.period, rate.offset,
-            Later(slots(rate.outputs), lambda k=k: whole.plan.rates[k].outputs),  # type: ignore[misc]
-            Later(slots(rate.nexts), lambda k=k: whole.plan.rates[k].nexts),  # type: ignore[misc]
-        )
-        for k, rate in enumerate(one.rates)
-    )  # fmt: skip
+        Rate(one_rate.period, one_rate.offset, rate(k, "outputs", one_rate.outputs), rate(k, "nexts", one_rate.nexts))
+        for k, one_rate in enumerate(one.rates)
+    )
+    names_of_rows: dict[str, Any] = {
+        "states": Later(sizes["x"], lambda: [*names("x")]),
+        "discretes": Later(sizes["d"], lambda: [*names("d")]),
+    }
     integers = {slot: known for place, known in one.integers.items() for slot in made.places("d", place)}
     projections = sum(made.lanes(*reference) for _, reference in one.projections)
     return dataclasses.replace(
         one,
         instances=later("instances", expansion.layout.size),
-        states=Later(sizes["x"], lambda: [*names("x")]),
-        discretes=Later(sizes["d"], lambda: [*names("d")]),
+        **names_of_rows,
         nominal=numbers(lambda resolved: resolved.nominal),
         parameters=numbers(lambda resolved: builder.numbers_of(resolved)[0]),
         tables=later("tables", "c"),

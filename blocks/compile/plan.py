@@ -324,9 +324,9 @@ class Plan(Shown):
     unknowns: tuple[Reference, ...] = field(default=(), compare=False, repr=False)
     """What is solved for at all times, in the order of z; each search begins at their last values."""
     folded: Folded | None = field(default=None, compare=False, repr=False)
-    """Of a diagram with copies: the plan of one copy, by which it is printed; its own long tables are made when they are
-    asked for."""
+    """Of a diagram with copies: the plan of one copy, by which it is printed."""
     written_out: Callable[[], Plan] | None = field(default=None, compare=False, repr=False)
+    """Of such a one: the plan of the diagram written out, whose long tables are its own, once they are asked for."""
     outline: Callable[[Any], Iterator[Part]] | None = field(default=None, compare=False, repr=False)
     """How it is told to a person, where it was made for one: `compile.outline`, which stands on this module."""
 

@@ -1,7 +1,7 @@
 """The values of a flat diagram that can be recorded, by name.
 
-Blocks have many outputs, and few are asked for: a signal is made when it is. Of copies one is known for all; its key has
-brackets without a number, "robots[].motor.i".
+Blocks have many outputs, and few are asked for: a signal is made when it is. Of copies one is known for all; its key
+has brackets without a number, "robots[].motor.i".
 """
 
 from __future__ import annotations
@@ -143,7 +143,8 @@ class Signals(Mapping[str, FlatSignal]):
 
     def like(self, pattern: str) -> list[str]:
         """The names of what is recorded that a pattern names."""
-        keys = matching(re.sub(r"\[[^]]*\](?=\.)", "[]", pattern), [key for key in self._known if key not in self._hidden])
+        told = [key for key in self._known if key not in self._hidden]
+        keys = matching(re.sub(r"\[[^]]*\](?=\.)", "[]", pattern), told)
         return matching(pattern, [name for key in keys for name in self.names(key)])
 
 

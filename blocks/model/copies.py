@@ -1,8 +1,8 @@
 """Copies: blocks of which one entry makes many, flattened once and written out where somebody asks for each.
 
-A `Fleet` is a block with copies; one that lies in a copy of another fleet has that one as its `outer`. What is known of all copies
-is known of one of them, and `lane` counts the copies: through all outer fleets, the own number running fastest. The
-sources of wires follow in a lane of the block that reads them:
+A `Fleet` is a block with copies; one that lies in a copy of another fleet has that one as its `outer`. What holds for
+all copies is known of one of them, and `lane` counts the copies: through all outer fleets, the own number running fastest.
+Sources of wires are followed from a lane of the block that reads them:
 
     BlockSource    a block outside of all fleets, or in the same copy as the reader (or in a copy around it)
     EachSource     what enters a fleet: a source for each of its copies
@@ -52,7 +52,8 @@ class Fleet:
         fleet: Fleet | None = self
         while fleet is not other:
             assert fleet is not None
-            fleet, lane = fleet.outer, lane // fleet.count
+            lane //= fleet.count
+            fleet = fleet.outer
         return lane
 
 
@@ -124,8 +125,8 @@ class Later(Sequence[T], Generic[T]):
 class Layout:
     """Where the blocks stand once they are written out.
 
-    fleets: the innermost fleet of each block, in the order of the text; those behind `ordered`, the blocks at the edges of
-    subdiagrams, come last, copy by copy.
+    fleets: the innermost fleet of each block, in the order of the text; those behind `ordered`, which stand at edges
+    of subdiagrams, come last, copy by copy.
     """
 
     def __init__(self, fleets: Sequence[Fleet | None], ordered: int) -> None:
@@ -160,7 +161,8 @@ class Layout:
         place, fleet = self._place[block], self.fleets[block]
         while fleet is not None:
             place += self._first[fleet] + lane % fleet.count * self._size[fleet]
-            fleet, lane = fleet.outer, lane // fleet.count
+            lane //= fleet.count
+            fleet = fleet.outer
         return place
 
     def lane(self, block: int, fleet: Fleet | None, lane: int) -> int:

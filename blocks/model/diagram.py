@@ -82,7 +82,8 @@ class BlockEntry:
     numbers, or of all those in a subdiagram, where it is not that of the block. options: of an FMU, kind, isolate and
     timeout, those that the file gives. variants: what may stand in place of the block, by name; variant: the one that
     does unless another is asked for, "" for the block itself. ports: of a variant, its own names of the block's ports,
-    where they differ. copies: how many blocks the entry makes, as written; None: the block alone. cls: the class, where the block was made in Python. loaded: the value of a diagram that is a
+    where they differ. copies: how many blocks the entry makes, as written; None: the block alone. cls: the class, where
+    the block was made in Python. loaded: the value of a diagram that is a
     file.
     """
 

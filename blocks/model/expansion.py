@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..contract.resolution import Resolved
 from .copies import CopySource, EachSource, Fleet, Layout
@@ -22,8 +22,8 @@ __all__ = ["Expansion"]
 class Expansion:
     """blocks: one of each; fleets: the innermost fleet of each; each: by lane, the numbers that are others in it.
 
-    ordered: how many of the blocks stand in the order of the text; what is at the edges of subdiagrams follows. around: all
-    fleets.
+    ordered: how many of the blocks stand in the order of the text; what is at the edges of subdiagrams follows. around:
+    all fleets.
     """
 
     blocks: tuple[FlatBlock, ...]
@@ -36,7 +36,7 @@ class Expansion:
     def layout(self) -> Layout:
         return Layout(self.fleets, self.ordered)
 
-    def source(self, source: Source, fleet: Fleet | None, lane: int) -> Source:
+    def source(self, source: Any, fleet: Fleet | None, lane: int) -> Source:
         """A source as it is in a lane of the fleet that it is seen from."""
         while True:
             if isinstance(source, BlockSource):
@@ -51,7 +51,7 @@ class Expansion:
                 fleet, lane = source.fleet, outside * source.fleet.count + source.number
                 source = source.source
             else:
-                return source
+                return source  # type: ignore[no-any-return]
 
     def settled(self, other: Expansion) -> Iterator[tuple[str, Resolved, Resolved]]:
         """The numbers of blocks here and in another expansion of the same diagram, by path; equal copies stand once."""
@@ -100,9 +100,11 @@ class Expansion:
                         found += [layout.place(block, lane * size + k) for k in range(size)]
                     return tuple(found)
 
-                path = part.path if fleet is None else fleet.numbered(part.path, lane)
-                places = (layout.place(block, layout.lane(block, fleet, lane)) for block in (part.enabled, part.time))
                 yield dataclasses.replace(
-                    part, **dict(zip(("path", "enabled", "time"), (path, *places), strict=True)),
-                    members=all_of(part.members), resets=all_of(part.resets),
-                )  # fmt: skip
+                    part,
+                    path=part.path if fleet is None else fleet.numbered(part.path, lane),
+                    enabled=layout.place(part.enabled, layout.lane(part.enabled, fleet, lane)),
+                    time=layout.place(part.time, layout.lane(part.time, fleet, lane)),
+                    members=all_of(part.members),
+                    resets=all_of(part.resets),
+                )

@@ -17,7 +17,7 @@ from typing import Any
 
 from ..contract.block import Block
 from ..contract.expressions import exact_decimal
-from ..contract.interface import Interface, Port, Value
+from ..contract.interface import Interface, Value
 from ..contract.resolution import Resolved, resolve
 from ..text import units
 from ..text.element_names import indexed, matching
@@ -26,8 +26,8 @@ from ..text.gc_pause import paused
 from ..text.json_document import AT_KEY
 from ..text.printable import legible, quoted
 from .block_signals import FlatSignal, Signals, element_of
-from .copies import Fleet, Later, without_numbers
 from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
+from .copies import Fleet, Later, without_numbers
 from .diagram import PLAIN_VERSION, DiagramValue
 from .diagram_grammar import MEASURE_NUMBERS, MEASURES, RUN
 from .expansion import Expansion

@@ -381,19 +381,19 @@ class Hierarchy:
         if entry.stream and not declaration.streams:
             message, cure = "draws no random numbers, so that it has no stream.", "Leave it out."
             self.tell(scope, "E003", f"{name}.stream", message, cure, (*spot, "stream", AT_KEY))
-        own: set[str] = set()  # those that are set in this copy alone
+        single: set[str] = set()  # those that are set in this copy alone
         for key in declaration.settable if self.overrides else ():
             paths = tuple(f"{path}.{key}" for path in scope.paths(name, copy))
             raw, set_at = self.overridden(paths, raws.get(key, (None, None))[0])
             if set_at:
                 raws[key] = (raw, None)
-                own |= {key} if is_of_one(set_at, name, copy) else set()
+                single |= {key} if is_of_one(set_at, name, copy) else set()
         within = numbered(scope, copy)
         given: dict[str, Value] = {}
         # Structural ones first: units may follow from them.
         for key in sorted(raws, key=lambda key: not declaration.parameters[key].structural):
             raw, where = raws[key]
-            if copy is not None and key not in own:
+            if copy is not None and key not in single:
                 depth = dimensions(declaration.parameters[key].shape)
                 raw = self.own(scope, raw, depth, copy, f"{shown}.{key}", where)
             declared = self.declared_unit(scope, name, cls, declaration.parameters[key], raws, given)
@@ -491,7 +491,7 @@ class Hierarchy:
 
 
 def numbered(scope: DiagramScope, copy: Copy | None) -> DiagramScope:
-    """A diagram as the parameters of a copy of a block in it are written: they may read its number and how many there are."""
+    """A diagram as the parameters of a copy of a block in it see it: with its number, and how many there are."""
     if copy is None:
         return scope
     own = {"index": copy.number, "copies": copy.fleet.count}

@@ -1,7 +1,7 @@
 """What differs among the copies of a block: the numbers of the blocks in them.
 
-A diagram that has copies is opened once, as copy 0 has it. Here the other copies are gone through, as far as something in them is
-another number: by a list, by an expression with `index`, by what was set in one copy, or by a stream.
+A diagram that has copies is opened once, as copy 0 has it. Here the other copies are gone through, as far as something
+in them is another number: by a list, by an expression with `index`, by what was set in one copy, or by a stream.
 """
 
 from __future__ import annotations
@@ -69,13 +69,13 @@ class _Lanes:
         scope = child.scope if isinstance(child, Leaf) else child.parent
         assert scope is not None
         entry = scope.value.blocks[child.name]
-        is_own = child.copied is not None and (self.reads(entry) & {"index"} or self.has_lists(child, entry))
+        is_own = child.copied is not None and ("index" in self.reads(entry) or self.has_lists(child, entry))
         if isinstance(child, Leaf):
-            is_own = is_own or (child.fleet is not None and child.interface.declaration.streams)
+            is_own = is_own or (child.fleet is not None and bool(child.interface.declaration.streams))
         else:
-            is_own = any([self.differs(inner) for inner in child.children.values() if inner is not None]) or is_own
-        self.own[id(child)] = bool(is_own)
-        return bool(is_own)
+            is_own = is_own or any(self.differs(inner) for inner in child.children.values() if inner is not None)
+        self.own[id(child)] = is_own
+        return is_own
 
     def has_lists(self, child: Leaf | DiagramScope, entry: BlockEntry) -> bool:
         raws = dict(entry.parameters)

@@ -65,8 +65,9 @@ class ValueSource:
     value: float
 
 
-Source = BlockSource | InputSource | ValueSource | EachSource | CopySource
-"""Where one element comes from; the last two are of copies, and gone where these are written out."""
+Source = BlockSource | InputSource | ValueSource
+"""Where one element comes from. Where there are copies, it may be an `EachSource` or a `CopySource` until they are
+written out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -587,8 +588,8 @@ class Wires:
         for index, feed in feeds.items():
             try:
                 strand = self.fitting(scope, f"{name}.{port.name}[{index}]", feed, port, index)
-                row = [WireElement(*element) for element in zip(*strand[:3], strict=True)]
-                elements[index * len(row) : (index + 1) * len(row)] = row
+                part = [WireElement(*element) for element in zip(*strand[:3], strict=True)]
+                elements[index * len(part) : (index + 1) * len(part)] = part
             except Absent:
                 absent = True
         if absent:
@@ -653,7 +654,8 @@ class Wires:
             shape, row = port.shape[1:], math.prod(port.shape[1:])
             wanted = port.units[index * row : (index + 1) * row]
         elif copied is not None and strand.shape == shape[1:]:
-            strand = Strand(*(part * copied.count for part in strand[:3]), shape, strand.names)
+            n = copied.count
+            strand = Strand(strand.sources * n, strand.units * n, strand.types * n, shape, strand.names)
         if strand.shape != shape:
             message = f"{_extent(shape)}, but {feed.text} {_extent(strand.shape)}."
             cure = ""
@@ -715,7 +717,9 @@ def entered(copied: Fleet, strand: Strand) -> Strand:
     n = copied.count
     size = len(strand.sources) // n
     columns = (strand.sources[element::size] for element in range(size))
-    sources = tuple(column[0] if column[:-1] == column[1:] else EachSource(copied, column) for column in columns)
+    sources: tuple[Any, ...] = tuple(
+        column[0] if column[:-1] == column[1:] else EachSource(copied, column) for column in columns
+    )
     return Strand(sources, strand.units[:size], strand.types[:size], strand.shape[1:], strand.names[:size])
 
 
@@ -729,9 +733,9 @@ def leaving(copied: Fleet | None, strand: Strand) -> Strand:
     return Strand(sources, strand.units * copied.count, strand.types * copied.count, shape)
 
 
-def _left(copied: Fleet, number: int, source: Source) -> Source:
+def _left(copied: Fleet, number: int, source: Any) -> Any:
     if isinstance(source, EachSource) and source.fleet is copied:
-        return source.sources[number]  # type: ignore[no-any-return]
+        return source.sources[number]
     return source if isinstance(source, (InputSource, ValueSource)) else CopySource(copied, number, source)
 
 

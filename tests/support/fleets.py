@@ -14,8 +14,8 @@ Document = dict[str, Any]
 def written_out(document: Mapping[str, Any], vectors: frozenset[str] = frozenset()) -> Document:
     """The document of a diagram without copies that means the same.
 
-    vectors: the sources outside of copies that have an element for each copy. Copies are numbers, and expressions in their
-    parameters are those of Python.
+    vectors: the sources outside of copies that have an element for each copy. Copies are numbers, and expressions in
+    their parameters are those of Python.
     """
     counts = {name: entry["copies"] for name, entry in document["blocks"].items() if "copies" in entry}
     blocks: Document = {}
@@ -37,9 +37,8 @@ def written_out(document: Mapping[str, Any], vectors: frozenset[str] = frozenset
             wires[_one(sink, counts)] = _one(source, counts)
         elif block in counts:
             for index in range(count):
-                wires[f"{block}_{index}.{port}"] = (
-                    _at(source, index) if from_block in counts else f"{source}[{index}]" if source in vectors else source
-                )
+                outside = f"{source}[{index}]" if source in vectors else source
+                wires[f"{block}_{index}.{port}"] = _at(source, index) if from_block in counts else outside
         elif from_block in counts:
             for index in range(count):
                 wires[f"{sink}[{index}]"] = _at(source, index)

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from ..folding import At
 from .functions import comment
-from .loops import LEAST, Call, CallOrder, CallSequence, Copy, EqualCalls, Sink, Value, is_affine
+from .loops import LEAST, Call, CallOrder, CallSequence, Copy, EqualCalls, Sink, Value, at_of, is_affine
 
 __all__ = ["Printed", "Tables", "print_program", "print_selected"]
 
@@ -157,8 +158,7 @@ def _one_of(
 
 
 def _wide(sink: Sink, lanes: int) -> range:
-    assert isinstance(sink.index, int)
-    return range(sink.index * lanes, (sink.index + 1) * lanes)
+    return range(at_of(sink) * lanes, (at_of(sink) + 1) * lanes)
 
 
 def _form(calls: Sequence[Call], copies: Sequence[Copy]) -> object:
@@ -480,7 +480,7 @@ class _Program(CallOrder):
                 at = self.index(copy.sink.index)
                 lines.append(f"    for (int i = 0; i < {len(copy.sink.index)}; i++) out[{at}] = {text};")
         copies = [copy for copy in copies if not isinstance(copy.sink.index, range)]
-        for copy in sorted(copies, key=lambda copy: copy.sink.index):
+        for copy in sorted(copies, key=lambda copy: at_of(copy.sink)):
             kind = copy.value[0]
             kind = f"at {self.row(copy.value, unit)[0]}" if kind == "at" else kind
             key: object = (kind, copy.sink.condition is None, copy.sink.off)
@@ -488,7 +488,7 @@ class _Program(CallOrder):
                 key = copy
             runs.setdefault(key, []).append(copy)
         for run in runs.values():
-            for piece in _pieces(run, lambda copy: (self.row(copy.value, unit)[1], copy.sink.index)):
+            for piece in _pieces(run, lambda copy: (self.row(copy.value, unit)[1], at_of(copy.sink))):
                 if len(piece) < LEAST:
                     for copy in piece:
                         text = self.read(copy.value, unit, local or {})
@@ -499,7 +499,7 @@ class _Program(CallOrder):
                 places = [self.row(copy.value, unit) for copy in piece]
                 text = _text(places[0][0], self.index([index for _, index in places]))
                 text = f"(double)({text} >= 0.0)" if piece[0].value[0] == "ge" else text
-                at = self.index([copy.sink.index for copy in piece])
+                at = self.index([at_of(copy.sink) for copy in piece])
                 conditions = [c.sink.condition for c in piece if c.sink.condition is not None]
                 side = own = ""
                 if conditions:
@@ -535,7 +535,7 @@ def _pieces(copies: list[Copy], where: Callable[[Copy], tuple[int, int]]) -> lis
 def _indices(sinks: Sequence[Sink]) -> Sequence[int]:
     """The places of lanes: of calls one by one, or of one call of copies."""
     first = sinks[0].index
-    return first if isinstance(first, range) else [sink.index for sink in sinks]  # type: ignore[misc]
+    return first if isinstance(first, range) else [at_of(sink) for sink in sinks]
 
 
 def _text(row: str, index: str) -> str:

@@ -15,13 +15,13 @@ from typing import Any
 
 from .functions import Function
 
-__all__ = ["LEAST", "Call", "CallOrder", "CallSequence", "Copy", "EqualCalls", "Sink", "Value", "is_affine"]
+__all__ = ["LEAST", "Call", "CallOrder", "CallSequence", "Copy", "EqualCalls", "Sink", "Value", "at_of", "is_affine"]
 
 Value = tuple[str, Any]
 """A row of memory and an index in it (in q, n and v: or a name for what has no place yet; in c: an offset). Also
 ("t", 0); ("r", number): a value of a call of this program; ("ge", number): 1 where that is not negative, else 0;
-("offset", number): the number itself. In a plan of one copy a value is that of the own lane, unless its number is an `At`, or it is
-("at", (value, lane))."""
+("offset", number): the number itself. In a plan of one copy a value is that of the own lane, unless its number is an
+`At`, or it is ("at", (value, lane))."""
 
 LEAST = 4  # equal calls that make a loop where all of their wires are regular
 LEAST_IRREGULAR = 16  # and where they are not: registers are faster than short tables
@@ -30,9 +30,9 @@ MOST_CALLS, MOST_WEIGHT = 64, 1500  # calls and operations in one straight piece
 
 @dataclass(frozen=True, slots=True)
 class Sink:
-    """Where a value goes: a place in `out`, or one for each lane. condition: where this side is 0, the value is what `off` says.
+    """Where a value goes: a place in `out`, or one for each lane.
 
-    off: "zero", "side" (1 or -1, as the side `index` is), "inf", or "keep": then nothing is written.
+    condition: where this side is 0, the value is what `off` says. off: "zero", "side" (1 or -1, as the side `index` is), "inf", or "keep": then nothing is written.
     """
 
     index: int | range
@@ -40,12 +40,18 @@ class Sink:
     off: str = ""
 
 
+def at_of(sink: Sink) -> int:
+    """The place of a sink that has one alone."""
+    assert isinstance(sink.index, int)
+    return sink.index
+
+
 @dataclass(slots=True, eq=False)
 class Call:
     """One call: its arguments, the numbers of its values, and where these go.
 
     guard: the rates of which one must be due; (): it is always made. fallback: what replaces its values otherwise.
-    lanes: of copies: how many calls it stands for. gathers: it only puts its arguments, one for each lane, side by side.
+    lanes: of copies: how many calls it stands for. gathers: it puts its arguments, one for each lane, side by side.
     """
 
     function: Function
@@ -171,7 +177,7 @@ class CallOrder:
                 return False
         first = group.calls[0]
         return all(
-            is_affine([call.sinks[k][j].index for call in group.calls])
+            is_affine([at_of(call.sinks[k][j]) for call in group.calls])
             for k, sinks in enumerate(first.sinks)
             for j in range(len(sinks))
         )

@@ -30,7 +30,7 @@ from ..tableaus import METHODS
 from ..tick_stages import stages_of, tick_program
 from .calls import SAME, print_program, print_selected
 from .functions import comment
-from .loops import Call, Copy, Sink
+from .loops import Call, Copy, Sink, at_of
 from .plan_reader import MOVING, Places, PlanReader, ProgramScope
 from .ticks import Clique, Stage, cliques
 
@@ -92,6 +92,9 @@ _SIGNATURES = {
 _SIGNATURE = "const BlocksMemory *m, double t, const double *x, double *out"
 
 
+MakeSink = Callable[[int | range, Node, str], Sink]
+
+
 def _listed(places: range | int) -> range:
     return range(places, places + 1) if isinstance(places, int) else places
 
@@ -115,7 +118,7 @@ class _Emitter(PlanReader):
     ) -> str:
         """The body of a program over the continuous part: `asked` go to `sinks`."""
         scope = ProgramScope({}, {}, {}, is_quick, is_hot=name in RATES)
-        self.seen_states: dict[int, None] = {}
+        self.seen_states = {}
         calls = self.sliced(asked, scope, held=(lambda node: True) if is_quick else self.v.__contains__)
         copies = self.attach(name, calls, asked, sinks, scope)
         if guards:
@@ -221,7 +224,7 @@ class _Emitter(PlanReader):
     def selected(
         self, name: str, programs: Sequence[tuple[list[Call], list[Copy]]], numbers: Sequence[range] | None = None
     ) -> None:
-        """A program that runs one of others, chosen by its argument `which`. numbers: those that choose each of them."""
+        """A program that runs one of others, chosen by its argument `which`. numbers: those that choose each."""
         self.is_hot = False
         own = [range(k, k + 1) for k in range(len(programs))] if numbers is None else numbers
         printed = print_selected(name, programs, self.place, self.tables, own)
@@ -255,7 +258,7 @@ class _Emitter(PlanReader):
         rest: list[int] = []
         for group in groups.values():
             columns = [
-                [call.sinks[k][j].index for call in sorted(group, key=lambda call: call.order)]
+                [at_of(call.sinks[k][j]) for call in sorted(group, key=lambda call: call.order)]
                 for k, sinks in enumerate(group[0].sinks)
                 for j in range(len(sinks))
             ]
@@ -323,7 +326,7 @@ class _Emitter(PlanReader):
             given = [reference for part in plan.foreign for reference in part.inputs]
             self.define("foreign_inputs", self.continuous("foreign_inputs", given, plain(given), is_quick=False))
         nodes = [cause.node for cause in plan.events]
-        sinks = [sink(k, node, "inf") for k, node in zip(spread(nodes), nodes, strict=True)]
+        sinks = [sink(place, node, "inf") for place, node in zip(spread(nodes), nodes, strict=True)]
         self.define("event_times", self.continuous("event_times", nodes, sinks, is_quick=False))
         causes = (*plan.crossings, *plan.events)
         self.selected(
@@ -360,7 +363,7 @@ class _Emitter(PlanReader):
             for k, own in numbers
         ]
 
-    def rates(self, sink: Callable[[int | range, Node, str], Sink], has_room: bool) -> bool:
+    def rates(self, sink: MakeSink, has_room: bool) -> bool:
         """The rates; or nothing, and True, where they are long and crossings can follow them: compiling them twice
         would take longer than computing some crossings in vain."""
         nodes = self.plan.derivatives
@@ -391,7 +394,7 @@ class _Emitter(PlanReader):
         body = f"    {loop} {{\n        {find}\n        {inner}\n    }}\n    return {int(bool(self.same))};"
         self.texts.append(f"static int lanes_are_same(const BlocksMemory *m)\n{{\n{table}{body}\n}}\n")
 
-    def rates_and_sides(self, crossings: Sequence[Node], sink: Callable[[int | range, Node, str], Sink]) -> None:
+    def rates_and_sides(self, crossings: Sequence[Node], sink: MakeSink) -> None:
         """The rates, followed by all crossings: what both need is computed once."""
         nx = len(self.whole.states)
         sinks = [sink(self.x_range(k), node, "zero") for k, node in enumerate(self.plan.derivatives)]
@@ -407,7 +410,7 @@ class _Emitter(PlanReader):
         nodes = [*self.plan.derivatives, *(crossings[j] for j in order)]
         self.define("rates_and_sides", self.continuous("rates_and_sides", nodes, sinks))
 
-    def quick_measures(self, sink: Callable[[int | range, Node, str], Sink], method: str, *, moving: bool) -> dict[str, int]:
+    def quick_measures(self, sink: MakeSink, method: str, *, moving: bool) -> dict[str, int]:
         """The programs by which the stepping loop measures: at the end of a step behind its rates; inside, what five
         values tell apart from what they do not. Without them it measures like all that is looked at in parts."""
         plan, asked, motion = self.plan, self.watched["measured"], self.motions["measured"]
@@ -442,7 +445,7 @@ class _Emitter(PlanReader):
         copies = self.attach("refresh", calls, nodes, [Sink(self.own_place(node)) for node in nodes], scope)
         self.define("refresh", self.printed("refresh", calls, copies))
 
-    def nexts(self, sink: Callable[[int | range, Node, str], Sink]) -> None:
+    def nexts(self, sink: MakeSink) -> None:
         pairs = [(node, slot, k) for k, rate in enumerate(self.plan.rates) for node, slot in rate.nexts]
         nodes = [node for node, _, _ in pairs]
         sinks = [sink(self.all_places("d", slot), node, "keep") for node, slot, _ in pairs]
@@ -471,7 +474,7 @@ class _Emitter(PlanReader):
         places += range(nx + nd + len(self.whole.crossings), nx + nd + len(self.whole.crossings) + taken)
         self.define("start", self.own("start", program, list(map(Sink, places))))
 
-    def outputs(self, sink: Callable[[int | range, Node, str], Sink]) -> tuple[Clique, ...]:
+    def outputs(self, sink: MakeSink) -> tuple[Clique, ...]:
         plan = self.plan
         if not plan.rates:
             self.define("outputs", "    (void)clique, (void)stage, (void)due;")
@@ -496,7 +499,7 @@ class _Emitter(PlanReader):
         self.define("outputs", "\n".join(["    (void)clique, (void)stage, (void)due;", *cases]))
         return tuple(tick_cliques)
 
-    def stage(self, name: str, slots: Sequence[tuple[int, int]], sink: Callable[[int | range, Node, str], Sink]) -> str:
+    def stage(self, name: str, slots: Sequence[tuple[int, int]], sink: MakeSink) -> str:
         """The sampled outputs of one stage; others read the held value of one that is not due."""
         plan = self.plan
         program = tick_program(plan, sorted(slot for slot, _ in slots))
@@ -584,7 +587,7 @@ class _Emitter(PlanReader):
                 f"static void {name}({_SIGNATURE})\n{{\n    (void)m, (void)t, (void)x, (void)out;\n{body}\n}}\n"
             )
             bodies.append(f"    {name}(m, t, x, out);")
-        copies = [Copy(key, Sink(self.own_place(key))) for key in self.q if key[0] == "p"]
+        copies = [Copy(("p", n), Sink(self.own_place(("p", n)))) for row, n in self.q if row == "p"]
         body = self.printed("prepare_copies", [], copies) if copies else ""
         if copies:
             self.texts.append(f"static void prepare_copied({_SIGNATURE})\n{{\n    (void)x, (void)t;\n{body}\n}}\n")

@@ -58,8 +58,8 @@ class Places(dict[K, int]):
 
 
 class PlanReader:
-    """plan: where there are copies, that of one copy, and folded: what it is for the whole diagram. watched: by name, what
-    is looked at inside steps."""
+    """plan: where there are copies, that of one copy; folded: what it is for the whole diagram. watched: by name, what is
+    looked at inside steps."""
 
     def __init__(
         self, plan: Plan, loops: bool, watched: Mapping[str, Sequence[Node | Reference]], folded: Folded | None = None
@@ -234,7 +234,7 @@ class PlanReader:
             return row, index[lane] if isinstance(index, range) else index
         if row == "copy":
             if not self.is_hot:
-                return self.place(index) if self.folded is not None else index  # type: ignore[no-any-return]
+                return self.place(index) if self.folded is not None else index
             lanes = self.lanes_of(*index)
             if index[0] == "p":
                 return "q", self.q.place(index, lanes)
@@ -313,9 +313,9 @@ class PlanReader:
         gathered = self.gathered(instance)
         if gathered is not None:
             scope.made[nodes[0]] = self.new_value()
-            values = [self.value(reference, scope, (instance, k)) for k, reference in enumerate(gathered)]
+            taken = [self.value(reference, scope, (instance, k)) for k, reference in enumerate(gathered)]
             label, made = block.path, [scope.made[nodes[0]]]
-            return Call(_GATHER, label, instance, values, made, [[]], lanes=len(gathered), gathers=True)
+            return Call(_GATHER, label, instance, taken, made, [[]], lanes=len(gathered), gathers=True)
         fixed = self.fixed_of(instance) if scope.is_quick else None
         form = (id(tape), scope.is_hot, fixed, *(node.result for node in nodes))
         if form not in self.forms:
