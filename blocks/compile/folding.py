@@ -5,8 +5,8 @@
 
 A block in a fleet is computed in lanes, one for each copy. Its places in memory are those of the diagram that is
 written out: `first + stride lane` in each row. What is read in the own lane has a plain reference in the plan of one
-copy; what a certain copy gives has an `At`, which is equal to the plain one and knows its lane. What enters a fleet with
-another source for each copy is gathered by an instance of its own, so that the order of computation follows.
+copy; what a certain copy gives has an `At`, which is equal to the plain one and knows its lane. What enters a fleet
+with another source for each copy is gathered by an instance of its own, so that the order of computation follows.
 
 Copies inside of copies are written out in the plan of one copy. Where copies cannot be planned as one (`foldable`), or
 need each other at one time, the diagram is written out and planned whole.

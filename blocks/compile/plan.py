@@ -38,7 +38,6 @@ from ..text.shown import Part, Shown
 
 if TYPE_CHECKING:
     from ..model.fmu_block import Foreign
-    from .folding import Folded
 
 __all__ = [
     "NOTHING",
@@ -323,8 +322,8 @@ class Plan(Shown):
     continuous: Program = field(default=NOTHING, compare=False, repr=False)  # all but what is computed at ticks
     unknowns: tuple[Reference, ...] = field(default=(), compare=False, repr=False)
     """What is solved for at all times, in the order of z; each search begins at their last values."""
-    folded: Folded | None = field(default=None, compare=False, repr=False)
-    """Of a diagram with copies: the plan of one copy, by which it is printed."""
+    folded: Any = field(default=None, compare=False, repr=False)
+    """Of a diagram with copies: the plan of one copy, by which it is printed (`compile.folding`); else None."""
     written_out: Callable[[], Plan] | None = field(default=None, compare=False, repr=False)
     """Of such a one: the plan of the diagram written out, whose long tables are its own, once they are asked for."""
     outline: Callable[[Any], Iterator[Part]] | None = field(default=None, compare=False, repr=False)

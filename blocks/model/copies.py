@@ -1,7 +1,8 @@
 """Copies: blocks of which one entry makes many, flattened once and written out where somebody asks for each.
 
 A `Fleet` is a block with copies; one that lies in a copy of another fleet has that one as its `outer`. What holds for
-all copies is known of one of them, and `lane` counts the copies: through all outer fleets, the own number running fastest.
+all copies is known of one of them, and `lane` counts the copies through all outer fleets, the own number running
+fastest.
 Sources of wires are followed from a lane of the block that reads them:
 
     BlockSource    a block outside of all fleets, or in the same copy as the reader (or in a copy around it)

@@ -6,14 +6,12 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..contract.resolution import Resolved
 from .copies import CopySource, EachSource, Fleet, Layout
+from .flat_block import FlatBlock, FlatEnabled
 from .wires import BlockSource, Source
-
-if TYPE_CHECKING:
-    from .flatten import FlatBlock, FlatEnabled
 
 __all__ = ["Expansion"]
 

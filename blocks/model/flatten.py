@@ -18,7 +18,7 @@ from typing import Any
 from ..contract.block import Block
 from ..contract.expressions import exact_decimal
 from ..contract.interface import Interface, Value
-from ..contract.resolution import Resolved, resolve
+from ..contract.resolution import resolve
 from ..text import units
 from ..text.element_names import indexed, matching
 from ..text.errors import Fault, ModelError
@@ -31,6 +31,7 @@ from .copies import Fleet, Later, without_numbers
 from .diagram import PLAIN_VERSION, DiagramValue
 from .diagram_grammar import MEASURE_NUMBERS, MEASURES, RUN
 from .expansion import Expansion
+from .flat_block import FlatBlock, FlatEnabled
 from .hierarchy import MAX_BLOCKS, DiagramScope, Hierarchy, Leaf, Resolver, Spot
 from .lanes import look_into_copies
 from .settings import MeasureSpec, RunSettings, read_settings, seed_of
@@ -55,37 +56,6 @@ __all__ = [
 
 MOST_OMEGA = 1e9
 """rad/s: each turn of a fundamental takes time to look through."""
-
-
-@dataclass(frozen=True, slots=True)
-class FlatBlock:
-    """A block by its path, with its numbers, and the source of each element of each input."""
-
-    path: str
-    resolved: Resolved
-    sources: Mapping[str, tuple[Source, ...]]  # by variable
-    condition: int | None = None  # the block that says whether this one is on, where it lies in an enabled subdiagram
-    time: int | None = None  # the block that gives the time here, where that may stand still
-    hidden: bool = False  # put in at the edge of a subdiagram
-    told_as: str = ""  # of a hidden block: the name under which its events are reported; "" for none
-
-    @property
-    def interface(self) -> Interface:
-        return self.resolved.interface
-
-
-@dataclass(frozen=True, slots=True)
-class FlatEnabled:
-    """An enabled subdiagram: the blocks that say whether it is on and keep its time, and what lies directly in it.
-
-    resets: the blocks anywhere in it, where their states and discretes begin anew when it is turned on.
-    """
-
-    path: str
-    enabled: int
-    time: int
-    members: tuple[int, ...]
-    resets: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,9 @@ def written_out(document: Mapping[str, Any], vectors: frozenset[str] = frozenset
         block, _, port = sink.partition(".")
         from_block = source.partition(".")[0]
         count = counts.get(block) or counts.get(from_block, 0)
-        if sink.endswith("]") or source.endswith("]"):
+        if block in counts and source.endswith("]") and not sink.endswith("]"):
+            wires |= {f"{block}_{index}.{port}": _one(source, counts) for index in range(count)}
+        elif sink.endswith("]") or source.endswith("]"):
             wires[_one(sink, counts)] = _one(source, counts)
         elif block in counts:
             for index in range(count):

@@ -32,7 +32,8 @@ MOST_CALLS, MOST_WEIGHT = 64, 1500  # calls and operations in one straight piece
 class Sink:
     """Where a value goes: a place in `out`, or one for each lane.
 
-    condition: where this side is 0, the value is what `off` says. off: "zero", "side" (1 or -1, as the side `index` is), "inf", or "keep": then nothing is written.
+    condition: where this side is 0, the value is what `off` says: "zero", "side" (1 or -1, as the side `index` is),
+    "inf", or "keep": then nothing is written.
     """
 
     index: int | range

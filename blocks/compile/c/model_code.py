@@ -403,10 +403,13 @@ class _Emitter(PlanReader):
         for j, (instance, key, element) in enumerate(crossings):
             kinds.setdefault((id(self.plan.instances[instance].tape), key, element), []).append(j)
         order = [j for group in kinds.values() for j in group]
-        whole = self.spread([node.instance for node in crossings])
-        self.sides = tuple(k for j in order for k in _listed(whole[j]))
-        at = self.side_by_side([crossings[j] for j in order])
-        sinks += [sink(_moved(place, nx), crossings[j], "inf") for place, j in zip(at, order, strict=True)]
+        whole = [_listed(places) for places in self.spread([node.instance for node in crossings])]
+        self.sides = tuple(k for group in kinds.values() for k in sorted(k for j in group for k in whole[j]))
+        rank = {k: place for place, k in enumerate(self.sides)}
+        for j in order:  # each copy has as many of a kind, so that the places of lanes are regular
+            first, second = (nx + rank[whole[j][lane]] for lane in (0, min(1, len(whole[j]) - 1)))
+            own = range(first, first + (second - first) * len(whole[j]), second - first) if second > first else first
+            sinks.append(sink(own, crossings[j], "inf"))
         nodes = [*self.plan.derivatives, *(crossings[j] for j in order)]
         self.define("rates_and_sides", self.continuous("rates_and_sides", nodes, sinks))
 

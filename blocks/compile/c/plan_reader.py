@@ -58,8 +58,10 @@ class Places(dict[K, int]):
 
 
 class PlanReader:
-    """plan: where there are copies, that of one copy; folded: what it is for the whole diagram. watched: by name, what is
-    looked at inside steps."""
+    """plan: where there are copies, that of one copy; folded: what it is for the whole diagram.
+
+    watched: by name, what is looked at inside steps.
+    """
 
     def __init__(
         self, plan: Plan, loops: bool, watched: Mapping[str, Sequence[Node | Reference]], folded: Folded | None = None
