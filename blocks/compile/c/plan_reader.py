@@ -518,7 +518,9 @@ class PlanReader:
             if isinstance(step, AlgebraicLoop) and number not in done_loops:
                 done_loops[number] = None
                 stack += step.nodes
-            for reference in self.before[node] if node in self.before else self.bound(node):
+            own = self.before[node] if node in self.before else self.bound(node)
+            gathered = self.gathered(node.instance)
+            for reference in own if gathered is None else gathered:
                 if not (isinstance(step, AlgebraicLoop) and reference in step.unknowns):
                     ask(reference)
         by_step: dict[int, list[Node]] = {}
