@@ -78,12 +78,12 @@ def test_a_file_that_is_no_object_is_refused(value: Any) -> None:
 
 def test_a_later_version_asks_for_an_update_and_another_one_does_not() -> None:
     later, odd, bool_ = (
-        only(json.dumps({"format": "blocks-diagram", "version": version})) for version in (3, "1", True)
+        only(json.dumps({"format": "blocks-diagram", "version": version})) for version in (4, "1", True)
     )
     assert [fault.code for fault in (later, odd, bool_)] == ["E005"] * 3
     assert "Update blocks" in later.cure
     assert odd.cure == bool_.cure == 'Write "version": 2.'
-    assert "reads version 2" in only('{"format": "blocks-diagram", "version": 0.5}').cure
+    assert "reads version 3" in only('{"format": "blocks-diagram", "version": 0.5}').cure
     assert only('{"format": "blocks-diagram"}').message == 'the key "version" is missing.'
 
 

@@ -103,6 +103,7 @@ MENDED: dict[str, list[tuple[str, str]]] = {
     "E119": [("0.3333333333333333", '"=1/3"')],
     "E121": [('"trigger": {"every": 0.1}', '"enable": {}'), ("\n }\n}", '\n },\n "inputs": {"on": {"type": "bool"}},\n'
              ' "wires": {"part.enable": "on"}\n}')],
+    "E123": [("[[1, 0]]", "[[1, 4]]")],
 }  # fmt: skip
 """What is written in the file of an example in place of what, as its cure says."""
 
