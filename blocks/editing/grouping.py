@@ -65,7 +65,7 @@ def group(spot: Spot, entry: Mapping[str, Any]) -> None:
 
     def path(text: str) -> str:
         rest = text.removeprefix(prefix)
-        is_one = text.startswith(prefix) and rest.partition(".")[0] in names
+        is_one = text.startswith(prefix) and rest.partition(".")[0].partition("[")[0] in names
         return f"{prefix}{name}.{rest}" if is_one else text
 
     _check(spot, before, path, name, "cannot be grouped so")

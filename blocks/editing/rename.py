@@ -9,6 +9,7 @@ flat names, the numbers and the wires must be the same.
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,6 +40,7 @@ __all__ = [
 
 NAMED: tuple[Kind, ...] = ("block", "input", "parameter", "output")
 """What a path such as "control.eso" may mean."""
+_NUMBER = r"(?:\[[0-9]+\])?"  # of a copy
 READ: tuple[Kind, ...] = ("block", "input", "parameter")
 _RIVALS: Mapping[Kind, tuple[Kind, ...]] = {
     "block": READ, "parameter": READ, "input": (*READ, "output"), "output": ("output", "input"),
@@ -453,13 +455,14 @@ def _check_flat(
     if isinstance(was, list) and (isinstance(now, Flat) or _are_among(now, was)):
         return  # the new name removes faults that the old one caused
     if isinstance(was, Flat) and isinstance(now, Flat):
-        start = f"{prefix}{target.name}"
+        around = "".join(f"{re.escape(part)}{_NUMBER}[.]" for part in prefix.split(".")[:-1])
+        end = {"block": f"{_NUMBER}[.]", "parameter": "(?!)"}.get(target.kind, r"\[|\Z")
+        start = re.compile(f"({around}){re.escape(target.name)}(?={end})")
 
         def signal(text: str) -> str:
             """The new name of a signal."""
-            ends = {"block": (".",), "parameter": ()}.get(target.kind, ("", "["))
-            is_it = text.startswith(start) and text[len(start) : len(start) + 1] in ends
-            return f"{prefix}{new}{text[len(start) :]}" if is_it else text
+            found = start.match(text)
+            return f"{found[1]}{new}{text[found.end() :]}" if found else text
 
         def block(path: str) -> str:
             """The new path of a block."""

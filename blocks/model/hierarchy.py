@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Iterator, Mapping
 from copy import copy as shallow_copy
 from dataclasses import dataclass, field
@@ -238,8 +239,10 @@ class Hierarchy:
             place, spot = f"{inner.name}.{legible(key)}", ("blocks", inner.name, "parameters", key)
             if key in known:
                 unit = _unit_of(known[key])
-                raw = self.own(outer, raw, depth_of(known[key]), inner.copy, place, spot)
-                values[key] = self.evaluated(within, raw, unit, place, spot) if _fault_of(unit) is None else None
+                values[key] = None
+                with contextlib.suppress(Absent):
+                    raw = self.own(outer, raw, depth_of(known[key]), inner.copy, place, spot)
+                    values[key] = self.evaluated(within, raw, unit, place, spot) if _fault_of(unit) is None else None
             else:
                 cure = self.faults.guess(key, known) or f"Parameters: {_listed(known)}."
                 self.tell(outer, "E106", place, "there is no such parameter.", cure, (*spot, AT_KEY))
@@ -255,7 +258,11 @@ class Hierarchy:
             raw, set_at = self.overridden(scope.paths(name), _outer_raw(scope, name) if name in given else entry)
             is_override = bool(set_at)
             if is_override and not is_of_one(set_at, scope.name, scope.copy):
-                raw = self.own(scope, raw, depth_of(entry), scope.copy, name, None)
+                try:
+                    raw = self.own(scope, raw, depth_of(entry), scope.copy, name, None)
+                except Absent:
+                    scope.parameters[name] = None
+                    continue
             wrong = _fault_of(unit)
             if wrong is not None:
                 self.tell(scope, wrong.code, name, wrong.message, wrong.cure, (*spot, "unit"))
@@ -275,7 +282,7 @@ class Hierarchy:
             scope.parameters[name] = self.evaluated(scope, _with_unit(raw, unit), unit, name, spot_)
 
     def own(self, scope: DiagramScope, raw: Any, depth: int, copy: Copy | None, place: str, spot: Spot) -> Any:
-        """The raw value of one copy of a block; None after a fault was reported."""
+        """The raw value of one copy of a block. Raises Absent after a fault was reported."""
         if copy is None:
             return raw
         try:
@@ -283,7 +290,7 @@ class Hierarchy:
         except ModelError as error:
             fault = error.faults[0]
             self.tell(scope, fault.code, place, fault.message, fault.cure, spot)
-            return None
+            raise Absent from None
 
     def overridden(self, paths: tuple[str, ...], raw: Any) -> tuple[Any, str]:
         """The raw value that counts, and the path by which it is set ("": it is none that is).
@@ -395,7 +402,11 @@ class Hierarchy:
             raw, where = raws[key]
             if copy is not None and key not in single:
                 depth = dimensions(declaration.parameters[key].shape)
-                raw = self.own(scope, raw, depth, copy, f"{shown}.{key}", where)
+                try:
+                    raw = self.own(scope, raw, depth, copy, f"{shown}.{key}", where)
+                except Absent:
+                    ok = False
+                    continue
             declared = self.declared_unit(scope, name, cls, declaration.parameters[key], raws, given)
             value = None if declared is None else self.evaluated(within, raw, declared, f"{shown}.{key}", where)
             if value is None:

@@ -106,3 +106,107 @@ def compare(document: dict[str, Any], run: dict[str, Any], engine: str, toleranc
 @given(document=fleets(), run=st.sampled_from(RUNS))
 def test_copies_are_the_diagram_that_is_written_out(engine: str, document: dict[str, Any], run: dict[str, Any]) -> None:
     compare(document, run, engine)
+
+
+AGENT: dict[str, Any] = {
+    "parameters": {"a": 0.5},
+    "inputs": {"u": {"default": 0.3}},
+    "outputs": {"y": "out.y"},
+    "blocks": {
+        "wave": {"type": "Sine", "parameters": {"omega": "=5+a"}},
+        "relay": {"type": "Relay", "parameters": {"on_at": 0.1, "off_at": -0.1}},
+        "sum": {"type": "Sum", "parameters": {"signs": "+-"}},
+        "out": {"type": "FirstOrder", "parameters": {"T": "=a"}},
+    },
+    "wires": {"relay.u": "wave.y", "sum.u1": "relay.y", "sum.u2": "u", "out.u": "sum.y"},
+}
+
+
+def of_agents(agent: dict[str, Any], n: int = 3, **more: Any) -> dict[str, Any]:
+    robots = {"copies": n, "diagram": agent, "parameters": {"a": "=0.2+0.3*index"}, **more.pop("entry", {})}
+    wave = {"type": "Sine", "parameters": {"omega": 9}}
+    return {**HEAD, "blocks": {"wave": wave, "robots": robots, **more.pop("blocks", {})}, **more}
+
+
+def with_block(name: str, entry: dict[str, Any], **wires: str) -> dict[str, Any]:
+    """The agent with one more block."""
+    own = {sink.replace("__", "."): source for sink, source in wires.items()}
+    return {**AGENT, "blocks": {**AGENT["blocks"], name: entry}, "wires": {**AGENT["wires"], **own}}
+
+
+ON = {"on": {"copies": 3, "type": "CompareToConstant", "parameters": {"constant": "=0.2*index"}}}
+PART = {"inputs": {"u": {}}, "outputs": {"y": "x.y"}, "blocks": {"x": {"type": "Integrator"}}, "wires": {"x.u": "u"}}
+INSIDE = with_block("part", {"diagram": PART, "enable": {}}, part__u="wave.y", part__enable="is.y", sum__u1="part.y")
+INSIDE["blocks"]["is"] = {"type": "CompareToConstant"}
+INSIDE["wires"]["is.u"] = "wave.y"
+GAIN = {**AGENT, "blocks": {"g": {"type": "Gain", "parameters": {"k": "=a"}}}, "wires": {"g.u": "u"},
+        "outputs": {"y": "g.y"}}  # fmt: skip
+KINDS = {
+    "a delay": of_agents(with_block("late", {"type": "TransportDelay", "parameters": {"delay": "=0.1*a"}},
+                                    late__u="wave.y", sum__u1="late.y"), wires={"robots.u": "wave.y"}),
+    "enabled": of_agents(AGENT, entry={"enable": {"states": "reset", "outputs": "reset"}}, blocks=ON,
+                         wires={"on.u": "wave.y", "robots.enable": "on.y"}),
+    "enabled inside": of_agents(INSIDE),
+    "triggered": of_agents(GAIN, entry={"trigger": {"direction": "up"}},
+                           wires={"robots.u": "wave.y", "robots.trigger": "wave.y"}),
+    "ticks": of_agents(GAIN, entry={"trigger": {"every": 0.07}}, wires={"robots.u": "wave.y"}),
+    "rates that differ": of_agents(with_block("hold", {"type": "ZeroOrderHold", "parameters": {"period": "=0.1*a"}},
+                                              hold__u="wave.y", sum__u1="hold.y"), wires={"robots.u": "wave.y"}),
+    "after steps": of_agents(with_block("gear", {"type": "Backlash", "parameters": {"width": "=0.3*a"}},
+                                        gear__u="wave.y", sum__u1="gear.y"), wires={"robots.u": "wave.y"}),
+}  # fmt: skip
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_copies_of_every_kind_are_those_written_out(kind: str, engine: str) -> None:
+    for run in RUNS[1], RUNS[3]:
+        compare(KINDS[kind], run, engine)
+
+
+def test_an_algebraic_loop_in_each_copy_is_solved() -> None:
+    agent = with_block("loop", {"type": "Gain", "parameters": {"k": "=-a"}}, loop__u="sum.y", sum__u2="loop.y")
+    document = of_agents(agent)
+    for engine in ("reference", "native"):
+        compare(document, {"method": "rk4", "step": 0.02, "loops": "solve"}, engine)
+
+
+def test_implicit_methods_are_close() -> None:
+    compare(of_agents(AGENT, wires={"robots.u": "wave.y"}), {"method": "radau", "rtol": 1e-9}, "reference", 1e-6)
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_copies_that_are_not_coupled_change_places(engine: str) -> None:
+    def run(order: list[int], **settings: Any) -> Any:
+        made = Diagram.from_json(of_agents(AGENT, 4, entry={"parameters": {"a": [0.2 + 0.1 * k for k in order]}}))
+        return made.run(stop=1, engine=engine, every=0.1, log=["robots.y"], **settings)["robots.y"]
+
+    order = [2, 0, 3, 1]
+    for method in ("euler", "rk4"):
+        plain, moved = (run(numbers, method=method, step=0.01) for numbers in ([0, 1, 2, 3], order))
+        np.testing.assert_array_equal(moved, plain[:, order])
+    plain, moved = (run(numbers) for numbers in ([0, 1, 2, 3], order))
+    np.testing.assert_allclose(moved, plain[:, order], rtol=1e-5, atol=1e-8)
+
+
+def test_a_run_of_copies_is_saved_and_goes_on() -> None:
+    made = Diagram.from_json(of_agents(AGENT, wires={"robots.u": "wave.y"}))
+    made.settings(stop=1, method="rk4", step=0.02, log=["robots.y"])
+    for engine, other in (("native", "reference"), ("reference", "native")):
+        whole = made.run(engine=engine)["robots.y"][-1]
+        run = made.start(engine=engine)
+        run.advance(0.5)
+        state = run.snapshot()
+        np.testing.assert_array_equal(made.run(resume=state, engine=engine)["robots.y"][-1], whole)
+        np.testing.assert_allclose(made.run(resume=state, engine=other)["robots.y"][-1], whole, rtol=1e-11)
+
+
+def test_a_copy_is_linearized_as_a_block_is() -> None:
+    agent = {"inputs": {"u": {}}, "outputs": {"y": "x.y"}, "parameters": {"a": 1}, "blocks": {
+        "x": {"type": "FirstOrder", "parameters": {"T": "=a"}}}, "wires": {"x.u": "u"}}  # fmt: skip
+    robots = {"copies": 3, "diagram": agent, "parameters": {"a": [1, 0.5, 0.25]}}
+    made = Diagram.from_json({**HEAD, "inputs": {"u": {"default": 0}}, "blocks": {"robots": robots},
+                              "wires": {"robots.u": "u"}, "outputs": {"y": "robots.y"}})  # fmt: skip
+    model = made.linearize("u", "y")
+    np.testing.assert_array_equal(model.A, np.diag([-1.0, -2.0, -4.0]))
+    one = made.linearize("u", "robots[2].x.y")
+    np.testing.assert_allclose(one(2j), 1 / (1 + 0.25 * 2j), rtol=1e-12)

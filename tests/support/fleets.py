@@ -29,7 +29,7 @@ def written_out(document: Mapping[str, Any], vectors: frozenset[str] = frozenset
             kept = {key: value for key, value in entry.items() if key != "copies"}
             blocks[f"{name}_{index}"] = {**kept, **inner, **own, "parameters": given}
     wires: dict[str, str] = {}
-    for sink, source in document["wires"].items():
+    for sink, source in document.get("wires", {}).items():
         block, _, port = sink.partition(".")
         from_block = source.partition(".")[0]
         count = counts.get(block) or counts.get(from_block, 0)

@@ -1,0 +1,109 @@
+"""A diagram with copies is planned as one copy, and its plan is that of the diagram written out."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import pytest
+
+from blocks import Diagram
+from blocks.compile.c.emit_cache import plan_key
+from blocks.compile.c.model_code import emit
+from blocks.compile.plan import Plan
+
+HEAD = {"format": "blocks-diagram", "version": 3}
+WHEELS = {"copies": 2, "type": "FirstOrder", "parameters": {"T": "=0.1*(1+index)"}}
+AGENT: dict[str, Any] = {
+    "parameters": {"a": 1},
+    "inputs": {"u": {"default": 0}},
+    "outputs": {"y": "out.y", "slow": "wheels.y"},
+    "blocks": {
+        "step": {"type": "Step", "parameters": {"at": "=0.1*a"}},
+        "sum": {"type": "Sum", "parameters": {"signs": "++"}},
+        "limit": {"type": "Saturation"},
+        "relay": {"type": "Relay"},
+        "hold": {"type": "ZeroOrderHold", "parameters": {"period": 0.1}},
+        "wheels": WHEELS,
+        "out": {"type": "Integrator", "parameters": {"y_start": "=a"}},
+    },
+    "wires": {"sum.u1": "u", "sum.u2": "step.y", "limit.u": "sum.y", "relay.u": "wheels.y[1]", "hold.u": "relay.y",
+              "wheels.u": "limit.y", "out.u": "wheels.y[0]"},
+}  # fmt: skip
+
+
+def fleet(n: int, agent: dict[str, Any] | None = None, **given: Any) -> Diagram:
+    blocks = {
+        "wave": {"type": "Sine"},
+        "robots": {"copies": n, "diagram": agent or AGENT, "parameters": given},
+        "lags": {"copies": n, "type": "FirstOrder"},
+        "end": {"type": "Gain"},
+    }
+    wires = {"lags.u": "robots.y", "robots.u": "lags.y", "end.u": f"lags.y[{n - 1}]"}
+    run = {"stop": 1, "method": "rk4", "step": 0.01}
+    return Diagram.from_json({**HEAD, "blocks": blocks, "wires": wires, "run": run})
+
+
+def parts(plan: Plan) -> dict[str, Any]:
+    left = {"folded", "written_out", "start", "continuous", "outline", "signals", "rates"}
+    known = {field.name: getattr(plan, field.name) for field in dataclasses.fields(plan) if field.name not in left}
+    return known | {"rates": [(one.period, one.offset, tuple(one.outputs), tuple(one.nexts)) for one in plan.rates]}
+
+
+@pytest.mark.parametrize("given", [{}, {"a": "=1+index"}, {"a": [1, 1, 2]}])
+def test_the_plan_is_that_of_the_diagram_written_out(given: dict[str, Any]) -> None:
+    plan = fleet(3, **given).plan()
+    assert plan.folded is not None
+    assert plan.written_out is not None
+    whole = plan.written_out()
+    assert whole.folded is None
+    assert parts(plan) == parts(whole)
+    assert len(plan.signals) == len({*plan.signals}) == len(whole.signals)
+    for name in whole.signals:
+        assert plan.signals[name].references == whole.signals[name].references
+        for reference in plan.signals[name].references:
+            assert plan.folded.of_whole(plan.folded.of_one(reference)) == reference
+
+
+def test_nothing_of_each_copy_is_made_to_print_them() -> None:
+    plan = fleet(50, a="=1+index").plan()
+    plan_key(plan, [], [], "rk4")
+    emit(plan, method="rk4", logged=plan.signals["robots.y"].references)
+    for name in ("instances", "outputs", "derivatives", "crossings", "events", "x_start", "d_start"):
+        assert "_items" not in vars(getattr(plan, name)), name
+
+
+def test_the_code_grows_with_types_and_not_with_copies() -> None:
+    def written(n: int) -> list[int]:
+        plan = fleet(n).plan()
+        text = emit(plan, method="rk4", logged=plan.signals["robots.y"].references).source
+        return [text.count(word) for word in ("static", "for (int i", "(")]
+
+    assert written(200) == written(40)
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        {"type": "TransportDelay", "parameters": {"delay": 0.1}},
+        {"diagram": {"inputs": {"u": {}}, "outputs": {"y": "x.y"}, "blocks": {"x": {"type": "Integrator"}},
+                     "wires": {"x.u": "u"}}, "trigger": {"every": 0.1}},
+    ],
+)  # fmt: skip
+def test_what_cannot_be_planned_as_one_is_written_out(block: dict[str, Any]) -> None:
+    if "diagram" in block:
+        block["diagram"]["blocks"]["x"] = {"type": "Gain"}
+    agent = {**AGENT, "blocks": {**AGENT["blocks"], "more": block}, "wires": {**AGENT["wires"], "more.u": "u"}}
+    plan = fleet(3, agent).plan()
+    assert plan.folded is None
+    assert isinstance(plan.instances, tuple)
+
+
+def test_copies_that_need_each_other_at_once_are_written_out() -> None:
+    """Copy 1 passes on what copy 0 gives: no loop, though a copy reads a copy of its own kind."""
+    gains = {"copies": 3, "type": "Gain", "parameters": {"k": 2}}
+    wires = {"g.u[0]": "wave.y", "g.u[1]": "g.y[0]", "g.u[2]": "g.y[1]"}
+    chain = Diagram.from_json({**HEAD, "blocks": {"wave": {"type": "Sine"}, "g": gains}, "wires": wires})
+    assert chain.plan().folded is None
+    results = chain.run(stop=1, every=0.5)
+    assert results["g.y"][:, 2].tolist() == (8 * results["wave.y"]).tolist()
