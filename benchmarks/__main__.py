@@ -11,6 +11,7 @@ from blocks.text.errors import BlocksError
 
 from . import (
     drawing,
+    fleet,
     fmu,
     large_fmu,
     linear,
@@ -37,6 +38,7 @@ BENCHMARKS = {
     "p2": native_engine.main_p2,
     "irregular": native_engine.main_irregular,
     "prepared": prepared.main,
+    "fleet": fleet.main,
     "many_runs": many_runs.main,
     "start": start.main,
     "memory": start.main_memory,

@@ -1,11 +1,15 @@
 /* The paper's robot under the improved ADRC (diagrams/paper/iadrc.json) with the signals that its file records.
 
    Equations as the blocks INTD, INLSEF, SMESO, PMDCMotor, WheelMixing and Kinematics have them. ALGEBRA 1 changes what
-   another author might: 1/(1 + exp) in place of tanh, and one logarithm in place of two powers of the same error. */
+   another author might: 1/(1 + exp) in place of tanh, and one logarithm in place of two powers of the same error.
+   ROBOTS: so many of them, one after the other; the signals are those of the first. */
 #ifndef ALGEBRA
 #define ALGEBRA 0
 #endif
-#define NX 22
+#ifndef ROBOTS
+#define ROBOTS 1
+#endif
+#define NX (22 * ROBOTS)
 #define NY 16
 #define SIDES 0
 
@@ -60,9 +64,8 @@ static inline void wheel(const double *x, double tau, double *dx)
     dx[7] = (-kb * n / La) * x[6] - (Ra / La) * x[7] + u * (1.0 / La);
 }
 
-static inline void rhs(const Mode *m, double t, const double *x, double *dx)
+static inline void robot(const Mode *m, const double *x, double *dx)
 {
-    (void)t;
     wheel(x, m->tau, dx);
     wheel(x + 8, 0.0, dx + 8);
     double v = 0.5 * rw * (x[6] + x[14]);
@@ -72,6 +75,12 @@ static inline void rhs(const Mode *m, double t, const double *x, double *dx)
     dx[19] = rw * cos(x[21]);
     dx[20] = rw * sin(x[21]);
     dx[21] = 0.0;
+}
+
+static inline void rhs(const Mode *m, double t, const double *x, double *dx)
+{
+    (void)t;
+    for (int i = 0; i < ROBOTS; i++) robot(m, x + 22 * i, dx + 22 * i);
 }
 
 static inline void outputs(const Mode *m, const double *x, double *y)
@@ -107,7 +116,7 @@ double run(double stop, double rtol, double atol, long step_n, long step_d, long
     double *next = rows;
     Run r = {.error = 1e-4, .every = every, .unit = unit};
     Mode m = {0};
-    r.x[18] = r.x[21] = 0.78539816339744830962;
+    for (int i = 0; i < ROBOTS; i++) r.x[22 * i + 18] = r.x[22 * i + 21] = 0.78539816339744830962;
     for (int part = 0; r.t < stop && next; part++) {
         double target = edges[part] < stop ? edges[part] : stop;
         if (part) record(&m, r.t, r.x, &next);
