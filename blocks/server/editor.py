@@ -86,6 +86,7 @@ class Editor(Document):
         self.undone: list[_Step] = []
         self._pictures: dict[str, Picture] = {}
         self._rough: set[str] = set()
+        self._checked: tuple[DiagramValue | None, Any] = (None, None)
         _blank(Path(source))
         super().__init__(source, **given)
 
@@ -166,6 +167,15 @@ class Editor(Document):
                 del self.done[: index + 1]
                 break
 
+    def check(self) -> None:
+        """As of Document; where only blocks were moved, what was found stays."""
+        now = self.diagram.value if self.diagram is not None and self.error is None else None
+        others = {path: stamp for path, stamp in self._seen.items() if path != self.path}, {**self.variants}
+        before, self._checked = self._checked, (now, others)
+        if now is None or before[0] is None or before[1] != others or replace(before[0], layout=now.layout) != now:
+            super().check()
+        self._drawings.clear()
+
     # --- what stands there -------------------------------------------------------------------------------------------
 
     def body(self, level: str) -> Mapping[str, Any]:
@@ -192,9 +202,9 @@ class Editor(Document):
 
     def placing(self, level: str) -> list[dict[str, Any]]:
         """The operations that write the positions of a level that has none for some of its blocks."""
-        body = self.body(level)
-        known = body.get("layout", {})
-        if all(name in known for name in body.get("blocks", {})) and known:
+        value = self.value_at(level)
+        known = value.layout
+        if all(name in known for name in value.blocks) and known:
             return []
         return [move(level, name, at) for name, at in self.positions(level).items() if name not in known]
 

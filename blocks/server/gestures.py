@@ -52,7 +52,7 @@ def _done(session: Session, what: str, operations: Operations, names: Iterable[s
 
 
 def _told(session: Session, what: str, names: Iterable[str] = (), files: Sequence[str] = ()) -> Answer:
-    if session.document.planned is not None:  # what is gone cannot be set in the next run
+    if (session.values or session.inputs) and session.document.planned is not None:  # what is gone cannot be set in the next run
         for known in (session.values, session.inputs):
             for name in known.keys() - session.document.facts.keys():
                 del known[name]
@@ -166,7 +166,7 @@ def _parameters(editor: Editor, kind: str, said: str) -> dict[str, str]:
 def _typed(text: str, known: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
     """Parameters as typed, with their raw values. known: their types."""
     parts = re.split(r"(?:^|\s+)([A-Za-z_]\w*)\s*=(?!=)\s*", text.strip())
-    first = next((name for name, type_ in known.items() if name not in ("unit", "shape")), "")
+    first = next((name for name in known if not re.match(r"unit(_|$)|shape$", name)), "")
     for name, said in ((first, parts[0]), *zip(parts[1::2], parts[2::2], strict=True)):
         if said.strip() and not name:
             raise UsageError(Fault("E501", legible(said[:80]), "is a value of no parameter.", 'Write "name=value".'))
