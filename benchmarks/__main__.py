@@ -11,6 +11,7 @@ from blocks.text.errors import BlocksError
 
 from . import (
     drawing,
+    editing,
     fmu,
     large_fmu,
     linear,
@@ -46,6 +47,7 @@ BENCHMARKS = {
     "large_fmu": large_fmu.main,
     "linear": linear.main,
     "live": live.main,
+    "editing": editing.main,
     "master": master.main,
     "streamed": streamed.main,
     "drawing": drawing.main,

@@ -36,7 +36,8 @@ PAINTED = """(act => new Promise(done => {
   act();
 }))"""
 """Milliseconds from an act to the end of the frame that shows what came of it."""
-PRESS = "() => document.getElementById('view').dispatchEvent(new KeyboardEvent('keydown', {{key: '{}', bubbles: true}}))"
+PRESS = """() => document.getElementById('view')
+  .dispatchEvent(new KeyboardEvent('keydown', {{key: '{}', bubbles: true}}))"""
 PUT = """() => {{ const field = document.querySelector('#panel input[aria-label="{}"]');
   field.value = '{}'; field.dispatchEvent(new Event('change')); }}"""
 
@@ -93,8 +94,8 @@ def _frames(page: Browser) -> None:
     page.begin_frames()
     time.sleep(2.0)
     rest = p95(page.end_frames())
-    face = "(b => [b.x + b.width / 2, b.y + b.height / 2])(document.querySelector('#stage .picked').getBoundingClientRect())"
-    x, y = page.evaluate(face)
+    box = "document.querySelector('#stage .picked').getBoundingClientRect()"
+    x, y = page.evaluate(f"(b => [b.x + b.width / 2, b.y + b.height / 2])({box})")
     page.begin_frames()
     page.drag(x, y, x + 150, y + 40, steps=150)
     frames = page.end_frames()

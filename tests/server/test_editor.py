@@ -213,17 +213,17 @@ def test_a_fault_has_a_button_that_does_what_its_cure_says(tmp_path: Path) -> No
             (["blocks", "pid", "parameters", "kdd"], 3),
         ):  # fmt: skip
             ask("edit", operations=[{"set": place, "to": bad}])
-            (fault,) = [one for one in editor.told()["faults"] if one.get("remedy")]
-            ask("edit", operations=fault["remedy"]["operations"])
+            (fault,) = [one for one in editor.told()["faults"] if one.get("remedies")]
+            ask("edit", operations=fault["remedies"][0]["operations"])
             assert not editor.told()["faults"]
         good["blocks"]["pid"]["parameters"]["kd"] = 3
         assert json.loads(path.read_text()) == good
         ask("edit", operations=[{"set": ["blocks", "pid", "parameters", "kpp"], "to": 3}])
-        assert [one["remedy"] for one in editor.told()["faults"]] == [None]  # there is a kp
+        assert [one["remedies"] for one in editor.told()["faults"]] == [[]]  # there is a kp
         ask("undo")
         ask("delete", names=[], sinks=["pmdc_motor.v"])
         (fault,) = editor.told()["faults"]
-        assert fault["remedy"] == {"label": "Connect ...", "sink": "pmdc_motor.v"}
+        assert fault["remedies"][-1] == {"label": "Connect ...", "sink": "pmdc_motor.v"}
 
 
 def test_an_fmu_that_is_dropped_takes_the_place_of_a_block_with_its_wires(tmp_path: Path) -> None:

@@ -137,7 +137,7 @@ export function start(app, { picked, pick, act, say, wire }) {
     const why = ({ port }) => {
       if (!told || port === before) return "";
       const base = port.replace(/\[\d+\]$/, "");
-      return port in told.ports ? told.ports[port] : base in told.ports ? told.ports[base] : "";
+      return [port, base].filter((name) => Object.hasOwn(told.ports, name)).map((name) => told.ports[name])[0] ?? "";
     };
     let met = null;
     /** The port under the pointer; on a block its first one that fits. */
