@@ -264,7 +264,7 @@ GESTURES = st.one_of(
         ("parameter", "kp=20 V"), ("parameter", "kp=1"), ("input", "r=1"), ("measure", "peak of=gain.y"),
         ("entry", "run.stop=5"),
     ])),
-    st.builds(lambda k, t: ("put", (k, t)), st.integers(0, 9), st.sampled_from(["3", "=kp*2", "", "[1, 2]", "4 V", "x"])),
+    st.builds(lambda k, t: ("put", (k, t)), st.integers(0, 9), st.sampled_from(["3", "=kp*2", "", "[1]", "4 V", "x"])),
     st.builds(lambda k, t: ("describe", (k, t)), st.integers(0, 9), st.sampled_from(["", "a text", "two\nlines"])),
     st.builds(lambda k: ("output", k), st.integers(0, 9)),
     st.builds(lambda n: ("another program", n), st.integers(0, 3)),
