@@ -12,6 +12,7 @@ from blocks.text.errors import BlocksError
 from . import (
     drawing,
     fmu,
+    instants,
     large_fmu,
     linear,
     live,
@@ -36,6 +37,7 @@ BENCHMARKS = {
     "p1": native_engine.main_p1,
     "p2": native_engine.main_p2,
     "irregular": native_engine.main_irregular,
+    "instants": instants.main,
     "prepared": prepared.main,
     "many_runs": many_runs.main,
     "start": start.main,
