@@ -69,15 +69,15 @@ def relay() -> Diagram:
 def main() -> None:
     with on_one_core():
         print(f"rows each 10 ms\n{HEAD}")
-        _one("edges, rk4 10 us, 0.5 s", pwm(), 0, 0.5, Fraction(1, 100_000), 20_000)
-        _one("ticks, rk4 1 ms, 20 s", sampled(), 1, 20.0, Fraction(1, 1000), 20_000)
+        _one("edges, rk4 10 us, 0.5 s", pwm(), 0, 0.5, Fraction(1, 100_000), 20_000, {})
+        _one("ticks, rk4 1 ms, 20 s", sampled(), 1, 20.0, Fraction(1, 1000), 20_000, {})
         print(f"rows each 0.1 s\n{HEAD}")
-        _one("relay, dopri5, 1,000 s", relay(), 2, 1000.0, None, 0)
-        _one("relay, rk4 1 ms, 100 s", relay(), 2, 100.0, Fraction(1, 1000), 0, stop=100.0, **RK4)
+        _one("relay, dopri5, 1,000 s", relay(), 2, 1000.0, None, 0, {})
+        _one("relay, rk4 1 ms, 100 s", relay(), 2, 100.0, Fraction(1, 1000), 0, {**RK4, "stop": 100.0})
 
 
 def _one(
-    label: str, diagram: Diagram, kind: int, until: float, step: Fraction | None, count: int, **settings: Any
+    label: str, diagram: Diagram, kind: int, until: float, step: Fraction | None, count: int, settings: dict[str, Any]
 ) -> None:
     """count: of instants, of which each may take MOST ns more than in C; 0: a run may take 1.5 times as long."""
     programs, kept = floors("C", FOLDER / "c" / "instants.c", 2, KIND=kind), {}
