@@ -75,6 +75,7 @@ class Model(RuntimeTables):
         """At the start: where searches begin, the sides of crossings, and which of these are known."""
         self._of_measures: tuple[Any, Any, Measures] | None = None
         self._of_settings: tuple[Any, Any, int] | None = None  # of the last run
+        self.spare: list[Any] = []  # memory for rows that no run has now
         self.library = _prepared(load(_built(plan, units)), has_batch=not plan.foreign)
         self.address = ctypes.cast(self.library["blocks_model"], ctypes.c_void_p).value
 
