@@ -370,7 +370,7 @@ static inline __attribute__((always_inline)) int rows_inside(BlocksSim *s, const
         blocks_keep_row(s, row);
         s->row = number + 1;
     }
-    s->next_row = at;
+    s->next_row = at, s->timed = number;
     return 0;
 }
 
@@ -530,7 +530,8 @@ static int run(BlocksSim *s, double target)
     for (int j = 0; j < BLOCKS_NS; j++) side[j] = s->memory.s[sides_at[j]]; /* they do not change between instants */
 #endif
     if (first_rates(s)) return BLOCKS_FAILED;
-    s->next_row = has_grid ? blocks_grid(&setup->every, s->row) : INFINITY;
+    if (has_grid) blocks_next_row(s);
+    else s->next_row = INFINITY;
     TAKE;
 #if !BLOCKS_METHOD_DOPRI5
     const BlocksGrid grid = setup->fixed;
@@ -628,7 +629,7 @@ static int run(BlocksSim *s, double target)
             if (stopped >= 0) return stopped;
             s->has_before = 0;
             if (first_rates(s)) return BLOCKS_FAILED;
-            if (has_grid) s->next_row = blocks_grid(&setup->every, s->row);
+            if (has_grid) blocks_next_row(s);
             TAKE;
         } else {
             if (BLOCKS_TURNING_ROWS && has_grid && !(steps % 64)) {
@@ -660,7 +661,7 @@ static int run(BlocksSim *s, double target)
             if (t1 == target || !is_on_grid) {
                 GIVE_BACK;
 #if !BLOCKS_METHOD_DOPRI5
-                s->fixed = fixed;
+                s->fixed = fixed + (point <= t);
 #endif
                 if (t1 == target) {
                     s->exact = s->target_exact;
