@@ -248,13 +248,15 @@ class _Emitter(PlanReader):
 
         nodes = [cause.node for cause in plan.crossings]
         moving = any(self.level[node] == MOVING for node in nodes)
-        is_long = self.rates(sink, moving and method in METHODS)
-        if moving:
+        self.rates(sink)
+        has_own_sides = moving and not (self.is_long and method in METHODS)
+        if has_own_sides:
             self.rates_and_sides(nodes, sink)
-            if is_long:
-                self.define("rates", "    rates_and_sides(m, t, x, out);")
         quick = self.quick_measures(sink, method, moving=moving)
         self.define("crossings", self.continuous("crossings", nodes, [sink(k, n, "side") for k, n in enumerate(nodes)]))
+        if moving and not has_own_sides:  # compiling long rates twice takes longer than computing some values twice
+            self.sides = tuple(range(len(nodes)))
+            self.define("rates_and_sides", "    rates(m, t, x, out);\n    crossings(m, t, x, out + BLOCKS_NX);")
         watched = {name: self.watched[name] for name in ("logged", "measured", "remembered")}
         for name, asked in {"solutions": plan.unknowns, **watched, **others}.items():
             self.define(name, self.continuous(name, asked, plain(asked)))
@@ -283,9 +285,7 @@ class _Emitter(PlanReader):
         self.compare_lanes()
         return self.finished(method, cliques, moving, end, quick)
 
-    def rates(self, sink: Callable[[int, Node, str], Sink], has_room: bool) -> bool:
-        """The rates; or nothing, and True, where they are long and crossings can follow them: compiling them twice
-        would take longer than computing some crossings in vain."""
+    def rates(self, sink: Callable[[int, Node, str], Sink]) -> None:
         nodes = self.plan.derivatives
         sinks = [sink(k, node, "zero") for k, node in enumerate(nodes)]
         scope = ProgramScope({}, {}, {}, True, is_hot=True)
@@ -297,12 +297,8 @@ class _Emitter(PlanReader):
         copies.sort(key=lambda copy: copy.sink.index)
         printed = len(self.texts)
         body = self.printed("rates", calls, copies, is_hot=True)
-        if has_room and len(body) + sum(map(len, self.texts[printed:])) > LONG:
-            del self.texts[printed:]
-            return True
         self.define("rates", body)
         self.is_long = len(body) + sum(map(len, self.texts[printed:])) > LONG
-        return False
 
     def compare_lanes(self) -> None:
         """Whether all lanes of all loops read the same parameters: reading takes most time where memory is slow."""

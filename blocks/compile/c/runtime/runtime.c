@@ -1172,10 +1172,10 @@ HOT static double beyond(Search *search, double size)
     return most;
 }
 
-/* The right end of the smallest interval that holds the first change. Oliveira and Takahashi 2020 (ITP). */
-static double narrowed(Search *search, double low, double high, double resolution)
+/* The right end of the smallest interval that holds the first change; f_low, f_high: how far the ends are beyond. Oliveira and
+   Takahashi 2020 (ITP). */
+static double narrowed(Search *search, double low, double high, double f_low, double f_high, double resolution)
 {
-    double f_low = beyond(search, low), f_high = beyond(search, high);
     if (f_low >= 0 || search->failed) return low;
     double width = high - low, radius = resolution * pow(2.0, ceil(log2(fmax(width / resolution, 1.0))));
     while (high - low > resolution && !search->failed) {
@@ -1203,24 +1203,28 @@ static double narrowed(Search *search, double low, double high, double resolutio
 static double located(BlocksSim *s, double low_theta, double high_theta, double h, double h_dense, int *failed)
 {
     Search search = {s, h, h_dense, 0, 0};
-    double resolution = 4 * blocks_ulp(fmax(fabs(s->t), fabs(s->t + h)));
-    double last = high_theta * h, low = narrowed(&search, low_theta * h, last, resolution), high = low;
+    double resolution = 4 * blocks_ulp(fmax(fabs(s->t), fabs(s->t + h))), first = low_theta * h;
+    double last = high_theta * h, f_low = beyond(&search, first), f_high = beyond(&search, last);
+    double low = narrowed(&search, first, last, f_low, f_high, resolution), high = low;
     double reach = fmax(1e-9 * h, resolution);
     search.on_steps = 1;
-    if (beyond(&search, low) >= 0) {
-        while (low > 0 && beyond(&search, low) >= 0 && !search.failed) {
-            high = low;
+    f_low = f_high = beyond(&search, low);
+    if (f_low >= 0) {
+        while (low > 0 && f_low >= 0 && !search.failed) {
+            high = low, f_high = f_low;
             low = fmax(0.0, low - reach);
+            f_low = beyond(&search, low);
             reach *= 100;
         }
     } else {
-        while (high < last && beyond(&search, high) < 0 && !search.failed) {
-            low = high;
+        while (high < last && f_high < 0 && !search.failed) {
+            low = high, f_low = f_high;
             high = fmin(last, high + reach);
+            f_high = beyond(&search, high);
             reach *= 100;
         }
     }
-    double size = narrowed(&search, low, high, resolution);
+    double size = narrowed(&search, low, high, f_low, f_high, resolution);
     *failed = search.failed;
     return size;
 }

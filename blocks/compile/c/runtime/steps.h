@@ -63,71 +63,83 @@ static __attribute__((noinline)) void bare_rates(const BlocksMemory *m, double t
 #define LAST (STAGES - 1)
 enum { WIDTH = BLOCKS_NX + BLOCKS_NS, SPAN = WIDTH + BLOCKS_SHARES_MEASURED * BLOCKS_NMEASURED };
 #if SMALL
-#define EACH _Pragma("GCC unroll 32") for (int i = 0; i < BLOCKS_NX; i++)
+#define EACH(what) _Pragma("GCC unroll 32") for (int i = 0; i < BLOCKS_NX; i++) what
 #define QUARTER _Pragma("GCC unroll 8") for (int i = 0; i + 3 < BLOCKS_NX; i += 4)
 #define REST _Pragma("GCC unroll 4") for (int i = BLOCKS_NX / 4 * 4; i < BLOCKS_NX; i++)
 #define STAGE(n, then, y)                                                                                             \
     do {                                                                                                              \
+        if (!is_whole && (n) == LAST) break;                                                                          \
         if (moving) blocks_outside(s, then);                                                                          \
         if ((n) == LAST) LAST_RATES(m, then, y, k[n]);                                                                \
-        else if (WATCHES(n)) RATES_AND_SIDES(m, then, y, k[n]);                                                       \
+        else if (is_whole && WATCHES(n)) RATES_AND_SIDES(m, then, y, k[n]);                                           \
         else rates(m, then, y, k[n]);                                                                                 \
     } while (0)
 typedef double Stages[STAGES][SPAN > 0 ? SPAN : 1];
 #define SCRATCH double xs[BLOCKS_NX > 0 ? BLOCKS_NX : 1]
 #else
-#define EACH for (int i = 0; i < BLOCKS_NX; i++)
+/* At -O2 gcc does several at once only of an even count: the odd one comes last. */
+#define EACH(what)                                                                                                    \
+    do {                                                                                                              \
+        for (int i = 0; i < BLOCKS_NX / 2 * 2; i++) what;                                                             \
+        for (int i = BLOCKS_NX / 2 * 2; i < BLOCKS_NX; i++) what;                                                     \
+    } while (0)
 #define QUARTER for (int i = 0; i + 3 < BLOCKS_NX; i += 4)
 #define REST for (int i = BLOCKS_NX / 4 * 4; i < BLOCKS_NX; i++)
 #define STAGE(n, then, y)                                                                                             \
     do {                                                                                                              \
+        if (!is_whole && (n) == LAST) break;                                                                          \
         if (moving) blocks_outside(s, then);                                                                          \
         if ((n) == LAST) last_rates(m, then, y, k[n]);                                                                \
-        else if (WATCHES(n)) rates_program(m, then, y, k[n]);                                                         \
+        else if (is_whole && WATCHES(n)) rates_program(m, then, y, k[n]);                                             \
         else bare_rates(m, then, y, k[n]);                                                                            \
     } while (0)
 typedef double *Stages[STAGES];
-#define SCRATCH double *restrict xs = s->xs
+#define SCRATCH double *const xs = s->xs
 #endif
 
-/* x1 and the stages from 1 on, of a step of size h from (t, x). */
-static inline __attribute__((always_inline)) void step_of(BlocksSim *s, const BlocksMemory *m, const int moving, double t,
-                                                          const double *restrict x, double h, Stages k,
-                                                          double *restrict x1)
+/* x1 and the stages from 1 on, of a step of size h from (t, x). xs: scratch; a parameter, as compilers heed `restrict` there
+   alone. is_whole: whether the last stage is wanted, which x1 does not need, and what crossings are on the way. */
+static inline __attribute__((always_inline)) void stages_of(BlocksSim *s, const BlocksMemory *m, const int moving,
+                                                            const int is_whole, double t, const double *restrict x,
+                                                            double h, Stages k, double *restrict x1, double *restrict xs)
 {
 #if BLOCKS_METHOD_RK4 /* h times a weight, as MAKE_STEP does not: other last bits */
-    SCRATCH;
     const double *restrict k0 = k[0], *restrict k1 = k[1], *restrict k2 = k[2], *restrict k3 = k[3];
     const double h2 = 0.5 * h, h3 = h / 3.0, h6 = h / 6.0;
-    EACH xs[i] = x[i] + h2 * k0[i];
+    EACH(xs[i] = x[i] + h2 * k0[i]);
     STAGE(1, t + h2, xs);
-    EACH xs[i] = x[i] + h2 * k1[i];
+    EACH(xs[i] = x[i] + h2 * k1[i]);
     STAGE(2, t + h2, xs);
-    EACH xs[i] = x[i] + h * k2[i];
+    EACH(xs[i] = x[i] + h * k2[i]);
     STAGE(3, t + h, xs);
-    EACH x1[i] = x[i] + (h6 * k0[i] + h3 * k1[i] + h3 * k2[i] + h6 * k3[i]);
+    EACH(x1[i] = x[i] + (h6 * k0[i] + h3 * k1[i] + h3 * k2[i] + h6 * k3[i]));
     STAGE(4, t + h, x1);
 #else
-#if !BLOCKS_METHOD_EULER
-    SCRATCH;
-#endif
+    (void)xs;
     MAKE_STEP
 #endif
 }
 
-/* A step from where the run stands, for those who look for a crossing in it. */
+static inline __attribute__((always_inline)) void step_of(BlocksSim *s, const BlocksMemory *m, const int moving, double t,
+                                                          const double *restrict x, double h, Stages k,
+                                                          double *restrict x1)
+{
+    SCRATCH;
+    stages_of(s, m, moving, 1, t, x, h, k, x1, xs);
+}
+
+/* The states after a step from where the run stands, for those who look for a crossing in it. */
 static void trial(BlocksSim *s, double t, const double *x, double h, double *x1)
 {
+    SCRATCH;
 #if SMALL
     Stages k;
-    for (int i = 0; i < WIDTH; i++) k[0][i] = s->k[0][i];
-    step_of(s, &s->memory, s->moving, t, x, h, k, x1);
-    for (int n = 1; n < STAGES; n++)
-        for (int i = 0; i < WIDTH; i++) s->k[n][i] = k[n][i];
+    for (int i = 0; i < BLOCKS_NX; i++) k[0][i] = s->k[0][i];
+    stages_of(s, &s->memory, s->moving, 0, t, x, h, k, x1, xs);
 #else
-    step_of(s, &s->memory, s->moving, t, x, h, s->k, x1);
+    stages_of(s, &s->memory, s->moving, 0, t, x, h, s->k, x1, xs);
 #endif
-    s->evaluations += LAST;
+    s->evaluations += LAST - 1;
 }
 
 static int first_rates(BlocksSim *s)
@@ -293,7 +305,7 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
     } while (0)
 #define TURN_OVER                                                                                                     \
     do {                                                                                                              \
-        EACH x[i] = x1[i];                                                                                            \
+        EACH(x[i] = x1[i]);                                                                                            \
         UNROLL for (int i = BLOCKS_NX; i < WIDTH; i++) before[i] = k[0][i];                                           \
         UNROLL for (int i = 0; i < WIDTH; i++) k[0][i] = k[LAST][i];                                                  \
     } while (0)
@@ -607,7 +619,7 @@ static int run(BlocksSim *s, double target)
 #endif
 #if IS_WATCHED && !BLOCKS_METHOD_DOPRI5
         if (!s->has_before) { /* half a step along the first slope */
-            EACH s->x2[i] = x[i] + 0.5 * step * k[0][i];
+            EACH(s->x2[i] = x[i] + 0.5 * step * k[0][i]);
             if (moving) blocks_outside(s, t + 0.5 * step);
             crossings(m, t + 0.5 * step, s->x2, s->crossing_values);
             UNROLL for (int j = 0; j < BLOCKS_NS; j++) before[BLOCKS_NX + j] = s->crossing_values[sides_at[j]];
