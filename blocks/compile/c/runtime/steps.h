@@ -219,6 +219,16 @@ static inline __attribute__((always_inline)) double is_near(double side, double 
     return (side > 0.0 ? low : -high) > margin ? 0.0 : 1.0;
 }
 
+#if BLOCKS_METHOD_DOPRI5
+#define REACH_OF(j)                                                                                                   \
+    double low = blocks_smaller(blocks_smaller(first[j], last[j]), blocks_smaller(second[j], third[j]));              \
+    double high = blocks_larger(blocks_larger(first[j], last[j]), blocks_larger(second[j], third[j]))
+#else
+#define REACH_OF(j)                                                                                                   \
+    double low = blocks_smaller(before[j], blocks_smaller(first[j], last[j]));                                        \
+    double high = blocks_larger(before[j], blocks_larger(first[j], last[j]))
+#endif
+
 #if SMALL
 static inline __attribute__((always_inline)) int is_loud(const double *restrict side, const double *restrict before,
                                                          Stages k, double *restrict near)
@@ -235,24 +245,19 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
 #endif
 #if SMALL
     int loud = 0;
-#endif
-#if SMALL
-    _Pragma("GCC unroll 16")
-#endif
-    for (int j = 0; j < BLOCKS_NS; j++) {
-        double low = first[j] < last[j] ? first[j] : last[j], high = first[j] > last[j] ? first[j] : last[j];
-#if BLOCKS_METHOD_DOPRI5
-        low = blocks_smaller(low, blocks_smaller(second[j], third[j]));
-        high = blocks_larger(high, blocks_larger(second[j], third[j]));
-#else
-        low = blocks_smaller(before[j], low);
-        high = blocks_larger(before[j], high);
-#endif
-#if SMALL
+    _Pragma("GCC unroll 16") for (int j = 0; j < BLOCKS_NS; j++) {
+        REACH_OF(j);
         loud |= is_near(side[j], low, high, last[j]) != 0.0;
     }
     return loud;
 #else
+    const int even = BLOCKS_NS / 2 * 2;
+    for (int j = 0; j < even; j++) {
+        REACH_OF(j);
+        near[j] = is_near(side[j], low, high, last[j]);
+    }
+    for (int j = even; j < BLOCKS_NS; j++) {
+        REACH_OF(j);
         near[j] = is_near(side[j], low, high, last[j]);
     }
     int64_t loud = 0, bits; /* in this form, compilers do several at once */
@@ -265,6 +270,35 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
 }
 #else
 #define is_loud(side, before, k, near) 0
+#endif
+
+#define FORETELLS (IS_WATCHED && !SMALL && BLOCKS_METHOD_RK4)
+#if FORETELLS
+/* Whether one of the crossings that are near may change its side in the step after all. Inside a step of rk4 each is the
+   cubic of its ends and slopes, which does not leave the hull of its four Bezier points. Crossings are affine: what a slope
+   adds to one is seen by adding it to the states. */
+static __attribute__((noinline)) int comes_near(BlocksSim *s, const BlocksMemory *m, double t, double t1,
+                                                const double *restrict x, const double *restrict x1, double h, Stages k,
+                                                const double *restrict side)
+{
+    const double *restrict first = k[0], *restrict last = k[LAST];
+    const double *restrict near = s->distances;
+    double *restrict xs = s->xs, *restrict begin = s->x2, *restrict end = s->crossing_values;
+    if (!(h > 1e6 * blocks_ulp(t1))) return 1; /* what comes within some ulp of the end is for others to see */
+    EACH(xs[i] = x[i] + h * first[i]);
+    crossings(m, t, xs, begin);
+    EACH(xs[i] = x1[i] + h * last[i]);
+    crossings(m, t1, xs, end);
+    for (int j = 0; j < BLOCKS_NS; j++) {
+        if (near[j] == 0.0) continue;
+        double b0 = first[BLOCKS_NX + j], b3 = last[BLOCKS_NX + j], way = side[j] > 0.0 ? 1.0 : -1.0;
+        double b1 = b0 + (begin[sides_at[j]] - b0) / 3.0, b2 = b3 - (end[sides_at[j]] - b3) / 3.0;
+        double least = blocks_smaller(blocks_smaller(way * b0, way * b3), blocks_smaller(way * b1, way * b2));
+        double most = blocks_larger(blocks_larger(way * b0, way * b3), blocks_larger(way * b1, way * b2));
+        if (!(least > 1e-6 * most)) return 1;
+    }
+    return 0;
+}
 #endif
 
 #if BLOCKS_NF
@@ -626,7 +660,14 @@ static int run(BlocksSim *s, double target)
             s->has_before = 1;
         }
 #endif
-        int is_quick = IS_PLAIN && !(BLOCKS_TURNING_ROWS && !is_on_grid) && !is_loud(side, before + BLOCKS_NX, k, s->distances);
+        int is_quick = IS_PLAIN && !(BLOCKS_TURNING_ROWS && !is_on_grid);
+        if (is_quick && is_loud(side, before + BLOCKS_NX, k, s->distances)) {
+#if FORETELLS
+            is_quick = !moving && s->located_t != t && !comes_near(s, m, t, t1, x, x1, step, k, side);
+#else
+            is_quick = 0;
+#endif
+        }
 #if BLOCKS_QUICK_MEASURES
         int unmeasured = is_quick ? measured_inside(s, m, moving, t, t1, step, x, x1, k) : -1;
         is_quick = unmeasured >= 0;
