@@ -1442,7 +1442,7 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
     if (found) {
         if (!s->weighed) {
             /* The stages of this step are lost with the next one. */
-            for (int k = 0; k < BLOCKS_LOOKS; k++)
+            for (int k = BLOCKS_CROSSINGS + 1; k < BLOCKS_LOOKS; k++)
                 weigh(s, h_dense, s->model->looks[k].states, s->model->looks[k].nstates);
             s->weighed = 1;
         }

@@ -272,30 +272,58 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
 #define is_loud(side, before, k, near) 0
 #endif
 
-#define FORETELLS (IS_WATCHED && !SMALL && BLOCKS_METHOD_RK4)
+#define FORETELLS (IS_WATCHED && !BLOCKS_BENT_SIDES && (BLOCKS_METHOD_RK4 || BLOCKS_METHOD_DOPRI5))
 #if FORETELLS
-/* Whether one of the crossings that are near may change its side in the step after all. Inside a step of rk4 each is the
-   cubic of its ends and slopes, which does not leave the hull of its four Bezier points. Crossings are affine: what a slope
-   adds to one is seen by adding it to the states. */
+/* Whether one of the crossings that are near may change its side in a step after all. Inside it each is the polynomial of its
+   ends and slopes, and by dopri5 of its middle, which does not leave the hull of its Bezier points. Crossings are affine: what
+   a slope adds to one is seen by adding it to the states. */
+#if SMALL
+static inline __attribute__((always_inline)) int comes_near(BlocksSim *s, const BlocksMemory *m, double t, double t1,
+                                                            const double *restrict x, const double *restrict x1, double h,
+                                                            Stages k, const double *restrict side)
+{
+    double at[BLOCKS_NX > 0 ? BLOCKS_NX : 1], begin[BLOCKS_NS], middle[BLOCKS_NS], end[BLOCKS_NS];
+#else
 static __attribute__((noinline)) int comes_near(BlocksSim *s, const BlocksMemory *m, double t, double t1,
                                                 const double *restrict x, const double *restrict x1, double h, Stages k,
                                                 const double *restrict side)
 {
-    const double *restrict first = k[0], *restrict last = k[LAST];
     const double *restrict near = s->distances;
-    double *restrict xs = s->xs, *restrict begin = s->x2, *restrict end = s->crossing_values;
+    double *at = s->xs, *begin = s->x2, *middle = s->distances + BLOCKS_NS, *end = s->crossing_values;
+#endif
+    const double *restrict first = k[0], *restrict last = k[LAST];
+    const int was_located = s->located_t == t;
     if (!(h > 1e6 * blocks_ulp(t1))) return 1; /* what comes within some ulp of the end is for others to see */
-    EACH(xs[i] = x[i] + h * first[i]);
-    crossings(m, t, xs, begin);
-    EACH(xs[i] = x1[i] + h * last[i]);
-    crossings(m, t1, xs, end);
+    EACH(at[i] = x[i] + h * first[i]);
+    crossings(m, t, at, begin);
+    EACH(at[i] = x1[i] + h * last[i]);
+    crossings(m, t1, at, end);
+#if BLOCKS_METHOD_DOPRI5
+    for (int i = 0; i < BLOCKS_NX; i++) {
+        double sum = 0.0;
+        _Pragma("GCC unroll 8") for (int n = 0; n < STAGES; n++)
+            if (SHARES[1][n] != 0.0) sum += SHARES[1][n] * k[n][i];
+        at[i] = x[i] + h * sum;
+    }
+    crossings(m, t + 0.5 * h, at, middle);
+#else
+    (void)middle;
+#endif
     for (int j = 0; j < BLOCKS_NS; j++) {
+        const int of = sides_at[j];
+        double way = side[j] > 0.0 ? 1.0 : -1.0, b0 = way * first[BLOCKS_NX + j], b3 = way * last[BLOCKS_NX + j];
+        double b1 = b0 + (way * begin[of] - b0) / (DEGREE), b2 = b3 - (way * end[of] - b3) / (DEGREE);
+        double least = blocks_smaller(blocks_smaller(b0, b3), blocks_smaller(b1, b2));
+        double most = blocks_larger(blocks_larger(b0, b3), blocks_larger(b1, b2)), bad = 0.0 * ((b0 + b3) + (b1 + b2));
+#if !SMALL
         if (near[j] == 0.0) continue;
-        double b0 = first[BLOCKS_NX + j], b3 = last[BLOCKS_NX + j], way = side[j] > 0.0 ? 1.0 : -1.0;
-        double b1 = b0 + (begin[sides_at[j]] - b0) / 3.0, b2 = b3 - (end[sides_at[j]] - b3) / 3.0;
-        double least = blocks_smaller(blocks_smaller(way * b0, way * b3), blocks_smaller(way * b1, way * b2));
-        double most = blocks_larger(blocks_larger(way * b0, way * b3), blocks_larger(way * b1, way * b2));
-        if (!(least > 1e-6 * most)) return 1;
+#endif
+        if (was_located && fabs(b0) <= 2.0 * s->located[of]) return 1; /* it may have to be passed again at once */
+#if BLOCKS_METHOD_DOPRI5
+        double inner = (16.0 * way * middle[of] - (b0 + b3) - 4.0 * (b1 + b2)) / 6.0;
+        least = blocks_smaller(least, inner), most = blocks_larger(most, inner), bad += 0.0 * inner;
+#endif
+        if (!(least > 1e-6 * most + bad)) return 1; /* what is not finite too */
     }
     return 0;
 }
@@ -663,7 +691,7 @@ static int run(BlocksSim *s, double target)
         int is_quick = IS_PLAIN && !(BLOCKS_TURNING_ROWS && !is_on_grid);
         if (is_quick && is_loud(side, before + BLOCKS_NX, k, s->distances)) {
 #if FORETELLS
-            is_quick = !moving && s->located_t != t && !comes_near(s, m, t, t1, x, x1, step, k, side);
+            is_quick = !moving && !comes_near(s, m, t, t1, x, x1, step, k, side);
 #else
             is_quick = 0;
 #endif
