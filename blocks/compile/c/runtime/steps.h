@@ -367,7 +367,7 @@ static __attribute__((noinline)) int comes_near(BlocksSim *s, const BlocksMemory
     } while (0)
 #define TURN_OVER                                                                                                     \
     do {                                                                                                              \
-        EACH(x[i] = x1[i]);                                                                                            \
+        EACH(x[i] = x1[i]);                                                                                           \
         UNROLL for (int i = BLOCKS_NX; i < WIDTH; i++) before[i] = k[0][i];                                           \
         UNROLL for (int i = 0; i < WIDTH; i++) k[0][i] = k[LAST][i];                                                  \
     } while (0)
