@@ -23,6 +23,7 @@ from . import (
     native_engine,
     prepared,
     reference_engine,
+    sparse,
     start,
     startup,
     stiff,
@@ -51,6 +52,7 @@ BENCHMARKS = {
     "master": master.main,
     "streamed": streamed.main,
     "drawing": drawing.main,
+    "sparse": sparse.main,
 }
 
 
