@@ -28,7 +28,8 @@ from ..scheduler import schedule
 from ..tableaus import METHODS
 from ..tick_stages import stages_of, tick_program
 from .calls import SAME, print_program, print_selected
-from .functions import comment
+from .functions import LANES, comment, function_text
+from .lane_code import LANE_PROGRAMS, LaneCode
 from .loops import Call, Copy, Sink
 from .plan_reader import MOVING, PlanReader, ProgramScope
 from .ticks import Clique, Stage, cliques
@@ -44,7 +45,8 @@ class Emitted:
     """A model: its C text, and the data that belongs to it.
 
     x_order: the Plan's index of each state of the model. numbers, tables: the rows n and c. sizes: the macros
-    BLOCKS_..., by their names without the prefix, where they are numbers.
+    BLOCKS_..., by their names without the prefix, where they are numbers. lanes: the C text of several runs side by
+    side; "": it was not asked for.
     """
 
     source: str
@@ -53,6 +55,7 @@ class Emitted:
     tables: tuple[float, ...]
     cliques: tuple[Clique, ...]
     sizes: Mapping[str, int]
+    lanes: str = ""
 
 
 @paused()
@@ -65,11 +68,16 @@ def emit(
     loops: bool = True,
     others: Mapping[str, Sequence[Reference]] = MappingProxyType({}),
     end: str = "",
+    lanes: bool = False,
 ) -> Emitted:
     """The model of a Plan. measured, logged: what its programs of these names give. method: whose stepping loop is
     compiled ("euler", "rk4", "dopri5"; any other: none). loops: False prints every call by itself. others: what further
-    programs give, by their names; end: C text at the end."""
-    return _Emitter(plan, loops, looked_at(plan, measured, logged)).emitted(method, others, end)
+    programs give, by their names; end: C text at the end. lanes: whether programs of several runs side by side are
+    printed too."""
+    emitter = _Emitter(plan, loops, looked_at(plan, measured, logged))
+    if lanes:
+        emitter.lanes = LaneCode(lambda name: function_text(name, *emitter.printed_as[name], LANES))
+    return emitter.emitted(method, others, end)
 
 
 _SIGNATURES = {
@@ -86,6 +94,9 @@ _SIGNATURE = "const BlocksMemory *m, double t, const double *x, double *out"
 
 
 class _Emitter(PlanReader):
+    lanes: LaneCode | None = None
+    is_long = False  # whether the rates are
+
     def continuous(
         self,
         name: str,
@@ -147,6 +158,11 @@ class _Emitter(PlanReader):
             is_aliased=self.is_in_prepare, is_hot=name in RATES,
         )  # fmt: skip
         self.scratch = max(self.scratch, printed.scratch)
+        if self.lanes is not None and (name in LANE_PROGRAMS or (name == "crossings" and self.is_long)):
+            wide = print_program(
+                name, calls, copies, self.place, self.tables, x_at=self.x_at, loops=self.loops, numbers=LANES
+            )
+            self.lanes.add(name, wide, calls)
         if not printed.same:
             functions = printed.functions
             if name not in (*RATES, "logged", "plain_measured", "bent_measured") or len(functions) > LONGEST:
@@ -248,13 +264,18 @@ class _Emitter(PlanReader):
 
         nodes = [cause.node for cause in plan.crossings]
         moving = any(self.level[node] == MOVING for node in nodes)
-        is_long = self.rates(sink, moving and method in METHODS)
-        if moving:
+        self.rates(sink)
+        has_own_sides = moving and not (self.is_long and method in METHODS)
+        if has_own_sides:
             self.rates_and_sides(nodes, sink)
-            if is_long:
-                self.define("rates", "    rates_and_sides(m, t, x, out);")
         quick = self.quick_measures(sink, method, moving=moving)
         self.define("crossings", self.continuous("crossings", nodes, [sink(k, n, "side") for k, n in enumerate(nodes)]))
+        if moving and not has_own_sides:  # compiling long rates twice takes longer than computing some values twice
+            self.sides = tuple(range(len(nodes)))
+            body = "    rates(m, t, x, out);\n    crossings(m, t, x, out + BLOCKS_NX);"
+            self.define("rates_and_sides", body)
+            if self.lanes is not None:
+                self.lanes.define("rates_and_sides", body)
         watched = {name: self.watched[name] for name in ("logged", "measured", "remembered")}
         for name, asked in {"solutions": plan.unknowns, **watched, **others}.items():
             self.define(name, self.continuous(name, asked, plain(asked)))
@@ -283,9 +304,7 @@ class _Emitter(PlanReader):
         self.compare_lanes()
         return self.finished(method, cliques, moving, end, quick)
 
-    def rates(self, sink: Callable[[int, Node, str], Sink], has_room: bool) -> bool:
-        """The rates; or nothing, and True, where they are long and crossings can follow them: compiling them twice
-        would take longer than computing some crossings in vain."""
+    def rates(self, sink: Callable[[int, Node, str], Sink]) -> None:
         nodes = self.plan.derivatives
         sinks = [sink(k, node, "zero") for k, node in enumerate(nodes)]
         scope = ProgramScope({}, {}, {}, True, is_hot=True)
@@ -297,12 +316,8 @@ class _Emitter(PlanReader):
         copies.sort(key=lambda copy: copy.sink.index)
         printed = len(self.texts)
         body = self.printed("rates", calls, copies, is_hot=True)
-        if has_room and len(body) + sum(map(len, self.texts[printed:])) > LONG:
-            del self.texts[printed:]
-            return True
         self.define("rates", body)
         self.is_long = len(body) + sum(map(len, self.texts[printed:])) > LONG
-        return False
 
     def compare_lanes(self) -> None:
         """Whether all lanes of all loops read the same parameters: reading takes most time where memory is slow."""
@@ -351,6 +366,8 @@ class _Emitter(PlanReader):
             for what, items in (("STATES", states), ("COLUMNS", columns)):
                 rows = ", ".join(map(str, items)) or "0"
                 self.texts.append(f"#define BLOCKS_{name.upper()}_{what} {{{rows}}}\n")
+                if self.lanes is not None:
+                    self.lanes.texts.append(self.texts[-1])
         return sizes
 
     def refresh(self) -> None:
@@ -565,11 +582,16 @@ class _Emitter(PlanReader):
         states += [f"static const int sides_at[] = {{{sides}}};\n"] if moving else []
         sizes["NLOGGED_STATES"] = len(self.states_of["logged"])
         macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
-        macros.append(f"#define BLOCKS_METHOD_{method.upper() if method in METHODS else 'NONE'} 1\n")
+        chosen = f"METHOD_{method.upper() if method in METHODS else 'NONE'}"
+        macros.append(f"#define BLOCKS_{chosen} 1\n")
         source = "".join([
             f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n',
             '#include "fmu_bridge.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",
             "\n".join(self.texts), self.looks(), '\n#include "steps.h"\n', end,
         ])  # fmt: skip
         table = tuple(value for values in plan.tables for value in values)
-        return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes)
+        lanes = ""
+        if self.lanes is not None:
+            tables = self.tables.text + (states[-1] if moving else "")
+            lanes = self.lanes.source(plan.name, {**sizes, chosen: 1}, tables)
+        return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes, lanes)
