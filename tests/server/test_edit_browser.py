@@ -135,7 +135,7 @@ def test_the_motor_under_control_is_drawn_with_the_keyboard_alone(chromium: Any,
             hands.tab_to("#view")
         for name, (text, doc) in BLOCKS.items():
             hands.type_block(text)
-            hands.rest()
+            hands.seen(".picked")
             page.press("F2")
             page.until("document.querySelector('.typed')")
             page.type(name)
@@ -300,6 +300,7 @@ def test_hostile_names_and_texts_are_shown_as_texts(chromium: Any, tmp_path: Pat
         page = hands.page
         hands.type_block("gain")
         for text in HOSTILE:
+            hands.seen(".picked")
             page.evaluate("document.getElementById('view').focus()")
             page.press("F2")
             page.until("document.querySelector('.typed')")
@@ -326,6 +327,7 @@ def test_what_is_typed_into_fields_stays_and_a_fault_stands_beside_its_field(chr
         hands.type_block("parameter area=2 m2")
         hands.type_block("step at=1 after=0.5 unit=m3/s")
         hands.type_block("tank A==area")
+        hands.seen("[data-path=tank].picked")
         page.press("Enter")  # to its values
         page.until("document.activeElement.ariaLabel === 'tank.A'")
         assert page.evaluate("document.activeElement.value") == "=area"
