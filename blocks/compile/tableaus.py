@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["METHODS", "Tableau", "c_header"]
+__all__ = ["METHODS", "STIFF", "Tableau", "c_header"]
 
 Array = np.ndarray[Any, Any]
 
@@ -77,6 +77,9 @@ METHODS = {
     ),
 }
 
+
+STIFF = ("radau",)
+"""The methods that need the Jacobian of a diagram; see `runtime/radau.c`."""
 
 SHARES = (*((1 - math.sqrt(3 / 7) * side) / 2 for side in (1, 0, -1)), 0.367879, 0.763932)
 """Where in a step measures are taken: the inner nodes of Lobatto's rule, and two checks (`run/step_parts.py`)."""

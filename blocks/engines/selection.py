@@ -85,7 +85,7 @@ def compiled_model(what: Plan | Coupling, *, engine: str | None = None) -> Any:
     where the native one is asked for and it cannot be compiled.
     """
     name = _chosen(engine)
-    if not isinstance(what, Plan) or what.settings.method == "radau":
+    if not isinstance(what, Plan) or (what.settings.method == "radau" and what.foreign):
         return None
     if name == "reference" or _why_not(what) or find_compiler() is None:
         return None  # a run says why, if it must
@@ -104,7 +104,7 @@ def _native(what: Plan | Coupling, inputs: InputTable, model: Any) -> Engine:
         from .master.native_master import NativeMaster, master_library
 
         return NativeMaster(what, inputs, _loaded, master_library())
-    if what.settings.method == "radau":
+    if what.settings.method == "radau" and what.foreign:
         from .native.stiff import stiff_engine
 
         return stiff_engine(what, inputs, foreign=_foreigns(what))

@@ -231,7 +231,7 @@ class _Made:
             kinds=sum({"ME": 1, "CS": 2}[kind] for kind in order.kinds), token=_TOKEN,
             dependencies={**outputs, **derivatives},
         )  # fmt: skip
-        self.sources = {"model.c": emitted.source, **_c_files("fmu.c", f"fmi{fmi}.c"), **packaged("runtime.c")}
+        self.sources = {"model.c": emitted.source, **_c_files("fmu.c", f"fmi{fmi}.c"), **packaged("runtime.c", "jacobian.c")}
         self.headers = {**packaged(*RUNTIME), **_c_files("fmu.h", "fmu_model.h", "standard.h"), **standard_headers(fmi)}
         # A part of the library: nothing but the functions of the standard is seen from outside.
         self.headers["runtime.h"] = "#define BLOCKS_INSIDE 1\n" + self.headers["runtime.h"]

@@ -22,13 +22,16 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from ...text.gc_pause import paused
+from ..jacobian import PlanJacobian
 from ..motion import looked_at
 from ..plan import Node, Plan, Program, Reference
 from ..scheduler import schedule
-from ..tableaus import METHODS
+from ..tableaus import METHODS, STIFF
 from ..tick_stages import stages_of, tick_program
+from .c_text import ints
 from .calls import SAME, print_program, print_selected
 from .functions import comment
+from .jacobian_code import elimination, in_order, jacobian_text
 from .loops import Call, Copy, Sink
 from .plan_reader import MOVING, PlanReader, ProgramScope
 from .ticks import Clique, Stage, cliques
@@ -279,9 +282,10 @@ class _Emitter(PlanReader):
         self.start()
         self.selected("anew", [self.beginning(part.resets) for part in plan.enabled])
         cliques = self.outputs(sink)
+        slopes = self.slopes() if method in STIFF else ""
         self.prepare()
         self.compare_lanes()
-        return self.finished(method, cliques, moving, end, quick)
+        return self.finished(method, cliques, moving, slopes, end, quick)
 
     def rates(self, sink: Callable[[int, Node, str], Sink], has_room: bool) -> bool:
         """The rates; or nothing, and True, where they are long and crossings can follow them: compiling them twice
@@ -517,6 +521,16 @@ class _Emitter(PlanReader):
         sinks = [[Sink(self.q[instance, n])] for n in nodes]
         return Call(function, block.path, instance, arguments, [self.new_value() for _ in nodes], sinks)
 
+    def slopes(self) -> str:
+        """The Jacobian of the rates for a stiff method, and the order in which its columns are eliminated."""
+        made = PlanJacobian(self.plan)
+        plain = [Sink(k) for k in range(len(made.outputs))]
+        self.define("slope_outputs", self.continuous("slope_outputs", made.outputs, plain))
+        derived = jacobian_text(made, self.offsets, self.x_at, "slope_outputs", is_square=True)
+        order = elimination(*in_order(made, self.x_at)[:2])
+        text = "#define ELIMINATION 0\n" if order is None else ints("elimination", order) + "#define ELIMINATION elimination\n"
+        return f'\n#include "stiff.h"\n{derived.text}static const BlocksJacobian slopes = {derived.initializer};\n{text}'
+
     def looked_at(self, name: str) -> str:
         """The tables of what is looked at inside a step: the states that it needs, and how else it moves."""
         motion = self.motions[name]
@@ -544,7 +558,7 @@ class _Emitter(PlanReader):
         return f"\nstatic const BlocksLook looks[] = {{\n{''.join(rows)}}};\n"
 
     def finished(
-        self, method: str, cliques: tuple[Clique, ...], moving: bool, end: str, quick: dict[str, int]
+        self, method: str, cliques: tuple[Clique, ...], moving: bool, slopes: str, end: str, quick: dict[str, int]
     ) -> Emitted:
         plan = self.plan
         sizes = {
@@ -565,11 +579,11 @@ class _Emitter(PlanReader):
         states += [f"static const int sides_at[] = {{{sides}}};\n"] if moving else []
         sizes["NLOGGED_STATES"] = len(self.states_of["logged"])
         macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
-        macros.append(f"#define BLOCKS_METHOD_{method.upper() if method in METHODS else 'NONE'} 1\n")
+        macros.append(f"#define BLOCKS_METHOD_{method.upper() if method in (*METHODS, *STIFF) else 'NONE'} 1\n")
         source = "".join([
             f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n',
             '#include "fmu_bridge.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",
-            "\n".join(self.texts), self.looks(), '\n#include "steps.h"\n', end,
+            "\n".join(self.texts), self.looks(), slopes, '\n#include "steps.h"\n', end,
         ])  # fmt: skip
         table = tuple(value for values in plan.tables for value in values)
         return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes)

@@ -9,7 +9,7 @@ from ..tableaus import c_header
 
 __all__ = ["RUNTIME", "packaged"]
 
-RUNTIME = ("runtime.h", "model.h", "methods.h", "steps.h")
+RUNTIME = ("runtime.h", "model.h", "methods.h", "steps.h", "jacobian.h", "stiff.h")
 
 
 def packaged(*names: str) -> dict[str, str]:

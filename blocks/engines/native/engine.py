@@ -50,6 +50,7 @@ Row = tuple[float, ...]
 _DONE, _PAUSED, _FAILED, _NO_MEMORY = range(4)
 _CODES = (
     "E303", "E303", "E303", "E301", "E303", "E305", "E306", "E307", "E309", "E304", "E301", "E310", "E303",
+    "E308",
 )  # fmt: skip
 """The code of each failure of runtime.h, by its number."""
 _CROWD = 1000

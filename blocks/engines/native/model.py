@@ -21,6 +21,7 @@ from ...compile.c.runtime_grid import grid_of
 from ...compile.c.runtime_tables import RuntimeTables
 from ...compile.c.runtime_texts import RUNTIME, packaged
 from ...compile.plan import Node, Plan, Reference
+from ...compile.tableaus import STIFF
 from ...compile.toolchain.compiler import TranslationUnit, build, load
 from ...text.errors import CompilerError
 from ..run.measures import Measures
@@ -47,7 +48,7 @@ def model_of(plan: Plan, log: tuple[str, ...], method: str) -> Model:
     with _LOCK:
         model = _MODELS.pop(key, None)
     # Without the lock: compiling takes time, and a fork may come meanwhile.
-    model = model or Model(plan, emitted(plan, digest, measured=measured, method=method, logged=logged), logged)
+    model = model or Model(plan, emitted(plan, digest, measured=measured, method=method, logged=logged), logged, method)
     with _LOCK:
         _MODELS[key] = model  # the last one used goes last
         while len(_MODELS) > MOST_MODELS:
@@ -58,7 +59,7 @@ def model_of(plan: Plan, log: tuple[str, ...], method: str) -> Model:
 class Model(RuntimeTables):
     """The compiled model of a Plan."""
 
-    def __init__(self, plan: Plan, made: Emitted, logged: list[Reference]) -> None:
+    def __init__(self, plan: Plan, made: Emitted, logged: list[Reference], method: str) -> None:
         super().__init__(plan, made, logged)
         headers = packaged(*RUNTIME)
         other, *more = ("fmu_bridge.c", "fmu_bridge.h", "fmu_types.h") if plan.foreign else ("batch.c", "batch.h")
@@ -66,6 +67,10 @@ class Model(RuntimeTables):
         units = [
             TranslationUnit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True),
             TranslationUnit(other, packaged(other)[other], beside, is_shared=True),
+            *(
+                TranslationUnit(name, text, headers, is_shared=True)
+                for name, text in packaged(*(("jacobian.c", "factors.c", "radau.c") if method in STIFF else ())).items()
+            ),
             TranslationUnit("model.c", self.emitted.source, beside if plan.foreign else headers),
         ]
         guesses = [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]

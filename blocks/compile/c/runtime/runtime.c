@@ -10,7 +10,7 @@
 #define HOT
 #endif
 #define _POSIX_C_SOURCE 199309L /* clock_gettime */
-#include "runtime.h"
+#include "stiff.h"
 
 #include <stdlib.h>
 #include <time.h>
@@ -2339,7 +2339,7 @@ void blocks_reset(BlocksSim *s)
     s->row = 0;
     s->slice = 0.05;
     s->soft = INFINITY;
-    s->exact = s->has_first = s->has_before = s->outstanding = s->crossing = s->changed = s->has_left = 0;
+    s->exact = s->has_first = s->has_before = s->outstanding = s->crossing = s->changed = s->has_left = s->is_factored = 0;
     s->steps = s->rejected = s->evaluations = s->instants = 0;
     for (int i = 0; i < model->nx; i++) s->blamed[i] = 0;
     s->failure = BLOCKS_FINE;
@@ -2435,6 +2435,10 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
     s->ticks_backup = longs + nr + nx; /* and, behind it, what else an instant goes back to */
     s->firing = flags + nr;
     s->changed_sides = flags + nr + 2 * nc;
+    if (model->implicit && model->implicit->open(s)) {
+        blocks_free(s);
+        return NULL;
+    }
     blocks_reset(s);
     return s;
 }
@@ -2442,6 +2446,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
 void blocks_free(BlocksSim *s)
 {
     if (!s) return;
+    if (s->implicit) s->model->implicit->close(s);
     forget_rows(&s->rows);
     free(s->rows.chunks);
     free(s->rows.counts);

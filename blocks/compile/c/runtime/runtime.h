@@ -27,10 +27,14 @@ enum {
     BLOCKS_ZENO,
     BLOCKS_CHANGES_ALWAYS, /* a projection */
     BLOCKS_STEPPER,
-    BLOCKS_FOREIGN
+    BLOCKS_FOREIGN,
+    BLOCKS_NOT_CONVERGED /* an implicit step */
 };
 
 typedef struct BlocksSim BlocksSim;
+typedef struct BlocksJacobian BlocksJacobian;
+typedef struct BlocksImplicit BlocksImplicit;
+typedef struct BlocksModel BlocksModel;
 
 /* What the runtime tells units whose states it integrates and that hide others: see fmu_bridge.c. Each returns 0; what
    fails -BLOCKS_FAILED where others are counts or flags. */
@@ -52,7 +56,7 @@ typedef struct {
     int32_t rows; /* of a recording: BLOCKS_LEFT_OUT or BLOCKS_BETWEEN_ROWS */
 } BlocksUnseen;
 
-typedef struct {
+struct BlocksModel {
     int32_t nx, nd, ns, np, nu, nh, nz, nrates, nq, nv, nw, nevents, nlogged, nmeasured, nprojections;
     int32_t moving_sides, stages, degree, order;
     const BlocksLook *looks; /* (BLOCKS_LOOKS) */
@@ -70,7 +74,8 @@ typedef struct {
     const BlocksHooks *hooks; /* null: there are no such units */
     BlocksProgram foreign_inputs;
     int32_t ntaken; /* how many values it gives */
-} BlocksModel;
+    const BlocksImplicit *implicit; /* of a stiff method; null: none. See stiff.h */
+};
 
 /* Equally spaced times (start + k step) / unit. */
 typedef struct {
@@ -284,6 +289,10 @@ struct BlocksSim {
     int64_t *ticks_backup;
     void *arena;
     const BlocksPolynomials *polynomials; /* of inputs; null: they follow their tracks */
+    void *implicit;      /* of a stiff method: its scratch */
+    double *carried;     /* (ncarried) what it keeps from step to step; it counts while the rates at t do */
+    int64_t ncarried;
+    int32_t is_factored; /* whether its factors are those that `carried` speaks of */
 };
 
 #if defined(BLOCKS_INSIDE) /* a part of a library that shows other functions */

@@ -8,7 +8,11 @@
 #include "runtime.h"
 
 #define STAGED (BLOCKS_METHOD_RK4 || BLOCKS_METHOD_DOPRI5 || BLOCKS_METHOD_EULER)
-#if !STAGED
+#if BLOCKS_METHOD_RADAU
+#include "stiff.h"
+enum { STAGES = BLOCKS_STIFF_STAGES, DEGREE = BLOCKS_STIFF_DEGREE, ORDER = 3 };
+#define DENSE blocks_stiff_dense
+#elif !STAGED
 enum { STAGES = 0, DEGREE = 0, ORDER = 0 };
 static const double DENSE[] = {0};
 #endif
@@ -677,7 +681,7 @@ static int run(BlocksSim *s, double target)
     }
 }
 
-#else
+#elif !BLOCKS_METHOD_RADAU
 static void trial(BlocksSim *s, double t, const double *x, double h, double *x1)
 {
     (void)s, (void)t, (void)x, (void)h, (void)x1;
@@ -687,6 +691,10 @@ static int run(BlocksSim *s, double target)
     (void)target;
     return blocks_fail(s, BLOCKS_TOO_SMALL, 0, 0.0);
 }
+#endif
+
+#if BLOCKS_METHOD_RADAU
+static const BlocksImplicit implicit = {&slopes, ELIMINATION, blocks_stiff_open, blocks_stiff_close};
 #endif
 
 static void prepare_all(BlocksMemory *m)
@@ -705,7 +713,11 @@ BLOCKS_API const BlocksModel blocks_model = {
     .rates = rates_program, .crossings = crossings, .event_times = event_times, .projections = projections,
     .solutions = solutions, .logged = logged, .measured = measured, .start = start,
     .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,
+#if BLOCKS_METHOD_RADAU
+    .trial = blocks_stiff_trial, .run = blocks_stiff_run, .implicit = &implicit,
+#else
     .trial = trial, .run = run,
+#endif
 #if BLOCKS_NF
     .hooks = &blocks_hooks, .foreign_inputs = foreign_inputs, .ntaken = BLOCKS_NTAKEN,
 #endif
