@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...contract.tracing import jacobian
+from ..fmu_tape import FmuTape
 from ..jacobian import PlanJacobian, Solve, Sum
 from .c_text import ints, reals, table
 from .functions import function_text
@@ -37,6 +38,11 @@ def jacobian_text(
     texts, calls = [], []
     at = 0
     for number, group in enumerate(made.groups):
+        if isinstance(group.tape, FmuTape):  # known by difference quotients alone: see radau.c
+            count = len(group.pairs) * len(group.members)
+            calls.append(f"    for (int i = 0; i < {count}; i++) out[{group.first} + i] = NAN;")
+            at += len(group.members) * len(group.reads)
+            continue
         tape = jacobian(group.tape, group.results, sorted(group.by))
         table_of = dict(zip((k for k, a in enumerate(tape.arguments) if a.kind == "table"), group.tables, strict=True))
         size = len(group.members)

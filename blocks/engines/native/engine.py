@@ -376,9 +376,11 @@ class NativeEngine:
     def _snapshot(self) -> Snapshot:
         sim = self.sim
         x = frozen(self._x[self.model.place])
-        first = None
+        first = carried = None
         if sim.has_first:
             first = frozen(array(sim.k[0], self._nx)[self.model.place])
+            if sim.ncarried:
+                carried = self.model.carried_order(self.plan).taken(array(sim.carried, sim.ncarried))
         return Snapshot(
             sim.t,
             self.exact,
@@ -388,7 +390,7 @@ class NativeEngine:
             tuple(self._ticks.tolist()),
             tuple(self._events.tolist()),
             tuple(self._own.tolist()),
-            MethodMemory(sim.h, sim.error, first),
+            MethodMemory(sim.h, sim.error, first, carried),
             sim.fixed,
             self._past(),
             tuple(self._z.tolist()),
@@ -469,6 +471,11 @@ class NativeEngine:
         if now.memory.first is not None:
             array(sim.k[0], self._nx)[:] = now.memory.first[self.model.order]
             sim.has_first = 1
+            if sim.ncarried:
+                row = array(sim.carried, sim.ncarried)
+                row[:] = 0.0  # nothing is known of steps before
+                if now.memory.carried is not None:
+                    self.model.carried_order(plan).put(now.memory.carried, row)
         sim.located_t, located = state.located
         self._located[:] = located if len(located) else -1.0
         for j, t in state.fired:

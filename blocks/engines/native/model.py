@@ -26,6 +26,7 @@ from ...compile.toolchain.compiler import TranslationUnit, build, load
 from ...text.errors import CompilerError
 from ..run.measures import Measures
 from ..run.step_parts import longest_step
+from .stiff import CarriedOrder
 
 __all__ = ["Model", "model_of"]
 
@@ -78,6 +79,7 @@ class Model(RuntimeTables):
         located = [float(isinstance(begin, Reference)) for begin in plan.s_start]
         self.begin = tuple(np.array(row, dtype=float) for row in (guesses, sides, located))
         """At the start: where searches begin, the sides of crossings, and which of these are known."""
+        self._carried: CarriedOrder | None = None
         self._of_measures: tuple[Any, Any, Measures] | None = None
         self._of_settings: tuple[Any, Any, int] | None = None  # of the last run
         self.library = _prepared(load(_built(plan, units)), has_batch=not plan.foreign)
@@ -95,6 +97,12 @@ class Model(RuntimeTables):
         setup.nintegers = int(self.has_integers)
         setup.has_windows, setup.has_paths = int(self.has_windows), int(self.has_paths)
         return setup
+
+    def carried_order(self, plan: Plan) -> CarriedOrder:
+        """How what a stiff method keeps is ordered, by a Plan that differs in values alone."""
+        if self._carried is None:
+            self._carried = CarriedOrder(plan, self.place)
+        return self._carried
 
     def measures_of(self, plan: Plan) -> Measures:
         """The measures of a run that has not begun: they are replaced, never changed, so that runs may share them."""

@@ -23,11 +23,16 @@ def frozen(array: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class MethodMemory:
-    """What a method keeps from step to step: the proposed step (0: none yet), the last error, the rates at t."""
+    """What a method keeps from step to step: the proposed step (0: none yet), the last error, the rates at t.
+
+    carried: of a stiff method, all else (`Carried.row` of reference/stiff.py, in the native engine followed by its pivots);
+    it counts while there are rates at t.
+    """
 
     h: float = 0.0
     error: float = 1e-4
     first: Array | None = None
+    carried: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
