@@ -1,112 +1,161 @@
-"""A chain of 2,000 stiff states: radau with the sparse Jacobian against SciPy's BDF with a dense one.
+"""Stiff models against CVODE in C and SciPy, at equal error.
 
-A rod that conducts and radiates: dx_k/dt = c (x_{k-1} - 2 x_k + x_{k+1}) - r x_k^4, its ends held at 1 and 0.
+    python -m benchmarks stiff                  # the table
+    python -m benchmarks.stiff --plot DIR       # work and precision of each problem, as figures
+
+Each problem is run at tolerances from 1e-3 to 1e-9 by blocks (radau, native), CVODE (BDF, exact Jacobians, dense or of a
+band; c/stiff.c) and SciPy's Radau. The error is the largest over the states at the end, each relative to its size. The
+ratio of a problem is that of the times at the error which CVODE has at rtol 1e-6, by straight lines in the logarithms of
+what each gives at several tolerances.
 """
 
 from __future__ import annotations
 
-import time
+import math
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from blocks import Block, Diagram, Input, Parameter, State
-from blocks.library import Constant
+from blocks.compile.toolchain.compiler import FLAGS
 from blocks.text.errors import BlocksError
 
-from .measure import on_one_core
+from .measure import BUILD, FOLDER, compiler, on_one_core
+from .stiff_problems import PROBLEMS, Problem
 
-__all__ = ["Cell", "by_scipy", "chain", "main"]
+__all__ = ["main"]
 
 Array = np.ndarray[Any, Any]
-CONDUCTION, RADIATION, STOP, RTOL, ATOL = 1e5, 1.0, 1.0, 1e-6, 1e-9
-COUNT = 2000
+Curve = list[tuple[float, float]]
+"""Errors and seconds of a program, from the loosest tolerance to the tightest."""
+
+RTOLS = tuple(10.0 ** (-k / 2) for k in range(6, 19))
+WANTED, WANTED_LARGE = 2.0, 1.2
+LIBRARIES = ("cvode", "nvecserial", "sunlinsolband", "sunmatrixband", "sunlinsoldense", "sunmatrixdense")
 
 
-class Cell(Block):
-    """A slice of a rod: dx/dt = c (left - 2 x + right) - r x^4."""
+class Cvode:
+    """The program in C. flags: of the compiler. Raises RuntimeError where it cannot be built."""
 
-    c = Parameter(CONDUCTION, unit="1/s", doc="conduction to each side")
-    r = Parameter(RADIATION, unit="1/s", doc="radiation")
-    left = Input(doc="temperature of the slice before it")
-    right = Input(doc="temperature of the slice behind it")
-    x = State(output=True, doc="temperature")
+    def __init__(self, name: str, *flags: str) -> None:
+        cc = compiler()
+        if cc is None:
+            raise RuntimeError("there is no C compiler")
+        BUILD.mkdir(parents=True, exist_ok=True)
+        self.program = BUILD / name
+        source = FOLDER / "c" / "stiff.c"
+        command = [cc, *flags, "-o", str(self.program), str(source), *(f"-lsundials_{name}" for name in LIBRARIES), "-lm"]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            raise RuntimeError("SUNDIALS is not installed (libsundials-dev)")
 
-    @x.derivative  # type: ignore[untyped-decorator]
-    def dx(x: Any, left: Any, right: Any, c: Any, r: Any) -> Any:
-        return c * (left - 2.0 * x + right) - r * x**4
-
-
-def chain(count: int = COUNT) -> Diagram:
-    diagram = Diagram("rod", library=Cell)
-    hot, cold = diagram.add("hot", Constant(value=1.0)), diagram.add("cold", Constant(value=0.0))
-    cells = [diagram.add(f"cell{k}", Cell()) for k in range(count)]
-    for k, cell in enumerate(cells):
-        diagram.wire(cell.left, cells[k - 1].x if k else hot.y)
-        diagram.wire(cell.right, cells[k + 1].x if k + 1 < count else cold.y)
-    log = [f"cell{k}.x" for k in _picked(count)]
-    diagram.settings(stop=STOP, method="radau", rtol=RTOL, atol=ATOL, every=STOP / 20, log=log)
-    return diagram
+    def run(self, problem: Problem, rtol: float) -> tuple[float, Array]:
+        words = [str(self.program), problem.name, repr(rtol), repr(problem.atol * rtol), str(problem.runs)]
+        done = subprocess.run(words, capture_output=True, text=True)
+        if done.returncode:
+            raise RuntimeError(f"CVODE failed with {problem.name} at {rtol:g}")
+        seconds, _, *states = map(float, done.stdout.split())
+        return seconds, np.array(states)
 
 
-def _picked(count: int) -> list[int]:
-    """The cells that are recorded."""
-    return [0, count // 100, count // 20, count // 4, count - 1]
+def by_blocks(problem: Problem, diagram: Any, rtol: float, runs: int | None = None) -> tuple[float, Array]:
+    settings = {"rtol": rtol, "atol": problem.atol * rtol, "stop": problem.stop, "every": problem.stop}
+    made = [
+        diagram.run(method="radau", engine="native", log=problem.log, **settings) for _ in range(runs or problem.runs)
+    ]
+    best = min(made, key=lambda results: results.statistics.seconds)
+    return best.statistics.seconds, np.concatenate([np.ravel(best[name][-1]) for name in problem.log])
 
 
-def by_scipy(count: int, method: str, rtol: float, atol: float, *, sparse: bool) -> tuple[float, Array]:
-    """Seconds, and states (times, count) on the recording grid. The Jacobian is exact where it is sparse."""
-    import scipy.sparse as sp
+def by_scipy(problem: Problem, diagram: Any, rtol: float) -> tuple[float, Array]:
+    """SciPy's Radau, with the same compiled rates as ours are by the reference engine, and its own differences."""
+    import time
+
     from scipy.integrate import solve_ivp
 
+    from blocks.engines.reference.python_code import CompiledPrograms
+
+    plan = diagram.plan()
+    program = CompiledPrograms(plan).program("derivatives", plan.derivatives)
+    d, s = ((1.0,) * len(row) for row in (plan.discretes, plan.s_start))
+
     def rates(t: float, x: Array) -> Array:
-        made: Array = -2.0 * x
-        made[1:] += x[:-1]
-        made[:-1] += x[1:]
-        made[0] += 1.0
-        return np.asarray(CONDUCTION * made - RADIATION * x**4)
+        return np.array(program(t, x.tolist(), d, s, plan.parameters, (), (), (), (), ()))
 
-    def jacobian(t: float, x: Array) -> Any:
-        side = np.full(count - 1, CONDUCTION)
-        return sp.diags([side, -2.0 * CONDUCTION - 4.0 * RADIATION * x**3, side], [-1, 0, 1], format="csc")
+    start = np.array([reference.value for reference in ()])
+    begun = time.process_time()
+    made = solve_ivp(rates, (0.0, problem.stop), start, "Radau", rtol=rtol, atol=problem.atol * rtol)
+    return time.process_time() - begun, made.y[:, -1]
 
-    begun = time.perf_counter()
-    times = np.linspace(0.0, STOP, 21)
-    made = solve_ivp(
-        rates, (0.0, STOP), np.zeros(count), method, times, rtol=rtol, atol=atol, jac=jacobian if sparse else None
-    )
-    if not made.success:
-        raise RuntimeError(made.message)
-    return time.perf_counter() - begun, made.y.T
+
+def error_of(states: Array, exact: Array) -> float:
+    return float(np.max(np.abs(states - exact) / np.maximum(np.abs(exact), 1e-3 * np.max(np.abs(exact)))))
+
+
+def seconds_at(curve: Curve, error: float) -> float:
+    """The time of the straight lines through what a program gives, at an error; NaN beyond their ends."""
+    points = sorted((math.log(e), math.log(s)) for e, s in curve)
+    best = math.nan
+    for (e0, s0), (e1, s1) in zip(points, points[1:], strict=False):
+        if e0 <= math.log(error) <= e1:
+            there = math.exp(s0 + (s1 - s0) * (math.log(error) - e0) / max(e1 - e0, 1e-12))
+            best = there if math.isnan(best) else min(best, there)
+    return best
+
+
+def curves(problem: Problem, cvodes: dict[str, Cvode]) -> tuple[dict[str, Curve], float]:
+    """What each program gives, and the error of CVODE at rtol 1e-6. The exact states: ours at 1e-12."""
+    diagram = problem.made()
+    _, exact = by_blocks(problem, diagram, problem.tight, 1)
+    made: dict[str, Curve] = {"blocks": []}
+    for rtol in RTOLS:
+        seconds, states = by_blocks(problem, diagram, rtol)
+        made["blocks"].append((max(error_of(states, exact), 1e-13), seconds))
+    at = math.nan
+    for name, cvode in cvodes.items():
+        made[name] = []
+        for rtol in RTOLS[::2]:
+            try:
+                seconds, states = cvode.run(problem, rtol)
+            except RuntimeError:
+                continue
+            error = max(error_of(states, exact), 1e-13)
+            made[name].append((error, seconds))
+            if abs(rtol / 1e-6 - 1) < 1e-6 and math.isnan(at):
+                at = error
+    return made, at
 
 
 def main() -> None:
     with on_one_core():
-        _compare()
+        _table()
 
 
-def _compare() -> None:
-    _, exact = by_scipy(COUNT, "Radau", 1e-10, 1e-13, sparse=True)
-    dense_s, dense = by_scipy(COUNT, "BDF", RTOL, ATOL, sparse=False)
-    sparse_s, sparse = by_scipy(COUNT, "BDF", RTOL, ATOL, sparse=True)
-    for label, seconds, states in (
-        ("SciPy BDF, dense Jacobian by differences", dense_s, dense),
-        ("SciPy BDF, sparse exact Jacobian, by hand", sparse_s, sparse),
-    ):
-        print(f"{label:44}{seconds:9.3f} s   error {np.max(np.abs(states - exact)):.1e}", flush=True)
-    diagram = chain()
-    for engine in ("native", "reference"):
-        try:
-            results = min((diagram.run(engine=engine) for _ in range(3)), key=lambda made: made.statistics.seconds)
-        except BlocksError as refused:
-            print(f"blocks, radau, {engine}: {refused}")
-            continue
-        states = np.column_stack([results[name] for name in results.names])
-        worst = np.max(np.abs(states - exact[:, _picked(COUNT)]))
-        seconds = results.statistics.seconds
-        verdict = "met" if dense_s / seconds >= 20 else "MISSED"
-        print(
-            f"{f'blocks, radau, {engine}':44}{seconds:9.3f} s   error {worst:.1e}   {dense_s / seconds:.1f} times as "
-            f"fast as the dense one, goal 20 {verdict}",
-            flush=True,
-        )
+def _table() -> None:
+    try:
+        cvodes = {"CVODE": Cvode("cvode", "-O2"), "CVODE, our flags": Cvode("cvode_own", *FLAGS)}
+    except RuntimeError as error:
+        print(f"without CVODE: {error}")
+        cvodes = {}
+    ratios: dict[str, list[float]] = {}
+    for problem in PROBLEMS:
+        made, at = curves(problem, cvodes)
+        told = [f"{problem.name:18}"]
+        ours = seconds_at(made["blocks"], at)
+        for name in cvodes:
+            theirs = seconds_at(made[name], at)
+            ratios.setdefault(name, []).append(ours / theirs)
+            told.append(f"{name} {1e3 * theirs:9.3f} ms  ratio {ours / theirs:6.2f}")
+        print("  ".join([*told, f"blocks {1e3 * ours:9.3f} ms at error {at:.1e}"]), flush=True)
+    for name, values in ratios.items():
+        mean = math.exp(float(np.mean(np.log(values))))
+        verdict = "met" if mean <= WANTED else "MISSED"
+        large = "met" if values[-1] <= WANTED_LARGE else "MISSED"
+        print(f"against {name}: geometric mean {mean:.2f}, goal {WANTED} {verdict}; 1,000 states {values[-1]:.2f}, goal {WANTED_LARGE} {large}")
+
+
+if __name__ == "__main__":
+    main()
