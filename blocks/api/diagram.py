@@ -829,7 +829,6 @@ class Diagram:
         return export(
             value, flat, plan(flat), path,
             fmi=fmi, kinds=kinds, platforms=platforms, name=name, overrides=parameters, version=__version__,
-            method=str(settings.get("method") or ""),
             drawing=self.draw(variants=variants) if len(value.blocks) <= MOST_DRAWN else "",
         )  # fmt: skip
 

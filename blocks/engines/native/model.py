@@ -19,7 +19,7 @@ from ...compile.c.emit_cache import emitted, plan_key
 from ...compile.c.model_code import Emitted
 from ...compile.c.runtime_grid import grid_of
 from ...compile.c.runtime_tables import RuntimeTables
-from ...compile.c.runtime_texts import RUNTIME, packaged
+from ...compile.c.runtime_texts import RUNTIME, packaged, stiff_units
 from ...compile.plan import Node, Plan, Reference
 from ...compile.tableaus import STIFF
 from ...compile.toolchain.compiler import TranslationUnit, build, load
@@ -65,13 +65,11 @@ class Model(RuntimeTables):
         headers = packaged(*RUNTIME)
         other, *more = ("fmu_bridge.c", "fmu_bridge.h", "fmu_types.h") if plan.foreign else ("batch.c", "batch.h")
         beside = headers | packaged(*more)
+        stiff = ("jacobian.c", *stiff_units(method)) if method in STIFF else ()
         units = [
             TranslationUnit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True),
             TranslationUnit(other, packaged(other)[other], beside, is_shared=True),
-            *(
-                TranslationUnit(name, text, headers, is_shared=True)
-                for name, text in packaged(*(("jacobian.c", "factors.c", "radau.c") if method in STIFF else ())).items()
-            ),
+            *(TranslationUnit(name, text, headers, is_shared=True) for name, text in packaged(*stiff).items()),
             TranslationUnit("model.c", self.emitted.source, beside if plan.foreign else headers),
         ]
         guesses = [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]

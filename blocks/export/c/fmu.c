@@ -262,6 +262,11 @@ static int failed(Fmu *f)
                            value, t);
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s the step became too small: %s %s", t, state,
                        is_bad ? "is not finite after it" : "moves too fast for the tolerance");
+    case BLOCKS_NOT_CONVERGED:
+        culprit = bad_state(f);
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s the step of the stiff method became too small%s%s", t,
+                       culprit < 0 ? "" : ": not finite is ",
+                       culprit < 0 ? "" : name_in(names->state_names, names->nstates, culprit));
     case BLOCKS_NOT_A_NUMBER:
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the crossing %s is not a number after t = %.17g s",
                        name_in(names->cause_names, ncauses, culprit), t);
@@ -1138,6 +1143,7 @@ static void walk_all(Fmu *f, Walk *w)
     WALK_ROW(s->own, m->nevents), WALK_ROW(s->located, m->ns), WALK_ROW(s->sides, m->ns);
     WALK_ROW(s->fired, f->setup.ncauses), WALK_ROW(s->crossed, m->ns ? CROWD : 0);
     if (m->stages) WALK_ROW(s->k[0], m->nx + m->ns);
+    WALK_ROW(s->carried, s->ncarried);
     WALK_ROW(s->before, m->nx + m->ns), WALK_ROW(s->base, m->nu), WALK_ROW(s->aim, m->nu);
     WALK_ROW(s->begin, m->nu), WALK_ROW(s->finish, m->nu);
     WALK_ROW(f->input, m->nu), WALK_ROW(f->terms, 5 * m->nu), WALK_ROW(f->settings, fmu_model.nsettings);
@@ -1207,6 +1213,7 @@ int fmu_restore(Fmu *f, const FmuSaved *saved)
     fmu_forget(undo);
     configure(f);
     s->slice = INFINITY;
+    s->is_factored = 0;
     s->polynomials = f->live.has_slopes ? &f->polynomials : NULL;
     f->polynomials.t0 = f->live.slopes_at;
     f->live.known = 0;
