@@ -70,7 +70,7 @@ def emit(
     end: str = "",
 ) -> Emitted:
     """The model of a Plan. measured, logged: what its programs of these names give. method: whose stepping loop is
-    compiled ("euler", "rk4", "dopri5"; any other: none). loops: False prints every call by itself. others: what further
+    compiled ("euler", "rk4", "dopri5", "radau", "auto"; any other: none). loops: False prints every call by itself. others: what further
     programs give, by their names; end: C text at the end."""
     return _Emitter(plan, loops, looked_at(plan, measured, logged)).emitted(method, others, end)
 
@@ -251,12 +251,13 @@ class _Emitter(PlanReader):
 
         nodes = [cause.node for cause in plan.crossings]
         moving = any(self.level[node] == MOVING for node in nodes)
-        is_long = self.rates(sink, moving and method in METHODS)
+        loop = "dopri5" if method == "auto" else method  # whose stepping loop it begins by
+        is_long = self.rates(sink, moving and loop in METHODS)
         if moving:
             self.rates_and_sides(nodes, sink)
             if is_long:
                 self.define("rates", "    rates_and_sides(m, t, x, out);")
-        quick = self.quick_measures(sink, method, moving=moving)
+        quick = self.quick_measures(sink, loop, moving=moving)
         self.define("crossings", self.continuous("crossings", nodes, [sink(k, n, "side") for k, n in enumerate(nodes)]))
         watched = {name: self.watched[name] for name in ("logged", "measured", "remembered")}
         for name, asked in {"solutions": plan.unknowns, **watched, **others}.items():
@@ -579,7 +580,8 @@ class _Emitter(PlanReader):
         states += [f"static const int sides_at[] = {{{sides}}};\n"] if moving else []
         sizes["NLOGGED_STATES"] = len(self.states_of["logged"])
         macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
-        macros.append(f"#define BLOCKS_METHOD_{method.upper() if method in (*METHODS, *STIFF) else 'NONE'} 1\n")
+        methods = ("dopri5", "auto") if method == "auto" else (method if method in (*METHODS, *STIFF) else "none",)
+        macros += [f"#define BLOCKS_METHOD_{name.upper()} 1\n" for name in methods]
         source = "".join([
             f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n',
             '#include "fmu_bridge.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",

@@ -32,7 +32,7 @@ from ..run.history import Past, Store
 from ..run.measures import Measures
 from ..run.memory_estimate import COPIES
 from ..run.saved_state import State, fit, standing
-from ..run.snapshot import MethodMemory, Snapshot, frozen
+from ..run.snapshot import MethodMemory, Snapshot, frozen, told_method
 from ..run.step_parts import Unseen, unseen_faults
 from .model import Model, model_of
 from .rows import Handle, array, track_table
@@ -390,7 +390,7 @@ class NativeEngine:
             tuple(self._ticks.tolist()),
             tuple(self._events.tolist()),
             tuple(self._own.tolist()),
-            MethodMemory(sim.h, sim.error, first, carried),
+            MethodMemory(sim.h, sim.error, first, carried, (sim.hits, sim.calm, sim.stiff_from)),
             sim.fixed,
             self._past(),
             tuple(self._z.tolist()),
@@ -468,6 +468,7 @@ class NativeEngine:
         self._ticks[:] = now.ticks
         self._events[:], self._own[:] = now.events, now.own
         sim.h, sim.error, sim.fixed = now.memory.h, now.memory.error, now.fixed
+        sim.hits, sim.calm, sim.stiff_from = (int(now.memory.stiffness[0]), int(now.memory.stiffness[1]), now.memory.stiffness[2])
         if now.memory.first is not None:
             array(sim.k[0], self._nx)[:] = now.memory.first[self.model.order]
             sim.has_first = 1
@@ -636,7 +637,8 @@ class NativeEngine:
         self._take_over()
         sim, model = self.sim, self.model
         whole = self._rows()
-        statistics = Statistics(self.settings.method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants)
+        method = told_method(self.settings.method, sim.stiff_from)
+        statistics = Statistics(method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants)
         pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
         events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), tuple(model.told_as))
         measures, uncovered = self._measures().results(self.t)

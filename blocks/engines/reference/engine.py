@@ -19,7 +19,7 @@ import numpy as np
 
 from ...compile.inputs import InputTable
 from ...compile.plan import Plan, Reference
-from ...compile.tableaus import METHODS, Tableau
+from ...compile.tableaus import METHODS, Tableau, end_apart
 from ...compile.time_grid import Grid, within_ulps
 from ...fmi.patience import patient
 from ...results.results import Event, Statistics
@@ -29,7 +29,7 @@ from ..run.history import POWERS, Past
 from ..run.measures import Measures
 from ..run.model_exchange import Foreigns
 from ..run.saved_state import State, fit, standing
-from ..run.snapshot import MethodMemory, Snapshot, frozen
+from ..run.snapshot import MethodMemory, Snapshot, frozen, told_method
 from ..run.step_parts import longest_step
 from ..run.step_polynomial import Interpolant
 from . import event_location, stiff
@@ -37,7 +37,7 @@ from .chattering import CrossingWatch, ProgressWatch
 from .event_update import Instants
 from .failures import Failures
 from .inside_step import InsideStep, in_time
-from .methods import error_norm, first_step, trial, worst
+from .methods import Trial, error_norm, first_step, trial, worst
 from .python_code import CompiledPrograms, Evaluator
 from .rows import Row, RunRows
 
@@ -50,6 +50,8 @@ Rates = Callable[[float, Array], Array]
 # PI control of the step (Hairer, Norsett and Wanner, IV.2): the exponents of dopri5 with beta = 0.04.
 _BETA = 0.04
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 10.0
+# A run is stiff where so many steps say so, without so many in a row between that do not (docs/semantics.md, "Methods").
+_HITS, _CALM = 15, 6
 
 _ENDS = np.array([1 / 1024, 1 / 256, 1 / 64, 1 / 16])
 _ON_THE_WAY = np.array([*_ENDS, 0.25, 0.5, 0.75, *(1.0 - _ENDS[::-1]), 1.0])
@@ -362,7 +364,12 @@ class ReferenceEngine:
 
         An instant is outstanding at the end where there is one.
         """
-        if self.settings.method == "radau":
+        hits, calm, since = self.now.memory.stiffness
+        if hits == _HITS and math.isnan(since):
+            since = self.now.t
+            self.now = replace(self.now, memory=replace(self.now.memory, stiffness=(hits, calm, since)))
+        is_stiff = not math.isnan(since)
+        if self.settings.method == "radau" or is_stiff:
             self._stiff_step(target, exact)
         elif self.fixed is not None:
             self._fixed_step(self.fixed, target, exact)
@@ -450,9 +457,27 @@ class ReferenceEngine:
         if step < h:  # cut short by the target: the proposal before it still counts
             proposed = max(proposed, h)
         memory = MethodMemory(proposed, max(error, 1e-4), attempt.last)
+        if self.settings.method == "auto":
+            memory = replace(memory, stiffness=self._stiffness(attempt))
         self.pace.step(self.steps + 1, now.t, t1, now.x, first, self._rates, self._weights(), self.rows.end)
         flow = self._flow(tableau, first)
         self._accept(attempt.interpolant(), t1, attempt.x1, memory, flow, target, exact, now.fixed)
+
+    def _stiffness(self, step: Trial) -> tuple[float, float, float]:
+        """How many steps say that the run is stiff, and since when it is, after another one.
+
+        Stability limits a step where h |df/dx|, as its last two stages have it, which both stand at its end, is near the
+        edge. Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2.
+        """
+        hits, calm, _ = self.now.memory.stiffness
+        weights = 1.0 / (self.atol + self.settings.rtol * np.abs(step.x1))
+        rates = weights * (step.k[-1] - step.k[-2])
+        states = weights * (end_apart(step.tableau) @ step.k[:-1])
+        if float(rates @ rates) > 3.25**2 * float(states @ states):
+            hits, calm = hits + 1, 0.0
+        else:
+            hits, calm = (0.0, calm + 1) if calm + 1 == _CALM else (hits, calm + 1)
+        return hits, calm, math.nan
 
     def _slopes(self, t: float, x: Array) -> Array:
         """The Jacobian of the rates; that at a step's begin is kept, as the search for a crossing asks for it often."""
@@ -486,7 +511,8 @@ class ReferenceEngine:
             self.rejected += method.rejected
             self.blamed += method.blamed
             method.rejected, method.blamed[:] = 0, 0
-        memory = MethodMemory(made.proposed, made.error, frozen(made.last), made.carried.row(values))
+        stiffness = now.memory.stiffness
+        memory = MethodMemory(made.proposed, made.error, frozen(made.last), made.carried.row(values), stiffness)
 
         def flow(h: float) -> Array:
             return method.flow(now.t, now.x, h, self.atol, rtol)
@@ -747,7 +773,7 @@ class ReferenceEngine:
     def recorded(self) -> Recorded:
         t, values = self.rows.recording.arrays()
         statistics = Statistics(
-            self.settings.method, self.name, self.steps, self.rejected, self.evaluations, self.instant_count
+            told_method(self.settings.method, self.now.memory.stiffness[2]), self.name, self.steps, self.rejected, self.evaluations, self.instant_count
         )
         measures, uncovered = self.measures.results(self.now.t if self.has_begun else -math.inf)
         warnings = (*self.instants.foreign.warnings, *uncovered, *self.inside.unseen())

@@ -181,6 +181,7 @@ def packed(state: State) -> bytes:
             "h": array([s.memory.h, s.memory.error]),
             "first": None if s.memory.first is None else array(s.memory.first),
             **({} if s.memory.carried is None else {"carried": array(s.memory.carried)}),
+            **({"stiffness": array(s.memory.stiffness)} if state.method[0] == "auto" else {}),
         },
         "fixed": str(s.fixed),
         "z": array(s.z),
@@ -408,6 +409,9 @@ def _snapshot(tree: Mapping[str, Any], arrays: _Arrays, past: Past | None, plan:
     first = tree["memory"]["first"]
     rows = [None if row is None else frozen(array(row).copy()) for row in (first, tree["memory"].get("carried"))]
     memory = MethodMemory(h, error, *rows)
+    if "stiffness" in tree["memory"]:
+        hits, calm, since = numbers(tree["memory"]["stiffness"])
+        memory = replace(memory, stiffness=(hits, calm, since))
     snapshot = Snapshot(
         numbers(tree["t"])[0],
         None if tree["exact"] is None else _fraction(tree["exact"]),

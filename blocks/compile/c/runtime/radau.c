@@ -365,6 +365,7 @@ int blocks_stiff_run(BlocksSim *s, double target)
 {
     /* Of a run that goes on from a snapshot, factors are made anew, bit for bit as they were. */
     if (first_rates(s)) return BLOCKS_FAILED;
+    if (s->carried[RATE] == 0.0) forget(s); /* another method or an older state has kept nothing */
     if (s->carried[FACTORED] > 0.0 && !s->is_factored && take_factors(s, s->carried[FACTORED])) s->carried[FACTORED] = 0.0;
     s->is_factored = 1;
     for (;;) {

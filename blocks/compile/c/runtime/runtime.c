@@ -2154,6 +2154,8 @@ restore:
 
 void blocks_rows(BlocksSim *s)
 {
+    s->model = s->setup->model;
+    if (s->model->stiff && !isnan(s->stiff_from)) s->model = s->model->stiff;
     for (int r = 0; r < s->model->nrates; r++) s->memory.k[r] = (double)s->ticks[r];
     s->model->prepare(&s->memory);
     s->model->refresh(&s->memory);
@@ -2327,7 +2329,7 @@ static void forget_rows(BlocksRows *rows)
 
 void blocks_reset(BlocksSim *s)
 {
-    const BlocksModel *model = s->model;
+    const BlocksModel *model = s->model = s->setup->model;
     forget_rows(&s->rows);
     s->rows.columns = model->nlogged;
     s->rows.capacity = 1024;
@@ -2339,7 +2341,9 @@ void blocks_reset(BlocksSim *s)
     s->row = 0;
     s->slice = 0.05;
     s->soft = INFINITY;
-    s->exact = s->has_first = s->has_before = s->outstanding = s->crossing = s->changed = s->has_left = s->is_factored = 0;
+    s->exact = s->has_first = s->has_before = s->outstanding = s->crossing = s->changed = s->has_left = s->is_factored = s->hits = s->calm = 0;
+    s->stiff_from = NAN;
+    for (int64_t i = 0; i < s->ncarried; i++) s->carried[i] = 0.0;
     s->steps = s->rejected = s->evaluations = s->instants = 0;
     for (int i = 0; i < model->nx; i++) s->blamed[i] = 0;
     s->failure = BLOCKS_FINE;

@@ -75,6 +75,7 @@ struct BlocksModel {
     BlocksProgram foreign_inputs;
     int32_t ntaken; /* how many values it gives */
     const BlocksImplicit *implicit; /* of a stiff method; null: none. See stiff.h */
+    const BlocksModel *stiff;       /* the same by radau, for runs that are found to be stiff; null: they are not asked */
 };
 
 /* Equally spaced times (start + k step) / unit. */
@@ -293,6 +294,8 @@ struct BlocksSim {
     double *carried;     /* (ncarried) what it keeps from step to step; it counts while the rates at t do */
     int64_t ncarried;
     int32_t is_factored; /* whether its factors are those that `carried` speaks of */
+    int32_t hits, calm;  /* of runs that are asked whether they are stiff: steps that say so, and those since that do not */
+    double stiff_from;   /* when it was found; NaN: not yet */
 };
 
 #if defined(BLOCKS_INSIDE) /* a part of a library that shows other functions */
@@ -342,6 +345,9 @@ int blocks_chatters(BlocksSim *s, double step);
 int blocks_misses(BlocksSim *s, double *given);
 int blocks_measures_in(const BlocksSim *s, double t0, double t1);
 int blocks_measure_whole(BlocksSim *s, double t0, double t1);
+
+/* A run is stiff where so many steps say so, without so many between that do not; see docs/semantics.md, "Methods". */
+enum { BLOCKS_HITS = 15, BLOCKS_CALM = 6 };
 
 /* Whether a step is one of those that are looked at: after so many others. */
 #define BLOCKS_PACE 512
