@@ -81,6 +81,7 @@ METHODS = {
 STIFF = ("radau", "auto")
 """The methods that need the Jacobian of a diagram; see `runtime/radau.c`. auto begins by dopri5."""
 
+
 def end_apart(tableau: Tableau) -> Array:
     """By which weights of rates the states of the last stage, over h, are apart from those of the one before it."""
     last, before = tableau.a[-1], tableau.a[-2]

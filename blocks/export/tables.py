@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 
 from ..compile.c.bindings_code import bindings_c
+from ..compile.c.c_text import ints, reals, table, texts
 from ..compile.c.functions import number
+from ..compile.c.jacobian_code import jacobian_text
 from ..compile.c.runtime_grid import grid_of
 from ..compile.c.runtime_tables import RuntimeTables
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan, Reference
 from ..model.settings import RunSettings
-from ..compile.c.c_text import ints, reals, table, texts
 from .fmu_model import Dependencies
-from ..compile.c.jacobian_code import jacobian_text
 from .variables import Variables
 
 __all__ = ["tables_text"]
@@ -43,7 +43,7 @@ def tables_text(
     offsets = [0]
     for values in plan.tables:
         offsets.append(offsets[-1] + len(values))
-    derived = jacobian_text(jacobian, offsets, made.place, "blocks_probed")
+    derived = jacobian_text(jacobian, offsets, made.place.tolist(), "blocks_probed")
     parts = ["/* Tables of the diagram. */\n", '#include "fmu_model.h"\n#include "fmu.h"\n\n', setup, derived.text]
     rows, members, strings = _variables(variables)
     parts += [table("FmuVariable", "variables", rows), reals("members", members), texts("strings", strings)]

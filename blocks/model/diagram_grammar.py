@@ -210,8 +210,8 @@ RUN = Object(
     _later("start", TIME, "Start time, in s.", 0),
     _later("stop", TIME, "Stop time, in s. It must be given here or where the run is started."),
     _later("method", Choice(METHODS), (
-        "dopri5: variable steps; radau: variable steps, for stiff models; auto: dopri5, and radau once a run is found to be "
-        "stiff; rk4, euler: fixed steps (`step`)."
+        "dopri5: variable steps; radau: variable steps, for stiff models; auto: dopri5, then radau if a run is found "
+        "to be stiff; rk4, euler: fixed steps (`step`)."
     ), "dopri5"),
     _later("step", DURATION, "Step of rk4 and euler, in s."),
     _later("rtol", Scalar(what="a number between 0 and 1", low=LEAST_RTOL, below=1), (

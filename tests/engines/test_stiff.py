@@ -173,7 +173,7 @@ def test_the_matrix_is_sparse_where_that_pays(count: int, sparse: bool) -> None:
 
 
 def test_a_dense_and_a_sparse_matrix_give_one_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Within what the rounding of two eliminations does: a matrix of a linear diagram converges in rounding errors alone."""
+    """Within what rounding errors do: of a linear diagram they alone decide how the iteration converges."""
     settings: dict[str, Any] = {"stop": 0.1, "method": "radau", "rtol": 1e-6, "atol": 1e-9, "every": 0.01}
     sparse = ladder(100).run(engine="reference", **settings)
     monkeypatch.setattr(stiff, "_SPARSE_FROM", 1000)

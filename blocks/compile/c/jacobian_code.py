@@ -88,7 +88,7 @@ def jacobian_text(
         sums.append(row)
         most = max(most, size)
     texts.append(table("BlocksSum", "sums", sums))
-    gates = {
+    gates: dict[str, list[tuple[int, Any]]] = {
         "off_partials": [(side, [*numbers]) for side, numbers in made.off_partials],
         "off": [(side, np.flatnonzero(mask[order])) for side, mask in made.off],
     }
@@ -115,7 +115,8 @@ def jacobian_text(
 
 
 def in_order(made: PlanJacobian, x_at: Sequence[int]) -> tuple[Array, Array, Array]:
-    """The pattern of rates by states (indptr, indices) with state i at place x_at[i], and where its values stand in made."""
+    """The pattern of rates by states (indptr, indices), where state i stands at x_at[i]; and where its values stand in
+    made."""
     at = np.array(x_at, dtype=np.intp)
     columns, rows = at[np.repeat(np.arange(len(at)), np.diff(made.indptr))], at[made.indices]
     order = np.lexsort((rows, columns))

@@ -70,8 +70,8 @@ def emit(
     end: str = "",
 ) -> Emitted:
     """The model of a Plan. measured, logged: what its programs of these names give. method: whose stepping loop is
-    compiled ("euler", "rk4", "dopri5", "radau", "auto"; any other: none). loops: False prints every call by itself. others: what further
-    programs give, by their names; end: C text at the end."""
+    compiled ("euler", "rk4", "dopri5", "radau", "auto"; any other: none). loops: False prints every call by itself.
+    others: what further programs give, by their names; end: C text at the end."""
     return _Emitter(plan, loops, looked_at(plan, measured, logged)).emitted(method, others, end)
 
 
@@ -529,8 +529,9 @@ class _Emitter(PlanReader):
         self.define("slope_outputs", self.continuous("slope_outputs", made.outputs, plain))
         derived = jacobian_text(made, self.offsets, self.x_at, "slope_outputs", is_square=True)
         order = elimination(*in_order(made, self.x_at)[:2])
-        text = "#define ELIMINATION 0\n" if order is None else ints("elimination", order) + "#define ELIMINATION elimination\n"
-        return f'\n#include "stiff.h"\n{derived.text}static const BlocksJacobian slopes = {derived.initializer};\n{text}'
+        table, name = ("", "0") if order is None else (ints("elimination", order), "elimination")
+        own = f"static const BlocksJacobian slopes = {derived.initializer};\n{table}#define ELIMINATION {name}\n"
+        return f'\n#include "stiff.h"\n{derived.text}{own}'
 
     def looked_at(self, name: str) -> str:
         """The tables of what is looked at inside a step: the states that it needs, and how else it moves."""

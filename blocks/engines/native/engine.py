@@ -468,7 +468,8 @@ class NativeEngine:
         self._ticks[:] = now.ticks
         self._events[:], self._own[:] = now.events, now.own
         sim.h, sim.error, sim.fixed = now.memory.h, now.memory.error, now.fixed
-        sim.hits, sim.calm, sim.stiff_from = (int(now.memory.stiffness[0]), int(now.memory.stiffness[1]), now.memory.stiffness[2])
+        hits, calm, sim.stiff_from = now.memory.stiffness
+        sim.hits, sim.calm = int(hits), int(calm)
         if now.memory.first is not None:
             array(sim.k[0], self._nx)[:] = now.memory.first[self.model.order]
             sim.has_first = 1

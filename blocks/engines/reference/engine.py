@@ -50,7 +50,7 @@ Rates = Callable[[float, Array], Array]
 # PI control of the step (Hairer, Norsett and Wanner, IV.2): the exponents of dopri5 with beta = 0.04.
 _BETA = 0.04
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 10.0
-# A run is stiff where so many steps say so, without so many in a row between that do not (docs/semantics.md, "Methods").
+# A run is stiff where so many steps say so, without so many in a row between (docs/semantics.md, "Methods").
 _HITS, _CALM = 15, 6
 
 _ENDS = np.array([1 / 1024, 1 / 256, 1 / 64, 1 / 16])
@@ -118,7 +118,7 @@ class ReferenceEngine:
         self.changed = True  # whether an input or a parameter was set since the last instant
         self.left: Row | None = None  # the row before an input or a parameter was set
         self.sides = _UNKNOWN  # a time, and the values of all crossings at it
-        self.sloped: tuple[Snapshot | None, Any] = (None, None)  # where the Jacobian is known, and what it is
+        self.sloped: tuple[Snapshot | None, Array] = (None, np.empty(0))  # where the Jacobian is known, and what it is
         self.located = _UNKNOWN  # a located crossing: its time, and how far beyond it each changed crossing then was
         self.stiff: stiff.Radau | None = None  # the stiff method, and the factors that it has
         self.crossed, self.pace, self.measures = CrossingWatch(plan, self.instants), ProgressWatch(plan), Measures(plan)
@@ -466,8 +466,8 @@ class ReferenceEngine:
     def _stiffness(self, step: Trial) -> tuple[float, float, float]:
         """How many steps say that the run is stiff, and since when it is, after another one.
 
-        Stability limits a step where h |df/dx|, as its last two stages have it, which both stand at its end, is near the
-        edge. Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2.
+        Stability limits a step where h |df/dx|, as its last two stages have it, which both stand at its end, is near
+        the edge. Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2.
         """
         hits, calm, _ = self.now.memory.stiffness
         weights = 1.0 / (self.atol + self.settings.rtol * np.abs(step.x1))
@@ -485,7 +485,7 @@ class ReferenceEngine:
         is_now = t == now.t and np.array_equal(x, now.x)
         if is_now and self.sloped[0] is now:
             return self.sloped[1]
-        slopes = stiff.Slopes.of(self.compiled).at(self._memory(t, x), lambda x: self._rates(t, x))
+        slopes: Array = stiff.Slopes.of(self.compiled).at(self._memory(t, x), lambda x: self._rates(t, x))
         if is_now:
             self.sloped = (now, slopes)
         return slopes
@@ -772,9 +772,9 @@ class ReferenceEngine:
 
     def recorded(self) -> Recorded:
         t, values = self.rows.recording.arrays()
-        statistics = Statistics(
-            told_method(self.settings.method, self.now.memory.stiffness[2]), self.name, self.steps, self.rejected, self.evaluations, self.instant_count
-        )
+        method = told_method(self.settings.method, self.now.memory.stiffness[2])
+        counts = (self.steps, self.rejected, self.evaluations, self.instant_count)
+        statistics = Statistics(method, self.name, *counts)
         measures, uncovered = self.measures.results(self.now.t if self.has_begun else -math.inf)
         warnings = (*self.instants.foreign.warnings, *uncovered, *self.inside.unseen())
         return Recorded(t, values, tuple(self.events), measures, statistics, warnings)

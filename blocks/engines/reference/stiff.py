@@ -22,6 +22,7 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -144,7 +145,8 @@ class Carried:
     def of_row(cls, row: Array, n: int, values: int) -> Carried:
         numbers, rest = row[:5].tolist(), row[5:]
         slopes = frozen(rest[3 * n : 3 * n + values].copy()) if numbers[4] else None
-        return cls(*numbers[:4], rest[: 3 * n].reshape(3, n), slopes)
+        length, error, rate, factored, _ = numbers
+        return cls(length, error, rate, factored, rest[: 3 * n].reshape(3, n), slopes)
 
 
 class _Factors:
@@ -171,7 +173,7 @@ class _Factors:
                 factors = lu_factor(shift * np.eye(n) - matrix, check_finite=False) if n else (np.empty((0, 0)), [])
             if not np.all(np.diag(factors[0]) != 0.0):
                 raise ArithmeticError("the matrix of a step is singular")
-            self.solvers.append(lambda b, lu=factors: lu_solve(lu, b, check_finite=False) if n else b)
+            self.solvers.append(partial(lu_solve, factors, check_finite=False) if n else lambda b: b)
 
 
 @dataclass(frozen=True)
@@ -310,8 +312,8 @@ class Radau:
         needed = max(10.0 * _EPS / rtol, min(0.03, math.sqrt(rtol)))
         z = np.zeros((3, len(x)))
         if carried.length > 0.0:
-            theta = 1.0 + _C * h / carried.length
-            z = (theta[:, None] ** np.arange(1, 4) - 1.0) @ carried.polynomial
+            there = 1.0 + _C * h / carried.length
+            z = (there[:, None] ** np.arange(1, 4) - 1.0) @ carried.polynomial
         w = _TI @ z
         rate, before, ratio, theta = max(carried.rate, _EPS) ** 0.8, 0.0, 0.0, _SLOW
         for k in range(_ITERATIONS):

@@ -407,8 +407,10 @@ def _snapshot(tree: Mapping[str, Any], arrays: _Arrays, past: Past | None, plan:
     array, numbers = arrays.array, arrays.numbers
     h, error = numbers(tree["memory"]["h"])
     first = tree["memory"]["first"]
-    rows = [None if row is None else frozen(array(row).copy()) for row in (first, tree["memory"].get("carried"))]
-    memory = MethodMemory(h, error, *rows)
+    first, carried = (
+        None if row is None else frozen(array(row).copy()) for row in (first, tree["memory"].get("carried"))
+    )
+    memory = MethodMemory(h, error, first, carried)
     if "stiffness" in tree["memory"]:
         hits, calm, since = numbers(tree["memory"]["stiffness"])
         memory = replace(memory, stiffness=(hits, calm, since))

@@ -33,9 +33,9 @@ def told_method(method: str, stiff_from: float) -> str:
 class MethodMemory:
     """What a method keeps from step to step: the proposed step (0: none yet), the last error, the rates at t.
 
-    carried: of a stiff method, all else (`Carried.row` of reference/stiff.py, in the native engine followed by its pivots);
-    it counts while there are rates at t. stiffness: of auto, how many steps say that the run is stiff, how many since then
-    that it is not, and since when it is (NaN: it is not).
+    carried: of a stiff method, all else (`Carried.row` of reference/stiff.py, in the native engine followed by its
+    pivots); it counts while there are rates at t. stiffness: of auto, how many steps say that the run is stiff, how
+    many since then that it is not, and since when it is (NaN: it is not).
     """
 
     h: float = 0.0
