@@ -22,6 +22,7 @@ from . import (
     native_engine,
     prepared,
     reference_engine,
+    sparse,
     start,
     startup,
     stiff,
@@ -49,6 +50,7 @@ BENCHMARKS = {
     "master": master.main,
     "streamed": streamed.main,
     "drawing": drawing.main,
+    "sparse": sparse.main,
 }
 
 

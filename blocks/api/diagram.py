@@ -488,6 +488,7 @@ class Diagram:
         engine: str | None = None,
         variants: Mapping[str, str] | None = None,
         trust: Paths = (),
+        lanes: str = "exact",
         **settings: Any,
     ) -> Batch:
         """The function from rows of values to rows of measures, compiled once: for sweeps and for any optimiser.
@@ -496,13 +497,15 @@ class Diagram:
         ("control_*.eso.Ka"; * stands for a part of one name), or elements ("pid.k[0]"). measures: which ones; None:
         all. log: signals that come out on a grid: that of `every`, else of 200 intervals. Inputs are those of the
         diagram and of its run; other arguments as of `run`. Each row gives bit for bit what `run` gives with its
-        values. Raises ModelError, UsageError, CompilerError.
+        values; with lanes="fast" what it gives within its tolerance, several rows at once in each core, where the
+        diagram and the machine have such lanes (`Batch.lanes`, else `Batch.warnings`). Raises ModelError, UsageError,
+        CompilerError.
         """
         from .batch import Batch
 
         return Batch(
             taken(self.value, variants), self._draft.types, names,
-            measures=measures, log=signal_names(log), parameters=parameters, engine=engine, trust=trust,
+            measures=measures, log=signal_names(log), parameters=parameters, engine=engine, trust=trust, lanes=lanes,
             settings=settings,
         )  # fmt: skip
 
@@ -527,6 +530,7 @@ class Diagram:
         out: str | Path | None = None,
         resume: bool = True,
         on: Any = None,
+        lanes: str = "exact",
         **settings: Any,
     ) -> Any:
         """Runs with varied parameters, as a table: a `Sweep`.
@@ -542,7 +546,8 @@ class Diagram:
         name, what is taken of the linear model of each row, as in study files: {"gm": {"type": "gain_margin", "loop":
         "control.u"}}; nan where a row has none, and its message says why. scenarios: by name, parameters set on top;
         all rows run in each, with equal seeds. threads: how many; None: all cores. budget: the most steps of a run.
-        progress: called with the number of rows that are done, and of all. Other arguments as of `run`.
+        progress: called with the number of rows that are done, and of all. lanes: as for `batch`; `Sweep.lanes` says
+        which. Other arguments as of `run`.
 
         out: a Parquet file. Rows are written to its part, `out` and ".part", as they are done; where a part of this
         very sweep is there already, it goes on from it, bit for bit as if it had never stopped, unless `resume` is
@@ -558,7 +563,7 @@ class Diagram:
             "sweep", self, vary,
             n=n, sampler=sampler, seed=seed, measures=measures, log=signal_names(log), margins=margins,
             scenarios=scenarios, parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads,
-            budget=budget, progress=progress, out=out, resume=resume, on=on, **settings,
+            budget=budget, progress=progress, out=out, resume=resume, on=on, lanes=lanes, **settings,
         )  # fmt: skip
 
     def tune(
@@ -577,6 +582,7 @@ class Diagram:
         trust: Paths = (),
         threads: int | None = None,
         progress: Callable[[int, int], None] | None = None,
+        lanes: str = "exact",
         **settings: Any,
     ) -> Any:
         """A `Tuning`: the values within bounds for which `minimize` is least and all of `subject_to` hold.
@@ -588,7 +594,7 @@ class Diagram:
         without any. subject_to: "noisy.variation <= 75"; one of bare names holds in each scenario. method: "cma"
         (CMA-ES, package cma) or "de" (differential evolution of SciPy). budget: so many candidates are run, each once
         in every scenario, all with the run seed of the diagram. seed: of the optimiser. The others as for
-        `Diagram.run`, and threads and progress as for a batch.
+        `Diagram.run`, and threads, progress and lanes as for a batch: the result is run once more by itself, exactly.
 
         A candidate whose run fails, diverges or takes more than 20 times the steps of the diagram's own run (and 10,000
         more) has no fitness. Of two candidates, one that fulfils all constraints is better than one that does not, then
@@ -603,7 +609,7 @@ class Diagram:
             "tune", self,
             minimize=minimize, over=over, scenarios=scenarios, subject_to=subject_to, method=method, budget=budget,
             seed=seed, parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads,
-            progress=progress, settings=settings,
+            progress=progress, lanes=lanes, settings=settings,
         )  # fmt: skip
 
     def fit(

@@ -94,8 +94,10 @@ SHARES = (*((1 - math.sqrt(3 / 7) * side) / 2 for side in (1, 0, -1)), 0.367879,
 
 def c_header() -> str:
     """The methods for steps.h, each where its macro BLOCKS_METHOD_... is set: sizes, DENSE, its weights at SHARES, and
-    as code MAKE_STEP, the stages and the end of a step, and ERROR(i), what e makes of rates."""
-    return "".join(f"#if BLOCKS_METHOD_{name.upper()}\n{_c_text(tableau)}#endif\n" for name, tableau in METHODS.items())
+    as code MAKE_STEP, the stages and the end of a step, and ERROR(i), what e makes of rates. REAL is a number; lanes
+    define it before."""
+    texts = (f"#if BLOCKS_METHOD_{name.upper()}\n{_c_text(tableau)}#endif\n" for name, tableau in METHODS.items())
+    return "".join(["#ifndef REAL\n#define REAL double\n#endif\n", *texts])
 
 
 def _c_text(tableau: Tableau) -> str:
@@ -109,7 +111,7 @@ def _c_text(tableau: Tableau) -> str:
     text += "#define MAKE_STEP"
     for n, row in enumerate(tableau.a, start=1):
         end, then = "x1" if n == last else "xs", "h" if tableau.c[n] == 1 else f"{tableau.c[n]!r} * h"
-        text += f" \\\n    const double *restrict k{n - 1} = k[{n - 1}];"
+        text += f" \\\n    const REAL *restrict k{n - 1} = k[{n - 1}];"
         text += f" \\\n    EACH {end}[i] = x[i] + h * ({_c_sum(row)}); \\\n    STAGE({n}, t + {then}, {end});"
     if tableau.e is not None:
         text += f"\n#define END_APART {{{', '.join(map(repr, end_apart(tableau).tolist()))}}}"

@@ -80,9 +80,9 @@ def simulation(
         raise no_room(what.name, float(what.settings.start), 0.0) from None
 
 
-def compiled_model(what: Plan | Coupling, *, engine: str | None = None) -> Any:
+def compiled_model(what: Plan | Coupling, *, engine: str | None = None, lanes: Any = None) -> Any:
     """The compiled model of a Plan, for `simulation`; None where another engine runs it. Raises CompilerError (E60x)
-    where the native one is asked for and it cannot be compiled.
+    where the native one is asked for and it cannot be compiled. lanes: the `Machine` whose lanes run several at once.
     """
     name = _chosen(engine)
     if not isinstance(what, Plan):
@@ -92,7 +92,7 @@ def compiled_model(what: Plan | Coupling, *, engine: str | None = None) -> Any:
     from .native.model import model_of
 
     try:
-        return model_of(what, what.log, what.settings.method)
+        return model_of(what, what.log, what.settings.method, lanes=lanes)
     except CompilerError as error:
         if name == "native" or error.faults[0].place == "$CC":
             raise

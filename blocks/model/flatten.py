@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from itertools import islice
@@ -29,6 +29,7 @@ from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .diagram import VERSION, DiagramValue
 from .diagram_grammar import MEASURE_NUMBERS, MEASURES, RUN
 from .hierarchy import DiagramScope, Hierarchy, Leaf, Resolver, Spot
+from .parts import Parts
 from .settings import MeasureSpec, RunSettings, read_settings, seed_of
 from .values import expressions_in, is_expression, names_in
 from .variants import taken
@@ -91,6 +92,7 @@ class _Signals(Mapping[str, FlatSignal]):
     def __init__(self) -> None:
         self._known: dict[str, FlatSignal | tuple[int, Port]] = {}
         self.told_when_asked: set[str] = set()  # recorded where they are named only
+        self.moved: Callable[[tuple[Source, ...]], tuple[Source, ...]] = tuple  # to the parts of blocks
 
     def add(self, name: str, signal: FlatSignal | tuple[int, Port]) -> None:
         """Take in a signal, or an output of a block by the block's index."""
@@ -99,10 +101,10 @@ class _Signals(Mapping[str, FlatSignal]):
     def __getitem__(self, name: str) -> FlatSignal:
         entry = self._known[name]
         if isinstance(entry, FlatSignal):
-            return entry
+            return entry if self.moved is tuple else replace(entry, sources=self.moved(entry.sources))
         index, port = entry
         sources = tuple(BlockSource(index, port.variable, port.first + k) for k in range(port.size))
-        return FlatSignal(name, sources, port.shape, port.units, port.type)
+        return FlatSignal(name, self.moved(sources), port.shape, port.units, port.type)
 
     def __contains__(self, name: object) -> bool:
         return name in self._known
@@ -130,7 +132,10 @@ class FlatEnabled:
 
 @dataclass(frozen=True, slots=True)
 class Flat:
-    """A diagram without hierarchy. `diagram`: its source, which knows where the blocks stand in the text."""
+    """A diagram without hierarchy. `diagram`: its source, which knows where the blocks stand in the text.
+
+    parts: by the index of a block that was taken apart, its parts, which come after all others.
+    """
 
     name: str
     blocks: tuple[FlatBlock, ...]
@@ -144,6 +149,7 @@ class Flat:
     enabled: tuple[FlatEnabled, ...] = ()
     diagram: DiagramValue | None = field(default=None, compare=False, repr=False)
     stepped_by: tuple[str, ...] = ()  # the parameters from which the step of a fixed-step method is computed
+    parts: Mapping[int, range] = field(default_factory=dict)
 
     def placed(self, fault: Fault) -> Fault:
         """The fault with the place in the text of the block that it names, where there is one."""
@@ -297,6 +303,12 @@ class _Flattener:
         assert all(child is not None for scope in self.hierarchy.scopes for child in scope.children.values())
         enabled = self.controlled(blocks)
         self.faults.check()
+        parts = Parts(blocks)
+        if parts.given:
+            signals.moved = parts.moved
+            enabled = tuple(
+                replace(e, members=parts.members(e.members), resets=parts.members(e.resets)) for e in enabled
+            )
         return Flat(
             self.diagram.name,
             tuple(blocks),
@@ -310,6 +322,7 @@ class _Flattener:
             enabled,
             self.diagram,
             self.stepped_by,
+            parts.of,
         )
 
     def of_older_versions(self) -> Iterator[Fault]:

@@ -30,8 +30,9 @@ from ..tableaus import METHODS, STIFF
 from ..tick_stages import stages_of, tick_program
 from .c_text import ints
 from .calls import SAME, print_program, print_selected
-from .functions import comment
+from .functions import LANES, comment, function_text
 from .jacobian_code import elimination, in_order, jacobian_text
+from .lane_code import LANE_PROGRAMS, LaneCode
 from .loops import Call, Copy, Sink
 from .plan_reader import MOVING, PlanReader, ProgramScope
 from .ticks import Clique, Stage, cliques
@@ -47,7 +48,8 @@ class Emitted:
     """A model: its C text, and the data that belongs to it.
 
     x_order: the Plan's index of each state of the model. numbers, tables: the rows n and c. sizes: the macros
-    BLOCKS_..., by their names without the prefix, where they are numbers.
+    BLOCKS_..., by their names without the prefix, where they are numbers. lanes: the C text of several runs side by
+    side; "": it was not asked for.
     """
 
     source: str
@@ -56,6 +58,7 @@ class Emitted:
     tables: tuple[float, ...]
     cliques: tuple[Clique, ...]
     sizes: Mapping[str, int]
+    lanes: str = ""
 
 
 @paused()
@@ -68,11 +71,16 @@ def emit(
     loops: bool = True,
     others: Mapping[str, Sequence[Reference]] = MappingProxyType({}),
     end: str = "",
+    lanes: bool = False,
 ) -> Emitted:
     """The model of a Plan. measured, logged: what its programs of these names give. method: whose stepping loop is
     compiled ("euler", "rk4", "dopri5", "radau", "auto"; any other: none). loops: False prints every call by itself.
-    others: what further programs give, by their names; end: C text at the end."""
-    return _Emitter(plan, loops, looked_at(plan, measured, logged)).emitted(method, others, end)
+    others: what further programs give, by their names; end: C text at the end. lanes: whether programs of several runs
+    side by side are printed too."""
+    emitter = _Emitter(plan, loops, looked_at(plan, measured, logged))
+    if lanes:
+        emitter.lanes = LaneCode(lambda name: function_text(name, *emitter.printed_as[name], LANES))
+    return emitter.emitted(method, others, end)
 
 
 _SIGNATURES = {
@@ -89,6 +97,8 @@ _SIGNATURE = "const BlocksMemory *m, double t, const double *x, double *out"
 
 
 class _Emitter(PlanReader):
+    lanes: LaneCode | None = None
+
     def continuous(
         self,
         name: str,
@@ -150,6 +160,11 @@ class _Emitter(PlanReader):
             is_aliased=self.is_in_prepare, is_hot=name in RATES,
         )  # fmt: skip
         self.scratch = max(self.scratch, printed.scratch)
+        if self.lanes is not None and name in LANE_PROGRAMS:
+            wide = print_program(
+                name, calls, copies, self.place, self.tables, x_at=self.x_at, loops=self.loops, numbers=LANES
+            )
+            self.lanes.add(name, wide, calls)
         if not printed.same:
             functions = printed.functions
             if name not in (*RATES, "logged", "plain_measured", "bent_measured") or len(functions) > LONGEST:
@@ -356,6 +371,8 @@ class _Emitter(PlanReader):
             for what, items in (("STATES", states), ("COLUMNS", columns)):
                 rows = ", ".join(map(str, items)) or "0"
                 self.texts.append(f"#define BLOCKS_{name.upper()}_{what} {{{rows}}}\n")
+                if self.lanes is not None:
+                    self.lanes.texts.append(self.texts[-1])
         return sizes
 
     def refresh(self) -> None:
@@ -582,11 +599,16 @@ class _Emitter(PlanReader):
         sizes["NLOGGED_STATES"] = len(self.states_of["logged"])
         macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
         methods = ("dopri5", "auto") if method == "auto" else (method if method in (*METHODS, *STIFF) else "none",)
-        macros += [f"#define BLOCKS_METHOD_{name.upper()} 1\n" for name in methods]
+        chosen = [f"METHOD_{name.upper()}" for name in methods]
+        macros += [f"#define BLOCKS_{name} 1\n" for name in chosen]
         source = "".join([
             f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n',
             '#include "fmu_bridge.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",
             "\n".join(self.texts), self.looks(), slopes, '\n#include "steps.h"\n', end,
         ])  # fmt: skip
         table = tuple(value for values in plan.tables for value in values)
-        return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes)
+        lanes = ""
+        if self.lanes is not None:
+            tables = self.tables.text + (states[-1] if moving else "")
+            lanes = self.lanes.source(plan.name, sizes | dict.fromkeys(chosen, 1), tables)
+        return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes, lanes)

@@ -50,6 +50,7 @@ class PlanReader:
         self.tables = Tables()
         self.functions: dict[object, Function] = {}
         self.texts: list[str] = []
+        self.printed_as: dict[str, tuple[Tape, tuple[int, ...], dict[int, str], dict[int, int], str]] = {}
         self.scratch = 0
         self.same: dict[tuple[str, int, int], None] = {}  # pieces of q and n that loops read as one number if equal
         self.seen_states: dict[int, None] = {}  # of the program at hand
@@ -229,7 +230,8 @@ class PlanReader:
                 names[n] = f"a{n}" if argument is not None else f"q{n}"
         name = f"f{len(self.functions)}"
         computed = needed_from(tape, nodes, names)
-        self.texts.append(function_text(name, tape, nodes, names, tables, what))
+        self.printed_as[name] = tape, nodes, names, tables, what
+        self.texts.append(function_text(name, *self.printed_as[name]))
         arguments = tuple(int(tape.nodes[n].value) if tape.nodes[n].op == "argument" else -1 for n in names)
         function = Function(name, tuple(names), arguments, len(nodes), 1 + len(computed), is_costly(tape, computed))
         self.functions[key] = function

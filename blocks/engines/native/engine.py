@@ -89,6 +89,8 @@ class NativeEngine:
             self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan), self.model.place)
         self._handle = self._made()
         self._handle.setup.is_silent = int(is_silent)
+        if is_silent:
+            self._handle.setup.every.is_given = 0  # no row is made that nobody takes
         self._measured = self.model.measures_of(plan)
         self._views()
         self._clear()
