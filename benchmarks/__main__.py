@@ -11,7 +11,9 @@ from blocks.text.errors import BlocksError
 
 from . import (
     drawing,
+    editing,
     fmu,
+    instants,
     large_fmu,
     linear,
     live,
@@ -37,6 +39,7 @@ BENCHMARKS = {
     "p1": native_engine.main_p1,
     "p2": native_engine.main_p2,
     "irregular": native_engine.main_irregular,
+    "instants": instants.main,
     "prepared": prepared.main,
     "many_runs": many_runs.main,
     "start": start.main,
@@ -47,6 +50,7 @@ BENCHMARKS = {
     "large_fmu": large_fmu.main,
     "linear": linear.main,
     "live": live.main,
+    "editing": editing.main,
     "master": master.main,
     "streamed": streamed.main,
     "drawing": drawing.main,

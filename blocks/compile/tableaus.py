@@ -112,7 +112,7 @@ def _c_text(tableau: Tableau) -> str:
     for n, row in enumerate(tableau.a, start=1):
         end, then = "x1" if n == last else "xs", "h" if tableau.c[n] == 1 else f"{tableau.c[n]!r} * h"
         text += f" \\\n    const REAL *restrict k{n - 1} = k[{n - 1}];"
-        text += f" \\\n    EACH {end}[i] = x[i] + h * ({_c_sum(row)}); \\\n    STAGE({n}, t + {then}, {end});"
+        text += f" \\\n    EACH({end}[i] = x[i] + h * ({_c_sum(row)})); \\\n    STAGE({n}, t + {then}, {end});"
     if tableau.e is not None:
         text += f"\n#define END_APART {{{', '.join(map(repr, end_apart(tableau).tolist()))}}}"
     return text + ("\n" if tableau.e is None else f"\n#define ERROR(i) ({_c_sum(tableau.e)})\n")

@@ -145,9 +145,13 @@ class LaneCode:
         if printed.functions:
             self.texts.append(printed.functions)
         self.scratch = max(self.scratch, printed.scratch)
+        self.define(name, printed.body)
+
+    def define(self, name: str, body: str) -> None:
+        """A program of a body that is printed."""
         real, memory = LANES.real, LANES.memory
         head = f"static inline void {name}(const {memory} *m, {real} t, const {real} *restrict x, {real} *restrict out)"
-        self.texts.append(f"{head}\n{{\n    (void)m, (void)t, (void)x, (void)out;\n{printed.body}\n}}\n")
+        self.texts.append(f"{head}\n{{\n    (void)m, (void)t, (void)x, (void)out;\n{body}\n}}\n")
 
     def source(self, name: str, macros: Mapping[str, object], tables: str) -> str:
         """All of it. macros: by their names without BLOCKS_."""

@@ -98,6 +98,7 @@ _SIGNATURE = "const BlocksMemory *m, double t, const double *x, double *out"
 
 class _Emitter(PlanReader):
     lanes: LaneCode | None = None
+    is_long = False  # whether the rates are
 
     def continuous(
         self,
@@ -160,7 +161,7 @@ class _Emitter(PlanReader):
             is_aliased=self.is_in_prepare, is_hot=name in RATES,
         )  # fmt: skip
         self.scratch = max(self.scratch, printed.scratch)
-        if self.lanes is not None and name in LANE_PROGRAMS:
+        if self.lanes is not None and (name in LANE_PROGRAMS or (name == "crossings" and self.is_long)):
             wide = print_program(
                 name, calls, copies, self.place, self.tables, x_at=self.x_at, loops=self.loops, numbers=LANES
             )
@@ -267,13 +268,18 @@ class _Emitter(PlanReader):
         nodes = [cause.node for cause in plan.crossings]
         moving = any(self.level[node] == MOVING for node in nodes)
         loop = "dopri5" if method == "auto" else method  # whose stepping loop it begins by
-        is_long = self.rates(sink, moving and loop in METHODS)
-        if moving:
+        self.rates(sink)
+        has_own_sides = moving and not (self.is_long and loop in METHODS)
+        if has_own_sides:
             self.rates_and_sides(nodes, sink)
-            if is_long:
-                self.define("rates", "    rates_and_sides(m, t, x, out);")
         quick = self.quick_measures(sink, loop, moving=moving)
         self.define("crossings", self.continuous("crossings", nodes, [sink(k, n, "side") for k, n in enumerate(nodes)]))
+        if moving and not has_own_sides:  # compiling long rates twice takes longer than computing some values twice
+            self.sides = tuple(range(len(nodes)))
+            body = "    rates(m, t, x, out);\n    crossings(m, t, x, out + BLOCKS_NX);"
+            self.define("rates_and_sides", body)
+            if self.lanes is not None:
+                self.lanes.define("rates_and_sides", body)
         watched = {name: self.watched[name] for name in ("logged", "measured", "remembered")}
         for name, asked in {"solutions": plan.unknowns, **watched, **others}.items():
             self.define(name, self.continuous(name, asked, plain(asked)))
@@ -303,9 +309,7 @@ class _Emitter(PlanReader):
         self.compare_lanes()
         return self.finished(method, cliques, moving, slopes, end, quick)
 
-    def rates(self, sink: Callable[[int, Node, str], Sink], has_room: bool) -> bool:
-        """The rates; or nothing, and True, where they are long and crossings can follow them: compiling them twice
-        would take longer than computing some crossings in vain."""
+    def rates(self, sink: Callable[[int, Node, str], Sink]) -> None:
         nodes = self.plan.derivatives
         sinks = [sink(k, node, "zero") for k, node in enumerate(nodes)]
         scope = ProgramScope({}, {}, {}, True, is_hot=True)
@@ -317,12 +321,8 @@ class _Emitter(PlanReader):
         copies.sort(key=lambda copy: copy.sink.index)
         printed = len(self.texts)
         body = self.printed("rates", calls, copies, is_hot=True)
-        if has_room and len(body) + sum(map(len, self.texts[printed:])) > LONG:
-            del self.texts[printed:]
-            return True
         self.define("rates", body)
         self.is_long = len(body) + sum(map(len, self.texts[printed:])) > LONG
-        return False
 
     def compare_lanes(self) -> None:
         """Whether all lanes of all loops read the same parameters: reading takes most time where memory is slow."""

@@ -101,8 +101,9 @@ class NativeEngine:
         self._oracle = None
         self.told: list[Array] = []  # pieces of (t, cause)
         self._whole: Array | None = None  # rows that were taken from C, the last one included, which C has too
-        # The first rows stand in memory that results may keep without a copy.
-        self._first = np.empty((self._expected, 1 + len(self.model.logged)))
+        # The first rows stand in memory that results may keep without a copy, where they do.
+        shape = self._expected, 1 + len(self.model.logged)
+        self._first = np.empty(shape) if self.settings.records_jumps else self._handle.rows(shape)
         rows, begin = self._handle.sim.rows, self._first.ctypes.data
         rows.next, rows.end, rows.bytes = begin, begin + self._first.nbytes, float(self._first.nbytes)
 

@@ -94,6 +94,7 @@ class Model(RuntimeTables):
         self._carried: CarriedOrder | None = None
         self._of_measures: tuple[Any, Any, Measures] | None = None
         self._of_settings: tuple[Any, Any, int] | None = None  # of the last run
+        self.spare: list[Any] = []  # memory for rows that no run has now
         library = load(_built(plan, units))
         self.library = _prepared(library, has_batch=not plan.foreign, has_lanes=self.lanes is not None)
         self.address = ctypes.cast(self.library["blocks_model"], ctypes.c_void_p).value

@@ -288,7 +288,8 @@ class ReferenceEngine:
         """The instant at the current time, where everything that stands within 4 ulp happens."""
         now = self.now
         events = [i for i, event in enumerate(now.events) if within_ulps(event, now.t, self.scale)]
-        left = None if is_start or self.is_silent else self.left or self._row()
+        has_left = self.settings.records_jumps and not is_start and not self.is_silent
+        left = self.left or self._row() if has_left else None
         crossed: list[Event] = []
         if self.crossing and self.plan.projections:
             # Crossings in the step fire by the values seen in it, before its end is taken over.
@@ -348,7 +349,8 @@ class ReferenceEngine:
             return
         if self.over is not None:
             self.rows.end = memory[0]
-        self.rows.at_instant(memory[0], left, self._finite(self._logged, memory))
+        if self.rows.wants(memory[0]):
+            self.rows.at_instant(memory[0], left, self._finite(self._logged, memory))
 
     def _finite(self, program: Evaluator, memory: tuple[Any, ...]) -> Row:
         """What a program gives. Raises SimulationError (E303) where it is not finite."""
@@ -754,7 +756,7 @@ class ReferenceEngine:
     def _change(self) -> None:
         # Rows of a step that was interrupted before it counted.
         self.rows.cut(self.now.t)
-        if self.left is None:
+        if self.left is None and self.settings.records_jumps:
             self.left = self._row()
         self.outstanding = self.changed = True
 

@@ -69,9 +69,9 @@ export function start(app) {
         element("span", { class: "name" }, (filter.value ? one.name : one.name.slice(prefix.length)) + shape), element("span", { class: "unit" }, one.unit)));
     }), signals.length);
     groups.faults.shown.hidden = !told.faults.length;
-    put(groups.faults, told.faults.map((one) => element("li", {}, app.remedy?.(one) ?? null, element("button", {
+    put(groups.faults, told.faults.map((one) => element("li", {}, element("button", {
       class: one.warning ? "warning" : "fault", onclick: () => (one.block ? app.reveal(one.block) : app.announce("This fault is of no block.")),
-    }, element("b", {}, one.code), ` ${one.place}: ${one.message}`, element("span", { class: "cure" }, one.cure)))), told.faults.length);
+    }, element("b", {}, one.code), ` ${one.place}: ${one.message}`, element("span", { class: "cure" }, one.cure)), app.remedy?.(one) ?? null)), told.faults.length);
   };
   app.on("document", fill);
   app.on("level", fill);

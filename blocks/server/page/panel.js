@@ -13,6 +13,7 @@ export function start(app) {
       ...(field ? [field] : knob ? [app.knob?.(knob) ?? `${knob.text}${knob.bound ? ` = ${shown(knob.value)} ${knob.unit}` : ""}`] : [to ? link(text, () => app.reveal(to)) : text]),
       known ? link("scope", () => app.openScope([signal]), { title: `Show ${signal} in a scope` }) : null,
       knob ? null : span("unit", unit || known?.unit || ""),
+      ...(app.more?.(path, title, { name, link: to, text }) ?? []),
     ];
     const notes = [note, knob?.why && !knob.bound && `not in a run: ${knob.why}`].filter(Boolean).join("; ");
     return element("li", {}, span("name", name), span("value", ...value.filter(Boolean)), doc ? span("what", doc) : null, notes ? span("notes", notes) : null);

@@ -201,7 +201,7 @@ static void begin_row(Lanes *z, BlocksBatch *b, int l)
 
 /* --- a step ------------------------------------------------------------------------------------------------------ */
 
-#define EACH for (int i = 0; i < NX; i++)
+#define EACH(what) for (int i = 0; i < NX; i++) what
 #define STAGE(n, then, y)                                                                                             \
     do {                                                                                                              \
         if (BLOCKS_NU && z->moves) outside(z, then);                                                                  \
@@ -220,13 +220,13 @@ static void make_step(Lanes *z, V h)
 #if BLOCKS_METHOD_RK4
     const V *restrict k0 = k[0], *restrict k1 = k[1], *restrict k2 = k[2], *restrict k3 = k[3];
     const V h2 = 0.5 * h, h3 = h / 3.0, h6 = h / 6.0;
-    EACH xs[i] = x[i] + h2 * k0[i];
+    EACH(xs[i] = x[i] + h2 * k0[i]);
     STAGE(1, t + h2, xs);
-    EACH xs[i] = x[i] + h2 * k1[i];
+    EACH(xs[i] = x[i] + h2 * k1[i]);
     STAGE(2, t + h2, xs);
-    EACH xs[i] = x[i] + h * k2[i];
+    EACH(xs[i] = x[i] + h * k2[i]);
     STAGE(3, t + h, xs);
-    EACH x1[i] = x[i] + (h6 * k0[i] + h3 * k1[i] + h3 * k2[i] + h6 * k3[i]);
+    EACH(x1[i] = x[i] + (h6 * k0[i] + h3 * k1[i] + h3 * k2[i] + h6 * k3[i]));
     STAGE(4, t + h, x1);
 #else
     MAKE_STEP
@@ -266,14 +266,14 @@ static V error_norm(const Lanes *z, V h)
     const double *restrict atol = setup->atol, rtol = setup->rtol;
     const V *restrict k0 = z->k[0], *restrict k2 = z->k[2], *restrict k3 = z->k[3], *restrict k4 = z->k[4],
             *restrict k5 = z->k[5], *restrict k6 = z->k[6];
-    EACH {
+    for (int i = 0; i < NX; i++) {
         V error = h * ERROR(i), part = lanes_fabs(error) / (atol[i] + rtol * lanes_larger(lanes_fabs(x[i]), lanes_fabs(x1[i])));
         bad += (x1[i] + error) * 0.0;
         most = lanes_larger(part, most);
     }
 #else
     (void)setup, (void)x, (void)h;
-    EACH bad += x1[i] * 0.0;
+    EACH(bad += x1[i] * 0.0);
 #endif
     return lanes_choose(bad == 0.0, most, lanes_of(NAN));
 }
@@ -606,7 +606,7 @@ static void take_before(Lanes *z, int l, double h)
 {
     BlocksSim *s = z->lanes[l].s;
     give_back(z, l);
-    EACH s->x2[i] = s->memory.x[i] + 0.5 * h * s->k[0][i];
+    EACH(s->x2[i] = s->memory.x[i] + 0.5 * h * s->k[0][i]);
     blocks_evaluate(s, s->model->crossings, s->t + 0.5 * h, s->x2, s->crossing_values);
     for (int j = 0; j < NS; j++) z->before[NX + j][l] = s->crossing_values[sides_at[j]];
     s->has_before = 1;
