@@ -33,6 +33,9 @@ Operations = Sequence[Mapping[str, Any]]
 MOST_TEXT = 64 * 2**20
 """Characters of texts that the history holds; the oldest steps are forgotten first."""
 
+FARTHEST = 1e6
+"""Pixels from the origin of a drawing."""
+
 
 def _blank(path: Path) -> None:
     """Write an empty diagram where there is no file, or an empty one. Raises UsageError (E501)."""
@@ -108,6 +111,9 @@ class Editor(Document):
         edit = edit_file(self.file, operations, library=self.library, text=self.text, check=False)
         if edit.texts:
             self._write(edit)
+            if (error := self.error) is not None:  # as of a subdiagram whose file cannot be read
+                self._write(edit.undone)
+                raise error
             self._push(_Step(what, edit))
             self.undone.clear()
         return edit
@@ -240,18 +246,29 @@ class Editor(Document):
         (self._rough.add if earlier else self._rough.discard)(level)
         return rendered(made, value.name)
 
-    def settled(self) -> list[str]:
-        """Draw what was drawn from an earlier picture as `blocks draw` draws it; returns the levels that changed."""
-        changed = []
-        for level in [*self._rough & self._drawings.keys()]:
-            before = self._drawings[level]
-            self._drawings[level] = self._draw(level, None)
-            changed += [level] if self._drawings[level] != before else []
-        self._rough.clear()
-        return changed
+    def rough(self) -> list[tuple[str, Callable[[], tuple[Picture, str]]]]:
+        return [(level, self._well(level)) for level in sorted(self._rough & self._drawings.keys())]
+
+    def _well(self, level: str) -> Callable[[], tuple[Picture, str]]:
+        value, shown = self.value_at(level), self.shown_in(level)
+
+        def draw() -> tuple[Picture, str]:
+            made = picture(value, **shown)
+            return made, rendered(made, value.name)
+
+        return draw
+
+    def settle(self, level: str, made: Picture, text: str) -> bool:
+        """Take a drawing in place of one that was drawn from an earlier picture; returns whether it is another one."""
+        self._rough.discard(level)
+        self._pictures[level] = made
+        before, self._drawings[level] = self._drawings.get(level), text
+        return text != before
 
 
 def move(level: str, name: str, at: Sequence[float]) -> dict[str, Any]:
-    """The operation that places a block or a terminal."""
+    """The operation that places a block or a terminal. Raises UsageError (E501)."""
+    if any(abs(x) > FARTHEST for x in at):
+        raise UsageError(Fault("E501", name, f"would stand farther away than {FARTHEST:g} pixels."))
     to = [int(x) if float(x).is_integer() else x for x in at]
     return {"move": name, "to": to, **({"in": level} if level else {})}

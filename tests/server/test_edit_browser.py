@@ -317,3 +317,37 @@ def test_hostile_names_and_texts_are_shown_as_texts(chromium: Any, tmp_path: Pat
             hands.rest()
         assert not page.evaluate("window.hit || document.querySelector('#stage script, body img')")
         page.assert_clean()
+
+
+def test_what_is_typed_into_fields_stays_and_a_fault_stands_beside_its_field(chromium: Any, tmp_path: Path) -> None:
+    path = tmp_path / "tank.json"
+    with edited_page(chromium, path) as hands:
+        page = hands.page
+        hands.type_block("parameter area=2 m2")
+        hands.type_block("step at=1 after=0.5 unit=m3/s")
+        hands.type_block("tank A==area")
+        page.press("Enter")  # to its values
+        page.until("document.activeElement.ariaLabel === 'tank.A'")
+        assert page.evaluate("document.activeElement.value") == "=area"
+        page.press("Control+a")
+        page.type("3 V")
+        hands.done(lambda: None)  # without Return
+        page.until("document.querySelector('#panel .rows li > .error').innerText.includes('E104')")
+        assert page.evaluate("document.activeElement.ariaLabel") == "tank.A"
+        page.press("Control+a")
+        page.type("=2*area")
+        hands.done(lambda: None)
+        assert Diagram.load(path).value.blocks["tank"].parameters == {"A": "=2*area"}
+        page.press("Escape")
+        assert page.evaluate("document.activeElement.id") == "view"
+        page.until("document.querySelector('#lists .remedies')")
+        hands.button("Connect ...", "#lists")
+        page.until("document.querySelector('dialog li')")
+        hands.done(lambda: page.press("Enter"))
+        page.until("!document.querySelector('#lists .fault')")
+        page.press("Control+s")
+        page.until("document.querySelector('#edits .refusal').innerText.includes('already')")
+        hands.type_block("stop 20")
+        page.press("Shift+R")
+        page.until("document.getElementById('runbar').dataset.state === 'done'")
+        page.assert_clean()

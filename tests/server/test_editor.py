@@ -91,7 +91,8 @@ def test_the_first_move_in_an_automatic_layout_writes_all_positions_and_moves_no
         x, y = before["pid"]
         assert json.loads(path.read_text())["layout"] == before | {"pid": [x + 20, y + 40]}
         assert editor.positions("") == before | {"pid": [x + 20, y + 40]}
-        editor.settled()
+        for level, draw in editor.rough():
+            editor.settle(level, *draw())
         value = Diagram.load(path).value
         shown = rendered(picture(value, ports_of(value, editor.resolver)), value.name)
         assert editor.drawing("") == shown  # at rest it is what `blocks draw` draws
@@ -141,6 +142,79 @@ def test_a_file_that_cannot_be_written_stays_as_it_was(tmp_path: Path) -> None:
                 ask("put", name="pid.kp", text="1")
         assert (path.read_bytes(), len(editor.done)) == (before, steps)
         assert [file.name for file in tmp_path.iterdir()] == ["motor.json"]
+
+
+def test_what_would_make_the_file_unreadable_or_stand_too_far_away_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        loop(ask)
+        before, steps = path.read_bytes(), len(editor.done)
+        for name in ("motor.json", "../../nothing.json"):  # itself, and one that is not there
+            with pytest.raises(BlocksError, match="json"):
+                ask("insert", entry={"diagram": name})
+        for by in ([1e300, 0], [0, -2e6]):
+            with pytest.raises(UsageError, match="farther away than 1e"):
+                ask("place", names=["pid"], by=by)
+        with pytest.raises(UsageError, match="farther away than 1e"):
+            ask("insert", entry={"type": "Gain"}, at=[1e300, 0])
+        assert (path.read_bytes(), len(editor.done)) == (before, steps)
+        ask("put", name="pid.kp", text="3")  # it goes on
+
+
+def test_words_that_are_typed_are_entries_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+
+    def file() -> Any:
+        return json.loads(path.read_text())
+
+    with edited(path) as (ask, _):
+        loop(ask)
+        ask("insert", entry={"type": "Gain"}, text="3")
+        ask("insert", entry={"type": "Gain"}, text="k==2*3")
+        ask("insert", entry={"type": "Sum"}, text="+-")
+        ask("insert", entry={"type": "Trigonometry"}, text="sin")
+        blocks = [file()["blocks"][name]["parameters"] for name in ("gain", "gain2", "sum", "trigonometry")]
+        assert blocks == [{"k": 3}, {"k": "=2*3"}, {"signs": "+-"}, {"function": "sin"}]
+        ask("define", kind="measure", text="peak of=pid.u from=1")
+        ask("define", kind="measure", text="peak of=pid.u")
+        ask("define", kind="measure", text="dip = peak of=pid.u")
+        ask("define", kind="measure", text="dip=IAE of=pid.u")  # another one in its place
+        peak = {"type": "peak", "of": "pid.u"}
+        assert file()["measures"] == {"peak": peak | {"from": 1}, "peak2": peak, "dip": {"type": "IAE", "of": "pid.u"}}
+        ask("define", kind="parameter", text="c=3")
+        ask("describe", of="", text="one\n two ")
+        ask("describe", of="pid", text="a law")
+        ask("describe", of="c", text="a number")
+        assert (file()["doc"], file()["blocks"]["pid"]["doc"]) == (["one", " two"], "a law")
+        assert file()["parameters"]["c"] == {"value": 3, "doc": "a number"}
+        for name in ("", "pid", "c"):
+            ask("describe", of=name, text=" ")
+        assert "doc" not in file()
+        assert file()["parameters"]["c"] in (3, {"value": 3})
+        with pytest.raises(UsageError, match="no such block, parameter or input"):
+            ask("describe", of="nothing", text="x")
+
+
+def test_the_palette_has_types_words_and_the_files_of_the_project(tmp_path: Path) -> None:
+    (tmp_path / "pyproject.toml").write_text("")
+    for name in ("a/one.json", "b/two.json", "b/.hidden.json", "b/no_diagram.json"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        text = "{}" if name.endswith("no_diagram.json") else dumps(Diagram("x").value)
+        (tmp_path / name).write_text(text)
+    with edited(tmp_path / "a/one.json") as (ask, editor):
+        entries = ask("palette")["entries"]
+        assert [one["diagram"] for one in entries if "diagram" in one] == ["../b/two.json"]
+        known = {one["type"]: one for one in entries if "type" in one}
+        assert known["PID"]["takes"][:3] == ["unit", "unit_u", "kp"]
+        assert "Transport Delay" in known["TransportDelay"]["words"]
+        assert all(one["picture"]["strokes"] for one in known.values())
+        assert "Scope" in [one.get("word") for one in entries]
+        ask("insert", entry={"diagram": "../b/two.json"})
+        editor.opens = str
+        assert ask("tab", file="../b/two.json")["url"] == str(tmp_path / "b/two.json")
+        for name in ("../b/no_diagram.json", "../../x.json", "/etc/passwd", ""):
+            with pytest.raises(UsageError):
+                ask("tab", file=name)
 
 
 def test_targets_say_where_a_wire_fits_and_why_not(tmp_path: Path) -> None:

@@ -238,7 +238,7 @@ export function start(app) {
   };
   view.onpointerup = view.onpointercancel = lifted;
   view.onpointerleave = () => hover({});
-  view.ondblclick = (event) => (under(event.clientX, event.clientY).box ? enter() : app.insert ? app.insert("", event) : fit());
+  view.ondblclick = (event) => (under(event.clientX, event.clientY).box ? (enter() === false && app.values?.()) : app.insert ? app.insert("", event) : fit());
   view.addEventListener("wheel", (event) => {
     event.preventDefault();
     const lines = event.deltaMode ? 16 : 1;

@@ -283,6 +283,7 @@ export function start(app) {
   const shortcuts = (event) => {
     const key = event.key.toLowerCase();
     if (event.ctrlKey || event.metaKey) {
+      if (key === "s") return "saved";
       if (key === "z") return event.shiftKey ? "redo" : "undo";
       return { y: "redo", d: "duplicate", g: event.shiftKey ? "ungroup" : "group" }[key];
     }
@@ -311,6 +312,7 @@ export function start(app) {
     else if (isHeld && event.key.toLowerCase() === "a") pick([...app.drawing.boxes().keys()]);
     else if (isHeld && event.key.toLowerCase() === "c" && picked.size) copy();
     else if (isHeld && event.key.toLowerCase() === "x" && picked.size) copy().then((isCopied) => isCopied && remove());
+    else if (event.key === "Enter" && app.block(app.state.selected)?.kind !== "diagram") app.values();
     else if (/^[a-z]$/.test(event.key) && !isHeld && !event.altKey) app.insert(event.key);
     else return false;
     return true;
@@ -328,8 +330,18 @@ export function start(app) {
     const name = shortcuts(event);
     if (!name) return;
     event.preventDefault();
-    if (commands[name].can()) commands[name].go();
+    if (name === "saved") app.announce((refusal.textContent = `All is written in ${app.state.document.file} already.`));
+    else if (commands[name].can()) commands[name].go();
   });
+  /** To the values of what is selected, and back by Escape. */
+  app.values = () => (isAwaited = true) && app.state.panel === app.state.selected && values();
+  let isAwaited = false;
+  const values = () => {
+    if (isAwaited) document.querySelector("#panel .rows input, #panel .rows select")?.focus();
+    isAwaited = false;
+  };
+  app.on("panel", values);
+  document.getElementById("panel").addEventListener("keydown", ({ key }) => key === "Escape" && !bar.hidden && app.drawing.view.focus());
   document.addEventListener("paste", (event) => {
     if (bar.hidden || event.target.closest?.("input, textarea")) return;
     event.preventDefault();
@@ -353,13 +365,16 @@ export function start(app) {
       return false;
     }
   }
+  const fields = new Map();
   /** The field of a parameter that no knob shows: an expression, or one of a diagram that has faults. */
   const field = (path, kind, { name, text, knob }) => {
     const isOwn = !app.block(path);
     if (!(kind === "Parameters" || (kind === "Inputs" && isOwn)) || (knob && !knob.bound)) return null;
     const full = path ? `${path}.${name}` : name;
+    const now = text === "not wired" ? "" : text.replace(/^not wired: /, "");
+    if (fields.has(full)) return fields.get(full)(now);
     const made = element("input", { type: "text", "aria-label": full, autocomplete: "off", spellcheck: "false" });
-    made.value = text === "not wired" ? "" : text.replace(/^not wired: /, "");
+    made.value = now;
     const error = element("span", { class: "error", role: "alert" });
     made.refuse = (...words) => {
       error.replaceChildren(...words);
@@ -377,7 +392,12 @@ export function start(app) {
       timer = setTimeout(take, TYPED);
     };
     made.onchange = take;
-    return element("span", { class: "field" }, made, error);
+    const root = element("span", { class: "field" }, made, error);
+    fields.set(full, (shown) => {
+      if (made.value === taken && !made.ariaInvalid) made.value = taken = shown; // what is typed stays
+      return root;
+    });
+    return root;
   };
   const link = (text, label, onclick) => element("button", { class: "link", "aria-label": label, onclick }, text);
   /** What more can be done with a line of the panel: its wire, or the entry of the diagram itself. */
@@ -438,7 +458,7 @@ export function start(app) {
     if (document.activeElement === document.body) app.drawing.view.focus();
     Object.assign(app, { key, put, field, more, forms, remedy, chosen: (path, name) => ["edit", { level: path.split(".").slice(0, -1).join("."), operations: [name === "base" ? { remove: ["blocks", path.split(".").pop(), "variant"] } : { set: ["blocks", path.split(".").pop(), "variant"], to: name }], what: `variant ${name}` }] });
     for (const { keys, what } of Object.values(commands)) if (keys) app.keys.push([keys, what]);
-    app.keys.push(["Ctrl+C Ctrl+X Ctrl+V", "copy, cut and paste, also as text"], ["Ctrl+arrow", "along a wire to the next block"], ["arrows", "move what is selected"], ["Shift+R Shift+S Shift+F Shift+B", "run anew, stop, show all, analysis: letters insert blocks"]);
+    app.keys.push(["Ctrl+C Ctrl+X Ctrl+V", "copy, cut and paste, also as text"], ["Ctrl+arrow", "along a wire to the next block"], ["arrows", "move what is selected"], ["Enter", "to the values of the selected block; Escape leads back"], ["Shift+R Shift+S Shift+F Shift+B", "run anew, stop, show all, analysis: letters insert blocks"]);
     mark();
   });
 }
