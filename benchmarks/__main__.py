@@ -11,8 +11,10 @@ from blocks.text.errors import BlocksError
 
 from . import (
     drawing,
+    editing,
     fleet,
     fmu,
+    instants,
     large_fmu,
     linear,
     live,
@@ -23,6 +25,7 @@ from . import (
     native_engine,
     prepared,
     reference_engine,
+    sparse,
     start,
     startup,
     stiff,
@@ -37,6 +40,7 @@ BENCHMARKS = {
     "p1": native_engine.main_p1,
     "p2": native_engine.main_p2,
     "irregular": native_engine.main_irregular,
+    "instants": instants.main,
     "prepared": prepared.main,
     "fleet": fleet.main,
     "many_runs": many_runs.main,
@@ -48,9 +52,11 @@ BENCHMARKS = {
     "large_fmu": large_fmu.main,
     "linear": linear.main,
     "live": live.main,
+    "editing": editing.main,
     "master": master.main,
     "streamed": streamed.main,
     "drawing": drawing.main,
+    "sparse": sparse.main,
 }
 
 

@@ -1,6 +1,6 @@
-"""Copies: a fleet of the paper's robots from its file to the first step, a further start, memory, and the time of a step.
+"""Copies: a fleet of the paper's robots: from its file to the first step, a further start, memory, the time of a step.
 
-Starts are measured in processes of their own; steps are rk4 of 1 ms, against one robot and against a loop over robots in
+Starts are measured in processes of their own; steps are rk4 of 1 ms, against one robot and a loop over robots in
 C. At last what it costs that all copies share their steps: relays that switch at different times.
 """
 
@@ -14,7 +14,6 @@ import tempfile
 import threading
 import time
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 from . import diagrams

@@ -18,12 +18,16 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["FOLDER", "Made", "Program", "compiler", "difference", "in_turn", "line", "native", "on_one_core"]
+from blocks.compile.toolchain.compiler import FLAGS as ENGINE_FLAGS
+
+__all__ = ["FOLDER", "Made", "Program", "compiler", "difference", "floors", "in_turn", "line", "native", "on_one_core"]
 
 Array = np.ndarray[Any, Any]
 FOLDER = Path(__file__).resolve().parent
 BUILD = FOLDER.parent / "build" / "benchmarks"
 FLAGS = ("-std=gnu11", "-O2", "-Wall", "-Wextra", "-fPIC", "-shared")
+# Those of the engine that change code: of two floors the lower one counts.
+AS_ENGINE = tuple(flag for flag in ENGINE_FLAGS if flag.startswith("-f") and flag != "-fvisibility=hidden")
 REPEATS = 9
 
 
@@ -47,9 +51,9 @@ def compiler() -> str | None:
 class Program:
     """A C program of benchmarks/c, or the text of one, built and loaded. Raises RuntimeError where that fails."""
 
-    def __init__(self, source: str | Path, signals: int, **defines: int) -> None:
+    def __init__(self, source: str | Path, signals: int, flags: Sequence[str] = (), **defines: int) -> None:
         text = source.read_text(encoding="utf-8") if isinstance(source, Path) else source
-        flags = [*FLAGS, f"-I{FOLDER / 'c'}", *(f"-D{name}={value}" for name, value in defines.items())]
+        flags = [*FLAGS, *flags, f"-I{FOLDER / 'c'}", *(f"-D{name}={value}" for name, value in defines.items())]
         headers = "".join(path.read_text(encoding="utf-8") for path in sorted((FOLDER / "c").glob("*.h")))
         cc = compiler()
         if cc is None:
@@ -92,6 +96,12 @@ class Program:
             raise RuntimeError("the C program failed: its step became too small")
         made = self._rows[: counts[2]]
         return Made(seconds, counts[0], counts[1], made[:, 0], made[:, 1:])
+
+
+def floors(name: str, source: str | Path, signals: int, **defines: int) -> dict[str, Program]:
+    """A C program built as it is, and with the engine's own flags."""
+    kinds = {name: (), f"{name} (engine's flags)": AS_ENGINE}
+    return {kind: Program(source, signals, flags, **defines) for kind, flags in kinds.items()}
 
 
 def native(diagram: Any, **settings: Any) -> Made:

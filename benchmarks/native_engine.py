@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from . import diagrams, irregular
-from .measure import FOLDER, HEAD, Made, Program, difference, in_turn, line, native, on_one_core
+from .measure import FOLDER, HEAD, Made, Program, difference, floors, in_turn, line, native, on_one_core
 
 __all__ = ["main_irregular", "main_p1", "main_p2", "main_robot", "p1_programs", "p2_programs", "robot_programs"]
 
@@ -22,28 +22,29 @@ Run = Callable[[], Made]
 
 
 def p1_programs() -> dict[str, Program]:
-    """P1 in C, in four ways: see benchmarks/c/p1.c. The first is the fastest."""
+    """P1 in C, in four ways, each by two sets of flags: see benchmarks/c/p1.c. The first is the fastest."""
     kinds = {"": (0, 0), ", divisions": (0, 1), ", located": (1, 0), ", located, divisions": (1, 1)}
     path = FOLDER / "c" / "p1.c"
-    return {
-        f"C{kind}": Program(path, len(diagrams.P1_LOG), LOCATED=located, DIVIDED=divided)
-        for kind, (located, divided) in kinds.items()
-    }
+    made: dict[str, Program] = {}
+    for kind, (located, divided) in kinds.items():
+        made |= floors(f"C{kind}", path, len(diagrams.P1_LOG), LOCATED=located, DIVIDED=divided)
+    return made
 
 
 def p2_programs(count: int) -> dict[str, Program]:
     """P2 in C. For one loop the first is that of P1: scalars are faster than arrays of one."""
     path, signals = FOLDER / "c" / "p2.c", len(diagrams.p2_log(count))
-    made = {
-        f"C{kind}": Program(path, signals, N=count, DIVIDED=divided) for kind, divided in (("", 0), (", divisions", 1))
-    }
-    return made if count > 1 else made | {"C": p1_programs()["C"]}
+    made: dict[str, Program] = {}
+    for kind, divided in (("", 0), (", divisions", 1)):
+        made |= floors(f"C{kind}", path, signals, N=count, DIVIDED=divided)
+    fastest = ("C", "C (engine's flags)")
+    return made if count > 1 else made | {name: p1_programs()[name] for name in fastest}
 
 
 def robot_programs() -> dict[str, Program]:
     """The robot in C: with the equations of the blocks, and with others that are equal to them."""
     path = FOLDER / "c" / "robot.c"
-    return {"C": Program(path, 16, ALGEBRA=0), "C, other algebra": Program(path, 16, ALGEBRA=1)}
+    return floors("C", path, 16, ALGEBRA=0) | floors("C, other algebra", path, 16, ALGEBRA=1)
 
 
 def _seconds(name: str, run: Run, kept: dict[str, Made]) -> float:
@@ -71,8 +72,8 @@ def _compared(
     theirs = [name for name in runs if name.startswith("C")]
     for ours in (name for name in runs if name.startswith("native")):
         alike = "C, located" if ours == "native" and "C, located" in theirs else "C"
-        for name in theirs if ours == "native" else theirs[:1]:
-            is_alike = name == alike and ours != "native, measures"
+        for name in theirs if ours == "native" else theirs[:2]:
+            is_alike = name.removesuffix(" (engine's flags)") == alike and ours != "native, measures"
             print(line(f"  {ours} / {name}", made[ours], made[name], goal if is_alike else None))
     for name, one in kept.items():
         errors = difference(one, exact)[picked]
@@ -150,6 +151,7 @@ def main_p2() -> None:
             each = {name: [s / count * 10.0 / stop for s in seconds] for name, seconds in made.items()}
             goal = 1.2 if count <= 1000 else 2.5
             print(line(f"  N = {count}: native, clipped / C", each["native, clipped"], each["C"], goal))
+            print(line("    the same / C (engine's flags)", each["native, clipped"], each["C (engine's flags)"], goal))
             for name in ("C", "C, divisions"):
                 print(line(f"  N = {count}: native / {name}", each["native"], each[name], None))
             for name, one in kept.items():
@@ -165,10 +167,12 @@ def _apart(t: Any, speed: Any, witness: Made) -> float:
 
 
 def main_irregular(count: int = 200) -> None:
-    diagram, program = irregular.draw(count), Program(irregular.program(count), 10)
+    diagram, programs = irregular.draw(count), floors("C", irregular.program(count), 10)
     with on_one_core():
-        made, kept = _measured({"C": partial(program.run, 5.0, step=STEP), "native": partial(native, diagram)})
+        runs: dict[str, Run] = {name: partial(made.run, 5.0, step=STEP) for name, made in programs.items()}
+        made, kept = _measured(runs | {"native": partial(native, diagram)})
     print(f"{count} loops, rk4 1 ms, 5 s, rows each 10 ms\n{HEAD}")
-    print(line("  native / C", made["native"], made["C"], 1.5))
+    for name in programs:
+        print(line(f"  native / {name}", made["native"], made[name], 1.5))
     apart = difference(kept["C"], kept["native"]).max()
     print(f"    {kept['C'].steps} and {kept['native'].steps} steps, largest difference {apart:.0e}")

@@ -528,9 +528,7 @@ def _facts(work: Path) -> dict[tuple[str, str], str]:
         return {(part, name): text for part, name, text in map(json.loads, file)}
 
 
-def _report(
-    parts: list[str], base: dict[tuple[str, str], str], ours: dict[tuple[str, str], str], as_c: bool
-) -> int:
+def _report(parts: list[str], base: dict[tuple[str, str], str], ours: dict[tuple[str, str], str], as_c: bool) -> int:
     """Print what differs, part by part; the number of differences."""
     differing = 0
     for part in PARTS:

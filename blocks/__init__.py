@@ -77,10 +77,10 @@ _LIBRARY = (
     "LookupTable2D", "Lorenz", "LuGreFriction", "MassSpringDamper", "MatchedDisturbance", "MatrixGain", "MinMax",
     "MovingAverage", "MultiportSwitch", "Multisine", "Mux", "Noise", "Norm", "PMDCMotor", "Park", "Polynomial",
     "Power", "Product", "Pulse", "Quadrotor", "Quantizer", "QuarterCar", "Ramp", "RateLimiter", "RateTransition",
-    "Relay", "ResettableIntegrator", "Saturation", "Sawtooth", "SecondOrder", "Selector", "Sign", "Sine", "Sqrt",
-    "SquareWave", "StateSpace", "Step", "Sum", "Switch", "SwitchAbove", "Table", "Tank", "TrackingDifferentiator",
-    "TransferFunction", "TransportDelay", "Trapezoid", "Trigonometry", "TwoLinkArm", "UnitDelay", "VanDerPol",
-    "WheelMixing", "ZeroOrderHold", "ZeroPoleGain",
+    "Reduction", "Relay", "ResettableIntegrator", "Saturation", "Sawtooth", "SecondOrder", "Selector", "Sign",
+    "Sine", "Sqrt", "SquareWave", "StateSpace", "Step", "Sum", "Switch", "SwitchAbove", "SwitchedMatrixGain",
+    "Table", "Tank", "TrackingDifferentiator", "TransferFunction", "TransportDelay", "Trapezoid", "Trigonometry",
+    "TwoLinkArm", "UnitDelay", "VanDerPol", "WheelMixing", "ZeroOrderHold", "ZeroPoleGain",
 )  # fmt: skip
 
 __all__ = sorted([*_PLACES, *_LIBRARY])

@@ -33,6 +33,7 @@ from ..text.live_line import in_rows, live_line
 from ..text.printable import counted, legible
 from ..text.shown import Part, Shown, Table
 from .batch_processes import Worker, in_processes, packed
+from .lanes import Lanes
 from .prepared_model import PreparedModel
 from .run import Run, RunOptions
 from .values import check_settings, time_of
@@ -96,7 +97,8 @@ class Batch(Shown):
     """A diagram of which rows of values are run; see `Diagram.batch`. It stays what it was when it was made.
 
     columns: their names. targets: of each column the parameters that it sets. units: of each column, that of its bare
-    numbers. measures, signals: what comes out.
+    numbers. measures, signals: what comes out. lanes: in which rows run side by side; "": each by itself. warnings:
+    that they were asked for, and why they are not there.
     """
 
     def __init__(
@@ -110,6 +112,7 @@ class Batch(Shown):
         parameters: Mapping[str, Any] | None = None,
         engine: str | None = None,
         trust: Paths = (),
+        lanes: str = "exact",
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         settings = {"log": list(log), **(settings or {})}
@@ -153,6 +156,8 @@ class Batch(Shown):
         self._engine, self._trust = engine, trust
         is_native = compiled_model(first.plan, engine=engine) is not None
         self._why = _why_processes(first.plan, is_native=is_native)
+        self._lanes = Lanes.asked(lanes, first.plan, engine, self._why)
+        self.lanes, self.warnings = self._lanes.told, self._lanes.warnings
         numbers = len(first.plan.parameters) if isinstance(first.plan, Plan) else 0
         self._most = PIECE // (8 * max(1, numbers)) + 1  # rows that are bound at once
         self._forms: dict[str, _Form] = {}  # by the values that fix more than numbers; the last used one goes last
@@ -229,10 +234,13 @@ class Batch(Shown):
         return replace(made.rows(), how=self.how(len(rows), threads))
 
     def how(self, n: int, threads: int | None = None) -> str:
-        """How n rows run: in threads, or in processes and why."""
-        count = max(1, min(threads or cores(), n))
+        """How n rows run: in threads, with lanes or why not, or in processes and why."""
+        beside = self._lanes.width
+        count = max(1, min(threads or cores(), -(-n // beside)))
         if not self._why:
-            return counted(count, "thread")
+            more = f" of {self.lanes}" if self.lanes else ""
+            more += f", without lanes: {self._lanes.why}" if self._lanes.why else ""
+            return counted(count, "thread") + more
         why_here = packed(self)[1]
         if why_here:
             return f"this process alone: {self._why}, and {why_here}"
@@ -342,7 +350,7 @@ class Batch(Shown):
         self._check_times(plan)
         names = {path for paths in self.targets for path in paths} - {*(self._fixed or ())}
         inputs = read_inputs(plan, dict(plan.settings.inputs), interpolation="linear")
-        model = compiled_model(plan, engine=self._engine)
+        model = self._lanes.model(plan, self._engine)
         return _Form(prepared, prepared.rebinding(names), model, inputs, np.array(plan.parameters))
 
     def _run(
@@ -534,8 +542,6 @@ def _why_processes(plan: Plan | Coupling, *, is_native: bool) -> str:
         return "it has FMUs"
     if plan.steppers:
         return "it has programs in Python"
-    if plan.settings.method == "radau":
-        return "radau integrates in Python"
     return "" if is_native else "the reference engine runs it"
 
 

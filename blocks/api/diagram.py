@@ -406,9 +406,9 @@ class Diagram:
 
         inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file, or a list of these.
         parameters: values by path ("motor.Ra"), in place of those of the file. settings: start, method ("dopri5",
-        "rk4", "euler", "radau"), step (fixed-step methods), rtol, atol, every (recording grid; every step without
-        it), jumps (True: rows before and after jumps between those of the grid), stops, seed (an integer, of all
-        noise), loops ("error", "solve"), log (signal names or ports), master (a mapping with any of step, steps,
+        "rk4", "euler", "radau", "auto"), step (fixed-step methods), rtol, atol, every (recording grid; every step
+        without it), jumps (True: rows before and after jumps between those of the grid), stops, seed (an integer, of
+        all noise), loops ("error", "solve"), log (signal names or ports), master (a mapping with any of step, steps,
         algorithm, order, tolerance, couple and iterations, which replace those of the file). resume: a snapshot, or the
         file of one, from which the run goes on as if it had never stopped there; inputs that are given take the place
         of those of the snapshot. engine: "native" (compiled C), "reference" (plain Python), or "auto", the default:
@@ -490,6 +490,7 @@ class Diagram:
         engine: str | None = None,
         variants: Mapping[str, str] | None = None,
         trust: Paths = (),
+        lanes: str = "exact",
         **settings: Any,
     ) -> Batch:
         """The function from rows of values to rows of measures, compiled once: for sweeps and for any optimiser.
@@ -498,13 +499,15 @@ class Diagram:
         ("control_*.eso.Ka"; * stands for a part of one name), or elements ("pid.k[0]"). measures: which ones; None:
         all. log: signals that come out on a grid: that of `every`, else of 200 intervals. Inputs are those of the
         diagram and of its run; other arguments as of `run`. Each row gives bit for bit what `run` gives with its
-        values. Raises ModelError, UsageError, CompilerError.
+        values; with lanes="fast" what it gives within its tolerance, several rows at once in each core, where the
+        diagram and the machine have such lanes (`Batch.lanes`, else `Batch.warnings`). Raises ModelError, UsageError,
+        CompilerError.
         """
         from .batch import Batch
 
         return Batch(
             taken(self.value, variants), self._draft.types, names,
-            measures=measures, log=signal_names(log), parameters=parameters, engine=engine, trust=trust,
+            measures=measures, log=signal_names(log), parameters=parameters, engine=engine, trust=trust, lanes=lanes,
             settings=settings,
         )  # fmt: skip
 
@@ -529,6 +532,7 @@ class Diagram:
         out: str | Path | None = None,
         resume: bool = True,
         on: Any = None,
+        lanes: str = "exact",
         **settings: Any,
     ) -> Any:
         """Runs with varied parameters, as a table: a `Sweep`.
@@ -544,7 +548,8 @@ class Diagram:
         name, what is taken of the linear model of each row, as in study files: {"gm": {"type": "gain_margin", "loop":
         "control.u"}}; nan where a row has none, and its message says why. scenarios: by name, parameters set on top;
         all rows run in each, with equal seeds. threads: how many; None: all cores. budget: the most steps of a run.
-        progress: called with the number of rows that are done, and of all. Other arguments as of `run`.
+        progress: called with the number of rows that are done, and of all. lanes: as for `batch`; `Sweep.lanes` says
+        which. Other arguments as of `run`.
 
         out: a Parquet file. Rows are written to its part, `out` and ".part", as they are done; where a part of this
         very sweep is there already, it goes on from it, bit for bit as if it had never stopped, unless `resume` is
@@ -560,7 +565,7 @@ class Diagram:
             "sweep", self, vary,
             n=n, sampler=sampler, seed=seed, measures=measures, log=signal_names(log), margins=margins,
             scenarios=scenarios, parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads,
-            budget=budget, progress=progress, out=out, resume=resume, on=on, **settings,
+            budget=budget, progress=progress, out=out, resume=resume, on=on, lanes=lanes, **settings,
         )  # fmt: skip
 
     def tune(
@@ -579,6 +584,7 @@ class Diagram:
         trust: Paths = (),
         threads: int | None = None,
         progress: Callable[[int, int], None] | None = None,
+        lanes: str = "exact",
         **settings: Any,
     ) -> Any:
         """A `Tuning`: the values within bounds for which `minimize` is least and all of `subject_to` hold.
@@ -590,7 +596,7 @@ class Diagram:
         without any. subject_to: "noisy.variation <= 75"; one of bare names holds in each scenario. method: "cma"
         (CMA-ES, package cma) or "de" (differential evolution of SciPy). budget: so many candidates are run, each once
         in every scenario, all with the run seed of the diagram. seed: of the optimiser. The others as for
-        `Diagram.run`, and threads and progress as for a batch.
+        `Diagram.run`, and threads, progress and lanes as for a batch: the result is run once more by itself, exactly.
 
         A candidate whose run fails, diverges or takes more than 20 times the steps of the diagram's own run (and 10,000
         more) has no fitness. Of two candidates, one that fulfils all constraints is better than one that does not, then
@@ -605,7 +611,7 @@ class Diagram:
             "tune", self,
             minimize=minimize, over=over, scenarios=scenarios, subject_to=subject_to, method=method, budget=budget,
             seed=seed, parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads,
-            progress=progress, settings=settings,
+            progress=progress, lanes=lanes, settings=settings,
         )  # fmt: skip
 
     def fit(
@@ -831,7 +837,6 @@ class Diagram:
         return export(
             value, flat, plan(flat), path,
             fmi=fmi, kinds=kinds, platforms=platforms, name=name, overrides=parameters, version=__version__,
-            method=str(settings.get("method") or ""),
             drawing=self.draw(variants=variants) if len(value.blocks) <= MOST_DRAWN else "",
         )  # fmt: skip
 

@@ -58,6 +58,8 @@ def add(verbs: Any) -> None:
     takes_settings(verb)
     verb.add_argument("--budget", metavar="STEPS", help="the most steps of a run")
     verb.add_argument("--threads", metavar="N", help="how many runs at once (default: all cores)")
+    lanes = "exact (the default), or fast: several runs at once in each core, equal within the tolerance"
+    verb.add_argument("--lanes", metavar="L", default="exact", help=lanes)
     verb.add_argument("-o", "--out", metavar="FILE", help="write all rows: .parquet; a part of it goes on where it was")
     address = "run the rows on the workers of this scheduler of dask; --out may be a folder or a URL that they write"
     plot = "draw bands of --log over time, or histograms of the measures: .svg, .png, .pdf"
@@ -99,6 +101,7 @@ def _sweep(options: argparse.Namespace) -> int:
                 seed=counts["seed"] or 0,
                 threads=counts["threads"],
                 budget=counts["budget"],
+                lanes=options.lanes,
                 sampler=options.sampler,
                 measures=options.measure,
                 log=options.log,
@@ -131,7 +134,7 @@ def _sweep(options: argparse.Namespace) -> int:
 
 def _arguments(options: argparse.Namespace, vary: Mapping[Any, Any]) -> dict[str, str]:
     """The options by the places of faults of `Diagram.sweep`, as far as what varies is not called so."""
-    named = {name: f"--{name}" for name in ("n", "seed", "budget", "threads", "vary")}
+    named = {name: f"--{name}" for name in ("n", "seed", "budget", "threads", "lanes", "vary")}
     named |= {"run.log": "--log", "on": "--dask", options.sampler: f"--sampler {options.sampler}"}
     return {place: option for place, option in named.items() if place not in vary}
 

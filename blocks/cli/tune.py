@@ -41,6 +41,8 @@ def add(verbs: Any) -> None:
     tune.add_argument("--budget", metavar="N", default="500", help="how many candidates are run (default: 500)")
     tune.add_argument("--seed", metavar="N", default="1", help="seed of the optimiser (default: 1)")
     tune.add_argument("--threads", metavar="N", help="how many runs at once (default: all cores)")
+    lanes = "exact (the default), or fast: several runs at once in each core, equal within the tolerance"
+    tune.add_argument("--lanes", metavar="L", default="exact", help=lanes)
     tune.add_argument("--stop", metavar="T", help="stop time in s")
     tune.add_argument("--write", action="store_true", help="write the values into DIAGRAM, where all constraints hold")
     tune.add_argument("--report", metavar="DIR", help="write report.html and its figures into a folder")
@@ -56,7 +58,7 @@ def _tune(options: argparse.Namespace) -> int:
     from ..api.diagram import Diagram
 
     diagram = Diagram.load(options.diagram, library=options.library)
-    places = {name: f"--{name}" for name in ("minimize", "method", "budget", "seed", "threads")}
+    places = {name: f"--{name}" for name in ("minimize", "method", "budget", "seed", "threads", "lanes")}
     places |= {f"subject_to[{k}]": f"--subject-to {text}" for k, text in enumerate(options.subject_to)}
     with as_options(places):
         problem = _problem(options, diagram)
@@ -86,7 +88,7 @@ def _problem(options: argparse.Namespace, diagram: Diagram) -> Problem:
         method=options.method, budget=_whole("budget", options.budget), seed=_whole("seed", options.seed),
         parameters=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
         variants=variants_of(options.variants), trust=options.trust,
-        settings={} if options.stop is None else {"stop": time_of("stop", options.stop)},
+        lanes=options.lanes, settings={} if options.stop is None else {"stop": time_of("stop", options.stop)},
     )  # fmt: skip
 
 

@@ -25,6 +25,7 @@ from ..contract.interface import Value
 from ..contract.reads import arguments
 from ..contract.resolution import Resolved, limits
 from ..contract.scalars import Scalar
+from ..contract.sparse import SparseMatrix
 from ..contract.tape import TapeNode
 from ..contract.variables import Clock, Parameter
 from ..model.copies import Copy, Fleet, depth_of, dimensions, labelled, own_value
@@ -192,13 +193,14 @@ class _Binder:
         return scope
 
     def parameter(self, path: str, raw: Any, at: _SettingScope, value: Value, entry: Mapping[str, Any]) -> int | None:
-        """The setting of a diagram's parameter; None where it has no value, or rows of unequal length."""
+        """The setting of a diagram's parameter; None where it has no value, is a sparse matrix, or has rows
+        of unequal length."""
         declared, doc = entry.get("unit", ""), entry.get("doc", "")
         unit = si_text(declared)
         draft = _DraftSetting(path, "real", (), (), unit, "" if unit == declared else declared, _text(doc))
         if isinstance(value.value, str):
             draft.type, draft.values, draft.level, draft.why = "text", (value.value,), CONSTANT, "it is a text"
-        elif value.value is None:
+        elif value.value is None or isinstance(value.value, SparseMatrix):
             return None
         else:
             try:

@@ -301,7 +301,12 @@ class _Coupler:
             message = "lies in a diagram whose blocks are coupled one by one, and its blocks are turned on together."
             raise ModelError(Fault("E118", flat.enabled[0].path, message, 'Use "couple": "together".'))
         together = [k for k, is_alone in enumerate(alone) if not is_alone and not each]
-        groups: list[Group] = [(k,) for k, is_alone in enumerate(alone) if is_alone or each]
+        parts = {part for of_one in flat.parts.values() for part in of_one} if each else ()
+        groups: list[Group] = [
+            (k, *(flat.parts.get(k, ()) if each else ()))
+            for k, is_alone in enumerate(alone)
+            if (is_alone or each) and k not in parts
+        ]
         for block, is_alone in zip(flat.blocks, alone, strict=True):
             if is_alone and (block.condition is not None or block.time is not None):
                 message = "is an FMU for Co-Simulation in a subdiagram that is turned on and off."

@@ -26,6 +26,7 @@ from ..contract.equations import output
 from ..contract.interface import Value
 from ..contract.resolution import Resolved, resolve
 from ..contract.variables import Input, Parameter
+from ..model.conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from ..model.copies import CopySource, EachSource, Fleet, Later
 from ..model.expansion import Expansion
 from ..model.flatten import BlockSource, Flat, FlatBlock, Source
@@ -150,13 +151,16 @@ class Folded:
         return Reference(row, self.places(row, index)[getattr(index, "lane", 0)])
 
 
+_OF_EDGES = (Enabled, Gate, OutputGate, TickGate, Time, TriggerGate)
+
+
 def foldable(expansion: Expansion) -> bool:
     """Whether copies are planned as one, as far as their blocks tell."""
     for block, each in zip(expansion.blocks, expansion.each, strict=True):
         declared, resolved = block.interface.declaration, block.resolved
         if declared.stepper or declared.foreign or declared.histories or declared.algebraics:
             return False
-        if block.hidden or block.condition is not None or block.time is not None:
+        if block.condition is not None or block.time is not None or block.interface.cls in _OF_EDGES:
             return False
         if any(other.clocks != resolved.clocks or not _alike(other, resolved) for other in each.values()):
             return False
@@ -429,7 +433,8 @@ class _WholeSignals(Mapping[str, PlanSignal]):
             signal, fleet, lane = self._flat.signals.of_copies(name)  # type: ignore[attr-defined]
             inner = 1 if fleet is None else _inner(fleet)
             outer = None if fleet is None else lane // inner
-            sources = [self._folding.source(source, fleet, lane % inner, outer) for source in signal.sources]
+            moved = self._folding.expansion.moved(signal.sources)
+            sources = [self._folding.source(source, fleet, lane % inner, outer) for source in moved]
             references = tuple(self._folded.of_whole(self._memory.reference(source)) for source in sources)
             self._made[name] = PlanSignal(name, references, signal.shape, signal.units)
         return self._made[name]

@@ -27,6 +27,7 @@ from .expressions import exact_decimal
 from .interface import LARGEST, Array, Interface, Value
 from .outside import outside
 from .reads import arguments
+from .sparse import SparseMatrix
 from .variables import REQUIRED, Algebraic, Clock, Discrete, History, Parameter, State, Stepped
 
 __all__ = ["Resolved", "default_value", "limits", "loose", "memory_start", "resolve", "with_numbers"]
@@ -130,6 +131,8 @@ class _Resolving:
             value = self.values[name]
             if parameter.structural or value.value is None or value is settled.get(name):
                 continue
+            if isinstance(value.value, SparseMatrix):  # sizes follow from it, and the whole matrix may be too large
+                continue
             try:
                 shape = self.interface.shape(parameter)
             except ModelError as error:
@@ -182,7 +185,7 @@ class _Resolving:
         patterns = {
             name: tuple(bool(x) for x in np.ravel(self.values[name].value != 0))
             for name, parameter in self.declaration.parameters.items()
-            if parameter.zeros and self.values[name].value is not None
+            if parameter.zeros and isinstance(self.values[name].value, np.ndarray)
         }
         return _shared(Interface(self.cls, self.structural, patterns))
 
@@ -307,6 +310,15 @@ def _typed(parameter: Parameter, value: Value) -> Value:
     raw = value.value
     if raw is None and parameter.default is None:
         return value
+    if isinstance(raw, SparseMatrix):
+        if not (parameter.zeros and isinstance(parameter.shape, tuple) and len(parameter.shape) == 2):
+            raise ValueError("takes no sparse matrix.")
+        if parameter.sparse:
+            return value
+        if math.prod(raw.shape) > LARGEST:
+            message = f"is {_shape(raw.shape)}, all elements of which are needed here; {LARGEST:,} are the most."
+            raise ValueError(message)
+        return Value(_frozen(raw.dense()), None, value.unit)
     if parameter.type == "string":
         if not isinstance(raw, str):
             raise ValueError(f"must be a text, not {raw!r}.")

@@ -16,6 +16,7 @@ from ..text.errors import ModelError
 from ..text.units import parse as parse_unit
 from .enumerations import Enumeration
 from .reads import Function, arguments, refuse
+from .sparse import edges_of
 from .unit_expression import UnitExpression
 
 __all__ = [
@@ -137,6 +138,7 @@ class Parameter(Variable):
     shape: () or sizes; a text names a size that is taken from the given value and can be read like a structural
         parameter (`num = Parameter([1.0], shape="m")`).
     zeros: the zero pattern of the value fixes the type, so that a zero makes no dependency.
+    sparse: a matrix that may be given by its edges (`sparse.SparseMatrix`).
     table: numbers to look up in (`search`, `pick`, `np.interp`), however many; they are fixed.
     min, max, positive: the allowed range; choices: the allowed texts. excludes: a parameter not to be given with it.
     stream: an integer from 0 to 2^52 that identifies the block's stream of random numbers. It is never given:
@@ -155,6 +157,7 @@ class Parameter(Variable):
         structural: bool = False,
         fixed: bool = False,
         zeros: bool = False,
+        sparse: bool = False,
         table: bool = False,
         min: float | None = None,
         max: float | None = None,
@@ -182,7 +185,9 @@ class Parameter(Variable):
         if self.members and structural:
             refuse("E405", "", "an enumeration does not fix the type of a block.", 'Use choices=("a", "b").')
         self.default, self.structural, self.fixed, self.zeros = plain_value(default), structural, fixed or table, zeros
-        self.table = table
+        self.table, self.sparse = table, sparse
+        if sparse and not (zeros and isinstance(shape, tuple) and len(shape) == 2):
+            refuse("E405", "", "only a matrix whose zeros fix the type can be sparse.", "Say zeros=True and its sizes.")
         if table and (structural or zeros or shape == () or type != "real"):
             refuse("E405", "", "a table is an array of real numbers.", 'Give it a size, as in shape="n".')
         self.min, self.max, self.positive, self.choices, self.excludes = min, max, positive, choices, excludes
@@ -510,6 +515,8 @@ def plain_value(value: Any) -> Any:
     """A copy that nobody else holds, in Python's own numbers and lists."""
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
+    if hasattr(value, "tocoo"):
+        return edges_of(value)
     if isinstance(value, (list, tuple)):
         return [plain_value(item) for item in value]
     return {key: plain_value(item) for key, item in value.items()} if isinstance(value, dict) else value

@@ -8,7 +8,8 @@ from ..contract.block import Block, is_abstract
 _MODULES = (
     "adrc", "arithmetic", "continuous", "discrete", "drives", "excitation", "expression", "filters", "flight",
     "friction", "functions", "logic", "mechanics", "memory", "noise", "nonlinear", "oscillators", "pid", "power",
-    "process", "robot", "sampled", "sources", "tables", "wiring",
+    "process", "robot", "sampled", "sources", "tables", "vectors",
+    "wiring",
 )  # fmt: skip
 
 

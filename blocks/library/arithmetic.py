@@ -52,11 +52,14 @@ class MatrixGain(Block):
 
     K is p x m: u has m elements and y has p, which wires name u[0], y[0]. Zeros of K fix the type: an element of y
     depends only on the elements of u that its row of K holds. All u have one unit, and so have all y.
+
+    A large K is given by its edges, {"edges": [[row, column, value], ...], "shape": [p, m]}, as a CSV file of them, or
+    in Python as a matrix of scipy.sparse. What it costs is then in proportion to the edges.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    K = Parameter([[1.0]], shape=("p", "m"), zeros=True, unit=unit / unit_u, doc="matrix of gains")
+    K = Parameter([[1.0]], shape=("p", "m"), zeros=True, sparse=True, unit=unit / unit_u, doc="matrix of gains")
     u = Input(shape=lambda m: m, unit=unit_u, doc="inputs")
 
     @output(shape=lambda p: p, unit=unit, doc="K times the inputs")

@@ -7,7 +7,17 @@ from ..contract.equations import crossing, output, requires
 from ..contract.table_lookup import search
 from ..contract.variables import Discrete, Input, Parameter
 
-__all__ = ["Compare", "CompareToConstant", "Counter", "EdgeDetect", "Logic", "MultiportSwitch", "Switch", "SwitchAbove"]
+__all__ = [
+    "Compare",
+    "CompareToConstant",
+    "Counter",
+    "EdgeDetect",
+    "Logic",
+    "Multiport",
+    "MultiportSwitch",
+    "Switch",
+    "SwitchAbove",
+]
 
 # Not "==", which in a diagram file begins a text that is no expression.
 _OPERATORS = ("<", "<=", ">", ">=", "equal", "unequal")
@@ -150,16 +160,10 @@ class SwitchAbove(Block):
         return np.where(above, u[0], u[1])
 
 
-class MultiportSwitch(Block):
-    """y = u1 where index is 1, u2 where it is 2, ...: the input whose number is nearest to index, halfway the higher.
-
-    An index below 1 chooses the first input, one above `size` the last. The instants at which another input is chosen
-    are located, and a jump of index may pass over many.
-    """
+class Multiport(Block, abstract=True):
+    """One of several, by its number: the number that is nearest to index, halfway the higher."""
 
     size = Parameter(3, structural=True, type="int", min=1, doc="number of inputs to choose from")
-    unit = Parameter("", structural=True, type="string", doc='unit of u1, u2, ... and y; "": unknown')
-    u = Input(shape=lambda size: size, ports="u{}", unit=unit, doc="inputs to choose from")
     index = Input(doc="number of the input that y is, from 1 on")
     chosen = Discrete(1, type="int", doc="number of the chosen input")
 
@@ -177,12 +181,31 @@ class MultiportSwitch(Block):
     def nearest(index, size):
         return 1.0 + search(np.arange(1.5, size), index)
 
+
+def chosen_of(values, chosen):
+    """The value of that number, from 1 on."""
+    value = values[0]
+    for k in range(1, len(values)):
+        value = np.where(chosen > k, values[k], value)
+    return value
+
+
+class MultiportSwitch(Multiport):
+    """y = u1 where index is 1, u2 where it is 2, ...: the input whose number is nearest to index, halfway the higher.
+
+    An index below 1 chooses the first input, one above `size` the last. The instants at which another input is chosen
+    are located, and a jump of index may pass over many.
+    """
+
+    size = Multiport.size
+    unit = Parameter("", structural=True, type="string", doc='unit of u1, u2, ... and y; "": unknown')
+    u = Input(shape=lambda size: size, ports="u{}", unit=unit, doc="inputs to choose from")
+    index = Multiport.index
+    chosen = Multiport.chosen
+
     @output(unit=unit, doc="the chosen input")
-    def y(u, chosen, size):
-        value = u[0]
-        for k in range(1, size):
-            value = np.where(chosen > k, u[k], value)
-        return value
+    def y(u, chosen):
+        return chosen_of(u, chosen)
 
 
 class EdgeDetect(Block):

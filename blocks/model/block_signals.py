@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -44,6 +44,7 @@ class Signals(Mapping[str, FlatSignal]):
         self._fleets: dict[str, Fleet] = {}
         self._hidden: set[str] = set()  # recorded where they are named only
         self.expansion: Expansion | None = None
+        self.moved: Callable[[tuple[Source, ...]], tuple[Source, ...]] = tuple  # to the parts of blocks
 
     def add(
         self, name: str, signal: FlatSignal | tuple[int, Port], fleet: Fleet | None = None, *, is_told: bool = True
@@ -107,9 +108,11 @@ class Signals(Mapping[str, FlatSignal]):
 
     def __getitem__(self, name: str) -> FlatSignal:
         signal, fleet, lane = self.of_copies(name)
-        if self.expansion is None:
-            return signal
-        return replace(signal, sources=self.expansion.sources(signal.sources, fleet, lane))
+        sources = signal.sources
+        if self.expansion is not None:
+            sources = self.expansion.sources(sources, fleet, lane)
+        is_same = sources is signal.sources and self.moved is tuple
+        return signal if is_same else replace(signal, sources=self.moved(sources))
 
     def __contains__(self, name: object) -> bool:
         if name in self._known:

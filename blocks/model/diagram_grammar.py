@@ -37,12 +37,14 @@ from . import streams
 from .diagram import BASE, FORMAT, NAME, PLAIN_VERSION, VERSION, name_cure
 
 __all__ = [
-    "BLOCK", "BODY", "COLUMN", "DIAGRAM", "ELEMENT", "ENABLE", "FIXED_STEP", "INPUT", "INTERPOLATIONS", "LARGEST_SEED",
-    "LARGEST_SIZE", "LEAST_RTOL", "MASTER", "MEASURE", "MEASURES", "MEASURE_NUMBERS", "MEASURE_UNITS", "METHODS",
-    "OPTIONS", "QUANTITY", "RUN", "SCHEMA", "TABLE", "TRIGGER", "VARIANT", "header", "quantity", "signal",
+    "BLOCK", "BODY", "COLUMN", "DIAGRAM", "EDGES", "ELEMENT", "ENABLE", "FIXED_STEP", "INPUT", "INTERPOLATIONS",
+    "LARGEST_SEED", "LARGEST_SIZE", "LEAST_RTOL", "MASTER", "MEASURE", "MEASURES", "MEASURE_NUMBERS", "MEASURE_UNITS",
+    "METHODS", "NUMBER", "OPTIONS", "QUANTITY", "RUN", "SCHEMA", "SHAPE", "TABLE", "TRIGGER", "VARIANT", "header",
+    "quantity", "signal",
 ]  # fmt: skip
 
 LARGEST_SIZE = 100_000
+LARGEST_MATRIX = 1_000_000  # rows or columns of one given by its edges
 MOST_ROWS = 1_000_000  # of a table
 TIMEOUT, LONGEST_TIMEOUT = 60.0, 1e6  # s, of the calls of an isolated FMU
 LARGEST_INTEGER = 2**53  # up to here a double holds every one
@@ -50,7 +52,7 @@ LARGEST_SEED = LARGEST_INTEGER
 LEAST_RTOL = 1e-13
 SCHEMA = "$schema"
 """The key that names the JSON Schema of a file. It is for editors: kept, and never looked at."""
-METHODS = ("dopri5", "rk4", "euler", "radau")
+METHODS = ("dopri5", "rk4", "euler", "radau", "auto")
 FIXED_STEP = ("rk4", "euler")
 MEASURES = {
     "ITAE": "integral of t |e|, t from 0",
@@ -124,8 +126,31 @@ COLUMN = Object(
     name="column",
     doc="A column of a CSV file.",
 )
+SHAPE = ListOf(Scalar(low=1, high=LARGEST_MATRIX, is_whole=True), 2, 2, what="two sizes, [rows, columns]")
+
+
+def _one_source(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+    """Edges stand either here or in a CSV file."""
+    if ("edges" in value) == ("csv" in value):
+        told.fault("E009", path, 'a sparse matrix has either "edges" or "csv".')
+    return ()
+
+
+EDGES = Object(
+    Field("edges", ListOf(ListOf(NUMBER, 3, 3, what="an edge [row, column, value]")), (
+        "`[row, column, value]` for each element that is not 0; rows and columns count from 0."
+    )),
+    Field("csv", TEXT, "The path of a CSV file with the columns `row`, `column` and `value`, in the place of `edges`."),
+    Field("shape", SHAPE, "`[rows, columns]`.", required=True),
+    UNIT,
+    DOC,
+    rules=(Rule(_one_source, lambda _: {"oneOf": [{"required": ["edges"]}, {"required": ["csv"]}]}),),
+    by="shape",
+    name="edges",
+    doc="A sparse matrix: its elements that are not 0.",
+)  # fmt: skip
 VALUE = AnyOf(
-    NUMBER, FLAG, WORDS, LIST, COLUMN, QUANTITY, what=PLAIN.what, name="value",
+    NUMBER, FLAG, WORDS, LIST, EDGES, COLUMN, QUANTITY, what=PLAIN.what, name="value",
     doc='A number, a quantity with its unit, an expression ("=kt/La"), a list, a text or a bool.',
 )  # fmt: skip
 COMPUTED = AnyOf(EXPRESSION, quantity(AnyOf(NUMBER, EXPRESSION)), name="computed")
@@ -210,14 +235,15 @@ RUN = Object(
     _later("start", TIME, "Start time, in s.", 0),
     _later("stop", TIME, "Stop time, in s. It must be given here or where the run is started."),
     _later("method", Choice(METHODS), (
-        "dopri5: variable steps; radau: variable steps, for stiff models; rk4, euler: fixed steps (`step`)."
+        "dopri5: variable steps; radau: variable steps, for stiff models; auto: dopri5, then radau if a run is found "
+        "to be stiff; rk4, euler: fixed steps (`step`)."
     ), "dopri5"),
     _later("step", DURATION, "Step of rk4 and euler, in s."),
     _later("rtol", Scalar(what="a number between 0 and 1", low=LEAST_RTOL, below=1), (
-        "Relative tolerance of dopri5 and radau."
+        "Relative tolerance of dopri5, radau and auto."
     ), 1e-6),
     _later("atol", Scalar(above=0, below=1), (
-        "Absolute tolerance of dopri5 and radau, for states of nominal size 1."
+        "Absolute tolerance of dopri5, radau and auto, for states of nominal size 1."
     ), 1e-9),
     _later("every", DURATION, "Recording grid, in s: rows at start + k every. Without it, every step is recorded."),
     _later("jumps", FLAG, "Whether rows before and after each jump stand between those of the grid.", False),

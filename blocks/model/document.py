@@ -208,7 +208,7 @@ def self_contained(value: DiagramValue) -> DiagramValue:
 
     def parameters(table: Mapping[str, Any]) -> dict[str, Any]:
         return {
-            name: {"value": list(raw.numbers), **{key: raw[key] for key in raw if key not in ("csv", "column")}}
+            name: {raw.key: list(raw.numbers), **{key: raw[key] for key in raw if key not in ("csv", "column")}}
             if isinstance(raw, Column) else raw
             for name, raw in table.items()
         }  # fmt: skip
@@ -238,7 +238,7 @@ def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:
 
     def parameters(table: Mapping[str, Any]) -> dict[str, Any]:
         return {
-            name: Column({**raw, "csv": path(raw["csv"])}, raw.numbers) if isinstance(raw, Column) else raw
+            name: type(raw)({**raw, "csv": path(raw["csv"])}, raw.numbers) if isinstance(raw, Column) else raw
             for name, raw in table.items()
         }
 

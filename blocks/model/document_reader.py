@@ -14,6 +14,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..text import json_text
 from ..text.atomic_write import real
 from ..text.csv_text import read_columns
@@ -38,9 +40,12 @@ from .diagram_grammar import (
 )
 from .project import Project, project_of, read_inside
 from .streams import is_stream
-from .values import Column
+from .values import Column, EdgeTable
 
 __all__ = ["DocumentReader", "Loading"]
+
+EDGE = ["row", "column", "value"]
+"""The columns of a CSV file of edges."""
 
 
 @dataclass
@@ -177,8 +182,9 @@ class DocumentReader:
         }
 
     def column(self, entry: dict[str, Any], path: Steps) -> Any:
-        """A column of a CSV file in the project, with its numbers."""
-        if self.loading.is_alone or not all(isinstance(entry.get(key), str) for key in ("csv", "column")):
+        """A column of a CSV file in the project with its numbers, or one of edges with them."""
+        wanted = EDGE if "shape" in entry else [entry.get("column")]
+        if self.loading.is_alone or not all(isinstance(text, str) for text in (entry.get("csv"), *wanted)):
             return entry
         if not isinstance(entry.get("unit", ""), str):
             return entry
@@ -192,13 +198,17 @@ class DocumentReader:
                     self.loading.tables[target] = data_.decode("utf-8-sig").split("\n")
                 except UnicodeDecodeError:
                     raise ValueError("is no text in UTF-8.") from None
-            header, data = read_columns(self.loading.tables[target], {entry["column"]}, most=MOST_ROWS)
-            if entry["column"] not in header:
-                cure = did_you_mean(entry["column"][:200], header[:500])
+            header, data = read_columns(self.loading.tables[target], {*wanted}, most=MOST_ROWS)
+            missing = next((column for column in wanted if column not in header), None)
+            if missing is not None:
+                cure = did_you_mean(missing[:200], header[:500])
                 cure = cure or f"Columns: {', '.join(legible(column[:40]) for column in header[:20])}."
-                self.fault("E007", (*path, "column"), f"{quoted(entry['csv'])} has no such column.", cure)
+                what = "no such column" if "column" in entry else f"no column {quoted(missing)}"
+                key = "column" if "column" in entry else "csv"
+                self.fault("E007", (*path, key), f"{quoted(entry['csv'])} has {what}.", cure)
                 return entry
-            return Column(entry, data[:, header.index(entry["column"])].tolist())
+            numbers: Any = np.column_stack([data[:, header.index(str(column))] for column in wanted])
+            return EdgeTable(entry, numbers.tolist()) if "shape" in entry else Column(entry, numbers[:, 0].tolist())
         except ModelError as error:
             self.loading.faults.add(error.faults[0])
         except ValueError as error:

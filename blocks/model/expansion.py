@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,15 +20,15 @@ __all__ = ["Expansion"]
 class Expansion:
     """blocks: one of each; fleets: the innermost fleet of each; each: by lane, the numbers that are others in it.
 
-    ordered: how many of the blocks stand in the order of the text; what is at the edges of subdiagrams follows. around:
-    all fleets.
+    ordered: how many of the blocks stand in the order of the text; what is at the edges of subdiagrams, and parts of
+    blocks, follow. moved: from sources to those in parts of blocks.
     """
 
     blocks: tuple[FlatBlock, ...]
     fleets: tuple[Fleet | None, ...]
     each: tuple[Mapping[int, Resolved], ...]
     ordered: int
-    around: tuple[Fleet, ...] = ()
+    moved: Callable[[tuple[Source, ...]], tuple[Source, ...]] = tuple
 
     @cached_property
     def layout(self) -> Layout:
@@ -61,7 +61,12 @@ class Expansion:
                 path = fleet.numbered(block.path, lane)
                 yield path, self.each[k].get(lane, one), other.each[k].get(lane, two)
 
+    def moving(self, moved: Callable[[tuple[Source, ...]], tuple[Source, ...]]) -> Expansion:
+        """The same for sources in blocks that were taken apart."""
+        return dataclasses.replace(self, moved=moved)
+
     def sources(self, sources: Sequence[Source], fleet: Fleet | None, lane: int) -> tuple[Source, ...]:
+        sources = self.moved(tuple(sources))
         return tuple([self.source(source, fleet, lane) for source in sources])
 
     def written_out(self) -> Iterator[FlatBlock]:

@@ -34,6 +34,7 @@ from .expansion import Expansion
 from .flat_block import FlatBlock, FlatEnabled
 from .hierarchy import MAX_BLOCKS, DiagramScope, Hierarchy, Leaf, Resolver, Spot
 from .lanes import look_into_copies
+from .parts import Parts, is_taken_apart
 from .settings import MeasureSpec, RunSettings, read_settings, seed_of
 from .values import expressions_in, is_expression, names_in
 from .variants import taken
@@ -60,7 +61,10 @@ MOST_OMEGA = 1e9
 
 @dataclass(frozen=True, slots=True)
 class Flat:
-    """A diagram without hierarchy. `diagram`: its source, which knows where the blocks stand in the text."""
+    """A diagram without hierarchy. `diagram`: its source, which knows where the blocks stand in the text.
+
+    parts: by the index of a block that was taken apart, its parts, which come after all others.
+    """
 
     name: str
     blocks: Sequence[FlatBlock]
@@ -75,6 +79,8 @@ class Flat:
     diagram: DiagramValue | None = field(default=None, compare=False, repr=False)
     expansion: Expansion | None = field(default=None, compare=False, repr=False)  # where there are copies
     stepped_by: tuple[str, ...] = ()  # the parameters from which the step of a fixed-step method is computed
+    parts: Mapping[int, range] = field(default_factory=dict)
+    fleets: tuple[Fleet, ...] = field(default=(), compare=False, repr=False)
 
     @property
     def one_of_each(self) -> Sequence[FlatBlock]:
@@ -84,8 +90,7 @@ class Flat:
     @property
     def copies(self) -> dict[str, int]:
         """How many copies there are of a block with copies, by its path without numbers."""
-        fleets = () if self.expansion is None else self.expansion.around
-        return {fleet.path: fleet.count for fleet in fleets}
+        return {fleet.path: fleet.count for fleet in self.fleets}
 
     def placed(self, fault: Fault) -> Fault:
         """The fault with the place in the text of the block that it names, where there is one."""
@@ -230,13 +235,7 @@ class _Flattener:
         assert all(child is not None for scope in self.hierarchy.scopes for child in scope.children.values())
         enabled = self.controlled(blocks)
         self.faults.check()
-        expansion = self.expansion(blocks) if self.hierarchy.fleets else None
-        written: Sequence[FlatBlock] = tuple(blocks)
-        if expansion is not None:
-            signals.expansion = expansion
-            written = Later(expansion.layout.size, lambda: [*expansion.written_out()])
-            scopes = {scope.path: scope.fleet for scope in self.hierarchy.scopes}
-            enabled = tuple(expansion.enabled([(part, scopes[part.path]) for part in enabled]))
+        written, enabled, expansion, parts = self.taken_apart(blocks, enabled, signals)
         return Flat(
             self.diagram.name,
             written,
@@ -251,16 +250,50 @@ class _Flattener:
             self.diagram,
             expansion,
             self.stepped_by,
+            parts,
+            tuple(self.hierarchy.fleets),
         )
+
+    def taken_apart(
+        self, blocks: list[FlatBlock], enabled: tuple[FlatEnabled, ...], signals: Signals
+    ) -> tuple[Sequence[FlatBlock], tuple[FlatEnabled, ...], Expansion | None, Mapping[int, range]]:
+        """Blocks with those over long vectors taken apart, and how copies are written out.
+
+        Where a block inside of copies is taken apart, the copies are written out at once.
+        """
+        has_copies = bool(self.hierarchy.fleets)
+        scopes = {scope.path: scope.fleet for scope in self.hierarchy.scopes}
+        written = blocks
+        is_inside = any(leaf.fleet and is_taken_apart(blocks[leaf.index]) for leaf in self.hierarchy.leaves)
+        expansion = self.expansion(blocks) if is_inside else None
+        if expansion is not None:
+            signals.expansion, written = expansion, [*expansion.written_out()]
+            enabled = tuple(expansion.enabled([(part, scopes[part.path]) for part in enabled]))
+        parts = Parts(written)
+        if parts.given:
+            signals.moved = parts.moved
+            enabled = tuple(
+                replace(e, members=parts.members(e.members), resets=parts.members(e.resets)) for e in enabled
+            )
+        if is_inside or not has_copies:
+            return tuple(written), enabled, None, parts.of
+        expansion = self.expansion(blocks)
+        signals.moved, signals.expansion = tuple, expansion.moving(parts.moved) if parts.given else expansion
+        enabled = tuple(expansion.enabled([(part, scopes[part.path]) for part in enabled]))
+        later = Later(expansion.layout.size, lambda: [*expansion.written_out()])
+        place = expansion.layout.place
+        of = {place(k, 0): range(place(own[0], 0), place(own[-1], 0) + 1) for k, own in parts.of.items()}
+        return later, enabled, expansion, of
 
     def expansion(self, blocks: Sequence[FlatBlock]) -> Expansion:
         """The blocks with the fleets that they are in. Raises ModelError (E008) for too many."""
         leaves = self.hierarchy.leaves
         scopes = [edge.scope for edge in self.wires.gates]
         scopes += [scope for scope in self.hierarchy.scopes if scope.control for _ in range(3)]
-        fleets = (*(leaf.fleet for leaf in leaves), *(scope.fleet for scope in scopes))
-        each = (*(leaf.each for leaf in leaves), *({} for _ in scopes))
-        expansion = Expansion(tuple(blocks), fleets, each, len(leaves), tuple(self.hierarchy.fleets))
+        rest = len(blocks) - len(leaves) - len(scopes)  # parts of blocks, which are in no fleet
+        fleets = (*(leaf.fleet for leaf in leaves), *(scope.fleet for scope in scopes), *[None] * rest)
+        each = (*(leaf.each for leaf in leaves), *({} for _ in range(len(scopes) + rest)))
+        expansion = Expansion(tuple(blocks), fleets, each, len(leaves))
         if expansion.layout.size > MAX_BLOCKS:
             message = f"the diagram has {expansion.layout.size:,} blocks, but {MAX_BLOCKS:,} are the most."
             raise ModelError(self.diagram.fault("E008", self.diagram.name, message))

@@ -590,6 +590,8 @@ def _written(raw: Any, scope: DiagramScope) -> Any:
     if kind is bool:
         return (bool, raw)
     if kind is list or kind is dict:
+        if "edges" in raw:
+            return (kind, id(raw))
         keys = tuple(raw) if kind is dict else ()
         items = tuple(_written(item, scope) for item in (raw.values() if kind is dict else raw))
         return None if None in items else (kind, keys, items)

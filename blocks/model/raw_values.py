@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..contract.sparse import edges_of
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.printable import quoted
 from ..text.quantity_text import read_quantity
@@ -28,6 +29,8 @@ def raw_of(value: Any) -> Any:
     """A value as the file would hold it. Raises UsageError (E501)."""
     if isinstance(value, (np.ndarray, np.generic)):
         value = value.tolist()
+    if hasattr(value, "tocoo"):
+        return edges_of(value)
     if isinstance(value, (str, bool, int, float)) or value is None:
         return value
     if isinstance(value, (list, tuple)):

@@ -132,6 +132,7 @@ def _varies(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str
 
 
 _OF_ROWS = Object(*(field for field in SETTINGS.fields if field.key not in ("seed", "log")), doc=SETTINGS.doc)
+LANES = ("exact", "fast")
 ONE_SWEEP = Object(
     *_MODEL,
     Field("vary", Table(_VARIED, Text(refers="own parameter"), least=1), (
@@ -145,6 +146,7 @@ ONE_SWEEP = Object(
     Field("margins", Table(MARGIN, NAMES, is_open=True), "Of the linear model of each row, by name."),
     Field("scenarios", Table(_PARAMETERS, NAMES), "By name, parameters set on top; all rows run in each."),
     Field("budget", Scalar(low=1, is_whole=True), "The most steps of a run."),
+    Field("lanes", Choice(LANES), "Whether rows are single runs bit for bit, or within the tolerance.", "exact"),
     Field("settings", _OF_ROWS),
     DOC,
     rules=[Rule(_varies)],
@@ -181,6 +183,7 @@ ONE_TUNING = Object(
     Field("method", Choice(OPTIMIZERS), "CMA-ES (package cma), or differential evolution.", "cma"),
     Field("budget", Scalar(low=1, is_whole=True), "How many candidates are run.", 500),
     Field("seed", Scalar(low=0, is_whole=True), "Of the optimiser.", 1),
+    Field("lanes", Choice(LANES), "As of a sweep.", "exact"),
     Field("settings", _OF_ROWS),
     DOC,
     rules=[Rule(_varies)],

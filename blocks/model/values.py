@@ -18,13 +18,17 @@ import numpy as np
 from ..contract import expressions
 from ..contract.expressions import Expression, Scalar, exact_decimal
 from ..contract.interface import Value
+from ..contract.sparse import SparseMatrix
 from ..text import units
 from ..text.errors import Fault, ModelError
 from ..text.json_number import Number
 from ..text.printable import quoted
-from .diagram_grammar import QUANTITY
+from .diagram_grammar import EDGES, NUMBER, QUANTITY, SHAPE
 
-__all__ = ["Absent", "Column", "Known", "Unit", "expressions_in", "is_expression", "names_in", "order_of", "value_of"]
+__all__ = [
+    "Absent", "Column", "EdgeTable", "Known", "Unit", "expressions_in", "is_expression", "names_in", "order_of",
+    "value_of",
+]  # fmt: skip
 
 Known = Mapping[str, Value | None]
 """The parameters of a diagram by name; None where a fault was reported already."""
@@ -36,12 +40,20 @@ Unit = str | tuple[str, ...]
 class Column(dict[str, Any]):
     """A column of a CSV file as a file names it, {"csv": ..., "column": ..., "unit": ...}, with its numbers.
 
-    Comparing and writing use what the file says.
+    Comparing and writing use what the file says. key: where they would stand in a file that holds them itself.
     """
 
-    def __init__(self, raw: Mapping[str, Any], numbers: Sequence[float]) -> None:
+    key = "value"
+
+    def __init__(self, raw: Mapping[str, Any], numbers: Sequence[Any]) -> None:
         super().__init__(raw)
         self.numbers = tuple(numbers)
+
+
+class EdgeTable(Column):
+    """A CSV file of the edges of a matrix, {"csv": ..., "shape": ..., "unit": ...}, with them: [row, column, value]."""
+
+    key = "edges"
 
 
 class Absent(Exception):
@@ -97,6 +109,8 @@ def value_of(raw: Any, declared: Unit, known: Known) -> Value:
     expressions may read. Raises ModelError (E104, E107, E108, E110, E114), and Absent where a parameter is missing
     because of a fault.
     """
+    if isinstance(raw, EdgeTable) or (isinstance(raw, Mapping) and "edges" in raw):
+        return _sparse(raw, raw.numbers if isinstance(raw, EdgeTable) else raw["edges"], declared)
     if isinstance(raw, Column):
         unit = raw.get("unit", "")
         if unit:
@@ -138,7 +152,7 @@ def _quantity(raw: Mapping[str, Any], declared: Unit, known: Known) -> Value:
     unit = raw.get("unit", "")
     odd = [key for key in raw if key not in QUANTITY.keys and not str(key).startswith("x-")]
     if "csv" in raw:
-        _refuse("a column of a CSV file cannot be set from outside.", "Give the numbers, or name it in the diagram.")
+        _refuse("what a CSV file holds cannot be set from outside.", "Give the numbers, or name it in the diagram.")
     if odd or "value" not in raw or not isinstance(unit, str) or isinstance(raw["value"], Mapping):
         _refuse('a quantity is {"value": ..., "unit": "..."}.')
     if unit:
@@ -147,6 +161,23 @@ def _quantity(raw: Mapping[str, Any], declared: Unit, known: Known) -> Value:
     if unit and not is_expression(raw["value"]) and (value.value is None or isinstance(value.value, (str, bool))):
         _refuse(f"[{unit}] stands beside {_kind(value.value)}.", "Only numbers have units.")
     return value
+
+
+def _sparse(raw: Mapping[str, Any], edges: Sequence[Any], declared: Unit) -> Value:
+    """A matrix by its edges. Its numbers are constants, so that they hold no expressions."""
+    shape = raw.get("shape")
+    if any(key not in EDGES.keys and not str(key).startswith("x-") for key in raw) or not SHAPE.fits(shape):
+        _refuse('a sparse matrix is {"edges": [[row, column, value], ...], "shape": [rows, columns]}.')
+    if raw.get("unit"):
+        _check_unit("", raw["unit"], declared)
+    if any(not isinstance(edge, (list, tuple)) or len(edge) != 3 or not all(map(NUMBER.holds, edge)) for edge in edges):
+        _refuse("an edge is three numbers: a row, a column, both from 0 on, and a value.")
+    rows, columns = shape  # type: ignore[misc]
+    matrix = SparseMatrix(np.array(edges, dtype=float).reshape(-1, 3), (int(rows), int(columns)))
+    unit = _single(raw.get("unit") or declared)
+    if unit:
+        matrix = matrix.scaled(np.array([units.to_si(value, unit) for value in matrix.values.tolist()]))
+    return Value(matrix, None, units.si_text(unit))
 
 
 def _text(raw: str, declared: Unit, known: Known) -> Value:

@@ -142,7 +142,7 @@ def _kind_of(parameter: Parameter) -> Kind:
     if parameter.type == "bool":
         return A_FLAG if parameter.shape == () else FLAGS
     if parameter.shape != ():
-        return NUMBERS
+        return AnyOf(g.EDGES, NUMBERS) if parameter.sparse else NUMBERS
     number = _number_of(parameter)
     return g.SCALAR if number.body({}) == g.NUMBER.body({}) else AnyOf(number, g.COMPUTED)
 

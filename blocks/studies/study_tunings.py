@@ -22,7 +22,7 @@ __all__ = ["OBJECTIVE", "StudyTuning", "faults_of", "limits_of", "needs", "run_t
 
 OBJECTIVE = "objective"
 """In a claim: what is minimized."""
-_OPTIONS = ("minimize", "subject_to", "method", "budget", "seed", "scenarios")
+_OPTIONS = ("minimize", "subject_to", "method", "budget", "seed", "scenarios", "lanes")
 
 
 class StudyTuning(ManyRuns):

@@ -42,7 +42,9 @@ class Sweep(Shown):
     the runs. status, messages: (n,) what became of each row and why, as `BatchRows` tells. steps: (n,). measures: (n,)
     each, nan where a row has none. t: (g,) in s. signals: (n, g) and the shape of the signal, nan after the end of a
     row. interrupted: Ctrl-C came before all rows were done. base: rows of each sample of the sampler "saltelli", else
-    0. warnings: what is to be known about how the rows were drawn. again: runs a row by its scenario and number.
+    0. warnings: what is to be known about how the rows were drawn and run. lanes: in which they ran side by side, so
+    that they are those of single runs within the tolerance; "": bit for bit. again: runs a row by its scenario and
+    number.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Sweep(Shown):
     interrupted: bool = False
     base: int = 0
     warnings: tuple[Fault, ...] = ()
+    lanes: str = ""
     again: Callable[[str, int], Results] | None = None
 
     def __len__(self) -> int:
@@ -91,7 +94,8 @@ class Sweep(Shown):
         return replace(self, **changed)
 
     def single(self, i: int) -> Results:
-        """Run row i again by itself, with all that the diagram records: its measures are those of the row, bit for bit.
+        """Run row i again by itself, with all that the diagram records: its measures are those of the row, bit for bit
+        unless it ran in lanes.
 
         Raises as `Diagram.run`; UsageError (E501) for a sweep that was read from a file.
         """
@@ -287,7 +291,8 @@ class Sweep(Shown):
         told = ", ".join(f"{count} {name}" for name, count in self.counts().items())
         rows: list[tuple[str, ...]] = [("varied", "unit", "values")]
         rows += [(name, self.units.get(name) or "-", _span(column)) for name, column in self.varied.items()]
-        parts: list[Part] = [f"{self.name}: {runs}; {told or 'none'}", *([Table(rows)] if self.varied else [])]
+        how = f"; {self.lanes}" if self.lanes else ""
+        parts: list[Part] = [f"{self.name}: {runs}; {told or 'none'}{how}", *([Table(rows)] if self.varied else [])]
         rows = [("measure", *(f"{100 * q:g} %" for q in QUANTILES), "rows")]
         for scenario, part in self.each_scenario():
             for name, values in part.quantiles().items():

@@ -172,7 +172,7 @@ def _rows_of(sweep: Mapping[str, Any], told: Mapping[str, Any]) -> Any:
     notes = {
         "format": FORMAT, "version": VERSION, "diagram": sweep["name"], "scenarios": list(sweep["scenarios"]),
         "base": sweep["base"], "warnings": [[f.code, f.place, f.message, f.cure] for f in sweep["warnings"]],
-        "t": sweep["t"].tolist(), "shapes": shapes, **told,
+        "t": sweep["t"].tolist(), "shapes": shapes, **({"lanes": sweep["lanes"]} if sweep.get("lanes") else {}), **told,
     }  # fmt: skip
     schema = pa.schema(fields, metadata={"blocks": json.dumps(notes)})
     return pa.RecordBatch.from_arrays([column for _, _, column in columns], schema=schema)
@@ -217,6 +217,7 @@ def _sweep_of(table: Any, refuse: Refuse) -> dict[str, Any]:
         "interrupted": bool((plain["status"] == "left").any()),
         "base": int(notes["base"]),
         "warnings": tuple(Fault(*each) for each in notes["warnings"]),
+        "lanes": str(notes.get("lanes", "")),
     }
 
 

@@ -29,6 +29,7 @@ from ..model.variants import taken
 from ..text import units as unit_texts
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.live_line import in_rows, live_line
+from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 from .sampling import Rows, rows_of, seed_of
 from .sweep import Sweep
@@ -67,12 +68,16 @@ def sweep(
     out: str | Path | None = None,
     resume: bool = True,
     on: Any = None,
+    lanes: str = "exact",
     **settings: Any,
 ) -> Sweep:
     """What `Diagram.sweep` does."""
     if on is not None and threads is not None:
         cure = "Begin the workers with as many as they shall have: dask worker ADDRESS --nworkers 4 --nthreads 1."
         raise UsageError(Fault("E501", "threads", "are those of the workers.", cure))
+    if on is not None and lanes != "exact":
+        message = f"{legible(repr(lanes))} is for this machine: workers may have other lanes, in which rows differ."
+        raise UsageError(Fault("E501", "lanes", message, "Leave it out where workers run the rows."))
     asked = {"parameters": parameters, "engine": engine, "variants": variants, "trust": trust, **settings}
 
     def expand(pattern: str) -> list[str]:
@@ -85,8 +90,9 @@ def sweep(
     given = _scenarios(scenarios, parameters)
     seeds = np.array([seed_of(int(seed), i) for i in range(rows.n)], dtype=np.int64)
     names = list(rows.columns)
+    of_rows = {**asked, "measures": measures, "log": log, "lanes": lanes}
     batches = [
-        diagram.batch(names, measures=measures, log=log, **{**asked, "parameters": {**(parameters or {}), **on_top}})
+        diagram.batch(names, **{**of_rows, "parameters": {**(parameters or {}), **on_top}})
         for on_top in given.values()
     ]
     wanted = margins_of(margins or {})
@@ -111,8 +117,11 @@ def sweep(
 
     taken_measures = (*first.measures, *(margin.name for margin in wanted))
     made = _Made(diagram.name, rows, units, tuple(scenarios or ()), seeds, taken_measures, first.signals, again)
+    warnings = dict.fromkeys(warning for batch in batches for warning in batch.warnings)
+    made.begun = replace(made.begun, lanes=first.lanes, warnings=(*made.begun.warnings, *warnings))
     key: dict[str, Any] = {"scenarios": raw_of(given), "measures": first.measures, "signals": first.signals}
     key |= {"margins": wanted} if wanted else {}
+    key |= {"lanes": first.lanes} if first.lanes else {}
     key |= {"n": n, "budget": budget, "engine": start.statistics.engine, "varied rows": _digest(rows, seeds)}
     told = told_of(start.origin, key)
     folder = "" if on is None or out is None or str(out).lower().endswith(".parquet") else str(out)

@@ -116,6 +116,7 @@ def problem_of(
     variants: Mapping[str, str] | None = None,
     engine: str | None = None,
     trust: Any = (),
+    lanes: str = "exact",
     settings: Mapping[str, Any] | None = None,
 ) -> Problem:
     """The tuning of these arguments (of `tune`), checked: the diagram itself has run in every scenario."""
@@ -146,7 +147,7 @@ def problem_of(
     batches = {}
     for name, values in scenarios.items():
         own = {**given, "parameters": {**given["parameters"], **values}}
-        batches[name] = diagram.batch(list(over), measures=needed[name], **own)
+        batches[name] = diagram.batch(list(over), measures=needed[name], lanes=lanes, **own)
     problem = Problem(diagram, objective, constraints, scenarios, batches, space, {}, method, budget, seed, given, ())
     before = {name: problem.run(name, {}) for name in scenarios}
     faults = [
@@ -159,7 +160,8 @@ def problem_of(
     if faults:
         raise UsageError(*faults)
     problem = replace(problem, before=before)
-    return replace(problem, warnings=_warnings(problem, needed))
+    of_lanes = dict.fromkeys(warning for batch in batches.values() for warning in batch.warnings)
+    return replace(problem, warnings=(*_warnings(problem, needed), *of_lanes))
 
 
 def measured(results: Mapping[str, Results]) -> dict[str, dict[str, Array]]:

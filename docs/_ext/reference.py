@@ -53,6 +53,7 @@ from symbol import style_sheet, symbol
 
 import blocks
 import blocks.analysis
+import blocks.graph
 from blocks import cli
 from blocks.cli.values import assignments
 from blocks.contract.interface import Interface
@@ -545,7 +546,8 @@ class PythonDirective(Reference):
 
     def run(self) -> list[nodes.Node]:
         name = self.arguments[0]
-        thing = getattr(blocks.analysis, name) if name in blocks.analysis.__all__ else getattr(blocks, name)
+        places = (blocks.analysis, blocks.graph, blocks)
+        thing = next(getattr(place, name) for place in places if name in place.__all__)
         self.depend(thing)
         kind = "class" if inspect.isclass(thing) else "function"
         if inspect.isclass(thing) and issubclass(thing, BaseException):

@@ -7,12 +7,13 @@ enough for gcc) are in a scratch row w.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ..folding import At
-from .functions import comment
+from .functions import ONE, Numbers, comment
 from .loops import LEAST, Call, CallOrder, CallSequence, Copy, EqualCalls, Sink, Value, at_of, is_affine
 
 __all__ = ["Printed", "Tables", "print_program", "print_selected"]
@@ -61,12 +62,13 @@ def print_program(
     loops: bool = True,
     is_aliased: bool = False,
     is_hot: bool = False,
+    numbers: Numbers = ONE,
 ) -> Printed:
     """A program. `place` gives the row and the index of what is laid out when it is first read.
 
     is_aliased: whether it writes a row that it also reads.
     """
-    return _Program(name, calls, copies, place, tables, is_aliased, is_hot).printed(loops)
+    return _Program(name, calls, copies, place, tables, is_aliased, is_hot, numbers).printed(loops)
 
 
 def print_selected(
@@ -104,7 +106,7 @@ def print_selected(
             program.assign(groups)
             unit = CallSequence(groups, True)
             hoisted, body, _ = program.lanes(unit, [programs[k][1] for k in members])
-            lines = ["    (void)m, (void)t, (void)x, (void)i, (void)out;", *_rows(unit), *hoisted]
+            lines = ["    (void)m, (void)t, (void)x, (void)i, (void)out;", *program.rows(unit), *hoisted]
             text = "\n".join([*lines, *(f"    {line}" for line in body)])
         signature = "const BlocksMemory *m, double t, const double *x, int i, double *out"
         functions.append(f"static void {function}({signature})\n{{\n{text}\n}}\n")
@@ -141,7 +143,7 @@ def _one_of(
         program.assign(groups)
         unit = CallSequence(groups, True)
         hoisted, body, _ = program.lanes(unit, [copies])
-        return "\n".join([unused, *_rows(unit), *hoisted, *(f"    {line}" for line in body)]), []
+        return "\n".join([unused, *program.rows(unit), *hoisted, *(f"    {line}" for line in body)]), []
     # It needs values of other copies: all are computed, and one of each is taken.
     count = 0
     for call in calls:
@@ -187,8 +189,10 @@ class _Program(CallOrder):
         tables: Tables,
         is_aliased: bool,
         is_hot: bool = False,
+        numbers: Numbers = ONE,
     ) -> None:
         super().__init__(calls)
+        self.numbers = numbers
         self.same: dict[tuple[str, int, int], None] | None = {} if is_hot else None
         self.name, self.copies, self.tables = name, copies, tables
         self.place_of, self.is_aliased = place, is_aliased
@@ -236,20 +240,20 @@ class _Program(CallOrder):
             texts.append(self.copied(self.copies, last))
             units.append(last)
         if alone:
-            return Printed("", "\n".join([*_rows(units[0]), *texts[0]]), 0)
+            return Printed("", "\n".join([*self.rows(units[0]), *texts[0]]), 0)
         functions, body = [], []
         for k, (unit, lines) in enumerate(zip(units, texts, strict=True)):
-            used = [row for row in _ROWS if row in unit.rows]
+            used, real = [row for row in _ROWS if row in unit.rows], self.numbers.real
             how = "" if self.is_aliased else "restrict "
-            taken = [*(["const BlocksMemory *m"] if unit.reads_memory else []), "double t"]
-            taken += [f"const double *{how}{row}" for row in used]
+            taken = [*([f"const {self.numbers.memory} *m"] if unit.reads_memory else []), f"{real} t"]
+            taken += [f"const {self.type_of(row)} *{how}{row}" for row in used]
             taken += ["const uint8_t *due"] if unit.due else []
-            taken += [f"double *{how}out"]
+            taken += [f"{real} *{how}out"]
             given = [*(["m"] if unit.reads_memory else []), "t"]
             given += [row if row == "x" else f"m->{row}" for row in used]
             given += [*(["due"] if unit.due else []), "out"]
             if self.scratch:
-                taken.append("double *restrict w")
+                taken.append(f"{real} *restrict w")
                 given.append("w")
             head = "static void" if unit.is_loop else "static __attribute__((noinline)) void"
             unused = "    (void)t, (void)out" + (", (void)w;" if self.scratch else ";")
@@ -258,9 +262,29 @@ class _Program(CallOrder):
             body.append(f"    {self.name}_{k}({', '.join(given)});")
         if self.scratch:
             on_stack = self.scratch <= MOST_ON_STACK
-            body.insert(0, f"    double w[{self.scratch}];" if on_stack else "    double *w = m->w;")
+            real = self.numbers.real
+            body.insert(0, f"    {real} w[{self.scratch}];" if on_stack else f"    {real} *w = m->w;")
         scratch = 0 if self.scratch <= MOST_ON_STACK else self.scratch
         return Printed("\n".join(functions), "\n".join(body), scratch, tuple(self.same or ()))
+
+    def type_of(self, row: str) -> str:
+        """That of an element: tables are the same in all lanes."""
+        return "double" if row == "c" else self.numbers.real
+
+    def rows(self, unit: CallSequence) -> list[str]:
+        """The rows that a unit reads, as names."""
+        used = [row for row in _ROWS if row in unit.rows and row != "x"]
+        return [f"    const {self.type_of(row)} *const {row} = m->{row};" for row in used]
+
+    def store(self, at: str, value: str, off: str, side: str, own: str) -> str:
+        if not side:
+            return f"out[{at}] = {value};"
+        if off == "keep":
+            return f"if ({side} != 0.0) out[{at}] = {value};"
+        if off == "side":
+            return f"out[{at}] = {side} != 0.0 ? {value} : ({own} != 0.0 ? 1.0 : -1.0);"
+        other = self.numbers.constant(math.inf if off == "inf" else 0.0)
+        return f"out[{at}] = {self.numbers.chosen(f'{side} != 0.0', value, other)};"
 
     def row(self, value: Value, unit: CallSequence) -> Value:
         """Where a value is in memory: the row in C and the index."""
@@ -295,7 +319,7 @@ class _Program(CallOrder):
         else:
             row, index = self.row(value, unit)
             text = _text(row, str(index))
-        return f"(double)({text} >= 0.0)" if kind == "ge" else text
+        return self.numbers.as_real(f"{text} >= 0.0") if kind == "ge" else text
 
     def straight(self, unit: CallSequence, copies: Sequence[Copy]) -> list[str]:
         lines: list[str] = []
@@ -315,15 +339,15 @@ class _Program(CallOrder):
                 for sink in sinks:
                     side = "" if sink.condition is None else self.read(("s", sink.condition), unit, {})
                     own = self.read(("s", sink.index), unit, {}) if sink.off == "side" else ""
-                    stores.append(_store(str(sink.index), r, sink.off, side, own))
+                    stores.append(self.store(str(sink.index), r, sink.off, side, own))
             code = self.call_text(call, given, names, unit)
             by_value = len(names) == 1 and not call.function.takes_memory
             label = f"  /* {comment(call.label)} */"
             if not call.guard:
                 if by_value:
-                    lines += [f"const double {names[0]} = {code};{label}", *stores, *keeps]
+                    lines += [f"const {self.numbers.real} {names[0]} = {code};{label}", *stores, *keeps]
                 else:
-                    lines += [f"double {', '.join(names)};", f"{code};{label}", *stores, *keeps]
+                    lines += [f"{self.numbers.real} {', '.join(names)};", f"{code};{label}", *stores, *keeps]
                 continue
             unit.due = True
             lines.append(f"double {', '.join(f'{r} = 0.0' for r in names)};")
@@ -409,7 +433,7 @@ class _Program(CallOrder):
                 group, _ = self.group_of[self.made[number][0]]
                 producers = [self.group_of[self.made[index][0]] for _, index in values]
                 if all(g is group and lane == i for i, (g, lane) in enumerate(producers)):
-                    return f"(double)({local[number]}{test})" if test else local[number]
+                    return self.numbers.as_real(f"{local[number]}{test}") if test else local[number]
             if kind in ("p", "d", "s") and not is_affine([index for _, index in values], 1):
                 values = [self.place_of(("copy", value)) for value in values]  # side by side
             places = [self.row(value, unit) for value in values]
@@ -420,9 +444,9 @@ class _Program(CallOrder):
                 at = at[:-1] + SAME
             text = _text(places[0][0], at)
             if all(place == places[0] for place in places) and places[0][0] not in ("t", "c"):
-                hoisted.append(f"    const double h{len(hoisted)} = {text};")
+                hoisted.append(f"    const {self.numbers.real} h{len(hoisted)} = {text};")
                 text = f"h{len(hoisted) - 1}"
-            return f"(double)({text}{test})" if test else text
+            return self.numbers.as_real(f"{text}{test}") if test else text
 
         for group in unit.groups:
             calls, count = group.calls, group.count
@@ -433,9 +457,9 @@ class _Program(CallOrder):
             code = self.call_text(first, given, names, unit)
             label = f"  /* {comment(first.label)} and {count - 1} more */"
             if len(names) == 1 and not first.function.takes_memory:
-                body.append(f"const double {names[0]} = {code};{label}")
+                body.append(f"const {self.numbers.real} {names[0]} = {code};{label}")
             else:
-                body += [f"double {', '.join(names)};", f"{code};{label}"]
+                body += [f"{self.numbers.real} {', '.join(names)};", f"{code};{label}"]
             for k, r in enumerate(names):
                 if first.values[k] in self.w_at:
                     at = self.index(self.lane_places([self.w_at[call.values[k]] for call in calls], first))
@@ -447,7 +471,7 @@ class _Program(CallOrder):
                     conditions = [call.sinks[k][j].condition for call in calls]
                     side = "" if sink.condition is None else column([("s", c) for c in conditions if c is not None])
                     own = column([("s", call.sinks[k][j].index) for call in calls]) if sink.off == "side" else ""
-                    body.append(_store(at, r, sink.off, side, own))
+                    body.append(self.store(at, r, sink.off, side, own))
         for column_ in zip(*copies, strict=True):
             text = column([copy.value for copy in column_])
             at = self.index(_indices([copy.sink for copy in column_]))
@@ -494,11 +518,11 @@ class _Program(CallOrder):
                         text = self.read(copy.value, unit, local or {})
                         side = "" if copy.sink.condition is None else self.read(("s", copy.sink.condition), unit, {})
                         own = self.read(("s", copy.sink.index), unit, {}) if copy.sink.off == "side" else ""
-                        lines.append("    " + _store(str(copy.sink.index), text, copy.sink.off, side, own))
+                        lines.append("    " + self.store(str(copy.sink.index), text, copy.sink.off, side, own))
                     continue
                 places = [self.row(copy.value, unit) for copy in piece]
                 text = _text(places[0][0], self.index([index for _, index in places]))
-                text = f"(double)({text} >= 0.0)" if piece[0].value[0] == "ge" else text
+                text = self.numbers.as_real(f"{text} >= 0.0") if piece[0].value[0] == "ge" else text
                 at = self.index([at_of(copy.sink) for copy in piece])
                 conditions = [c.sink.condition for c in piece if c.sink.condition is not None]
                 side = own = ""
@@ -506,7 +530,7 @@ class _Program(CallOrder):
                     unit.rows["s"] = None
                     side = _text("s", self.index(conditions))
                     own = _text("s", at)
-                store = _store(at, text, piece[0].sink.off, side, own)
+                store = self.store(at, text, piece[0].sink.off, side, own)
                 lines.append(f"    for (int i = 0; i < {len(piece)}; i++) {store}")
         return lines
 
@@ -549,19 +573,5 @@ def _text(row: str, index: str) -> str:
     return f"{row}[{index}]"
 
 
-def _rows(unit: CallSequence) -> list[str]:
-    """The rows that a unit reads, as names."""
-    return [f"    const double *const {row} = m->{row};" for row in _ROWS if row in unit.rows and row != "x"]
-
-
 def _due(guard: tuple[int, ...]) -> str:
     return " || ".join(f"due[{rate}]" for rate in guard)
-
-
-def _store(at: str, value: str, off: str, side: str, own: str) -> str:
-    if not side:
-        return f"out[{at}] = {value};"
-    if off == "keep":
-        return f"if ({side} != 0.0) out[{at}] = {value};"
-    other = {"zero": "0.0", "inf": "INFINITY", "side": f"({own} != 0.0 ? 1.0 : -1.0)"}[off]
-    return f"out[{at}] = {side} != 0.0 ? {value} : {other};"

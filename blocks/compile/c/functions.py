@@ -15,11 +15,42 @@ from dataclasses import dataclass
 from ...contract.scalars import COSTLY, JOINS, LOGICAL, OPERATIONS
 from ...contract.tape import Tape, TapeNode
 
-__all__ = ["Function", "comment", "function_text", "is_costly", "number", "operation_text"]
+__all__ = ["LANES", "ONE", "Function", "Numbers", "comment", "function_text", "is_costly", "number", "operation_text"]
 
 _UNVECTORISED = COSTLY | {"pick", "floor", "ceil", "copysign"}
 _BOUNDS = {"fmin": "blocks_at_most", "fmax": "blocks_at_least"}
 _DEPTH = 6  # expressions nested deeper than this get a name, for readability
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """What a number of a program is in C: the types of it and of a truth, and of the memory that it is read from.
+
+    are_wide: whether it is that of several runs side by side, for which lanes.h has functions in place of operators.
+    """
+
+    real: str
+    truth: str
+    memory: str
+    are_wide: bool
+
+    def constant(self, value: float) -> str:
+        return f"lanes_of({number(value)})" if self.are_wide else number(value)
+
+    def as_real(self, truth: str) -> str:
+        """1.0 or 0.0 for a truth."""
+        return f"lanes_real({truth})" if self.are_wide else f"(double)({truth})"
+
+    def chosen(self, condition: str, yes: str, no: str) -> str:
+        return f"lanes_choose({condition}, {yes}, {no})" if self.are_wide else f"{condition} ? {yes} : {no}"
+
+    def called(self, function: str) -> str:
+        """The name of a function that C or model.h has of one number."""
+        return f"lanes_{function.removeprefix('blocks_')}" if self.are_wide else function
+
+
+ONE = Numbers("double", "int", "BlocksMemory", False)
+LANES = Numbers("V", "M", "LanesMemory", True)
 
 
 def comment(text: str) -> str:
@@ -73,15 +104,22 @@ class Function:
 
 
 def function_text(
-    name: str, tape: Tape, results: Sequence[int], inputs: Mapping[int, str], tables: Mapping[int, int], what: str
+    name: str,
+    tape: Tape,
+    results: Sequence[int],
+    inputs: Mapping[int, str],
+    tables: Mapping[int, int],
+    what: str,
+    numbers: Numbers = ONE,
 ) -> str:
     """A function that computes nodes of a tape. inputs: the nodes that are arguments, and their names. tables: the
     tables among them, and their sizes."""
-    given = [f"const double *{name_}" if n in tables else f"double {name_}" for n, name_ in inputs.items()]
+    real = numbers.real
+    given = [f"const double *{name_}" if n in tables else f"{real} {name_}" for n, name_ in inputs.items()]
     alone = len(results) == 1
-    given += [] if alone else [f"double *r{k}" for k in range(len(results))]
-    head = f"static inline {'double' if alone else 'void'} {name}({', '.join(given) or 'void'})"
-    printer = _Printer(tape, results, inputs, tables)
+    given += [] if alone else [f"{real} *r{k}" for k in range(len(results))]
+    head = f"static inline {real if alone else 'void'} {name}({', '.join(given) or 'void'})"
+    printer = _Printer(tape, results, inputs, tables, numbers)
     lines = printer.statements()
     values = [printer.real(n) for n in results]
     ends = [f"return {values[0]};"] if alone else [f"*r{k} = {value};" for k, value in enumerate(values)]
@@ -93,8 +131,14 @@ class _Printer:
     """The statements of one function."""
 
     def __init__(
-        self, tape: Tape, results: Sequence[int], inputs: Mapping[int, str], tables: Mapping[int, int]
+        self,
+        tape: Tape,
+        results: Sequence[int],
+        inputs: Mapping[int, str],
+        tables: Mapping[int, int],
+        numbers: Numbers,
     ) -> None:
+        self.numbers = numbers
         self.arguments, self.nodes = tape.arguments, tape.nodes
         self.results, self.inputs, self.tables = results, inputs, tables
         self.needed = needed_from(tape, results, inputs)
@@ -132,7 +176,7 @@ class _Printer:
 
         for n in reversed(self.needed):
             node, region = self.nodes[n], home[n]
-            if node.op in COSTLY:
+            if node.op in COSTLY and not self.numbers.are_wide:  # lanes compute both sides
                 costly.update(path(region))
             for side, operand in enumerate(node.operands):
                 place = region
@@ -155,7 +199,7 @@ class _Printer:
             node, region = self.nodes[n], self.home[n]
             own = lines.setdefault(region, [])
             if node.op == "constant":
-                self.text[n] = (number(node.value), 0, False)
+                self.text[n] = (self.numbers.constant(node.value), 0, False)
             elif n in self.branches:
                 condition, yes, no = node.operands
                 own.append(f"double a{n};")
@@ -169,14 +213,15 @@ class _Printer:
                 depth = 1 + max(self.text[operand][1] for operand in node.operands)
                 expression, is_logical = self.expression(node)
                 if self.uses[n] > 1 or depth > _DEPTH or node.op in COSTLY:
-                    own.append(f"const {'int' if is_logical else 'double'} a{n} = {expression};")
+                    kind = self.numbers.truth if is_logical else self.numbers.real
+                    own.append(f"const {kind} a{n} = {expression};")
                     expression, depth = f"a{n}", 0
                 self.text[n] = (expression, depth, is_logical)
         return lines[None]
 
     def real(self, n: int) -> str:
         text, _, is_logical = self.text[n]
-        return f"(double)({text})" if is_logical else text
+        return self.numbers.as_real(text) if is_logical else text
 
     def logical(self, n: int) -> str:
         text, _, is_logical = self.text[n]
@@ -198,9 +243,16 @@ class _Printer:
             a = [self.real(operand) for operand in operands]
         if op in _BOUNDS and (self.is_bound(operands[0]) or self.is_bound(operands[1])):
             value, bound = a if self.is_bound(operands[1]) else a[::-1]
-            return f"{_BOUNDS[op]}({value}, {bound})", False
-        text = operation_text(op, a)
-        return text if OPERATIONS[op].c.isidentifier() else f"({text})", is_logical
+            return f"{self.numbers.called(_BOUNDS[op])}({value}, {bound})", False
+        c = OPERATIONS[op].c
+        if c.isidentifier():
+            return f"{self.numbers.called(c)}({', '.join(a)})", is_logical
+        if self.numbers.are_wide and op == "choose":
+            chosen = self.numbers.chosen(*a)
+            return chosen.replace("choose", "choose_truth", 1) if is_logical else chosen, is_logical
+        if self.numbers.are_wide and op == "not":
+            return f"(~{a[0]})", True
+        return f"({operation_text(op, a)})", is_logical
 
     def is_bound(self, n: int) -> bool:
         """Whether a node is never NaN: a constant, a parameter, or one of these without its sign."""

@@ -23,13 +23,17 @@ from types import MappingProxyType
 from typing import Any
 
 from ...text.gc_pause import paused
+from ..jacobian import PlanJacobian
 from ..motion import looked_at
 from ..plan import Node, Plan, Program, Reference
 from ..scheduler import schedule
-from ..tableaus import METHODS
+from ..tableaus import METHODS, STIFF
 from ..tick_stages import stages_of, tick_program
+from .c_text import ints
 from .calls import SAME, print_program, print_selected
-from .functions import comment
+from .functions import LANES, comment, function_text
+from .jacobian_code import elimination, in_order, jacobian_text
+from .lane_code import LANE_PROGRAMS, LaneCode
 from .loops import Call, Copy, Sink, at_of
 from .plan_reader import MOVING, Places, PlanReader, ProgramScope
 from .ticks import Clique, Stage, cliques
@@ -45,7 +49,8 @@ class Emitted:
     """A model: its C text, and the data that belongs to it.
 
     x_order: the Plan's index of each state of the model. numbers, tables: the rows n and c. sizes: the macros
-    BLOCKS_..., by their names without the prefix, where they are numbers.
+    BLOCKS_..., by their names without the prefix, where they are numbers. lanes: the C text of several runs side by
+    side; "": it was not asked for.
     """
 
     source: str
@@ -54,6 +59,7 @@ class Emitted:
     tables: tuple[float, ...]
     cliques: tuple[Clique, ...]
     sizes: Mapping[str, int]
+    lanes: str = ""
 
 
 @paused()
@@ -66,17 +72,28 @@ def emit(
     loops: bool = True,
     others: Mapping[str, Sequence[Reference]] = MappingProxyType({}),
     end: str = "",
+    lanes: bool = False,
 ) -> Emitted:
     """The model of a Plan. measured, logged: what its programs of these names give. method: whose stepping loop is
-    compiled ("euler", "rk4", "dopri5"; any other: none). loops: False prints every call by itself. others: what further
-    programs give, by their names; end: C text at the end."""
+    compiled ("euler", "rk4", "dopri5", "radau", "auto"; any other: none). loops: False prints every call by itself.
+    others: what further programs give, by their names; end: C text at the end. lanes: whether programs of several runs
+    side by side are printed too."""
     folded = plan.folded
-    if folded is None:
-        return _Emitter(plan, loops, looked_at(plan, measured, logged)).emitted(plan, method, others, end)
+    if folded is None or not is_printed_folded(method, lanes=lanes):
+        plan = plan if plan.written_out is None else plan.written_out()
+        emitter = _Emitter(plan, loops, looked_at(plan, measured, logged))
+        if lanes:
+            emitter.lanes = LaneCode(lambda name: function_text(name, *emitter.printed_as[name], LANES))
+        return emitter.emitted(plan, method, others, end)
     one, of_one = folded.plan, folded.of_one
     watched = looked_at(one, list(map(of_one, measured)), list(map(of_one, logged)))
     others = {name: list(map(of_one, asked)) for name, asked in others.items()}
     return _Emitter(one, True, watched, folded).emitted(plan, method, others, end)
+
+
+def is_printed_folded(method: str, *, lanes: bool = False) -> bool:
+    """Whether copies are printed as one: the Jacobian of stiff methods, and lanes of a batch, are of all blocks."""
+    return method not in STIFF and not lanes
 
 
 _SIGNATURES = {
@@ -104,6 +121,8 @@ def _moved(places: range | int, by: int) -> range | int:
 
 
 class _Emitter(PlanReader):
+    lanes: LaneCode | None = None
+    is_long = False  # whether the rates are
     whole: Plan
     """The plan of the whole diagram; `plan` is that of one copy where there are copies."""
 
@@ -188,6 +207,11 @@ class _Emitter(PlanReader):
             is_aliased=self.is_in_prepare, is_hot=name in RATES,
         )  # fmt: skip
         self.scratch = max(self.scratch, printed.scratch)
+        if self.lanes is not None and (name in LANE_PROGRAMS or (name == "crossings" and self.is_long)):
+            wide = print_program(
+                name, calls, copies, self.place, self.tables, loops=self.loops, numbers=LANES
+            )
+            self.lanes.add(name, wide, calls)
         if not printed.same:
             functions = printed.functions
             if name not in (*RATES, "logged", "plain_measured", "bent_measured") or len(functions) > LONGEST:
@@ -305,14 +329,20 @@ class _Emitter(PlanReader):
         self.whole = whole
         nodes = [cause.node for cause in plan.crossings]
         moving = any(self.level[node] == MOVING for node in nodes)
-        is_long = self.rates(sink, moving and method in METHODS)
-        if moving:
+        loop = "dopri5" if method == "auto" else method  # whose stepping loop it begins by
+        self.rates(sink)
+        has_own_sides = moving and not (self.is_long and loop in METHODS)
+        if has_own_sides:
             self.rates_and_sides(nodes, sink)
-            if is_long:
-                self.define("rates", "    rates_and_sides(m, t, x, out);")
-        quick = self.quick_measures(sink, method, moving=moving)
+        quick = self.quick_measures(sink, loop, moving=moving)
         sinks = [sink(k, n, "side") for k, n in zip(spread(nodes), nodes, strict=True)]
         self.define("crossings", self.continuous("crossings", nodes, sinks))
+        if moving and not has_own_sides:  # compiling long rates twice takes longer than computing some values twice
+            self.sides = tuple(range(len(whole.crossings)))
+            body = "    rates(m, t, x, out);\n    crossings(m, t, x, out + BLOCKS_NX);"
+            self.define("rates_and_sides", body)
+            if self.lanes is not None:
+                self.lanes.define("rates_and_sides", body)
         watched = {name: self.watched[name] for name in ("logged", "measured", "remembered")}
         for name, asked in {"solutions": plan.unknowns, **watched, **others}.items():
             self.define(name, self.continuous(name, asked, plain(asked)))
@@ -343,14 +373,15 @@ class _Emitter(PlanReader):
         self.start()
         self.selected("anew", [self.beginning(part.resets) for part in plan.enabled])
         cliques = self.outputs(sink)
+        slopes = self.slopes() if method in STIFF else ""
         self.prepare()
         self.compare_lanes()
-        return self.finished(method, cliques, moving, end, quick)
+        return self.finished(method, cliques, moving, slopes, end, quick)
 
     def side_by_side(self, nodes: Sequence[Node]) -> list[range | int]:
         """Places for nodes, those of the lanes of each side by side."""
         places = Places[Node]()
-        return [places.place(node, self.lanes(node.instance)) for node in nodes]
+        return [places.place(node, self.copies_of(node.instance)) for node in nodes]
 
     def numbers_of_causes(self) -> list[range]:
         """The numbers of each cause in the whole diagram: crossings, then event times."""
@@ -363,9 +394,7 @@ class _Emitter(PlanReader):
             for k, own in numbers
         ]
 
-    def rates(self, sink: MakeSink, has_room: bool) -> bool:
-        """The rates; or nothing, and True, where they are long and crossings can follow them: compiling them twice
-        would take longer than computing some crossings in vain."""
+    def rates(self, sink: MakeSink) -> None:
         nodes = self.plan.derivatives
         sinks = [sink(k, node, "zero") for k, node in enumerate(nodes)]
         scope = ProgramScope({}, {}, {}, True, is_hot=True)
@@ -377,12 +406,8 @@ class _Emitter(PlanReader):
         copies.sort(key=lambda copy: copy.sink.index if isinstance(copy.sink.index, int) else copy.sink.index.start)
         printed = len(self.texts)
         body = self.printed("rates", calls, copies, is_hot=True)
-        if has_room and len(body) + sum(map(len, self.texts[printed:])) > LONG:
-            del self.texts[printed:]
-            return True
         self.define("rates", body)
         self.is_long = len(body) + sum(map(len, self.texts[printed:])) > LONG
-        return False
 
     def compare_lanes(self) -> None:
         """Whether all lanes of all loops read the same parameters: reading takes most time where memory is slow."""
@@ -437,6 +462,8 @@ class _Emitter(PlanReader):
             for what, items in (("STATES", states), ("COLUMNS", columns)):
                 rows = ", ".join(map(str, items)) or "0"
                 self.texts.append(f"#define BLOCKS_{name.upper()}_{what} {{{rows}}}\n")
+                if self.lanes is not None:
+                    self.lanes.texts.append(self.texts[-1])
         return sizes
 
     def refresh(self) -> None:
@@ -575,7 +602,7 @@ class _Emitter(PlanReader):
                 continue
             stack.pop()
             depth[key] = 1 + max((depth[other] for other in needs), default=-1)
-            self.q.place(key, self.lanes(key[0]))
+            self.q.place(key, self.copies_of(key[0]))
         by_depth: dict[int, dict[int, list[int]]] = {}
         for (instance, n), level in depth.items():
             by_depth.setdefault(level, {}).setdefault(instance, []).append(n)
@@ -607,7 +634,7 @@ class _Emitter(PlanReader):
         for n in function.inputs:
             k = int(tape.nodes[n].value)
             arguments.append(self.value(block.arguments[k], scope, (instance, k)))
-        lanes = self.lanes(instance)
+        lanes = self.copies_of(instance)
         sinks = [[Sink(self.q.place((instance, n), lanes))] for n in nodes]
         made = [self.new_value() for _ in nodes]
         return Call(function, block.path, instance, arguments, made, sinks, lanes=lanes)
@@ -615,8 +642,19 @@ class _Emitter(PlanReader):
     def own_place(self, key: Any) -> range | int:
         """The places in q or in v of something that is there: of a parameter, a node, a place of memory."""
         if isinstance(key, Node):
-            return self.v.place(key, self.lanes(key.instance))
+            return self.v.place(key, self.copies_of(key.instance))
         return (self.q if key[0] == "p" else self.v).place(key, self.lanes_of(*key))
+
+    def slopes(self) -> str:
+        """The Jacobian of the rates for a stiff method, and the order in which its columns are eliminated."""
+        made = PlanJacobian(self.plan)
+        plain = [Sink(k) for k in range(len(made.outputs))]
+        self.define("slope_outputs", self.continuous("slope_outputs", made.outputs, plain))
+        derived = jacobian_text(made, self.offsets, self.x_at, "slope_outputs", is_square=True)
+        order = elimination(*in_order(made, self.x_at)[:2])
+        table, name = ("", "0") if order is None else (ints("elimination", order), "elimination")
+        own = f"static const BlocksJacobian slopes = {derived.initializer};\n{table}#define ELIMINATION {name}\n"
+        return f'\n#include "stiff.h"\n{derived.text}{own}'
 
     def looked_at(self, name: str) -> str:
         """The tables of what is looked at inside a step: the states that it needs, and how else it moves."""
@@ -654,7 +692,8 @@ class _Emitter(PlanReader):
             motion = self.motions[name]
             phases = f"{name}_phases" if motion.phases else "0"
             bent = f"{name}_bent" if self.tells_bent(name) else "0"
-            sizes = [sum(self.lanes(node.instance) for node in nodes) for nodes in (of_blocks(asked), motion.phases)]
+            counted = of_blocks(asked), motion.phases
+            sizes = [sum(self.copies_of(node.instance) for node in nodes) for nodes in counted]
             sizes[0] += sum(isinstance(item, Reference) for item in asked)
             counts = f"{sizes[0]}, {sizes[1]}, {len(self.states_of[name])}, {len(motion.histories)}"
             places = f"{name}_states, {name}_histories, {bent}"
@@ -662,7 +701,7 @@ class _Emitter(PlanReader):
         return f"\nstatic const BlocksLook looks[] = {{\n{''.join(rows)}}};\n"
 
     def finished(
-        self, method: str, cliques: tuple[Clique, ...], moving: bool, end: str, quick: dict[str, int]
+        self, method: str, cliques: tuple[Clique, ...], moving: bool, slopes: str, end: str, quick: dict[str, int]
     ) -> Emitted:
         plan, own = self.whole, self.plan
         sizes = {
@@ -683,11 +722,17 @@ class _Emitter(PlanReader):
         states += [f"static const int sides_at[] = {{{sides}}};\n"] if moving else []
         sizes["NLOGGED_STATES"] = len(self.states_of["logged"])
         macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
-        macros.append(f"#define BLOCKS_METHOD_{method.upper() if method in METHODS else 'NONE'} 1\n")
+        methods = ("dopri5", "auto") if method == "auto" else (method if method in (*METHODS, *STIFF) else "none",)
+        chosen = [f"METHOD_{name.upper()}" for name in methods]
+        macros += [f"#define BLOCKS_{name} 1\n" for name in chosen]
         source = "".join([
             f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n',
             '#include "fmu_bridge.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",
-            "\n".join(self.texts), self.looks(), '\n#include "steps.h"\n', end,
+            "\n".join(self.texts), self.looks(), slopes, '\n#include "steps.h"\n', end,
         ])  # fmt: skip
         table = tuple(value for values in own.tables for value in values)
-        return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes)
+        lanes = ""
+        if self.lanes is not None:
+            tables = self.tables.text + (states[-1] if moving else "")
+            lanes = self.lanes.source(plan.name, sizes | dict.fromkeys(chosen, 1), tables)
+        return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes, lanes)

@@ -73,6 +73,7 @@ class PlanReader:
         self.tables = Tables()
         self.functions: dict[object, Function] = {}
         self.texts: list[str] = []
+        self.printed_as: dict[str, tuple[Tape, tuple[int, ...], dict[int, str], dict[int, int], str]] = {}
         self.scratch = 0
         self.same: dict[tuple[str, int, int], None] = {}  # pieces of q and n that loops read as one number if equal
         self.seen_states: dict[tuple[int, int], None] = {}  # of the program at hand, with the lane; -1: in all
@@ -134,7 +135,7 @@ class PlanReader:
 
     # --- copies ---------------------------------------------------------------------------------------------------
 
-    def lanes(self, instance: int) -> int:
+    def copies_of(self, instance: int) -> int:
         """How many copies an instance stands for."""
         fleet = None if self.folded is None else self.folded.fleets[instance]
         return 1 if fleet is None else fleet.count
@@ -147,7 +148,7 @@ class PlanReader:
         """How many copies a place of memory stands for."""
         if self.folded is None:
             return 1
-        return self.lanes(self.plan.outputs[index].instance) if row == "w" else self.folded.lanes(row, index)
+        return self.copies_of(self.plan.outputs[index].instance) if row == "w" else self.folded.lanes(row, index)
 
     def all_places(self, row: str, index: int) -> range | int:
         """The places of a place of memory in the whole diagram."""
@@ -247,9 +248,10 @@ class PlanReader:
                 return row, range(self.x_at[index], self.x_at[index] + lanes) if lanes > 1 else self.x_at[index]
             return (row, self.all_places(row, index)) if row in _OF_BLOCKS else value
         if row == "q":
-            return "q", self.q.place(index, self.lanes_of("p", index[1]) if index[0] == "p" else self.lanes(index[0]))
+            lanes = self.lanes_of("p", index[1]) if index[0] == "p" else self.copies_of(index[0])
+            return "q", self.q.place(index, lanes)
         if row == "v":
-            lanes = self.lanes_of(*index) if isinstance(index, Reference) else self.lanes(index.instance)
+            lanes = self.lanes_of(*index) if isinstance(index, Reference) else self.copies_of(index.instance)
             return "v", self.v.place(index, lanes)
         key, number = index
         if key not in self.n:
@@ -300,7 +302,8 @@ class PlanReader:
                 names[n] = f"a{n}" if argument is not None else f"q{n}"
         name = f"f{len(self.functions)}"
         computed = needed_from(tape, nodes, names)
-        self.texts.append(function_text(name, tape, nodes, names, tables, what))
+        self.printed_as[name] = tape, nodes, names, tables, what
+        self.texts.append(function_text(name, *self.printed_as[name]))
         arguments = tuple(int(tape.nodes[n].value) if tape.nodes[n].op == "argument" else -1 for n in names)
         function = Function(name, tuple(names), arguments, len(nodes), 1 + len(computed), is_costly(tape, computed))
         self.functions[key] = function
@@ -341,7 +344,7 @@ class PlanReader:
         values = list(range(self.values + 1, self.values + 1 + len(nodes)))
         self.values += len(nodes)
         scope.made.update(zip(nodes, values, strict=True))
-        lanes = self.lanes(instance)
+        lanes = self.copies_of(instance)
         return Call(function, block.path, instance, arguments, values, [[] for _ in nodes], lanes=lanes)
 
     def foreign_call(self, instance: int, nodes: Sequence[Node], scope: ProgramScope) -> Call:

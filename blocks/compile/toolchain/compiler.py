@@ -46,6 +46,7 @@ __all__ = [
     "build",
     "find_compiler",
     "find_zig",
+    "is_gcc",
     "is_zig",
     "load",
     "try_out",
@@ -148,6 +149,12 @@ def find_zig() -> Compiler | None:
 def is_zig(compiler: Compiler) -> bool:
     """Whether it makes code for other platforms: it is `zig cc`."""
     return Path(compiler.command[0]).stem.lower() == "zig" or "ziglang" in compiler.command
+
+
+def is_gcc(compiler: Compiler) -> bool:
+    """Whether it has gcc's vectors and pragmas: those that answer to its name are not all gcc."""
+    told = " ".join((compiler.version, *compiler.command)).lower()
+    return not any(name in told for name in ("clang", "zig", "tcc"))
 
 
 def _on_path(name: str, path: str, *words: str) -> Compiler | None:

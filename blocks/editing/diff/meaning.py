@@ -10,7 +10,7 @@ from typing import Any
 
 from ...contract import expressions
 from ...contract.expressions import exact_decimal
-from ...model.values import Column, Unit, is_expression
+from ...model.values import Column, EdgeTable, Unit, is_expression
 from ...text import units
 from ...text.errors import ModelError
 from ...text.json_number import Number
@@ -76,6 +76,8 @@ def is_quantity(raw: Any) -> bool:
 def _meaning(raw: Any, declared: Unit = "") -> Any:
     """Quantities for numbers, tuples for lists, dicts for objects, and texts, bools and null as they are."""
     match raw:
+        case EdgeTable():
+            return _meaning({"edges": raw.numbers, **{key: raw[key] for key in raw if key != "csv"}})
         case Column():
             unit = _text(raw.get("unit")) or declared
             return tuple(_number(number, unit) for number in raw.numbers)
@@ -173,6 +175,9 @@ def _escape(character: str) -> str:
 def legible_value(raw: Any, declared: Unit = "") -> str:
     """A raw value as a file has it, shortened: 0.10 V, "+-", =kp, [1, 0.2, 1]; a bare number with its declared unit."""
     match raw:
+        case {"shape": [rows, columns]}:
+            given = f"of {quoted(str(raw['csv']))}" if "csv" in raw else f"of {len(raw.get('edges', ())):,} edges"
+            return clean(f"{rows} x {columns} matrix {given}")
         case Column() | {"csv": _}:
             unit = _text(raw.get("unit")) or _single(declared)
             return _with_unit(f"column {quoted(str(raw.get('column')))} of {quoted(str(raw.get('csv')))}", unit)

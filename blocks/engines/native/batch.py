@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -49,35 +49,66 @@ def run_rows(
     table = np.ascontiguousarray(table, dtype=float)
     n, width = len(table), len(model.logged)
     measures = model.measures_of(plan)
-    count = max(1, min(n, threads or cores()))
-    engines = [NativeEngine(plan, inputs, is_silent=not width, model=model) for _ in range(count)]
-    batch, kept = _begun(plan, engines[0], table, grid, budget)
+    beside = 1 if model.lanes is None else model.lanes.width
+    count = max(1, min(-(-n // beside), threads or cores()))
+    beside = min(beside, -(-n // count))  # lanes that never have a row need none behind them
+    workers = [
+        _Worker([NativeEngine(plan, inputs, is_silent=not width, model=model) for _ in range(beside)], grid, width)
+        for _ in range(count)
+    ]
+    batch, kept = _begun(plan, workers[0].engines[0], table, grid, budget)
     batch.is_by_one = int(bool(measures.paths))
     paths: list[dict[int, Array]] = [{} for _ in range(n)]
 
-    working, ended = [*engines], threading.Event()
+    working, ended = [*workers], threading.Event()
     memory = batch, kept, inputs, plan
 
-    def work(engine: NativeEngine) -> None:
+    def work(worker: _Worker) -> None:
         held = memory  # where Ctrl-C leaves the caller between two lines, C still writes here  # noqa: F841
-        room = np.empty((grid + 1, 1 + width))
         try:
-            while (row := model.library.blocks_batch(ctypes.addressof(batch), engine.address, room.ctypes.data)) >= 0:
+            for row, engine in worker.rows(batch):
                 paths[row] = engine.paths()
         finally:
-            working.remove(engine)
+            working.remove(worker)
             if not working:
                 ended.set()
 
     try:
-        for engine in engines:
-            threading.Thread(target=work, args=(engine,)).start()
+        for worker in workers:
+            threading.Thread(target=work, args=(worker,)).start()
         is_cancelled, failure = _watched(ended, batch, progress)
     finally:
         batch.is_cancelled = 1
     if failure is not None:
         raise failure
     return [_row(plan, measures, kept, i, paths[i], budget) for i in range(n)], is_cancelled
+
+
+class _Worker:
+    """What a thread works with: a run for each lane, or a single one; room: of rows of signals, for each."""
+
+    def __init__(self, engines: list[NativeEngine], grid: int, width: int) -> None:
+        self.engines, self.library = engines, engines[0].model.library
+        self.room = np.empty((len(engines), grid + 1, 1 + width))
+        self.lanes = engines[0].model.lanes
+
+    def rows(self, batch: Any) -> Iterator[tuple[int, NativeEngine]]:
+        """Work on rows; where that goes by one, the number of each, and the run that made it."""
+        address, room = ctypes.addressof(batch), self.room.ctypes.data
+        if self.lanes is None:
+            while (row := self.library.blocks_batch(address, self.engines[0].address, room)) >= 0:
+                yield row, self.engines[0]
+            return
+        sims = (ctypes.c_void_p * self.lanes.width)(*(engine.address for engine in self.engines))
+        lanes = self.library.blocks_lanes_new(ctypes.addressof(sims), room, self.room[0].size)
+        if not lanes:
+            raise MemoryError
+        which = ctypes.c_int32()
+        try:
+            while (row := self.library.blocks_lanes(address, lanes, ctypes.addressof(which))) >= 0:
+                yield row, self.engines[which.value]
+        finally:
+            self.library.blocks_lanes_free(lanes)
 
 
 def _begun(

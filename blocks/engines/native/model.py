@@ -16,15 +16,18 @@ import numpy as np
 
 from ...compile.c import runtime_layout
 from ...compile.c.emit_cache import emitted, plan_key
-from ...compile.c.model_code import Emitted
+from ...compile.c.lane_code import LANE_FILES, Machine, why_no_gain
+from ...compile.c.model_code import Emitted, emit
 from ...compile.c.runtime_grid import grid_of
 from ...compile.c.runtime_tables import RuntimeTables
-from ...compile.c.runtime_texts import RUNTIME, packaged
+from ...compile.c.runtime_texts import RUNTIME, packaged, stiff_units
 from ...compile.plan import Node, Plan, Reference
+from ...compile.tableaus import STIFF
 from ...compile.toolchain.compiler import TranslationUnit, build, load
 from ...text.errors import CompilerError
 from ..run.measures import Measures
 from ..run.step_parts import longest_step
+from .stiff import CarriedOrder
 
 __all__ = ["Model", "model_of"]
 
@@ -38,16 +41,21 @@ LARGE = 10_000
 """From so many operations on, the equations of one block may be why a compiler fails."""
 
 
-def model_of(plan: Plan, log: tuple[str, ...], method: str) -> Model:
-    """The model of a Plan, made once for plans that differ in values alone. Raises CompilerError (E60x)."""
+def model_of(plan: Plan, log: tuple[str, ...], method: str, *, lanes: Machine | None = None) -> Model:
+    """The model of a Plan, made once for plans that differ in values alone. lanes: of what machine its runs are made
+    side by side too. Raises CompilerError (E60x)."""
     windows = tuple((spec.type, spec.start, spec.stop, spec.omega) for spec in plan.measures)
     measured, logged = Measures(plan).references, [ref for name in log for ref in plan.signal(name).references]
     digest = plan_key(plan, measured, logged, method)
-    key = (digest, windows, EXTRA_FLAGS)
+    key = (digest, windows, EXTRA_FLAGS, lanes)
     with _LOCK:
         model = _MODELS.pop(key, None)
     # Without the lock: compiling takes time, and a fork may come meanwhile.
-    model = model or Model(plan, emitted(plan, digest, measured=measured, method=method, logged=logged), logged)
+    if model is None and lanes is None:
+        model = Model(plan, emitted(plan, digest, measured=measured, method=method, logged=logged), logged, method)
+    elif model is None:
+        made = emit(plan, measured=measured, method=method, logged=logged, lanes=True)
+        model = Model(plan, made, logged, method, lanes)
     with _LOCK:
         _MODELS[key] = model  # the last one used goes last
         while len(_MODELS) > MOST_MODELS:
@@ -56,27 +64,40 @@ def model_of(plan: Plan, log: tuple[str, ...], method: str) -> Model:
 
 
 class Model(RuntimeTables):
-    """The compiled model of a Plan."""
+    """The compiled model of a Plan. lanes: the machine whose lanes run several at once; None: there are none.
+    why_no_lanes: they were asked for, and would bring nothing."""
 
-    def __init__(self, plan: Plan, made: Emitted, logged: list[Reference]) -> None:
+    def __init__(
+        self, plan: Plan, made: Emitted, logged: list[Reference], method: str, lanes: Machine | None = None
+    ) -> None:
         super().__init__(plan, made, logged)
         headers = packaged(*RUNTIME)
         other, *more = ("fmu_bridge.c", "fmu_bridge.h", "fmu_types.h") if plan.foreign else ("batch.c", "batch.h")
         beside = headers | packaged(*more)
+        stiff = ("jacobian.c", *stiff_units(method)) if method in STIFF else ()
         units = [
             TranslationUnit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True),
             TranslationUnit(other, packaged(other)[other], beside, is_shared=True),
+            *(TranslationUnit(name, text, headers, is_shared=True) for name, text in packaged(*stiff).items()),
             TranslationUnit("model.c", self.emitted.source, beside if plan.foreign else headers),
         ]
+        self.why_no_lanes = why_no_gain(made.sizes) if lanes is not None else ""
+        self.lanes = None if self.why_no_lanes else lanes
+        if self.lanes is not None:
+            headers = headers | packaged(*LANE_FILES, "batch.h") | {"lane_machine.h": self.lanes.header()}
+            units.append(TranslationUnit("lanes.c", made.lanes, headers))
         guesses = [plan.guesses.get(reference, 0.0) for reference in plan.unknowns]
         begins = _sides(plan)
         sides = [0.0 if isinstance(begin, Node) else float(begin.index) for begin in begins]
         located = [float(isinstance(begin, Reference)) for begin in begins]
         self.begin = tuple(np.array(row, dtype=float) for row in (guesses, sides, located))
         """At the start: where searches begin, the sides of crossings, and which of these are known."""
+        self._carried: CarriedOrder | None = None
         self._of_measures: tuple[Any, Any, Measures] | None = None
         self._of_settings: tuple[Any, Any, int] | None = None  # of the last run
-        self.library = _prepared(load(_built(plan, units)), has_batch=not plan.foreign)
+        self.spare: list[Any] = []  # memory for rows that no run has now
+        library = load(_built(plan, units))
+        self.library = _prepared(library, has_batch=not plan.foreign, has_lanes=self.lanes is not None)
         self.address = ctypes.cast(self.library["blocks_model"], ctypes.c_void_p).value
 
     @cached_property
@@ -91,6 +112,12 @@ class Model(RuntimeTables):
         setup.nintegers = int(self.has_integers)
         setup.has_windows, setup.has_paths = int(self.has_windows), int(self.has_paths)
         return setup
+
+    def carried_order(self, plan: Plan) -> CarriedOrder:
+        """How what a stiff method keeps is ordered, by a Plan that differs in values alone."""
+        if self._carried is None:
+            self._carried = CarriedOrder(plan, self.place)
+        return self._carried
 
     def measures_of(self, plan: Plan) -> Measures:
         """The measures of a run that has not begun: they are replaced, never changed, so that runs may share them."""
@@ -153,10 +180,10 @@ def _built(plan: Plan, units: Sequence[TranslationUnit]) -> Path:
         raise CompilerError(replace(fault, message=message)) from None
 
 
-def _prepared(library: ctypes.CDLL, *, has_batch: bool) -> ctypes.CDLL:
+def _prepared(library: ctypes.CDLL, *, has_batch: bool, has_lanes: bool) -> ctypes.CDLL:
     """The library with the types of its functions. A mismatch of structures is a defect of this package.
 
-    has_batch: one that FMUs take part in has no batch.
+    has_batch: one that FMUs take part in has no batch. has_lanes: whether it was compiled with lanes.
     """
     c = ctypes
     sim = c.c_void_p
@@ -180,6 +207,11 @@ def _prepared(library: ctypes.CDLL, *, has_batch: bool) -> ctypes.CDLL:
         ("blocks_list_room", c.c_int, [sim, c.c_int64]),
         ("blocks_past_room", c.c_int, [sim, c.c_int64, c.c_int64]),
         *([("blocks_batch", c.c_int64, [sim, sim, sim])] if has_batch else []),
+        *([
+            ("blocks_lanes_new", sim, [sim, sim, c.c_int64]),
+            ("blocks_lanes", c.c_int64, [sim, sim, sim]),
+            ("blocks_lanes_free", None, [sim]),
+        ] if has_lanes else []),
     ):
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments

@@ -16,22 +16,36 @@ if TYPE_CHECKING:
 __all__ = ["Handle", "array", "track_table"]
 
 Array = np.ndarray[Any, Any]
+MOST_SPARE, LARGEST_SPARE = 4, 2**22  # pieces of memory, bytes
 
 
 class Handle:
     """The C side of a run, freed with it. keep: what C reads during its life."""
 
     def __init__(self, model: Model, setup: Any, keep: tuple[Any, ...]) -> None:
-        self.library, self.setup, self.keep = model.library, setup, keep
+        self.library, self.setup, self.keep, self.spare = model.library, setup, keep, model.spare
+        self._rows: Array | None = None
         self.address = model.library.blocks_new(ctypes.addressof(setup))
         if not self.address:
             raise MemoryError
         self.sim = runtime_layout.BlocksSim.from_address(self.address)
 
+    def rows(self, shape: tuple[int, int]) -> Array:
+        """Memory for rows that are copied before anyone keeps them. That of runs before is taken again: in new memory,
+        each page that is first written costs as much as ten rows."""
+        if self._rows is None or self._rows.shape != shape:
+            self._rows = self.spare.pop() if self.spare else None
+        if self._rows is None or self._rows.shape != shape:
+            self._rows = np.empty(shape)
+        return self._rows
+
     def __del__(self) -> None:
         if getattr(self, "address", None):
             self.library.blocks_free(self.address)
             self.address = None
+            rows = self._rows
+            if rows is not None and rows.nbytes <= LARGEST_SPARE and len(self.spare) < MOST_SPARE:
+                self.spare.append(rows)
 
 
 def array(address: Any, size: int, kind: Any = ctypes.c_double) -> Array:

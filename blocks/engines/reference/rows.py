@@ -58,6 +58,14 @@ class RunRows:
         if self.every is not None:
             self.next = min(self.next, self.every.after(t))
 
+    def wants(self, t: float) -> bool:
+        """Whether an instant at t has a row: what is recorded is computed for these alone."""
+        if self.every is None or self.settings.records_jumps:
+            return True
+        last = self.recording.last[0]
+        is_near = within_ulps(t, self.every.time(self.next), self.scale) or within_ulps(t, last, self.scale)
+        return is_near or t == self.end or math.isnan(last)
+
     def at_instant(self, t: float, left: Row | None, right: Row) -> None:
         """A row where the grid or a jump asks for it, but none twice; in a jump, after that of the left values."""
         recording = self.recording

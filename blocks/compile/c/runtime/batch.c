@@ -1,9 +1,8 @@
 #include "batch.h"
 
-static int is_cancelled(BlocksBatch *b) { return __atomic_load_n(&b->is_cancelled, __ATOMIC_RELAXED); }
+int blocks_is_cancelled(BlocksBatch *b) { return __atomic_load_n(&b->is_cancelled, __ATOMIC_RELAXED); }
 
-/* As a run of its own begins. */
-static void stand_at_start(const BlocksBatch *b, BlocksSim *s, int64_t row, double *room)
+void blocks_row_begin(const BlocksBatch *b, BlocksSim *s, int64_t row, double *room)
 {
     const BlocksModel *model = s->model;
     blocks_reset(s);
@@ -34,7 +33,7 @@ static int run_row(BlocksBatch *b, BlocksSim *s)
         while (status == BLOCKS_PAUSED) {
             status = blocks_advance(s, b->stops[k], 0, 2);
             s->fired_events.used = 0; /* nobody reads them */
-            if (status == BLOCKS_PAUSED && (is_cancelled(b) || is_over(b, s))) return BLOCKS_PAUSED;
+            if (status == BLOCKS_PAUSED && (blocks_is_cancelled(b) || is_over(b, s))) return BLOCKS_PAUSED;
         }
         if (status != BLOCKS_DONE) return status;
     }
@@ -42,7 +41,7 @@ static int run_row(BlocksBatch *b, BlocksSim *s)
 }
 
 /* What became of the row. */
-static void keep(BlocksBatch *b, BlocksSim *s, int64_t row, int status, const double *room)
+void blocks_row_keep(BlocksBatch *b, BlocksSim *s, int64_t row, int status, const double *room)
 {
     int n = s->setup->nmeasures;
     int64_t width = 1 + s->rows.columns, made = 0;
@@ -67,13 +66,13 @@ static void keep(BlocksBatch *b, BlocksSim *s, int64_t row, int status, const do
 
 int64_t blocks_batch(BlocksBatch *b, BlocksSim *s, double *room)
 {
-    while (!is_cancelled(b)) {
+    while (!blocks_is_cancelled(b)) {
         int64_t row = __atomic_fetch_add(&b->next, 1, __ATOMIC_RELAXED);
         if (row >= b->nrows) return -1;
-        stand_at_start(b, s, row, room);
+        blocks_row_begin(b, s, row, room);
         int status = run_row(b, s);
         if (status == BLOCKS_PAUSED && !is_over(b, s)) return -1; /* cancelled: it is left */
-        keep(b, s, row, status, room);
+        blocks_row_keep(b, s, row, status, room);
         if (b->is_by_one) return row;
     }
     return -1;

@@ -36,4 +36,16 @@ typedef struct {
    cancelled. room: of ngrid + 1 rows of signals, for this thread. */
 BLOCKS_API int64_t blocks_batch(BlocksBatch *b, BlocksSim *s, double *room);
 
+/* The same in lanes, each with a run behind it (lane_steps.h); `which`: the lane of that row. sims: of each lane,
+   null for one that gets no row. room: of each lane that has one, `each` doubles long. What becomes of a row depends neither on its lane nor on the rows beside it. */
+typedef struct BlocksLanes BlocksLanes;
+BLOCKS_API BlocksLanes *blocks_lanes_new(BlocksSim **sims, double *room, int64_t each); /* null where there is no memory */
+BLOCKS_API int64_t blocks_lanes(BlocksBatch *b, BlocksLanes *lanes, int32_t *which);
+BLOCKS_API void blocks_lanes_free(BlocksLanes *lanes);
+
+/* For both. */
+int blocks_is_cancelled(BlocksBatch *b);
+void blocks_row_begin(const BlocksBatch *b, BlocksSim *s, int64_t row, double *room); /* as a run of its own begins */
+void blocks_row_keep(BlocksBatch *b, BlocksSim *s, int64_t row, int status, const double *room);
+
 #endif

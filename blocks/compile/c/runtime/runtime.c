@@ -10,7 +10,7 @@
 #define HOT
 #endif
 #define _POSIX_C_SOURCE 199309L /* clock_gettime */
-#include "runtime.h"
+#include "stiff.h"
 
 #include <stdlib.h>
 #include <time.h>
@@ -30,7 +30,7 @@ static const double LOBATTO[] = {0.0, 0.17267316464601146, 0.5, 0.82732683535398
 /* --- times -------------------------------------------------------------------------------------------------- */
 
 /* numerator / denominator, rounded once; both may be beyond 2^53. */
-static double ratio(__int128 numerator, int64_t denominator)
+INLINE double ratio(__int128 numerator, int64_t denominator)
 {
     const int64_t plain = (int64_t)1 << 53;
     if (numerator <= plain && numerator >= -plain && denominator <= plain)
@@ -50,12 +50,12 @@ static double ratio(__int128 numerator, int64_t denominator)
 
 double blocks_divided(const BlocksGrid *g, int64_t k) { return ratio((__int128)g->start + (__int128)k * g->step, g->unit); }
 
-double blocks_tick_time(const BlocksSim *s, int64_t count)
+HOT double blocks_tick_time(const BlocksSim *s, int64_t count)
 {
     return ratio((__int128)count * s->setup->base_numerator, s->setup->base_denominator);
 }
 
-static int64_t tick_count(const BlocksSim *s, int rate)
+INLINE int64_t tick_count(const BlocksSim *s, int rate)
 {
     return s->setup->rates[rate].offset + s->ticks[rate] * s->setup->rates[rate].period;
 }
@@ -73,7 +73,6 @@ static double seconds(void)
 
 int blocks_clock(BlocksSim *s)
 {
-    if (--s->budget > 0) return 0;
     double now = seconds();
     if (now >= s->deadline || s->fired_events.used > 1 << 20) {
         s->budget = 0;
@@ -168,7 +167,7 @@ void blocks_take_rows(BlocksSim *s, const double *first, int64_t count, double *
     rows->end = next + room * width;
 }
 
-static int add_row(BlocksSim *s, double t, const double *values)
+HOT static int add_row(BlocksSim *s, double t, const double *values)
 {
     double *row = blocks_row(s);
     if (!row) {
@@ -181,7 +180,7 @@ static int add_row(BlocksSim *s, double t, const double *values)
     return 0;
 }
 
-static int all_finite(const double *values, int n)
+INLINE int all_finite(const double *values, int n)
 {
     double sum = 0.0;
     for (int i = 0; i < n; i++) sum += values[i] * 0.0;
@@ -191,7 +190,7 @@ static int all_finite(const double *values, int n)
 /* --- inputs ------------------------------------------------------------------------------------------------- */
 
 /* The number of times that are at most t, less 1. */
-static int64_t last_at(const double *t, int64_t n, double then)
+HOT static int64_t last_at(const double *t, int64_t n, double then)
 {
     int64_t low = 0, high = n;
     while (low < high) {
@@ -222,7 +221,7 @@ void blocks_inputs(BlocksSim *s, double t)
     s->moving = !s->is_constant || s->model->nh > 0 || s->polynomials;
 }
 
-static double next_input_break(const BlocksSim *s, double t)
+HOT static double next_input_break(const BlocksSim *s, double t)
 {
     double best = INFINITY;
     for (int j = 0; j < s->setup->ntracks; j++) {
@@ -280,7 +279,7 @@ void blocks_outside(BlocksSim *s, double t)
 }
 
 /* A program at (t, x), where inputs and histories are as they are then. */
-static void evaluate(BlocksSim *s, BlocksProgram program, double t, const double *x, double *out)
+INLINE void evaluate(BlocksSim *s, BlocksProgram program, double t, const double *x, double *out)
 {
     if (s->moving) blocks_outside(s, t);
     program(&s->memory, t, x, out);
@@ -297,7 +296,7 @@ void blocks_rates(BlocksSim *s, double t, const double *x, double *out)
     s->evaluations++;
 }
 
-static double next_delayed(const BlocksSim *s)
+HOT static double next_delayed(const BlocksSim *s)
 {
     double best = INFINITY;
     for (int i = 0; i < s->model->nh; i++)
@@ -677,24 +676,23 @@ static void settle_past(BlocksSim *s, int64_t first, double t)
 
 /* --- recording ---------------------------------------------------------------------------------------------- */
 
-int blocks_logged(BlocksSim *s, double *out)
+HOT int blocks_logged(BlocksSim *s, double *out)
 {
     evaluate(s, s->model->logged, s->t, s->memory.x, out);
     return all_finite(out, s->model->nlogged) ? 0 : blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
 }
 
-/* A row where the grid asks for it, and at the stop; another instant at the time of the last one changes it. */
-static int record_on_grid(BlocksSim *s, const double *right)
+/* A row where the grid asks for it, and at the stop; another instant at the time of the last one changes it. What is
+   recorded is computed for these alone. */
+HOT static int record_on_grid(BlocksSim *s)
 {
-    double point = blocks_grid(&s->setup->every, s->row);
-    if (blocks_joins(s, point, s->t)) {
-        if (add_row(s, s->t == s->setup->end ? s->t : point, right)) return BLOCKS_FAILED;
-        s->row++;
-    } else if (s->last_row && blocks_joins(s, s->last_row[0], s->t)) {
-        memcpy(s->last_row + 1, right, (size_t)s->model->nlogged * sizeof(double));
-    } else if (s->t == s->setup->end || !s->last_row) {
-        return add_row(s, s->t, right);
-    }
+    const double point = blocks_next_row(s), t = s->t;
+    const int is_on_grid = blocks_joins(s, point, t), is_again = !is_on_grid && s->last_row && blocks_joins(s, s->last_row[0], t);
+    if (!is_on_grid && !is_again && t != s->setup->end && s->last_row) return 0;
+    if (blocks_logged(s, s->row_values)) return BLOCKS_FAILED;
+    if (is_again) memcpy(s->last_row + 1, s->row_values, (size_t)s->model->nlogged * sizeof(double));
+    else if (add_row(s, is_on_grid && t != s->setup->end ? point : t, s->row_values)) return BLOCKS_FAILED;
+    s->row += is_on_grid;
     return 0;
 }
 
@@ -705,10 +703,10 @@ static int record(BlocksSim *s, const double *left)
     int n = s->model->nlogged;
     double t = s->t, *right = s->row_values;
     if (setup->is_silent) return 0;
+    if (!setup->has_jumps) return record_on_grid(s);
     if (blocks_logged(s, right)) return BLOCKS_FAILED;
-    if (!setup->has_jumps) return record_on_grid(s, right);
     double last = s->last_row ? s->last_row[0] : NAN;
-    int on_grid = setup->every.is_given ? t == blocks_grid(&setup->every, s->row) : t != last;
+    int on_grid = setup->every.is_given ? t == blocks_next_row(s) : t != last;
     int jumps = 0, differs = 0;
     for (int i = 0; i < n; i++) {
         if (left && left[i] != right[i]) jumps = 1;
@@ -779,13 +777,13 @@ int blocks_rows_inside(BlocksSim *s, double t1, double h, int outstanding)
     const BlocksModel *model = s->model;
     if (!setup->every.is_given) return rows_between(s, t1, h);
     if (s->model->looks[BLOCKS_LOGGED].nphases && !(s->steps % 64)) blocks_look_at_rows(s, t1, h);
-    double t = blocks_grid(&setup->every, s->row);
+    double t = blocks_next_row(s);
     if (!(t < t1)) return 0;
     const BlocksLook *look = &model->looks[BLOCKS_LOGGED];
     weigh(s, h, look->states, look->nstates);
     int n = model->nlogged;
     double *row = NULL;
-    for (; t < t1; t = blocks_grid(&setup->every, s->row)) {
+    for (; t < t1; t = blocks_next_row(s)) {
         if (outstanding && blocks_joins(s, t, t1)) break;
         row = blocks_row(s);
         if (!row) return no_memory(s);
@@ -1174,10 +1172,10 @@ HOT static double beyond(Search *search, double size)
     return most;
 }
 
-/* The right end of the smallest interval that holds the first change. Oliveira and Takahashi 2020 (ITP). */
-static double narrowed(Search *search, double low, double high, double resolution)
+/* The right end of the smallest interval that holds the first change; f_low, f_high: how far the ends are beyond. Oliveira and
+   Takahashi 2020 (ITP). */
+static double narrowed(Search *search, double low, double high, double f_low, double f_high, double resolution)
 {
-    double f_low = beyond(search, low), f_high = beyond(search, high);
     if (f_low >= 0 || search->failed) return low;
     double width = high - low, radius = resolution * pow(2.0, ceil(log2(fmax(width / resolution, 1.0))));
     while (high - low > resolution && !search->failed) {
@@ -1205,24 +1203,28 @@ static double narrowed(Search *search, double low, double high, double resolutio
 static double located(BlocksSim *s, double low_theta, double high_theta, double h, double h_dense, int *failed)
 {
     Search search = {s, h, h_dense, 0, 0};
-    double resolution = 4 * blocks_ulp(fmax(fabs(s->t), fabs(s->t + h)));
-    double last = high_theta * h, low = narrowed(&search, low_theta * h, last, resolution), high = low;
+    double resolution = 4 * blocks_ulp(fmax(fabs(s->t), fabs(s->t + h))), first = low_theta * h;
+    double last = high_theta * h, f_low = beyond(&search, first), f_high = beyond(&search, last);
+    double low = narrowed(&search, first, last, f_low, f_high, resolution), high = low;
     double reach = fmax(1e-9 * h, resolution);
     search.on_steps = 1;
-    if (beyond(&search, low) >= 0) {
-        while (low > 0 && beyond(&search, low) >= 0 && !search.failed) {
-            high = low;
+    f_low = f_high = beyond(&search, low);
+    if (f_low >= 0) {
+        while (low > 0 && f_low >= 0 && !search.failed) {
+            high = low, f_high = f_low;
             low = fmax(0.0, low - reach);
+            f_low = beyond(&search, low);
             reach *= 100;
         }
     } else {
-        while (high < last && beyond(&search, high) < 0 && !search.failed) {
-            low = high;
+        while (high < last && f_high < 0 && !search.failed) {
+            low = high, f_low = f_high;
             high = fmin(last, high + reach);
+            f_high = beyond(&search, high);
             reach *= 100;
         }
     }
-    double size = narrowed(&search, low, high, resolution);
+    double size = narrowed(&search, low, high, f_low, f_high, resolution);
     *failed = search.failed;
     return size;
 }
@@ -1440,7 +1442,7 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
     if (found) {
         if (!s->weighed) {
             /* The stages of this step are lost with the next one. */
-            for (int k = 0; k < BLOCKS_LOOKS; k++)
+            for (int k = BLOCKS_CROSSINGS + 1; k < BLOCKS_LOOKS; k++)
                 weigh(s, h_dense, s->model->looks[k].states, s->model->looks[k].nstates);
             s->weighed = 1;
         }
@@ -1482,10 +1484,10 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
 
 /* --- what is replaced after each step -------------------------------------------------------------------------- */
 
-static int is_off(const BlocksSim *s, int condition) { return condition >= 0 && s->memory.s[condition] == 0.0; }
+INLINE int is_off(const BlocksSim *s, int condition) { return condition >= 0 && s->memory.s[condition] == 0.0; }
 
 /* Whether a value may stand in a place of d: ints up to 2^53, of enumerations their members. */
-static int is_whole(const BlocksSim *s, int slot, double value)
+HOT static int is_whole(const BlocksSim *s, int slot, double value)
 {
     const BlocksSetup *setup = s->setup;
     int kind = setup->nintegers ? setup->integers[slot] : 0;
@@ -1556,7 +1558,7 @@ static int followed(BlocksSim *s, double *t1, double h_dense)
     return 0;
 }
 
-static int solve(BlocksSim *s, double t, const double *x, double *z)
+HOT static int solve(BlocksSim *s, double t, const double *x, double *z)
 {
     if (!s->model->nz) return 0;
     evaluate(s, s->model->solutions, t, x, z);
@@ -1756,7 +1758,7 @@ static int tell(BlocksSim *s, int cause)
 }
 
 /* All resets of what fires at once, from the values before; `sides` are latched then. */
-static int reset(BlocksSim *s, const double *sides, int asked)
+HOT static int reset(BlocksSim *s, const double *sides, int asked)
 {
     const BlocksSetup *setup = s->setup;
     BlocksMemory *m = &s->memory;
@@ -1848,7 +1850,7 @@ static int turn_on(BlocksSim *s, const BlocksEnabled *part, double since)
 }
 
 /* The crossings at an instant; where the step before was taken a little further, as they are there. */
-static int sides_now(BlocksSim *s, double *out)
+HOT static int sides_now(BlocksSim *s, double *out)
 {
     evaluate(s, s->model->crossings, s->t + s->later, s->memory.x, out);
     if (s->moving && s->later != 0.0) blocks_outside(s, s->t);
@@ -1858,13 +1860,12 @@ static int sides_now(BlocksSim *s, double *out)
 }
 
 /* Fire events and crossings until no side changes any more. nevents: of s->due_events; touched: whether anything was. */
-static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
+HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
 {
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
     int ns = model->ns, first = setup->ncauses - model->nevents;
     double *values = s->crossing_values, *sides = s->distances;
-    if (!ns && !ndue && !model->hooks) return 0;
     memset(s->firing, 0, (size_t)setup->ncauses);
     for (int i = 0; i < ndue; i++) {
         s->own[due[i]] = s->events[due[i]];
@@ -1911,6 +1912,19 @@ static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
     return blocks_fail(s, BLOCKS_ENDLESS, 0, s->t);
 }
 
+/* Rows are short, and most of them empty. */
+INLINE void copy(double *to, const double *from, size_t n)
+{
+    if (n > 8) memcpy(to, from, n * sizeof(double));
+    else
+        for (size_t i = 0; i < n; i++) to[i] = from[i];
+}
+
+INLINE int is_same(const double *a, const double *b, size_t n) { return !n || !memcmp(a, b, n * sizeof(double)); }
+
+/* Whether anything can fire: else an instant of events is over before it begins. */
+INLINE int is_calm(const BlocksSim *s) { return !s->model->ns && !s->model->hooks; }
+
 HOT static int check_slots(BlocksSim *s, const BlocksSlot *slots, int n)
 {
     const int has_whole = s->setup->nintegers;
@@ -1919,12 +1933,12 @@ HOT static int check_slots(BlocksSim *s, const BlocksSlot *slots, int n)
         if (!s->due[slots[i].rate] || (condition >= 0 && s->memory.s[condition] == 0.0)) continue;
         double value = s->d1[slots[i].slot];
         if (!isfinite(value)) return blocks_fail(s, BLOCKS_NOT_FINITE, slots[i].slot, value);
-        if (has_whole && !is_whole(s, slots[i].slot, value)) return blocks_fail(s, BLOCKS_NOT_WHOLE, slots[i].slot, value);
+        if (has_whole && s->setup->integers[slots[i].slot] && !is_whole(s, slots[i].slot, value)) return blocks_fail(s, BLOCKS_NOT_WHOLE, slots[i].slot, value);
     }
     return 0;
 }
 
-static int any_due(const BlocksSim *s, const BlocksSlot *slots, int n)
+INLINE int any_due(const BlocksSim *s, const BlocksSlot *slots, int n)
 {
     for (int i = 0; i < n; i++)
         if (s->due[slots[i].rate]) return 1;
@@ -1932,12 +1946,12 @@ static int any_due(const BlocksSim *s, const BlocksSlot *slots, int n)
 }
 
 /* The ticks of all due rates: held outputs in dependency order, then the discrete updates at once. */
-static int tick(BlocksSim *s, int *touched)
+HOT static int tick(BlocksSim *s, int *touched)
 {
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
     BlocksMemory *m = &s->memory;
-    size_t size = (size_t)model->nd * sizeof(double);
+    const size_t nd = (size_t)model->nd;
     int clique = 0, outputs = 0;
     for (; clique < setup->ncliques - 1; clique++) {
         int fits = 1;
@@ -1949,14 +1963,15 @@ static int tick(BlocksSim *s, int *touched)
     for (int stage = 0; stage < c->nstages; stage++) {
         const BlocksStage *part = &setup->stages[c->first_stage + stage];
         const BlocksSlot *slots = setup->slots + part->first_slot;
-        int has = any_due(s, slots, part->nslots);
+        const int has_slots = any_due(s, slots, part->nslots);
+        int has = has_slots;
         for (int i = 0; i < part->nsteppers; i++)
             has = has || s->due[setup->steppers[setup->stage_steppers[part->first_stepper + i]].rate];
         if (!has) continue;
-        if (begun && quiet(s, NULL, 0, touched)) return BLOCKS_FAILED;
+        if (begun && !is_calm(s) && quiet(s, NULL, 0, touched)) return BLOCKS_FAILED;
         begun = 1;
-        memcpy(s->d1, m->d, size);
-        if (any_due(s, slots, part->nslots)) {
+        copy(s->d1, m->d, nd);
+        if (has_slots) {
             outputs = 1;
             if (s->moving) blocks_outside(s, s->t);
             model->outputs(m, s->t, m->x, clique, stage, s->due, s->d1);
@@ -1973,16 +1988,16 @@ static int tick(BlocksSim *s, int *touched)
             for (int k = 0; k < stepper->noutputs; k++)
                 s->d1[setup->stepper_slots[stepper->first_output + k]] = out[k];
         }
-        memcpy(m->d, s->d1, size);
+        copy(m->d, s->d1, nd);
         model->refresh(m);
     }
     if (any_due(s, setup->nexts, setup->nnexts)) {
-        if (outputs && quiet(s, NULL, 0, touched)) return BLOCKS_FAILED;
-        memcpy(s->d1, m->d, size);
+        if (outputs && !is_calm(s) && quiet(s, NULL, 0, touched)) return BLOCKS_FAILED;
+        copy(s->d1, m->d, nd);
         if (s->moving) blocks_outside(s, s->t);
         model->nexts(m, s->t, m->x, s->due, s->d1);
         if (check_slots(s, setup->nexts, setup->nnexts)) return BLOCKS_FAILED;
-        memcpy(m->d, s->d1, size);
+        copy(m->d, s->d1, nd);
     }
     for (int r = 0; r < model->nrates; r++) {
         if (!s->due[r]) continue;
@@ -1994,7 +2009,7 @@ static int tick(BlocksSim *s, int *touched)
     return 0;
 }
 
-static int event_times(BlocksSim *s)
+HOT static int event_times(BlocksSim *s)
 {
     const BlocksSetup *setup = s->setup;
     int n = s->model->nevents, first = setup->ncauses - n;
@@ -2031,16 +2046,8 @@ static int projected(BlocksSim *s, int *moved)
     return 0;
 }
 
-/* Rows are short, and most of them empty. */
-static inline void copy(double *to, const double *from, size_t n)
-{
-    if (n) memcpy(to, from, n * sizeof(double));
-}
-
-static inline int is_same(const double *a, const double *b, size_t n) { return !n || !memcmp(a, b, n * sizeof(double)); }
-
 /* The instant at the current time, where everything that stands within 4 ulp happens. */
-static int instant(BlocksSim *s, int is_start)
+HOT static int instant(BlocksSim *s, int is_start)
 {
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
@@ -2054,7 +2061,7 @@ static int instant(BlocksSim *s, int is_start)
     int touched = 0, changed = s->changed, crossed_any = 0, broke = 0, failed = BLOCKS_FAILED, measured = 0;
     int64_t hidden = model->hooks ? model->hooks->epoch(s) : 0;
     const double *left = NULL;
-    if (!is_start && !setup->is_silent) {
+    if (!is_start && !setup->is_silent && setup->has_jumps) {
         if (!s->has_left) {
             if (blocks_logged(s, s->left)) return BLOCKS_FAILED;
         }
@@ -2077,12 +2084,12 @@ static int instant(BlocksSim *s, int is_start)
     if (s->crossing && model->nprojections) {
         /* What was crossed in the step fires by what the step has seen, before its end is taken over. */
         int moved = 0;
-        if (quiet(s, NULL, 0, &crossed_any) || projected(s, &moved)) goto restore;
+        if ((!is_calm(s) && quiet(s, NULL, 0, &crossed_any)) || projected(s, &moved)) goto restore;
         crossed_any = crossed_any || moved;
     }
     if (model->nh) broke = pass_breaks(s, s->t);
     double edge, broken = s->broken;
-    while ((edge = next_input_break(s, broken)) <= s->t || blocks_within_ulps(edge, s->t, setup->scale)) broken = edge;
+    while (setup->ntracks && ((edge = next_input_break(s, broken)) <= s->t || blocks_within_ulps(edge, s->t, setup->scale))) broken = edge;
     if (broken != s->broken) {
         s->broken = broken;
         blocks_inputs(s, fmax(s->t, broken));
@@ -2094,18 +2101,18 @@ static int instant(BlocksSim *s, int is_start)
         s->due[r] = s->exact == 1 && tick_count(s, r) == s->count;
         any_tick |= s->due[r];
     }
-    if (quiet(s, due_events, ndue, &touched)) goto restore;
-    if (any_tick && (tick(s, &touched) || quiet(s, NULL, 0, &touched))) goto restore;
+    if ((ndue || !is_calm(s)) && quiet(s, due_events, ndue, &touched)) goto restore;
+    if (any_tick && (tick(s, &touched) || (!is_calm(s) && quiet(s, NULL, 0, &touched)))) goto restore;
     int moved = 0;
-    if (projected(s, &moved)) goto restore;
+    if (model->nprojections && projected(s, &moved)) goto restore;
     if (moved) {
         touched = 1;
-        if (quiet(s, NULL, 0, &touched)) goto restore;
+        if (!is_calm(s) && quiet(s, NULL, 0, &touched)) goto restore;
     }
     if (changed || broke || touched) {
-        if (solve(s, s->t, m->x, s->stage_values)) goto restore;
+        if (model->nz && solve(s, s->t, m->x, s->stage_values)) goto restore;
         copy(m->z, s->stage_values, (size_t)model->nz);
-        if (event_times(s)) goto restore;
+        if (model->nevents && event_times(s)) goto restore;
     }
     int same = !any_tick && is_same(x0, m->x, nx) && is_same(d0, m->d, nd) && is_same(s0, m->s, ns);
     int fresh = changed || !same || crossed_any || s->fired_events.used > told || ndue;
@@ -2115,10 +2122,10 @@ static int instant(BlocksSim *s, int is_start)
         /* The rates at the start of the next step are other ones now; the proposed step may still serve. */
         s->has_first = 0;
         s->sides_t = NAN;
-        if (measure_instant(s)) goto restore;
+        if (setup->nmeasures && measure_instant(s)) goto restore;
         measured = s->setup->nmeasures;
     }
-    if (record(s, left)) goto restore;
+    if (!setup->is_silent && (setup->has_jumps ? record(s, left) : record_on_grid(s))) goto restore;
     if (measured) take_instant(s);
     s->outstanding = s->changed = s->has_left = s->crossing = 0;
     s->later = 0.0;
@@ -2154,6 +2161,8 @@ restore:
 
 void blocks_rows(BlocksSim *s)
 {
+    s->model = s->setup->model;
+    if (s->model->stiff && !isnan(s->stiff_from)) s->model = s->model->stiff;
     for (int r = 0; r < s->model->nrates; r++) s->memory.k[r] = (double)s->ticks[r];
     s->model->prepare(&s->memory);
     s->model->refresh(&s->memory);
@@ -2169,7 +2178,7 @@ void blocks_reload(BlocksSim *s)
 
 int blocks_keep_left(BlocksSim *s)
 {
-    if (s->has_left || s->setup->is_silent) return 0;
+    if (s->has_left || s->setup->is_silent || !s->setup->has_jumps) return 0;
     if (blocks_logged(s, s->left)) return BLOCKS_FAILED;
     s->has_left = 1;
     return 0;
@@ -2239,7 +2248,7 @@ int blocks_start(BlocksSim *s) { return blocks_begin(s) ? BLOCKS_FAILED : instan
 int blocks_settle(BlocksSim *s) { return s->outstanding ? instant(s, 0) : 0; }
 
 /* The time of the next tick, edge or end. */
-static double next_instant(BlocksSim *s, double end, int64_t end_count, int32_t end_exact)
+HOT static double next_instant(BlocksSim *s, double end, int64_t end_count, int32_t end_exact)
 {
     double target = end;
     s->target_exact = end_exact;
@@ -2257,7 +2266,8 @@ static double next_instant(BlocksSim *s, double end, int64_t end_count, int32_t 
             s->target_count = count;
         }
     }
-    double edge = blocks_smaller(next_input_break(s, s->broken), next_delayed(s));
+    double edge = s->setup->ntracks ? next_input_break(s, s->broken) : INFINITY;
+    if (s->model->nh) edge = blocks_smaller(edge, next_delayed(s));
     for (int i = 0; i < s->model->nevents; i++) edge = blocks_smaller(edge, s->events[i]);
     if (edge < target && !blocks_within_ulps(edge, target, s->setup->scale)) {
         s->target_exact = 0;
@@ -2298,14 +2308,14 @@ int blocks_proceed(BlocksSim *s, double end, int64_t count, int32_t exact)
 }
 
 /* Run up to and including the instant at `end`. */
-int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact)
+HOT int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact)
 {
     s->failure = BLOCKS_FINE;
     look_at_clock(s);
     while (s->outstanding || s->t < end) {
         if (s->outstanding) {
             if (instant(s, 0)) return s->failure == -1 ? BLOCKS_NO_MEMORY : BLOCKS_FAILED;
-            if (s->t < end && (s->t >= s->soft || blocks_clock(s))) return BLOCKS_PAUSED;
+            if (s->t < end && (s->t >= s->soft || (--s->budget <= 0 && blocks_clock(s)))) return BLOCKS_PAUSED;
             continue;
         }
         int stopped = s->model->run(s, next_instant(s, end, count, exact));
@@ -2327,7 +2337,7 @@ static void forget_rows(BlocksRows *rows)
 
 void blocks_reset(BlocksSim *s)
 {
-    const BlocksModel *model = s->model;
+    const BlocksModel *model = s->model = s->setup->model;
     forget_rows(&s->rows);
     s->rows.columns = model->nlogged;
     s->rows.capacity = 1024;
@@ -2337,9 +2347,12 @@ void blocks_reset(BlocksSim *s)
     s->error = 1e-4;
     s->fixed = 1;
     s->row = 0;
+    s->timed = -1;
     s->slice = 0.05;
     s->soft = INFINITY;
-    s->exact = s->has_first = s->has_before = s->outstanding = s->crossing = s->changed = s->has_left = 0;
+    s->exact = s->has_first = s->has_before = s->outstanding = s->crossing = s->changed = s->has_left = s->is_factored = s->hits = s->calm = 0;
+    s->stiff_from = NAN;
+    for (int64_t i = 0; i < s->ncarried; i++) s->carried[i] = 0.0;
     s->steps = s->rejected = s->evaluations = s->instants = 0;
     for (int i = 0; i < model->nx; i++) s->blamed[i] = 0;
     s->failure = BLOCKS_FINE;
@@ -2435,6 +2448,10 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
     s->ticks_backup = longs + nr + nx; /* and, behind it, what else an instant goes back to */
     s->firing = flags + nr;
     s->changed_sides = flags + nr + 2 * nc;
+    if (model->implicit && model->implicit->open(s)) {
+        blocks_free(s);
+        return NULL;
+    }
     blocks_reset(s);
     return s;
 }
@@ -2442,6 +2459,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
 void blocks_free(BlocksSim *s)
 {
     if (!s) return;
+    if (s->implicit) s->model->implicit->close(s);
     forget_rows(&s->rows);
     free(s->rows.chunks);
     free(s->rows.counts);

@@ -7,6 +7,13 @@
 
 #include "model.h"
 
+/* Into functions of any optimization. */
+#if defined(__GNUC__)
+#define INLINE static inline __attribute__((always_inline))
+#else
+#define INLINE static inline
+#endif
+
 #define BLOCKS_MOST_STAGES 7
 #define BLOCKS_MOST_DEGREE 4
 
@@ -27,10 +34,14 @@ enum {
     BLOCKS_ZENO,
     BLOCKS_CHANGES_ALWAYS, /* a projection */
     BLOCKS_STEPPER,
-    BLOCKS_FOREIGN
+    BLOCKS_FOREIGN,
+    BLOCKS_NOT_CONVERGED /* an implicit step */
 };
 
 typedef struct BlocksSim BlocksSim;
+typedef struct BlocksJacobian BlocksJacobian;
+typedef struct BlocksImplicit BlocksImplicit;
+typedef struct BlocksModel BlocksModel;
 
 /* What the runtime tells units whose states it integrates and that hide others: see fmu_bridge.c. Each returns 0; what
    fails -BLOCKS_FAILED where others are counts or flags. */
@@ -52,7 +63,7 @@ typedef struct {
     int32_t rows; /* of a recording: BLOCKS_LEFT_OUT or BLOCKS_BETWEEN_ROWS */
 } BlocksUnseen;
 
-typedef struct {
+struct BlocksModel {
     int32_t nx, nd, ns, np, nu, nh, nz, nrates, nq, nv, nw, nevents, nlogged, nmeasured, nprojections;
     int32_t moving_sides, stages, degree, order;
     const BlocksLook *looks; /* (BLOCKS_LOOKS) */
@@ -70,7 +81,9 @@ typedef struct {
     const BlocksHooks *hooks; /* null: there are no such units */
     BlocksProgram foreign_inputs;
     int32_t ntaken; /* how many values it gives */
-} BlocksModel;
+    const BlocksImplicit *implicit; /* of a stiff method; null: none. See stiff.h */
+    const BlocksModel *stiff;       /* the same by radau, for runs that are found to be stiff; null: they are not asked */
+};
 
 /* Equally spaced times (start + k step) / unit. */
 typedef struct {
@@ -256,7 +269,8 @@ struct BlocksSim {
     int32_t chatters; /* how many looks in a row have found it */
     double *left;                 /* (nlogged) */
     double *last_row;             /* time and values of the last row; null: there is none */
-    double next_row;              /* the next time of the recording grid, while steps are made */
+    double next_row;              /* the time of row number `timed` of the recording grid; inf: there is none */
+    int64_t timed;
     double *k[BLOCKS_MOST_STAGES]; /* (nx + ns + nmeasured) stages: rates, crossings, in the last what is measured; 0: at t */
     double *latched;               /* (ns) sides, in the order of the stages */
     double *before;                /* (nx + ns + nmeasured) stage 0 of the step before, where it is known: crossings alone count */
@@ -284,6 +298,12 @@ struct BlocksSim {
     int64_t *ticks_backup;
     void *arena;
     const BlocksPolynomials *polynomials; /* of inputs; null: they follow their tracks */
+    void *implicit;      /* of a stiff method: its scratch */
+    double *carried;     /* (ncarried) what it keeps from step to step; it counts while the rates at t do */
+    int64_t ncarried;
+    int32_t is_factored; /* whether its factors are those that `carried` speaks of */
+    int32_t hits, calm;  /* of runs that are asked whether they are stiff: steps that say so, and those since that do not */
+    double stiff_from;   /* when it was found; NaN: not yet */
 };
 
 #if defined(BLOCKS_INSIDE) /* a part of a library that shows other functions */
@@ -334,30 +354,40 @@ int blocks_misses(BlocksSim *s, double *given);
 int blocks_measures_in(const BlocksSim *s, double t0, double t1);
 int blocks_measure_whole(BlocksSim *s, double t0, double t1);
 
+/* A run is stiff where so many steps say so, without so many between that do not; see docs/semantics.md, "Methods". */
+enum { BLOCKS_HITS = 15, BLOCKS_CALM = 6 };
+
 /* Whether a step is one of those that are looked at: after so many others. */
 #define BLOCKS_PACE 512
 
 /* Where the next row stands, its time first; null where there is no memory. */
-static inline double *blocks_row(BlocksSim *s)
+INLINE double *blocks_row(BlocksSim *s)
 {
     return s->rows.next == s->rows.end ? blocks_new_row(s) : s->rows.next;
 }
 
 /* It is filled, and counts. */
-static inline void blocks_keep_row(BlocksSim *s, double *row)
+INLINE void blocks_keep_row(BlocksSim *s, double *row)
 {
     s->last_row = row;
     s->rows.next += 1 + s->rows.columns;
 }
 
-static inline double blocks_grid(const BlocksGrid *g, int64_t k)
+INLINE double blocks_grid(const BlocksGrid *g, int64_t k)
 {
     if (g->is_plain) return (double)(g->start + k * g->step) / (double)g->unit;
     return blocks_divided(g, k);
 }
 
+/* The time of the next row of the recording grid, which is computed once. */
+INLINE double blocks_next_row(BlocksSim *s)
+{
+    if (s->timed != s->row) s->next_row = blocks_grid(&s->setup->every, s->row), s->timed = s->row;
+    return s->next_row;
+}
+
 /* The distance to the next larger double; x is finite. */
-static inline double blocks_ulp(double x)
+INLINE double blocks_ulp(double x)
 {
     double size = fabs(x), next;
     int64_t bits;
@@ -368,10 +398,10 @@ static inline double blocks_ulp(double x)
 }
 
 /* Without NaN, and without a call. */
-static inline double blocks_larger(double a, double b) { return a > b ? a : b; }
-static inline double blocks_smaller(double a, double b) { return a < b ? a : b; }
+INLINE double blocks_larger(double a, double b) { return a > b ? a : b; }
+INLINE double blocks_smaller(double a, double b) { return a < b ? a : b; }
 
-static inline int blocks_within_ulps(double a, double b, double scale)
+INLINE int blocks_within_ulps(double a, double b, double scale)
 {
     if (isinf(a) || isinf(b)) return a == b;
     double most = blocks_larger(blocks_larger(fabs(a), fabs(b)), scale);
@@ -380,7 +410,7 @@ static inline int blocks_within_ulps(double a, double b, double scale)
 }
 
 /* Whether a row at `at` is that of an instant at t: where jumps have no rows of their own, a time has one value. */
-static inline int blocks_joins(const BlocksSim *s, double at, double t)
+INLINE int blocks_joins(const BlocksSim *s, double at, double t)
 {
     return !s->setup->has_jumps && blocks_within_ulps(at, t, s->setup->scale);
 }

@@ -8,7 +8,13 @@
 #include "runtime.h"
 
 #define STAGED (BLOCKS_METHOD_RK4 || BLOCKS_METHOD_DOPRI5 || BLOCKS_METHOD_EULER)
-#if !STAGED
+#if BLOCKS_METHOD_RADAU || BLOCKS_METHOD_AUTO
+#include "stiff.h"
+#endif
+#if BLOCKS_METHOD_RADAU
+enum { STAGES = BLOCKS_STIFF_STAGES, DEGREE = BLOCKS_STIFF_DEGREE, ORDER = 3 };
+#define DENSE blocks_stiff_dense
+#elif !STAGED
 enum { STAGES = 0, DEGREE = 0, ORDER = 0 };
 static const double DENSE[] = {0};
 #endif
@@ -63,71 +69,83 @@ static __attribute__((noinline)) void bare_rates(const BlocksMemory *m, double t
 #define LAST (STAGES - 1)
 enum { WIDTH = BLOCKS_NX + BLOCKS_NS, SPAN = WIDTH + BLOCKS_SHARES_MEASURED * BLOCKS_NMEASURED };
 #if SMALL
-#define EACH _Pragma("GCC unroll 32") for (int i = 0; i < BLOCKS_NX; i++)
+#define EACH(what) _Pragma("GCC unroll 32") for (int i = 0; i < BLOCKS_NX; i++) what
 #define QUARTER _Pragma("GCC unroll 8") for (int i = 0; i + 3 < BLOCKS_NX; i += 4)
 #define REST _Pragma("GCC unroll 4") for (int i = BLOCKS_NX / 4 * 4; i < BLOCKS_NX; i++)
 #define STAGE(n, then, y)                                                                                             \
     do {                                                                                                              \
+        if (!is_whole && (n) == LAST) break;                                                                          \
         if (moving) blocks_outside(s, then);                                                                          \
         if ((n) == LAST) LAST_RATES(m, then, y, k[n]);                                                                \
-        else if (WATCHES(n)) RATES_AND_SIDES(m, then, y, k[n]);                                                       \
+        else if (is_whole && WATCHES(n)) RATES_AND_SIDES(m, then, y, k[n]);                                           \
         else rates(m, then, y, k[n]);                                                                                 \
     } while (0)
 typedef double Stages[STAGES][SPAN > 0 ? SPAN : 1];
 #define SCRATCH double xs[BLOCKS_NX > 0 ? BLOCKS_NX : 1]
 #else
-#define EACH for (int i = 0; i < BLOCKS_NX; i++)
+/* At -O2 gcc does several at once only of an even count: the odd one comes last. */
+#define EACH(what)                                                                                                    \
+    do {                                                                                                              \
+        for (int i = 0; i < BLOCKS_NX / 2 * 2; i++) what;                                                             \
+        for (int i = BLOCKS_NX / 2 * 2; i < BLOCKS_NX; i++) what;                                                     \
+    } while (0)
 #define QUARTER for (int i = 0; i + 3 < BLOCKS_NX; i += 4)
 #define REST for (int i = BLOCKS_NX / 4 * 4; i < BLOCKS_NX; i++)
 #define STAGE(n, then, y)                                                                                             \
     do {                                                                                                              \
+        if (!is_whole && (n) == LAST) break;                                                                          \
         if (moving) blocks_outside(s, then);                                                                          \
         if ((n) == LAST) last_rates(m, then, y, k[n]);                                                                \
-        else if (WATCHES(n)) rates_program(m, then, y, k[n]);                                                         \
+        else if (is_whole && WATCHES(n)) rates_program(m, then, y, k[n]);                                             \
         else bare_rates(m, then, y, k[n]);                                                                            \
     } while (0)
 typedef double *Stages[STAGES];
-#define SCRATCH double *restrict xs = s->xs
+#define SCRATCH double *const xs = s->xs
 #endif
 
-/* x1 and the stages from 1 on, of a step of size h from (t, x). */
-static inline __attribute__((always_inline)) void step_of(BlocksSim *s, const BlocksMemory *m, const int moving, double t,
-                                                          const double *restrict x, double h, Stages k,
-                                                          double *restrict x1)
+/* x1 and the stages from 1 on, of a step of size h from (t, x). xs: scratch; a parameter, as compilers heed `restrict` there
+   alone. is_whole: whether the last stage is wanted, which x1 does not need, and what crossings are on the way. */
+static inline __attribute__((always_inline)) void stages_of(BlocksSim *s, const BlocksMemory *m, const int moving,
+                                                            const int is_whole, double t, const double *restrict x,
+                                                            double h, Stages k, double *restrict x1, double *restrict xs)
 {
 #if BLOCKS_METHOD_RK4 /* h times a weight, as MAKE_STEP does not: other last bits */
-    SCRATCH;
     const double *restrict k0 = k[0], *restrict k1 = k[1], *restrict k2 = k[2], *restrict k3 = k[3];
     const double h2 = 0.5 * h, h3 = h / 3.0, h6 = h / 6.0;
-    EACH xs[i] = x[i] + h2 * k0[i];
+    EACH(xs[i] = x[i] + h2 * k0[i]);
     STAGE(1, t + h2, xs);
-    EACH xs[i] = x[i] + h2 * k1[i];
+    EACH(xs[i] = x[i] + h2 * k1[i]);
     STAGE(2, t + h2, xs);
-    EACH xs[i] = x[i] + h * k2[i];
+    EACH(xs[i] = x[i] + h * k2[i]);
     STAGE(3, t + h, xs);
-    EACH x1[i] = x[i] + (h6 * k0[i] + h3 * k1[i] + h3 * k2[i] + h6 * k3[i]);
+    EACH(x1[i] = x[i] + (h6 * k0[i] + h3 * k1[i] + h3 * k2[i] + h6 * k3[i]));
     STAGE(4, t + h, x1);
 #else
-#if !BLOCKS_METHOD_EULER
-    SCRATCH;
-#endif
+    (void)xs;
     MAKE_STEP
 #endif
 }
 
-/* A step from where the run stands, for those who look for a crossing in it. */
+static inline __attribute__((always_inline)) void step_of(BlocksSim *s, const BlocksMemory *m, const int moving, double t,
+                                                          const double *restrict x, double h, Stages k,
+                                                          double *restrict x1)
+{
+    SCRATCH;
+    stages_of(s, m, moving, 1, t, x, h, k, x1, xs);
+}
+
+/* The states after a step from where the run stands, for those who look for a crossing in it. */
 static void trial(BlocksSim *s, double t, const double *x, double h, double *x1)
 {
+    SCRATCH;
 #if SMALL
     Stages k;
-    for (int i = 0; i < WIDTH; i++) k[0][i] = s->k[0][i];
-    step_of(s, &s->memory, s->moving, t, x, h, k, x1);
-    for (int n = 1; n < STAGES; n++)
-        for (int i = 0; i < WIDTH; i++) s->k[n][i] = k[n][i];
+    for (int i = 0; i < BLOCKS_NX; i++) k[0][i] = s->k[0][i];
+    stages_of(s, &s->memory, s->moving, 0, t, x, h, k, x1, xs);
 #else
-    step_of(s, &s->memory, s->moving, t, x, h, s->k, x1);
+    stages_of(s, &s->memory, s->moving, 0, t, x, h, s->k, x1, xs);
 #endif
-    s->evaluations += LAST;
+    s->evaluations += LAST - 1;
 }
 
 static int first_rates(BlocksSim *s)
@@ -193,6 +211,29 @@ static __attribute__((noinline)) void blame(BlocksSim *s, double h)
 }
 #endif
 
+#if BLOCKS_METHOD_AUTO
+/* Whether an accepted step says that stability limits it: h |df/dx|, as the last two stages have it, which both stand at
+   its end, is near the edge. Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2. */
+static int says_stiff(const BlocksSetup *setup, Stages k, const double *restrict x1)
+{
+    static const double apart[] = END_APART;
+    double rates = 0.0, states = 0.0;
+    for (int i = 0; i < BLOCKS_NX; i++) {
+        double weight = 1.0 / (setup->atol[i] + setup->rtol * fabs(x1[i])), sum = 0.0;
+        _Pragma("GCC unroll 8") for (int n = 0; n < LAST; n++) sum += apart[n] * k[n][i];
+        double rate = weight * (k[LAST][i] - k[LAST - 1][i]);
+        rates += rate * rate, states += weight * weight * sum * sum;
+    }
+    return rates > 3.25 * 3.25 * states;
+}
+
+static void count_stiffness(BlocksSim *s, Stages k, const double *restrict x1)
+{
+    if (says_stiff(s->setup, k, x1)) s->hits++, s->calm = 0;
+    else if (++s->calm == BLOCKS_CALM) s->hits = 0;
+}
+#endif
+
 #if IS_WATCHED
 
 /* Whether a side may have changed in a step. Between instants most crossings are affine in the states, so that inside a
@@ -206,6 +247,16 @@ static inline __attribute__((always_inline)) double is_near(double side, double 
     double margin = 3.0 * (high - low) + last * 0.0; /* NaN is near */
     return (side > 0.0 ? low : -high) > margin ? 0.0 : 1.0;
 }
+
+#if BLOCKS_METHOD_DOPRI5
+#define REACH_OF(j)                                                                                                   \
+    double low = blocks_smaller(blocks_smaller(first[j], last[j]), blocks_smaller(second[j], third[j]));              \
+    double high = blocks_larger(blocks_larger(first[j], last[j]), blocks_larger(second[j], third[j]))
+#else
+#define REACH_OF(j)                                                                                                   \
+    double low = blocks_smaller(before[j], blocks_smaller(first[j], last[j]));                                        \
+    double high = blocks_larger(before[j], blocks_larger(first[j], last[j]))
+#endif
 
 #if SMALL
 static inline __attribute__((always_inline)) int is_loud(const double *restrict side, const double *restrict before,
@@ -223,24 +274,19 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
 #endif
 #if SMALL
     int loud = 0;
-#endif
-#if SMALL
-    _Pragma("GCC unroll 16")
-#endif
-    for (int j = 0; j < BLOCKS_NS; j++) {
-        double low = first[j] < last[j] ? first[j] : last[j], high = first[j] > last[j] ? first[j] : last[j];
-#if BLOCKS_METHOD_DOPRI5
-        low = blocks_smaller(low, blocks_smaller(second[j], third[j]));
-        high = blocks_larger(high, blocks_larger(second[j], third[j]));
-#else
-        low = blocks_smaller(before[j], low);
-        high = blocks_larger(before[j], high);
-#endif
-#if SMALL
+    _Pragma("GCC unroll 16") for (int j = 0; j < BLOCKS_NS; j++) {
+        REACH_OF(j);
         loud |= is_near(side[j], low, high, last[j]) != 0.0;
     }
     return loud;
 #else
+    const int even = BLOCKS_NS / 2 * 2;
+    for (int j = 0; j < even; j++) {
+        REACH_OF(j);
+        near[j] = is_near(side[j], low, high, last[j]);
+    }
+    for (int j = even; j < BLOCKS_NS; j++) {
+        REACH_OF(j);
         near[j] = is_near(side[j], low, high, last[j]);
     }
     int64_t loud = 0, bits; /* in this form, compilers do several at once */
@@ -253,6 +299,63 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
 }
 #else
 #define is_loud(side, before, k, near) 0
+#endif
+
+#define FORETELLS (IS_WATCHED && !BLOCKS_BENT_SIDES && (BLOCKS_METHOD_RK4 || BLOCKS_METHOD_DOPRI5))
+#if FORETELLS
+/* Whether one of the crossings that are near may change its side in a step after all. Inside it each is the polynomial of its
+   ends and slopes, and by dopri5 of its middle, which does not leave the hull of its Bezier points. Crossings are affine: what
+   a slope adds to one is seen by adding it to the states. */
+#if SMALL
+static inline __attribute__((always_inline)) int comes_near(BlocksSim *s, const BlocksMemory *m, double t, double t1,
+                                                            const double *restrict x, const double *restrict x1, double h,
+                                                            Stages k, const double *restrict side)
+{
+    double at[BLOCKS_NX > 0 ? BLOCKS_NX : 1], begin[BLOCKS_NS], middle[BLOCKS_NS], end[BLOCKS_NS];
+#else
+static __attribute__((noinline)) int comes_near(BlocksSim *s, const BlocksMemory *m, double t, double t1,
+                                                const double *restrict x, const double *restrict x1, double h, Stages k,
+                                                const double *restrict side)
+{
+    const double *restrict near = s->distances;
+    double *at = s->xs, *begin = s->x2, *middle = s->distances + BLOCKS_NS, *end = s->crossing_values;
+#endif
+    const double *restrict first = k[0], *restrict last = k[LAST];
+    const int was_located = s->located_t == t;
+    if (!(h > 1e6 * blocks_ulp(t1))) return 1; /* what comes within some ulp of the end is for others to see */
+    EACH(at[i] = x[i] + h * first[i]);
+    crossings(m, t, at, begin);
+    EACH(at[i] = x1[i] + h * last[i]);
+    crossings(m, t1, at, end);
+#if BLOCKS_METHOD_DOPRI5
+    for (int i = 0; i < BLOCKS_NX; i++) {
+        double sum = 0.0;
+        _Pragma("GCC unroll 8") for (int n = 0; n < STAGES; n++)
+            if (SHARES[1][n] != 0.0) sum += SHARES[1][n] * k[n][i];
+        at[i] = x[i] + h * sum;
+    }
+    crossings(m, t + 0.5 * h, at, middle);
+#else
+    (void)middle;
+#endif
+    for (int j = 0; j < BLOCKS_NS; j++) {
+        const int of = sides_at[j];
+        double way = side[j] > 0.0 ? 1.0 : -1.0, b0 = way * first[BLOCKS_NX + j], b3 = way * last[BLOCKS_NX + j];
+        double b1 = b0 + (way * begin[of] - b0) / (DEGREE), b2 = b3 - (way * end[of] - b3) / (DEGREE);
+        double least = blocks_smaller(blocks_smaller(b0, b3), blocks_smaller(b1, b2));
+        double most = blocks_larger(blocks_larger(b0, b3), blocks_larger(b1, b2)), bad = 0.0 * ((b0 + b3) + (b1 + b2));
+#if !SMALL
+        if (near[j] == 0.0) continue;
+#endif
+        if (was_located && fabs(b0) <= 2.0 * s->located[of]) return 1; /* it may have to be passed again at once */
+#if BLOCKS_METHOD_DOPRI5
+        double inner = (16.0 * way * middle[of] - (b0 + b3) - 4.0 * (b1 + b2)) / 6.0;
+        least = blocks_smaller(least, inner), most = blocks_larger(most, inner), bad += 0.0 * inner;
+#endif
+        if (!(least > 1e-6 * most + bad)) return 1; /* what is not finite too */
+    }
+    return 0;
+}
 #endif
 
 #if BLOCKS_NF
@@ -293,7 +396,7 @@ static __attribute__((noinline)) int is_loud(const double *restrict side, const 
     } while (0)
 #define TURN_OVER                                                                                                     \
     do {                                                                                                              \
-        EACH x[i] = x1[i];                                                                                            \
+        EACH(x[i] = x1[i]);                                                                                           \
         UNROLL for (int i = BLOCKS_NX; i < WIDTH; i++) before[i] = k[0][i];                                           \
         UNROLL for (int i = 0; i < WIDTH; i++) k[0][i] = k[LAST][i];                                                  \
     } while (0)
@@ -370,7 +473,7 @@ static inline __attribute__((always_inline)) int rows_inside(BlocksSim *s, const
         blocks_keep_row(s, row);
         s->row = number + 1;
     }
-    s->next_row = at;
+    s->next_row = at, s->timed = number;
     return 0;
 }
 
@@ -529,8 +632,12 @@ static int run(BlocksSim *s, double target)
 #endif
     for (int j = 0; j < BLOCKS_NS; j++) side[j] = s->memory.s[sides_at[j]]; /* they do not change between instants */
 #endif
+#if BLOCKS_METHOD_AUTO
+    if (!isnan(s->stiff_from)) return blocks_stiff_run(s, target);
+#endif
     if (first_rates(s)) return BLOCKS_FAILED;
-    s->next_row = has_grid ? blocks_grid(&setup->every, s->row) : INFINITY;
+    if (has_grid) blocks_next_row(s);
+    else s->next_row = INFINITY;
     TAKE;
 #if !BLOCKS_METHOD_DOPRI5
     const BlocksGrid grid = setup->fixed;
@@ -540,6 +647,14 @@ static int run(BlocksSim *s, double target)
     while ((point = blocks_grid(&grid, fixed)) <= t) fixed++;
 #endif
     for (;;) {
+#if BLOCKS_METHOD_AUTO
+        if (s->hits == BLOCKS_HITS) {
+            GIVE_BACK;
+            s->stiff_from = t;
+            s->model = s->model->stiff;
+            return blocks_stiff_run(s, target);
+        }
+#endif
         if (--budget <= 0 || t >= soft) {
             GIVE_BACK;
             if (t >= soft || blocks_clock(s)) {
@@ -584,6 +699,9 @@ static int run(BlocksSim *s, double target)
         proposed = step * blocks_smaller(grow, blocks_larger(0.2, factor));
         if (step < h) proposed = blocks_larger(proposed, h); /* cut short by the target: the proposal before it still counts */
         error = blocks_larger(error, 1e-4);
+#if BLOCKS_METHOD_AUTO
+        count_stiffness(s, k, x1);
+#endif
         if (BLOCKS_NX && !((steps + 1) % BLOCKS_PACE)) {
             GIVE_BACK;
             GIVE_STEP;
@@ -606,14 +724,21 @@ static int run(BlocksSim *s, double target)
 #endif
 #if IS_WATCHED && !BLOCKS_METHOD_DOPRI5
         if (!s->has_before) { /* half a step along the first slope */
-            EACH s->x2[i] = x[i] + 0.5 * step * k[0][i];
+            EACH(s->x2[i] = x[i] + 0.5 * step * k[0][i]);
             if (moving) blocks_outside(s, t + 0.5 * step);
             crossings(m, t + 0.5 * step, s->x2, s->crossing_values);
             UNROLL for (int j = 0; j < BLOCKS_NS; j++) before[BLOCKS_NX + j] = s->crossing_values[sides_at[j]];
             s->has_before = 1;
         }
 #endif
-        int is_quick = IS_PLAIN && !(BLOCKS_TURNING_ROWS && !is_on_grid) && !is_loud(side, before + BLOCKS_NX, k, s->distances);
+        int is_quick = IS_PLAIN && !(BLOCKS_TURNING_ROWS && !is_on_grid);
+        if (is_quick && is_loud(side, before + BLOCKS_NX, k, s->distances)) {
+#if FORETELLS
+            is_quick = !moving && !comes_near(s, m, t, t1, x, x1, step, k, side);
+#else
+            is_quick = 0;
+#endif
+        }
 #if BLOCKS_QUICK_MEASURES
         int unmeasured = is_quick ? measured_inside(s, m, moving, t, t1, step, x, x1, k) : -1;
         is_quick = unmeasured >= 0;
@@ -628,7 +753,7 @@ static int run(BlocksSim *s, double target)
             if (stopped >= 0) return stopped;
             s->has_before = 0;
             if (first_rates(s)) return BLOCKS_FAILED;
-            if (has_grid) s->next_row = blocks_grid(&setup->every, s->row);
+            if (has_grid) blocks_next_row(s);
             TAKE;
         } else {
             if (BLOCKS_TURNING_ROWS && has_grid && !(steps % 64)) {
@@ -660,7 +785,7 @@ static int run(BlocksSim *s, double target)
             if (t1 == target || !is_on_grid) {
                 GIVE_BACK;
 #if !BLOCKS_METHOD_DOPRI5
-                s->fixed = fixed;
+                s->fixed = fixed + (point <= t);
 #endif
                 if (t1 == target) {
                     s->exact = s->target_exact;
@@ -677,7 +802,7 @@ static int run(BlocksSim *s, double target)
     }
 }
 
-#else
+#elif !BLOCKS_METHOD_RADAU
 static void trial(BlocksSim *s, double t, const double *x, double h, double *x1)
 {
     (void)s, (void)t, (void)x, (void)h, (void)x1;
@@ -689,24 +814,48 @@ static int run(BlocksSim *s, double target)
 }
 #endif
 
+#if BLOCKS_METHOD_RADAU || BLOCKS_METHOD_AUTO
+static const BlocksImplicit implicit = {&slopes, ELIMINATION, blocks_stiff_open, blocks_stiff_close};
+#endif
+
 static void prepare_all(BlocksMemory *m)
 {
     prepare(m);
     m->same = lanes_are_same(m);
 }
 
-BLOCKS_API const BlocksModel blocks_model = {
-    .nx = BLOCKS_NX, .nd = BLOCKS_ND, .ns = BLOCKS_NS, .np = BLOCKS_NP, .nu = BLOCKS_NU, .nh = BLOCKS_NH,
-    .nz = BLOCKS_NZ, .nrates = BLOCKS_NRATES, .nq = BLOCKS_NQ, .nv = BLOCKS_NV, .nw = BLOCKS_NW,
-    .nevents = BLOCKS_NEVENTS, .nlogged = BLOCKS_NLOGGED, .nmeasured = BLOCKS_NMEASURED,
-    .nprojections = BLOCKS_NPROJECTIONS, .moving_sides = BLOCKS_MOVING_SIDES,
-    .stages = STAGES, .degree = DEGREE, .order = ORDER,
-    .looks = looks, .dense = DENSE, .prepare = prepare_all, .refresh = refresh,
-    .rates = rates_program, .crossings = crossings, .event_times = event_times, .projections = projections,
-    .solutions = solutions, .logged = logged, .measured = measured, .start = start,
-    .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,
-    .trial = trial, .run = run,
+/* What is the same by every method. */
 #if BLOCKS_NF
-    .hooks = &blocks_hooks, .foreign_inputs = foreign_inputs, .ntaken = BLOCKS_NTAKEN,
+#define FOREIGN .hooks = &blocks_hooks, .foreign_inputs = foreign_inputs, .ntaken = BLOCKS_NTAKEN,
+#else
+#define FOREIGN
+#endif
+#define PROGRAMS                                                                                                     \
+    .nx = BLOCKS_NX, .nd = BLOCKS_ND, .ns = BLOCKS_NS, .np = BLOCKS_NP, .nu = BLOCKS_NU, .nh = BLOCKS_NH,            \
+    .nz = BLOCKS_NZ, .nrates = BLOCKS_NRATES, .nq = BLOCKS_NQ, .nv = BLOCKS_NV, .nw = BLOCKS_NW,                     \
+    .nevents = BLOCKS_NEVENTS, .nlogged = BLOCKS_NLOGGED, .nmeasured = BLOCKS_NMEASURED,                             \
+    .nprojections = BLOCKS_NPROJECTIONS, .moving_sides = BLOCKS_MOVING_SIDES,                                        \
+    .looks = looks, .prepare = prepare_all, .refresh = refresh,                                                      \
+    .rates = rates_program, .crossings = crossings, .event_times = event_times, .projections = projections,          \
+    .solutions = solutions, .logged = logged, .measured = measured, .start = start,                                  \
+    .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,            \
+    FOREIGN
+
+#if BLOCKS_METHOD_AUTO
+static const BlocksModel stiff_model = {
+    PROGRAMS .stages = BLOCKS_STIFF_STAGES, .degree = BLOCKS_STIFF_DEGREE, .order = 3, .dense = blocks_stiff_dense,
+    .trial = blocks_stiff_trial, .run = blocks_stiff_run, .implicit = &implicit,
+};
+#endif
+
+BLOCKS_API const BlocksModel blocks_model = {
+    PROGRAMS .stages = STAGES, .degree = DEGREE, .order = ORDER, .dense = DENSE,
+#if BLOCKS_METHOD_RADAU
+    .trial = blocks_stiff_trial, .run = blocks_stiff_run, .implicit = &implicit,
+#else
+    .trial = trial, .run = run,
+#endif
+#if BLOCKS_METHOD_AUTO
+    .implicit = &implicit, .stiff = &stiff_model,
 #endif
 };

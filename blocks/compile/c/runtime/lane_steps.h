@@ -1,0 +1,731 @@
+/* The stepping loop of several runs side by side, one in each lane. Included at the end of the programs of lanes, whose
+   sizes are constants here. Twin: steps.h, the same of one run.
+
+   Behind each lane stands a run of its own. A step is made in all lanes at once, each from its own time and of its own
+   size. Where it is plain, the lane takes it here; whatever else there is (a change of a side, a row, an instant) happens
+   to the lane's own run, by the code that every run has: the lane gives it what it holds, and takes it back. */
+#define REAL V
+#include "methods.h"
+
+#include <stdlib.h>
+
+#define LAST (STAGES - 1)
+#define IS_WATCHED BLOCKS_MOVING_SIDES
+#if IS_WATCHED
+#define RATES_AND_SIDES rates_and_sides
+#else
+#define RATES_AND_SIDES rates
+#endif
+#if BLOCKS_METHOD_DOPRI5
+#define WATCHES(n) ((n) == 2 || (n) == 3)
+#define IS_PACED(s) (!(((s)->steps + 1) % BLOCKS_PACE))
+#else
+#define WATCHES(n) 0
+#define IS_PACED(s) 0
+#endif
+#define IS_PLAIN (!BLOCKS_NMEASURED || BLOCKS_QUICK_MEASURES)
+#define SOME(n) ((n) > 0 ? (n) : 1)
+enum { NX = BLOCKS_NX, NS = BLOCKS_NS, N = BLOCKS_NMEASURED, WIDTH = NX + NS, SPAN = WIDTH + BLOCKS_SHARES_MEASURED * N };
+
+/* What a lane is about: it has no row; its run stands at an instant; the row has ended; its run flows; there are no rows
+   left; and it stands where another lane stood. */
+enum { EMPTY, DUE, ENDED, FLOWING, IDLE, PARKED };
+
+typedef struct {
+    BlocksSim *s;
+    double *room;
+    int64_t row, stop; /* of the batch */
+    int state, status; /* how the row ended */
+} Lane;
+
+struct BlocksLanes {
+    V rows_x[2][SOME(NX)], rows_k[STAGES + 1][SOME(SPAN)], xs[SOME(NX)], sides[SOME(NS)];
+    V d[SOME(BLOCKS_ND)], s[SOME(NS)], p[SOME(BLOCKS_NP)], u[SOME(BLOCKS_NU)], tick[SOME(BLOCKS_NRATES)], q[SOME(BLOCKS_NQ)],
+        v[SOME(BLOCKS_NV)], n[SOME(BLOCKS_NN)], w[SOME(LANES_NW)];
+    V nodes[5][SOME(N)];
+    V t, h, error, target, grow, known;
+    M flowing, fresh; /* lanes that flow; those whose first rates are not known */
+    V *x1, *k[STAGES], *before;
+    LanesMemory m;
+    int moves;
+    BlocksModel model; /* that of the runs behind the lanes: they do not flow themselves */
+    void *place;
+    Lane lanes[BLOCKS_LANES];
+};
+typedef struct BlocksLanes Lanes;
+
+static __attribute__((noinline)) void rates_program(const LanesMemory *m, V t, const V *x, V *out) { rates(m, t, x, out); }
+#if IS_WATCHED
+static __attribute__((noinline)) void watched_rates(const LanesMemory *m, V t, const V *x, V *out)
+{
+    rates_and_sides(m, t, x, out);
+}
+#else
+#define watched_rates rates_program
+#endif
+#if BLOCKS_SHARES_MEASURED
+static __attribute__((noinline)) void last_rates(const LanesMemory *m, V t, const V *x, V *out)
+{
+    rates_and_measured(m, t, x, out);
+}
+#else
+#define last_rates watched_rates
+#endif
+
+/* --- between a lane and its run ---------------------------------------------------------------------------------- */
+
+static void give_back(Lanes *z, int l)
+{
+    BlocksSim *s = z->lanes[l].s;
+    for (int i = 0; i < NX; i++) s->memory.x[i] = z->m.x[i][l];
+    for (int i = 0; i < WIDTH; i++) s->k[0][i] = z->k[0][i][l];
+    for (int i = NX; i < WIDTH; i++) s->before[i] = z->before[i][l];
+    if (s->t != z->t[l]) s->exact = 0;
+    s->t = z->t[l], s->h = z->h[l], s->error = z->error[l];
+    s->has_first = 1;
+}
+
+static void give_step(Lanes *z, int l)
+{
+    BlocksSim *s = z->lanes[l].s;
+    for (int i = 0; i < NX; i++) s->x1[i] = z->x1[i][l];
+    for (int n = 1; n < STAGES; n++)
+        for (int i = 0; i < WIDTH; i++) s->k[n][i] = z->k[n][i][l];
+}
+
+static void take_back(Lanes *z, int l)
+{
+    BlocksSim *s = z->lanes[l].s;
+    for (int i = 0; i < NX; i++) z->m.x[i][l] = s->memory.x[i];
+    for (int i = 0; i < WIDTH && s->has_first; i++) z->k[0][i][l] = s->k[0][i];
+    z->t[l] = s->t, z->h[l] = s->h, z->error[l] = s->error;
+    z->fresh[l] = -!s->has_first;
+    s->has_before = 0;
+#if BLOCKS_NMEASURED
+    z->known[l] = s->known[0];
+    for (int j = 0; j < N; j++) z->nodes[0][j][l] = s->nodes[j];
+#endif
+}
+
+/* What instants change, beside states. */
+static void take_memory(Lanes *z, int l)
+{
+    const BlocksMemory *m = &z->lanes[l].s->memory;
+    for (int i = 0; i < BLOCKS_ND; i++) z->d[i][l] = m->d[i];
+    for (int i = 0; i < NS; i++) z->s[i][l] = m->s[i];
+    for (int i = 0; i < BLOCKS_NU; i++) z->u[i][l] = m->u[i];
+    for (int i = 0; i < BLOCKS_NRATES; i++) z->tick[i][l] = m->k[i];
+    for (int i = 0; i < BLOCKS_NV; i++) z->v[i][l] = m->v[i];
+#if IS_WATCHED
+    for (int j = 0; j < NS; j++) z->sides[j][l] = m->s[sides_at[j]];
+#endif
+    z->moves = 0;
+    EACH_LANE z->moves |= z->lanes[l].state == FLOWING && z->lanes[l].s->moving;
+}
+
+static void take_parameters(Lanes *z, int l)
+{
+    const BlocksMemory *m = &z->lanes[l].s->memory;
+    for (int i = 0; i < BLOCKS_NP; i++) z->p[i][l] = m->p[i];
+    for (int i = 0; i < BLOCKS_NQ; i++) z->q[i][l] = m->q[i];
+}
+
+/* Inputs as they are at a time of each lane. */
+static void outside(Lanes *z, V then)
+{
+    EACH_LANE {
+        BlocksSim *s = z->lanes[l].s;
+        if (z->lanes[l].state != FLOWING || !s->moving) continue;
+        blocks_outside(s, then[l]);
+        for (int i = 0; i < BLOCKS_NU; i++) z->u[i][l] = s->memory.u[i];
+    }
+}
+
+/* --- rows of the batch ------------------------------------------------------------------------------------------- */
+
+/* In place of a run's own loop: the way to the next instant is made in the lane. */
+static int flow_in_lane(BlocksSim *s, double target)
+{
+    s->soft = target;
+    return BLOCKS_PAUSED;
+}
+
+static void end_row(Lane *lane, int status)
+{
+    lane->status = status == BLOCKS_FAILED && lane->s->failure == -1 ? BLOCKS_NO_MEMORY : status;
+    lane->state = ENDED;
+}
+
+/* Let happen what is due, up to where the run flows or ends. */
+static void settle(Lanes *z, const BlocksBatch *b, int l)
+{
+    Lane *lane = &z->lanes[l];
+    BlocksSim *s = lane->s;
+    while (lane->state == DUE) {
+        if (lane->stop == b->nstops) {
+            end_row(lane, BLOCKS_DONE);
+            return;
+        }
+        s->soft = INFINITY;
+        int status = blocks_advance(s, b->stops[lane->stop], 0, 2);
+        s->fired_events.used = 0; /* nobody reads them */
+        if (status == BLOCKS_DONE) lane->stop++;
+        else if (status == BLOCKS_PAUSED) lane->state = FLOWING;
+        else end_row(lane, status);
+    }
+    if (lane->state != FLOWING) return;
+    z->target[l] = s->soft;
+    z->grow[l] = 10.0;
+    s->soft = INFINITY;
+    s->next_row = s->setup->every.is_given ? blocks_grid(&s->setup->every, s->row) : INFINITY;
+    take_back(z, l);
+    take_memory(z, l);
+}
+
+static void begin_row(Lanes *z, BlocksBatch *b, int l)
+{
+    Lane *lane = &z->lanes[l];
+    BlocksSim *s = lane->s;
+    lane->row = __atomic_fetch_add(&b->next, 1, __ATOMIC_RELAXED);
+    lane->stop = 0;
+    lane->state = IDLE;
+    if (lane->row >= b->nrows) return;
+    blocks_row_begin(b, s, lane->row, lane->room);
+    s->model = &z->model;
+    s->slice = INFINITY; /* the clock is not looked at */
+    lane->state = DUE;
+    if (blocks_start(s)) end_row(lane, BLOCKS_FAILED);
+    take_parameters(z, l);
+    settle(z, b, l);
+}
+
+/* --- a step ------------------------------------------------------------------------------------------------------ */
+
+#define EACH(what) for (int i = 0; i < NX; i++) what
+#define STAGE(n, then, y)                                                                                             \
+    do {                                                                                                              \
+        if (BLOCKS_NU && z->moves) outside(z, then);                                                                  \
+        if ((n) == LAST) last_rates(m, then, y, k[n]);                                                                \
+        else if (WATCHES(n)) watched_rates(m, then, y, k[n]);                                                         \
+        else rates_program(m, then, y, k[n]);                                                                         \
+    } while (0)
+
+/* x1 and the stages from 1 on. */
+static void make_step(Lanes *z, V h)
+{
+    const LanesMemory *m = &z->m;
+    const V t = z->t, *restrict x = m->x;
+    V *restrict x1 = z->x1, *restrict xs = z->xs, *const *k = z->k;
+    (void)xs;
+#if BLOCKS_METHOD_RK4
+    const V *restrict k0 = k[0], *restrict k1 = k[1], *restrict k2 = k[2], *restrict k3 = k[3];
+    const V h2 = 0.5 * h, h3 = h / 3.0, h6 = h / 6.0;
+    EACH(xs[i] = x[i] + h2 * k0[i]);
+    STAGE(1, t + h2, xs);
+    EACH(xs[i] = x[i] + h2 * k1[i]);
+    STAGE(2, t + h2, xs);
+    EACH(xs[i] = x[i] + h * k2[i]);
+    STAGE(3, t + h, xs);
+    EACH(x1[i] = x[i] + (h6 * k0[i] + h3 * k1[i] + h3 * k2[i] + h6 * k3[i]));
+    STAGE(4, t + h, x1);
+#else
+    MAKE_STEP
+#endif
+}
+
+/* The rates from which a step begins, in lanes that do not know them. */
+static void first_rates(Lanes *z)
+{
+    V *made = z->k[1];
+    if (BLOCKS_NU && z->moves) outside(z, z->t);
+    watched_rates(&z->m, z->t, z->m.x, made);
+    M fine = ~z->fresh;
+    for (int i = 0; i < WIDTH; i++) z->k[0][i] = lanes_choose(z->fresh, made[i], z->k[0][i]);
+    V bad = lanes_of(0.0);
+    for (int i = 0; i < NX; i++) bad += made[i] * 0.0;
+    fine |= bad == 0.0;
+    EACH_LANE {
+        if (!z->fresh[l]) continue;
+        give_back(z, l);
+        if (fine[l]) continue;
+        int i = 0;
+        while (i < NX - 1 && isfinite(made[i][l])) i++;
+        blocks_fail(z->lanes[l].s, BLOCKS_NOT_FINITE, i, made[i][l]);
+        end_row(&z->lanes[l], BLOCKS_FAILED);
+    }
+    z->fresh = (M){0};
+}
+
+/* The largest error over the states, each by its own tolerance; NaN where a state is not finite. */
+static V error_norm(const Lanes *z, V h)
+{
+    const BlocksSetup *setup = z->lanes[0].s->setup;
+    const V *restrict x = z->m.x, *restrict x1 = z->x1;
+    V most = lanes_of(0.0), bad = most;
+#if BLOCKS_METHOD_DOPRI5
+    const double *restrict atol = setup->atol, rtol = setup->rtol;
+    const V *restrict k0 = z->k[0], *restrict k2 = z->k[2], *restrict k3 = z->k[3], *restrict k4 = z->k[4],
+            *restrict k5 = z->k[5], *restrict k6 = z->k[6];
+    for (int i = 0; i < NX; i++) {
+        V error = h * ERROR(i), part = lanes_fabs(error) / (atol[i] + rtol * lanes_larger(lanes_fabs(x[i]), lanes_fabs(x1[i])));
+        bad += (x1[i] + error) * 0.0;
+        most = lanes_larger(part, most);
+    }
+#else
+    (void)setup, (void)x, (void)h;
+    EACH(bad += x1[i] * 0.0);
+#endif
+    return lanes_choose(bad == 0.0, most, lanes_of(NAN));
+}
+
+#if IS_WATCHED
+/* Whether a side may have changed; see steps.h. */
+static M are_loud(const Lanes *z)
+{
+    M loud = (M){0};
+    if (BLOCKS_BENT_SIDES) return ~loud;
+    const V *first = z->k[0] + NX, *last = z->k[LAST] + NX;
+    for (int j = 0; j < NS; j++) {
+        V low = lanes_smaller(first[j], last[j]), high = lanes_larger(first[j], last[j]);
+#if BLOCKS_METHOD_DOPRI5
+        V second = z->k[2][NX + j], third = z->k[3][NX + j];
+        low = lanes_smaller(low, lanes_smaller(second, third));
+        high = lanes_larger(high, lanes_larger(second, third));
+#else
+        low = lanes_smaller(z->before[NX + j], low);
+        high = lanes_larger(z->before[NX + j], high);
+#endif
+        V margin = 3.0 * (high - low) + last[j] * 0.0;
+        loud |= ~(lanes_choose(z->sides[j] > 0.0, low, -high) > margin);
+    }
+    return loud;
+}
+#else
+#define are_loud(z) ((M){0})
+#endif
+
+#if BLOCKS_QUICK_MEASURES
+
+/* The states at one of SHARES of a step, as its dense output has them. */
+static inline void inside(const Lanes *z, const int share, const int *states, const int n, V h, V *restrict made)
+{
+    const V *restrict x = z->m.x, *restrict x1 = z->x1;
+    for (int a = 0; a < n; a++) {
+        const int i = states[a];
+#if BLOCKS_METHOD_RK4
+        const double at = SHARES_AT[share], there = at * at * (3.0 - 2.0 * at);
+        const V first = at * (1.0 - at) * (1.0 - at) * h, last = at * at * (at - 1.0) * h;
+        made[i] = x[i] + (there * (x1[i] - x[i]) + (first * z->k[0][i] + last * z->k[4][i]));
+#else
+        (void)x1;
+        V sum = lanes_of(0.0);
+        _Pragma("GCC unroll 8") for (int j = 0; j < STAGES; j++)
+            if (SHARES[share][j] != 0.0) sum += SHARES[share][j] * z->k[j][i];
+        made[i] = x[i] + h * sum;
+#endif
+    }
+}
+
+#if BLOCKS_NBENT
+static const int bent_states[] = BLOCKS_BENT_STATES, bent_columns[] = BLOCKS_BENT_COLUMNS;
+
+/* What is bent, at one of SHARES. */
+static __attribute__((noinline)) void bent_at(Lanes *z, int share, V step, V *out)
+{
+    V then = z->t + SHARES_AT[share] * step;
+    inside(z, share, bent_states, BLOCKS_NBENT_STATES, step, z->xs);
+    if (BLOCKS_NU && z->moves) outside(z, then);
+    bent_measured(&z->m, then, z->xs, out);
+}
+
+/* The inner nodes of what is bent as a parabola or a cubic foretells them; where it misses what was computed. */
+static M foretold(Lanes *z, int pass, M missed, const V *once, const V *twice)
+{
+    const BlocksSetup *setup = z->lanes[0].s->setup;
+    const double first = SHARES_AT[3], second = SHARES_AT[4], rtol = setup->rtol;
+    M misses = (M){0};
+    for (int a = 0; a < BLOCKS_NBENT; a++) {
+        const int j = bent_columns[a], other = j ^ 1;
+        V y0 = z->nodes[0][j], rise = z->nodes[4][j] - y0, twist = lanes_of(0.0), size = lanes_fabs(rise);
+        V miss = once[j] - (y0 + first * rise), bend = miss * (1.0 / (first * (1.0 - first)));
+        if (pass == 1) {
+            miss = twice[j] - (y0 + second * rise + bend * second * (1.0 - second));
+            twist = miss * (1.0 / (second * (1.0 - second) * (second - first)));
+        }
+        if (setup->measures[j / 2].kind <= BLOCKS_HARMONIC)
+            size += lanes_smaller(lanes_fabs(y0 - z->nodes[0][other]), lanes_fabs(z->nodes[4][j] - z->nodes[4][other]));
+        misses |= ~(lanes_fabs(miss) <= 0.1 * rtol * size);
+        for (int i = 1; i < 4; i++) {
+            double at = SHARES_AT[i - 1];
+            V value = y0 + at * rise + at * (1.0 - at) * (bend + twist * (at - first));
+            z->nodes[i][j] = lanes_choose(missed, value, z->nodes[i][j]);
+        }
+    }
+    return misses & missed;
+}
+#endif
+
+/* What is measured at the nodes of Lobatto's rule, in lanes that want it; the lanes whose step has to be looked at in
+   parts. See steps.h. */
+static M measured_inside(Lanes *z, V t1, V step, M wanted)
+{
+#if BLOCKS_NPLAIN
+    static const int plain_states[] = BLOCKS_PLAIN_STATES;
+    _Pragma("GCC unroll 3") for (int i = 1; i < 4; i++) {
+        V then = z->t + SHARES_AT[i - 1] * step;
+        inside(z, i - 1, plain_states, BLOCKS_NPLAIN_STATES, step, z->xs);
+        if (BLOCKS_NU && z->moves) outside(z, then);
+        plain_measured(&z->m, then, z->xs, z->nodes[i]);
+    }
+#endif
+#if BLOCKS_SHARES_MEASURED
+    for (int j = 0; j < N; j++) z->nodes[4][j] = z->k[LAST][WIDTH + j];
+    (void)t1;
+#else
+    if (BLOCKS_NU && z->moves) outside(z, t1);
+    measured(&z->m, t1, z->x1, z->nodes[4]);
+#endif
+    V bad = lanes_of(0.0);
+    for (int j = 0; j < N; j++) bad += z->nodes[4][j] * 0.0;
+    M parts = ~(bad == 0.0);
+#if BLOCKS_NBENT
+    V once[N], twice[N] = {{0.0}};
+    bent_at(z, 3, step, once);
+    M missed = BLOCKS_DRIVEN_MEASURES ? wanted : foretold(z, 0, wanted, once, twice);
+    if (!BLOCKS_DRIVEN_MEASURES && lanes_any(missed)) {
+        bent_at(z, 4, step, twice);
+        missed = foretold(z, 1, missed, once, twice);
+    }
+    if (lanes_any(missed)) {
+        for (int i = 1; i < 4; i++) {
+            bent_at(z, i - 1, step, twice);
+            for (int a = 0; a < BLOCKS_NBENT; a++) {
+                const int j = bent_columns[a];
+                z->nodes[i][j] = lanes_choose(missed, twice[j], z->nodes[i][j]);
+                parts |= missed & ~lanes_are_finite(twice[j]);
+            }
+        }
+        EACH_LANE {
+            if (!missed[l] || parts[l]) continue;
+            double given[N];
+            BlocksSim *s = z->lanes[l].s;
+            for (int j = 0; j < N; j++) given[j] = once[j][l];
+            for (int i = 0; i < 5; i++)
+                for (int j = 0; j < N; j++) s->nodes[i * N + j] = z->nodes[i][j][l];
+            if (blocks_misses(s, given)) parts[l] = -1;
+        }
+    }
+#endif
+    return parts & wanted;
+}
+#endif
+
+/* --- what becomes of a step -------------------------------------------------------------------------------------- */
+
+typedef struct {
+    V t1, size, error, proposed;
+    M taken, handed; /* lanes that took the step here; those whose run did */
+} Step;
+
+/* Rows of the recording grid inside the step, and looks at its pace; 0: nothing failed. */
+static int look_at(Lanes *z, int l, const Step *step)
+{
+    BlocksSim *s = z->lanes[l].s;
+    double t1 = step->t1[l], h = step->size[l];
+    int paces = IS_PACED(s), turns = BLOCKS_TURNING_ROWS && !(s->steps % 64), records = s->next_row < t1;
+    if (!(paces || turns || records)) return 0;
+    give_back(z, l);
+    give_step(z, l);
+    s->weighed = 0;
+    if (paces && blocks_chatters(s, h)) return 1;
+    if (turns && s->setup->every.is_given) blocks_look_at_rows(s, t1, h);
+    if (records && blocks_rows_inside(s, t1, h, t1 == z->target[l])) return 1;
+    s->weighed = 0;
+    if (records) s->next_row = blocks_grid(&s->setup->every, s->row);
+    return 0;
+}
+
+#if BLOCKS_QUICK_MEASURES
+static int take_measures(Lanes *z, int l, double t1)
+{
+    BlocksSim *s = z->lanes[l].s;
+    for (int i = 1; i < 5; i++)
+        for (int j = 0; j < N; j++) s->nodes[i * N + j] = z->nodes[i][j][l];
+    return blocks_measure_whole(s, z->t[l], t1);
+}
+
+/* The lanes in which a step is to be measured; `quiet` loses those where that goes in parts. */
+static M to_measure(const Lanes *z, const Step *step, M *quiet)
+{
+    M wanted = *quiet & (z->t < step->t1);
+    if (z->lanes[0].s->setup->has_windows)
+        EACH_LANE {
+            if (!wanted[l]) continue;
+            int in = blocks_measures_in(z->lanes[l].s, z->t[l], step->t1[l]);
+            if (in < 0) (*quiet)[l] = 0;
+            if (in) wanted[l] = 0;
+        }
+    M stale = wanted & (z->known != z->t);
+    *quiet &= ~stale;
+    return wanted & ~stale;
+}
+#endif
+
+/* Let a lane's run take a step that is not plain. */
+static void hand_over(Lanes *z, int l, Step *step)
+{
+    Lane *lane = &z->lanes[l];
+    give_back(z, l);
+    give_step(z, l);
+    int stopped = blocks_accept(lane->s, step->t1[l], step->size[l], step->proposed[l], step->error[l], z->target[l]);
+    if (stopped == BLOCKS_DONE) lane->state = DUE;
+    else if (stopped > 0) end_row(lane, stopped);
+    step->handed[l] = stopped < 0 ? -1 : 0;
+}
+
+/* Each lane's part in an accepted step. */
+static void accept(Lanes *z, const BlocksBatch *b, Step *step, M accepted)
+{
+    M quiet = accepted & ~are_loud(z);
+    if (!IS_PLAIN) quiet = (M){0};
+#if BLOCKS_QUICK_MEASURES
+    M measured_here = to_measure(z, step, &quiet);
+    if (lanes_any(measured_here)) quiet &= ~measured_inside(z, step->t1, step->size, measured_here);
+    measured_here &= quiet;
+#endif
+    step->taken = quiet;
+    step->handed = (M){0};
+    EACH_LANE {
+        Lane *lane = &z->lanes[l];
+        BlocksSim *s = lane->s;
+        if (!accepted[l]) continue;
+        if (!quiet[l]) {
+            hand_over(z, l, step);
+        } else {
+            int failed = look_at(z, l, step);
+#if BLOCKS_QUICK_MEASURES
+            failed = failed || (measured_here[l] && take_measures(z, l, step->t1[l]));
+#endif
+            s->steps++;
+            if (failed) end_row(lane, BLOCKS_FAILED);
+        }
+        if (b->budget && lane->state == FLOWING && s->steps + s->rejected > b->budget) end_row(lane, BLOCKS_PAUSED);
+    }
+#if BLOCKS_QUICK_MEASURES
+    z->known = lanes_choose(measured_here, step->t1, z->known);
+    for (int j = 0; j < N; j++) z->nodes[0][j] = lanes_choose(measured_here, z->nodes[4][j], z->nodes[0][j]);
+#endif
+}
+
+/* The lanes that took the step stand at its end; so do those whose run did. */
+static void turn_over(Lanes *z, const Step *step)
+{
+    M taken = step->taken;
+    if (!lanes_any(~taken & z->flowing)) {
+        V *old = z->m.x, *oldest = z->before;
+        z->m.x = z->x1, z->x1 = old, z->before = z->k[0], z->k[0] = z->k[LAST], z->k[LAST] = oldest;
+    } else {
+        for (int i = NX; i < WIDTH; i++) z->before[i] = lanes_choose(taken, z->k[0][i], z->before[i]);
+        for (int i = 0; i < NX; i++) z->m.x[i] = lanes_choose(taken, z->x1[i], z->m.x[i]);
+        for (int i = 0; i < WIDTH; i++) z->k[0][i] = lanes_choose(taken, z->k[LAST][i], z->k[0][i]);
+    }
+    z->t = lanes_choose(taken, step->t1, z->t);
+    z->h = lanes_choose(taken, step->proposed, z->h);
+    z->error = lanes_choose(taken, step->error, z->error);
+    M there = taken & (step->t1 == z->target);
+    if (!lanes_any(there | step->handed)) return;
+    EACH_LANE {
+        BlocksSim *s = z->lanes[l].s;
+        if (step->handed[l] && z->lanes[l].state == FLOWING) {
+            take_back(z, l);
+            if (s->setup->every.is_given) s->next_row = blocks_grid(&s->setup->every, s->row);
+        }
+        if (!there[l] || z->lanes[l].state != FLOWING) continue;
+        give_back(z, l);
+        s->exact = s->target_exact;
+        s->count = s->target_count;
+        s->outstanding = 1;
+        z->lanes[l].state = DUE;
+    }
+}
+
+#if BLOCKS_METHOD_DOPRI5
+
+static void first_steps(Lanes *z)
+{
+    EACH_LANE {
+        if (z->lanes[l].state != FLOWING || z->h[l] > 0.0) continue;
+        give_back(z, l);
+        z->h[l] = blocks_first_step(z->lanes[l].s, z->target[l] - z->t[l]);
+    }
+}
+
+static void step_once(Lanes *z, BlocksBatch *b)
+{
+    const double longest = z->lanes[0].s->setup->longest;
+    Step step;
+    if (lanes_any(z->flowing & ~(z->h > 0.0))) first_steps(z);
+    V left = z->target - z->t, least = 16.0 * lanes_ulp(z->t);
+    V h = lanes_larger(lanes_smaller(z->h, lanes_of(longest)), least);
+    step.t1 = lanes_choose(h >= left / 1.01, z->target, z->t + h);
+    step.size = step.t1 - z->t;
+    make_step(z, step.size);
+    V error = error_norm(z, step.size);
+    M accepted = z->flowing & (error <= 1.0), refused = z->flowing & ~accepted;
+    V factor = 0.9 * lanes_pow(z->error, lanes_of(0.04)) *
+               lanes_pow(lanes_larger(error, lanes_of(1e-10)), lanes_of(-(1.0 / 5 - 0.75 * 0.04)));
+    step.proposed = step.size * lanes_smaller(z->grow, lanes_larger(lanes_of(0.2), factor));
+    step.proposed = lanes_choose(step.size < h, lanes_larger(step.proposed, h), step.proposed);
+    step.error = lanes_larger(error, lanes_of(1e-4));
+    z->grow = lanes_choose(accepted, lanes_of(10.0), z->grow);
+    accept(z, b, &step, accepted);
+    turn_over(z, &step);
+    if (!lanes_any(refused)) return;
+    factor = lanes_larger(lanes_of(0.2), 0.9 * lanes_pow(error, lanes_of(-1.0 / 5)));
+    factor = lanes_choose(lanes_are_finite(error), factor, lanes_of(0.1));
+    z->h = lanes_choose(refused, lanes_larger(step.size * factor, least), z->h);
+    z->grow = lanes_choose(refused, lanes_of(1.0), z->grow);
+    M stuck = refused & ((h <= least) | (step.size <= least));
+    EACH_LANE {
+        if (!refused[l]) continue;
+        BlocksSim *s = z->lanes[l].s;
+        s->rejected++;
+        if (stuck[l]) {
+            give_back(z, l);
+            blocks_fail(s, BLOCKS_TOO_SMALL, 0, step.size[l]);
+            end_row(&z->lanes[l], BLOCKS_FAILED);
+        } else if (b->budget && s->steps + s->rejected > b->budget) end_row(&z->lanes[l], BLOCKS_PAUSED);
+    }
+}
+
+#else
+
+#if IS_WATCHED
+/* Half a step along the first slope, in place of the step before. */
+static void take_before(Lanes *z, int l, double h)
+{
+    BlocksSim *s = z->lanes[l].s;
+    give_back(z, l);
+    EACH(s->x2[i] = s->memory.x[i] + 0.5 * h * s->k[0][i]);
+    blocks_evaluate(s, s->model->crossings, s->t + 0.5 * h, s->x2, s->crossing_values);
+    for (int j = 0; j < NS; j++) z->before[NX + j][l] = s->crossing_values[sides_at[j]];
+    s->has_before = 1;
+}
+#endif
+
+/* The end of a lane's next step: a point of the grid of steps, or the target. */
+static double next_point(Lanes *z, int l)
+{
+    BlocksSim *s = z->lanes[l].s;
+    const BlocksGrid *grid = &s->setup->fixed;
+    double t = z->t[l], target = z->target[l], near = 1e-12 * fabs(target), point;
+    while ((point = blocks_grid(grid, s->fixed)) <= t) s->fixed++;
+    if (target - point > near) return point;
+    return point >= target || blocks_within_ulps(point, target, 0.0) ? target : point;
+}
+
+static void step_once(Lanes *z, BlocksBatch *b)
+{
+    Step step;
+    step.t1 = z->t;
+    EACH_LANE if (z->lanes[l].state == FLOWING) step.t1[l] = next_point(z, l);
+    step.size = step.t1 - z->t;
+    step.proposed = lanes_of(0.0);
+    step.error = lanes_of(1e-4);
+#if IS_WATCHED
+    EACH_LANE if (z->lanes[l].state == FLOWING && !z->lanes[l].s->has_before) take_before(z, l, step.size[l]);
+#endif
+    make_step(z, step.size);
+    M accepted = z->flowing & (error_norm(z, step.size) == 0.0), blown = z->flowing & ~accepted;
+    accept(z, b, &step, accepted);
+    turn_over(z, &step);
+    if (!lanes_any(blown)) return;
+    EACH_LANE {
+        if (!blown[l]) continue;
+        give_back(z, l);
+        blocks_fail(z->lanes[l].s, BLOCKS_BLOWN_UP, 0, step.size[l]);
+        end_row(&z->lanes[l], BLOCKS_FAILED);
+    }
+}
+
+#endif
+
+/* --- all rows ---------------------------------------------------------------------------------------------------- */
+
+/* Make steps while all lanes flow that did. */
+static void flow(Lanes *z, BlocksBatch *b)
+{
+    M flowing = (M){0};
+    EACH_LANE z->flowing[l] = -(z->lanes[l].state == FLOWING);
+    do {
+        z->fresh &= z->flowing;
+        if (lanes_any(z->fresh)) first_rates(z);
+        else step_once(z, b);
+        EACH_LANE flowing[l] = -(z->lanes[l].state == FLOWING);
+    } while (!lanes_any(z->flowing & ~flowing) && !blocks_is_cancelled(b));
+}
+
+/* Let lanes without a row stand where another lane stands: what they compute is as harmless as that. */
+static void park(Lanes *z)
+{
+    int other = -1;
+    EACH_LANE if (z->lanes[l].state == FLOWING) other = l;
+    EACH_LANE {
+        if (z->lanes[l].state != IDLE || other < 0) continue;
+        z->lanes[l].state = PARKED;
+        for (V *row = &z->rows_x[0][0]; row <= &z->known; row++) (*row)[l] = (*row)[other];
+        z->target[l] = z->t[l];
+    }
+}
+
+int64_t blocks_lanes(BlocksBatch *b, BlocksLanes *z, int32_t *which)
+{
+    for (int any = 1; any && !blocks_is_cancelled(b);) {
+        any = 0;
+        EACH_LANE {
+            Lane *lane = &z->lanes[l];
+            while (lane->state < FLOWING) {
+                if (lane->state == EMPTY) {
+                    begin_row(z, b, l);
+                } else if (lane->state == DUE) {
+                    settle(z, b, l);
+                } else {
+                    lane->state = EMPTY;
+                    blocks_row_keep(b, lane->s, lane->row, lane->status, lane->room);
+                    *which = l;
+                    if (b->is_by_one) return lane->row;
+                }
+            }
+            any |= lane->state == FLOWING;
+        }
+        park(z);
+        if (any) flow(z, b);
+    }
+    return -1;
+}
+
+BlocksLanes *blocks_lanes_new(BlocksSim **sims, double *room, int64_t each)
+{
+    void *place = calloc(1, sizeof(Lanes) + 64);
+    if (!place) return NULL;
+    Lanes *z = (Lanes *)(((uintptr_t)place + 63) / 64 * 64);
+    z->place = place;
+    z->model = *sims[0]->model;
+    z->model.run = flow_in_lane;
+    z->m = (LanesMemory){z->rows_x[0], z->d, z->s, z->p, z->u, NULL, z->tick, z->q, z->v, z->n, z->w, sims[0]->memory.c};
+    z->x1 = z->rows_x[1];
+    for (int n = 0; n < STAGES; n++) z->k[n] = z->rows_k[n];
+    z->before = z->rows_k[STAGES];
+    for (int i = 0; i < BLOCKS_NN; i++) z->n[i] = lanes_of(sims[0]->memory.n[i]);
+    EACH_LANE {
+        z->lanes[l].s = sims[l];
+        z->lanes[l].room = sims[l] ? room + l * each : NULL;
+        z->lanes[l].state = sims[l] ? EMPTY : IDLE;
+    }
+    return z;
+}
+
+void blocks_lanes_free(BlocksLanes *z)
+{
+    if (z) free(z->place);
+}

@@ -1,0 +1,382 @@
+"""Lanes: rows side by side in vectors, which know nothing of their lane and of each other, within the tolerance."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks import (
+    Block,
+    Diagram,
+    FirstOrder,
+    Gain,
+    Input,
+    Integrator,
+    LookupTable,
+    Noise,
+    Parameter,
+    Product,
+    Relay,
+    Saturation,
+    SecondOrder,
+    Sine,
+    State,
+    Sum,
+    Sweep,
+    TransportDelay,
+    UsageError,
+    ZeroOrderHold,
+    local,
+)
+from blocks.api.batch import BatchRows
+from blocks.compile.c import lane_code
+from blocks.compile.c.lane_code import Machine
+from tests.api.test_batch import Doomed, same
+from tests.support.places import ROOT
+
+Array = Any
+pytestmark = [
+    pytest.mark.usefixtures("native"),
+    pytest.mark.skipif(Machine.own() is None, reason="lanes need gcc on Linux and x86-64"),
+]
+ROBOT = ROOT / "diagrams/paper/iadrc.json"
+
+
+def machine(width: int, has_libmvec: bool = True) -> Machine:
+    """What other processors have that this one has too, and other C libraries."""
+    known = ctypes.CDLL("libmvec.so.1") if has_libmvec else None
+    names = [name for name in lane_code._functions() if hasattr(known, lane_code._name(name, width))]
+    return Machine(width, frozenset(names))
+
+
+def mixed() -> Diagram:
+    """A loop with noise, a hold, a crossing, a table, an input that moves, and measures of all kinds."""
+    d = Diagram("mixed")
+    d.input("load", default=0.5)
+    for name, block in {
+        "noise": Noise(period=0.01), "wave": SecondOrder(w=7.0, d=0.1, v_start=3.0), "sum": Sum(signs="++-+"),
+        "lag": FirstOrder(T=0.1),
+        "relay": Relay(on_at=0.2, off_at=-0.2), "hold": ZeroOrderHold(period=0.05), "limit": Saturation(),
+        "curve": LookupTable(points=[-1.0, 0.0, 1.0], values=[-2.0, 0.0, 1.0]),
+    }.items():  # fmt: skip
+        d.add(name, block)
+    wires = {
+        "limit.u": "wave.y", "sum.u1": "limit.y", "sum.u2": "noise.y", "sum.u3": "hold.y", "sum.u4": "load",
+        "lag.u": "sum.y",
+        "relay.u": "lag.y", "hold.u": "relay.y", "curve.u": "lag.y", "wave.u": "relay.y",
+    }  # fmt: skip
+    for sink, source in wires.items():
+        d.wire(sink, source)
+    d.measure("effort", "total_variation", of="lag.y")
+    d.measure("settled", "settling_time", of="lag.y", against=0.0, band=0.5)
+    d.measure("late", "ISE", of="sum.y", start=0.5)
+    d.measure("top", "peak", of="curve.y")
+    d.settings(stop=2.0, every=0.1, inputs={"load": {"t": [0, 1, 2], "u": [0.5, 0.7, 0.1], "interpolation": "linear"}})
+    return d
+
+
+NAMES = ["wave.w", "lag.T"]
+
+
+def rows_of(count: int) -> list[list[float]]:
+    return [[3.0 + 0.9 * i, 0.05 + 0.01 * i] for i in range(count)]
+
+
+def assert_same(a: BatchRows, b: BatchRows, places: list[int]) -> None:
+    """Rows of b are those of a at these places, bit for bit."""
+    assert b.status.tolist() == [a.status[k] for k in places]
+    assert b.steps.tolist() == a.steps[places].tolist()
+    for kind in ("measures", "signals"):
+        for name, column in getattr(b, kind).items():
+            assert column.tobytes() == getattr(a, kind)[name][places].tobytes(), name
+
+
+CASES: dict[str, tuple[Any, list[str], dict[str, Any]]] = {
+    "mixed": (mixed, NAMES, {"log": ["lag.y", "hold.y"]}),
+    "fixed steps": (mixed, NAMES, {"log": ["lag.y"], "method": "rk4", "step": 0.004}),
+    "robot": (lambda: Diagram.load(ROBOT), ["Jeq", "torque"], {"stop": 2.0, "log": ["robot.x"], "every": 0.1}),
+    "pid": (lambda: Diagram.load(ROOT / "diagrams/motor_pid.json"), ["kp", "voltage"], {"stop": 1.5}),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_neither_lanes_nor_neighbours_nor_threads_change_a_bit(name: str) -> None:
+    make, names, settings = CASES[name]
+    batch = make().batch(names, lanes="fast", **settings)
+    assert batch.lanes
+    nominal = np.array(batch.nominal)
+    table = rows_of(19) if make is mixed else [(nominal * (1 + 0.01 * k)).tolist() for k in range(19)]
+    seeds = list(range(19))
+    whole = batch(table, seeds=seeds, threads=1)
+    assert {*whole.status} == {"ok"}
+    order = np.random.default_rng(5).permutation(19).tolist()
+    for threads in (1, 2):
+        again = batch([table[k] for k in order], seeds=order, threads=threads)
+        assert_same(whole, again, order)
+    for count in range(1, 10):
+        assert_same(whole, batch(table[:count], seeds=seeds[:count], threads=1), seeds[:count])
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_rows_are_single_runs_within_the_tolerance(name: str) -> None:
+    make, names, settings = CASES[name]
+    exact, fast = (make().batch(names, lanes=lanes, **settings) for lanes in ("exact", "fast"))
+    table = rows_of(9) if make is mixed else [(np.array(exact.nominal) * (1 + 0.01 * k)).tolist() for k in range(9)]
+    a, b = exact(table, seeds=range(9)), fast(table, seeds=range(9))
+    for kind in ("measures", "signals"):
+        for key, column in getattr(a, kind).items():
+            size = np.nanmax(np.abs(column), initial=0.0)
+            assert getattr(b, kind)[key] == pytest.approx(column, rel=1e-5, abs=1e-5 * size, nan_ok=True), key
+
+
+SHIPPED = (
+    "adrc/motor_speed", "adrc/cruise_control", "analysis/smeso_pd", "bouncing_ball", "gallery/uncertain", "motor_pid",
+    "paper/iadrc", "paper/wheel_iadrc", "quarter_car", "sampled_loop",
+)  # fmt: skip
+
+
+def variants(diagram: Diagram, count: int, settings: dict[str, Any]) -> tuple[list[str], Array]:
+    """Columns that a diagram accepts, and rows around its own values."""
+    from tests.api.test_batch import varied
+
+    known = {name: value for name, value in varied(diagram).items() if value}
+    good = []
+    for name, value in known.items():
+        if diagram.batch([name], **settings)([[1.02 * value]]).status[0] == "ok":
+            good.append(name)
+    base = np.array([known[name] for name in good])
+    return good, base * (1 + 0.03 * np.random.default_rng(2).uniform(-1, 1, (count, len(good))))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_thousand_variants_are_as_near_to_single_runs_as_these_are_to_the_solution(name: str) -> None:
+    """The witness is a run of a hundredth of the tolerance."""
+    diagram = Diagram.load(ROOT / f"diagrams/{name}.json")
+    stop = {"paper/iadrc": 10.0, "paper/wheel_iadrc": 1.0}.get(name, min(float(diagram.value.run["stop"]), 10.0))
+    settings: dict[str, Any] = {"stop": stop}
+    names, table = variants(diagram, 1000, settings)
+    assert names
+    is_fixed = diagram.value.run.get("method") == "rk4"
+    close = settings if is_fixed else {**settings, "rtol": 1e-8, "atol": 1e-11}
+    exact, fast, near = (
+        diagram.batch(names, lanes=lanes, **given)(table)
+        for lanes, given in (("exact", settings), ("fast", settings), ("exact", close))
+    )
+    assert fast.how.count("lanes of")
+    assert fast.status.tolist() == exact.status.tolist()
+    for key, column in exact.measures.items():
+        apart, error = np.abs(fast.measures[key] - column), np.abs(column - near.measures[key])
+        allowed = 3 * np.nanmax(error, initial=0.0) + 1e-6 * np.nanmax(np.abs(column), initial=0.0)
+        assert (np.isnan(apart) == np.isnan(column)).all()
+        assert np.nanmax(apart, initial=0.0) <= allowed, key
+
+
+@pytest.mark.parametrize("given", [machine(2), machine(4), machine(4, False)], ids=["2", "4", "4 without libmvec"])
+def test_other_machines_have_other_lanes(given: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = Machine.own()
+    assert own is not None
+    if given.width > own.width:
+        pytest.skip("this processor has less")
+    monkeypatch.setattr(Machine, "own", lambda: given)
+    batch = mixed().batch(NAMES, lanes="fast")
+    assert batch.lanes.startswith(f"{given.width} lanes of ")
+    assert batch.lanes.endswith("libmvec" if given.functions else "libm")
+    exact, fast = mixed().batch(NAMES)(rows_of(7)), batch(rows_of(7))
+    for key, column in exact.measures.items():
+        assert fast.measures[key] == pytest.approx(column, rel=1e-5, nan_ok=True), key
+
+
+class Functions(Block):
+    """All that equations may compute."""
+
+    k = Parameter(0.5)
+    u = Input()
+    x = State(shape=(33,), output=True)
+
+    @local
+    def a(u, k):
+        return 0.5 + 0.4 * np.sin(u * k)  # in (0, 1)
+
+    @x.derivative
+    def dx(a, u, k, x):
+        b = a - 0.5
+        return np.array([
+            np.exp(b), np.expm1(b), np.log(a), np.log1p(b), np.sin(u), np.cos(u), np.tan(b), np.arcsin(b),
+            np.arccos(b), np.arctan(u), np.arctan2(b, a), np.sinh(b), np.cosh(b), np.tanh(u), np.arcsinh(u),
+            np.arccosh(1.0 + a), np.arctanh(b), np.hypot(a, u), np.fmod(a, 0.3 + k), np.abs(b) ** k, np.sqrt(a),
+            np.floor(5.0 * a) * 0.01, np.ceil(5.0 * a) * 0.01, np.sign(k - 0.6) * a, np.copysign(a, k - 0.7),
+            np.minimum(a, k), np.maximum(a, k), np.where(k > 0.6, np.sqrt(a), -a), np.abs(k - a),
+            np.where((k > 0.55) & (k < 0.65) | ~(k <= 0.75), 1.0, a), np.where(k == 0.5, a, 1.0),
+            np.where(k != 0.5, a, 0.0) * x[0], np.float64(1.0),
+        ])  # fmt: skip
+
+
+def test_all_functions_agree_with_those_of_one_number() -> None:
+    d = Diagram("functions")
+    d.add("f", Functions())
+    d.add("wave", Sine(omega=3.0))
+    d.wire("f.u", "wave.y")
+    settings: dict[str, Any] = {"stop": 2.0, "method": "rk4", "step": 0.01, "every": 0.5, "log": ["f.x"]}
+    table = [[0.5 + 0.05 * k] for k in range(9)]
+    exact, fast = (d.batch(["f.k"], lanes=lanes, **settings)(table) for lanes in ("exact", "fast"))
+    assert fast.signals["f.x"] == pytest.approx(exact.signals["f.x"], rel=1e-11, abs=1e-12)
+    assert (np.ptp(exact.signals["f.x"][:, -1], axis=0) > 0).sum() > 25, "they depend on the parameter"
+
+
+def square() -> Diagram:
+    """dx/dt = k x^2, which is 1/(1 - k t)."""
+    d = Diagram("square")
+    d.add("x", Integrator(y_start=1.0))
+    d.add("square", Product())
+    d.add("gain", Gain(k=-1.0))
+    for sink, source in {"square.u1": "x.y", "square.u2": "x.y", "gain.u": "square.y", "x.u": "gain.y"}.items():
+        d.wire(sink, source)
+    d.measure("last", "peak", of="x.y")
+    return d
+
+
+def test_a_row_that_fails_leaves_the_others_as_they_are() -> None:
+    table: list[list[Any]] = [[-1.0], [2.0], [float("nan")], [-1e4], [-2.0], ["text"]]
+    batch = square().batch(["gain.k"], stop=0.75, log=["x.y"], lanes="fast")
+    rows = batch(table, budget=5000)
+    assert rows.status.tolist() == ["ok", "diverged", "refused", "ok", "ok", "refused"]
+    assert np.isnan(rows.measures["last"]).tolist() == [False, True, True, False, False, True]
+    assert rows.signals["x.y"][0, -1] == pytest.approx(1 / 1.75, rel=1e-4)
+    assert rows.messages[1].startswith("E301 ")
+    assert "t = 0.5" in rows.messages[1] or "t = 0.49999" in rows.messages[1]
+    assert np.isnan(rows.signals["x.y"][1, -1])
+    assert_same(rows, batch([table[0], table[4]]), [0, 4])
+    short = batch(table, budget=int(rows.steps[0]))
+    assert short.status.tolist() == ["ok", "budget", "refused", "budget", "ok", "refused"]
+    assert short.messages[3].startswith("E313 square")
+
+
+@pytest.mark.parametrize("settings", [{"method": "rk4", "step": 0.01}, {"method": "euler", "step": 0.01}], ids=str)
+def test_a_fixed_step_that_blows_up_is_told_as_ever(settings: dict[str, Any]) -> None:
+    table = [[-1.0], [1.5], [-0.5]]
+    exact, fast = (square().batch(["gain.k"], stop=2.0, lanes=lanes, **settings)(table) for lanes in ("exact", "fast"))
+    assert fast.status.tolist() == exact.status.tolist() == ["ok", "diverged", "ok"]
+    assert fast.messages == exact.messages
+
+
+def test_a_budget_and_an_interrupt_end_rows_in_lanes() -> None:
+    d = mixed()
+    d.settings(stop=1e9, inputs={"load": 0.5})
+    rows = d.batch(["lag.T"], every=1e8, lanes="fast")([[0.1], [0.2]], budget=2000)
+    assert rows.status.tolist() == ["budget", "budget"]
+
+    def interrupt(done: int, total: int) -> None:
+        if done >= 3:
+            raise KeyboardInterrupt
+
+    table = [[0.1 + 0.001 * k] for k in range(400)]
+    rows = mixed().batch(["lag.T"], stop=20.0, lanes="fast")(table, threads=1, progress=interrupt)
+    assert rows.interrupted
+    assert {*rows.status} == {"ok", "left"}
+    assert np.isnan(rows.measures["effort"]).tolist() == (rows.status == "left").tolist()
+
+
+# --- what has no lanes --------------------------------------------------------------------------------------------
+
+
+def looped() -> Diagram:
+    d = Diagram("looped")
+    for name, block in {"sum": Sum(signs="+-"), "gain": Gain(k=0.5), "lag": FirstOrder(), "wave": Sine()}.items():
+        d.add(name, block)
+    for sink, source in {"sum.u1": "wave.y", "sum.u2": "gain.y", "gain.u": "sum.y", "lag.u": "sum.y"}.items():
+        d.wire(sink, source)
+    d.settings(loops="solve", stop=1.0)
+    return d
+
+
+def delayed() -> Diagram:
+    d = Diagram("delayed")
+    for name, block in {"wave": Sine(), "late": TransportDelay(delay=0.1), "lag": FirstOrder()}.items():
+        d.add(name, block)
+    d.wire("late.u", "wave.y")
+    d.wire("lag.u", "late.y")
+    d.settings(stop=1.0)
+    return d
+
+
+def programmed() -> Diagram:
+    d = Diagram("programmed")
+    d.add("lag", FirstOrder())
+    d.add("program", Doomed())
+    d.wire("lag.u", "program.y")
+    d.settings(stop=1.0)
+    return d
+
+
+@pytest.mark.parametrize(
+    ("make", "settings", "why"),
+    [
+        (looped, {}, "it has algebraic loops"),
+        (delayed, {}, "it has delays"),
+        (programmed, {}, "it has programs in Python"),
+        (square, {"method": "radau", "stop": 0.5}, "radau"),
+        (lambda: Diagram.load(ROOT / "diagrams/gallery/cart_pole.json"), {}, "each step is looked at closely"),
+        (lambda: Diagram.load(ROOT / "diagrams/paper/control_iadrc_sampled.json"), {"stop": 0.1}, "it has no states"),
+    ],
+    ids=["loop", "delay", "program", "radau", "crossings", "no states"],
+)
+def test_what_has_no_lanes_says_so_and_runs_exactly(make: Any, settings: dict[str, Any], why: str) -> None:
+    batch = make().batch([], lanes="fast", **settings)
+    assert batch.lanes == ""
+    (warning,) = batch.warnings
+    assert warning.code == "W504"
+    assert why in warning.message
+    assert why in batch.how(3)
+    rows = batch([[], []])
+    if make is not programmed:
+        same(rows, 1, make(), **settings)
+
+
+def test_a_machine_without_lanes_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Machine, "own", lambda: None)
+    batch = square().batch(["gain.k"], stop=0.5, lanes="fast")
+    assert "lanes need gcc" in batch.warnings[0].message
+    assert batch.how(4, 2) == "2 threads, without lanes: lanes need gcc on Linux and x86-64"
+
+
+def test_what_cannot_be_meant_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"E501 lanes: 'fats' is not known\. Did you mean 'fast'"):
+        square().batch([], lanes="fats", stop=1.0)
+    with pytest.raises(UsageError, match="E501 lanes: 'fast' is for this machine"):
+        square().sweep({"gain.k": [-1.0]}, stop=1.0, lanes="fast", on="tcp://nowhere:1")
+
+
+def test_a_sweep_tells_its_lanes_and_goes_on_in_no_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pyarrow")
+    path = tmp_path / "rows.parquet"
+    own = Machine.own()
+    assert own is not None
+
+    def sweep(lanes: str, **more: Any) -> Sweep:
+        made: Sweep = square().sweep({"gain.k": [-1.0, -2.0, -3.0]}, stop=0.5, lanes=lanes, out=path, **more)
+        return made
+
+    whole = sweep("fast")
+    assert whole.lanes == own.told
+    assert own.told in whole.table().splitlines()[0]
+    assert Sweep.load(path).lanes == own.told
+    path.unlink()
+
+    def interrupt(done: int, total: int) -> None:
+        if done == 1:
+            raise KeyboardInterrupt
+
+    assert sweep("fast", threads=1, progress=interrupt).interrupted
+    with pytest.raises(UsageError, match=r"E506.*it is of a sweep that differs in its lanes"):
+        sweep("exact")
+    monkeypatch.setattr(Machine, "own", lambda: replace(own, functions=frozenset()))
+    with pytest.raises(UsageError, match=r"E506.*it is of a sweep that differs in its lanes"):
+        sweep("fast")
+    monkeypatch.setattr(Machine, "own", lambda: own)
+    assert sweep("fast").measures["last"].tobytes() == whole.measures["last"].tobytes()
