@@ -61,10 +61,6 @@ class Expansion:
                 path = fleet.numbered(block.path, lane)
                 yield path, self.each[k].get(lane, one), other.each[k].get(lane, two)
 
-    def moving(self, moved: Callable[[tuple[Source, ...]], tuple[Source, ...]]) -> Expansion:
-        """The same for sources in blocks that were taken apart."""
-        return dataclasses.replace(self, moved=moved)
-
     def sources(self, sources: Sequence[Source], fleet: Fleet | None, lane: int) -> tuple[Source, ...]:
         sources = self.moved(tuple(sources))
         return tuple([self.source(source, fleet, lane) for source in sources])

@@ -278,7 +278,9 @@ class _Flattener:
         if is_inside or not has_copies:
             return tuple(written), enabled, None, parts.of
         expansion = self.expansion(blocks)
-        signals.moved, signals.expansion = tuple, expansion.moving(parts.moved) if parts.given else expansion
+        if parts.given:
+            expansion, signals.moved = replace(expansion, moved=parts.moved), tuple
+        signals.expansion = expansion
         enabled = tuple(expansion.enabled([(part, scopes[part.path]) for part in enabled]))
         later = Later(expansion.layout.size, lambda: [*expansion.written_out()])
         place = expansion.layout.place

@@ -163,6 +163,30 @@ def test_copies_of_every_kind_are_those_written_out(kind: str, engine: str) -> N
         compare(KINDS[kind], run, engine)
 
 
+def ring(n: int) -> dict[str, Any]:
+    """The Laplacian of a ring, by its edges."""
+    near = [[i, (i + step) % n, weight] for i in range(n) for step, weight in ((0, -2.0), (1, 1.0), (n - 1, 1.0))]
+    return {"edges": near, "shape": [n, n]}
+
+
+@pytest.mark.parametrize("n", [5, 70])
+def test_a_sparse_coupling_of_copies(n: int) -> None:
+    mix = {"mix": {"type": "MatrixGain", "parameters": {"K": ring(n)}}}
+    given = {"parameters": {"a": "=0.2+index/copies"}}
+    document = of_agents(AGENT, n, entry=given, blocks=mix, wires={"mix.u": "robots.y", "robots.u": "mix.y"})
+    assert Diagram.from_json(document).plan().folded is not None
+    for run in RUNS[1], RUNS[3]:
+        compare(document, run, "native")
+
+
+def test_a_sparse_matrix_in_each_copy() -> None:
+    matrix = {"edges": [[0, 0, 1.0], [1, 1, 2.0]], "shape": [2, 2]}
+    wires = {"m__u[0]": "u", "m__u[1]": "wave.y", "sum__u1": "m.y[1]"}
+    agent = with_block("m", {"type": "MatrixGain", "parameters": {"K": matrix}}, **wires)
+    for engine in ("reference", "native"):
+        compare(of_agents(agent, wires={"robots.u": "wave.y"}), RUNS[1], engine)
+
+
 def test_an_algebraic_loop_in_each_copy_is_solved() -> None:
     agent = with_block("loop", {"type": "Gain", "parameters": {"k": "=-a"}}, loop__u="sum.y", sum__u2="loop.y")
     document = of_agents(agent)
@@ -171,7 +195,8 @@ def test_an_algebraic_loop_in_each_copy_is_solved() -> None:
 
 
 def test_implicit_methods_are_close() -> None:
-    compare(of_agents(AGENT, wires={"robots.u": "wave.y"}), {"method": "radau", "rtol": 1e-9}, "reference", 1e-6)
+    for engine in ("reference", "native"):
+        compare(of_agents(AGENT, wires={"robots.u": "wave.y"}), {"method": "radau", "rtol": 1e-9}, engine, 1e-6)
 
 
 @pytest.mark.parametrize("engine", ["reference", "native"])

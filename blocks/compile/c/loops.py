@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
+from ..folding import At
 from .functions import Function
 
 __all__ = ["LEAST", "Call", "CallOrder", "CallSequence", "Copy", "EqualCalls", "Sink", "Value", "at_of", "is_affine"]
@@ -115,6 +116,14 @@ def is_affine(indices: Sequence[int], most: int | None = None) -> bool:
     return all(b - a == stride for a, b in pairwise(indices))
 
 
+def _in_lane(value: Value) -> tuple[object, int] | None:
+    """A value of a certain copy: what it is in all copies, and the lane."""
+    row, index = value
+    if row == "at":
+        return index  # type: ignore[no-any-return]
+    return ((row, int(index)), index.lane) if type(index) is At else None
+
+
 class CallOrder:
     """The order of one program."""
 
@@ -138,7 +147,7 @@ class CallOrder:
                     if row in ("r", "ge"):
                         level = max(level, depth[self.made[index][0]] + 1)
                 depth[call] = level
-                rows = tuple(row for row, _ in call.arguments)
+                rows = tuple(f"at {value[1][0][0]}" if value[0] == "at" else value[0] for value in call.arguments)
                 forms = tuple(tuple((s.condition is None, s.off) for s in sinks) for sinks in call.sinks)
                 fallback = None if call.fallback is None else tuple(row for row, _ in call.fallback)
                 key = (call.function.name, level, rows, forms, call.guard, fallback, call.lanes, call.gathers)
@@ -166,7 +175,14 @@ class CallOrder:
         """Whether all lanes read and write at regular places."""
         for k in range(len(group.calls[0].arguments)):
             column = [call.arguments[k] for call in group.calls]
-            if column[0][0] in ("r", "ge"):
+            of_copies = [_in_lane(value) for value in column]
+            if any(of_copies):  # values of certain copies: of one thing, evenly spaced
+                known = [pair for pair in of_copies if pair is not None]
+                if len(known) < len(column) or any(pair[0] != known[0][0] for pair in known):
+                    return False
+                if not is_affine([lane for _, lane in known]):
+                    return False
+            elif column[0][0] in ("r", "ge"):
                 if all(value == column[0] for value in column):
                     continue
                 producers = [self.group_of[self.made[index][0]] for _, index in column]
