@@ -105,7 +105,7 @@ def test_so_does_a_subdiagram_in_a_file_of_its_own(path: str, value: Any, tmp_pa
         ("blocks/part/x-note", "kept"),
         ("inputs/r/x-note", "kept"),
         ("run/x-note", "kept"),
-        ("$schema", "diagram-2.schema.json"),
+        ("$schema", "diagram-3.schema.json"),
     ],
 )
 def test_documentation_layout_and_spelling_do_not(path: str, value: Any, tmp_path: Path) -> None:

@@ -109,7 +109,7 @@ NESTED = """\
 SQUARE = {"inputs": {"u": {}}, "outputs": {"y": "p.y"}, "blocks": {"p": {"type": "Power"}}, "wires": {"p.u": "u"}}
 # Every key of a diagram and of a study stands in these.
 CONTROLLED = {
-    "$schema": "diagram-2.schema.json",
+    "$schema": "diagram-3.schema.json",
     "format": "blocks-diagram",
     "version": 2,
     "name": "all",
