@@ -311,7 +311,8 @@ class _Flattener:
 
     def check_steps(self) -> None:
         """Refuse a communication step for a name that is no block."""
-        paths = {leaf.path for leaf in self.hierarchy.leaves} if self.settings.master.steps else set()
+        leaves = self.hierarchy.leaves if self.settings.master.steps else ()
+        paths = {path for leaf in leaves for path in leaf.all_paths}
         for name in self.settings.master.steps:
             if name not in paths and not self.is_lost(name):
                 spot = None if "master.steps" in self.given else ("run", "master", "steps", name)

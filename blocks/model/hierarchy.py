@@ -69,6 +69,12 @@ class Leaf:
         return self.scope.prefix + self.name
 
     @property
+    def all_paths(self) -> list[str]:
+        """Those of all of its copies."""
+        fleet = self.fleet
+        return [self.path] if fleet is None else [fleet.numbered(self.path, k) for k in range(fleet.total)]
+
+    @property
     def interface(self) -> Interface:
         return self.resolved.interface
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from blocks import Diagram
+from blocks import Diagram, ModelError
 from tests.support.fleets import named_by_hand, named_by_number, written_out
 
+FMUS = Path(__file__).resolve().parents[2] / "fmus"
 HEAD = {"format": "blocks-diagram", "version": 3}
 VECTORS = frozenset({"mix.y"})
 FORMS: dict[str, dict[str, Any]] = {
@@ -235,3 +237,18 @@ def test_a_copy_is_linearized_as_a_block_is() -> None:
     np.testing.assert_array_equal(model.A, np.diag([-1.0, -2.0, -4.0]))
     one = made.linearize("u", "robots[2].x.y")
     np.testing.assert_allclose(one(2j), 1 / (1 + 0.25 * 2j), rtol=1e-12)
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+@pytest.mark.parametrize("kind", ["ME", "CS"])
+def test_copies_of_an_fmu(kind: str, engine: str) -> None:
+    values = {"copies": 3, "parameters": {"Ra": [0.1, 0.2, 0.3]}}
+    blocks = {"m": {"fmu": "PMDCMotor.fmu", "kind": kind, **values}, "own": {"type": "PMDCMotor", **values}}
+    run = {"stop": 1, "master": {"steps": {"m[1]": 0.001}}}
+    document = {**HEAD, "inputs": {"v": {"size": 3, "unit": "V", "default": [1, 2, 3]}}, "blocks": blocks,
+                "wires": {"m.v": "v", "own.v": "v"}, "run": run}  # fmt: skip
+    results = Diagram.from_json(document, folder=FMUS).run(engine=engine, log=["m.omega", "own.omega"])
+    np.testing.assert_allclose(results["m.omega"][-1], results["own.omega"][-1], rtol=1e-5)
+    assert len({*results["m.omega"][-1].tolist()}) == 3
+    with pytest.raises(ModelError, match=r"E115 .*m\[3\]"):
+        Diagram.from_json(document, folder=FMUS).run(master={"steps": {"m[3]": 0.001}}, stop=1)
