@@ -62,7 +62,9 @@ def diagram_schema(types: Mapping[str, type[Block]]) -> Schema:
         types_of = defs[name]["properties"]["type"]
         own = g.FILLED.schema({}) | {"description": "A type of your own, which --library brings."}
         defs[name]["properties"]["type"] = {"description": types_of["description"], "anyOf": [*known, own]}
-        defs[name]["allOf"] = [{"$ref": "#/$defs/types"}]
+        # With copies, a parameter may also be a list with one value for each of them.
+        has_copies: Schema = {"required": ["copies"]}
+        defs[name]["allOf"] = [{"if": {"not": has_copies}, "then": {"$ref": "#/$defs/types"}}]
     defs["types"] = {"allOf": [{}, *(_of_type(name, cls.declaration, defs) for name, cls in types.items())]}
     return _whole("Diagram file of blocks", body, defs)
 

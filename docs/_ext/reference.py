@@ -459,7 +459,7 @@ class KeysDirective(Reference):
             told += [nodes.Text(" "), *self.parse_inline(more[field.key])[0]] if field.key in more else []
             default = code("" if field.default is None else json.dumps(field.default))
             if isinstance(field.kind, Constant):
-                default = code(json.dumps(field.kind.value))
+                default = code(" or ".join(json.dumps(value) for value in field.kind.values))
             rows.append((code(field.key), told, "must be given" if field.required and not default else default))
         return [table(("key", "meaning", "default"), rows, (20, 60, 20))]
 

@@ -208,7 +208,7 @@ BROKEN = [
     (("format",), "blocks", "E006"),
     (("format",), ..., "E009"),
     (("version",), ..., "E009"),
-    (("version",), 3, "E005"),
+    (("version",), 4, "E005"),
     (("version",), True, "E005"),
     (("$schema",), 5, "E004"),
     (("name",), "two words", "E111"),

@@ -111,7 +111,7 @@ SQUARE = {"inputs": {"u": {}}, "outputs": {"y": "p.y"}, "blocks": {"p": {"type":
 CONTROLLED = {
     "$schema": "diagram-3.schema.json",
     "format": "blocks-diagram",
-    "version": 2,
+    "version": 3,
     "name": "all",
     "doc": ["one", "two"],
     "parameters": {"k": {"value": 2, "unit": "V", "doc": "gain", "x-a": 1}, "flags": [True], "rows": [[1], ["=k"]]},
@@ -125,6 +125,7 @@ CONTROLLED = {
     "blocks": {
         "sine": {"type": "Sine", "doc": "s", "parameters": {"amplitude": {"value": 2, "unit": ""}, "omega": "=1/2"}},
         "noise": {"type": "Noise", "stream": "/a.wind"},
+        "lags": {"copies": "=k", "type": "FirstOrder", "parameters": {"T": [1, "=1+index"], "y_start": "=index"}},
         "on": {"type": "CompareToConstant", "parameters": {"operator": ">", "constant": 0.5}},
         "sum": {
             "diagram": {
@@ -156,7 +157,7 @@ CONTROLLED = {
         },
     },
     "wires": {"on.u": "sine.y", "sum.u": "sine.y", "sum.enable": "on.y", "ticks.u": "sine.y", "edges.u": "sine.y",
-              "edges.trigger": "sine.y", "plant.u": "sine.y"},
+              "edges.trigger": "sine.y", "plant.u": "sine.y", "lags.u": "sine.y"},
     "run": {
         "start": 0, "stop": {"value": 1, "unit": "min"}, "method": "rk4", "step": 0.1, "rtol": 1e-5, "atol": 1e-6,
         "every": {"value": 200, "unit": "ms", "doc": "grid"}, "jumps": False,
