@@ -12,6 +12,7 @@ logarithms of what each gives at several tolerances. The program with CVODE is b
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
 import math
 import subprocess
@@ -152,8 +153,9 @@ def plot(path: str) -> None:
         exact = exact_of(problem, diagram)
         curves = {"blocks": curve_of_blocks(problem, diagram, exact), "CVODE": [], "SciPy Radau": []}
         for rtol in RTOLS[::2]:
-            seconds, states = program.run(problem, rtol)
-            curves["CVODE"].append((error_of(problem, states, exact), seconds))
+            with contextlib.suppress(RuntimeError):  # at a loose tolerance it may fail
+                seconds, states = program.run(problem, rtol)
+                curves["CVODE"].append((error_of(problem, states, exact), seconds))
             if problem.in_scipy and rtol > 1e-7:
                 seconds, states = by_scipy(problem, rtol)
                 curves["SciPy Radau"].append((error_of(problem, states, exact), seconds))
