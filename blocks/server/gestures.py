@@ -1,4 +1,7 @@
-"""What a page does to a diagram that it edits: each gesture is a list of operations on its file, and a step of undo."""
+"""What a page does to a diagram that it edits: each gesture is a list of operations on its file, and a step of undo.
+
+It is long as all gestures stand together: they share how a text that was typed is read, and how one is done and told.
+"""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from blocks import PID, BlocksError, Diagram, PMDCMotor, Step, UsageError
+from blocks import PID, Block, BlocksError, Diagram, Input, Parameter, PMDCMotor, Step, UsageError, output
 from blocks.draw import picture, ports_of, rendered
 from blocks.model.document import dumps
 from blocks.server import deeper, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
@@ -30,9 +30,20 @@ from tests.support.places import ROOT
 Ask = Callable[..., Any]
 
 
+class Twice(Block):
+    """y = k u: a block of one's own."""
+
+    k = Parameter(2.0)
+    u = Input()
+
+    @output
+    def y(u, k):
+        return k * u
+
+
 @contextmanager
-def edited(path: Path) -> Iterator[tuple[Ask, Editor]]:
-    editor = Editor(path)
+def edited(path: Path, **given: Any) -> Iterator[tuple[Ask, Editor]]:
+    editor = Editor(path, **given)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("blocks.server.session.LOOK", 1e6)  # its thread must not look at the file while this one writes
         session = Session(editor)
@@ -215,6 +226,14 @@ def test_the_palette_has_types_words_and_the_files_of_the_project(tmp_path: Path
         for name in ("../b/no_diagram.json", "../../x.json", "/etc/passwd", ""):
             with pytest.raises(UsageError):
                 ask("tab", file=name)
+
+
+def test_blocks_of_ones_own_are_in_the_palette_and_can_be_inserted(tmp_path: Path) -> None:
+    with edited(tmp_path / "own.json", library=[Twice]) as (ask, editor):
+        (own,) = [one for one in ask("palette")["entries"] if one.get("type") == "Twice"]
+        assert own["doc"] == "y = k u: a block of one's own."
+        ask("insert", entry={"type": "Twice"}, text="2")
+        assert editor.body("")["blocks"] == {"twice": {"type": "Twice", "parameters": {"k": 2}}}
 
 
 def test_targets_say_where_a_wire_fits_and_why_not(tmp_path: Path) -> None:

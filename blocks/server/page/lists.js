@@ -73,8 +73,14 @@ export function start(app) {
       class: one.warning ? "warning" : "fault", onclick: () => (one.block ? app.reveal(one.block) : app.announce("This fault is of no block.")),
     }, element("b", {}, one.code), ` ${one.place}: ${one.message}`, element("span", { class: "cure" }, one.cure)), app.remedy?.(one) ?? null)), told.faults.length);
   };
-  app.on("document", fill);
-  app.on("level", fill);
+  let waiting = 0;
+  /** Once for all that comes together, and after the drawing was painted. */
+  const soon = () => {
+    clearTimeout(waiting);
+    waiting = setTimeout(fill, 0);
+  };
+  app.on("document", soon);
+  app.on("level", soon);
   app.on("select", () => groups.blocks.list.querySelectorAll("button").forEach((one) => {
     one.ariaCurrent = one.dataset.path === app.state.selected ? "true" : null;
   }));
