@@ -380,7 +380,7 @@ int blocks_stiff_run(BlocksSim *s, double target)
     if (s->carried[FACTORED] > 0.0 && !s->is_factored && take_factors(s, s->carried[FACTORED])) s->carried[FACTORED] = 0.0;
     s->is_factored = 1;
     for (;;) {
-        if (s->t >= s->soft || blocks_clock(s)) return BLOCKS_PAUSED;
+        if (s->t >= s->soft || (--s->budget <= 0 && blocks_clock(s))) return BLOCKS_PAUSED;
         if (first_rates(s)) return BLOCKS_FAILED;
         int stopped = step_to(s, target);
         if (stopped >= 0) return stopped;
