@@ -1275,10 +1275,34 @@ static inline int quick_move(const MasterQuick *q, void *const *call, const uint
                                   : (*(Move3 *)call)(q->component, references, n, values, n);
 }
 
+/* Whether rows are elements on a grid, and no instant adds to them. */
+static int has_plain_rows(const Master *m)
+{
+    int is_plain = m->every.is_given && !m->has_jumps && m->is_uniform && !m->has_instants;
+    for (int i = 0; i < m->ncolumns; i++) is_plain &= m->columns[i].row == MASTER_ELEMENT;
+    return is_plain;
+}
+
+/* A row at the next time of the grid, which is here. */
+static inline int plain_row(Master *m)
+{
+    double *row = m->rows.used + 1 + m->ncolumns <= m->rows.capacity ? m->rows.data + m->rows.used : NULL, check = 0.0;
+    if (!row) return record(m, NULL);
+    for (int i = 0; i < m->ncolumns; i++) check += (row[1 + i] = m->y[m->columns[i].place]) * 0.0;
+    if (check != 0.0) return record(m, NULL); /* which says what it is */
+    row[0] = m->t;
+    m->rows.used += 1 + m->ncolumns;
+    m->row++;
+    return 0;
+}
+
 /* On with quick units, until it is time to look up; each step is what a master by hand would do. */
 static int quick(Master *m, double stop, double deadline)
 {
     MasterUnit *one = &m->units[0];
+    const int is_plain = has_plain_rows(m);
+    double due = is_plain ? blocks_grid(&m->every, m->row) : 0.0, now = 0.0;
+    int64_t pace = 1, left = 1; /* steps from look to look at the clock, while it stands, and until the next one */
     do {
         double t = m->t;
         while (one->next_t <= t) one->next_t = blocks_grid(&one->grid, ++one->next);
@@ -1323,8 +1347,20 @@ static int quick(Master *m, double stop, double deadline)
         }
         if (m->nwatched) watch(m, 1);
         if (m->nmeasured && measure(m, 0.0)) return 1;
-        if (record(m, NULL)) return 1;
-    } while (m->t < stop && m->t < m->soft && !is_over(m) && seconds() < deadline);
+        if (!is_plain || m->t > due || m->t == m->end || is_over(m)) {
+            if (record(m, NULL)) return 1;
+            due = is_plain ? blocks_grid(&m->every, m->row) : 0.0;
+        } else if (m->t == due) {
+            if (plain_row(m)) return 1;
+            due = blocks_grid(&m->every, m->row);
+        }
+        if (--left == 0) {
+            double before = now;
+            now = seconds();
+            if (now >= deadline) return 0;
+            left = pace = now == before && pace < 64 ? 2 * pace : now == before ? pace : 1;
+        }
+    } while (m->t < stop && m->t < m->soft && !is_over(m));
     return 0;
 }
 
