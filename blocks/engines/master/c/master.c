@@ -1300,35 +1300,43 @@ static inline int plain_row(Master *m)
 static int quick(Master *m, double stop, double deadline)
 {
     MasterUnit *one = &m->units[0];
-    const int is_plain = has_plain_rows(m);
+    const int is_plain = has_plain_rows(m), nunits = m->nunits, nstages = m->nstages, nwatched = m->nwatched;
+    const int32_t *const ordered = m->ordered;
+    const MasterStage *const stages = m->stages;
+    const MasterQuick *const units = m->quick;
+    const double end = m->end, soft = m->soft;
+    int over = is_over(m);
     double due = is_plain ? blocks_grid(&m->every, m->row) : 0.0, now = 0.0;
     int64_t pace = 1, left = 1; /* steps from look to look at the clock, while it stands, and until the next one */
     do {
         double t = m->t;
         while (one->next_t <= t) one->next_t = blocks_grid(&one->grid, ++one->next);
         double t1 = one->next_t < stop ? one->next_t : stop, h = t1 - t;
+        /* The times that come next are divided while units step. */
+        const double following = blocks_grid(&one->grid, one->next + 1), due_next = is_plain ? blocks_grid(&m->every, m->row + 1) : 0.0;
         int ended = -1; /* the unit that ended the run inside the step: only its outputs are of the time that is come to */
-        for (int o = 0; o < m->nunits; o++) {
-            int k = m->ordered[o], status;
-            const MasterQuick *q = &m->quick[k];
+        for (int o = 0; o < nunits; o++) {
+            int k = ordered[o], status;
+            const MasterQuick *q = &units[k];
             status = q->set ? quick_move(q, &q->set, q->set_references, q->nset, q->set_values) : OK;
             if (status && judged(m, &m->units[k], -1 - m->units[k].sets->number, status)) return 1;
             if (q->kind == MASTER_FMI2) {
                 status = (*(Step2 *)&q->step)(q->component, t, h, 1);
             } else {
-                bool event = false, over = false, early = false;
+                bool event = false, ends = false, early = false;
                 double last = t1;
-                status = (*(Step3 *)&q->step)(q->component, t, h, true, &event, &over, &early, &last);
-                if (over && status <= DISCARD) {
-                    double end = early || status == DISCARD ? last : t1;
+                status = (*(Step3 *)&q->step)(q->component, t, h, true, &event, &ends, &early, &last);
+                if (ends && status <= DISCARD) {
+                    double at = early || status == DISCARD ? last : t1;
                     if (status == WARNING) judged(m, &m->units[k], CALL_DoStep, status);
-                    status = ends_run(&m->units[k], end > t ? end : t, t1);
-                    early = false;
+                    status = ends_run(&m->units[k], at > t ? at : t, t1);
+                    early = false, over = 1;
                 }
                 if (early && status < DISCARD && last < t1) return fail(m, MASTER_TOO_EARLY, k, CALL_DoStep, status, last);
             }
             if (status && odd(m, k, status, t, t1)) return 1;
-            if (m->units[k].is_over && m->units[k].reached < t1) {
+            over |= status && m->units[k].is_over;
+            if (over && m->units[k].is_over && m->units[k].reached < t1) {
                 if (!(m->units[k].reached > t)) return 0;
                 t1 = m->units[k].reached;
                 ended = k;
@@ -1336,23 +1344,24 @@ static int quick(Master *m, double stop, double deadline)
             }
         }
         m->t = t1;
-        m->steps += m->nunits;
-        if (m->nwatched) memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
-        for (int i = 0; i < m->nstages; i++) {
-            int k = m->stages[i].unit;
+        if (t1 == one->next_t) one->next++, one->next_t = following;
+        m->steps += nunits;
+        if (nwatched) memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
+        for (int i = 0; i < nstages; i++) {
+            int k = stages[i].unit;
             if (ended >= 0 && k != ended) continue;
-            const MasterQuick *q = &m->quick[k];
+            const MasterQuick *q = &units[k];
             int status = quick_move(q, &q->get, q->get_references, q->nget, q->get_values);
             if (status && judged(m, &m->units[k], -1 - m->units[k].gets->number, status)) return 1;
         }
-        if (m->nwatched) watch(m, 1);
+        if (nwatched) watch(m, 1);
         if (m->nmeasured && measure(m, 0.0)) return 1;
-        if (!is_plain || m->t > due || m->t == m->end || is_over(m)) {
+        if (!is_plain || t1 > due || t1 == end || over) {
             if (record(m, NULL)) return 1;
             due = is_plain ? blocks_grid(&m->every, m->row) : 0.0;
-        } else if (m->t == due) {
+        } else if (t1 == due) {
             if (plain_row(m)) return 1;
-            due = blocks_grid(&m->every, m->row);
+            due = due_next;
         }
         if (--left == 0) {
             double before = now;
@@ -1360,7 +1369,7 @@ static int quick(Master *m, double stop, double deadline)
             if (now >= deadline) return 0;
             left = pace = now == before && pace < 64 ? 2 * pace : now == before ? pace : 1;
         }
-    } while (m->t < stop && m->t < m->soft && !is_over(m));
+    } while (m->t < stop && m->t < soft && !over);
     return 0;
 }
 
