@@ -28,7 +28,7 @@ BY_BOTH := events hybrid steps instants instant_order enabled loops sampled step
 # A worker for each core; one that has nothing left takes tests from another.
 SIDE_BY_SIDE := -n auto --dist worksteal
 
-.PHONY: help demo test test-long bench bench-peers docs lint clean ruff mypy layers pytest native long native-long again
+.PHONY: help demo test test-long browser bench bench-peers docs lint clean ruff mypy layers pytest native long native-long again
 
 # One stage after the other, also under -j: their output is read from top to bottom.
 .NOTPARALLEL:
@@ -37,6 +37,7 @@ help:
 	@echo "make demo       run the diagrams and the study of the paper"
 	@echo "make test       check the code, then run the tests, but for those that take long"
 	@echo "make test-long  run the tests that take long"
+	@echo "make browser    install Chromium where there is none: the tests of the page in a browser need it"
 	@echo "make bench      run the benchmarks; make bench-peers runs other tools on the same diagrams"
 	@echo "make docs       build the documentation: build/docs/index.html"
 	@echo "make lint       check the code: ruff, mypy, import-linter"
@@ -59,6 +60,20 @@ test: lint pytest native
 
 # What the marker "long" of pyproject.toml says; .ci/run runs both, always.
 test-long: long native-long
+
+# As root, or where sudo asks for no password, on Debian and Ubuntu; else it says what to install.
+browser: $(STAMP)
+	@if found=$$($(PY) -c "from tests.support.browser import found; print(found() or '')") && [ -n "$$found" ]; then \
+	    echo "== browser: $$found"; exit 0; \
+	fi; \
+	if ! command -v apt-get >/dev/null; then \
+	    echo "There is no Chromium. Install the package chromium (Alpine, Arch, Fedora, Homebrew), or name one by BLOCKS_CHROMIUM."; \
+	    exit 1; \
+	fi; \
+	root=; [ "$$(id -u)" = 0 ] || root="sudo -n"; \
+	echo "== installing Debian's chromium"; \
+	$$root apt-get update -qq && $$root apt-get install -y -qq --no-install-recommends chromium || { \
+	    echo "It could not be installed. As root: apt-get install chromium. Or name one by BLOCKS_CHROMIUM."; exit 1; }
 
 ruff: $(STAMP)
 	@echo "== ruff: style and likely mistakes"

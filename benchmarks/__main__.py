@@ -11,6 +11,7 @@ from blocks.text.errors import BlocksError
 
 from . import (
     drawing,
+    editing,
     fmu,
     instants,
     large_fmu,
@@ -49,6 +50,7 @@ BENCHMARKS = {
     "large_fmu": large_fmu.main,
     "linear": linear.main,
     "live": live.main,
+    "editing": editing.main,
     "master": master.main,
     "streamed": streamed.main,
     "drawing": drawing.main,

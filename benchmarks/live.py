@@ -24,7 +24,7 @@ from tests.support.browser import Browser, found
 from .diagrams import ROOT
 from .streamed import waves
 
-__all__ = ["main"]
+__all__ = ["main", "p95", "tell"]
 
 PAPER = ROOT / "diagrams/paper/iadrc.json"
 SIGNALS = ("motor_right.omega", "motor_left.omega", "control_right.u", "control_left.u")
@@ -57,7 +57,7 @@ window.WebSocket = class extends WebSocket {
 """Notes for each scope the last time that it has drawn, by the frames that come."""
 
 
-def _tell(label: str, value: float, unit: str, goal: float, *, at_least: bool = False, beside: str = "") -> None:
+def tell(label: str, value: float, unit: str, goal: float, *, at_least: bool = False, beside: str = "") -> None:
     is_met = value >= goal if at_least else value <= goal
     told = f"goal {'>=' if at_least else '<='} {goal:g} {unit} {'met' if is_met else 'MISSED'}"
     print(f"{label:44}{value:9.3g} {unit:12}{told}{f'  ({beside})' if beside else ''}", flush=True)
@@ -103,14 +103,14 @@ def _runs() -> None:
         whole["live"].append(time.process_time() - begun)
         assert live.results().values.tobytes() == plain.values.tobytes()
     ratio = min(whole["live"]) / min(whole["run"])
-    _tell("CPU of a live run against run()", ratio, "", 1.2, beside=f"run() {min(whole['run']):.3f} s")
+    tell("CPU of a live run against run()", ratio, "", 1.2, beside=f"run() {min(whole['run']):.3f} s")
     live = LiveRun(diagram.start(), lambda: None)
     live.go(1.0)
     begun, clock = time.process_time(), time.perf_counter()
     time.sleep(5.0)
     share = (time.process_time() - begun) / (time.perf_counter() - clock)
     live.stop()
-    _tell("paced 1x, of a core", 100 * share, "%", 5)
+    tell("paced 1x, of a core", 100 * share, "%", 5)
 
 
 def _command() -> None:
@@ -128,7 +128,7 @@ def _command() -> None:
         finally:
             live.kill()
             live.communicate()
-    _tell("command to address", min(times), "s", 0.8, beside=f"median {statistics.median(times):.2f} s")
+    tell("command to address", min(times), "s", 0.8, beside=f"median {statistics.median(times):.2f} s")
 
 
 def _first_drawing(server: LiveServer) -> None:
@@ -148,13 +148,13 @@ def _first_drawing(server: LiveServer) -> None:
             kinds = "[...performance.getEntriesByType('resource'), ...performance.getEntriesByType('navigation')]"
             sizes = page.evaluate(f"{kinds}.reduce((sum, one) => sum + one.encodedBodySize, 0)")
     for kind, goal in (("cold", 450), ("warm", 200)):
-        _tell(
+        tell(
             f"first drawing, {kind}", min(made[kind]), "ms", goal, beside=f"median {statistics.median(made[kind]):.0f}"
         )
-    _tell("page, compressed", sizes / 1000, "kB", 120)
+    tell("page, compressed", sizes / 1000, "kB", 120)
 
 
-def _p95(times: list[float]) -> float:
+def p95(times: list[float]) -> float:
     return float(np.percentile(times, 95))
 
 
@@ -162,7 +162,7 @@ def _frames(page: Browser) -> None:
     """Frames at rest, while the drawing is dragged, and while four scopes show a run at 10 times real time."""
     page.begin_frames()
     time.sleep(2.0)
-    rest = _p95(page.end_frames())
+    rest = p95(page.end_frames())
     box = page.evaluate("(({x, y, width, height}) => [x, y, width, height])"
                         "(document.querySelector('#drawing').getBoundingClientRect())")  # fmt: skip
     x, y = box[0] + box[2] - 30, box[1] + box[3] - 30
@@ -170,14 +170,14 @@ def _frames(page: Browser) -> None:
     for turn in range(4):
         page.drag(x, y, x - 200, y - (-1) ** turn * 100, steps=60)
         x, y = (x - 200, y) if turn % 2 == 0 else (x + 200, y)
-    _tell("frames while the drawing is dragged, p95", _p95(page.end_frames()), "ms", 20, beside=f"at rest {rest:.1f}")
+    tell("frames while the drawing is dragged, p95", p95(page.end_frames()), "ms", 20, beside=f"at rest {rest:.1f}")
     _open_scopes(page, SIGNALS)
     page.evaluate("[...document.querySelectorAll('#runbar select')].at(-1).value = '10'")
     _press(page, "Run")
     page.until("document.getElementById('runbar').dataset.state === 'running'")
     page.begin_frames()
     time.sleep(5.0)
-    _tell("frames, four scopes at 10x, p95", _p95(page.end_frames()), "ms", 20, beside=f"at rest {rest:.1f}")
+    tell("frames, four scopes at 10x, p95", p95(page.end_frames()), "ms", 20, beside=f"at rest {rest:.1f}")
     _press(page, "Stop")
 
 
@@ -204,7 +204,7 @@ def _into_scopes() -> None:
     made.run()
     alone = time.perf_counter() - begun
     rate = ROWS * (WAVES - 1) / wall / 1e6
-    _tell("values into scopes", rate, "million/s", 4, at_least=True, beside=f"{wall:.2f} s, run() alone {alone:.2f} s")
+    tell("values into scopes", rate, "million/s", 4, at_least=True, beside=f"{wall:.2f} s, run() alone {alone:.2f} s")
 
 
 def _open_scopes(page: Browser, signals: Sequence[str]) -> None:

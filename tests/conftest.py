@@ -34,15 +34,20 @@ def native(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def chromium() -> Any:
-    """`support.browser.Browser`; without a Chromium the test is skipped, and counted at the end."""
+    """`support.browser.Browser`; without a Chromium the test is skipped, and counted at the end.
+
+    Where BLOCKS_BROWSER is "required" it fails instead.
+    """
     from .support.browser import Browser, found
 
+    if found() is None and os.environ.get("BLOCKS_BROWSER") == "required":
+        pytest.fail(_NO_CHROMIUM)
     if found() is None:
         pytest.skip(_NO_CHROMIUM)
     return Browser
 
 
-_NO_CHROMIUM = "no Chromium: set BLOCKS_CHROMIUM, or install Debian's chromium"
+_NO_CHROMIUM = "no Chromium: set BLOCKS_CHROMIUM, or install one by make browser"
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:

@@ -542,8 +542,6 @@ def _why_processes(plan: Plan | Coupling, *, is_native: bool) -> str:
         return "it has FMUs"
     if plan.steppers:
         return "it has programs in Python"
-    if plan.settings.method == "radau":
-        return "radau integrates in Python"
     return "" if is_native else "the reference engine runs it"
 
 

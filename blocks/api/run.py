@@ -358,7 +358,7 @@ class Run:
     def rejected_by_block(self) -> dict[str, int]:
         """How many steps were rejected as the error of a state of this block was the largest, by path.
 
-        Of methods with an adaptive step, since the run began here; of a stiff method and with a master: {}.
+        Of methods with an adaptive step, since the run began here; with a master: {}.
         """
         plan, counts = self._prepared.plan, self._simulation.engine.blamed.tolist()
         by_path: dict[str, int] = {}

@@ -30,10 +30,10 @@ def add(verbs: Any) -> None:
     platform = "x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin or aarch64-darwin, again for more; none: "
     platform += "sources only (default: this machine's)"
     takes_several(export, "--platform", "P", platform, dest="platforms", default=None)
-    export.add_argument("--method", metavar="M", help="dopri5, rk4 or euler, of Co-Simulation")
+    export.add_argument("--method", metavar="M", help="dopri5, radau, auto, rk4 or euler, of Co-Simulation")
     export.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
-    export.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5")
-    export.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5")
+    export.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5, radau and auto")
+    export.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5, radau and auto")
     export.add_argument("--seed", metavar="N", help="seed of the run, from which the noise of the FMU follows")
     log = "show this signal (again for more) in place of the file's choice"
     takes_several(export, "--log", "SIGNAL", log, default=None)

@@ -109,7 +109,7 @@ def _live(options: argparse.Namespace) -> int:
 
 def _newest() -> str:
     """The diagram of this folder that was written last. Raises UsageError (E501) where there is none."""
-    from ..server.editor import diagrams_in
+    from ..server.palette import diagrams_in
 
     found = [*diagrams_in(Path())]
     if not found:

@@ -24,10 +24,10 @@ def takes_settings(run: argparse.ArgumentParser) -> None:
     """How runs are computed."""
     run.add_argument("--stop", metavar="T", help="stop time in s")
     run.add_argument("--start", metavar="T", help="start time in s")
-    run.add_argument("--method", metavar="M", help="dopri5, rk4, euler or radau")
+    run.add_argument("--method", metavar="M", help="dopri5, radau, auto, rk4 or euler")
     run.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
-    run.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5 and radau")
-    run.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5 and radau")
+    run.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5, radau and auto")
+    run.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5, radau and auto")
     run.add_argument("--every", metavar="T", help="recording grid in s (without one: every step)")
 
 

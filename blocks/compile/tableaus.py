@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["METHODS", "Tableau", "c_header"]
+__all__ = ["METHODS", "STIFF", "Tableau", "c_header", "end_apart"]
 
 Array = np.ndarray[Any, Any]
 
@@ -78,6 +78,16 @@ METHODS = {
 }
 
 
+STIFF = ("radau", "auto")
+"""The methods that need the Jacobian of a diagram; see `runtime/radau.c`. auto begins by dopri5."""
+
+
+def end_apart(tableau: Tableau) -> Array:
+    """By which weights of rates the states of the last stage, over h, are apart from those of the one before it."""
+    last, before = tableau.a[-1], tableau.a[-2]
+    return np.array([*(last[:-1] - before), last[-1]])
+
+
 SHARES = (*((1 - math.sqrt(3 / 7) * side) / 2 for side in (1, 0, -1)), 0.367879, 0.763932)
 """Where in a step measures are taken: the inner nodes of Lobatto's rule, and two checks (`run/step_parts.py`)."""
 
@@ -103,6 +113,8 @@ def _c_text(tableau: Tableau) -> str:
         end, then = "x1" if n == last else "xs", "h" if tableau.c[n] == 1 else f"{tableau.c[n]!r} * h"
         text += f" \\\n    const REAL *restrict k{n - 1} = k[{n - 1}];"
         text += f" \\\n    EACH({end}[i] = x[i] + h * ({_c_sum(row)})); \\\n    STAGE({n}, t + {then}, {end});"
+    if tableau.e is not None:
+        text += f"\n#define END_APART {{{', '.join(map(repr, end_apart(tableau).tolist()))}}}"
     return text + ("\n" if tableau.e is None else f"\n#define ERROR(i) ({_c_sum(tableau.e)})\n")
 
 

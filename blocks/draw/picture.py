@@ -75,7 +75,7 @@ class Box:
         return {name: (self.x + dx, self.y + dy) for name, (dx, dy) in self.shape.outputs.items()}
 
     def moved(self, dx: float, dy: float) -> Box:
-        texts = tuple(replace(text, x=text.x + dx, y=text.y + dy) for text in self.texts)
+        texts = tuple(Text(t.x + dx, t.y + dy, t.text, t.size, t.anchor, t.style) for t in self.texts)
         return replace(self, x=self.x + dx, y=self.y + dy, texts=texts)
 
 

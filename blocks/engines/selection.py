@@ -85,7 +85,7 @@ def compiled_model(what: Plan | Coupling, *, engine: str | None = None, lanes: A
     where the native one is asked for and it cannot be compiled. lanes: the `Machine` whose lanes run several at once.
     """
     name = _chosen(engine)
-    if not isinstance(what, Plan) or what.settings.method == "radau":
+    if not isinstance(what, Plan):
         return None
     if name == "reference" or _why_not(what) or find_compiler() is None:
         return None  # a run says why, if it must
@@ -104,10 +104,6 @@ def _native(what: Plan | Coupling, inputs: InputTable, model: Any) -> Engine:
         from .master.native_master import NativeMaster, master_library
 
         return NativeMaster(what, inputs, _loaded, master_library())
-    if what.settings.method == "radau":
-        from .native.stiff import stiff_engine
-
-        return stiff_engine(what, inputs, foreign=_foreigns(what))
     from .native.engine import NativeEngine
 
     return NativeEngine(what, inputs, foreign=_foreigns(what), model=model)
@@ -137,8 +133,6 @@ def _why_not(what: Plan | Coupling) -> str:
     if isinstance(what, Plan):
         return why_not(what, what.settings.every)
     for unit in what.units:
-        if unit.plan is not None and unit.plan.states and what.settings.method == "radau":
-            return f"radau integrates {unit.place} in Python"
         if unit.plan is not None and (why := why_not(unit.plan, what.settings.every)):
             return why
     return ""

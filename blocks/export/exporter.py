@@ -25,11 +25,10 @@ from ..compile.bindings import bindings
 from ..compile.c.model_code import emit
 from ..compile.c.runtime_grid import why_not
 from ..compile.c.runtime_tables import RuntimeTables
-from ..compile.c.runtime_texts import RUNTIME, packaged
+from ..compile.c.runtime_texts import RUNTIME, packaged, stiff_units
 from ..compile.inputs import read_inputs
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan
-from ..compile.tableaus import METHODS
 from ..compile.toolchain.compiler import TranslationUnit
 from ..compile.toolchain.platforms import folders, shared_library, this_platform
 from ..contract.enumerations import resting
@@ -101,20 +100,18 @@ def export(
     overrides: Mapping[str, Any] | None = None,
     version: str = "",
     drawing: str = "",
-    method: str = "",
 ) -> Exported:
     """Write a diagram as an FMU; a file that is there is replaced as a whole.
 
     kinds: of "CS" and "ME"; None: all that the diagram allows. platforms: None: this one; (): sources only. name: of
-    the model, if not that of the diagram. overrides: with which `flat` was made. drawing: an SVG. method: the one that
-    was asked for, so that it is not left out in silence. Raises UsageError (E501), ModelError (E606), CompilerError
-    (E60x).
+    the model, if not that of the diagram. overrides: with which `flat` was made. drawing: an SVG. Raises UsageError
+    (E501), ModelError (E606), CompilerError (E60x).
     """
     if not isinstance(fmi, int) or fmi not in (2, 3):
         raise UsageError(Fault("E501", "fmi", f"{fmi!r} is no version of FMI that can be written.", "Use 2 or 3."))
     if Path(path).suffix != ".fmu":
         raise UsageError(Fault("E501", str(path), "the name of an FMU ends in .fmu."))
-    allowed, notes = _allowed(plan, kinds, method)
+    allowed, notes = _allowed(plan, kinds)
     wanted = (this_platform(),) if platforms is None else tuple(dict.fromkeys(platforms))
     fmu_files = _Made(_Order(value, flat, plan, fmi, allowed, name, overrides or {}, version, drawing))
     units = fmu_files.units()
@@ -144,7 +141,7 @@ def export(
 # --- what can be exported ----------------------------------------------------------------------------------------
 
 
-def _allowed(plan: Plan, kinds: Sequence[str] | None, method: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _allowed(plan: Plan, kinds: Sequence[str] | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The kinds that are exported, and notes on those that cannot be. Raises UsageError, ModelError (E606)."""
     if isinstance(kinds, str):
         kinds = (kinds,)
@@ -175,16 +172,12 @@ def _allowed(plan: Plan, kinds: Sequence[str] | None, method: str) -> tuple[tupl
     if faults:
         raise ModelError(*faults)
     refused: dict[str, tuple[str, str, str]] = {}
-    if plan.settings.method not in METHODS:
-        cure = "Export with the method dopri5, or for Model Exchange alone (ME): the importer's solver integrates then."
-        refused["CS"] = (plan.name, f"the method {plan.settings.method} is not in the runtime of an FMU", cure)
     if plan.histories:
         cure = "Export for Co-Simulation alone (CS)."
         message = "a delay needs the past, which Model Exchange does not give"
         refused["ME"] = (plan.histories[0].name.rpartition(".")[0] or plan.histories[0].name, message, cure)
     for kind in KINDS if kinds is None else kinds:
-        is_asked = kinds is not None or (kind == "CS" and method not in ("", *METHODS))
-        if kind in refused and (is_asked or len(refused) == len(KINDS)):
+        if kind in refused and (kinds is not None or len(refused) == len(KINDS)):
             place, message, cure = refused[kind]
             raise ModelError(Fault("E606", place, f"{message}.", cure))
     left = tuple(kind for kind in KINDS if kind not in refused and (kinds is None or kind in kinds))
@@ -231,7 +224,8 @@ class _Made:
             kinds=sum({"ME": 1, "CS": 2}[kind] for kind in order.kinds), token=_TOKEN,
             dependencies={**outputs, **derivatives},
         )  # fmt: skip
-        self.sources = {"model.c": emitted.source, **_c_files("fmu.c", f"fmi{fmi}.c"), **packaged("runtime.c")}
+        self.sources = {"model.c": emitted.source, **_c_files("fmu.c", f"fmi{fmi}.c")}
+        self.sources |= packaged("runtime.c", "jacobian.c", *stiff_units(plan.settings.method))
         self.headers = {**packaged(*RUNTIME), **_c_files("fmu.h", "fmu_model.h", "standard.h"), **standard_headers(fmi)}
         # A part of the library: nothing but the functions of the standard is seen from outside.
         self.headers["runtime.h"] = "#define BLOCKS_INSIDE 1\n" + self.headers["runtime.h"]

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 
 from ..compile.c.bindings_code import bindings_c
+from ..compile.c.c_text import ints, reals, table, texts
 from ..compile.c.functions import number
+from ..compile.c.jacobian_code import jacobian_text
 from ..compile.c.runtime_grid import grid_of
 from ..compile.c.runtime_tables import RuntimeTables
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan, Reference
 from ..model.settings import RunSettings
-from .c_text import ints, reals, table, texts
 from .fmu_model import Dependencies
-from .jacobian import jacobian_text
 from .variables import Variables
 
 __all__ = ["tables_text"]
@@ -43,7 +43,7 @@ def tables_text(
     offsets = [0]
     for values in plan.tables:
         offsets.append(offsets[-1] + len(values))
-    derived = jacobian_text(jacobian, offsets)
+    derived = jacobian_text(jacobian, offsets, made.place.tolist(), "blocks_probed")
     parts = ["/* Tables of the diagram. */\n", '#include "fmu_model.h"\n#include "fmu.h"\n\n', setup, derived.text]
     rows, members, strings = _variables(variables)
     parts += [table("FmuVariable", "variables", rows), reals("members", members), texts("strings", strings)]
@@ -98,7 +98,7 @@ def tables_text(
         "settings": "settings", "parameters": "parameters", "inputs": "inputs", "guesses": "guesses",
         "nominal": "nominal", "atol": "atol", "members": "members", "sides": "sides", "sides_given": "sides_given",
         "places": "places", "rows_of": "rows_of", "columns_of": "columns_of", "first_dependency": "first_dependency",
-        "dependencies": "dependencies", "bind": "bind", "locals": "blocks_locals", "probed": "blocks_probed",
+        "dependencies": "dependencies", "bind": "bind", "locals": "blocks_locals",
         "numbers": "numbers", "tables": "tables", "texts": "strings", "state_names": "state_names",
         "discrete_names": "discrete_names", "cause_names": "cause_names", "names": "names",
         "rtol": number(settings.rtol), "plain_atol": number(settings.atol), "start": number(float(settings.start)),

@@ -52,7 +52,7 @@ LARGEST_SEED = LARGEST_INTEGER
 LEAST_RTOL = 1e-13
 SCHEMA = "$schema"
 """The key that names the JSON Schema of a file. It is for editors: kept, and never looked at."""
-METHODS = ("dopri5", "rk4", "euler", "radau")
+METHODS = ("dopri5", "rk4", "euler", "radau", "auto")
 FIXED_STEP = ("rk4", "euler")
 MEASURES = {
     "ITAE": "integral of t |e|, t from 0",
@@ -235,14 +235,15 @@ RUN = Object(
     _later("start", TIME, "Start time, in s.", 0),
     _later("stop", TIME, "Stop time, in s. It must be given here or where the run is started."),
     _later("method", Choice(METHODS), (
-        "dopri5: variable steps; radau: variable steps, for stiff models; rk4, euler: fixed steps (`step`)."
+        "dopri5: variable steps; radau: variable steps, for stiff models; auto: dopri5, then radau if a run is found "
+        "to be stiff; rk4, euler: fixed steps (`step`)."
     ), "dopri5"),
     _later("step", DURATION, "Step of rk4 and euler, in s."),
     _later("rtol", Scalar(what="a number between 0 and 1", low=LEAST_RTOL, below=1), (
-        "Relative tolerance of dopri5 and radau."
+        "Relative tolerance of dopri5, radau and auto."
     ), 1e-6),
     _later("atol", Scalar(above=0, below=1), (
-        "Absolute tolerance of dopri5 and radau, for states of nominal size 1."
+        "Absolute tolerance of dopri5, radau and auto, for states of nominal size 1."
     ), 1e-9),
     _later("every", DURATION, "Recording grid, in s: rows at start + k every. Without it, every step is recorded."),
     _later("jumps", FLAG, "Whether rows before and after each jump stand between those of the grid.", False),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -184,9 +184,13 @@ class Document:
         value = self.value_at(level)
         return rendered(picture(value, **self.shown_in(level)), value.name)
 
-    def settled(self) -> list[str]:
-        """Draw well what was drawn in haste; returns the levels that changed."""
+    def rough(self) -> list[tuple[str, Callable[[], Any]]]:
+        """The levels that were drawn in haste, each with what draws it well, in any thread, for `settle`."""
         return []
+
+    def settle(self, level: str, made: Any, text: str) -> bool:
+        """Take a drawing that was made so; returns whether it is another one."""
+        raise NotImplementedError
 
     def value_at(self, level: str) -> DiagramValue:
         """The diagram that is drawn at a level. Raises UsageError (E502)."""

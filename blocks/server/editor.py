@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,18 +21,20 @@ from ..editing.tree import entry_at
 from ..model.diagram import DiagramValue
 from ..model.document import dumps
 from ..model.hierarchy import Resolver
+from ..model.project import project_of
 from ..text import json_text
 from ..text.atomic_write import write_atomically
 from ..text.errors import BlocksError, Fault, UsageError
 from .document import Document
 
-__all__ = ["Editor", "Operations", "diagrams_in", "files_in", "is_diagram", "move"]
+__all__ = ["Editor", "Operations", "move"]
 
 Operations = Sequence[Mapping[str, Any]]
 MOST_TEXT = 64 * 2**20
 """Characters of texts that the history holds; the oldest steps are forgotten first."""
-MOST_FILES = 200
-"""Files of a folder that are listed."""
+
+FARTHEST = 1e6
+"""Pixels from the origin of a drawing."""
 
 
 def _blank(path: Path) -> None:
@@ -43,25 +43,6 @@ def _blank(path: Path) -> None:
         name = re.sub(r"\W", "_", path.stem, flags=re.ASCII).lstrip("_0123456789") or "diagram"
         with write_atomically(path) as stream:
             stream.write(dumps(DiagramValue(name)))
-
-
-def files_in(folder: Path, ending: str) -> Iterator[Path]:
-    """The files with an ending in a folder and in those in it, up to 200."""
-    found = (path for pattern in ("*", "*/*", "*/*/*") for path in sorted(folder.glob(pattern + ending)))
-    shown = (path for path in found if not any(part.startswith(".") for part in path.relative_to(folder).parts))
-    yield from islice((path for path in shown if path.is_file()), MOST_FILES)
-
-
-def is_diagram(path: Path) -> bool:
-    """Whether a file begins as diagrams do."""
-    with suppress(OSError), path.open("rb") as stream:
-        return b'"blocks-diagram"' in stream.read(200)
-    return False
-
-
-def diagrams_in(folder: Path) -> Iterator[Path]:
-    """The diagrams in a folder and in those in it."""
-    return filter(is_diagram, files_in(folder, ".json"))
 
 
 @dataclass(frozen=True)
@@ -86,6 +67,7 @@ class Editor(Document):
         self.undone: list[_Step] = []
         self._pictures: dict[str, Picture] = {}
         self._rough: set[str] = set()
+        self._checked: tuple[DiagramValue | None, Any] = (None, None)
         _blank(Path(source))
         super().__init__(source, **given)
 
@@ -95,6 +77,12 @@ class Editor(Document):
     def file(self) -> Path:
         assert self.path is not None
         return self.path
+
+    @property
+    def project(self) -> Path:
+        """The folder whose files it may name."""
+        found = project_of(self.file)
+        return found.folder if found.is_whole else self.folder
 
     @property
     def resolver(self) -> Resolver:
@@ -123,6 +111,9 @@ class Editor(Document):
         edit = edit_file(self.file, operations, library=self.library, text=self.text, check=False)
         if edit.texts:
             self._write(edit)
+            if (error := self.error) is not None:  # as of a subdiagram whose file cannot be read
+                self._write(edit.undone)
+                raise error
             self._push(_Step(what, edit))
             self.undone.clear()
         return edit
@@ -166,6 +157,15 @@ class Editor(Document):
                 del self.done[: index + 1]
                 break
 
+    def check(self) -> None:
+        """As of Document; where only blocks were moved, what was found stays."""
+        now = self.diagram.value if self.diagram is not None and self.error is None else None
+        others = {path: stamp for path, stamp in self._seen.items() if path != self.path}, {**self.variants}
+        before, self._checked = self._checked, (now, others)
+        if now is None or before[0] is None or before[1] != others or replace(before[0], layout=now.layout) != now:
+            super().check()
+        self._drawings.clear()
+
     # --- what stands there -------------------------------------------------------------------------------------------
 
     def body(self, level: str) -> Mapping[str, Any]:
@@ -192,9 +192,9 @@ class Editor(Document):
 
     def placing(self, level: str) -> list[dict[str, Any]]:
         """The operations that write the positions of a level that has none for some of its blocks."""
-        body = self.body(level)
-        known = body.get("layout", {})
-        if all(name in known for name in body.get("blocks", {})) and known:
+        value = self.value_at(level)
+        known = value.layout
+        if all(name in known for name in value.blocks) and known:
             return []
         return [move(level, name, at) for name, at in self.positions(level).items() if name not in known]
 
@@ -203,34 +203,39 @@ class Editor(Document):
     def told(self) -> dict[str, Any]:
         told = super().told()
         for fault, found in zip(told["faults"], self.faults, strict=True):
-            fault["remedy"] = self._remedy(found)
+            fault["remedies"] = [*self._remedies(found)]
         last, next_ = ([*steps[-1:], None][0] for steps in (self.done, self.undone))
         return told | {"editing": {"undo": last.what if last else "", "redo": next_.what if next_ else ""}}
 
-    def _remedy(self, fault: Fault) -> dict[str, Any] | None:
-        """What a button beside a fault does: operations, or an input to wire."""
-        path, meant = list(fault.path), re.match(r"Did you mean '([^']+)'\?", fault.cure)
+    def _remedies(self, fault: Fault) -> Iterator[dict[str, Any]]:
+        """What buttons beside a fault do: operations on a level, or to choose what an input is wired to."""
         if fault.code == "E101":
-            return {"label": "Connect ...", "sink": fault.place}
-        if meant is None or (fault.file and Path(fault.file).name != self.file.name):
-            return None
-        name = meant[1]
+            if meant := re.match(r'Did you mean "([^"]+)": "([^"]+)"\?', fault.cure):
+                level = fault.place.removesuffix(meant[1]).rstrip(".")
+                operations = [{"wire": meant[2], "to": meant[1]}]
+                yield {"label": f"Add the wire from {meant[2]}", "level": level, "operations": operations}
+            yield {"label": "Connect ...", "sink": fault.place}
+        meant = re.match(r"Did you mean '([^']+)'\?", fault.cure)
+        if meant and not (fault.file and Path(fault.file).name != self.file.name):
+            operations = [*self._renamed(fault, meant[1])]
+            if operations:
+                yield {"label": f"Take {meant[1]}", "level": "", "operations": operations}
+
+    def _renamed(self, fault: Fault, name: str) -> Iterator[dict[str, Any]]:
+        """The operation that takes a name in place of the one that a fault is about."""
+        path = list(fault.path)
         try:
             around = entry_at(json_text.read(self.text).value, fault.path[:-1], "")
         except BlocksError:
-            return None
-        label = f"Take {name}"
+            return
         if path[-1:] == ["type"]:
-            return {"label": label, "operations": [{"set": path, "to": name}]}
-        if path[-2:-1] == ["parameters"] and fault.code == "E106" and name not in around:
-            return {"label": label, "operations": [{"rename": path, "to": name}]}
-        if path[-2:-1] == ["wires"]:
-            sink = str(path[-1])
-            if " input " in fault.message:
-                return {"label": label, "operations": [{"rename": path, "to": f"{sink.partition('.')[0]}.{name}"}]}
-            source = str(around[path[-1]]).rpartition(".")[0]
-            return {"label": label, "operations": [{"set": path, "to": f"{source}.{name}"}]}
-        return None
+            yield {"set": path, "to": name}
+        elif path[-2:-1] == ["parameters"] and fault.code == "E106" and name not in around:
+            yield {"rename": path, "to": name}
+        elif path[-2:-1] == ["wires"] and " input " in fault.message:
+            yield {"rename": path, "to": f"{str(path[-1]).partition('.')[0]}.{name}"}
+        elif path[-2:-1] == ["wires"]:
+            yield {"set": path, "to": f"{str(around[path[-1]]).rpartition('.')[0]}.{name}"}
 
     def _drawn(self, level: str) -> str:
         return self._draw(level, self._pictures.get(level))
@@ -241,18 +246,29 @@ class Editor(Document):
         (self._rough.add if earlier else self._rough.discard)(level)
         return rendered(made, value.name)
 
-    def settled(self) -> list[str]:
-        """Draw what was drawn from an earlier picture as `blocks draw` draws it; returns the levels that changed."""
-        changed = []
-        for level in [*self._rough & self._drawings.keys()]:
-            before = self._drawings[level]
-            self._drawings[level] = self._draw(level, None)
-            changed += [level] if self._drawings[level] != before else []
-        self._rough.clear()
-        return changed
+    def rough(self) -> list[tuple[str, Callable[[], tuple[Picture, str]]]]:
+        return [(level, self._well(level)) for level in sorted(self._rough & self._drawings.keys())]
+
+    def _well(self, level: str) -> Callable[[], tuple[Picture, str]]:
+        value, shown = self.value_at(level), self.shown_in(level)
+
+        def draw() -> tuple[Picture, str]:
+            made = picture(value, **shown)
+            return made, rendered(made, value.name)
+
+        return draw
+
+    def settle(self, level: str, made: Picture, text: str) -> bool:
+        """Take a drawing in place of one that was drawn from an earlier picture; returns whether it is another one."""
+        self._rough.discard(level)
+        self._pictures[level] = made
+        before, self._drawings[level] = self._drawings.get(level), text
+        return text != before
 
 
 def move(level: str, name: str, at: Sequence[float]) -> dict[str, Any]:
-    """The operation that places a block or a terminal."""
+    """The operation that places a block or a terminal. Raises UsageError (E501)."""
+    if any(abs(x) > FARTHEST for x in at):
+        raise UsageError(Fault("E501", name, f"would stand farther away than {FARTHEST:g} pixels."))
     to = [int(x) if float(x).is_integer() else x for x in at]
     return {"move": name, "to": to, **({"in": level} if level else {})}

@@ -1,9 +1,13 @@
-"""What a page does to a diagram that it edits: each gesture is a list of operations on its file, and a step of undo."""
+"""What a page does to a diagram that it edits: each gesture is a list of operations on its file, and a step of undo.
+
+It is long as all gestures stand together: they share how a text that was typed is read, and how one is done and told.
+"""
 
 from __future__ import annotations
 
 import base64
 import binascii
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -14,7 +18,7 @@ from ..api.catalog import Catalog
 from ..editing.operations import OPERATIONS
 from ..model.block_ports import port_units
 from ..model.diagram import BASE
-from ..model.diagram_grammar import BODY
+from ..model.diagram_grammar import BODY, MEASURES
 from ..model.document import entries
 from ..model.values import is_expression
 from ..text import json_text, json_writer, units
@@ -23,9 +27,10 @@ from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_me
 from ..text.printable import legible, quoted
 from ..text.quantity_text import value_in
 from .document import inside
-from .editor import Editor, Operations, diagrams_in, files_in, is_diagram, move
+from .editor import Editor, Operations, move
 from .knobs import ACTIVE
 from .messages import Answer, handles
+from .palette import entries_of, files_beside, is_diagram
 from .session import Session
 
 __all__: list[str] = []
@@ -52,7 +57,8 @@ def _done(session: Session, what: str, operations: Operations, names: Iterable[s
 
 
 def _told(session: Session, what: str, names: Iterable[str] = (), files: Sequence[str] = ()) -> Answer:
-    if session.document.planned is not None:  # what is gone cannot be set in the next run
+    if (session.values or session.inputs) and session.document.planned is not None:
+        # What is gone cannot be set in the next run.
         for known in (session.values, session.inputs):
             for name in known.keys() - session.document.facts.keys():
                 del known[name]
@@ -91,21 +97,11 @@ def redo(session: Session) -> Answer:
 
 @handles
 def palette(session: Session) -> Answer:
-    """The block types by group with what they say, and the diagrams and FMUs of the folder."""
+    """What can be inserted: block types by group, the diagrams and FMUs of the project."""
     editor = _editor(session)
     catalog = Catalog.of(editor.library)
-    from ..draw.pictograms import PICTOGRAMS
-
-    told = [
-        {"type": found.name, "group": group, "doc": found.doc, "picture": PICTOGRAMS.get(found.name, ())}
-        for group, members in catalog.groups().items() for found in members
-    ]  # fmt: skip
-    folder = editor.folder
-    files = [*(path for path in diagrams_in(folder) if path != editor.file.resolve()), *files_in(folder, ".fmu")]
-    for path in (file.relative_to(folder) for file in files):
-        kind = "fmu" if path.suffix == ".fmu" else "diagram"
-        told.append({kind: path.as_posix(), "group": f"{kind}s of this folder", "doc": path.name, "picture": ()})
-    return {"is": "palette", "entries": told}
+    entries = [*entries_of(catalog), *files_beside(editor.file.resolve(), editor.project)]
+    return {"is": "palette", "entries": entries, "measures": dict(MEASURES)}
 
 
 @handles
@@ -165,8 +161,12 @@ def _parameters(editor: Editor, kind: str, said: str) -> dict[str, str]:
 
 def _typed(text: str, known: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
     """Parameters as typed, with their raw values. known: their types."""
-    parts = re.split(r"(?:^|\s+)([A-Za-z_]\w*)\s*=(?!=)\s*", text.strip())
-    first = next((name for name, type_ in known.items() if name not in ("unit", "shape")), "")
+    # "k==kp" is k with the expression "=kp", and "a == b" a part of one.
+    parts = re.split(r"(?:^|\s+)([A-Za-z_]\w*)(?:\s*=(?!=)\s*|=(?==\S))", text.strip())
+    own = {name: type_ for name, type_ in known.items() if not re.match(r"unit(_|$)|shape$", name)}
+    is_number = isinstance(value_in(parts[0]), (int, float))
+    of_kind = [name for name, type_ in own.items() if (type_ == "string") != is_number]
+    first = next(iter((*of_kind, *own)), "")
     for name, said in ((first, parts[0]), *zip(parts[1::2], parts[2::2], strict=True)):
         if said.strip() and not name:
             raise UsageError(Fault("E501", legible(said[:80]), "is a value of no parameter.", 'Write "name=value".'))
@@ -177,7 +177,7 @@ def _typed(text: str, known: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
 def _raw(text: str, name: str, type_: str) -> Any:
     """A typed value as a file holds it: a number, a quantity, a list, an expression, an object, or a text."""
     text = text.strip()
-    if type_ == "text":
+    if type_ == "string":
         return text
     return json_text.read(text, file=name).value if text.startswith("{") else value_in(text, file=name)
 
@@ -357,7 +357,7 @@ def put(session: Session, *, name: str, text: str, level: str = "") -> Answer:
             more: Mapping[str, Any] = raw if _is_quantity(raw) else {"value": raw}
             operations = [{"set": [*steps, key], "to": one} for key, one in more.items()]
             return _set(session, name, level, operations, raw)
-    if not text.strip() and type_ != "text":
+    if not text.strip():
         operations = [{"remove": steps}] if is_there else []
         return _set(session, name, level, operations, None)
     raw = _raw(text, name, type_)
@@ -385,11 +385,16 @@ def _set(session: Session, name: str, level: str, operations: Operations, raw: A
 
 @handles
 def define(session: Session, *, kind: str, text: str, level: str = "", source: str = "") -> Answer:
-    """Add an input, an output, a parameter or a measure to a level, as typed: "r", "kp=20 V", 'm={"type": ...}'.
+    """Add an input, an output, a parameter or a measure to a level, as typed: "r", "kp=20 V", "dip=peak of=y.u from=6".
 
     source: what an output shows. kind "entry": another value of an entry, by its place: "run.stop=5 s".
     """
+    editor = _editor(session)
     said, _, value = (part.strip() for part in text.partition("="))
+    if kind == "measure" and (typed := re.match(r"(?:(\w+)\s*=\s*)?(\w+)\s+(?=\w+\s*=)", text.strip())):
+        measured = {"type": typed[2], **dict(_typed(text.strip()[typed.end() :], {}))}
+        name = typed[1] or _free({"blocks": editor.body(level).get("measures", {})}, typed[2])
+        return _done(session, f"measure {name}", [_in(level, {"set": ["measures", name], "to": measured})])
     raw: Any = _raw(value, said, "") if value else None
     if kind == "entry":
         return _done(session, f"set {said}", [_in(level, {"set": said, "to": raw})])
@@ -404,6 +409,24 @@ def define(session: Session, *, kind: str, text: str, level: str = "", source: s
     elif raw is None:
         raise UsageError(Fault("E501", legible(said[:200]), "has no value.", "As in kp=20 V."))
     return _done(session, f"add {kind} {said}", [_in(level, {"add": [sections[kind], said], "value": raw})])
+
+
+@handles
+def describe(session: Session, *, of: str, text: str, level: str = "") -> Answer:
+    """Write the doc of a block, a parameter or an input of a level, by its name; of "": that of the level."""
+    body, lines = _editor(session).body(level), text.strip().splitlines()
+    doc: Any = lines if len(lines) > 1 else "".join(lines)
+    section = next((part for part in ("blocks", "parameters", "inputs") if of in body.get(part, {})), "")
+    if of and not section:
+        raise UsageError(Fault("E502", legible(of[:200]), "there is no such block, parameter or input."))
+    entry = body[section][of] if of else body
+    steps = [section, of] if of else []
+    operation: dict[str, Any] = {"set": [*steps, "doc"], "to": doc}
+    if not isinstance(entry, Mapping):
+        operation = {"set": steps, "to": {"value": entry, "doc": doc}}
+    if not doc:
+        operation = {"remove": [*steps, "doc"]} if isinstance(entry, Mapping) and "doc" in entry else {}
+    return _done(session, f"describe {of or 'the diagram'}", [_in(level, operation)] if operation else [])
 
 
 def _is_quantity(raw: Any) -> bool:
@@ -446,7 +469,8 @@ def targets(session: Session, *, end: str, level: str = "", kind: str = "") -> A
 def tab(session: Session, *, file: str) -> Answer:
     """Open another diagram of the folder; answers its address."""
     editor = _editor(session)
-    if editor.opens is None or not is_diagram(path := inside(editor.folder, file)):
+    path = inside(editor.project, os.path.relpath(editor.folder / file, editor.project))
+    if editor.opens is None or not is_diagram(path):
         raise UsageError(Fault("E501", legible(file[:200]), "is no diagram that can be opened here."))
     return {"is": "tab", "url": editor.opens(path)}
 

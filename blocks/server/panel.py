@@ -43,6 +43,7 @@ def panel(session: Session, *, path: str) -> Answer:
     kind = "diagram" if entry.inner is not None else "fmu" if entry.fmu else "block"
     told: Row = {
         "is": "panel", "path": path, "type": entry.type or entry.what, "kind": kind, "doc": _joined(entry.doc),
+        "own": _joined(entry.doc if path else shown.value.doc),
         "notes": [*_notes(entry)], "mathml": "", "more": "", "rows": {}, **_variants(session, path),
         "faults": [told_fault(f, {path}) for f in document.faults if not path or f"{f.place}.".startswith(f"{path}.")],
     }  # fmt: skip
@@ -95,7 +96,10 @@ def _row(title: str, row: Any, path: str, scope: DiagramScope, entry: BlockEntry
 def _run(value: DiagramValue) -> Row:
     """What a diagram says of its runs, as typed."""
     said = {name: _text(value.run.get(name)) for name in ("stop", "every", "method")}
-    measures = {name: _text(raw) for name, raw in value.measures.items()}
+    measures = {}
+    for name, raw in value.measures.items():
+        keys = (f"{key}={_text(one)}" for key, one in raw.items() if key not in ("type", "doc"))
+        measures[name] = " ".join([str(raw.get("type")), *keys])
     return said | {"log": list(value.run.get("log", ())), "hasLog": "log" in value.run, "measures": measures}
 
 

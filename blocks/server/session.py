@@ -76,6 +76,7 @@ class Session:
         self._is_told = threading.Event()  # news of the run wait in the queue
         self._told = 0.0
         self._aside: queue.SimpleQueue[tuple[Client, Mapping[str, Any]] | None] = queue.SimpleQueue()
+        self._is_settling = False
         # Python waits for this one: it ends daemon threads where they are, which an FMU that computes does not survive.
         self._thread = threading.Thread(target=self._work, name="blocks session", daemon=False)
         self._second = threading.Thread(target=self._work_aside, name="blocks session", daemon=True)
@@ -138,6 +139,8 @@ class Session:
                 self._show(each)
             for hear in self.hearers:
                 hear()
+        elif client is None and isinstance(what, dict):
+            self._take(**what)
         elif client is not None and what == "connected":
             self.pages[client] = Page()
             client.send(self.hello())
@@ -150,12 +153,27 @@ class Session:
             self._show(client)
 
     def _settle(self) -> None:
-        """When nothing is asked: what was drawn in haste is drawn well."""
-        for level in self.document.settled():
-            told = {"is": "drawing", "level": level, "svg": self.document.drawing(level), "settled": True}
-            for client, page in self.pages.items():
-                if page.level == level:
-                    client.send(told)
+        """When nothing is asked: what was drawn in haste is drawn well, in a thread: the next gesture need not wait."""
+        if not self._is_settling and (rough := self.document.rough()):
+            self._is_settling = True
+            told = (self.document.revision, rough)
+            threading.Thread(target=self._draw_well, args=told, name="blocks drawing", daemon=True).start()
+
+    def _draw_well(self, revision: int, rough: list[Any]) -> None:
+        made: list[Any] = []
+        try:
+            made = [(level, *draw()) for level, draw in rough]
+        finally:
+            self._todo.put((None, {"revision": revision, "made": made}))
+
+    def _take(self, revision: int, made: list[Any]) -> None:
+        """Show what was drawn well, where the document is still the same."""
+        self._is_settling = False
+        for level, drawn, svg in made if revision == self.document.revision else ():
+            if self.document.settle(level, drawn, svg):
+                for client, page in self.pages.items():
+                    if page.level == level:
+                        client.send({"is": "drawing", "level": level, "svg": svg, "settled": True})
 
     def _show(self, client: Client) -> None:
         for number, frame in enumerate(self.pages[client].frames(self.runs, self.live)):

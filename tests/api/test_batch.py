@@ -332,14 +332,13 @@ def test_a_plain_script_runs_rows_once(inside: bool, begin: str, how: str, tmp_p
     assert not done.stderr.replace("printed\n", "")
 
 
-def test_stiff_rows_are_those_of_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The last digits of SciPy's Radau depend on the threads of BLAS, which clusters set for what begins later."""
-    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        monkeypatch.delenv(name, raising=False)
+@pytest.mark.parametrize("method", ["radau", "auto"])
+def test_stiff_rows_are_those_of_runs_and_run_in_threads(method: str) -> None:
     d = noisy()
-    rows = d.batch(["lag.T"], method="radau", log=["lag.y"])([[0.1], [0.2]], seeds=[1, 2], threads=1)
-    for i, T in enumerate((0.1, 0.2)):
-        same(rows, i, noisy(), parameters={"lag.T": T}, seed=i + 1, method="radau", log=["lag.y"])
+    rows = d.batch(["lag.T"], method=method, log=["lag.y"])([[0.1], [0.2], [1e-5]], seeds=[1, 2, 3], threads=2)
+    assert "thread" in rows.how
+    for i, T in enumerate((0.1, 0.2, 1e-5)):
+        same(rows, i, noisy(), parameters={"lag.T": T}, seed=i + 1, method=method, log=["lag.y"])
 
 
 @pytest.mark.parametrize(

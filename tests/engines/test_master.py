@@ -789,6 +789,16 @@ def test_a_stiff_interface_converges_nevertheless(engine: str) -> None:
     assert [results[name][-1] for name in MASSES] == pytest.approx(expm(A) @ [1, 0, 0, 0], abs=0.02, rel=0.02)
 
 
+@each_engine
+@pytest.mark.parametrize("method", ["radau", "auto"])
+def test_units_integrate_by_the_stiff_method_also_where_their_steps_are_repeated(method: str, engine: str) -> None:
+    settings: dict[str, Any] = {"stop": 3, "engine": engine, "parameters": {"b.cc": 50.0}, "rtol": 1e-9, "atol": 1e-11}
+    settings["master"] = each(0.02, "iterated", 2)
+    plain, stiff = (two_masses().run(method=name, **settings) for name in ("dopri5", method))
+    for name in MASSES:
+        assert stiff[name] == pytest.approx(plain[name], abs=1e-6)
+
+
 # --- measures --------------------------------------------------------------------------------------------------
 
 

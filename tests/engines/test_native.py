@@ -510,7 +510,7 @@ from blocks import Diagram
 from blocks.engines.native import model
 model.EXTRA_FLAGS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-g")
 for path in sys.argv[2:]:
-    for settings in ({}, {"method": "rk4", "step": 0.005}, {"method": "euler", "step": 0.001}):
+    for settings in ({}, {"method": "rk4", "step": 0.005}, {"method": "euler", "step": 0.001}, {"method": "radau"}):
         d = Diagram.load(path)
         inputs = {name: ([0.0, 0.4, 1.0], [0.0, 1.0, -0.5], "linear") for name in d.value.inputs}
         for every in (None, 0.01):
@@ -549,7 +549,7 @@ def sanitized(count: int, paths: list[str]) -> subprocess.CompletedProcess[str]:
 @pytest.mark.long
 @pytest.mark.skipif(shutil.which("cc") is None or sys.platform != "linux", reason="needs cc on Linux")
 def test_sanitizers_find_nothing_in_a_thousand_runs() -> None:
-    names = ("bouncing_ball", "motor_pid", "sampled_loop")
+    names = ("bouncing_ball", "motor_pid", "sampled_loop", "gallery/rod")
     done = sanitized(1000, [str(ROOT / "diagrams" / f"{name}.json") for name in names])
     assert "done" in done.stdout, done.stderr[-3000:]
     assert "runtime error" not in done.stderr, done.stderr[-3000:]

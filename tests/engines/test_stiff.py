@@ -1,5 +1,7 @@
 """The stiff method with the exact Jacobian: hard problems, large ones, and what it does where no slope is finite."""
 
+import math
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -162,7 +164,8 @@ def linear(plan: Plan) -> tuple[Any, ...]:
 @pytest.mark.parametrize(("count", "sparse"), [(20, False), (100, True)])
 def test_the_matrix_is_sparse_where_that_pays(count: int, sparse: bool) -> None:
     plan = ladder(count).plan()
-    made = stiff.Slopes(CompiledPrograms(plan)).at(linear(plan), lambda x: x)
+    slopes = stiff.Slopes(CompiledPrograms(plan))
+    made = slopes.matrix(slopes.at(linear(plan), lambda x: x))
     assert issparse(made) == sparse
     whole = made.toarray() if sparse else made
     wanted = (np.eye(count, k=1) + np.eye(count, k=-1) - 2.0 * np.eye(count)) * count**2
@@ -170,13 +173,13 @@ def test_the_matrix_is_sparse_where_that_pays(count: int, sparse: bool) -> None:
 
 
 def test_a_dense_and_a_sparse_matrix_give_one_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Within what the rounding of two eliminations does to accepted steps."""
-    settings: dict[str, Any] = {"stop": 0.1, "method": "radau", "rtol": 1e-6, "atol": 1e-9}
-    sparse = ladder(100).run(**settings)
+    """Within what rounding errors do: of a linear diagram they alone decide how the iteration converges."""
+    settings: dict[str, Any] = {"stop": 0.1, "method": "radau", "rtol": 1e-6, "atol": 1e-9, "every": 0.01}
+    sparse = ladder(100).run(engine="reference", **settings)
     monkeypatch.setattr(stiff, "_SPARSE_FROM", 1000)
-    dense = ladder(100).run(**settings)
-    assert dense.statistics.steps == sparse.statistics.steps
-    assert np.max(np.abs(dense["x50.y"] - sparse["x50.y"])) < 1e-9
+    dense = ladder(100).run(engine="reference", **settings)
+    assert dense.statistics.steps == pytest.approx(sparse.statistics.steps, rel=0.02)
+    assert np.max(np.abs(dense["x50.y"] - sparse["x50.y"])) < 1e-7
 
 
 def test_one_matrix_serves_all_runs_of_a_plan() -> None:
@@ -248,7 +251,7 @@ def test_the_search_for_a_crossing_does_not_ask_again_for_what_is_known(monkeypa
         return at(self, memory, rates)
 
     monkeypatch.setattr(stiff.Slopes, "at", counted)
-    results = run(BouncingBall(h_start=1.0), 1.4, rtol=1e-8, atol=1e-10)
+    results = run(BouncingBall(h_start=1.0), 1.4, rtol=1e-8, atol=1e-10, engine="reference")
     assert len(results.events) >= 2
     assert asked
     assert max(asked.values()) <= 2  # before and after an instant
@@ -314,25 +317,23 @@ def test_sines_through_all_blocks_of_a_chain_agree_with_the_explicit_method() ->
 
 @pytest.mark.parametrize("engine", ["reference", pytest.param("native", marks=needs_compiler)])
 def test_a_run_that_was_interrupted_goes_on_as_one_from_its_snapshot(engine: str) -> None:
-    """Bit for bit: what an integration keeps from step to step is in no snapshot."""
-    d = Diagram("oscillator")
+    """Bit for bit: all that the method keeps from step to step is in the snapshot, and factors are made anew of it."""
+    d = ladder(60)
     d.add("v", VanDerPol(mu=100.0))
-    told: list[float] = []
-
-    def progress(t: float) -> None:
-        told.append(t)
-        if len(told) == 20:
-            raise KeyboardInterrupt
-
-    run = d.start(stop=1.5, method="radau", engine=engine, progress=progress)
-    with pytest.raises(KeyboardInterrupt):
-        run.advance_to(1.5)
+    settings: dict[str, Any] = {"stop": 150.0, "method": "radau", "engine": engine, "rtol": 1e-5}
+    run = d.start(**settings)
+    run._simulation.engine.pause(0.0, math.inf)
+    for _ in range(60):
+        run._simulation.engine.proceed(Fraction(150))
     state = run.snapshot()
-    run.advance_to(1.5)
-    whole = run.results
-    run.restore(state)
-    run.advance_to(1.5)
-    rest = run.results
+    assert 0.0 < run.t < 150.0
+    assert state.snapshot.memory.carried is not None
+    run.advance_to(150.0)
+    again = d.start(resume=state, **settings)
+    again.advance_to(150.0)
+    whole, rest = run.results, again.results
+    assert whole.statistics.steps > 100
+    assert len(rest.t) == len(whole.t) - 60
     assert np.array_equal(whole.t[-len(rest.t) :], rest.t)
-    for name in ("v.x", "v.v"):
+    for name in ("v.x", "v.v", "x30.y"):
         assert np.array_equal(np.asarray(whole[name])[-len(rest.t) :], np.asarray(rest[name]))

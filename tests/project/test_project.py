@@ -133,4 +133,5 @@ def test_tests_that_take_long_are_left_out_by_themselves_and_run_by_the_pipeline
     assert "-m long" in rules["long"]
     assert "-m long" in rules["native-long"]
     lines = (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
-    assert [line for line in lines if line.startswith("make")] == ["make test", "make test-long"]
+    assert [line for line in lines if line.startswith("make")] == ["make browser", "make test", "make test-long"]
+    assert "export BLOCKS_BROWSER=required" in lines  # a browser that is missing is a failure there

@@ -6,6 +6,7 @@ import base64
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -15,7 +16,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from blocks import PID, BlocksError, Diagram, PMDCMotor, Step, UsageError
+from blocks import PID, Block, BlocksError, Diagram, Input, Parameter, PMDCMotor, Step, UsageError, output
 from blocks.draw import picture, ports_of, rendered
 from blocks.model.document import dumps
 from blocks.server import deeper, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
@@ -29,14 +30,27 @@ from tests.support.places import ROOT
 Ask = Callable[..., Any]
 
 
+class Twice(Block):
+    """y = k u: a block of one's own."""
+
+    k = Parameter(2.0)
+    u = Input()
+
+    @output
+    def y(u, k):
+        return k * u
+
+
 @contextmanager
-def edited(path: Path) -> Iterator[tuple[Ask, Editor]]:
-    editor = Editor(path)
-    session = Session(editor)
-    try:
-        yield lambda do, **fields: answer(session, {"do": do, **fields}), editor
-    finally:
-        session.close()
+def edited(path: Path, **given: Any) -> Iterator[tuple[Ask, Editor]]:
+    editor = Editor(path, **given)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("blocks.server.session.LOOK", 1e6)  # its thread must not look at the file while this one writes
+        session = Session(editor)
+        try:
+            yield lambda do, **fields: answer(session, {"do": do, **fields}), editor
+        finally:
+            session.close()
 
 
 def loop(ask: Ask) -> None:
@@ -88,7 +102,8 @@ def test_the_first_move_in_an_automatic_layout_writes_all_positions_and_moves_no
         x, y = before["pid"]
         assert json.loads(path.read_text())["layout"] == before | {"pid": [x + 20, y + 40]}
         assert editor.positions("") == before | {"pid": [x + 20, y + 40]}
-        editor.settled()
+        for level, draw in editor.rough():
+            editor.settle(level, *draw())
         value = Diagram.load(path).value
         shown = rendered(picture(value, ports_of(value, editor.resolver)), value.name)
         assert editor.drawing("") == shown  # at rest it is what `blocks draw` draws
@@ -138,6 +153,87 @@ def test_a_file_that_cannot_be_written_stays_as_it_was(tmp_path: Path) -> None:
                 ask("put", name="pid.kp", text="1")
         assert (path.read_bytes(), len(editor.done)) == (before, steps)
         assert [file.name for file in tmp_path.iterdir()] == ["motor.json"]
+
+
+def test_what_would_make_the_file_unreadable_or_stand_too_far_away_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        loop(ask)
+        before, steps = path.read_bytes(), len(editor.done)
+        for name in ("motor.json", "../../nothing.json"):  # itself, and one that is not there
+            with pytest.raises(BlocksError, match="json"):
+                ask("insert", entry={"diagram": name})
+        for by in ([1e300, 0], [0, -2e6]):
+            with pytest.raises(UsageError, match="farther away than 1e"):
+                ask("place", names=["pid"], by=by)
+        with pytest.raises(UsageError, match="farther away than 1e"):
+            ask("insert", entry={"type": "Gain"}, at=[1e300, 0])
+        assert (path.read_bytes(), len(editor.done)) == (before, steps)
+        ask("put", name="pid.kp", text="3")  # it goes on
+
+
+def test_words_that_are_typed_are_entries_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+
+    def file() -> Any:
+        return json.loads(path.read_text())
+
+    with edited(path) as (ask, _):
+        loop(ask)
+        ask("insert", entry={"type": "Gain"}, text="3")
+        ask("insert", entry={"type": "Gain"}, text="k==2*3")
+        ask("insert", entry={"type": "Sum"}, text="+-")
+        ask("insert", entry={"type": "Trigonometry"}, text="sin")
+        blocks = [file()["blocks"][name]["parameters"] for name in ("gain", "gain2", "sum", "trigonometry")]
+        assert blocks == [{"k": 3}, {"k": "=2*3"}, {"signs": "+-"}, {"function": "sin"}]
+        ask("define", kind="measure", text="peak of=pid.u from=1")
+        ask("define", kind="measure", text="peak of=pid.u")
+        ask("define", kind="measure", text="dip = peak of=pid.u")
+        ask("define", kind="measure", text="dip=IAE of=pid.u")  # another one in its place
+        peak = {"type": "peak", "of": "pid.u"}
+        assert file()["measures"] == {"peak": peak | {"from": 1}, "peak2": peak, "dip": {"type": "IAE", "of": "pid.u"}}
+        ask("define", kind="parameter", text="c=3")
+        ask("describe", of="", text="one\n two ")
+        ask("describe", of="pid", text="a law")
+        ask("describe", of="c", text="a number")
+        assert (file()["doc"], file()["blocks"]["pid"]["doc"]) == (["one", " two"], "a law")
+        assert file()["parameters"]["c"] == {"value": 3, "doc": "a number"}
+        for name in ("", "pid", "c"):
+            ask("describe", of=name, text=" ")
+        assert "doc" not in file()
+        assert file()["parameters"]["c"] in (3, {"value": 3})
+        with pytest.raises(UsageError, match="no such block, parameter or input"):
+            ask("describe", of="nothing", text="x")
+
+
+def test_the_palette_has_types_words_and_the_files_of_the_project(tmp_path: Path) -> None:
+    (tmp_path / "pyproject.toml").write_text("")
+    for name in ("a/one.json", "b/two.json", "b/.hidden.json", "b/no_diagram.json"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        text = "{}" if name.endswith("no_diagram.json") else dumps(Diagram("x").value)
+        (tmp_path / name).write_text(text)
+    with edited(tmp_path / "a/one.json") as (ask, editor):
+        entries = ask("palette")["entries"]
+        assert [one["diagram"] for one in entries if "diagram" in one] == ["../b/two.json"]
+        known = {one["type"]: one for one in entries if "type" in one}
+        assert known["PID"]["takes"][:3] == ["unit", "unit_u", "kp"]
+        assert "Transport Delay" in known["TransportDelay"]["words"]
+        assert all(one["picture"]["strokes"] for one in known.values())
+        assert "Scope" in [one.get("word") for one in entries]
+        ask("insert", entry={"diagram": "../b/two.json"})
+        editor.opens = str
+        assert ask("tab", file="../b/two.json")["url"] == str(tmp_path / "b/two.json")
+        for name in ("../b/no_diagram.json", "../../x.json", "/etc/passwd", ""):
+            with pytest.raises(UsageError):
+                ask("tab", file=name)
+
+
+def test_blocks_of_ones_own_are_in_the_palette_and_can_be_inserted(tmp_path: Path) -> None:
+    with edited(tmp_path / "own.json", library=[Twice]) as (ask, editor):
+        (own,) = [one for one in ask("palette")["entries"] if one.get("type") == "Twice"]
+        assert own["doc"] == "y = k u: a block of one's own."
+        ask("insert", entry={"type": "Twice"}, text="2")
+        assert editor.body("")["blocks"] == {"twice": {"type": "Twice", "parameters": {"k": 2}}}
 
 
 def test_targets_say_where_a_wire_fits_and_why_not(tmp_path: Path) -> None:
@@ -213,17 +309,17 @@ def test_a_fault_has_a_button_that_does_what_its_cure_says(tmp_path: Path) -> No
             (["blocks", "pid", "parameters", "kdd"], 3),
         ):  # fmt: skip
             ask("edit", operations=[{"set": place, "to": bad}])
-            (fault,) = [one for one in editor.told()["faults"] if one.get("remedy")]
-            ask("edit", operations=fault["remedy"]["operations"])
+            (fault,) = [one for one in editor.told()["faults"] if one.get("remedies")]
+            ask("edit", operations=fault["remedies"][0]["operations"])
             assert not editor.told()["faults"]
         good["blocks"]["pid"]["parameters"]["kd"] = 3
         assert json.loads(path.read_text()) == good
         ask("edit", operations=[{"set": ["blocks", "pid", "parameters", "kpp"], "to": 3}])
-        assert [one["remedy"] for one in editor.told()["faults"]] == [None]  # there is a kp
+        assert [one["remedies"] for one in editor.told()["faults"]] == [[]]  # there is a kp
         ask("undo")
         ask("delete", names=[], sinks=["pmdc_motor.v"])
         (fault,) = editor.told()["faults"]
-        assert fault["remedy"] == {"label": "Connect ...", "sink": "pmdc_motor.v"}
+        assert fault["remedies"][-1] == {"label": "Connect ...", "sink": "pmdc_motor.v"}
 
 
 def test_an_fmu_that_is_dropped_takes_the_place_of_a_block_with_its_wires(tmp_path: Path) -> None:
@@ -254,11 +350,22 @@ GESTURES = st.one_of(
     st.builds(lambda k: ("duplicate", k), st.integers(0, 9)),
     st.builds(lambda k: ("group", k), st.integers(0, 9)),
     st.builds(lambda k: ("rename", k), st.integers(0, 9)),
+    st.builds(lambda k: ("cut and paste", k), st.integers(0, 9)),
+    st.builds(lambda k: ("ungroup", k), st.integers(0, 9)),
+    st.builds(lambda k: ("swap", k), st.integers(0, 9)),
+    st.builds(lambda t: ("define", t), st.sampled_from([
+        ("parameter", "kp=20 V"), ("parameter", "kp=1"), ("input", "r=1"), ("measure", "peak of=gain.y"),
+        ("entry", "run.stop=5"),
+    ])),
+    st.builds(lambda k, t: ("put", (k, t)), st.integers(0, 9), st.sampled_from(["3", "=kp*2", "", "[1]", "4 V", "x"])),
+    st.builds(lambda k, t: ("describe", (k, t)), st.integers(0, 9), st.sampled_from(["", "a text", "two\nlines"])),
+    st.builds(lambda k: ("output", k), st.integers(0, 9)),
+    st.builds(lambda n: ("another program", n), st.integers(0, 3)),
     st.sampled_from([("arrange", None), ("undo", None), ("redo", None)]),
 )  # fmt: skip
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(GESTURES, min_size=1, max_size=12))
 def test_random_gestures_keep_the_file_canonical_and_are_undone_byte_for_byte(
     tmp_path: Path, asked: list[tuple[str, Any]]
@@ -266,7 +373,7 @@ def test_random_gestures_keep_the_file_canonical_and_are_undone_byte_for_byte(
     path = tmp_path / "random.json"
     path.unlink(missing_ok=True)
     with edited(path) as (ask, editor):
-        texts = [path.read_bytes()]
+        texts: list[bytes | None] = [path.read_bytes()]
         for do, what in asked:
             value = Diagram.load(path).value
             names = list(value.blocks) or ["none"]
@@ -286,19 +393,42 @@ def test_random_gestures_keep_the_file_canonical_and_are_undone_byte_for_byte(
                     ask("duplicate", names=[pick])
                 elif do == "group":
                     ask("edit", operations=[{"group": [pick], "as": f"{pick}_group"}])
+                elif do == "cut and paste":
+                    text = ask("copy", names=[pick])["text"]
+                    ask("delete", names=[pick], sinks=[])
+                    ask("paste", text=text)
+                elif do == "ungroup":
+                    ask("edit", operations=[{"ungroup": pick}])
+                elif do == "swap":
+                    ask("edit", operations=[{"swap": pick, "for": {"type": "Gain"}}])
+                elif do == "define":
+                    ask("define", kind=what[0], text=what[1])
+                elif do == "put":
+                    ask("put", name=f"{names[what[0] % len(names)]}.k", text=what[1])
+                elif do == "describe":
+                    ask("describe", of=names[what[0] % len(names)], text=what[1])
+                elif do == "output":
+                    ask("define", kind="output", text="y", source=f"{pick}.y")
+                elif do == "another program":
+                    other = Diagram.load(path).value
+                    path.write_text(dumps(replace(other, run={**other.run, "stop": what + 1})))
+                    editor._catch_up()
                 elif do == "rename":
                     ask("edit", operations=[{"rename": ["blocks", pick], "to": f"{pick}x"}])
                 else:
                     ask(do, **({"names": []} if do == "arrange" else {}))
             text = path.read_bytes()
             assert text == editor.text == dumps(Diagram.load(path).value).encode()
-            if len(editor.done) > steps:
+            assert dict(editor.body("")) == json.loads(text)  # the file is the model
+            if len(editor.done) > steps + 1:  # cut and paste
+                texts = [*texts[: steps + 1], None, text]
+            elif len(editor.done) > steps:
                 texts = [*texts[: steps + 1], text]
             assert text == texts[len(editor.done)]
             editor.drawing("")
         while editor.done:
             ask("undo")
-            assert path.read_bytes() == texts[len(editor.done)]
+            assert texts[len(editor.done)] in (path.read_bytes(), None)
 
 
 @pytest.mark.long

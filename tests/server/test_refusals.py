@@ -81,6 +81,7 @@ TABLE: dict[str, list[Row]] = {
     "duplicate": [({"names": ["gain"]}, SHOWN)],
     "put": [({"name": "gain.k", "text": "1"}, SHOWN)],
     "define": [({"kind": "input", "text": "r"}, SHOWN)],
+    "describe": [({"of": "gain", "text": "x"}, SHOWN)],
     "targets": [({"end": "gain.y"}, SHOWN)],
     "tab": [({"file": "x.json"}, SHOWN)],
     "upload": [({"name": "x.fmu", "text": ""}, SHOWN)],

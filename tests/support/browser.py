@@ -281,7 +281,7 @@ class Browser:
             held = _held(before)
             code = {" ": "Space"}.get(key, f"Key{key.upper()}" if key.isascii() and key.isalpha() else key)
             told: dict[str, Any] = {"key": key, "modifiers": held, "code": code if len(key) == 1 else key}
-            if key in _KEYS or len(key) == 1:
+            if key in _KEYS or key.isalnum():  # "(" has the number of an arrow key
                 told["windowsVirtualKeyCode"] = _KEYS.get(key, ord(key.upper()[0]))
             text = "\r" if key == "Enter" else key if len(key) == 1 else ""
             if text and not held & ~_MODIFIERS["Shift"]:

@@ -22,13 +22,16 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from ...text.gc_pause import paused
+from ..jacobian import PlanJacobian
 from ..motion import looked_at
 from ..plan import Node, Plan, Program, Reference
 from ..scheduler import schedule
-from ..tableaus import METHODS
+from ..tableaus import METHODS, STIFF
 from ..tick_stages import stages_of, tick_program
+from .c_text import ints
 from .calls import SAME, print_program, print_selected
 from .functions import LANES, comment, function_text
+from .jacobian_code import elimination, in_order, jacobian_text
 from .lane_code import LANE_PROGRAMS, LaneCode
 from .loops import Call, Copy, Sink
 from .plan_reader import MOVING, PlanReader, ProgramScope
@@ -71,9 +74,9 @@ def emit(
     lanes: bool = False,
 ) -> Emitted:
     """The model of a Plan. measured, logged: what its programs of these names give. method: whose stepping loop is
-    compiled ("euler", "rk4", "dopri5"; any other: none). loops: False prints every call by itself. others: what further
-    programs give, by their names; end: C text at the end. lanes: whether programs of several runs side by side are
-    printed too."""
+    compiled ("euler", "rk4", "dopri5", "radau", "auto"; any other: none). loops: False prints every call by itself.
+    others: what further programs give, by their names; end: C text at the end. lanes: whether programs of several runs
+    side by side are printed too."""
     emitter = _Emitter(plan, loops, looked_at(plan, measured, logged))
     if lanes:
         emitter.lanes = LaneCode(lambda name: function_text(name, *emitter.printed_as[name], LANES))
@@ -264,11 +267,12 @@ class _Emitter(PlanReader):
 
         nodes = [cause.node for cause in plan.crossings]
         moving = any(self.level[node] == MOVING for node in nodes)
+        loop = "dopri5" if method == "auto" else method  # whose stepping loop it begins by
         self.rates(sink)
-        has_own_sides = moving and not (self.is_long and method in METHODS)
+        has_own_sides = moving and not (self.is_long and loop in METHODS)
         if has_own_sides:
             self.rates_and_sides(nodes, sink)
-        quick = self.quick_measures(sink, method, moving=moving)
+        quick = self.quick_measures(sink, loop, moving=moving)
         self.define("crossings", self.continuous("crossings", nodes, [sink(k, n, "side") for k, n in enumerate(nodes)]))
         if moving and not has_own_sides:  # compiling long rates twice takes longer than computing some values twice
             self.sides = tuple(range(len(nodes)))
@@ -300,9 +304,10 @@ class _Emitter(PlanReader):
         self.start()
         self.selected("anew", [self.beginning(part.resets) for part in plan.enabled])
         cliques = self.outputs(sink)
+        slopes = self.slopes() if method in STIFF else ""
         self.prepare()
         self.compare_lanes()
-        return self.finished(method, cliques, moving, end, quick)
+        return self.finished(method, cliques, moving, slopes, end, quick)
 
     def rates(self, sink: Callable[[int, Node, str], Sink]) -> None:
         nodes = self.plan.derivatives
@@ -534,6 +539,17 @@ class _Emitter(PlanReader):
         sinks = [[Sink(self.q[instance, n])] for n in nodes]
         return Call(function, block.path, instance, arguments, [self.new_value() for _ in nodes], sinks)
 
+    def slopes(self) -> str:
+        """The Jacobian of the rates for a stiff method, and the order in which its columns are eliminated."""
+        made = PlanJacobian(self.plan)
+        plain = [Sink(k) for k in range(len(made.outputs))]
+        self.define("slope_outputs", self.continuous("slope_outputs", made.outputs, plain))
+        derived = jacobian_text(made, self.offsets, self.x_at, "slope_outputs", is_square=True)
+        order = elimination(*in_order(made, self.x_at)[:2])
+        table, name = ("", "0") if order is None else (ints("elimination", order), "elimination")
+        own = f"static const BlocksJacobian slopes = {derived.initializer};\n{table}#define ELIMINATION {name}\n"
+        return f'\n#include "stiff.h"\n{derived.text}{own}'
+
     def looked_at(self, name: str) -> str:
         """The tables of what is looked at inside a step: the states that it needs, and how else it moves."""
         motion = self.motions[name]
@@ -561,7 +577,7 @@ class _Emitter(PlanReader):
         return f"\nstatic const BlocksLook looks[] = {{\n{''.join(rows)}}};\n"
 
     def finished(
-        self, method: str, cliques: tuple[Clique, ...], moving: bool, end: str, quick: dict[str, int]
+        self, method: str, cliques: tuple[Clique, ...], moving: bool, slopes: str, end: str, quick: dict[str, int]
     ) -> Emitted:
         plan = self.plan
         sizes = {
@@ -582,16 +598,17 @@ class _Emitter(PlanReader):
         states += [f"static const int sides_at[] = {{{sides}}};\n"] if moving else []
         sizes["NLOGGED_STATES"] = len(self.states_of["logged"])
         macros = [f"#define BLOCKS_{name} {value}\n" for name, value in sizes.items()]
-        chosen = f"METHOD_{method.upper() if method in METHODS else 'NONE'}"
-        macros.append(f"#define BLOCKS_{chosen} 1\n")
+        methods = ("dopri5", "auto") if method == "auto" else (method if method in (*METHODS, *STIFF) else "none",)
+        chosen = [f"METHOD_{name.upper()}" for name in methods]
+        macros += [f"#define BLOCKS_{name} 1\n" for name in chosen]
         source = "".join([
             f"/* {comment(plan.name)} */\n", *macros, '\n#include "model.h"\n',
             '#include "fmu_bridge.h"\n' if plan.foreign else "", "\n", self.tables.text, *states, "\n",
-            "\n".join(self.texts), self.looks(), '\n#include "steps.h"\n', end,
+            "\n".join(self.texts), self.looks(), slopes, '\n#include "steps.h"\n', end,
         ])  # fmt: skip
         table = tuple(value for values in plan.tables for value in values)
         lanes = ""
         if self.lanes is not None:
             tables = self.tables.text + (states[-1] if moving else "")
-            lanes = self.lanes.source(plan.name, {**sizes, chosen: 1}, tables)
+            lanes = self.lanes.source(plan.name, sizes | dict.fromkeys(chosen, 1), tables)
         return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes, lanes)

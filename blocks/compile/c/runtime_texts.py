@@ -5,16 +5,21 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
-from ..tableaus import c_header
+from ..tableaus import STIFF, c_header
 
-__all__ = ["RUNTIME", "packaged"]
+__all__ = ["RUNTIME", "packaged", "stiff_units"]
 
-RUNTIME = ("runtime.h", "model.h", "methods.h", "steps.h")
+RUNTIME = ("runtime.h", "model.h", "methods.h", "steps.h", "jacobian.h", "stiff.h")
 
 
 def packaged(*names: str) -> dict[str, str]:
     """C texts that belong to this package, by their names."""
     return {name: _packaged(name) for name in names}
+
+
+def stiff_units(method: str) -> tuple[str, ...]:
+    """The files, beside the Jacobian's, that runs by this method need."""
+    return ("factors.c", "radau.c") if method in STIFF else ()
 
 
 @functools.cache

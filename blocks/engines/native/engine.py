@@ -32,7 +32,7 @@ from ..run.history import Past, Store
 from ..run.measures import Measures
 from ..run.memory_estimate import COPIES
 from ..run.saved_state import State, fit, standing
-from ..run.snapshot import MethodMemory, Snapshot, frozen
+from ..run.snapshot import MethodMemory, Snapshot, frozen, told_method
 from ..run.step_parts import Unseen, unseen_faults
 from .model import Model, model_of
 from .rows import Handle, array, track_table
@@ -50,6 +50,7 @@ Row = tuple[float, ...]
 _DONE, _PAUSED, _FAILED, _NO_MEMORY = range(4)
 _CODES = (
     "E303", "E303", "E303", "E301", "E303", "E305", "E306", "E307", "E309", "E304", "E301", "E310", "E303",
+    "E308",
 )  # fmt: skip
 """The code of each failure of runtime.h, by its number."""
 _CROWD = 1000
@@ -378,9 +379,11 @@ class NativeEngine:
     def _snapshot(self) -> Snapshot:
         sim = self.sim
         x = frozen(self._x[self.model.place])
-        first = None
+        first = carried = None
         if sim.has_first:
             first = frozen(array(sim.k[0], self._nx)[self.model.place])
+            if sim.ncarried:
+                carried = self.model.carried_order(self.plan).taken(array(sim.carried, sim.ncarried))
         return Snapshot(
             sim.t,
             self.exact,
@@ -390,7 +393,7 @@ class NativeEngine:
             tuple(self._ticks.tolist()),
             tuple(self._events.tolist()),
             tuple(self._own.tolist()),
-            MethodMemory(sim.h, sim.error, first),
+            MethodMemory(sim.h, sim.error, first, carried, (sim.hits, sim.calm, sim.stiff_from)),
             sim.fixed,
             self._past(),
             tuple(self._z.tolist()),
@@ -468,9 +471,16 @@ class NativeEngine:
         self._ticks[:] = now.ticks
         self._events[:], self._own[:] = now.events, now.own
         sim.h, sim.error, sim.fixed = now.memory.h, now.memory.error, now.fixed
+        hits, calm, sim.stiff_from = now.memory.stiffness
+        sim.hits, sim.calm = int(hits), int(calm)
         if now.memory.first is not None:
             array(sim.k[0], self._nx)[:] = now.memory.first[self.model.order]
             sim.has_first = 1
+            if sim.ncarried:
+                row = array(sim.carried, sim.ncarried)
+                row[:] = 0.0  # nothing is known of steps before
+                if now.memory.carried is not None:
+                    self.model.carried_order(plan).put(now.memory.carried, row)
         sim.located_t, located = state.located
         self._located[:] = located if len(located) else -1.0
         for j, t in state.fired:
@@ -631,7 +641,8 @@ class NativeEngine:
         self._take_over()
         sim, model = self.sim, self.model
         whole = self._rows()
-        statistics = Statistics(self.settings.method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants)
+        method = told_method(self.settings.method, sim.stiff_from)
+        statistics = Statistics(method, "native", sim.steps, sim.rejected, sim.evaluations, sim.instants)
         pairs = np.concatenate(self.told) if self.told else np.empty((0, 2))
         events = Events(pairs[:, 0].copy(), pairs[:, 1].astype(int), tuple(model.told_as))
         measures, uncovered = self._measures().results(self.t)

@@ -20,12 +20,14 @@ from ...compile.c.lane_code import LANE_FILES, Machine, why_no_gain
 from ...compile.c.model_code import Emitted, emit
 from ...compile.c.runtime_grid import grid_of
 from ...compile.c.runtime_tables import RuntimeTables
-from ...compile.c.runtime_texts import RUNTIME, packaged
+from ...compile.c.runtime_texts import RUNTIME, packaged, stiff_units
 from ...compile.plan import Node, Plan, Reference
+from ...compile.tableaus import STIFF
 from ...compile.toolchain.compiler import TranslationUnit, build, load
 from ...text.errors import CompilerError
 from ..run.measures import Measures
 from ..run.step_parts import longest_step
+from .stiff import CarriedOrder
 
 __all__ = ["Model", "model_of"]
 
@@ -50,10 +52,10 @@ def model_of(plan: Plan, log: tuple[str, ...], method: str, *, lanes: Machine | 
         model = _MODELS.pop(key, None)
     # Without the lock: compiling takes time, and a fork may come meanwhile.
     if model is None and lanes is None:
-        model = Model(plan, emitted(plan, digest, measured=measured, method=method, logged=logged), logged)
+        model = Model(plan, emitted(plan, digest, measured=measured, method=method, logged=logged), logged, method)
     elif model is None:
         made = emit(plan, measured=measured, method=method, logged=logged, lanes=True)
-        model = Model(plan, made, logged, lanes)
+        model = Model(plan, made, logged, method, lanes)
     with _LOCK:
         _MODELS[key] = model  # the last one used goes last
         while len(_MODELS) > MOST_MODELS:
@@ -65,14 +67,18 @@ class Model(RuntimeTables):
     """The compiled model of a Plan. lanes: the machine whose lanes run several at once; None: there are none.
     why_no_lanes: they were asked for, and would bring nothing."""
 
-    def __init__(self, plan: Plan, made: Emitted, logged: list[Reference], lanes: Machine | None = None) -> None:
+    def __init__(
+        self, plan: Plan, made: Emitted, logged: list[Reference], method: str, lanes: Machine | None = None
+    ) -> None:
         super().__init__(plan, made, logged)
         headers = packaged(*RUNTIME)
         other, *more = ("fmu_bridge.c", "fmu_bridge.h", "fmu_types.h") if plan.foreign else ("batch.c", "batch.h")
         beside = headers | packaged(*more)
+        stiff = ("jacobian.c", *stiff_units(method)) if method in STIFF else ()
         units = [
             TranslationUnit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True),
             TranslationUnit(other, packaged(other)[other], beside, is_shared=True),
+            *(TranslationUnit(name, text, headers, is_shared=True) for name, text in packaged(*stiff).items()),
             TranslationUnit("model.c", self.emitted.source, beside if plan.foreign else headers),
         ]
         self.why_no_lanes = why_no_gain(made.sizes) if lanes is not None else ""
@@ -85,6 +91,7 @@ class Model(RuntimeTables):
         located = [float(isinstance(begin, Reference)) for begin in plan.s_start]
         self.begin = tuple(np.array(row, dtype=float) for row in (guesses, sides, located))
         """At the start: where searches begin, the sides of crossings, and which of these are known."""
+        self._carried: CarriedOrder | None = None
         self._of_measures: tuple[Any, Any, Measures] | None = None
         self._of_settings: tuple[Any, Any, int] | None = None  # of the last run
         self.spare: list[Any] = []  # memory for rows that no run has now
@@ -104,6 +111,12 @@ class Model(RuntimeTables):
         setup.nintegers = int(self.has_integers)
         setup.has_windows, setup.has_paths = int(self.has_windows), int(self.has_paths)
         return setup
+
+    def carried_order(self, plan: Plan) -> CarriedOrder:
+        """How what a stiff method keeps is ordered, by a Plan that differs in values alone."""
+        if self._carried is None:
+            self._carried = CarriedOrder(plan, self.place)
+        return self._carried
 
     def measures_of(self, plan: Plan) -> Measures:
         """The measures of a run that has not begun: they are replaced, never changed, so that runs may share them."""

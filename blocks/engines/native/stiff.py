@@ -1,64 +1,53 @@
-"""Stiff runs with native rates: SciPy steps, and compiled code computes the rates that it asks for most often."""
+"""What the stiff method keeps from step to step, in the order of the model and in that of the Plan."""
 
 from __future__ import annotations
 
-import ctypes
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ...compile.inputs import InputTable
+from ...compile.c.jacobian_code import in_order
+from ...compile.jacobian import PlanJacobian
 from ...compile.plan import Plan
-from ..reference.engine import ReferenceEngine
-from ..run.model_exchange import Foreigns
-from ..run.snapshot import Snapshot
-from .model import Model, model_of
-from .rows import Handle, array
+from ..run.snapshot import frozen
 
-__all__ = ["stiff_engine"]
+__all__ = ["CarriedOrder"]
 
 Array = np.ndarray[Any, Any]
+_NUMBERS = 5
 
 
-def stiff_engine(plan: Plan, inputs: InputTable, *, foreign: Foreigns | None = None) -> ReferenceEngine:
-    """The reference engine with native rates. Raises CompilerError (E60x)."""
-    model = model_of(plan, plan.log, plan.settings.method)
-    engine = ReferenceEngine(plan, inputs, foreign=foreign, name="native")
-    if not plan.foreign:  # Python's side of the FMUs knows what they were asked last
-        engine.compiled_rates = _Rates(engine, model)
-    return engine
+class CarriedOrder:
+    """The row `carried` of C: five numbers, the polynomial (3, n), the values of the Jacobian, pivots; and that of a
+    Snapshot. place: of each state of the Plan in the model."""
 
+    def __init__(self, plan: Plan, place: Array) -> None:
+        self.plan, self.place = plan, place
 
-class _Rates:
-    """dx/dt at (t, x) by compiled code, where a run of the reference engine stands."""
+    @cached_property
+    def values(self) -> Array:
+        """Where the values of the model's pattern stand in that of the Plan."""
+        return in_order(PlanJacobian(self.plan), self.place.tolist())[2]
 
-    def __init__(self, engine: ReferenceEngine, model: Model) -> None:
-        self.engine, self.model, plan = engine, model, engine.plan
-        setup = model.setup
-        self._handle = Handle(model, setup, (model, setup))
-        memory = self._handle.sim.memory
-        memory.n, memory.c = model.numbers.ctypes.data, model.tables.ctypes.data
-        sizes = {
-            "d": len(plan.discretes), "s": len(plan.crossings), "p": len(plan.parameters), "z": len(plan.unknowns),
-            "u": len(engine.segment.base), "h": len(plan.histories), "k": len(plan.rates),
-        }  # fmt: skip
-        self._rows = {name: array(getattr(memory, name), size) for name, size in sizes.items()}
-        self._ticks = array(self._handle.sim.ticks, len(plan.rates), ctypes.c_int64)
-        self._is_fresh: tuple[Snapshot | None, Any] = (None, None)
+    def _parts(self, row: Array) -> list[Array]:
+        n = len(self.place)
+        return np.split(row, [_NUMBERS, _NUMBERS + 3 * n, _NUMBERS + 3 * n + len(self.values)])
 
-    def __call__(self, t: float, x: Array) -> Array:
-        engine, model, rows = self.engine, self.model, self._rows
-        now = engine.now
-        if self._is_fresh[0] is not now or self._is_fresh[1] is not engine.plan:
-            rows["d"][:], rows["s"][:], rows["p"][:], rows["z"][:] = now.d, now.s, engine.plan.parameters, now.z
-            self._ticks[:] = now.ticks
-            self._handle.sim.moving = 0
-            model.library.blocks_rows(self._handle.address)
-            self._is_fresh = (now, engine.plan)
-        if rows["u"].size:
-            rows["u"][:] = engine.segment.at(t)
-        if now.past is not None:
-            rows["h"][:] = now.past.values(t)
-        given, rates = np.ascontiguousarray(x[model.order]), np.empty(len(x))
-        model.library.blocks_rates(self._handle.address, t, given.ctypes.data, rates.ctypes.data)
-        return rates[model.place]
+    def taken(self, row: Array) -> Array:
+        """That of a Snapshot, from C."""
+        numbers, polynomial, values, pivots = self._parts(row)
+        slopes = np.empty(len(values))
+        slopes[self.values] = values
+        ordered = polynomial.reshape(3, -1)[:, self.place]
+        return frozen(np.concatenate([numbers, ordered.ravel(), slopes, pivots]))
+
+    def put(self, row: Array, out: Array) -> None:
+        """That of a Snapshot into C. What another engine kept has no pivots: columns then prefer their diagonals."""
+        numbers, polynomial, values, pivots = self._parts(row)
+        order = np.argsort(self.place)
+        made = [numbers, polynomial.reshape(3, -1)[:, order].ravel(), values[self.values], pivots]
+        whole = np.concatenate(made)
+        if len(whole) < len(out):
+            whole = np.concatenate([whole, np.arange(len(out) - len(whole))])
+        out[:] = whole[: len(out)]

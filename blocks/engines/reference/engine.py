@@ -19,7 +19,7 @@ import numpy as np
 
 from ...compile.inputs import InputTable
 from ...compile.plan import Plan, Reference
-from ...compile.tableaus import METHODS, Tableau
+from ...compile.tableaus import METHODS, Tableau, end_apart
 from ...compile.time_grid import Grid, within_ulps
 from ...fmi.patience import patient
 from ...results.results import Event, Statistics
@@ -29,7 +29,7 @@ from ..run.history import POWERS, Past
 from ..run.measures import Measures
 from ..run.model_exchange import Foreigns
 from ..run.saved_state import State, fit, standing
-from ..run.snapshot import MethodMemory, Snapshot, frozen
+from ..run.snapshot import MethodMemory, Snapshot, frozen, told_method
 from ..run.step_parts import longest_step
 from ..run.step_polynomial import Interpolant
 from . import event_location, stiff
@@ -37,7 +37,7 @@ from .chattering import CrossingWatch, ProgressWatch
 from .event_update import Instants
 from .failures import Failures
 from .inside_step import InsideStep, in_time
-from .methods import error_norm, first_step, trial, worst
+from .methods import Trial, error_norm, first_step, trial, worst
 from .python_code import CompiledPrograms, Evaluator
 from .rows import Row, RunRows
 
@@ -50,6 +50,8 @@ Rates = Callable[[float, Array], Array]
 # PI control of the step (Hairer, Norsett and Wanner, IV.2): the exponents of dopri5 with beta = 0.04.
 _BETA = 0.04
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 10.0
+# A run is stiff where so many steps say so, without so many in a row between (docs/semantics.md, "Methods").
+_HITS, _CALM = 15, 6
 
 _ENDS = np.array([1 / 1024, 1 / 256, 1 / 64, 1 / 16])
 _ON_THE_WAY = np.array([*_ENDS, 0.25, 0.5, 0.75, *(1.0 - _ENDS[::-1]), 1.0])
@@ -116,10 +118,9 @@ class ReferenceEngine:
         self.changed = True  # whether an input or a parameter was set since the last instant
         self.left: Row | None = None  # the row before an input or a parameter was set
         self.sides = _UNKNOWN  # a time, and the values of all crossings at it
-        self.sloped: tuple[Snapshot | None, Any] = (None, None)  # where the Jacobian is known, and what it is
+        self.sloped: tuple[Snapshot | None, Array] = (None, np.empty(0))  # where the Jacobian is known, and what it is
         self.located = _UNKNOWN  # a located crossing: its time, and how far beyond it each changed crossing then was
-        # The integration of the stiff method under way: where it stands, and up to when it goes.
-        self.stiff: tuple[stiff.Radau, Snapshot, float] | None = None
+        self.stiff: stiff.Radau | None = None  # the stiff method, and the factors that it has
         self.crossed, self.pace, self.measures = CrossingWatch(plan, self.instants), ProgressWatch(plan), Measures(plan)
         self.inside = InsideStep(plan, self.compiled, list(self.measures.references), self.logged, self._memory)
         self.rows = RunRows(plan, len(self.logged), self.inside, self._logged_at, self.scale, is_silent=self.is_silent)
@@ -182,7 +183,7 @@ class ReferenceEngine:
                     self.instant()
                 elif self.now.t >= float(end):
                     return
-                elif self.settings.method != "radau":
+                else:
                     self.step(*self.next_instant(end))
 
     @property
@@ -235,8 +236,6 @@ class ReferenceEngine:
         pass  # a moment is one step
 
     def hearing(self) -> AbstractContextManager[Callable[[], None]]:
-        # An integration that was broken off begins anew, as it does where a saved run goes on: both give the same.
-        self.stiff = None
         # An interrupt comes after a step or an instant, where FMUs stand where the run does; a second one at once.
         return patient() if self.plan.foreign else heard_by_python()
 
@@ -318,14 +317,14 @@ class ReferenceEngine:
         memory = self.instants.memory(after, segment.at(now.t))
         if fresh or now.past is not past:
             # The rates at the start of the next step are other ones now; the proposed step may still serve.
-            after = replace(after, memory=replace(after.memory, first=None))
+            after = replace(after, memory=replace(after.memory, first=None, carried=None))
             sides = _UNKNOWN
             if measures.count:
                 measures = measures.after_instant(now.t, self._finite(self._measured, memory))
         self._record(left, memory)
         # An interrupt comes before all of this or after it.
         self.segment, self.broken, self.now, self.measures, self.sides = segment, broken, after, measures, sides
-        self.outstanding, self.changed, self.left, self.crossing, self.stiff = False, False, None, False, None
+        self.outstanding, self.changed, self.left, self.crossing = False, False, None, False
         self.instants.later = 0.0
         self.instant_count += 1
         self.events += crossed + fired
@@ -367,7 +366,12 @@ class ReferenceEngine:
 
         An instant is outstanding at the end where there is one.
         """
-        if self.settings.method == "radau" and self.plan.states:
+        hits, calm, since = self.now.memory.stiffness
+        if hits == _HITS and math.isnan(since):
+            since = self.now.t
+            self.now = replace(self.now, memory=replace(self.now.memory, stiffness=(hits, calm, since)))
+        is_stiff = not math.isnan(since)
+        if self.settings.method == "radau" or is_stiff:
             self._stiff_step(target, exact)
         elif self.fixed is not None:
             self._fixed_step(self.fixed, target, exact)
@@ -455,46 +459,67 @@ class ReferenceEngine:
         if step < h:  # cut short by the target: the proposal before it still counts
             proposed = max(proposed, h)
         memory = MethodMemory(proposed, max(error, 1e-4), attempt.last)
+        if self.settings.method == "auto":
+            memory = replace(memory, stiffness=self._stiffness(attempt))
         self.pace.step(self.steps + 1, now.t, t1, now.x, first, self._rates, self._weights(), self.rows.end)
         flow = self._flow(tableau, first)
         self._accept(attempt.interpolant(), t1, attempt.x1, memory, flow, target, exact, now.fixed)
 
-    def _slopes(self, t: float, x: Array) -> Any:
+    def _stiffness(self, step: Trial) -> tuple[float, float, float]:
+        """How many steps say that the run is stiff, and since when it is, after another one.
+
+        Stability limits a step where h |df/dx|, as its last two stages have it, which both stand at its end, is near
+        the edge. Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2.
+        """
+        hits, calm, _ = self.now.memory.stiffness
+        weights = 1.0 / (self.atol + self.settings.rtol * np.abs(step.x1))
+        rates = weights * (step.k[-1] - step.k[-2])
+        states = weights * (end_apart(step.tableau) @ step.k[:-1])
+        if float(rates @ rates) > 3.25**2 * float(states @ states):
+            hits, calm = hits + 1, 0.0
+        else:
+            hits, calm = (0.0, calm + 1) if calm + 1 == _CALM else (hits, calm + 1)
+        return hits, calm, math.nan
+
+    def _slopes(self, t: float, x: Array) -> Array:
         """The Jacobian of the rates; that at a step's begin is kept, as the search for a crossing asks for it often."""
         now = self.now
         is_now = t == now.t and np.array_equal(x, now.x)
         if is_now and self.sloped[0] is now:
             return self.sloped[1]
-        jacobian = stiff.Slopes.of(self.compiled).at(self._memory(t, x), lambda x: self._rates(t, x))
+        slopes: Array = stiff.Slopes.of(self.compiled).at(self._memory(t, x), lambda x: self._rates(t, x))
         if is_now:
-            self.sloped = (now, jacobian)
-        return jacobian
+            self.sloped = (now, slopes)
+        return slopes
 
     def _stiff_step(self, target: float, exact: Fraction | None) -> None:
-        """A step by radau, which goes on with its integration where nothing has come in between."""
-        now, slopes = self.now, self._slopes
-        tolerances: dict[str, Any] = {"rtol": self.settings.rtol, "atol": self.atol, "longest": self.longest}
-        under_way, self.stiff = self.stiff, None  # so that an interrupt leaves none in the middle of a step
+        """A step by radau. What it keeps from step to step counts while the rates at t do."""
+        now, rtol, n = self.now, self.settings.rtol, len(self.now.x)
+        slopes = stiff.Slopes.of(self.compiled)
+        values = len(slopes.jacobian.indices)
+        if self.stiff is None:
+            self.stiff = stiff.Radau(self._rates, self._slopes, slopes.matrix, n)
+        method = self.stiff
+        first, carried = self._first(), stiff.Carried.nothing(n)
+        if now.memory.first is not None and now.memory.carried is not None:
+            carried = stiff.Carried.of_row(now.memory.carried, n, values)
         try:
-            if under_way is None or under_way[1] is not now or under_way[2] != target:
-                self._first()
-                run = stiff.Radau(self._rates, slopes, now.t, now.x, target, h=now.memory.h, **tolerances)
-            else:
-                run = under_way[0]
-            dense, t1, x1 = run.step()
-
-            def flow(h: float) -> Array:
-                return stiff.flow(self._rates, slopes, now.t, now.x, now.t + h, h=now.memory.h, **tolerances)
-
-            self._accept(dense, t1, x1, MethodMemory(h=run.proposed), flow, target, exact, now.fixed)
+            made = method.step(now.t, now.x, first, carried, now.memory.h, target, self.longest, self.atol, rtol)
         except SimulationError:
             raise
         except ArithmeticError as error:
-            rates = self._rates(now.t, now.x)
-            raise self.failures.stiff_failed(self.now.t, self.now.x, rates, self._weights(), str(error)) from None
-        # Where states are replaced after the step, this integration cannot go on.
-        if self.now.t == t1 and self.now.d == now.d and np.array_equal(self.now.x, x1):
-            self.stiff = run, self.now, target
+            raise self.failures.stiff_failed(now.t, now.x, first, self._weights(), str(error)) from None
+        finally:
+            self.rejected += method.rejected
+            self.blamed += method.blamed
+            method.rejected, method.blamed[:] = 0, 0
+        stiffness = now.memory.stiffness
+        memory = MethodMemory(made.proposed, made.error, frozen(made.last), made.carried.row(values), stiffness)
+
+        def flow(h: float) -> Array:
+            return method.flow(now.t, now.x, h, self.atol, rtol)
+
+        self._accept(made.dense, made.t1, made.x1, memory, flow, target, exact, now.fixed)
 
     def _accept(
         self,
@@ -512,12 +537,12 @@ class ReferenceEngine:
         if self.plan.projections and self.fixed is None:
             shorter = self._followed(dense, t1)
             if shorter < t1:
-                t1, x1, memory = shorter, flow(shorter - now.t), replace(memory, first=None)
+                t1, x1, memory = shorter, flow(shorter - now.t), replace(memory, first=None, carried=None)
         if self.plan.crossings:
             t1, x1, changed = self._up_to_crossing(dense, t1, x1, flow, target)
             if t1 < end:
                 # The old proposal is kept: what cut the step short was the crossing, not the error.
-                memory = replace(memory, first=None)
+                memory = replace(memory, first=None, carried=None)
         self.rows.in_step(self.steps, now, dense, t1, outstanding=changed or t1 == target)
         past = self._past_after(dense, t1, x1)
         after = replace(
@@ -607,7 +632,7 @@ class ReferenceEngine:
         values = np.array(self.instants.crossing_values(after, u))
         self.sides = (after.t, values)
         changed = bool(np.any((values >= 0) != (np.array(after.s) > 0)))
-        return replace(after, memory=replace(after.memory, first=None)), changed
+        return replace(after, memory=replace(after.memory, first=None, carried=None)), changed
 
     # --- crossings ---------------------------------------------------------------------------------------------
 
@@ -749,9 +774,9 @@ class ReferenceEngine:
 
     def recorded(self) -> Recorded:
         t, values = self.rows.recording.arrays()
-        statistics = Statistics(
-            self.settings.method, self.name, self.steps, self.rejected, self.evaluations, self.instant_count
-        )
+        method = told_method(self.settings.method, self.now.memory.stiffness[2])
+        counts = (self.steps, self.rejected, self.evaluations, self.instant_count)
+        statistics = Statistics(method, self.name, *counts)
         measures, uncovered = self.measures.results(self.now.t if self.has_begun else -math.inf)
         warnings = (*self.instants.foreign.warnings, *uncovered, *self.inside.unseen())
         return Recorded(t, values, tuple(self.events), measures, statistics, warnings)
@@ -767,7 +792,6 @@ class ReferenceEngine:
     def hold(self, inputs: Any) -> None:
         """Inputs from now on, in the place of a table and of its segment."""
         self.inputs = self.segment = inputs
-        self.stiff = None
 
     def keep(self) -> Any:
         """All that changes, to go back to."""

@@ -145,7 +145,7 @@ def standing(state: State, plan: Plan, inputs: InputTable) -> tuple[Snapshot, bo
     )
     changed = not same or plan.parameters != state.parameters
     if changed:  # as if they were set now
-        now = replace(now, memory=replace(now.memory, first=None))
+        now = replace(now, memory=replace(now.memory, first=None, carried=None))
     return now, changed
 
 
@@ -180,6 +180,8 @@ def packed(state: State) -> bytes:
         "memory": {
             "h": array([s.memory.h, s.memory.error]),
             "first": None if s.memory.first is None else array(s.memory.first),
+            **({} if s.memory.carried is None else {"carried": array(s.memory.carried)}),
+            **({"stiffness": array(s.memory.stiffness)} if state.method[0] == "auto" else {}),
         },
         "fixed": str(s.fixed),
         "z": array(s.z),
@@ -333,6 +335,8 @@ def _check_values(state: State, plan: Plan) -> None:
     first, located = s.memory.first, state.located[1]
     if first is not None and (first.shape != s.x.shape or not np.isfinite(first).all()):
         raise ValueError("its rates have another size than its states")
+    if s.memory.carried is not None and not (s.memory.carried.ndim == 1 and np.isfinite(s.memory.carried).all()):
+        raise ValueError("what its method keeps from step to step cannot be")
     crossings = len(plan.crossings)
     if len(s.own) != len(plan.events) or located.shape not in ((0,), (crossings,)):
         raise ValueError("its arrays have other sizes than its names")
@@ -403,7 +407,13 @@ def _snapshot(tree: Mapping[str, Any], arrays: _Arrays, past: Past | None, plan:
     array, numbers = arrays.array, arrays.numbers
     h, error = numbers(tree["memory"]["h"])
     first = tree["memory"]["first"]
-    memory = MethodMemory(h, error, None if first is None else frozen(array(first).copy()))
+    first, carried = (
+        None if row is None else frozen(array(row).copy()) for row in (first, tree["memory"].get("carried"))
+    )
+    memory = MethodMemory(h, error, first, carried)
+    if "stiffness" in tree["memory"]:
+        hits, calm, since = numbers(tree["memory"]["stiffness"])
+        memory = replace(memory, stiffness=(hits, calm, since))
     snapshot = Snapshot(
         numbers(tree["t"])[0],
         None if tree["exact"] is None else _fraction(tree["exact"]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 
 from .history import Past
 
-__all__ = ["MethodMemory", "Snapshot", "frozen"]
+__all__ = ["MethodMemory", "Snapshot", "frozen", "told_method"]
 
 Array = np.ndarray[Any, Any]
 
@@ -21,13 +22,27 @@ def frozen(array: Array) -> Array:
     return array
 
 
+def told_method(method: str, stiff_from: float) -> str:
+    """A method in words: of auto, what it has decided so far."""
+    if method != "auto":
+        return method
+    return "auto: dopri5" if math.isnan(stiff_from) else f"auto: radau from {stiff_from:.6g} s on"
+
+
 @dataclass(frozen=True, slots=True)
 class MethodMemory:
-    """What a method keeps from step to step: the proposed step (0: none yet), the last error, the rates at t."""
+    """What a method keeps from step to step: the proposed step (0: none yet), the last error, the rates at t.
+
+    carried: of a stiff method, all else (`Carried.row` of reference/stiff.py, in the native engine followed by its
+    pivots); it counts while there are rates at t. stiffness: of auto, how many steps say that the run is stiff, how
+    many since then that it is not, and since when it is (NaN: it is not).
+    """
 
     h: float = 0.0
     error: float = 1e-4
     first: Array | None = None
+    carried: Array | None = None
+    stiffness: tuple[float, float, float] = (0.0, 0.0, math.nan)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ struct Fmu {
     /* (4, nu) of the curves, (4, nu) what was set for their times, the last of which is `until`; (nu) how far a value that
        counts as the same may be from a curve */
     int has_reals, is_other;  /* whether there are real inputs; whether an input was set to what is not the same */
-    double *partials, *entries, *arguments, *probed, *data, *work;                   /* of derivatives */
+    double *room, *data; /* of derivatives */
     double *moved, *above, *below;
     double always;
     FmuLog log;
@@ -66,7 +66,7 @@ static double *piece(double **place, size_t n)
 Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *owner)
 {
     const FmuModel *model = &fmu_model;
-    const FmuJacobian *jacobian = &model->jacobian;
+    const BlocksJacobian *jacobian = &model->jacobian;
     const char *why = NULL;
     Fmu *f = NULL;
     if (!name || !name[0]) why = "an instance needs a name";
@@ -79,16 +79,14 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
     f = calloc(1, sizeof *f);
     if (f) {
         size_t nx = (size_t)model->nstates, nu = (size_t)model->setup->model->nu, ns = (size_t)model->setup->model->ns;
-        size_t most = (size_t)jacobian->nmost;
         size_t nrates = nx + ns, nboth = nrates + (size_t)model->noutputs; /* rates may come with crossings behind them */
         size_t sizes[] = {nx, nu, 5 * nu, 4 * nu, 4 * nu, nu,
                           (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nrates, ns,
-                          (size_t)jacobian->npartials, (size_t)jacobian->nentries, (size_t)jacobian->narguments,
-                          (size_t)jacobian->nprobed, (size_t)jacobian->first[jacobian->ncolumns], most * most * 2 + most,
+                          blocks_jacobian_room(jacobian), (size_t)jacobian->first[jacobian->ncolumns],
                           nx + (size_t)model->setup->model->nd + ns, nboth, nboth};
         double **places[] = {&f->atol, &f->input, &f->terms, &f->bends, &f->samples, &f->slack,
                              &f->settings, &f->outputs, &f->locals, &f->rates, &f->indicators,
-                             &f->partials, &f->entries, &f->arguments, &f->probed, &f->data, &f->work,
+                             &f->room, &f->data,
                              &f->moved, &f->above, &f->below};
         size_t total = 0, count = sizeof sizes / sizeof *sizes;
         for (size_t i = 0; i < count; i++) total += sizes[i] + 1;
@@ -264,6 +262,11 @@ static int failed(Fmu *f)
                            value, t);
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s the step became too small: %s %s", t, state,
                        is_bad ? "is not finite after it" : "moves too fast for the tolerance");
+    case BLOCKS_NOT_CONVERGED:
+        culprit = bad_state(f);
+        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "at t = %.17g s the step of the stiff method became too small%s%s", t,
+                       culprit < 0 ? "" : ": not finite is ",
+                       culprit < 0 ? "" : name_in(names->state_names, names->nstates, culprit));
     case BLOCKS_NOT_A_NUMBER:
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the crossing %s is not a number after t = %.17g s",
                        name_in(names->cause_names, ncauses, culprit), t);
@@ -1140,6 +1143,7 @@ static void walk_all(Fmu *f, Walk *w)
     WALK_ROW(s->own, m->nevents), WALK_ROW(s->located, m->ns), WALK_ROW(s->sides, m->ns);
     WALK_ROW(s->fired, f->setup.ncauses), WALK_ROW(s->crossed, m->ns ? CROWD : 0);
     if (m->stages) WALK_ROW(s->k[0], m->nx + m->ns);
+    WALK_ROW(s->carried, s->ncarried);
     WALK_ROW(s->before, m->nx + m->ns), WALK_ROW(s->base, m->nu), WALK_ROW(s->aim, m->nu);
     WALK_ROW(s->begin, m->nu), WALK_ROW(s->finish, m->nu);
     WALK_ROW(f->input, m->nu), WALK_ROW(f->terms, 5 * m->nu), WALK_ROW(f->settings, fmu_model.nsettings);
@@ -1209,6 +1213,7 @@ int fmu_restore(Fmu *f, const FmuSaved *saved)
     fmu_forget(undo);
     configure(f);
     s->slice = INFINITY;
+    s->is_factored = 0;
     s->polynomials = f->live.has_slopes ? &f->polynomials : NULL;
     f->polynomials.t0 = f->live.slopes_at;
     f->live.known = 0;
@@ -1266,73 +1271,6 @@ int fmu_deserialize(Fmu *f, const unsigned char *bytes, size_t size, FmuSaved **
 
 /* --- derivatives ------------------------------------------------------------------------------------------------------ */
 
-/* Solves matrix x = right for all columns of `right`, in place; 1 where the matrix is singular. */
-static int solved(int n, int columns, double *matrix, double *right)
-{
-    for (int k = 0; k < n; k++) {
-        int pivot = k;
-        for (int i = k + 1; i < n; i++)
-            if (fabs(matrix[i * n + k]) > fabs(matrix[pivot * n + k])) pivot = i;
-        if (!(fabs(matrix[pivot * n + k]) > 0.0)) return 1;
-        for (int j = 0; j < n; j++) {
-            double a = matrix[k * n + j];
-            matrix[k * n + j] = matrix[pivot * n + j], matrix[pivot * n + j] = a;
-        }
-        for (int j = 0; j < columns; j++) {
-            double a = right[k * columns + j];
-            right[k * columns + j] = right[pivot * columns + j], right[pivot * columns + j] = a;
-        }
-        for (int i = k + 1; i < n; i++) {
-            double share = matrix[i * n + k] / matrix[k * n + k];
-            if (share == 0.0) continue;
-            for (int j = k; j < n; j++) matrix[i * n + j] -= share * matrix[k * n + j];
-            for (int j = 0; j < columns; j++) right[i * columns + j] -= share * right[k * columns + j];
-        }
-    }
-    for (int k = n - 1; k >= 0; k--)
-        for (int j = 0; j < columns; j++) {
-            double sum = right[k * columns + j];
-            for (int i = k + 1; i < n; i++) sum -= matrix[k * n + i] * right[i * columns + j];
-            right[k * columns + j] = sum / matrix[k * n + k];
-        }
-    return 0;
-}
-
-static void accumulate(Fmu *f, const FmuSum *sum)
-{
-    const double *partials = f->partials;
-    double *entries = f->entries;
-    if (!sum->is_loop) {
-        for (int i = 0; i < sum->hi - sum->lo; i++) {
-            int first = sum->starts ? sum->starts[i] : i;
-            int last = !sum->starts ? i + 1 : i + 1 < sum->hi - sum->lo ? sum->starts[i + 1] : sum->nterms;
-            double total = 0.0;
-            for (int k = first; k < last; k++)
-                total += partials[sum->partials[k]] * (sum->sources ? entries[sum->sources[k]] : 1.0);
-            entries[sum->lo + i] = total;
-        }
-        return;
-    }
-    int n = sum->n, columns = n ? (sum->hi - sum->lo) / n : 0;
-    double *matrix = f->work, *right = entries + sum->lo;
-    memset(matrix, 0, (size_t)(n * n) * sizeof(double));
-    for (int k = 0; k < sum->hi - sum->lo; k++) right[k] = 0.0;
-    for (int k = 0; k < sum->ninner; k++) matrix[sum->inner_places[k]] += partials[sum->inner_partials[k]];
-    for (int i = 0; i < n; i++) matrix[i * n + i] -= sum->own[i];
-    for (int k = 0; k < sum->nterms; k++)
-        right[sum->places[k]] -= partials[sum->partials[k]] * (sum->sources ? entries[sum->sources[k]] : 1.0);
-    int wrong = 0;
-    for (int i = 0; i < n; i++) {
-        double scale = 0.0;
-        for (int j = 0; j < n; j++) scale = fmax(scale, fabs(matrix[i * n + j]));
-        if (!(scale > 0.0) || !isfinite(scale)) wrong = 1;
-        for (int j = 0; j < n; j++) matrix[i * n + j] /= scale;
-        for (int j = 0; j < columns; j++) right[i * columns + j] /= scale;
-    }
-    if (wrong || solved(n, columns, matrix, right))
-        for (int k = 0; k < sum->hi - sum->lo; k++) right[k] = NAN;
-}
-
 /* Rates and outputs at the states and inputs of the memory. */
 static void both(Fmu *f, double *out)
 {
@@ -1347,7 +1285,7 @@ static void both(Fmu *f, double *out)
 /* Difference quotients in the place of derivatives that are not finite, over twice the step. */
 static int completed(Fmu *f, int column)
 {
-    const FmuJacobian *j = &fmu_model.jacobian;
+    const BlocksJacobian *j = &fmu_model.jacobian;
     BlocksSim *s = f->sim;
     int nx = f->setup.model->nx, missing = 0;
     for (int k = j->first[column]; k < j->first[column + 1]; k++) missing |= !isfinite(f->data[k]);
@@ -1376,33 +1314,11 @@ static int completed(Fmu *f, int column)
 
 static int jacobian(Fmu *f)
 {
-    const FmuJacobian *j = &fmu_model.jacobian;
+    const BlocksJacobian *j = &fmu_model.jacobian;
     BlocksSim *s = f->sim;
-    const BlocksModel *m = f->setup.model;
     if (f->live.known & JACOBIAN_KNOWN) return FMU_OK;
     if (s->moving) blocks_outside(s, s->t);
-    fmu_model.probed(&s->memory, s->t, s->memory.x, f->probed);
-    double *a = f->arguments;
-    for (int i = 0; i < m->nx; i++) *a++ = s->memory.x[fmu_model.places[i]];
-    const struct { const double *row; int n; } rows[] = {
-        {s->memory.d, m->nd}, {s->memory.s, m->ns}, {s->memory.p, m->np}, {s->memory.u, m->nu}, {s->memory.k, m->nrates},
-        {s->memory.h, m->nh}, {f->probed, j->nprobed}, {&s->t, 1}, {j->numbers, j->nnumbers}};
-    for (size_t r = 0; r < sizeof rows / sizeof *rows; r++)
-        for (int i = 0; i < rows[r].n; i++) *a++ = rows[r].row[i];
-    j->partials(f->arguments, fmu_model.tables, f->partials);
-    for (int i = 0; i < j->npartials; i++) {
-        if (j->is_unused[i]) f->partials[i] = 0.0;
-        else if (!isfinite(f->partials[i])) f->partials[i] = NAN;
-    }
-    for (int k = 0; k < j->noff_partials; k++)
-        if (s->memory.s[j->off_partials[k].side] == 0.0)
-            for (int i = 0; i < j->off_partials[k].n; i++) f->partials[j->off_partials[k].entries[i]] = 0.0;
-    f->entries[0] = 1.0;
-    for (int k = 0; k < j->nsums; k++) accumulate(f, &j->sums[k]);
-    for (int k = 0; k < j->first[j->ncolumns]; k++) f->data[k] = f->entries[j->entries[k]];
-    for (int k = 0; k < j->noff; k++)
-        if (s->memory.s[j->off[k].side] == 0.0)
-            for (int i = 0; i < j->off[k].n; i++) f->data[j->off[k].entries[i]] = 0.0;
+    blocks_jacobian(j, s, s->t, s->memory.x, f->room, f->data);
     int quotients = 0;
     for (int column = 0; column < j->ncolumns; column++) quotients += completed(f, column);
     if (quotients) {
@@ -1417,7 +1333,7 @@ static int jacobian(Fmu *f)
 int fmu_directional(Fmu *f, const uint32_t *unknowns, size_t nunknowns, const uint32_t *knowns, size_t nknowns,
                     const double *seed, double *sensitivity, int adjoint)
 {
-    const FmuJacobian *j = &fmu_model.jacobian;
+    const BlocksJacobian *j = &fmu_model.jacobian;
     int status = ready(f);
     if (status) return status;
     for (size_t k = 0; k < nunknowns; k++)

@@ -2,7 +2,8 @@
 import { counted, dialog, element } from "./elements.js";
 
 /**
- * Open it. find: the entries for a text, each with name, what is told of it, picture, why it cannot be chosen, and go.
+ * Open it; `refresh` asks anew for what is found. find: the entries for a text, each with name, what is told of it, picture, the group that it is listed under,
+ * why it cannot be chosen, and go.
  * @param {{label: string, placeholder: string, text?: string, find: (text: string) => any[]}} asked
  */
 export function choose(app, { label, placeholder, text = "", find }) {
@@ -13,9 +14,10 @@ export function choose(app, { label, placeholder, text = "", find }) {
     role: "combobox", "aria-expanded": "true", "aria-controls": "found", "aria-autocomplete": "list", "aria-label": label,
     placeholder, autocomplete: "off", spellcheck: "false",
   });
+  let items = [];
   const mark = () => {
-    [...options.children].forEach((one, index) => (one.ariaSelected = String(index === at)));
-    options.children[at]?.scrollIntoView({ block: "nearest" });
+    items.forEach((one, index) => (one.ariaSelected = String(index === at)));
+    items[at]?.scrollIntoView({ block: at ? "nearest" : "end" });
     word.setAttribute("aria-activedescendant", entries.length ? `found${at}` : "");
   };
   const take = (index) => {
@@ -26,11 +28,15 @@ export function choose(app, { label, placeholder, text = "", find }) {
     chosen?.go();
   };
   word.oninput = () => {
-    entries = find(word.value.trim());
+    entries = find(word.value.trim(), word.value);
     at = 0;
-    options.replaceChildren(...entries.map(({ name, told, picture, why }, index) =>
+    items = entries.map(({ name, told, picture, why }, index) =>
       element("li", { role: "option", id: `found${index}`, "aria-disabled": why ? "true" : null, onclick: () => take(index) },
-        picture ?? null, element("span", { class: "name" }, name), element("span", { class: "type" }, why || told))));
+        picture?.() ?? null, element("span", { class: "name" }, name), element("span", { class: "type" }, why || told)));
+    options.replaceChildren(...items.flatMap((item, index) => {
+      const { group } = entries[index];
+      return group && group !== entries[index - 1]?.group ? [element("li", { role: "presentation", class: "group" }, group), item] : [item];
+    }));
     mark();
     app.announce(`${counted(entries.length, "match").replace(/hs$/, "hes")}`);
   };
@@ -46,12 +52,13 @@ export function choose(app, { label, placeholder, text = "", find }) {
   shown.classList.add("search");
   word.value = text;
   word.oninput();
+  return { refresh: () => shown.isConnected && word.oninput() };
 }
 
-/** Ask for a text; null where none was given. @returns {Promise<string | null>} */
-export function prompted(label, value = "") {
+/** Ask for a text, of several lines where asked so; null where none was given. @returns {Promise<string | null>} */
+export function prompted(label, value = "", lines = 0) {
   return new Promise((resolve) => {
-    const field = element("input", { "aria-label": label, autocomplete: "off", spellcheck: "false", size: 40 });
+    const field = element(lines ? "textarea" : "input", { "aria-label": label, autocomplete: "off", spellcheck: "false", ...(lines ? { rows: lines, cols: 60 } : { size: 40 }) });
     field.value = value;
     let said = null;
     const shown = dialog(label, element("label", {}, `${label} `, field), " ", element("button", { onclick: () => done() }, "OK"));
@@ -59,8 +66,8 @@ export function prompted(label, value = "") {
       said = field.value.trim();
       shown.close();
     };
-    field.onkeydown = ({ key }) => void (key === "Enter" && done());
-    shown.addEventListener("close", () => resolve(said || null));
+    field.onkeydown = ({ key, ctrlKey, metaKey }) => void (key === "Enter" && (!lines || ctrlKey || metaKey) && done());
+    shown.addEventListener("close", () => resolve(lines ? said : said || null));
     field.select();
   });
 }

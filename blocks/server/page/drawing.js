@@ -5,6 +5,18 @@ const LEAST = 0.05;
 const MOST = 8;
 const STEP = 60; // pixels of an arrow key
 
+/** The lines of a drawing, each with all that is inside of its element. */
+function pieces(text) {
+  const found = [];
+  let [depth, piece] = [0, ""];
+  for (const line of text.split("\n")) {
+    piece += `${line}\n`;
+    depth += line.split("<g ").length - line.split("</g>").length;
+    if (depth === 0) found.push(piece.slice(0, -1)), (piece = "");
+  }
+  return found.filter((one) => one && one !== "</svg>");
+}
+
 export function start(app) {
   const view = element("div", { id: "view", tabindex: 0, role: "group", "aria-label": "Drawing: arrows move it, plus and minus zoom" });
   const stage = element("div", { id: "stage" });
@@ -73,6 +85,34 @@ export function start(app) {
   /** @type {Map<string, Element[]>} */ let nets = new Map();
   const prefix = () => (app.state.level ? `${app.state.level}.` : "");
   const full = (name) => prefix() + name;
+  /** What is shown: the text of each element of the drawing, in their order. @type {[string, Element][]} */
+  let drawn = [];
+  /** Show a text; elements whose texts stay are kept. The policy of the page lets no style sheet stand in a text. */
+  const put = (text, isOther) => {
+    const [head, style, ...texts] = pieces(text);
+    const old = stage.firstElementChild;
+    const kept = Map.groupBy(isOther ? [] : drawn, ([piece]) => piece);
+    const stay = texts.map((piece) => kept.get(piece)?.shift()?.[1]);
+    const made = new DOMParser().parseFromString(`${head}${texts.filter((_, k) => !stay[k]).join("")}</svg>`, "image/svg+xml").documentElement;
+    const fresh = [...made.children].values();
+    drawn = texts.map((piece, k) => [piece, stay[k] ?? fresh.next().value]);
+    if (style !== put.style) {
+      const sheet = new CSSStyleSheet();
+      sheet.replaceSync((put.style = style).replace(/<.?style>/g, ""));
+      document.adoptedStyleSheets = [sheet];
+    }
+    if (isOther || !old) return stage.replaceChildren(document.adoptNode(made));
+    for (const name of new Set([...old.getAttributeNames(), ...made.getAttributeNames()]))
+      made.hasAttribute(name) ? old.getAttribute(name) === made.getAttribute(name) || old.setAttribute(name, made.getAttribute(name)) : old.removeAttribute(name);
+    const all = new Set(drawn.map(([, one]) => one));
+    [...old.children].forEach((one) => all.has(one) || one.remove());
+    let next = old.firstElementChild;
+    for (const [, one] of drawn) {
+      if (one !== next) old.insertBefore(one, next);
+      else next = next.nextElementSibling;
+      for (const name of ["style", "transform"]) if (one.hasAttribute(name)) one.removeAttribute(name); // of a drag
+    }
+  };
   let asked = 0;
   /** Show a level; the view of a level is kept while the page is open. */
   const show = async (level, svg = "") => {
@@ -81,27 +121,23 @@ export function start(app) {
     const text = svg || (await app.ask("draw", { level }))?.svg;
     if (number !== asked) return false;
     if (!text) return false;
-    if (app.state.level !== level || !stage.firstElementChild) {
+    const isOther = app.state.level !== level || !stage.firstElementChild;
+    if (isOther) {
       if (stage.firstElementChild) known.set(app.state.level, { ...at });
       app.state.level = level;
       app.selectWire(null);
     }
-    // The policy of the page lets no style sheet stand in a text, so that none can bring one: this one is taken out.
-    const [styled, style] = text.match(/<style>(.*?)<\/style>/s);
-    const sheet = new CSSStyleSheet();
-    sheet.replaceSync(style);
-    document.adoptedStyleSheets = [sheet];
-    const drawn = new DOMParser().parseFromString(text.replace(styled, ""), "image/svg+xml").documentElement;
-    stage.replaceChildren(document.adoptNode(drawn));
-    boxes = new Map([...drawn.querySelectorAll("g[data-path]")].map((box) => [box.dataset.path, box]));
-    nets = Map.groupBy(drawn.querySelectorAll("[data-net]"), (part) => part.dataset.net);
-    const before = known.get(level);
-    if (before) Object.assign(at, before), before.fitted ? fit() : place();
-    else fit();
+    const before = isOther ? known.get(level) : at;
+    const [width, height] = size();
+    put(text, isOther);
+    boxes = new Map(drawn.filter(([, { dataset }]) => dataset.path !== undefined).map(([, box]) => [box.dataset.path, box]));
+    nets = Map.groupBy(stage.querySelectorAll("[data-net]"), (part) => part.dataset.net);
+    if (!before || (before.fitted && (isOther || width !== size()[0] || height !== size()[1]))) fit();
+    else if (isOther) Object.assign(at, before), place();
     trail(level);
     mark();
     app.emit("level", level);
-    app.emit("drawn", drawn);
+    app.emit("drawn", stage.firstElementChild);
     return true;
   };
   const trail = (level) => {
@@ -202,7 +238,7 @@ export function start(app) {
   };
   view.onpointerup = view.onpointercancel = lifted;
   view.onpointerleave = () => hover({});
-  view.ondblclick = (event) => (under(event.clientX, event.clientY).box ? enter() : app.insert ? app.insert("", event) : fit());
+  view.ondblclick = (event) => (under(event.clientX, event.clientY).box ? (enter() === false && app.values?.()) : app.insert ? app.insert("", event) : fit());
   view.addEventListener("wheel", (event) => {
     event.preventDefault();
     const lines = event.deltaMode ? 16 : 1;
@@ -254,7 +290,6 @@ export function start(app) {
   app.on("document", (told) => {
     const { svg, level } = app.state;
     app.state.svg = "";
-    if (stage.firstElementChild) known.set(level, { ...at });
     if (app.state.selected && !app.block(app.state.selected)) app.select(null);
     // A level that is gone is left for the nearest one that is there.
     let open = level;

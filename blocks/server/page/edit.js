@@ -9,7 +9,7 @@ const SHOWN = 60;
 export function start(app) {
   /** Names on the open level that gestures are about: blocks and terminals. @type {Set<string>} */
   const picked = new Set();
-  let palette = [];
+  let [palette, measures] = [[], {}];
   const level = () => app.state.level;
   const own = (path) => (path.startsWith(level() ? `${level()}.` : "") ? path.slice(level() ? level().length + 1 : 0) : "");
 
@@ -56,48 +56,80 @@ export function start(app) {
   });
   app.on("wire", mark);
   app.on("drawn", () => {
+    hint.hidden = app.drawing.boxes().size > 0;
     [...picked].forEach((name) => app.drawing.boxes().has(name) || picked.delete(name));
     mark();
   });
 
+  const list = async () => {
+    const told = await app.ask("palette");
+    if (told) [palette, measures] = [told.entries, told.measures];
+  };
   // --- insertion ----------------------------------------------------------------------------------------------------
 
-  const picture = ({ picture: strokes }) => element("svg:svg", { viewBox: "-20 -16 40 32", class: "pictogram", "aria-hidden": "true" },
-    ...(strokes.length ? strokes : [["line", "M-14 -10H14V10H-14Z"]]).map(([style, d]) => element("svg:path", { class: style, d })));
-  const title = (entry) => entry.type ?? entry.diagram ?? entry.fmu;
-  /** The entries of the palette that a word means, the nearest first. */
+  const picture = ({ picture: { size, strokes, texts } = { size: [50, 40], strokes: [["face", "M-25 -20H25V20H-25Z"]], texts: [] } }) => () => {
+    const [width, height] = [size[0] + 20, Math.max(size[1], 40) + 4];
+    return element("svg:svg", { viewBox: `${-width / 2} ${-height / 2} ${width} ${height}`, class: "pictogram", "aria-hidden": "true" },
+      ...strokes.map(([style, d]) => element("svg:path", { class: style, d })),
+      ...texts.map(([x, y, size, anchor, text]) => element("svg:text", { x, y, "font-size": size, "text-anchor": anchor }, text)));
+  };
+  const plain = (text) => text.toLowerCase().replace(/\W/g, "");
+  const title = (entry) => entry.type ?? entry.diagram ?? entry.fmu ?? entry.word;
+  /** The entries of the palette that a word means, the nearest first; without one all, by group. */
   function meant(word) {
     const asked = word.toLowerCase();
+    if (!asked) return palette.filter((entry) => !entry.word);
     const rank = (entry) => {
-      const name = title(entry).toLowerCase();
+      const names = [title(entry), ...(entry.words ?? [])].map(plain);
       const humps = title(entry).replace(/[^A-Z0-9]/g, "").toLowerCase();
-      if (name === asked) return 0;
-      if (name.startsWith(asked)) return 1 + name.length / 100;
-      if (name.endsWith(asked)) return 2 + name.length / 100;
+      if (names.includes(asked)) return names.indexOf(asked) ? 0.5 : 0;
+      if (names.some((name) => name.startsWith(asked))) return 1 + names[0].length / 100 + !names[0].startsWith(asked);
+      if (names[0].endsWith(asked)) return 2 + names[0].length / 100;
       if (humps.startsWith(asked) && asked.length > 1) return 3;
-      if (name.includes(asked)) return 4;
+      if (entry.word) return 9;
+      if (names.some((name) => name.includes(asked))) return 4;
       return `${entry.doc} ${entry.group}`.toLowerCase().includes(asked) ? 5 : 9;
     };
     return palette.map((entry) => [rank(entry), entry]).filter(([order]) => order < 9).sort(([a], [b]) => a - b).map(([, entry]) => entry);
   }
-  const DEFINED = { input: "an input of the diagram", output: "an output: of the chosen signal", parameter: "a parameter of the diagram", measure: "a measure of runs" };
+  /** What can be typed besides blocks: what it does, and how. rest: what follows the word. */
+  const words = {
+    input: ["an input of the diagram, as in input r=1 rad/s", (rest) => define("input", rest)],
+    output: ["an output of the diagram: of the chosen signal", (rest) => define("output", rest)],
+    parameter: ["a parameter of the diagram, as in parameter kp=20", (rest) => define("parameter", rest)],
+    measure: ["what runs measure, as in measure peak of=motor.omega", (rest) => define("measure", rest)],
+    log: ["record a signal in runs, the chosen one or as in log motor.omega", (rest) => log(rest)],
+    describe: ["write what the selected block, or the diagram, is for", (rest) => describe(rest)],
+    stop: ["when runs end, as in stop 10", (rest) => set("stop", rest)],
+    every: ["how often runs record, as in every 0.01", (rest) => set("every", rest)],
+    method: ["how runs integrate, as in method rk4", (rest) => set("method", rest)],
+  };
+  const set = async (name, text) => {
+    const said = text || (await prompted(name));
+    if (said) await act("define", { level: "", kind: "entry", text: `run.${name}=${said}` });
+  };
+  /** What is told of an entry: what it is, or, when parameters are typed, which it takes. */
+  const told = (entry, text) => {
+    const asked = text.trim().toLowerCase();
+    const others = asked ? (entry.words ?? []).filter((one) => plain(one).startsWith(plain(asked)) && !plain(entry.type).startsWith(plain(asked))) : [];
+    const also = others.length ? ` Simulink: ${others.join(", ")}.` : "";
+    return text.includes(" ") && entry.takes ? entry.takes.join(" ") || "no parameters" : entry.doc + also;
+  };
   /** Insert what is typed: a type with parameters, or an input, an output, a parameter. place: of a click, or of a wire. */
-  app.insert = async (text, event = null, wire = {}) => {
-    if (!palette.length) palette = (await app.ask("palette"))?.entries ?? [];
+  app.insert = (text, event = null, wire = {}) => {
     const at = event ? hand.near(app, event) : {};
-    choose(app, {
+    const shown = choose(app, {
       label: "Insert", placeholder: "pid kp=20, gain 3, input r, ...", text,
-      find: (said) => {
+      find: (said, full) => {
         const [word, rest] = [said.split(/\s/, 1)[0], said.replace(/^\S*\s*/, "")];
-        const defined = Object.entries(DEFINED).filter(([kind]) => word && kind.startsWith(word.toLowerCase())).map(([kind, told]) => ({
-          name: kind, told: rest ? `${kind} ${rest}` : told, go: () => define(kind, rest),
-        }));
-        const entries = meant(word).slice(0, SHOWN).map((entry) => ({
-          name: title(entry), told: rest || entry.doc, picture: picture(entry), go: () => add(entry, rest, { ...at, ...wire }),
-        }));
-        return defined.some(({ name }) => name === word) ? [...defined, ...entries] : [...entries, ...defined];
+        const defined = Object.entries(words).filter(([kind]) => word && kind.startsWith(word.toLowerCase())).map(([kind, [what, go]]) => ({ name: kind, told: what, go: () => go(rest) }));
+        const entries = meant(word).map((entry) => ({
+          name: title(entry), told: told(entry, full), picture: picture(entry), group: word ? "" : entry.group, why: entry.word ? entry.doc : "", go: () => add(entry, rest, { ...at, ...wire }),
+        })).slice(0, word ? SHOWN : 999);
+        return defined.some(({ name }) => name === word.toLowerCase()) ? [...defined, ...entries] : [...entries, ...defined];
       },
     });
+    if (!palette.length) list().then(shown.refresh);
   };
   async function add({ type, diagram, fmu }, text, where) {
     const entry = Object.fromEntries(Object.entries({ type, diagram, fmu }).filter(([, value]) => value));
@@ -105,12 +137,21 @@ export function start(app) {
     if (told) pick(told.names);
   }
   async function define(kind, text) {
-    const said = text || (await prompted({ input: "Name of the input", output: "Name of the output", parameter: "Parameter, as in kp=20 V", measure: 'Measure, as in peak={"type": "peak", "of": "motor.omega"}' }[kind]));
-    if (!said) return;
     const source = kind === "output" ? chosenSource() : "";
-    if (kind === "output" && !source) return say("Choose the signal that the output gives first: its wire, or its block.");
+    if (kind === "output" && !source && !text.includes("=")) return say("Choose the signal that the output gives first: its wire, or its block.");
+    if (kind === "measure" && !text) return measure();
+    const said = text || (await prompted({ input: "Input, as in r=1 rad/s", output: `Name of the output that gives ${source}`, parameter: "Parameter, as in kp=20 V" }[kind]));
+    if (!said) return;
     await act("define", { kind, text: said, source });
   }
+  /** Choose what is measured, and of which signal. */
+  const measure = () => choose(app, {
+    label: "Measure", placeholder: "Measure",
+    find: (text) => Object.entries(measures).filter(([name]) => name.toLowerCase().includes(text.toLowerCase())).map(([name, what]) => ({ name, told: what, go: async () => {
+      const said = await prompted("Measure, as in dip=peak of=motor.omega against=speed.y from=6", `${name} of=${app.state.wire ?? ""}`);
+      if (said) await act("define", { level: "", kind: "measure", text: said });
+    } })),
+  });
   /** The signal on the open level that is chosen, or the first output of the chosen block. */
   const chosenSource = () => (app.state.wire && own(app.state.wire)) || [...picked].flatMap((name) => hand.ports(app, name, "out"))[0]?.port || "";
 
@@ -180,6 +221,22 @@ export function start(app) {
     const section = app.block(app.drawing.full(name)) ? "blocks" : app.drawing.boxes().get(name).classList.contains("input") ? "inputs" : "outputs";
     if (await edit([{ rename: [section, name], to }], `rename ${name} to ${to}`)) pick([to]);
   }
+  async function log(signal) {
+    const wire = signal || app.state.wire;
+    if (!wire) return say("Choose a signal first: its wire, or its name in the list.");
+    const { run } = await app.ask("panel", { path: "" });
+    const at = run.log.indexOf(wire);
+    const operation = at >= 0 ? { remove: ["run", "log", at] } : run.hasLog ? { add: ["run", "log", run.log.length], value: wire } : { set: ["run", "log"], to: [wire] };
+    await act("edit", { level: "", operations: [operation], what: at >= 0 ? `log ${wire} no longer` : `log ${wire}` });
+  }
+  /** Write the doc of the selected block, or of the open level; with a name: of its parameter or input. */
+  async function describe(text, name = blocks()[0] ?? "") {
+    const told = text || (await app.ask("panel", { path: level() }));
+    const row = !text && [...told.rows.Parameters ?? [], ...told.rows.Inputs ?? []].find((one) => one.name === name);
+    const doc = text || row ? row?.doc : (name ? await app.ask("panel", { path: app.drawing.full(name) }) : told)?.own;
+    const said = text || (await prompted(`What is ${name || app.state.document.name} for?`, doc ?? "", 5));
+    if (typeof said === "string") await act("describe", { of: name, text: said });
+  }
   async function group() {
     const names = blocks();
     const as = await prompted("Name of the subdiagram", "group");
@@ -194,12 +251,14 @@ export function start(app) {
     group: { text: "Group", keys: "Ctrl+G", what: "make a subdiagram of the selected blocks", go: group, can: () => blocks().length > 0 },
     ungroup: { text: "Ungroup", keys: "Ctrl+Shift+G", what: "put the blocks of a subdiagram in its place", go: () => edit([{ ungroup: [...picked][0] }], `ungroup ${[...picked][0]}`), can: () => app.block(app.state.selected)?.kind === "diagram" && picked.size === 1 },
     arrange: { text: "Lay out", keys: "Shift+L", what: "lay out what is selected, or all", go: () => act("arrange", { names: [...picked] }), can: () => true },
+    log: { text: "Log", keys: "", what: "record the selected signal in runs, or no longer", go: () => log(""), can: () => app.state.wire !== null },
+    describe: { text: "Describe", keys: "", what: "write what the selected block, or the diagram, is for", go: () => describe(""), can: () => picked.size < 2 },
     undo: { text: "Undo", keys: "Ctrl+Z", what: "undo", go: () => act("undo"), can: () => Boolean(app.state.document?.editing?.undo) },
     redo: { text: "Redo", keys: "Ctrl+Y", what: "redo; also Ctrl+Shift+Z", go: () => act("redo"), can: () => Boolean(app.state.document?.editing?.redo) },
     open: { text: "Diagrams", keys: "", what: "open another diagram of the folder", go: () => others(), can: () => true },
   };
   async function others() {
-    palette = (await app.ask("palette"))?.entries ?? [];
+    await list();
     const found = palette.filter(({ diagram }) => diagram);
     const go = (diagram) => async () => {
       const tab = window.open("about:blank"); // now, while the click counts
@@ -209,11 +268,12 @@ export function start(app) {
     };
     choose(app, { label: "Open a diagram in a tab", placeholder: "Diagram", find: (text) => found.filter(({ diagram }) => diagram.includes(text)).map(({ diagram }) => ({ name: diagram, told: "", go: go(diagram) })) });
   }
+  const hint = element("p", { class: "hint" }, "Type the name of a block, as in ", element("kbd", {}, "pid kp=20"), ", or double-click here. ", element("kbd", {}, "?"), " shows all keys.");
   const buttons = new Map();
   const refusal = element("output", { class: "refusal" });
   const bar = element("div", { id: "edits", role: "toolbar", "aria-label": "Edit", hidden: true });
   for (const [name, { text, keys, what, go }] of Object.entries(commands)) {
-    buttons.set(name, element("button", { type: "button", title: `${what[0].toUpperCase()}${what.slice(1)}${keys ? ` (${keys})` : ""}`, onclick: go }, text));
+    buttons.set(name, element("button", { type: "button", class: ["ungroup", "log"].includes(name) ? "rare" : null, title: `${what[0].toUpperCase()}${what.slice(1)}${keys ? ` (${keys})` : ""}`, onclick: go }, text));
     bar.append(buttons.get(name));
   }
   bar.append(refusal);
@@ -223,6 +283,7 @@ export function start(app) {
   const shortcuts = (event) => {
     const key = event.key.toLowerCase();
     if (event.ctrlKey || event.metaKey) {
+      if (key === "s") return "saved";
       if (key === "z") return event.shiftKey ? "redo" : "undo";
       return { y: "redo", d: "duplicate", g: event.shiftKey ? "ungroup" : "group" }[key];
     }
@@ -251,17 +312,36 @@ export function start(app) {
     else if (isHeld && event.key.toLowerCase() === "a") pick([...app.drawing.boxes().keys()]);
     else if (isHeld && event.key.toLowerCase() === "c" && picked.size) copy();
     else if (isHeld && event.key.toLowerCase() === "x" && picked.size) copy().then((isCopied) => isCopied && remove());
+    else if (event.key === "Enter" && app.block(app.state.selected)?.kind !== "diagram") app.values();
     else if (/^[a-z]$/.test(event.key) && !isHeld && !event.altKey) app.insert(event.key);
     else return false;
     return true;
   };
+  // What is pressed while nothing has the focus is meant for the drawing, and letters on its buttons are.
+  document.addEventListener("keydown", (event) => {
+    const isLetter = /^[a-z]$/.test(event.key) && !event.ctrlKey && !event.metaKey && !event.altKey;
+    const isFree = event.target === document.body || (isLetter && event.target.closest("#drawing button"));
+    if (bar.hidden || !isFree || document.querySelector("dialog")) return;
+    app.drawing.view.focus();
+    app.drawing.view.onkeydown(event);
+  }, true);
   document.addEventListener("keydown", (event) => {
     if (bar.hidden || event.defaultPrevented || event.target.closest("input:not([type=range]), textarea, select, dialog, #scopes, #analysis")) return;
     const name = shortcuts(event);
     if (!name) return;
     event.preventDefault();
-    if (commands[name].can()) commands[name].go();
+    if (name === "saved") app.announce((refusal.textContent = `All is written in ${app.state.document.file} already.`));
+    else if (commands[name].can()) commands[name].go();
   });
+  /** To the values of what is selected, and back by Escape. */
+  app.values = () => (isAwaited = true) && app.state.panel === app.state.selected && values();
+  let isAwaited = false;
+  const values = () => {
+    if (isAwaited) document.querySelector("#panel .rows input, #panel .rows select")?.focus();
+    isAwaited = false;
+  };
+  app.on("panel", values);
+  document.getElementById("panel").addEventListener("keydown", ({ key }) => key === "Escape" && !bar.hidden && app.drawing.view.focus());
   document.addEventListener("paste", (event) => {
     if (bar.hidden || event.target.closest?.("input, textarea")) return;
     event.preventDefault();
@@ -285,13 +365,16 @@ export function start(app) {
       return false;
     }
   }
+  const fields = new Map();
   /** The field of a parameter that no knob shows: an expression, or one of a diagram that has faults. */
   const field = (path, kind, { name, text, knob }) => {
     const isOwn = !app.block(path);
     if (!(kind === "Parameters" || (kind === "Inputs" && isOwn)) || (knob && !knob.bound)) return null;
     const full = path ? `${path}.${name}` : name;
+    const now = text === "not wired" ? "" : text.replace(/^not wired: /, "");
+    if (fields.has(full)) return fields.get(full)(now);
     const made = element("input", { type: "text", "aria-label": full, autocomplete: "off", spellcheck: "false" });
-    made.value = text === "not wired" ? "" : text.replace(/^not wired: /, "");
+    made.value = now;
     const error = element("span", { class: "error", role: "alert" });
     made.refuse = (...words) => {
       error.replaceChildren(...words);
@@ -309,9 +392,34 @@ export function start(app) {
       timer = setTimeout(take, TYPED);
     };
     made.onchange = take;
-    const drop = isOwn ? element("button", { class: "link", onclick: () => edit([{ remove: [kind.toLowerCase(), name] }], `delete ${name}`) }, "Delete") : null;
-    return element("span", { class: "field" }, made, drop, error);
+    const root = element("span", { class: "field" }, made, error);
+    fields.set(full, (shown) => {
+      if (made.value === taken && !made.ariaInvalid) made.value = taken = shown; // what is typed stays
+      return root;
+    });
+    return root;
   };
+  const link = (text, label, onclick) => element("button", { class: "link", "aria-label": label, onclick }, text);
+  /** What more can be done with a line of the panel: its wire, or the entry of the diagram itself. */
+  const more = (path, kind, { name, link: source, text }) => {
+    const at = path.split(".").slice(0, -1).join(".");
+    const port = `${path.split(".").pop()}.${name}`;
+    const isOpen = path === level();
+    if (isOpen && ["Parameters", "Inputs", "Outputs"].includes(kind)) {
+      const section = kind.toLowerCase();
+      const renamed = async () => {
+        const to = await prompted(`New name of ${name}`, name);
+        if (to && to !== name) await edit([{ rename: [section, name], to }], `rename ${name} to ${to}`);
+      };
+      return [link("Rename", `Rename ${name}`, renamed), kind === "Outputs" ? null : link("Describe", `Describe ${name}`, () => describe("", name)),
+        link("Delete", `Delete ${name}`, () => edit([{ remove: [section, name] }], `delete ${name}`))];
+    }
+    if (!path || at !== level() || !["Inputs", "Outputs"].includes(kind)) return [];
+    if (kind === "Outputs") return [link("Connect", `Connect ${port}`, () => app.connect(port, "out"))];
+    const isWired = source || !text.startsWith("not wired");
+    return isWired ? [link("Take off", `Take the wire off ${port}`, () => act("delete", { names: [], sinks: [port] }))] : [link("Connect", `Connect ${port}`, () => app.connect(port, "in"))];
+  };
+  let areRunsOpen = false;
   /** What a diagram says beside its blocks: what is logged, measured, and when a run ends. */
   const forms = (panel, selected) => {
     if (selected || !panel.run) return null;
@@ -319,21 +427,20 @@ export function start(app) {
     const gone = (place, what) => element("button", { class: "link", "aria-label": `Delete ${what}`, onclick: () => edit([{ remove: place }], `delete ${what}`) }, "Delete");
     const change = (place, what, text) => element("button", { class: "link", "aria-label": `Change ${what}`, onclick: async () => {
       const said = await prompted(what, text);
-      if (said) await act("define", { kind: "entry", text: `${place}=${said}` });
+      if (said) await act("define", place === "measure" ? { kind: place, text: said } : { kind: "entry", text: `${place}=${said}` });
     } }, "Change");
     const log = panel.run.log.map((name, index) => line(name, "logged", gone(["run", "log", index], name)));
-    const chosen = app.state.wire && !panel.run.log.includes(app.state.wire) ? element("button", { onclick: () => edit([panel.run.hasLog ? { add: ["run", "log", panel.run.log.length], value: app.state.wire } : { set: ["run", "log"], to: [app.state.wire] }], `log ${app.state.wire}`) }, `Log ${app.state.wire}`) : null;
-    return element("details", { class: "doc", open: panel.open ?? false }, element("summary", {}, element("h3", {}, "Runs, log and measures")),
+    return element("details", { class: "doc", open: areRunsOpen, ontoggle: ({ target }) => (areRunsOpen = target.open) }, element("summary", {}, element("h3", {}, "Runs, log and measures")),
       element("ul", { class: "rows" },
         ...["stop", "every", "method"].map((name) => line(name, panel.run[name], change(`run.${name}`, name, panel.run[name]))),
-        ...log, ...Object.entries(panel.run.measures).map(([name, text]) => line(name, text, change(`measures.${name}`, name, text), gone(["measures", name], name)))),
-      chosen, element("button", { onclick: () => define("measure", "") }, "Add a measure"));
+        ...log, ...Object.entries(panel.run.measures).map(([name, text]) => line(name, text, change("measure", name, `${name}=${text}`), gone(["measures", name], name)))),
+      element("button", { onclick: measure }, "Add a measure"));
   };
-  /** The button beside a fault that does what its cure says. */
-  const remedy = ({ remedy: found }) => found && element("button", { class: "remedy", onclick: (event) => {
+  /** The buttons below a fault that do what its cure says. */
+  const remedy = ({ remedies = [] }) => remedies.length ? element("div", { class: "remedies" }, ...remedies.map(({ label, sink, ...told }) => element("button", { onclick: (event) => {
     event.stopPropagation();
-    return found.sink ? connectAt(found.sink) : act("edit", { level: "", operations: found.operations, what: found.label });
-  } }, found.label);
+    return sink ? connectAt(sink) : act("edit", { ...told, what: label });
+  } }, label))) : null;
   async function connectAt(sink) {
     const at = sink.split(".").slice(0, -2).join(".");
     if (at !== level()) await app.open(at);
@@ -346,9 +453,12 @@ export function start(app) {
     document.getElementById("drawing").prepend(bar);
     document.body.classList.add("edits");
     hand.start(app, { picked, pick, act, say, wire });
-    Object.assign(app, { key, put, field, forms, remedy, chosen: (path, name) => ["edit", { level: path.split(".").slice(0, -1).join("."), operations: [name === "base" ? { remove: ["blocks", path.split(".").pop(), "variant"] } : { set: ["blocks", path.split(".").pop(), "variant"], to: name }], what: `variant ${name}` }] });
+    list();
+    app.drawing.view.append(hint);
+    if (document.activeElement === document.body) app.drawing.view.focus();
+    Object.assign(app, { key, put, field, more, forms, remedy, chosen: (path, name) => ["edit", { level: path.split(".").slice(0, -1).join("."), operations: [name === "base" ? { remove: ["blocks", path.split(".").pop(), "variant"] } : { set: ["blocks", path.split(".").pop(), "variant"], to: name }], what: `variant ${name}` }] });
     for (const { keys, what } of Object.values(commands)) if (keys) app.keys.push([keys, what]);
-    app.keys.push(["Ctrl+C Ctrl+X Ctrl+V", "copy, cut and paste, also as text"], ["Ctrl+arrow", "along a wire to the next block"], ["arrows", "move what is selected"], ["Shift+R Shift+S Shift+F Shift+B", "run anew, stop, show all, analysis: letters insert blocks"]);
+    app.keys.push(["Ctrl+C Ctrl+X Ctrl+V", "copy, cut and paste, also as text"], ["Ctrl+arrow", "along a wire to the next block"], ["arrows", "move what is selected"], ["Enter", "to the values of the selected block; Escape leads back"], ["Shift+R Shift+S Shift+F Shift+B", "run anew, stop, show all, analysis: letters insert blocks"]);
     mark();
   });
 }

@@ -55,5 +55,6 @@ export function shown(x, digits = 6) {
 /** A time, with the digits that a part of the span around it takes. */
 export function seconds(t, [t0, t1], least = 8) {
   const digits = 5 + Math.log10(Math.max(Math.abs(t0), Math.abs(t1)) / (t1 - t0));
-  return `${+t.toPrecision(Math.min(Math.max(Math.ceil(digits), least), 17))} s`;
+  const most = Math.min(Math.max(Math.ceil(digits), least), 17); // a span of 0 has none
+  return `${+t.toPrecision(most || least)} s`;
 }

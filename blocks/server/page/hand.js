@@ -64,21 +64,26 @@ export function start(app, { picked, pick, act, say, wire }) {
   const { view, stage, under, choose } = app.drawing;
   const tip = element("output", { class: "why", hidden: true });
   view.append(tip);
-  const svg = () => stage.firstElementChild;
+  /** A layer above the drawing for what a gesture shows: what lies below is not painted again. @type {SVGElement | null} */
+  let layer = null;
   const shape = (tag, attributes) => {
     const made = element(`svg:${tag}`, attributes);
-    svg().append(made);
+    if (!layer) stage.append((layer = stage.firstElementChild.cloneNode(false)));
+    layer.classList.add("over");
+    layer.append(made);
     return made;
   };
-  /** The port of a kind that is nearest to a point, if any is near. */
-  const portAt = ([x, y], names = app.drawing.boxes().keys()) => {
+  let known = null;
+  app.on("drawn", () => (known = null));
+  /** All ports of the level. */
+  const all = () => (known ??= [...app.drawing.boxes().keys()].flatMap((name) => [...ports(app, name, "out"), ...ports(app, name, "in")]));
+  /** The port that is nearest to a point, if any is near. */
+  const portAt = ([x, y]) => {
     let [best, least] = [null, NEAR / app.drawing.scale()];
-    for (const name of names)
-      for (const kind of ["out", "in"])
-        for (const one of ports(app, name, kind)) {
-          const far = Math.hypot(one.x - x, one.y - y);
-          if (far < least) [best, least] = [one, far];
-        }
+    for (const one of all()) {
+      const far = Math.hypot(one.x - x, one.y - y);
+      if (far < least) [best, least] = [one, far];
+    }
     return best;
   };
 
@@ -88,8 +93,8 @@ export function start(app, { picked, pick, act, say, wire }) {
   function moving(names) {
     const boxes = names.map((name) => app.drawing.boxes().get(name)).filter(Boolean);
     const isMoved = (end) => names.includes(end.split(/[.[]/)[0]);
-    const ends = new Map([...app.drawing.boxes().keys()].flatMap((name) => [...ports(app, name, "in"), ...ports(app, name, "out")].map((one) => [one.kind + one.port, one])));
-    const [along, stretched] = [[...boxes], []];
+    const ends = new Map(all().map((one) => [one.kind + one.port, one]));
+    const [along, stretched, group] = [[...boxes], [], shape("g", {})];
     for (const drawn of stage.querySelectorAll("g.wire[data-sink]")) {
       const [from, to] = [isMoved(drawn.dataset.net), isMoved(drawn.dataset.sink)];
       if (from && to) along.push(drawn);
@@ -99,8 +104,10 @@ export function start(app, { picked, pick, act, say, wire }) {
         if (a && b) stretched.push({ line: shape("path", { class: "rubber" }), a, b, from, to });
       }
     }
+    group.append(...along.map((one) => one.cloneNode(true)));
+    along.forEach((one) => (one.style.visibility = "hidden"));
     const draw = (dx, dy) => {
-      along.forEach((one) => one.setAttribute("transform", `translate(${dx} ${dy})`));
+      group.setAttribute("transform", `translate(${dx} ${dy})`);
       for (const { line, a, b, from, to } of stretched)
         line.setAttribute("d", `M${a.x + (from ? dx : 0)} ${a.y + (from ? dy : 0)}L${b.x + (to ? dx : 0)} ${b.y + (to ? dy : 0)}`);
     };
@@ -122,14 +129,15 @@ export function start(app, { picked, pick, act, say, wire }) {
     let told = null;
     app.connection.ask("targets", { end: from.port, kind: from.kind, level: app.state.level }).then((answer) => {
       told = answer;
+      if (!layer) return;
       for (const one of candidates()) shape("circle", { class: why(one) ? "target" : "target fits", cx: one.x, cy: one.y, r: why(one) ? 3 : 6 });
     }, ({ message }) => say(message));
     const other = from.kind === "out" ? "in" : "out";
-    const candidates = () => [...app.drawing.boxes().keys()].flatMap((name) => ports(app, name, other));
+    const candidates = () => all().filter(({ kind }) => kind === other);
     const why = ({ port }) => {
       if (!told || port === before) return "";
       const base = port.replace(/\[\d+\]$/, "");
-      return port in told.ports ? told.ports[port] : base in told.ports ? told.ports[base] : "";
+      return [port, base].filter((name) => Object.hasOwn(told.ports, name)).map((name) => told.ports[name])[0] ?? "";
     };
     let met = null;
     /** The port under the pointer; on a block its first one that fits. */
@@ -150,16 +158,12 @@ export function start(app, { picked, pick, act, say, wire }) {
         const around = view.getBoundingClientRect();
         Object.assign(tip.style, { left: `${event.clientX - around.x + 12}px`, top: `${event.clientY - around.y + 12}px` });
       },
-      async drop(at, event) {
+      drop(at, event) {
         tip.hidden = true;
-        if (met && why(met)) {
-          say(`${met.port} ${why(met)}.`);
-          return app.drawing.show(app.state.level);
-        }
+        if (met && why(met)) return say(`${met.port} ${why(met)}.`);
         const [source, sink] = from.kind === "out" ? [from.port, met?.port] : [met?.port, from.port];
         if (met && !(before && sink === before)) return wire(source, sink, before);
         if (before && !met) return act("delete", { names: [], sinks: [before] });
-        await app.drawing.show(app.state.level);
         if (!met && under(event.clientX, event.clientY).box === undefined) app.insert("", event, from.kind === "out" ? { source: from.port } : { sink: from.port });
         return null;
       },
@@ -170,13 +174,13 @@ export function start(app, { picked, pick, act, say, wire }) {
 
   function selecting(isMore) {
     const frame = shape("rect", { class: "rubber" });
+    let around = null;
     return {
       move([x, y], [x0, y0]) {
         Object.entries({ x: Math.min(x, x0), y: Math.min(y, y0), width: Math.abs(x - x0), height: Math.abs(y - y0) }).forEach(([name, value]) => frame.setAttribute(name, value));
+        around = frame.getBoundingClientRect();
       },
       drop() {
-        const around = frame.getBoundingClientRect();
-        frame.remove();
         const names = [...app.drawing.boxes()].filter(([, box]) => {
           const { left, right, top, bottom } = box.getBoundingClientRect();
           return left < around.right && right > around.left && top < around.bottom && bottom > around.top;
@@ -195,12 +199,12 @@ export function start(app, { picked, pick, act, say, wire }) {
     const met = under(down.clientX, down.clientY);
     const port = portAt(from);
     const isMore = down.shiftKey || down.ctrlKey || down.metaKey;
-    let gesture = null;
+    let [gesture, last, frame] = [null, null, 0];
     const begin = () => {
       if (port) {
         const source = port.kind === "in" ? driven(app).get(port.port) : undefined;
         if (source === undefined) return wiring(port);
-        const start = [...app.drawing.boxes().keys()].flatMap((name) => ports(app, name, "out")).find((one) => one.port === source);
+        const start = all().find((one) => one.kind === "out" && one.port === source);
         return start ? wiring(start, port.port) : wiring(port); // its end is taken off
       }
       if (met.box !== undefined) {
@@ -217,7 +221,13 @@ export function start(app, { picked, pick, act, say, wire }) {
         app.hold = true;
         view.setPointerCapture(down.pointerId);
       }
-      gesture.move(point(app, event), from, event);
+      last = event;
+      frame ||= requestAnimationFrame(follow);
+    };
+    const follow = () => {
+      cancelAnimationFrame(frame);
+      frame = 0;
+      gesture.move(point(app, last), from, last);
     };
     const end = async (event) => {
       if (event.pointerId !== undefined && event.pointerId !== down.pointerId) return;
@@ -226,6 +236,9 @@ export function start(app, { picked, pick, act, say, wire }) {
       app.hold = false;
       const held = app.held;
       app.held = null;
+      if (frame) follow();
+      layer?.remove();
+      layer = null;
       if (gesture && isDropped) await gesture.drop(point(app, event), event);
       else if (gesture) await app.drawing.show(app.state.level);
       else if (isDropped) isMore && met.box !== undefined ? pick([met.box], true) : met.box !== undefined ? pick([met.box]) : (pick([]), choose(met));

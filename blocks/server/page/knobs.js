@@ -166,7 +166,8 @@ export function start(app) {
     const show = (now) => {
       if (fact && document.activeElement === made) return; // it says its value itself
       fact = now;
-      const { value: x, low, high, log } = fact;
+      const { value: x, low, high, log, unit } = fact;
+      made.title = `${shown(low)} to ${shown(high)} ${unit}`.trim();
       made.value = 1000 * (log ? Math.log(x / low) / Math.log(high / low) : (x - low) / (high - low));
       say(x);
     };

@@ -69,12 +69,18 @@ export function start(app) {
         element("span", { class: "name" }, (filter.value ? one.name : one.name.slice(prefix.length)) + shape), element("span", { class: "unit" }, one.unit)));
     }), signals.length);
     groups.faults.shown.hidden = !told.faults.length;
-    put(groups.faults, told.faults.map((one) => element("li", {}, app.remedy?.(one) ?? null, element("button", {
+    put(groups.faults, told.faults.map((one) => element("li", {}, element("button", {
       class: one.warning ? "warning" : "fault", onclick: () => (one.block ? app.reveal(one.block) : app.announce("This fault is of no block.")),
-    }, element("b", {}, one.code), ` ${one.place}: ${one.message}`, element("span", { class: "cure" }, one.cure)))), told.faults.length);
+    }, element("b", {}, one.code), ` ${one.place}: ${one.message}`, element("span", { class: "cure" }, one.cure)), app.remedy?.(one) ?? null)), told.faults.length);
   };
-  app.on("document", fill);
-  app.on("level", fill);
+  let waiting = 0;
+  /** Once for all that comes together, and after the drawing was painted. */
+  const soon = () => {
+    clearTimeout(waiting);
+    waiting = setTimeout(fill, 0);
+  };
+  app.on("document", soon);
+  app.on("level", soon);
   app.on("select", () => groups.blocks.list.querySelectorAll("button").forEach((one) => {
     one.ariaCurrent = one.dataset.path === app.state.selected ? "true" : null;
   }));

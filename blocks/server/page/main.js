@@ -140,6 +140,7 @@ connection.on("closed", async () => {
   gone.textContent = "Another server has this address now. What is shown stays; open the address that blocks live printed.";
 });
 app.on("document", (told) => {
+  document.body.dataset.revision = told.revision;
   document.title = `${told.name} - blocks`;
   document.getElementById("title").textContent = told.name;
 });

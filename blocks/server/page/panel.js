@@ -6,16 +6,18 @@ export function start(app) {
   const link = (text, onclick, attributes = {}) => element("button", { class: "link", onclick, ...attributes }, text);
   const span = (name, ...children) => element("span", { class: name }, ...children);
 
-  const row = (path, title) => ({ name, doc, unit, text, note, knob, link: to, signal }) => {
+  const row = (path, title, faults) => ({ name, doc, unit, text, note, knob, link: to, signal }) => {
     const known = app.state.document.signals.find((one) => one.name === signal);
     const field = app.field?.(path, title, { name, text, knob });
     const value = [
       ...(field ? [field] : knob ? [app.knob?.(knob) ?? `${knob.text}${knob.bound ? ` = ${shown(knob.value)} ${knob.unit}` : ""}`] : [to ? link(text, () => app.reveal(to)) : text]),
       known ? link("scope", () => app.openScope([signal]), { title: `Show ${signal} in a scope` }) : null,
       knob ? null : span("unit", unit || known?.unit || ""),
+      ...(app.more?.(path, title, { name, link: to, text }) ?? []),
     ];
     const notes = [note, knob?.why && !knob.bound && `not in a run: ${knob.why}`].filter(Boolean).join("; ");
-    return element("li", {}, span("name", name), span("value", ...value.filter(Boolean)), doc ? span("what", doc) : null, notes ? span("notes", notes) : null);
+    return element("li", {}, span("name", name), span("value", ...value.filter(Boolean)), doc ? span("what", doc) : null, notes ? span("notes", notes) : null,
+      ...faults.filter((one) => one.place === (path ? `${path}.${name}` : name)).map((one) => element("span", { class: "error", role: "note" }, `${one.code} ${one.message} ${one.cure}`)));
   };
 
   function variants({ path, variants: choices, variant, anew }) {
@@ -43,11 +45,12 @@ export function start(app) {
       app.forms?.(panel, selected) ?? null,
       panel.doc ? element("p", { class: "own" }, panel.doc) : null,
       ...panel.notes.map((note) => element("p", { class: "note" }, note)),
-      ...Object.entries(panel.rows).filter(([, rows]) => rows.length).flatMap(([title, rows]) => [element("h3", {}, title), element("ul", { class: "rows" }, ...rows.map(row(path, title)))]),
+      ...Object.entries(panel.rows).filter(([, rows]) => rows.length).flatMap(([title, rows]) => [element("h3", {}, title), element("ul", { class: "rows" }, ...rows.map(row(path, title, panel.faults)))]),
       panel.more ? element("details", { class: "doc" }, element("summary", {}, element("h3", {}, "More")), ...trusted(panel.more)) : null,
     ];
     place.replaceChildren(...parts.filter(Boolean));
     if (focused) (focused.isConnected ? focused : place).focus();
+    app.state.panel = selected;
     app.emit("panel", panel);
   };
   app.on("select", show);

@@ -82,22 +82,24 @@ export function start(app) {
     tell();
     for (const [name, label] of labels) {
       const some = Object.hasOwn(values, name) && wires.checked ? [values[name]].flat() : [];
-      label.textContent = some.slice(0, 3).map((one) => short(one ?? NaN)).join(", ") + (some.length > 3 ? ", ..." : "");
+      if (!label.made && some.length) label.line.parentNode.append((label.made = beside(label.line)));
+      if (label.made) label.made.textContent = some.slice(0, 3).map((one) => short(one ?? NaN)).join(", ") + (some.length > 3 ? ", ..." : "");
     }
     if (speaks && cursor !== null) app.announce(`${seconds(cursor, shown())}. ${scopes.map(({ spoken }) => spoken).join(". ")}`);
   }
 
-  /** @type {Map<string, Element>} labels beside the beginnings of wires, by signal */
+  /** Labels beside the beginnings of wires, by signal, which are made when there is a value. @type {Map<string, any>} */
   const labels = new Map();
+  const beside = (line) => {
+    const [x, y, next] = line.getAttribute("d").match(/[-.\d]+/g).map(Number);
+    return element("svg:text", { class: "wire-value", x: x + 4 * Math.sign(next - x), y: y - 4, "aria-hidden": "true" });
+  };
   function label(drawing) {
     labels.clear();
     const level = app.state.level ? `${app.state.level}.` : "";
     for (const wire of drawing?.querySelectorAll("g[data-net]") ?? []) {
       const [name, line] = [level + wire.dataset.net, wire.querySelector("path.run")];
-      if (!line || labels.has(name)) continue;
-      const { x, y } = line.getPointAtLength(4);
-      labels.set(name, element("svg:text", { class: "wire-value", x, y: y - 4, "aria-hidden": "true" }));
-      wire.parentNode.append(labels.get(name));
+      if (line && !labels.has(name)) labels.set(name, { line, made: null });
     }
     fetchValues();
   }

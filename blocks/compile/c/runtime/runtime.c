@@ -10,7 +10,7 @@
 #define HOT
 #endif
 #define _POSIX_C_SOURCE 199309L /* clock_gettime */
-#include "runtime.h"
+#include "stiff.h"
 
 #include <stdlib.h>
 #include <time.h>
@@ -2161,6 +2161,8 @@ restore:
 
 void blocks_rows(BlocksSim *s)
 {
+    s->model = s->setup->model;
+    if (s->model->stiff && !isnan(s->stiff_from)) s->model = s->model->stiff;
     for (int r = 0; r < s->model->nrates; r++) s->memory.k[r] = (double)s->ticks[r];
     s->model->prepare(&s->memory);
     s->model->refresh(&s->memory);
@@ -2335,7 +2337,7 @@ static void forget_rows(BlocksRows *rows)
 
 void blocks_reset(BlocksSim *s)
 {
-    const BlocksModel *model = s->model;
+    const BlocksModel *model = s->model = s->setup->model;
     forget_rows(&s->rows);
     s->rows.columns = model->nlogged;
     s->rows.capacity = 1024;
@@ -2348,7 +2350,9 @@ void blocks_reset(BlocksSim *s)
     s->timed = -1;
     s->slice = 0.05;
     s->soft = INFINITY;
-    s->exact = s->has_first = s->has_before = s->outstanding = s->crossing = s->changed = s->has_left = 0;
+    s->exact = s->has_first = s->has_before = s->outstanding = s->crossing = s->changed = s->has_left = s->is_factored = s->hits = s->calm = 0;
+    s->stiff_from = NAN;
+    for (int64_t i = 0; i < s->ncarried; i++) s->carried[i] = 0.0;
     s->steps = s->rejected = s->evaluations = s->instants = 0;
     for (int i = 0; i < model->nx; i++) s->blamed[i] = 0;
     s->failure = BLOCKS_FINE;
@@ -2444,6 +2448,10 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
     s->ticks_backup = longs + nr + nx; /* and, behind it, what else an instant goes back to */
     s->firing = flags + nr;
     s->changed_sides = flags + nr + 2 * nc;
+    if (model->implicit && model->implicit->open(s)) {
+        blocks_free(s);
+        return NULL;
+    }
     blocks_reset(s);
     return s;
 }
@@ -2451,6 +2459,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
 void blocks_free(BlocksSim *s)
 {
     if (!s) return;
+    if (s->implicit) s->model->implicit->close(s);
     forget_rows(&s->rows);
     free(s->rows.chunks);
     free(s->rows.counts);

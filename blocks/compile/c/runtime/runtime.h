@@ -34,10 +34,14 @@ enum {
     BLOCKS_ZENO,
     BLOCKS_CHANGES_ALWAYS, /* a projection */
     BLOCKS_STEPPER,
-    BLOCKS_FOREIGN
+    BLOCKS_FOREIGN,
+    BLOCKS_NOT_CONVERGED /* an implicit step */
 };
 
 typedef struct BlocksSim BlocksSim;
+typedef struct BlocksJacobian BlocksJacobian;
+typedef struct BlocksImplicit BlocksImplicit;
+typedef struct BlocksModel BlocksModel;
 
 /* What the runtime tells units whose states it integrates and that hide others: see fmu_bridge.c. Each returns 0; what
    fails -BLOCKS_FAILED where others are counts or flags. */
@@ -59,7 +63,7 @@ typedef struct {
     int32_t rows; /* of a recording: BLOCKS_LEFT_OUT or BLOCKS_BETWEEN_ROWS */
 } BlocksUnseen;
 
-typedef struct {
+struct BlocksModel {
     int32_t nx, nd, ns, np, nu, nh, nz, nrates, nq, nv, nw, nevents, nlogged, nmeasured, nprojections;
     int32_t moving_sides, stages, degree, order;
     const BlocksLook *looks; /* (BLOCKS_LOOKS) */
@@ -77,7 +81,9 @@ typedef struct {
     const BlocksHooks *hooks; /* null: there are no such units */
     BlocksProgram foreign_inputs;
     int32_t ntaken; /* how many values it gives */
-} BlocksModel;
+    const BlocksImplicit *implicit; /* of a stiff method; null: none. See stiff.h */
+    const BlocksModel *stiff;       /* the same by radau, for runs that are found to be stiff; null: they are not asked */
+};
 
 /* Equally spaced times (start + k step) / unit. */
 typedef struct {
@@ -292,6 +298,12 @@ struct BlocksSim {
     int64_t *ticks_backup;
     void *arena;
     const BlocksPolynomials *polynomials; /* of inputs; null: they follow their tracks */
+    void *implicit;      /* of a stiff method: its scratch */
+    double *carried;     /* (ncarried) what it keeps from step to step; it counts while the rates at t do */
+    int64_t ncarried;
+    int32_t is_factored; /* whether its factors are those that `carried` speaks of */
+    int32_t hits, calm;  /* of runs that are asked whether they are stiff: steps that say so, and those since that do not */
+    double stiff_from;   /* when it was found; NaN: not yet */
 };
 
 #if defined(BLOCKS_INSIDE) /* a part of a library that shows other functions */
@@ -341,6 +353,9 @@ int blocks_chatters(BlocksSim *s, double step);
 int blocks_misses(BlocksSim *s, double *given);
 int blocks_measures_in(const BlocksSim *s, double t0, double t1);
 int blocks_measure_whole(BlocksSim *s, double t0, double t1);
+
+/* A run is stiff where so many steps say so, without so many between that do not; see docs/semantics.md, "Methods". */
+enum { BLOCKS_HITS = 15, BLOCKS_CALM = 6 };
 
 /* Whether a step is one of those that are looked at: after so many others. */
 #define BLOCKS_PACE 512

@@ -8,7 +8,13 @@
 #include "runtime.h"
 
 #define STAGED (BLOCKS_METHOD_RK4 || BLOCKS_METHOD_DOPRI5 || BLOCKS_METHOD_EULER)
-#if !STAGED
+#if BLOCKS_METHOD_RADAU || BLOCKS_METHOD_AUTO
+#include "stiff.h"
+#endif
+#if BLOCKS_METHOD_RADAU
+enum { STAGES = BLOCKS_STIFF_STAGES, DEGREE = BLOCKS_STIFF_DEGREE, ORDER = 3 };
+#define DENSE blocks_stiff_dense
+#elif !STAGED
 enum { STAGES = 0, DEGREE = 0, ORDER = 0 };
 static const double DENSE[] = {0};
 #endif
@@ -202,6 +208,29 @@ static __attribute__((noinline)) void blame(BlocksSim *s, double h)
         if (part > most) most = part, worst = i;
     }
     s->blamed[worst]++;
+}
+#endif
+
+#if BLOCKS_METHOD_AUTO
+/* Whether an accepted step says that stability limits it: h |df/dx|, as the last two stages have it, which both stand at
+   its end, is near the edge. Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2. */
+static int says_stiff(const BlocksSetup *setup, Stages k, const double *restrict x1)
+{
+    static const double apart[] = END_APART;
+    double rates = 0.0, states = 0.0;
+    for (int i = 0; i < BLOCKS_NX; i++) {
+        double weight = 1.0 / (setup->atol[i] + setup->rtol * fabs(x1[i])), sum = 0.0;
+        _Pragma("GCC unroll 8") for (int n = 0; n < LAST; n++) sum += apart[n] * k[n][i];
+        double rate = weight * (k[LAST][i] - k[LAST - 1][i]);
+        rates += rate * rate, states += weight * weight * sum * sum;
+    }
+    return rates > 3.25 * 3.25 * states;
+}
+
+static void count_stiffness(BlocksSim *s, Stages k, const double *restrict x1)
+{
+    if (says_stiff(s->setup, k, x1)) s->hits++, s->calm = 0;
+    else if (++s->calm == BLOCKS_CALM) s->hits = 0;
 }
 #endif
 
@@ -603,6 +632,9 @@ static int run(BlocksSim *s, double target)
 #endif
     for (int j = 0; j < BLOCKS_NS; j++) side[j] = s->memory.s[sides_at[j]]; /* they do not change between instants */
 #endif
+#if BLOCKS_METHOD_AUTO
+    if (!isnan(s->stiff_from)) return blocks_stiff_run(s, target);
+#endif
     if (first_rates(s)) return BLOCKS_FAILED;
     if (has_grid) blocks_next_row(s);
     else s->next_row = INFINITY;
@@ -615,6 +647,14 @@ static int run(BlocksSim *s, double target)
     while ((point = blocks_grid(&grid, fixed)) <= t) fixed++;
 #endif
     for (;;) {
+#if BLOCKS_METHOD_AUTO
+        if (s->hits == BLOCKS_HITS) {
+            GIVE_BACK;
+            s->stiff_from = t;
+            s->model = s->model->stiff;
+            return blocks_stiff_run(s, target);
+        }
+#endif
         if (--budget <= 0 || t >= soft) {
             GIVE_BACK;
             if (t >= soft || blocks_clock(s)) {
@@ -659,6 +699,9 @@ static int run(BlocksSim *s, double target)
         proposed = step * blocks_smaller(grow, blocks_larger(0.2, factor));
         if (step < h) proposed = blocks_larger(proposed, h); /* cut short by the target: the proposal before it still counts */
         error = blocks_larger(error, 1e-4);
+#if BLOCKS_METHOD_AUTO
+        count_stiffness(s, k, x1);
+#endif
         if (BLOCKS_NX && !((steps + 1) % BLOCKS_PACE)) {
             GIVE_BACK;
             GIVE_STEP;
@@ -759,7 +802,7 @@ static int run(BlocksSim *s, double target)
     }
 }
 
-#else
+#elif !BLOCKS_METHOD_RADAU
 static void trial(BlocksSim *s, double t, const double *x, double h, double *x1)
 {
     (void)s, (void)t, (void)x, (void)h, (void)x1;
@@ -771,24 +814,48 @@ static int run(BlocksSim *s, double target)
 }
 #endif
 
+#if BLOCKS_METHOD_RADAU || BLOCKS_METHOD_AUTO
+static const BlocksImplicit implicit = {&slopes, ELIMINATION, blocks_stiff_open, blocks_stiff_close};
+#endif
+
 static void prepare_all(BlocksMemory *m)
 {
     prepare(m);
     m->same = lanes_are_same(m);
 }
 
-BLOCKS_API const BlocksModel blocks_model = {
-    .nx = BLOCKS_NX, .nd = BLOCKS_ND, .ns = BLOCKS_NS, .np = BLOCKS_NP, .nu = BLOCKS_NU, .nh = BLOCKS_NH,
-    .nz = BLOCKS_NZ, .nrates = BLOCKS_NRATES, .nq = BLOCKS_NQ, .nv = BLOCKS_NV, .nw = BLOCKS_NW,
-    .nevents = BLOCKS_NEVENTS, .nlogged = BLOCKS_NLOGGED, .nmeasured = BLOCKS_NMEASURED,
-    .nprojections = BLOCKS_NPROJECTIONS, .moving_sides = BLOCKS_MOVING_SIDES,
-    .stages = STAGES, .degree = DEGREE, .order = ORDER,
-    .looks = looks, .dense = DENSE, .prepare = prepare_all, .refresh = refresh,
-    .rates = rates_program, .crossings = crossings, .event_times = event_times, .projections = projections,
-    .solutions = solutions, .logged = logged, .measured = measured, .start = start,
-    .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,
-    .trial = trial, .run = run,
+/* What is the same by every method. */
 #if BLOCKS_NF
-    .hooks = &blocks_hooks, .foreign_inputs = foreign_inputs, .ntaken = BLOCKS_NTAKEN,
+#define FOREIGN .hooks = &blocks_hooks, .foreign_inputs = foreign_inputs, .ntaken = BLOCKS_NTAKEN,
+#else
+#define FOREIGN
+#endif
+#define PROGRAMS                                                                                                     \
+    .nx = BLOCKS_NX, .nd = BLOCKS_ND, .ns = BLOCKS_NS, .np = BLOCKS_NP, .nu = BLOCKS_NU, .nh = BLOCKS_NH,            \
+    .nz = BLOCKS_NZ, .nrates = BLOCKS_NRATES, .nq = BLOCKS_NQ, .nv = BLOCKS_NV, .nw = BLOCKS_NW,                     \
+    .nevents = BLOCKS_NEVENTS, .nlogged = BLOCKS_NLOGGED, .nmeasured = BLOCKS_NMEASURED,                             \
+    .nprojections = BLOCKS_NPROJECTIONS, .moving_sides = BLOCKS_MOVING_SIDES,                                        \
+    .looks = looks, .prepare = prepare_all, .refresh = refresh,                                                      \
+    .rates = rates_program, .crossings = crossings, .event_times = event_times, .projections = projections,          \
+    .solutions = solutions, .logged = logged, .measured = measured, .start = start,                                  \
+    .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,            \
+    FOREIGN
+
+#if BLOCKS_METHOD_AUTO
+static const BlocksModel stiff_model = {
+    PROGRAMS .stages = BLOCKS_STIFF_STAGES, .degree = BLOCKS_STIFF_DEGREE, .order = 3, .dense = blocks_stiff_dense,
+    .trial = blocks_stiff_trial, .run = blocks_stiff_run, .implicit = &implicit,
+};
+#endif
+
+BLOCKS_API const BlocksModel blocks_model = {
+    PROGRAMS .stages = STAGES, .degree = DEGREE, .order = ORDER, .dense = DENSE,
+#if BLOCKS_METHOD_RADAU
+    .trial = blocks_stiff_trial, .run = blocks_stiff_run, .implicit = &implicit,
+#else
+    .trial = trial, .run = run,
+#endif
+#if BLOCKS_METHOD_AUTO
+    .implicit = &implicit, .stiff = &stiff_model,
 #endif
 };

@@ -8,29 +8,41 @@ from typing import Any
 
 import numpy as np
 
-from ..compile.c.functions import function_text
-from ..compile.jacobian import PlanJacobian, Solve, Sum
-from ..contract.tracing import jacobian
+from ...contract.tracing import jacobian
+from ..fmu_tape import FmuTape
+from ..jacobian import PlanJacobian, Solve, Sum
 from .c_text import ints, reals, table
+from .functions import function_text
 
-__all__ = ["JacobianText", "jacobian_text"]
+__all__ = ["JacobianText", "elimination", "in_order", "jacobian_text"]
 
 Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)
 class JacobianText:
-    """The text of what is static, and the initializer of an FmuJacobian."""
+    """The text of what is static, and the initializer of a BlocksJacobian."""
 
     text: str
     initializer: str
 
 
-def jacobian_text(made: PlanJacobian, tables_at: Sequence[int]) -> JacobianText:
-    """The C text of a Jacobian. tables_at: where each table of the plan begins in the row of tables."""
+def jacobian_text(
+    made: PlanJacobian, tables_at: Sequence[int], x_at: Sequence[int], outputs: str, *, is_square: bool = False
+) -> JacobianText:
+    """The C text of a Jacobian. tables_at: where each table of the plan begins in the row of tables. x_at: the place of
+    each state in the model. outputs: the program that gives made.outputs. is_square: of rates by states, whose rows and
+    columns stand in the order of the model."""
+    pattern = in_order(made, x_at) if is_square else (made.indptr, made.indices, np.arange(len(made.indices)))
+    indptr, indices, order = pattern
     texts, calls = [], []
     at = 0
     for number, group in enumerate(made.groups):
+        if isinstance(group.tape, FmuTape):  # known by difference quotients alone: see radau.c
+            count = len(group.pairs) * len(group.members)
+            calls.append(f"    for (int i = 0; i < {count}; i++) out[{group.first} + i] = NAN;")
+            at += len(group.members) * len(group.reads)
+            continue
         tape = jacobian(group.tape, group.results, sorted(group.by))
         table_of = dict(zip((k for k, a in enumerate(tape.arguments) if a.kind == "table"), group.tables, strict=True))
         size = len(group.members)
@@ -61,7 +73,10 @@ def jacobian_text(made: PlanJacobian, tables_at: Sequence[int]) -> JacobianText:
             )
         else:
             calls.append(f"    for (int i = 0; i < {size}; i++) {name}({', '.join([*arguments, *outs])});")
-    texts.append(ints("gather", made.gather))
+    gather = np.array(made.gather)
+    is_state = gather < len(x_at)
+    gather[is_state] = np.array(x_at, dtype=np.intp)[gather[is_state]]
+    texts.append(ints("gather", gather))
     texts.append(
         "static void partials(const double *a, const double *tables, double *out)\n{\n"
         f"    (void)a, (void)tables, (void)out, (void)gather;\n{chr(10).join(calls)}\n}}\n"
@@ -72,21 +87,21 @@ def jacobian_text(made: PlanJacobian, tables_at: Sequence[int]) -> JacobianText:
         texts.append(text)
         sums.append(row)
         most = max(most, size)
-    texts.append(table("FmuSum", "sums", sums))
-    gates = {
+    texts.append(table("BlocksSum", "sums", sums))
+    gates: dict[str, list[tuple[int, Any]]] = {
         "off_partials": [(side, [*numbers]) for side, numbers in made.off_partials],
-        "off": [(side, [i for i, is_in in enumerate(mask) if is_in]) for side, mask in made.off],
+        "off": [(side, np.flatnonzero(mask[order])) for side, mask in made.off],
     }
     for name, parts in gates.items():
         structs = []
         for k, (side, entries) in enumerate(parts):
             texts.append(ints(f"{name}_{k}", entries))
             structs.append(f"{{{side}, {len(entries)}, {name}_{k}}}")
-        texts.append(table("FmuOff", name, structs))
+        texts.append(table("BlocksOff", name, structs))
     texts.append(ints("unused", made.unused, "uint8_t"))
-    texts.append(ints("first_value", made.indptr))
-    texts.append(ints("value_rows", made.indices))
-    texts.append(ints("value_entries", made.data_at))
+    texts.append(ints("first_value", indptr))
+    texts.append(ints("value_rows", indices))
+    texts.append(ints("value_entries", made.data_at[order]))
     texts.append(reals("jacobian_numbers", made.numbers))
     rows, columns = made.shape
     fields = {
@@ -94,9 +109,37 @@ def jacobian_text(made: PlanJacobian, tables_at: Sequence[int]) -> JacobianText:
         "narguments": made.width, "nprobed": len(made.outputs), "nnumbers": len(made.numbers), "nsums": len(sums),
         "noff_partials": len(made.off_partials), "noff": len(made.off), "nmost": most, "numbers": "jacobian_numbers",
         "sums": "sums", "off_partials": "off_partials", "off": "off", "is_unused": "unused", "first": "first_value",
-        "rows": "value_rows", "entries": "value_entries", "partials": "partials",
+        "rows": "value_rows", "entries": "value_entries", "partials": "partials", "outputs": outputs,
     }  # fmt: skip
     return JacobianText("".join(texts), "{" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "}")
+
+
+def in_order(made: PlanJacobian, x_at: Sequence[int]) -> tuple[Array, Array, Array]:
+    """The pattern of rates by states (indptr, indices), where state i stands at x_at[i]; and where its values stand in
+    made."""
+    at = np.array(x_at, dtype=np.intp)
+    columns, rows = at[np.repeat(np.arange(len(at)), np.diff(made.indptr))], at[made.indices]
+    order = np.lexsort((rows, columns))
+    return np.searchsorted(columns[order], np.arange(len(at) + 1)), rows[order], order
+
+
+SPARSE_FROM, SPARSE_DENSITY = 24, 0.2
+"""Elimination takes the pattern into account from so many states on, where no more of its entries differ from 0."""
+
+
+def elimination(indptr: Array, indices: Array) -> Array | None:
+    """The order in which columns of a matrix of this pattern are eliminated, so that little is filled in; None: by rows
+    of a dense matrix, as it is small or nearly full."""
+    n = len(indptr) - 1
+    if n < SPARSE_FROM or len(indices) > SPARSE_DENSITY * n * n:
+        return None
+    from scipy.sparse import csc_matrix, identity
+    from scipy.sparse.linalg import splu
+
+    pattern = csc_matrix((np.full(len(indices), -1.0), indices, indptr), shape=(n, n))
+    dominant = (pattern + 2.0 * n * identity(n)).tocsc()  # its pivots are its diagonal
+    order: Array = splu(dominant, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).perm_c
+    return np.argsort(order)
 
 
 def _stage(k: int, stage: Sum | Solve) -> tuple[str, str, int]:

@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Iterable
 
-from ..compile.c.functions import number
+from .functions import number
 
 __all__ = ["ints", "reals", "table", "texts"]
 

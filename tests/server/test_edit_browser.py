@@ -1,0 +1,355 @@
+"""A diagram drawn in a real browser: from an empty file to the motor under control, and what must not happen."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.drawing import placed
+from blocks import Diagram
+from blocks.model.document import dumps
+from blocks.server.editor import Editor
+from tests.support.hands import Hands, edited_page
+from tests.support.places import ROOT
+
+pytestmark = pytest.mark.long
+
+MOTOR, PAPER = ROOT / "diagrams/motor_pid.json", ROOT / "diagrams/paper"
+HOSTILE = (
+    "<img src=x onerror=window.hit=1>", '"><script>window.hit=1</script>', "__proto__", "constructor", "a.b", "../../x",
+    "${window.hit=1}", "x" * 400, "\u202egnp.exe",
+)  # fmt: skip
+WIRES = {
+    "control.r": "speed.y", "motor.v": "control.u", "control.y": "motor.omega", "motor.tau": "load.y",
+}  # fmt: skip
+PARAMETERS = {
+    "kp": ("20 V.s/rad", "proportional gain"), "ki": ("30 V/rad", "integral gain"),
+    "kd": ("4 V.s2/rad", "derivative gain"), "voltage": ("12 V", "largest voltage, forward and backward"),
+    "torque": ("3 N.m", "torque that brakes the motor from 6 s on"),
+}  # fmt: skip
+MEASURES = (
+    "overshoot of=motor.omega against=speed.y from=1 to=6", "settling_time of=motor.omega against=speed.y from=1 to=6",
+    "dip=peak of=motor.omega against=speed.y from=6", "ITAE of=motor.omega against=speed.y",
+)  # fmt: skip
+BLOCKS = {
+    "speed": ("step at=1 after=2 unit=rad/s", "wanted speed"),
+    "control": ("pid kp==kp ki==ki kd==kd c=1 lower==-voltage upper==voltage unit=rad/s unit_u=V", ""),
+    "load": ("step at=6 after==torque unit=N.m", "torque on the wheel"),
+    "motor": ("pmdc", ""),
+}
+LOG = ("speed.y", "motor.omega", "motor.i", "control.u", "load.y")
+DOC = "\n".join(json.loads(MOTOR.read_text())["doc"])
+
+
+def check_and_undo(hands: Hands, empty: bytes, undo: Any) -> None:
+    """It is the shipped diagram, but for positions; it runs; undone it is the empty file."""
+    path = hands.editor.file
+    assert replace(Diagram.load(path).value, layout={}) == replace(Diagram.load(MOTOR).value, layout={})
+    runs = [Diagram.load(one).run() for one in (path, MOTOR)]
+    assert np.array_equal(runs[0]["motor.omega"], runs[1]["motor.omega"])
+    for _ in range(len(hands.editor.done)):
+        undo()
+    for _ in range(1000):
+        if not hands.editor.done:
+            break
+        hands.page.evaluate("new Promise(requestAnimationFrame)")
+    hands.page.until("!document.querySelector('#stage [data-path]')")
+    assert path.read_bytes() == empty
+    hands.page.assert_clean()
+
+
+def test_the_motor_under_control_is_drawn_with_the_mouse_alone(chromium: Any, tmp_path: Path) -> None:
+    path = tmp_path / "motor_pid.json"
+    with edited_page(chromium, path) as hands:
+        page, empty = hands.page, path.read_bytes()
+        for name, (value, doc) in PARAMETERS.items():
+            hands.insert(f"parameter {name}={value}")
+            hands.button(f"Describe {name}", "#panel")
+            hands.said(doc)
+        for name, (text, doc) in BLOCKS.items():
+            hands.insert(text)
+            hands.button("Rename")
+            page.until("document.querySelector('.typed')")
+            page.type(name)
+            hands.done(lambda: page.click("#panel h2"))
+            if doc:
+                hands.button("Describe")
+                hands.said(doc)
+        for sink, source in WIRES.items():
+            hands.wire(source, sink)
+        x, y = hands.box("motor")
+        hands.done(lambda: page.drag(x, y, x + 30, y - 40))  # the first move writes all positions
+        assert set(json.loads(path.read_text())["layout"]) == set(BLOCKS)
+        page.click('#lists [data-signal="motor.omega"]')
+        hands.insert("output omega")
+        for signal in LOG:
+            page.click(f'#lists [data-signal="{signal}"]')
+            hands.done(lambda: hands.button("Log"))
+        x, y = hands.box("motor")
+        page.click_at(x, y + 180)  # nothing
+        page.until("document.querySelector('#panel h2').textContent === 'motor_pid'")
+        page.evaluate("document.querySelector('#panel details').open = true")
+        for what, text in (("stop", "10"), ("every", "0.01")):
+            hands.button(f"Change {what}", "#panel")
+            hands.said(text)
+        for text in MEASURES:
+            hands.button("Add a measure", "#panel")
+            page.until("document.querySelector('dialog.search')")
+            page.type(text.split("=")[1].split()[0] if text.startswith("dip") else text.split()[0])
+            page.click("#found [role=option]")
+            hands.said(text)
+        hands.button("Describe")
+        hands.said(DOC)
+        hands.button("Run", "#runbar")
+        page.until("document.getElementById('runbar').dataset.state === 'done'")
+        check_and_undo(hands, empty, lambda: hands.button("Undo"))
+
+
+def test_the_motor_under_control_is_drawn_with_the_keyboard_alone(chromium: Any, tmp_path: Path) -> None:
+    path = tmp_path / "motor_pid.json"
+    with edited_page(chromium, path) as hands:
+        page, empty = hands.page, path.read_bytes()
+
+        def say(text: str, *, over: str = "Control+a") -> None:
+            page.until("document.querySelector('dialog :is(input, textarea)')")
+            page.press(over)
+            for k, line in enumerate(text.split("\n")):
+                if k:
+                    page.press("Enter")
+                page.type(line)
+            hands.done(lambda: page.press("Control+Enter"))
+
+        for name, (value, doc) in PARAMETERS.items():
+            hands.type_block(f"parameter {name}={value}")
+            hands.tab_to(f'[aria-label="Describe {name}"]')
+            page.press("Enter")
+            say(doc)
+            hands.tab_to("#view")
+        for name, (text, doc) in BLOCKS.items():
+            hands.type_block(text)
+            hands.seen(".picked")
+            page.press("F2")
+            page.until("document.querySelector('.typed')")
+            page.type(name)
+            hands.done(lambda: page.press("Enter"))
+            if doc:
+                hands.type_block(f"describe {doc}")
+        for sink, source in WIRES.items():
+            hands.rest()
+            page.press("/")
+            page.until("document.querySelector('dialog.search li')")
+            page.type(source.split(".")[0])
+            page.press("Enter", "C")
+            page.until("document.querySelector('dialog.search li')")
+            if page.evaluate("document.querySelector('dialog').ariaLabel").startswith("Port"):
+                page.type(source)
+                page.press("Enter")
+                page.until("document.querySelector('dialog')?.ariaLabel.startsWith('Connect')")
+            page.type(sink)
+            hands.done(lambda: page.press("Enter"))
+        hands.rest()
+        page.press("ArrowUp")  # a nudge writes all positions
+        page.until("document.querySelector('#stage svg').dataset.origin")
+        page.press("/")
+        page.type("motor.omega")
+        page.press("Enter")
+        hands.type_block("output omega")
+        runs = (*(f"log {name}" for name in LOG), "stop 10", "every 0.01", *(f"measure {one}" for one in MEASURES))
+        for text in runs:
+            hands.type_block(text)
+        page.press("Escape")
+        page.press("d")
+        page.until("document.querySelector('dialog.search li')")
+        page.type("escribe")
+        page.press("Enter")
+        page.until("document.querySelector('dialog textarea')")
+        say(DOC)
+        page.press("Shift+R")
+        page.until("document.getElementById('runbar').dataset.state === 'done'")
+        check_and_undo(hands, empty, lambda: page.press("Control+z"))
+
+
+def test_what_another_program_or_window_writes_is_shown_and_undone_in_all_windows(
+    chromium: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "motor.json"
+    path.write_bytes(MOTOR.read_bytes())
+    with edited_page(chromium, path) as hands, chromium() as other:
+        other.open(hands.server.ticket)
+        other.until("!document.getElementById('edits').hidden")
+        ours = path.read_text()
+        path.write_text(ours.replace('"voltage": {"value": 12', '"voltage": {"value": 13'))
+        for page in (hands.page, other):
+            page.until("document.querySelector('#panel input[aria-label=voltage]').value === '13 V'")
+        hands.page.click_at(*hands.box("load"))
+        hands.done(lambda: hands.page.press("Delete"))
+        other.until("!document.querySelector('#stage [data-path=load]')")
+        assert "motor.tau" not in path.read_text()
+        undo = "[...document.querySelectorAll('#edits button')].find(one => one.textContent === 'Undo')"
+        other.until(f"!{undo}.disabled")
+        other.press("Control+z", "Control+z")
+        for page in (hands.page, other):
+            page.until("document.querySelector('#stage [data-path=load]')")
+            page.until("document.querySelector('#panel input[aria-label=voltage]').value === '12 V'")
+            page.assert_clean()
+        assert path.read_text() == ours
+
+
+def test_a_command_that_is_killed_in_the_middle_of_gestures_leaves_a_whole_file(tmp_path: Path) -> None:
+    path = tmp_path / "large.json"
+    path.write_text(dumps(placed(40)))
+    killed = """
+import sys
+from blocks.server import gestures
+from blocks.server.editor import Editor
+editor = Editor(sys.argv[1])
+print("begun", flush=True)
+for k in range(10**6):
+    editor.edit("move", [{"move": f"law{k % 40}", "to": [k % 977, k % 391]}])
+"""
+    before = path.read_bytes()
+    for delay in (0.05, 0.11, 0.23, 0.31, 0.4):
+        command = subprocess.Popen([sys.executable, "-c", killed, path], stdout=subprocess.PIPE, cwd=ROOT)
+        assert command.stdout is not None
+        command.stdout.readline()
+        time.sleep(delay)
+        command.kill()
+        command.communicate()
+        value = Diagram.load(path).value
+        assert len(value.blocks) == 200
+        assert dumps(value).encode() == path.read_bytes()
+    assert path.read_bytes() != before
+    Editor(path).edit("move", [{"move": "law0", "to": [1, 2]}])  # what a kill left beside the file is in nobody's way
+    assert Diagram.load(path).value.layout["law0"] == [1, 2]
+
+
+def test_the_robot_of_the_paper_is_edited_run_and_undone(chromium: Any, tmp_path: Path) -> None:
+    for file in PAPER.iterdir():
+        if file.suffix == ".json":
+            (tmp_path / file.name).write_bytes(file.read_bytes())
+    path = tmp_path / "iadrc.json"
+    before = path.read_bytes()
+    with edited_page(chromium, path) as hands:
+        page = hands.page
+        x, y = hands.box("motor_right")
+        hands.done(lambda: page.drag(x, y, x + 40, y + 30))
+        page.click('#lists [data-path="motor_right"]')
+        page.until("document.querySelector('#panel input[aria-label=\"motor_right.Ra\"]')")
+        page.click('#panel input[aria-label="motor_right.Ra"]', count=3)
+        page.type("0.2")
+        hands.done(lambda: page.press("Tab"))
+        assert Diagram.load(path).value.blocks["motor_right"].parameters["Ra"] == 0.2
+        page.evaluate("document.getElementById('view').focus()")
+        hands.done(lambda: page.press("Control+d"))
+        hands.seen("[data-path=motor_right_2]")
+        page.press("Control+z")
+        page.until("!document.querySelector('#stage [data-path=motor_right_2]')")
+        page.click('#runbar input[type="text"]')
+        page.type("2")
+        hands.button("Run", "#runbar")
+        page.until("document.getElementById('runbar').dataset.state === 'done'")
+        while hands.editor.done:
+            steps = len(hands.editor.done)
+            hands.button("Undo")
+            page.until(f"document.body.dataset.revision >= {hands.editor.revision}")
+            assert len(hands.editor.done) <= steps
+        page.assert_clean()
+    assert path.read_bytes() == before
+
+
+def test_500_blocks_are_moved_wired_deleted_and_undone(chromium: Any, tmp_path: Path) -> None:
+    path = tmp_path / "large.json"
+    path.write_text(dumps(placed(100)))
+    before = path.read_bytes()
+    with edited_page(chromium, path) as hands:
+        page = hands.page
+        page.click('#lists [data-path="law0"]')
+        for act in (
+            lambda: page.press("ArrowRight"), lambda: page.press("Control+d"), lambda: page.press("Delete"),
+            lambda: page.press("Control+z"), lambda: page.press("Control+z"), lambda: page.press("Control+z"),
+        ):  # fmt: skip
+            revision = hands.editor.revision
+            page.evaluate("document.getElementById('view').focus()")
+            act()
+            page.until(f"document.body.dataset.revision > {revision}")
+        drawn = page.evaluate("document.querySelector('#stage').querySelectorAll('g[data-path]').length")
+        assert drawn == 500
+        hands.rest()
+        # What was kept of the drawing is what a page that is loaded anew shows.
+        shown = "document.querySelector('#stage svg').innerHTML.replace(/ class=\"[^\"]*\"/g, '')"
+        kept = page.evaluate(shown)
+        page.evaluate("location.reload()")
+        page.until("document.querySelectorAll('#stage g[data-path]').length === 500")
+        hands.rest()
+        assert page.evaluate(shown) == kept
+        page.assert_clean()
+    assert path.read_bytes() == before
+
+
+def test_hostile_names_and_texts_are_shown_as_texts(chromium: Any, tmp_path: Path) -> None:
+    path = tmp_path / "bad.json"
+    with edited_page(chromium, path) as hands:
+        page = hands.page
+        hands.type_block("gain")
+        for text in HOSTILE:
+            hands.seen(".picked")
+            page.evaluate("document.getElementById('view').focus()")
+            page.press("F2")
+            page.until("document.querySelector('.typed')")
+            page.type(text)
+            page.press("Enter")
+            known = json.dumps(f'#lists [data-path="{text}"]') if text.isidentifier() else "'none'"
+            page.until(f"document.querySelector('#edits .refusal').innerText || document.querySelector({known})")
+            hands.type_block(f"describe {text}")
+            page.until("document.querySelector('#panel .own')?.innerText.trim()")
+        for text in HOSTILE:
+            entries = json.dumps(json.dumps({"blocks": {"b": {"type": text, "doc": text}}}))
+            data = f"{{clipboardData: {{getData: () => {entries}}}}}"
+            event = f"Object.assign(new Event('paste', {{bubbles: true, cancelable: true}}), {data})"
+            page.evaluate(f"document.dispatchEvent({event})")
+            hands.rest()
+        assert not page.evaluate("window.hit || document.querySelector('#stage script, body img')")
+        page.assert_clean()
+
+
+def test_what_is_typed_into_fields_stays_and_a_fault_stands_beside_its_field(chromium: Any, tmp_path: Path) -> None:
+    path = tmp_path / "tank.json"
+    with edited_page(chromium, path) as hands:
+        page = hands.page
+        hands.type_block("parameter area=2 m2")
+        hands.type_block("step at=1 after=0.5 unit=m3/s")
+        hands.type_block("tank A==area")
+        hands.seen("[data-path=tank].picked")
+        page.press("Enter")  # to its values
+        page.until("document.activeElement.ariaLabel === 'tank.A'")
+        assert page.evaluate("document.activeElement.value") == "=area"
+        page.press("Control+a")
+        page.type("3 V")
+        hands.done(lambda: None)  # without Return
+        page.until("document.querySelector('#panel .rows li > .error').innerText.includes('E104')")
+        assert page.evaluate("document.activeElement.ariaLabel") == "tank.A"
+        page.press("Control+a")
+        page.type("=2*area")
+        hands.done(lambda: None)
+        assert Diagram.load(path).value.blocks["tank"].parameters == {"A": "=2*area"}
+        page.press("Escape")
+        assert page.evaluate("document.activeElement.id") == "view"
+        page.until("document.querySelector('#lists .remedies')")
+        hands.button("Connect ...", "#lists")
+        page.until("document.querySelector('dialog li')")
+        hands.done(lambda: page.press("Enter"))
+        page.until("!document.querySelector('#lists .fault')")
+        page.press("Control+s")
+        page.until("document.querySelector('#edits .refusal').innerText.includes('already')")
+        hands.type_block("stop 20")
+        page.press("Shift+R")
+        page.until("document.getElementById('runbar').dataset.state === 'done'")
+        page.assert_clean()
