@@ -2187,7 +2187,7 @@ int blocks_keep_left(BlocksSim *s)
 /* Values at the start. Nothing fires. The caller has set t, p, s and z (guesses), located (sides that are given), ticks. */
 int blocks_begin(BlocksSim *s)
 {
-    const BlocksModel *model = s->model;
+    const BlocksModel *model = s->model = s->setup->model;
     int nx = model->nx, nd = model->nd, ns = model->ns;
     double *out = s->stage_values;
     for (int r = 0; r < model->nrates; r++) s->memory.k[r] = (double)s->ticks[r];

@@ -288,7 +288,7 @@ static int64_t native_copy(MasterUnit *u, unsigned char *begin, int writes)
     ROW(s->memory.z, model->nz); ROW(s->ticks, model->nrates); ROW(s->events, model->nevents); ROW(s->own, model->nevents);
     ROW(s->located, model->ns); ROW(s->sides, model->ns); ROW(s->fired, s->setup->ncauses); ROW(s->crossed, model->ns ? 1000 : 0);
     if (model->stages) ROW(s->k[0], model->nx + model->ns);
-    ROW(s->carried, s->ncarried);
+    ROW(s->carried, s->ncarried); ONE(s->hits); ONE(s->calm); ONE(s->stiff_from);
     ROW(s->before, model->nx + model->ns); ROW(s->base, model->nu); ROW(s->aim, model->nu); ROW(s->begin, model->nu);
     ROW(s->finish, model->nu); ROW(u->inputs, u->ninputs); ROW(u->terms, 4 * u->ninputs); ONE(u->polynomials.t0);
     if (u->ninputs) ROW(u->track, u->ninputs);
