@@ -14,8 +14,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
+
+import numpy as np
 
 from .diagrams import p1
 
@@ -23,6 +27,8 @@ ROOT = Path(__file__).resolve().parent.parent
 ROBOT = "diagrams/paper/iadrc.json"
 ROUNDS = 5
 ROWS = 20
+ROBOTS = 64
+GOALS = {"4 lanes": 35 / 15, "8 lanes": 35 / 12}
 BARE = """
 import json, resource, sys
 from blocks import Diagram
@@ -71,6 +77,7 @@ def main(base: str = "") -> None:
     beyond = 1e3 * (least["row"] - share * batch)
     print(f"{'a row of 1 ms, beyond its simulation':44} {beyond:8.3f} ms   {_verdict(beyond <= 0.1)} 0.1 ms")
     _threads(whole, table)
+    _lanes(robot)
     _first(robot)
     _pool()
 
@@ -79,6 +86,39 @@ def _threads(whole: Any, table: list[list[float]]) -> None:
     """The wall clock of one thread and of two."""
     one, two = (min(_wall(lambda n=n: whole(table, threads=n)) for _ in range(ROUNDS)) for n in (1, 2))  # type: ignore[misc]
     print(f"{'two threads, by the wall clock':44} {one / two:8.2f} x    {_verdict(one / two >= 1.9)} 1.9 x")
+
+
+def _lanes(robot: Any) -> None:
+    """Robots that differ in four values, on one core: one at a time, and in lanes of this processor and smaller ones.
+
+    Without measures and one at a time is the floor: a loop in C over rows of parameters, with the engine's flags.
+    """
+    from blocks.compile.c.lane_code import Machine
+
+    own = Machine.own()
+    if own is None:
+        print("no lanes: they need gcc on Linux and x86-64")
+        return
+    names = ["Jeq", "torque", "control_*.eso.Ka", "control_*.td.R"]
+    draws = np.random.default_rng(1).uniform(-0.1, 0.1, (ROBOTS, len(names)))
+    for what, measures in (("no measures", []), ("eight measures", None)):
+        batches = {"one at a time": robot.batch(names, measures=measures)}
+        for width in (4, 8)[: 1 + (own.width == 8)]:
+            with mock.patch.object(Machine, "own", staticmethod(lambda width=width: Machine.of(width))):
+                batches[f"{width} lanes"] = robot.batch(names, measures=measures, lanes="fast")
+        table = np.array(batches["one at a time"].nominal) * (1 + draws)
+        least = dict.fromkeys(batches, float("inf"))
+        for _ in range(3):
+            for name, batch in batches.items():
+                least[name] = min(least[name], _cpu(partial(batch, table, threads=1)) / ROBOTS)
+        for name, seconds in least.items():
+            print(f"{f'{ROBOTS} robots, {what}, {name}':44} {1e3 * seconds:8.2f} ms a row")
+            if name in GOALS:
+                _at_least(f"  {name}, beside one at a time", least["one at a time"] / seconds, GOALS[name])
+
+
+def _at_least(label: str, ratio: float, goal: float) -> None:
+    print(f"{label:44} {ratio:8.2f} x    {_verdict(ratio >= goal)} {goal:.2f} x")
 
 
 def _first(robot: Any) -> None:

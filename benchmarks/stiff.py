@@ -12,6 +12,7 @@ logarithms of what each gives at several tolerances. The program with CVODE is b
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
 import math
 import subprocess
@@ -63,9 +64,14 @@ class Cvode:
 
 def by_blocks(problem: Problem, diagram: Any, rtol: float, runs: int) -> tuple[float, Array]:
     settings = {"rtol": rtol, "atol": problem.atol * rtol, "stop": problem.stop, "every": problem.stop}
-    made = [diagram.run(method="radau", engine="native", log=problem.log, **settings) for _ in range(runs)]
-    best = min(made, key=lambda results: results.statistics.seconds)
-    return best.statistics.seconds, np.concatenate([np.ravel(best[name][-1]) for name in problem.log])
+    least = math.inf
+    for _ in range(runs):
+        run = diagram.start(method="radau", engine="native", log=problem.log, **settings)
+        begun = time.process_time()
+        results = run.finish()
+        spent = time.process_time() - begun  # of the processor, which others may hold; with what Python does around it
+        least = min(least, spent, results.statistics.seconds)
+    return least, np.concatenate([np.ravel(results[name][-1]) for name in problem.log])
 
 
 def by_scipy(problem: Problem, rtol: float) -> tuple[float, Array]:
@@ -145,6 +151,7 @@ def plot(path: str) -> None:
     """Work and precision of each problem, as a figure."""
     import matplotlib.pyplot as plt
 
+    plt.rcParams["svg.fonttype"] = "none"  # texts as texts: a third of the bytes
     program = Cvode("cvode", "-O2")
     figure, axes = plt.subplots(2, 5, figsize=(11, 5), layout="constrained")
     for ax, problem in zip(axes.ravel(), PROBLEMS, strict=True):
@@ -152,8 +159,9 @@ def plot(path: str) -> None:
         exact = exact_of(problem, diagram)
         curves = {"blocks": curve_of_blocks(problem, diagram, exact), "CVODE": [], "SciPy Radau": []}
         for rtol in RTOLS[::2]:
-            seconds, states = program.run(problem, rtol)
-            curves["CVODE"].append((error_of(problem, states, exact), seconds))
+            with contextlib.suppress(RuntimeError):  # at a loose tolerance it may fail
+                seconds, states = program.run(problem, rtol)
+                curves["CVODE"].append((error_of(problem, states, exact), seconds))
             if problem.in_scipy and rtol > 1e-7:
                 seconds, states = by_scipy(problem, rtol)
                 curves["SciPy Radau"].append((error_of(problem, states, exact), seconds))
@@ -162,9 +170,9 @@ def plot(path: str) -> None:
                 ax.loglog(*zip(*curve, strict=True), marker + "-", markersize=3, linewidth=1, label=name)
         ax.set_title(problem.name, fontsize=9)
         ax.invert_xaxis()
-        ax.tick_params(labelsize=7)
+        ax.tick_params(labelsize=7, which="both")
         ax.grid(visible=True, linewidth=0.3)
-    axes[0, 0].legend(fontsize=7)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
     figure.supxlabel("error at the end", fontsize=9)
     figure.supylabel("time in s", fontsize=9)
     figure.savefig(path, metadata={"Date": None} if path.endswith(".svg") else None)

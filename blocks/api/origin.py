@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ..contract.sparse import edges_of
 from ..model.diagram import DiagramValue
 from ..model.fingerprint import fingerprint
 from ..model.settings import MasterSettings, RunSettings
@@ -102,6 +103,8 @@ def _inputs(given: Any) -> dict[str, Any]:
 
 def _described(value: Any) -> Any:
     """A given value as JSON holds it; more than 50 numbers are given by the SHA-256 of their doubles."""
+    if hasattr(value, "tocoo"):
+        value = edges_of(value)
     if isinstance(value, Mapping):
         return {str(key): _described(item) for key, item in value.items()}
     if isinstance(value, np.ndarray) and value.ndim == 0:

@@ -182,10 +182,10 @@ class _Resolving:
 
     def shared(self) -> Interface:
         """The type with its zero patterns, the same object for equal types."""
-        patterns = {
-            name: tuple(bool(x) for x in np.ravel(self.values[name].value != 0))
+        patterns: dict[str, tuple[Any, ...]] = {
+            name: tuple(bool(x) for x in np.ravel(value != 0)) if isinstance(value, np.ndarray) else (value,)
             for name, parameter in self.declaration.parameters.items()
-            if parameter.zeros and isinstance(self.values[name].value, np.ndarray)
+            if parameter.zeros and (value := self.values[name].value) is not None
         }
         return _shared(Interface(self.cls, self.structural, patterns))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
@@ -51,7 +52,9 @@ class SparseMatrix:
         return hash(self._key)
 
     def __repr__(self) -> str:
-        return f"a sparse matrix of {self.shape[0]} x {self.shape[1]} with {len(self.values)} elements"
+        """Its size, and a digest that tells it from others."""
+        digest = hashlib.sha256(b"".join(self._key[1:])).hexdigest()
+        return f"{self.shape[0]} x {self.shape[1]} with {len(self.values)} elements, {digest[:12]}"
 
     @property
     def _key(self) -> tuple[Any, ...]:

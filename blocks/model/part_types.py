@@ -14,21 +14,70 @@ from ..contract.equations import output, wiring
 from ..contract.variables import Input, Parameter
 from ..library.logic import chosen_of
 
-__all__ = ["Link", "Weights", "Whole"]
+__all__ = ["Link", "Weights", "WholeGain", "WholeProduct", "WholeReduction", "WholeSwitch"]
 
 
-class Whole(Block):
-    """What is left of a block that is taken apart: its ports, and the parameters that their units follow from."""
+def _rows(K):
+    return int(K.split()[0])
+
+
+def _columns(K):
+    return int(K.split()[2])
+
+
+class WholeGain(Block):
+    """What is left of a MatrixGain. K: what `SparseMatrix` says of itself, "3 x 4 with 5 elements, ..."."""
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
-    p = Parameter(0, structural=True, type="int", doc="number of outputs; 0: y is a scalar")
-    m = Parameter(1, structural=True, type="int", doc="number of inputs")
-    u = Input(shape=lambda m: m, unit=unit_u, doc="inputs")
+    K = Parameter("1 x 1", structural=True, type="string", doc="matrix of gains")
+    u = Input(shape=_columns, unit=unit_u, doc="inputs")
 
-    @wiring(shape=lambda p: p or (), doc="what the parts give")
-    def y(u, p):
-        return u[[0] * p] if p else u[0]  # never asked: what reads y reads the parts
+    # Never asked, as those below: what reads y reads the parts.
+    @wiring(shape=_rows, doc="K times the inputs")
+    def y(u, K):
+        return u[[0] * _rows(K)]
+
+
+class WholeSwitch(Block):
+    """What is left of a SwitchedMatrixGain."""
+
+    size = Parameter(2, structural=True, type="int", doc="number of matrices to choose from")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
+    K = Parameter("2 x 1", structural=True, type="string", doc="matrices, stacked")
+    u = Input(shape=_columns, unit=unit_u, doc="inputs")
+    index = Input(doc="number of the matrix that counts, from 1 on")
+
+    @wiring(shape=lambda K, size: _rows(K) // size, doc="the chosen matrix times the inputs")
+    def y(u, K, size):
+        return u[[0] * (_rows(K) // size)]
+
+
+class WholeReduction(Block):
+    """What is left of a Reduction or a Norm."""
+
+    kind = Parameter("", structural=True, type="string", doc="what y is")
+    size = Parameter(1, structural=True, type="int", doc="number of elements")
+    unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
+    u = Input(shape=lambda size: size, unit=unit, doc="vector")
+
+    @wiring(doc="reduction of the input")
+    def y(u):
+        return u[0]
+
+
+class WholeProduct(Block):
+    """What is left of a DotProduct."""
+
+    size = Parameter(1, structural=True, type="int", doc="number of elements of each vector")
+    unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
+    u1 = Input(shape=lambda size: size, doc="vector")
+    u2 = Input(shape=lambda size: size, doc="vector")
+
+    @wiring(doc="scalar product of the inputs")
+    def y(u1, u2):
+        return u1[0]
 
 
 class Link(Block):

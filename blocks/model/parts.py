@@ -25,7 +25,7 @@ from ..library.functions import Sqrt
 from ..library.logic import MultiportSwitch
 from ..library.vectors import Reduction, SwitchedMatrixGain
 from ..text.errors import Fault, ModelError
-from .part_types import Link, Weights, Whole
+from .part_types import Link, Weights, WholeGain, WholeProduct, WholeReduction, WholeSwitch
 from .wires import BlockSource, Source, ValueSource
 
 __all__ = ["Parts"]
@@ -49,7 +49,7 @@ class Parts:
     def __init__(self, blocks: list[Any]) -> None:
         self.blocks, self.given, self.of = blocks, dict[int, list[Source]](), dict[int, range]()
         for index, block in enumerate(tuple(blocks)):
-            make = _TAKEN_APART.get(block.interface.cls)
+            make, rest = _TAKEN_APART.get(block.interface.cls, (None, None))
             if make is None:
                 _refuse_sparse(block)
                 continue
@@ -58,7 +58,7 @@ class Parts:
             self.whole, first = block, len(blocks)
             self.given[index] = make(self, block.sources, block.resolved)
             self.of[index] = range(first, len(blocks))
-            blocks[index] = self.rest()
+            blocks[index] = self.rest(rest)
         if self.given:
             blocks[:] = [replace(b, sources={k: self.moved(s) for k, s in b.sources.items()}) for b in blocks]
 
@@ -71,13 +71,11 @@ class Parts:
         """Blocks with their parts."""
         return (*blocks, *(part for index in blocks for part in self.of.get(index, ())))
 
-    def rest(self) -> Any:
-        """What stands in the place of the whole block."""
-        interface, u = self.whole.interface, [s for sources in self.whole.sources.values() for s in sources]
-        y = interface.outputs["y"].shape
-        known = {name: interface.structural.get(name, "") for name in ("unit", "unit_u")}
-        resolved = _made(Whole, *known.items(), ("p", y[0] if y else 0), ("m", len(u)))
-        return replace(self.whole, resolved=resolved, sources={"u": tuple(u)})
+    def rest(self, cls: Any) -> Any:
+        """What stands in the place of the whole block: its ports and its parameters, a matrix as a text."""
+        known = {name: value.value for name, value in self.whole.resolved.values.items()}
+        given = [(name, repr(known[name]) if name == "K" else known[name]) for name in cls.declaration.parameters]
+        return replace(self.whole, resolved=_made(cls, *given))
 
     def part(self, name: str, resolved: Resolved, *, told_as: str = "", **sources: Iterable[Source]) -> BlockSource:
         """Add a part; the source that its output is."""
@@ -190,10 +188,11 @@ def _is_long(resolved: Resolved) -> bool:
     return bool(resolved.interface.structural["size"] > LONGEST)
 
 
-_TAKEN_APART: dict[Any, Callable[[Parts, Mapping[str, tuple[Source, ...]], Resolved], list[Source]]] = {
-    MatrixGain: Parts.rows,
-    SwitchedMatrixGain: Parts.switched_rows,
-    Reduction: Parts.reduced,
-    Norm: Parts.norm,
-    DotProduct: Parts.dot,
+_TAKEN_APART: dict[Any, tuple[Callable[[Parts, Mapping[str, tuple[Source, ...]], Resolved], list[Source]], Any]] = {
+    MatrixGain: (Parts.rows, WholeGain),
+    SwitchedMatrixGain: (Parts.switched_rows, WholeSwitch),
+    Reduction: (Parts.reduced, WholeReduction),
+    Norm: (Parts.norm, WholeReduction),
+    DotProduct: (Parts.dot, WholeProduct),
 }
+"""By type how a block is taken apart, and the type of what is left of it."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
 
 from blocks import (
     Block,
@@ -21,6 +23,7 @@ from blocks import (
     Noise,
     Parameter,
     Product,
+    Pulse,
     Relay,
     Saturation,
     SecondOrder,
@@ -29,14 +32,17 @@ from blocks import (
     Sum,
     Sweep,
     TransportDelay,
+    UnitDelay,
     UsageError,
     ZeroOrderHold,
     local,
 )
 from blocks.api.batch import BatchRows
-from blocks.compile.c import lane_code
 from blocks.compile.c.lane_code import Machine
+from blocks.engines.native import model
 from tests.api.test_batch import Doomed, same
+from tests.engines.test_native import sanitized
+from tests.engines.test_random_diagrams import Wiring, plain, wirings
 from tests.support.places import ROOT
 
 Array = Any
@@ -45,13 +51,6 @@ pytestmark = [
     pytest.mark.skipif(Machine.own() is None, reason="lanes need gcc on Linux and x86-64"),
 ]
 ROBOT = ROOT / "diagrams/paper/iadrc.json"
-
-
-def machine(width: int, has_libmvec: bool = True) -> Machine:
-    """What other processors have that this one has too, and other C libraries."""
-    known = ctypes.CDLL("libmvec.so.1") if has_libmvec else None
-    names = [name for name in lane_code._functions() if hasattr(known, lane_code._name(name, width))]
-    return Machine(width, frozenset(names))
 
 
 def mixed() -> Diagram:
@@ -100,7 +99,7 @@ CASES: dict[str, tuple[Any, list[str], dict[str, Any]]] = {
     "mixed": (mixed, NAMES, {"log": ["lag.y", "hold.y"]}),
     "fixed steps": (mixed, NAMES, {"log": ["lag.y"], "method": "rk4", "step": 0.004}),
     "robot": (lambda: Diagram.load(ROBOT), ["Jeq", "torque"], {"stop": 2.0, "log": ["robot.x"], "every": 0.1}),
-    "pid": (lambda: Diagram.load(ROOT / "diagrams/motor_pid.json"), ["kp", "voltage"], {"stop": 1.5}),
+    "pid": (lambda: Diagram.load(ROOT / "diagrams/motor_pid.json"), ["kp", "voltage"], {"start": 0.25, "stop": 1.5}),
 }
 
 
@@ -177,16 +176,19 @@ def test_a_thousand_variants_are_as_near_to_single_runs_as_these_are_to_the_solu
         assert np.nanmax(apart, initial=0.0) <= allowed, key
 
 
-@pytest.mark.parametrize("given", [machine(2), machine(4), machine(4, False)], ids=["2", "4", "4 without libmvec"])
-def test_other_machines_have_other_lanes(given: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+MACHINES = {"2": Machine.of(2), "4": Machine.of(4), "4 without libmvec": Machine.of(4, libmvec="none")}
+
+
+@pytest.mark.parametrize("other", MACHINES.values(), ids=MACHINES)
+def test_other_machines_have_other_lanes(other: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     own = Machine.own()
     assert own is not None
-    if given.width > own.width:
+    if other.width > own.width:
         pytest.skip("this processor has less")
-    monkeypatch.setattr(Machine, "own", lambda: given)
+    monkeypatch.setattr(Machine, "own", lambda: other)
     batch = mixed().batch(NAMES, lanes="fast")
-    assert batch.lanes.startswith(f"{given.width} lanes of ")
-    assert batch.lanes.endswith("libmvec" if given.functions else "libm")
+    assert batch.lanes.startswith(f"{other.width} lanes of ")
+    assert batch.lanes.endswith("libmvec" if other.functions else "libm")
     exact, fast = mixed().batch(NAMES)(rows_of(7)), batch(rows_of(7))
     for key, column in exact.measures.items():
         assert fast.measures[key] == pytest.approx(column, rel=1e-5, nan_ok=True), key
@@ -197,7 +199,7 @@ class Functions(Block):
 
     k = Parameter(0.5)
     u = Input()
-    x = State(shape=(33,), output=True)
+    x = State(shape=(35,), output=True)
 
     @local
     def a(u, k):
@@ -214,6 +216,8 @@ class Functions(Block):
             np.minimum(a, k), np.maximum(a, k), np.where(k > 0.6, np.sqrt(a), -a), np.abs(k - a),
             np.where((k > 0.55) & (k < 0.65) | ~(k <= 0.75), 1.0, a), np.where(k == 0.5, a, 1.0),
             np.where(k != 0.5, a, 0.0) * x[0], np.float64(1.0),
+            np.where(k > 0.6, np.log(a), np.where(u > 0.0, np.tanh(a), 1.0)),  # of which a run computes what it takes
+            np.where(np.log(a) > -0.5 * k, k, np.exp(k * u)),
         ])  # fmt: skip
 
 
@@ -380,3 +384,83 @@ def test_a_sweep_tells_its_lanes_and_goes_on_in_no_others(tmp_path: Path, monkey
         sweep("fast")
     monkeypatch.setattr(Machine, "own", lambda: own)
     assert sweep("fast").measures["last"].tobytes() == whole.measures["last"].tobytes()
+
+
+# --- lanes beside single runs, bit for bit ------------------------------------------------------------------------
+
+PLAIN = ("adrc/cruise_control", "bouncing_ball", "gallery/observer", "motor_pid", "quarter_car", "sampled_loop")
+"""Diagrams whose rates have no functions."""
+
+
+def assert_exact(exact: BatchRows, fast: BatchRows) -> None:
+    assert_same(exact, fast, list(range(len(exact))))
+    assert fast.messages == exact.messages
+
+
+@pytest.mark.parametrize("method", ["rk4", "euler"])
+@pytest.mark.parametrize("name", PLAIN)
+def test_fixed_steps_without_functions_are_those_of_single_runs_bit_for_bit(name: str, method: str) -> None:
+    diagram = Diagram.load(ROOT / f"diagrams/{name}.json")
+    stop = min(float(diagram.value.run["stop"]), 2.0)
+    log = list(diagram.flatten().log)[:4]
+    settings: dict[str, Any] = {"stop": stop, "every": stop / 20, "method": method, "step": stop / 500, "log": log}
+    exact, fast = (diagram.batch([], lanes=lanes, **settings) for lanes in ("exact", "fast"))
+    assert fast.lanes
+    assert_exact(exact([[]] * 3), fast([[]] * 3))
+
+
+def without_functions(wiring: Wiring) -> Wiring:
+    """The same with pulses for sines, and ticks for delays."""
+    others = {Sine: Pulse(on=0.3, off=0.9, height=1.1), TransportDelay: UnitDelay(period=0.15, y_start=0.2)}
+    return Wiring({name: others.get(type(block), block) for name, block in wiring.blocks.items()}, wiring.wires)
+
+
+@pytest.mark.long
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@given(wirings(), st.sampled_from(["rk4", "euler", "dopri5"]))
+def test_random_diagrams_in_lanes(wiring: Wiring, method: str) -> None:
+    """Also those to which lanes bring nothing, as the run behind a lane takes each step."""
+    diagram = plain(without_functions(wiring))
+    keys = {Gain: "k", Integrator: "y_start"}
+    names = [f"{name}.{keys[type(block)]}" for name, block in wiring.blocks.items() if type(block) in keys]
+    log = [f"{name}.y" for name in wiring.blocks]
+    for name in wiring.blocks:
+        diagram.measure(f"top_{name}", "peak", of=f"{name}.y")
+    given: dict[str, Any] = {"stop": 1.5, "every": 0.07, "log": log, "method": method}
+    given |= {"rtol": 1e-9, "atol": 1e-11} if method == "dopri5" else {"step": 0.02}
+    with mock.patch.object(model, "why_no_gain", return_value=""):
+        exact, fast = (diagram.batch(names, lanes=lanes, **given) for lanes in ("exact", "fast"))
+        assume(fast.lanes)
+        table = np.array(exact.nominal) * (1 + 0.01 * np.arange(11)[:, None])
+        a, b = exact(table), fast(table)
+    if method != "dopri5":
+        assert_exact(a, b)
+        return
+    assert b.status.tolist() == a.status.tolist()
+    assert_same(b, fast(table[::-1]), list(range(11))[::-1])
+    for name in log:
+        size = 1.0 + np.abs(a.signals[name]).max()
+        assert np.abs(a.signals[name][:, -1] - b.signals[name][:, -1]).max() < 1e-6 * size, name
+
+
+SANITIZED = """
+from blocks.engines.native import model
+model.EXTRA_FLAGS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-g")
+from tests.api.test_lanes import CASES, mixed, rows_of, square
+for make, names, settings in CASES.values():
+    batch = make().batch(names, lanes="fast", **settings)
+    table = rows_of(11) if make is mixed else [batch.nominal] * 11
+    for count, budget in ((11, None), (3, None), (11, 50)):
+        assert batch(table[:count], threads=2, budget=budget).how.count("lanes of")
+for settings in ({}, {"method": "rk4", "step": 0.01}):
+    rows = square().batch(["gain.k"], stop=2.0, lanes="fast", **settings)([[-1.0], [1.5], [-1e4]], budget=3000)
+    assert rows.status[0] == "ok", rows
+print("done")
+"""
+
+
+@pytest.mark.long
+def test_sanitizers_find_nothing_in_lanes() -> None:
+    done = sanitized(0, [], SANITIZED)
+    assert "done" in done.stdout, done.stderr[-3000:]
+    assert not any(word in done.stderr for word in ("runtime error", "ERROR: AddressSanitizer", "blocks_"))

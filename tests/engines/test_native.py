@@ -529,7 +529,7 @@ print("done")
 """
 
 
-def sanitized(count: int, paths: list[str]) -> subprocess.CompletedProcess[str]:
+def sanitized(count: int, paths: list[str], script: str = SANITIZED) -> subprocess.CompletedProcess[str]:
     preload = subprocess.run(["cc", "-print-file-name=libasan.so"], capture_output=True, text=True).stdout.strip()
     if not os.path.isabs(preload):
         pytest.skip("no address sanitizer")
@@ -542,7 +542,7 @@ def sanitized(count: int, paths: list[str]) -> subprocess.CompletedProcess[str]:
         "PYTHONPATH": str(ROOT),
     }
     return subprocess.run(
-        [sys.executable, "-c", SANITIZED, str(count), *paths], env=environment, capture_output=True, text=True, cwd=ROOT
+        [sys.executable, "-c", script, str(count), *paths], env=environment, capture_output=True, text=True, cwd=ROOT
     )
 
 

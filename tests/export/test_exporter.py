@@ -38,6 +38,7 @@ from blocks import (
     Diagram,
     Discrete,
     Divide,
+    FirstOrder,
     Gain,
     Input,
     Integrator,
@@ -173,6 +174,33 @@ def test_with_a_fixed_step_co_simulation_is_bit_equal_to_a_run_with_that_step(na
 def test_by_the_stiff_method_co_simulation_is_bit_equal_to_a_run(name: str, fmi: int) -> None:
     fmu, diagram = of_file(name, fmi, method="radau"), load(name)
     compare_runs(fmu, diagram, [Fraction(k) * Fraction(H) for k in range(17)], method="radau")
+
+
+def falling() -> Diagram:
+    """r, by a lag of 1e-5 s and a slow one: stiff from a few steps on."""
+    d = Diagram("falling")
+    r, fast, slow = d.input("r"), d.add("fast", FirstOrder(T=1e-5)), d.add("slow", FirstOrder(T=1.0))
+    d.wire(fast.u, r)
+    d.wire(slow.u, fast.y)
+    d.output("y", slow.y)
+    d.settings(stop=3.0)
+    return d
+
+
+@pytest.mark.parametrize("fmi", [FMI_2, 3])
+def test_an_instance_decides_by_method_auto_as_a_run_does_and_its_states_know_it(fmi: int) -> None:
+    fmu = exported(falling(), fmi=fmi, method="auto")
+    compare_runs(fmu, falling(), [Fraction(k) * Fraction(H) for k in range(17)], method="auto")
+    with fmu.instance() as one, fmu.instance() as other:
+        one.begin(stop=3.0)
+        early = one.serialized()
+        first = go_on(one, 0, 8)
+        late = one.serialized()
+        expected = go_on(one, 8, 16)
+        other.restore(late)
+        assert go_on(other, 8, 16) == expected
+        other.restore(early)  # it begins by dopri5 again
+        assert go_on(other, 0, 8) == first
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

@@ -28,6 +28,7 @@ from blocks import (
     StateSpace,
     Sum,
     SwitchedMatrixGain,
+    UsageError,
     graph,
     output,
     subdiagram,
@@ -437,3 +438,34 @@ def _exponential(A: Array) -> Array:
     from scipy.linalg import expm
 
     return np.asarray(expm(A))
+
+
+@pytest.mark.parametrize("is_begun", [False, True])
+def test_a_sparse_matrix_can_be_given_for_a_run_and_does_not_change_in_one(is_begun: bool) -> None:
+    laplacian, start = graph.laplacian(graph.ring(4)), np.arange(4.0)
+    d = agents(MatrixGain(K=-laplacian), start)
+    given = d.run(stop=1, rtol=1e-10, parameters={"gain.K": -2.0 * laplacian})
+    assert given["x0.y"][-1] == pytest.approx((_exponential(-2.0 * laplacian.toarray()) @ start)[0], abs=1e-8)
+    run = d.start(stop=1, **FIXED)
+    if is_begun:
+        run.advance(0.5)
+    for K in (-2.0 * laplacian, -laplacian.toarray(), sp.eye_array(4)):
+        with pytest.raises(UsageError, match=r"E117 gain\.K: cannot change during a run: gain\.K is structural"):
+            run.set("gain.K", K)
+    assert np.array_equal(run.finish()["x0.y"], d.run(stop=1, **FIXED)["x0.y"])
+
+
+def test_a_run_goes_on_from_a_file_and_rows_of_a_sweep_run_with_a_sparse_gain(tmp_path: Path) -> None:
+    d = agents(MatrixGain(K=-graph.laplacian(graph.grid(3, 3))), np.arange(9.0))
+    run = d.start(stop=2, **FIXED)
+    run.advance(1.0)
+    run.save(tmp_path / "half.json")
+    whole = d.run(stop=2, **FIXED)
+    assert d.run(stop=2, resume=tmp_path / "half.json", **FIXED)["x3.y"][-1] == whole["x3.y"][-1]
+    other = agents(MatrixGain(K=-2.0 * graph.laplacian(graph.grid(3, 3))), np.arange(9.0))
+    with pytest.raises(Exception, match="E506"):
+        other.run(stop=2, resume=tmp_path / "half.json", **FIXED)
+    sweep = d.sweep({"x0.y_start": [0.0, 1.0]}, stop=2, every=1, log=["x3.y"], **FIXED)
+    for row, value in enumerate((0.0, 1.0)):
+        single = d.run(stop=2, every=1, parameters={"x0.y_start": value}, **FIXED)
+        assert np.array_equal(sweep.signals["x3.y"][row], single["x3.y"])

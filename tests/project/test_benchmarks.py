@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks import diagrams, fmu, irregular, linear, long_run, measure, native_engine, peers, same, stiff
+from benchmarks import (
+    diagrams,
+    fmu,
+    irregular,
+    linear,
+    long_run,
+    measure,
+    native_engine,
+    peers,
+    same,
+    stiff,
+    stiff_problems,
+)
 from blocks import Diagram
 from blocks.library import SMESO
 from tests.support.places import ROOT
@@ -126,12 +139,11 @@ def test_the_last_tick_of_the_long_run_is_exact():
     assert long_run.last_tick(10**8) == 99999.998
 
 
-def test_the_stiff_chain_is_the_one_that_scipy_solves():
-    results = stiff.chain(20).run(engine="reference")
-    _, exact = stiff.by_scipy(20, "Radau", 1e-10, 1e-13, sparse=True)
-    made = np.column_stack([results[name] for name in results.names])
-    picked = [int(name.removeprefix("cell").removesuffix(".x")) for name in results.names]
-    assert np.max(np.abs(made - exact[:, picked])) < 1e-5
+def test_the_rod_as_a_diagram_is_the_one_by_hand():
+    rod = next(problem for problem in stiff_problems.PROBLEMS if problem.rod == 200)
+    results = rod.made().run(stop=0.01, every=0.01, method="radau", rtol=1e-7, log=rod.log, engine="reference")
+    _, exact = stiff.by_scipy(replace(rod, stop=0.01, atol=1e-3), 1e-8)
+    assert [results[name][-1] for name in rod.log] == pytest.approx(exact, abs=1e-6)
 
 
 @needs_compiler

@@ -199,7 +199,7 @@ STUDY = {
             "diagram": "d.json", "parameters": {"k": 1}, "variants": {"m": "fmu"}, "settings": {"rtol": 1e-5},
             "doc": "x",
             "vary": {"a": [1, {"value": 2, "unit": "s"}], "b*.k": {"normal": [0, 1]}, "each(p)": {"lognorm": {"s": 1}}},
-            "n": 10, "sampler": "sobol", "seed": 1, "measures": ["m"], "log": ["s"], "budget": 100,
+            "n": 10, "sampler": "sobol", "seed": 1, "measures": ["m"], "log": ["s"], "budget": 100, "lanes": "fast",
             "scenarios": {"q": {}, "h": {"k": 2}},
             "margins": {
                 "gm": {"type": "gain_margin", "loop": "u", "openings": ["v"], "amplitude": {"e": 0.1}, "at": 1,

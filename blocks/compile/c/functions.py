@@ -176,7 +176,7 @@ class _Printer:
 
         for n in reversed(self.needed):
             node, region = self.nodes[n], home[n]
-            if node.op in COSTLY and not self.numbers.are_wide:  # lanes compute both sides
+            if node.op in COSTLY:
                 costly.update(path(region))
             for side, operand in enumerate(node.operands):
                 place = region
@@ -201,13 +201,7 @@ class _Printer:
             if node.op == "constant":
                 self.text[n] = (self.numbers.constant(node.value), 0, False)
             elif n in self.branches:
-                condition, yes, no = node.operands
-                own.append(f"double a{n};")
-                own.append(f"if ({self.logical(condition)}) {{")
-                own += [f"    {line}" for line in (*lines.get((n, 1), ()), f"a{n} = {self.real(yes)};")]
-                own.append("} else {")
-                own += [f"    {line}" for line in (*lines.get((n, 2), ()), f"a{n} = {self.real(no)};")]
-                own.append("}")
+                own += self.branch(n, lines.get((n, 1), ()), lines.get((n, 2), ()))
                 self.text[n] = (f"a{n}", 0, False)
             else:
                 depth = 1 + max(self.text[operand][1] for operand in node.operands)
@@ -218,6 +212,19 @@ class _Printer:
                     expression, depth = f"a{n}", 0
                 self.text[n] = (expression, depth, is_logical)
         return lines[None]
+
+    def branch(self, n: int, before_yes: Sequence[str], before_no: Sequence[str]) -> list[str]:
+        """A choice that computes what it takes; of several runs what any of them takes, which each chooses from."""
+        condition, yes, no = self.nodes[n].operands
+        sides = (before_yes, self.real(yes)), (before_no, self.real(no))
+        if not self.numbers.are_wide:
+            bodies = [[f"    {line}" for line in (*before, f"a{n} = {value};")] for before, value in sides]
+            return [f"double a{n};", f"if ({self.logical(condition)}) {{", *bodies[0], "} else {", *bodies[1], "}"]
+        made = [f"const M c{n} = {self.logical(condition)};"]
+        for name, test, (before, value) in zip("yn", (f"c{n}", f"~c{n}"), sides, strict=True):
+            inside = [f"    {line}" for line in (*before, f"{name}{n} = {value};")]
+            made += [f"V {name}{n} = lanes_of(0.0);", f"if (lanes_any({test})) {{", *inside, "}"]
+        return [*made, f"const V a{n} = lanes_choose(c{n}, y{n}, n{n});"]
 
     def real(self, n: int) -> str:
         text, _, is_logical = self.text[n]

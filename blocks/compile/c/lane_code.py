@@ -27,7 +27,7 @@ __all__ = ["LANE_FILES", "LANE_PROGRAMS", "LaneCode", "Machine", "why_no_gain", 
 LANE_PROGRAMS = frozenset(
     {"rates", "rates_and_sides", "rates_and_measured", "plain_measured", "bent_measured", "measured"}
 )
-LANE_FILES = ("lanes.h", "lane_steps.h")
+LANE_FILES = ("lanes.h", "lane_steps.h", "lane_rows.h", "lane_measures.h")
 LARGE = 20_000
 """Operations; rates of more are compiled for long, and have loops over equal blocks that are vectors already."""
 _TARGETS = {8: "avx512f,avx512dq,avx512vl", 4: "avx2", 2: ""}
@@ -51,6 +51,15 @@ class Machine:
         if compiler is None or not is_gcc(compiler) or sys.platform != "linux" or platform.machine() != "x86_64":
             return None
         return _machine()
+
+    @staticmethod
+    def of(width: int, *, libmvec: str = "libmvec.so.1") -> Machine:
+        """One with so many lanes, and the functions of a C library."""
+        try:
+            known = ctypes.CDLL(libmvec)
+        except OSError:
+            return Machine(width, frozenset())
+        return Machine(width, frozenset(name for name in _functions() if hasattr(known, _name(name, width))))
 
     @property
     def told(self) -> str:
@@ -90,12 +99,7 @@ def _machine() -> Machine:
         if line.startswith("flags"):
             flags = {*line.split()}
             break
-    width = next((n for n, target in _TARGETS.items() if target and flags.issuperset(target.split(","))), 2)
-    try:
-        libmvec = ctypes.CDLL("libmvec.so.1")
-    except OSError:
-        return Machine(width, frozenset())
-    return Machine(width, frozenset(name for name in _functions() if hasattr(libmvec, _name(name, width))))
+    return Machine.of(next((n for n, target in _TARGETS.items() if target and flags.issuperset(target.split(","))), 2))
 
 
 def why_no_lanes(plan: Plan) -> str:

@@ -29,7 +29,7 @@ from ...fmi.types import code_of, full_name
 from ...results.results import Event
 from ...text.available_memory import for_recording
 from ...text.errors import Fault, FMUError
-from ..native.rows import array, track_table
+from ..native.rows import LARGEST_SPARE, MOST_SPARE, array, track_table
 from ..run.memory_estimate import COPIES_OF_MASTER, no_room
 from .limits import limits_header
 from .master import MOST_LEARNT, ReferenceMaster, Row
@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 __all__ = ["NativeMaster", "master_library"]
 
 Array = np.ndarray[Any, Any]
+_SPARE: list[tuple[Any, int]] = []  # memory for rows that no run has now
 _P, _L, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 _C = resources(__package__) / "c"
 _HEADER = (_C / "master.h").read_text(encoding="utf-8")
@@ -185,7 +186,9 @@ class NativeMaster(ReferenceMaster):
         """The rows that C has recorded."""
         m, self._c = self._c, None
         for rows in () if m is None else (m.rows, m.points):
-            if rows.data:
+            if rows.data and 8 * rows.capacity <= LARGEST_SPARE and len(_SPARE) < MOST_SPARE:
+                _SPARE.append((rows.data, rows.capacity))
+            elif rows.data:
                 _FREE(rows.data)
 
     def start(self) -> None:
@@ -245,6 +248,8 @@ class NativeMaster(ReferenceMaster):
         m.base, m.aim, m.begin, m.finish = map(self._array, (segment.base, segment.aim, segment.begin, segment.end))
         m.t, m.start, m.broken, m.end = self.t, self.t, self.broken, self.end
         stop = settings.stop if settings.stop is not None else settings.start
+        if _SPARE:
+            m.rows.data, m.rows.capacity = _SPARE.pop()
         m.every, m.row, m.fresh = grid_of(settings.start, settings.every, stop), 1, self.fresh
         m.has_jumps = int(settings.records_jumps)
         e = m.nexchanged

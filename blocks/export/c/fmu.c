@@ -1143,7 +1143,7 @@ static void walk_all(Fmu *f, Walk *w)
     WALK_ROW(s->own, m->nevents), WALK_ROW(s->located, m->ns), WALK_ROW(s->sides, m->ns);
     WALK_ROW(s->fired, f->setup.ncauses), WALK_ROW(s->crossed, m->ns ? CROWD : 0);
     if (m->stages) WALK_ROW(s->k[0], m->nx + m->ns);
-    WALK_ROW(s->carried, s->ncarried);
+    WALK_ROW(s->carried, s->ncarried), WALK(s->hits), WALK(s->calm), WALK(s->stiff_from);
     WALK_ROW(s->before, m->nx + m->ns), WALK_ROW(s->base, m->nu), WALK_ROW(s->aim, m->nu);
     WALK_ROW(s->begin, m->nu), WALK_ROW(s->finish, m->nu);
     WALK_ROW(f->input, m->nu), WALK_ROW(f->terms, 5 * m->nu), WALK_ROW(f->settings, fmu_model.nsettings);

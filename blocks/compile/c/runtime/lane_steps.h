@@ -27,32 +27,7 @@
 #define SOME(n) ((n) > 0 ? (n) : 1)
 enum { NX = BLOCKS_NX, NS = BLOCKS_NS, N = BLOCKS_NMEASURED, WIDTH = NX + NS, SPAN = WIDTH + BLOCKS_SHARES_MEASURED * N };
 
-/* What a lane is about: it has no row; its run stands at an instant; the row has ended; its run flows; there are no rows
-   left; and it stands where another lane stood. */
-enum { EMPTY, DUE, ENDED, FLOWING, IDLE, PARKED };
-
-typedef struct {
-    BlocksSim *s;
-    double *room;
-    int64_t row, stop; /* of the batch */
-    int state, status; /* how the row ended */
-} Lane;
-
-struct BlocksLanes {
-    V rows_x[2][SOME(NX)], rows_k[STAGES + 1][SOME(SPAN)], xs[SOME(NX)], sides[SOME(NS)];
-    V d[SOME(BLOCKS_ND)], s[SOME(NS)], p[SOME(BLOCKS_NP)], u[SOME(BLOCKS_NU)], tick[SOME(BLOCKS_NRATES)], q[SOME(BLOCKS_NQ)],
-        v[SOME(BLOCKS_NV)], n[SOME(BLOCKS_NN)], w[SOME(LANES_NW)];
-    V nodes[5][SOME(N)];
-    V t, h, error, target, grow, known;
-    M flowing, fresh; /* lanes that flow; those whose first rates are not known */
-    V *x1, *k[STAGES], *before;
-    LanesMemory m;
-    int moves;
-    BlocksModel model; /* that of the runs behind the lanes: they do not flow themselves */
-    void *place;
-    Lane lanes[BLOCKS_LANES];
-};
-typedef struct BlocksLanes Lanes;
+#include "lane_rows.h"
 
 static __attribute__((noinline)) void rates_program(const LanesMemory *m, V t, const V *x, V *out) { rates(m, t, x, out); }
 #if IS_WATCHED
@@ -71,133 +46,6 @@ static __attribute__((noinline)) void last_rates(const LanesMemory *m, V t, cons
 #else
 #define last_rates watched_rates
 #endif
-
-/* --- between a lane and its run ---------------------------------------------------------------------------------- */
-
-static void give_back(Lanes *z, int l)
-{
-    BlocksSim *s = z->lanes[l].s;
-    for (int i = 0; i < NX; i++) s->memory.x[i] = z->m.x[i][l];
-    for (int i = 0; i < WIDTH; i++) s->k[0][i] = z->k[0][i][l];
-    for (int i = NX; i < WIDTH; i++) s->before[i] = z->before[i][l];
-    if (s->t != z->t[l]) s->exact = 0;
-    s->t = z->t[l], s->h = z->h[l], s->error = z->error[l];
-    s->has_first = 1;
-}
-
-static void give_step(Lanes *z, int l)
-{
-    BlocksSim *s = z->lanes[l].s;
-    for (int i = 0; i < NX; i++) s->x1[i] = z->x1[i][l];
-    for (int n = 1; n < STAGES; n++)
-        for (int i = 0; i < WIDTH; i++) s->k[n][i] = z->k[n][i][l];
-}
-
-static void take_back(Lanes *z, int l)
-{
-    BlocksSim *s = z->lanes[l].s;
-    for (int i = 0; i < NX; i++) z->m.x[i][l] = s->memory.x[i];
-    for (int i = 0; i < WIDTH && s->has_first; i++) z->k[0][i][l] = s->k[0][i];
-    z->t[l] = s->t, z->h[l] = s->h, z->error[l] = s->error;
-    z->fresh[l] = -!s->has_first;
-    s->has_before = 0;
-#if BLOCKS_NMEASURED
-    z->known[l] = s->known[0];
-    for (int j = 0; j < N; j++) z->nodes[0][j][l] = s->nodes[j];
-#endif
-}
-
-/* What instants change, beside states. */
-static void take_memory(Lanes *z, int l)
-{
-    const BlocksMemory *m = &z->lanes[l].s->memory;
-    for (int i = 0; i < BLOCKS_ND; i++) z->d[i][l] = m->d[i];
-    for (int i = 0; i < NS; i++) z->s[i][l] = m->s[i];
-    for (int i = 0; i < BLOCKS_NU; i++) z->u[i][l] = m->u[i];
-    for (int i = 0; i < BLOCKS_NRATES; i++) z->tick[i][l] = m->k[i];
-    for (int i = 0; i < BLOCKS_NV; i++) z->v[i][l] = m->v[i];
-#if IS_WATCHED
-    for (int j = 0; j < NS; j++) z->sides[j][l] = m->s[sides_at[j]];
-#endif
-    z->moves = 0;
-    EACH_LANE z->moves |= z->lanes[l].state == FLOWING && z->lanes[l].s->moving;
-}
-
-static void take_parameters(Lanes *z, int l)
-{
-    const BlocksMemory *m = &z->lanes[l].s->memory;
-    for (int i = 0; i < BLOCKS_NP; i++) z->p[i][l] = m->p[i];
-    for (int i = 0; i < BLOCKS_NQ; i++) z->q[i][l] = m->q[i];
-}
-
-/* Inputs as they are at a time of each lane. */
-static void outside(Lanes *z, V then)
-{
-    EACH_LANE {
-        BlocksSim *s = z->lanes[l].s;
-        if (z->lanes[l].state != FLOWING || !s->moving) continue;
-        blocks_outside(s, then[l]);
-        for (int i = 0; i < BLOCKS_NU; i++) z->u[i][l] = s->memory.u[i];
-    }
-}
-
-/* --- rows of the batch ------------------------------------------------------------------------------------------- */
-
-/* In place of a run's own loop: the way to the next instant is made in the lane. */
-static int flow_in_lane(BlocksSim *s, double target)
-{
-    s->soft = target;
-    return BLOCKS_PAUSED;
-}
-
-static void end_row(Lane *lane, int status)
-{
-    lane->status = status == BLOCKS_FAILED && lane->s->failure == -1 ? BLOCKS_NO_MEMORY : status;
-    lane->state = ENDED;
-}
-
-/* Let happen what is due, up to where the run flows or ends. */
-static void settle(Lanes *z, const BlocksBatch *b, int l)
-{
-    Lane *lane = &z->lanes[l];
-    BlocksSim *s = lane->s;
-    while (lane->state == DUE) {
-        if (lane->stop == b->nstops) {
-            end_row(lane, BLOCKS_DONE);
-            return;
-        }
-        s->soft = INFINITY;
-        int status = blocks_advance(s, b->stops[lane->stop], 0, 2);
-        s->fired_events.used = 0; /* nobody reads them */
-        if (status == BLOCKS_DONE) lane->stop++;
-        else if (status == BLOCKS_PAUSED) lane->state = FLOWING;
-        else end_row(lane, status);
-    }
-    if (lane->state != FLOWING) return;
-    z->target[l] = s->soft;
-    z->grow[l] = 10.0;
-    s->soft = INFINITY;
-    s->next_row = s->setup->every.is_given ? blocks_grid(&s->setup->every, s->row) : INFINITY;
-    take_back(z, l);
-    take_memory(z, l);
-}
-
-static void begin_row(Lanes *z, BlocksBatch *b, int l)
-{
-    Lane *lane = &z->lanes[l];
-    BlocksSim *s = lane->s;
-    lane->row = __atomic_fetch_add(&b->next, 1, __ATOMIC_RELAXED);
-    lane->stop = 0;
-    lane->state = IDLE;
-    if (lane->row >= b->nrows) return;
-    blocks_row_begin(b, s, lane->row, lane->room);
-    s->model = &z->model;
-    s->slice = INFINITY; /* the clock is not looked at */
-    lane->state = DUE;
-    if (blocks_start(s)) end_row(lane, BLOCKS_FAILED);
-    take_parameters(z, l);
-    settle(z, b, l);
-}
 
 /* --- a step ------------------------------------------------------------------------------------------------------ */
 
@@ -304,128 +152,14 @@ static M are_loud(const Lanes *z)
 #define are_loud(z) ((M){0})
 #endif
 
-#if BLOCKS_QUICK_MEASURES
-
-/* The states at one of SHARES of a step, as its dense output has them. */
-static inline void inside(const Lanes *z, const int share, const int *states, const int n, V h, V *restrict made)
-{
-    const V *restrict x = z->m.x, *restrict x1 = z->x1;
-    for (int a = 0; a < n; a++) {
-        const int i = states[a];
-#if BLOCKS_METHOD_RK4
-        const double at = SHARES_AT[share], there = at * at * (3.0 - 2.0 * at);
-        const V first = at * (1.0 - at) * (1.0 - at) * h, last = at * at * (at - 1.0) * h;
-        made[i] = x[i] + (there * (x1[i] - x[i]) + (first * z->k[0][i] + last * z->k[4][i]));
-#else
-        (void)x1;
-        V sum = lanes_of(0.0);
-        _Pragma("GCC unroll 8") for (int j = 0; j < STAGES; j++)
-            if (SHARES[share][j] != 0.0) sum += SHARES[share][j] * z->k[j][i];
-        made[i] = x[i] + h * sum;
-#endif
-    }
-}
-
-#if BLOCKS_NBENT
-static const int bent_states[] = BLOCKS_BENT_STATES, bent_columns[] = BLOCKS_BENT_COLUMNS;
-
-/* What is bent, at one of SHARES. */
-static __attribute__((noinline)) void bent_at(Lanes *z, int share, V step, V *out)
-{
-    V then = z->t + SHARES_AT[share] * step;
-    inside(z, share, bent_states, BLOCKS_NBENT_STATES, step, z->xs);
-    if (BLOCKS_NU && z->moves) outside(z, then);
-    bent_measured(&z->m, then, z->xs, out);
-}
-
-/* The inner nodes of what is bent as a parabola or a cubic foretells them; where it misses what was computed. */
-static M foretold(Lanes *z, int pass, M missed, const V *once, const V *twice)
-{
-    const BlocksSetup *setup = z->lanes[0].s->setup;
-    const double first = SHARES_AT[3], second = SHARES_AT[4], rtol = setup->rtol;
-    M misses = (M){0};
-    for (int a = 0; a < BLOCKS_NBENT; a++) {
-        const int j = bent_columns[a], other = j ^ 1;
-        V y0 = z->nodes[0][j], rise = z->nodes[4][j] - y0, twist = lanes_of(0.0), size = lanes_fabs(rise);
-        V miss = once[j] - (y0 + first * rise), bend = miss * (1.0 / (first * (1.0 - first)));
-        if (pass == 1) {
-            miss = twice[j] - (y0 + second * rise + bend * second * (1.0 - second));
-            twist = miss * (1.0 / (second * (1.0 - second) * (second - first)));
-        }
-        if (setup->measures[j / 2].kind <= BLOCKS_HARMONIC)
-            size += lanes_smaller(lanes_fabs(y0 - z->nodes[0][other]), lanes_fabs(z->nodes[4][j] - z->nodes[4][other]));
-        misses |= ~(lanes_fabs(miss) <= 0.1 * rtol * size);
-        for (int i = 1; i < 4; i++) {
-            double at = SHARES_AT[i - 1];
-            V value = y0 + at * rise + at * (1.0 - at) * (bend + twist * (at - first));
-            z->nodes[i][j] = lanes_choose(missed, value, z->nodes[i][j]);
-        }
-    }
-    return misses & missed;
-}
-#endif
-
-/* What is measured at the nodes of Lobatto's rule, in lanes that want it; the lanes whose step has to be looked at in
-   parts. See steps.h. */
-static M measured_inside(Lanes *z, V t1, V step, M wanted)
-{
-#if BLOCKS_NPLAIN
-    static const int plain_states[] = BLOCKS_PLAIN_STATES;
-    _Pragma("GCC unroll 3") for (int i = 1; i < 4; i++) {
-        V then = z->t + SHARES_AT[i - 1] * step;
-        inside(z, i - 1, plain_states, BLOCKS_NPLAIN_STATES, step, z->xs);
-        if (BLOCKS_NU && z->moves) outside(z, then);
-        plain_measured(&z->m, then, z->xs, z->nodes[i]);
-    }
-#endif
-#if BLOCKS_SHARES_MEASURED
-    for (int j = 0; j < N; j++) z->nodes[4][j] = z->k[LAST][WIDTH + j];
-    (void)t1;
-#else
-    if (BLOCKS_NU && z->moves) outside(z, t1);
-    measured(&z->m, t1, z->x1, z->nodes[4]);
-#endif
-    V bad = lanes_of(0.0);
-    for (int j = 0; j < N; j++) bad += z->nodes[4][j] * 0.0;
-    M parts = ~(bad == 0.0);
-#if BLOCKS_NBENT
-    V once[N], twice[N] = {{0.0}};
-    bent_at(z, 3, step, once);
-    M missed = BLOCKS_DRIVEN_MEASURES ? wanted : foretold(z, 0, wanted, once, twice);
-    if (!BLOCKS_DRIVEN_MEASURES && lanes_any(missed)) {
-        bent_at(z, 4, step, twice);
-        missed = foretold(z, 1, missed, once, twice);
-    }
-    if (lanes_any(missed)) {
-        for (int i = 1; i < 4; i++) {
-            bent_at(z, i - 1, step, twice);
-            for (int a = 0; a < BLOCKS_NBENT; a++) {
-                const int j = bent_columns[a];
-                z->nodes[i][j] = lanes_choose(missed, twice[j], z->nodes[i][j]);
-                parts |= missed & ~lanes_are_finite(twice[j]);
-            }
-        }
-        EACH_LANE {
-            if (!missed[l] || parts[l]) continue;
-            double given[N];
-            BlocksSim *s = z->lanes[l].s;
-            for (int j = 0; j < N; j++) given[j] = once[j][l];
-            for (int i = 0; i < 5; i++)
-                for (int j = 0; j < N; j++) s->nodes[i * N + j] = z->nodes[i][j][l];
-            if (blocks_misses(s, given)) parts[l] = -1;
-        }
-    }
-#endif
-    return parts & wanted;
-}
-#endif
-
-/* --- what becomes of a step -------------------------------------------------------------------------------------- */
-
 typedef struct {
     V t1, size, error, proposed;
     M taken, handed; /* lanes that took the step here; those whose run did */
 } Step;
+
+#include "lane_measures.h"
+
+/* --- what becomes of a step -------------------------------------------------------------------------------------- */
 
 /* Rows of the recording grid inside the step, and looks at its pace; 0: nothing failed. */
 static int look_at(Lanes *z, int l, const Step *step)
@@ -441,35 +175,9 @@ static int look_at(Lanes *z, int l, const Step *step)
     if (turns && s->setup->every.is_given) blocks_look_at_rows(s, t1, h);
     if (records && blocks_rows_inside(s, t1, h, t1 == z->target[l])) return 1;
     s->weighed = 0;
-    if (records) s->next_row = blocks_grid(&s->setup->every, s->row);
+    if (records) blocks_next_row(s);
     return 0;
 }
-
-#if BLOCKS_QUICK_MEASURES
-static int take_measures(Lanes *z, int l, double t1)
-{
-    BlocksSim *s = z->lanes[l].s;
-    for (int i = 1; i < 5; i++)
-        for (int j = 0; j < N; j++) s->nodes[i * N + j] = z->nodes[i][j][l];
-    return blocks_measure_whole(s, z->t[l], t1);
-}
-
-/* The lanes in which a step is to be measured; `quiet` loses those where that goes in parts. */
-static M to_measure(const Lanes *z, const Step *step, M *quiet)
-{
-    M wanted = *quiet & (z->t < step->t1);
-    if (z->lanes[0].s->setup->has_windows)
-        EACH_LANE {
-            if (!wanted[l]) continue;
-            int in = blocks_measures_in(z->lanes[l].s, z->t[l], step->t1[l]);
-            if (in < 0) (*quiet)[l] = 0;
-            if (in) wanted[l] = 0;
-        }
-    M stale = wanted & (z->known != z->t);
-    *quiet &= ~stale;
-    return wanted & ~stale;
-}
-#endif
 
 /* Let a lane's run take a step that is not plain. */
 static void hand_over(Lanes *z, int l, Step *step)
@@ -538,7 +246,7 @@ static void turn_over(Lanes *z, const Step *step)
         BlocksSim *s = z->lanes[l].s;
         if (step->handed[l] && z->lanes[l].state == FLOWING) {
             take_back(z, l);
-            if (s->setup->every.is_given) s->next_row = blocks_grid(&s->setup->every, s->row);
+            if (s->setup->every.is_given) blocks_next_row(s);
         }
         if (!there[l] || z->lanes[l].state != FLOWING) continue;
         give_back(z, l);

@@ -8,6 +8,8 @@
 #include "lane_machine.h" /* BLOCKS_LANES, and the functions that the machine has for so many numbers */
 #include "batch.h"
 
+#include <immintrin.h>
+
 typedef double V __attribute__((vector_size(8 * BLOCKS_LANES)));
 typedef int64_t M __attribute__((vector_size(8 * BLOCKS_LANES)));
 
@@ -37,9 +39,13 @@ static inline M lanes_are_finite(V a) { return a * 0.0 == 0.0; }
 /* Whether it holds in any lane. */
 static inline int lanes_any(M truth)
 {
-    int64_t any = 0;
-    EACH_LANE any |= truth[l];
-    return any != 0;
+#if BLOCKS_LANES == 8
+    return _mm512_test_epi64_mask((__m512i)truth, (__m512i)truth) != 0;
+#elif BLOCKS_LANES == 4
+    return !_mm256_testz_si256((__m256i)truth, (__m256i)truth);
+#else
+    return (truth[0] | truth[1]) != 0;
+#endif
 }
 
 /* The distance to the next larger double. */

@@ -5,7 +5,8 @@
    of snapshots; it counts while the rates at t do (has_first).
 
    Reference: Hairer and Wanner, Solving Ordinary Differential Equations II, IV.8 (the method, its iteration, control of
-   the step by Gustafsson), and their program RADAU5. */
+   the step by Gustafsson), and their program RADAU5. All of a step stands here, from its iteration to its acceptance, which
+   makes the file long. */
 #include "stiff.h"
 
 #include <stdlib.h>
@@ -110,16 +111,18 @@ static int take_slopes(BlocksSim *s, double t, const double *x)
         if (!has_base) blocks_rates(s, t, x, base), has_base = 1;
         double nominal = setup->plain_atol > 0.0 ? setup->atol[column] / setup->plain_atol : 1.0;
         double size = sqrt(EPS) * fmax(fabs(x[column]), nominal);
-        for (int side = 1; side >= -1; side -= 2) {
+        for (int side = 1; side >= -1 && missing; side -= 2) {
             memcpy(r->moved, x, (size_t)n * sizeof(double));
             r->moved[column] += side * size;
             double step = r->moved[column] - x[column];
             blocks_rates(s, t, r->moved, moved);
-            for (int p = begin; p < end; p++)
+            missing = 0;
+            for (int p = begin; p < end; p++) {
                 if (!isfinite(r->slopes[p])) r->slopes[p] = (moved[j->rows[p]] - base[j->rows[p]]) / step;
+                missing |= !isfinite(r->slopes[p]);
+            }
         }
-        for (int p = begin; p < end; p++)
-            if (!isfinite(r->slopes[p])) return 1;
+        if (missing) return 1;
     }
     s->carried[FACTORED] = 0.0;
     s->carried[HAS_SLOPES] = r->is_fresh = 1;
@@ -280,17 +283,58 @@ static double factor_of(const BlocksSim *s, double h, double error)
     return fmax(LEAST, fmin(MOST, factor));
 }
 
+/* The error of a step of length h to t1, where the states and rates at its end are then known: infinite where a number is not
+   finite, NaN where the iteration does not converge, -1 where there is no memory. */
+static double tried(BlocksSim *s, double t1, double h, int again, int32_t *worst)
+{
+    const Radau *r = s->implicit;
+    const int n = s->model->nx;
+    const double t = s->t, *x = s->memory.x;
+    int status = s->carried[FACTORED] == h ? 0 : take_factors(s, h);
+    if (status) return status == 2 ? -1.0 : NAN;
+    begin_stages(s, h);
+    if (converges(s, t, x, h)) return NAN;
+    for (int i = 0; i < n; i++) s->x1[i] = x[i] + r->z[2][i];
+    double error = error_of(s, t, x, h, again, worst), bad = 0.0;
+    if (error > 1.0) return error;
+    blocks_rates(s, t1, s->x1, s->k[4]);
+    for (int i = 0; i < n; i++) bad += s->k[4][i] * 0.0;
+    return bad == 0.0 ? error : INFINITY;
+}
+
+/* Take an accepted step to t1. most: how long the next one may be at most; proposed: as long as this one should have been. -1:
+   and go on. */
+static int take_step(BlocksSim *s, double t1, double h, double error, double most, double proposed, double target)
+{
+    Radau *r = s->implicit;
+    const int n = s->model->nx, keeps = r->theta <= SLOW;
+    double factor = fmin(factor_of(s, h, error), most);
+    if (keeps && factor >= 1.0 && factor <= HELD) factor = 1.0; /* the factors serve once more */
+    /* Of a step that the target cut short, the proposal before it still counts. */
+    proposed = h < proposed ? fmax(h * factor, proposed) : h * factor;
+    for (int j = 0; j < 3; j++)
+        for (int i = 0; i < n; i++)
+            s->k[1 + j][i] = (P[0][j] * r->z[0][i] + P[1][j] * r->z[1][i] + P[2][j] * r->z[2][i]) / h;
+    int stopped = blocks_accept(s, t1, h, proposed, fmax(error, 1e-4), target);
+    if (stopped == BLOCKS_FAILED || !s->has_first) return stopped;
+    for (int j = 0; j < 3; j++)
+        for (int i = 0; i < n; i++) r->polynomial[j * n + i] = s->k[1 + j][i] * h;
+    s->carried[LENGTH] = h;
+    s->carried[ERROR] = fmax(error, 1e-2);
+    if (!keeps) s->carried[HAS_SLOPES] = 0.0;
+    return stopped;
+}
+
 /* One accepted step towards the target. -1: and go on. */
 static int step_to(BlocksSim *s, double target)
 {
     Radau *r = s->implicit;
-    const BlocksSetup *setup = s->setup;
-    const int n = s->model->nx;
     const double t = s->t, *x = s->memory.x, left = target - t, least = 16 * blocks_ulp(t);
     double h = s->h > 0.0 ? s->h : blocks_first_step(s, left), t1, step, error;
-    int rejected = 0, status;
-    int32_t worst;
-    h = fmax(fmin(h, setup->longest), least);
+    const int is_first = s->carried[LENGTH] == 0.0;
+    int rejected = 0;
+    int32_t worst = 0;
+    h = fmax(fmin(h, s->setup->longest), least);
     r->is_fresh = 0;
     weigh(s, x);
     for (;;) {
@@ -298,55 +342,22 @@ static int step_to(BlocksSim *s, double target)
         t1 = h >= left / 1.01 ? target : t + h;
         step = t1 - t;
         if (s->carried[HAS_SLOPES] == 0.0 && take_slopes(s, t, x)) return fails(s, step);
-        status = s->carried[FACTORED] == step ? 0 : take_factors(s, step);
-        if (status == 2) return no_memory(s);
-        if (!status) {
-            begin_stages(s, step);
-            status = converges(s, t, x, step);
-        }
-        if (!status) {
-            for (int i = 0; i < n; i++) s->x1[i] = x[i] + r->z[2][i];
-            error = error_of(s, t, x, step, s->carried[LENGTH] == 0.0 || rejected, &worst);
-            if (error <= 1.0) {
-                blocks_rates(s, t1, s->x1, s->k[4]);
-                double bad = 0.0;
-                for (int i = 0; i < n; i++) bad += s->k[4][i] * 0.0;
-                if (bad == 0.0) break;
-                error = INFINITY;
-            }
-            s->blamed[worst]++;
-        } else {
-            error = INFINITY;
-        }
-        if (status && !r->is_fresh) { /* with the slopes here, it may converge */
-            if (take_slopes(s, t, x)) return fails(s, step);
+        error = tried(s, t1, step, is_first || rejected, &worst);
+        if (error < 0.0) return no_memory(s);
+        if (error <= 1.0) break;
+        if (isnan(error) && !r->is_fresh) { /* with the slopes here, it may converge */
+            s->carried[HAS_SLOPES] = 0.0;
             continue;
         }
+        if (!isnan(error)) s->blamed[worst]++;
         if (h <= least || step <= least) return fails(s, step);
-        h = fmax(step * (isfinite(error) ? factor_of(s, step, error) : 0.5), least);
-        if (s->carried[LENGTH] == 0.0 && !rejected && isfinite(error)) h = fmax(fmin(h, 0.1 * step), least);
+        double factor = isfinite(error) ? factor_of(s, step, error) : 0.5;
+        if (is_first && !rejected && isfinite(error)) factor = fmin(factor, 0.1);
+        h = fmax(step * factor, least);
         s->rejected++;
         rejected = 1;
     }
-    double factor = factor_of(s, step, error);
-    int keeps = r->theta <= SLOW;
-    if (rejected) factor = fmin(factor, 1.0);
-    if (keeps && factor >= 1.0 && factor <= HELD) factor = 1.0; /* the factors serve once more */
-    double proposed = step * factor;
-    if (step < h) proposed = fmax(proposed, h); /* cut short by the target: the proposal before it still counts */
-    for (int j = 0; j < 3; j++)
-        for (int i = 0; i < n; i++)
-            s->k[1 + j][i] = (P[0][j] * r->z[0][i] + P[1][j] * r->z[1][i] + P[2][j] * r->z[2][i]) / step;
-    int stopped = blocks_accept(s, t1, step, proposed, fmax(error, 1e-4), target);
-    if (stopped == BLOCKS_FAILED) return stopped;
-    if (s->has_first) {
-        for (int j = 0; j < 3; j++)
-            for (int i = 0; i < n; i++) r->polynomial[j * n + i] = s->k[1 + j][i] * step;
-        s->carried[LENGTH] = step;
-        s->carried[ERROR] = fmax(error, 1e-2);
-        if (!keeps) s->carried[HAS_SLOPES] = 0.0;
-    }
-    return stopped;
+    return take_step(s, t1, step, error, rejected ? 1.0 : MOST, h, target);
 }
 
 /* The rates here; what is kept from steps before counts as long as they are known. */
@@ -369,7 +380,7 @@ int blocks_stiff_run(BlocksSim *s, double target)
     if (s->carried[FACTORED] > 0.0 && !s->is_factored && take_factors(s, s->carried[FACTORED])) s->carried[FACTORED] = 0.0;
     s->is_factored = 1;
     for (;;) {
-        if (s->t >= s->soft || blocks_clock(s)) return BLOCKS_PAUSED;
+        if (s->t >= s->soft || (--s->budget <= 0 && blocks_clock(s))) return BLOCKS_PAUSED;
         if (first_rates(s)) return BLOCKS_FAILED;
         int stopped = step_to(s, target);
         if (stopped >= 0) return stopped;

@@ -30,7 +30,7 @@ static const double LOBATTO[] = {0.0, 0.17267316464601146, 0.5, 0.82732683535398
 /* --- times -------------------------------------------------------------------------------------------------- */
 
 /* numerator / denominator, rounded once; both may be beyond 2^53. */
-INLINE double ratio(__int128 numerator, int64_t denominator)
+BLOCKS_INLINE double ratio(__int128 numerator, int64_t denominator)
 {
     const int64_t plain = (int64_t)1 << 53;
     if (numerator <= plain && numerator >= -plain && denominator <= plain)
@@ -55,7 +55,7 @@ HOT double blocks_tick_time(const BlocksSim *s, int64_t count)
     return ratio((__int128)count * s->setup->base_numerator, s->setup->base_denominator);
 }
 
-INLINE int64_t tick_count(const BlocksSim *s, int rate)
+BLOCKS_INLINE int64_t tick_count(const BlocksSim *s, int rate)
 {
     return s->setup->rates[rate].offset + s->ticks[rate] * s->setup->rates[rate].period;
 }
@@ -180,7 +180,7 @@ HOT static int add_row(BlocksSim *s, double t, const double *values)
     return 0;
 }
 
-INLINE int all_finite(const double *values, int n)
+BLOCKS_INLINE int all_finite(const double *values, int n)
 {
     double sum = 0.0;
     for (int i = 0; i < n; i++) sum += values[i] * 0.0;
@@ -279,7 +279,7 @@ void blocks_outside(BlocksSim *s, double t)
 }
 
 /* A program at (t, x), where inputs and histories are as they are then. */
-INLINE void evaluate(BlocksSim *s, BlocksProgram program, double t, const double *x, double *out)
+BLOCKS_INLINE void evaluate(BlocksSim *s, BlocksProgram program, double t, const double *x, double *out)
 {
     if (s->moving) blocks_outside(s, t);
     program(&s->memory, t, x, out);
@@ -1484,7 +1484,7 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
 
 /* --- what is replaced after each step -------------------------------------------------------------------------- */
 
-INLINE int is_off(const BlocksSim *s, int condition) { return condition >= 0 && s->memory.s[condition] == 0.0; }
+BLOCKS_INLINE int is_off(const BlocksSim *s, int condition) { return condition >= 0 && s->memory.s[condition] == 0.0; }
 
 /* Whether a value may stand in a place of d: ints up to 2^53, of enumerations their members. */
 HOT static int is_whole(const BlocksSim *s, int slot, double value)
@@ -1913,17 +1913,17 @@ HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
 }
 
 /* Rows are short, and most of them empty. */
-INLINE void copy(double *to, const double *from, size_t n)
+BLOCKS_INLINE void copy(double *to, const double *from, size_t n)
 {
     if (n > 8) memcpy(to, from, n * sizeof(double));
     else
         for (size_t i = 0; i < n; i++) to[i] = from[i];
 }
 
-INLINE int is_same(const double *a, const double *b, size_t n) { return !n || !memcmp(a, b, n * sizeof(double)); }
+BLOCKS_INLINE int is_same(const double *a, const double *b, size_t n) { return !n || !memcmp(a, b, n * sizeof(double)); }
 
 /* Whether anything can fire: else an instant of events is over before it begins. */
-INLINE int is_calm(const BlocksSim *s) { return !s->model->ns && !s->model->hooks; }
+BLOCKS_INLINE int is_calm(const BlocksSim *s) { return !s->model->ns && !s->model->hooks; }
 
 HOT static int check_slots(BlocksSim *s, const BlocksSlot *slots, int n)
 {
@@ -1938,7 +1938,7 @@ HOT static int check_slots(BlocksSim *s, const BlocksSlot *slots, int n)
     return 0;
 }
 
-INLINE int any_due(const BlocksSim *s, const BlocksSlot *slots, int n)
+BLOCKS_INLINE int any_due(const BlocksSim *s, const BlocksSlot *slots, int n)
 {
     for (int i = 0; i < n; i++)
         if (s->due[slots[i].rate]) return 1;
@@ -2187,7 +2187,7 @@ int blocks_keep_left(BlocksSim *s)
 /* Values at the start. Nothing fires. The caller has set t, p, s and z (guesses), located (sides that are given), ticks. */
 int blocks_begin(BlocksSim *s)
 {
-    const BlocksModel *model = s->model;
+    const BlocksModel *model = s->model = s->setup->model;
     int nx = model->nx, nd = model->nd, ns = model->ns;
     double *out = s->stage_values;
     for (int r = 0; r < model->nrates; r++) s->memory.k[r] = (double)s->ticks[r];

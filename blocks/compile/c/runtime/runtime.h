@@ -9,9 +9,9 @@
 
 /* Into functions of any optimization. */
 #if defined(__GNUC__)
-#define INLINE static inline __attribute__((always_inline))
+#define BLOCKS_INLINE static inline __attribute__((always_inline))
 #else
-#define INLINE static inline
+#define BLOCKS_INLINE static inline
 #endif
 
 #define BLOCKS_MOST_STAGES 7
@@ -361,33 +361,33 @@ enum { BLOCKS_HITS = 15, BLOCKS_CALM = 6 };
 #define BLOCKS_PACE 512
 
 /* Where the next row stands, its time first; null where there is no memory. */
-INLINE double *blocks_row(BlocksSim *s)
+BLOCKS_INLINE double *blocks_row(BlocksSim *s)
 {
     return s->rows.next == s->rows.end ? blocks_new_row(s) : s->rows.next;
 }
 
 /* It is filled, and counts. */
-INLINE void blocks_keep_row(BlocksSim *s, double *row)
+BLOCKS_INLINE void blocks_keep_row(BlocksSim *s, double *row)
 {
     s->last_row = row;
     s->rows.next += 1 + s->rows.columns;
 }
 
-INLINE double blocks_grid(const BlocksGrid *g, int64_t k)
+BLOCKS_INLINE double blocks_grid(const BlocksGrid *g, int64_t k)
 {
     if (g->is_plain) return (double)(g->start + k * g->step) / (double)g->unit;
     return blocks_divided(g, k);
 }
 
 /* The time of the next row of the recording grid, which is computed once. */
-INLINE double blocks_next_row(BlocksSim *s)
+BLOCKS_INLINE double blocks_next_row(BlocksSim *s)
 {
     if (s->timed != s->row) s->next_row = blocks_grid(&s->setup->every, s->row), s->timed = s->row;
     return s->next_row;
 }
 
 /* The distance to the next larger double; x is finite. */
-INLINE double blocks_ulp(double x)
+BLOCKS_INLINE double blocks_ulp(double x)
 {
     double size = fabs(x), next;
     int64_t bits;
@@ -398,10 +398,10 @@ INLINE double blocks_ulp(double x)
 }
 
 /* Without NaN, and without a call. */
-INLINE double blocks_larger(double a, double b) { return a > b ? a : b; }
-INLINE double blocks_smaller(double a, double b) { return a < b ? a : b; }
+BLOCKS_INLINE double blocks_larger(double a, double b) { return a > b ? a : b; }
+BLOCKS_INLINE double blocks_smaller(double a, double b) { return a < b ? a : b; }
 
-INLINE int blocks_within_ulps(double a, double b, double scale)
+BLOCKS_INLINE int blocks_within_ulps(double a, double b, double scale)
 {
     if (isinf(a) || isinf(b)) return a == b;
     double most = blocks_larger(blocks_larger(fabs(a), fabs(b)), scale);
@@ -410,7 +410,7 @@ INLINE int blocks_within_ulps(double a, double b, double scale)
 }
 
 /* Whether a row at `at` is that of an instant at t: where jumps have no rows of their own, a time has one value. */
-INLINE int blocks_joins(const BlocksSim *s, double at, double t)
+BLOCKS_INLINE int blocks_joins(const BlocksSim *s, double at, double t)
 {
     return !s->setup->has_jumps && blocks_within_ulps(at, t, s->setup->scale);
 }

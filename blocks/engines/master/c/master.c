@@ -288,7 +288,7 @@ static int64_t native_copy(MasterUnit *u, unsigned char *begin, int writes)
     ROW(s->memory.z, model->nz); ROW(s->ticks, model->nrates); ROW(s->events, model->nevents); ROW(s->own, model->nevents);
     ROW(s->located, model->ns); ROW(s->sides, model->ns); ROW(s->fired, s->setup->ncauses); ROW(s->crossed, model->ns ? 1000 : 0);
     if (model->stages) ROW(s->k[0], model->nx + model->ns);
-    ROW(s->carried, s->ncarried);
+    ROW(s->carried, s->ncarried); ONE(s->hits); ONE(s->calm); ONE(s->stiff_from);
     ROW(s->before, model->nx + model->ns); ROW(s->base, model->nu); ROW(s->aim, model->nu); ROW(s->begin, model->nu);
     ROW(s->finish, model->nu); ROW(u->inputs, u->ninputs); ROW(u->terms, 4 * u->ninputs); ONE(u->polynomials.t0);
     if (u->ninputs) ROW(u->track, u->ninputs);
@@ -1277,36 +1277,68 @@ static inline int quick_move(const MasterQuick *q, void *const *call, const uint
                                   : (*(Move3 *)call)(q->component, references, n, values, n);
 }
 
+/* Whether rows are elements on a grid, and no instant adds to them. */
+static int has_plain_rows(const Master *m)
+{
+    int is_plain = m->every.is_given && !m->has_jumps && m->is_uniform && !m->has_instants;
+    for (int i = 0; i < m->ncolumns; i++) is_plain &= m->columns[i].row == MASTER_ELEMENT;
+    return is_plain;
+}
+
+/* A row at the next time of the grid, which is here. */
+static inline int plain_row(Master *m)
+{
+    double *row = m->rows.used + 1 + m->ncolumns <= m->rows.capacity ? m->rows.data + m->rows.used : NULL, check = 0.0;
+    if (!row) return record(m, NULL);
+    for (int i = 0; i < m->ncolumns; i++) check += (row[1 + i] = m->y[m->columns[i].place]) * 0.0;
+    if (check != 0.0) return record(m, NULL); /* which says what it is */
+    row[0] = m->t;
+    m->rows.used += 1 + m->ncolumns;
+    m->row++;
+    return 0;
+}
+
 /* On with quick units, until it is time to look up; each step is what a master by hand would do. */
 static int quick(Master *m, double stop, double deadline)
 {
     MasterUnit *one = &m->units[0];
+    const int is_plain = has_plain_rows(m), nunits = m->nunits, nstages = m->nstages, nwatched = m->nwatched;
+    const int32_t *const ordered = m->ordered;
+    const MasterStage *const stages = m->stages;
+    const MasterQuick *const units = m->quick;
+    const double end = m->end, soft = m->soft;
+    int over = is_over(m);
+    double due = is_plain ? blocks_grid(&m->every, m->row) : 0.0, now = 0.0;
+    int64_t pace = 1, left = 1; /* steps from look to look at the clock, while it stands, and until the next one */
     do {
         double t = m->t;
         while (one->next_t <= t) one->next_t = blocks_grid(&one->grid, ++one->next);
         double t1 = one->next_t < stop ? one->next_t : stop, h = t1 - t;
+        /* The times that come next are divided while units step. */
+        const double following = blocks_grid(&one->grid, one->next + 1), due_next = is_plain ? blocks_grid(&m->every, m->row + 1) : 0.0;
         int ended = -1; /* the unit that ended the run inside the step: only its outputs are of the time that is come to */
-        for (int o = 0; o < m->nunits; o++) {
-            int k = m->ordered[o], status;
-            const MasterQuick *q = &m->quick[k];
+        for (int o = 0; o < nunits; o++) {
+            int k = ordered[o], status;
+            const MasterQuick *q = &units[k];
             status = q->set ? quick_move(q, &q->set, q->set_references, q->nset, q->set_values) : OK;
             if (status && judged(m, &m->units[k], -1 - m->units[k].sets->number, status)) return 1;
             if (q->kind == MASTER_FMI2) {
                 status = (*(Step2 *)&q->step)(q->component, t, h, 1);
             } else {
-                bool event = false, over = false, early = false;
+                bool event = false, ends = false, early = false;
                 double last = t1;
-                status = (*(Step3 *)&q->step)(q->component, t, h, true, &event, &over, &early, &last);
-                if (over && status <= DISCARD) {
-                    double end = early || status == DISCARD ? last : t1;
+                status = (*(Step3 *)&q->step)(q->component, t, h, true, &event, &ends, &early, &last);
+                if (ends && status <= DISCARD) {
+                    double at = early || status == DISCARD ? last : t1;
                     if (status == WARNING) judged(m, &m->units[k], CALL_DoStep, status);
-                    status = ends_run(&m->units[k], end > t ? end : t, t1);
-                    early = false;
+                    status = ends_run(&m->units[k], at > t ? at : t, t1);
+                    early = false, over = 1;
                 }
                 if (early && status < DISCARD && last < t1) return fail(m, MASTER_TOO_EARLY, k, CALL_DoStep, status, last);
             }
             if (status && odd(m, k, status, t, t1)) return 1;
-            if (m->units[k].is_over && m->units[k].reached < t1) {
+            over |= status && m->units[k].is_over;
+            if (over && m->units[k].is_over && m->units[k].reached < t1) {
                 if (!(m->units[k].reached > t)) return 0;
                 t1 = m->units[k].reached;
                 ended = k;
@@ -1314,19 +1346,32 @@ static int quick(Master *m, double stop, double deadline)
             }
         }
         m->t = t1;
-        m->steps += m->nunits;
-        if (m->nwatched) memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
-        for (int i = 0; i < m->nstages; i++) {
-            int k = m->stages[i].unit;
+        if (t1 == one->next_t) one->next++, one->next_t = following;
+        m->steps += nunits;
+        if (nwatched) memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
+        for (int i = 0; i < nstages; i++) {
+            int k = stages[i].unit;
             if (ended >= 0 && k != ended) continue;
-            const MasterQuick *q = &m->quick[k];
+            const MasterQuick *q = &units[k];
             int status = quick_move(q, &q->get, q->get_references, q->nget, q->get_values);
             if (status && judged(m, &m->units[k], -1 - m->units[k].gets->number, status)) return 1;
         }
-        if (m->nwatched) watch(m, 1);
+        if (nwatched) watch(m, 1);
         if (m->nmeasured && measure(m, 0.0)) return 1;
-        if (record(m, NULL)) return 1;
-    } while (m->t < stop && m->t < m->soft && !is_over(m) && seconds() < deadline);
+        if (!is_plain || t1 > due || t1 == end || over) {
+            if (record(m, NULL)) return 1;
+            due = is_plain ? blocks_grid(&m->every, m->row) : 0.0;
+        } else if (t1 == due) {
+            if (plain_row(m)) return 1;
+            due = due_next;
+        }
+        if (--left == 0) {
+            double before = now;
+            now = seconds();
+            if (now >= deadline) return 0;
+            left = pace = now == before && pace < 64 ? 2 * pace : now == before ? pace : 1;
+        }
+    } while (m->t < stop && m->t < soft && !over);
     return 0;
 }
 

@@ -1,0 +1,141 @@
+/* What is measured inside the steps of lanes, where five values tell it. Part of lane_steps.h; twin: steps.h. */
+#if BLOCKS_QUICK_MEASURES
+
+/* The states at one of SHARES of a step, as its dense output has them. */
+static inline void inside(const Lanes *z, const int share, const int *states, const int n, V h, V *restrict made)
+{
+    const V *restrict x = z->m.x, *restrict x1 = z->x1;
+    for (int a = 0; a < n; a++) {
+        const int i = states[a];
+#if BLOCKS_METHOD_RK4
+        const double at = SHARES_AT[share], there = at * at * (3.0 - 2.0 * at);
+        const V first = at * (1.0 - at) * (1.0 - at) * h, last = at * at * (at - 1.0) * h;
+        made[i] = x[i] + (there * (x1[i] - x[i]) + (first * z->k[0][i] + last * z->k[4][i]));
+#else
+        (void)x1;
+        V sum = lanes_of(0.0);
+        _Pragma("GCC unroll 8") for (int j = 0; j < STAGES; j++)
+            if (SHARES[share][j] != 0.0) sum += SHARES[share][j] * z->k[j][i];
+        made[i] = x[i] + h * sum;
+#endif
+    }
+}
+
+#if BLOCKS_NBENT
+static const int bent_states[] = BLOCKS_BENT_STATES, bent_columns[] = BLOCKS_BENT_COLUMNS;
+
+/* What is bent, at one of SHARES. */
+static __attribute__((noinline)) void bent_at(Lanes *z, int share, V step, V *out)
+{
+    V then = z->t + SHARES_AT[share] * step;
+    inside(z, share, bent_states, BLOCKS_NBENT_STATES, step, z->xs);
+    if (BLOCKS_NU && z->moves) outside(z, then);
+    bent_measured(&z->m, then, z->xs, out);
+}
+
+/* The inner nodes of what is bent as a parabola or a cubic foretells them; where it misses what was computed. */
+static M foretold(Lanes *z, int pass, M missed, const V *once, const V *twice)
+{
+    const BlocksSetup *setup = z->lanes[0].s->setup;
+    const double first = SHARES_AT[3], second = SHARES_AT[4], rtol = setup->rtol;
+    M misses = (M){0};
+    for (int a = 0; a < BLOCKS_NBENT; a++) {
+        const int j = bent_columns[a], other = j ^ 1;
+        V y0 = z->nodes[0][j], rise = z->nodes[4][j] - y0, twist = lanes_of(0.0), size = lanes_fabs(rise);
+        V miss = once[j] - (y0 + first * rise), bend = miss * (1.0 / (first * (1.0 - first)));
+        if (pass == 1) {
+            miss = twice[j] - (y0 + second * rise + bend * second * (1.0 - second));
+            twist = miss * (1.0 / (second * (1.0 - second) * (second - first)));
+        }
+        if (setup->measures[j / 2].kind <= BLOCKS_HARMONIC)
+            size += lanes_smaller(lanes_fabs(y0 - z->nodes[0][other]), lanes_fabs(z->nodes[4][j] - z->nodes[4][other]));
+        misses |= ~(lanes_fabs(miss) <= 0.1 * rtol * size);
+        for (int i = 1; i < 4; i++) {
+            double at = SHARES_AT[i - 1];
+            V value = y0 + at * rise + at * (1.0 - at) * (bend + twist * (at - first));
+            z->nodes[i][j] = lanes_choose(missed, value, z->nodes[i][j]);
+        }
+    }
+    return misses & missed;
+}
+#endif
+
+/* What is measured at the nodes of Lobatto's rule, in lanes that want it; the lanes whose step has to be looked at in
+   parts. See steps.h. */
+static M measured_inside(Lanes *z, V t1, V step, M wanted)
+{
+#if BLOCKS_NPLAIN
+    static const int plain_states[] = BLOCKS_PLAIN_STATES;
+    _Pragma("GCC unroll 3") for (int i = 1; i < 4; i++) {
+        V then = z->t + SHARES_AT[i - 1] * step;
+        inside(z, i - 1, plain_states, BLOCKS_NPLAIN_STATES, step, z->xs);
+        if (BLOCKS_NU && z->moves) outside(z, then);
+        plain_measured(&z->m, then, z->xs, z->nodes[i]);
+    }
+#endif
+#if BLOCKS_SHARES_MEASURED
+    for (int j = 0; j < N; j++) z->nodes[4][j] = z->k[LAST][WIDTH + j];
+    (void)t1;
+#else
+    if (BLOCKS_NU && z->moves) outside(z, t1);
+    measured(&z->m, t1, z->x1, z->nodes[4]);
+#endif
+    V bad = lanes_of(0.0);
+    for (int j = 0; j < N; j++) bad += z->nodes[4][j] * 0.0;
+    M parts = ~(bad == 0.0);
+#if BLOCKS_NBENT
+    V once[N], twice[N] = {{0.0}};
+    bent_at(z, 3, step, once);
+    M missed = BLOCKS_DRIVEN_MEASURES ? wanted : foretold(z, 0, wanted, once, twice);
+    if (!BLOCKS_DRIVEN_MEASURES && lanes_any(missed)) {
+        bent_at(z, 4, step, twice);
+        missed = foretold(z, 1, missed, once, twice);
+    }
+    if (lanes_any(missed)) {
+        for (int i = 1; i < 4; i++) {
+            bent_at(z, i - 1, step, twice);
+            for (int a = 0; a < BLOCKS_NBENT; a++) {
+                const int j = bent_columns[a];
+                z->nodes[i][j] = lanes_choose(missed, twice[j], z->nodes[i][j]);
+                parts |= missed & ~lanes_are_finite(twice[j]);
+            }
+        }
+        EACH_LANE {
+            if (!missed[l] || parts[l]) continue;
+            double given[N];
+            BlocksSim *s = z->lanes[l].s;
+            for (int j = 0; j < N; j++) given[j] = once[j][l];
+            for (int i = 0; i < 5; i++)
+                for (int j = 0; j < N; j++) s->nodes[i * N + j] = z->nodes[i][j][l];
+            if (blocks_misses(s, given)) parts[l] = -1;
+        }
+    }
+#endif
+    return parts & wanted;
+}
+
+static int take_measures(Lanes *z, int l, double t1)
+{
+    BlocksSim *s = z->lanes[l].s;
+    for (int i = 1; i < 5; i++)
+        for (int j = 0; j < N; j++) s->nodes[i * N + j] = z->nodes[i][j][l];
+    return blocks_measure_whole(s, z->t[l], t1);
+}
+
+/* The lanes in which a step is to be measured; `quiet` loses those where that goes in parts. */
+static M to_measure(const Lanes *z, const Step *step, M *quiet)
+{
+    M wanted = *quiet & (z->t < step->t1);
+    if (z->lanes[0].s->setup->has_windows)
+        EACH_LANE {
+            if (!wanted[l]) continue;
+            int in = blocks_measures_in(z->lanes[l].s, z->t[l], step->t1[l]);
+            if (in < 0) (*quiet)[l] = 0;
+            if (in) wanted[l] = 0;
+        }
+    M stale = wanted & (z->known != z->t);
+    *quiet &= ~stale;
+    return wanted & ~stale;
+}
+#endif
+
