@@ -33,6 +33,7 @@ Operations = Sequence[Mapping[str, Any]]
 MOST_TEXT = 64 * 2**20
 """Characters of texts that the history holds; the oldest steps are forgotten first."""
 
+_GONE = "the deletion on disk"
 FARTHEST = 1e6
 """Pixels from the origin of a drawing."""
 
@@ -106,6 +107,9 @@ class Editor(Document):
         Raises ModelError and UsageError, with nothing changed.
         """
         self._catch_up()
+        if self.is_gone:
+            what = "was deleted or renamed by another program; what is shown is in no file."
+            raise UsageError(Fault("E501", self.file.name, what, "Undo writes it again."))
         if self.error is not None:
             self.shown  # noqa: B018  # says why no edit can be made
         edit = edit_file(self.file, operations, library=self.library, text=self.text, check=False)
@@ -128,6 +132,10 @@ class Editor(Document):
 
     def _back(self, steps: list[_Step], others: list[_Step], what: str) -> str:
         self._catch_up()
+        if self.is_gone and what == "undo":
+            with write_atomically(self.file) as stream:
+                stream.write(self.text.decode())
+            return _GONE
         if not steps:
             raise UsageError(Fault("E501", self.file.name, f"there is nothing to {what}."))
         step = steps[-1]
@@ -135,6 +143,11 @@ class Editor(Document):
         steps.pop()
         others.append(_Step(step.what, step.edit.undone))
         return step.what
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether another program took the file away: undo writes it again."""
+        return not self.file.exists()
 
     def _catch_up(self) -> None:
         if self.has_changed():
@@ -205,7 +218,8 @@ class Editor(Document):
         for fault, found in zip(told["faults"], self.faults, strict=True):
             fault["remedies"] = [*self._remedies(found)]
         last, next_ = ([*steps[-1:], None][0] for steps in (self.done, self.undone))
-        return told | {"editing": {"undo": last.what if last else "", "redo": next_.what if next_ else ""}}
+        undo = _GONE if self.is_gone else last.what if last else ""
+        return told | {"editing": {"undo": undo, "redo": next_.what if next_ else ""}}
 
     def _remedies(self, fault: Fault) -> Iterator[dict[str, Any]]:
         """What buttons beside a fault do: operations on a level, or to choose what an input is wired to."""

@@ -64,7 +64,16 @@ class Fact:
             "name": self.name, "text": self.was if raw is None else self.text(raw), "was": self.was,
             "changed": raw is not None, "value": value, "unit": self.unit, "type": self.type, "low": low, "high": high,
             "log": is_log, "choices": list(self.choices), "why": self.why, "bound": self.is_bound,
+            "range": self.range,
         }  # fmt: skip
+
+    @property
+    def range(self) -> str:
+        """The declared range in `unit`, as a person reads it."""
+        if self.low is not None and self.high is not None and not self.is_open:
+            return f"{self.low:g} to {self.high:g}"
+        low = "" if self.low is None else f"{'>' if self.is_open else '>='} {self.low:g}"
+        return ", ".join(filter(None, (low, "" if self.high is None else f"<= {self.high:g}")))
 
     def text(self, raw: Any) -> str:
         """A raw value as a person types it, in `unit`."""

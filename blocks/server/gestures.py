@@ -52,6 +52,8 @@ def _editor(session: Session) -> Editor:
 def _done(session: Session, what: str, operations: Operations, names: Iterable[str] = ()) -> Answer:
     """Do a gesture, tell all pages, and answer which names came of it."""
     editor = _editor(session)
+    if editor.is_gone:
+        session.tell_document()  # undo can be pressed now
     edit = editor.edit(what, operations)
     return _told(session, what, names, [Path(file).name for file in edit.texts if file != str(editor.file)])
 

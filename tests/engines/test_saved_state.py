@@ -421,8 +421,24 @@ def _out_of_order(tree: dict[str, Any], arrays: list[Any]) -> None:
     arrays[tree["past"]["breaks"]["array"]][0, 1] = 1e12
 
 
-@pytest.mark.parametrize("damage", [_longer, _crowded, _counted, _without_past, _out_of_order])
-def test_a_state_that_compiled_code_could_not_hold_is_refused(damage: Any, tmp_path: Path) -> None:
+def _shortened(tree: dict[str, Any], arrays: list[Any]) -> None:
+    arrays[tree["memory"]["carried"]["array"]] = np.zeros(3)
+
+
+def _beside_the_pivots(tree: dict[str, Any], arrays: list[Any]) -> None:
+    place = tree["memory"]["carried"]["array"]
+    arrays[place] = np.append(arrays[place], 1e6)
+
+
+@pytest.mark.parametrize(
+    ("damage", "method"),
+    [
+        *((damage, "dopri5") for damage in (_longer, _crowded, _counted, _without_past, _out_of_order)),
+        (_shortened, "radau"),
+        (_beside_the_pivots, "radau"),
+    ],
+)
+def test_a_state_that_compiled_code_could_not_hold_is_refused(damage: Any, method: str, tmp_path: Path) -> None:
     diagram = Diagram("late")
     u = diagram.input("u", default=1.0)
     lag = diagram.add("lag", FirstOrder())
@@ -430,7 +446,7 @@ def test_a_state_that_compiled_code_could_not_hold_is_refused(damage: Any, tmp_p
     diagram.wire(lag.u, u)
     diagram.wire(late.u, lag.y)
     diagram.measure("size", "mean_square", late.y)
-    diagram.settings(stop=1.0)
+    diagram.settings(stop=1.0, method=method)
     run = diagram.start()
     run.advance_to(0.5)
     run.save(tmp_path / "good.state")

@@ -264,6 +264,22 @@ def test_the_robot_of_the_paper_is_edited_run_and_undone(chromium: Any, tmp_path
     assert path.read_bytes() == before
 
 
+def test_blocks_stand_where_a_double_click_asked_for_them(chromium: Any, tmp_path: Path) -> None:
+    with edited_page(chromium, tmp_path / "placed.json") as hands:
+        page = hands.page
+        x, y = page.center("#view")
+        wanted = {"step": x - 250, "sum": x - 60, "pmdc_motor": x + 190}
+        for text, at in zip(("step", "sum +-", "dc motor"), wanted.values(), strict=True):
+            hands.rest()
+            page.click_at(at, y, count=2)
+            page.until("document.querySelector('dialog.search li .pictogram')")
+            page.type(text)
+            hands.done(lambda: page.press("Enter"))
+        for name, at in wanted.items():
+            hands.seen(f'[data-path="{name}"]')
+            assert hands.box(name) == pytest.approx((at, y), abs=10)  # the grid
+
+
 def test_500_blocks_are_moved_wired_deleted_and_undone(chromium: Any, tmp_path: Path) -> None:
     path = tmp_path / "large.json"
     path.write_text(dumps(placed(100)))
@@ -285,8 +301,8 @@ def test_500_blocks_are_moved_wired_deleted_and_undone(chromium: Any, tmp_path: 
         # What was kept of the drawing is what a page that is loaded anew shows.
         shown = "document.querySelector('#stage svg').innerHTML.replace(/ class=\"[^\"]*\"/g, '')"
         kept = page.evaluate(shown)
-        page.evaluate("location.reload()")
-        page.until("document.querySelectorAll('#stage g[data-path]').length === 500")
+        page.evaluate("window.old = true, location.reload()")
+        page.until("!window.old && document.querySelectorAll('#stage g[data-path]').length === 500")
         hands.rest()
         assert page.evaluate(shown) == kept
         page.assert_clean()

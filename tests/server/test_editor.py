@@ -113,6 +113,23 @@ def test_the_first_move_in_an_automatic_layout_writes_all_positions_and_moves_no
             ask("place", names=["nothing"], by=[1, 1])
 
 
+def test_a_file_that_was_deleted_on_the_disk_is_written_again_by_undo(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        loop(ask)
+        text = path.read_bytes()
+        path.unlink()
+        with pytest.raises(UsageError, match=r"was deleted or renamed by another program.*Undo writes it again"):
+            ask("put", name="pid.ki", text="31")
+        assert not path.exists()
+        assert editor.told()["editing"]["undo"] == "the deletion on disk"
+        assert ask("undo")["what"] == "undone: the deletion on disk"
+        assert path.read_bytes() == text
+        ask("put", name="pid.ki", text="31")
+        ask("undo")
+        assert path.read_bytes() == text
+
+
 def test_what_another_program_wrote_is_never_overwritten_and_can_be_undone(tmp_path: Path) -> None:
     path = tmp_path / "motor.json"
     with edited(path) as (ask, editor):

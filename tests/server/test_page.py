@@ -37,12 +37,17 @@ def opened(page: Any, level: str) -> None:
     page.until(f"[...document.querySelectorAll('.path li')].slice(1).map(one => one.innerText).join('.') === {level!r}")
 
 
+LINES = "[...one.childNodes].forEach(part => part.nodeType === Node.TEXT_NODE && part.remove());"
+"""The page keeps no ends of lines between the elements of a drawing."""
+
+
 def test_the_drawing_is_the_one_of_blocks_draw(chromium: Any) -> None:
     with served(PAPER) as server, chromium() as page:
         drawn(page, server.url)
         made = page.evaluate(
             "(() => { const one = document.querySelector('#stage svg').cloneNode(true);"
             " one.querySelectorAll('.wire-value').forEach(text => text.remove());"  # at the cursor of the scopes
+            f" {LINES}"
             " const svg = new XMLSerializer().serializeToString(one); return svg; })()"
         )
         # The style sheet is taken out of it, as the policy of the page wants, and adopted by the page.
@@ -51,7 +56,7 @@ def test_the_drawing_is_the_one_of_blocks_draw(chromium: Any) -> None:
             "(() => { const sheet = new CSSStyleSheet();"
             " const rules = of => [...of.cssRules].map(rule => rule.cssText).join('');"
             f" sheet.replaceSync({json.dumps(style)}); const one = new DOMParser().parseFromString("
-            f"{json.dumps(before + after)}, 'image/svg+xml').documentElement;"
+            f"{json.dumps(before + after)}, 'image/svg+xml').documentElement; {LINES}"
             " return [new XMLSerializer().serializeToString(one),"
             " rules(sheet), rules(document.adoptedStyleSheets[0])]; })()"
         )
@@ -106,8 +111,12 @@ def test_every_stop_of_the_tab_key_has_a_name_and_is_seen(chromium: Any) -> None
             )
             if not told:
                 break
-            shown = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
-            assert shown != "none", page.evaluate("document.activeElement.outerHTML")
+            # That of the drawing is a border above it.
+            shown = page.evaluate(
+                "[getComputedStyle(document.activeElement).outlineStyle,"
+                " getComputedStyle(document.activeElement, '::after').borderTopStyle]"
+            )
+            assert shown != ["none", "none"], page.evaluate("document.activeElement.outerHTML")
             seen.append(told)
         for pane in ("lists", "drawing", "view"):
             assert pane in seen, seen

@@ -56,7 +56,7 @@ def test_a_block_is_told_with_its_equations_its_values_and_where_its_inputs_come
     assert ra["knob"] == {
         "name": "motor_right.Ra", "text": "0.1557 Ohm", "was": "0.1557 Ohm", "changed": False, "value": 0.1557,
         "unit": "Ohm", "type": "real", "low": 0.0, "high": 0.3114, "log": False, "choices": [], "why": "",
-        "bound": False,
+        "bound": False, "range": ">= 0",
     }  # fmt: skip
     assert (rows(told)["Jeq"]["text"], rows(told)["Jeq"]["knob"]["bound"]) == ("=Jeq", True)
     assert "start value" in rows(told)["omega_start"]["knob"]["why"]

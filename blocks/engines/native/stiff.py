@@ -10,12 +10,11 @@ import numpy as np
 from ...compile.c.jacobian_code import in_order
 from ...compile.jacobian import PlanJacobian
 from ...compile.plan import Plan
-from ..run.snapshot import frozen
+from ..run.snapshot import CARRIED_NUMBERS, frozen
 
 __all__ = ["CarriedOrder"]
 
 Array = np.ndarray[Any, Any]
-_NUMBERS = 5
 
 
 class CarriedOrder:
@@ -32,7 +31,7 @@ class CarriedOrder:
 
     def _parts(self, row: Array) -> list[Array]:
         n = len(self.place)
-        return np.split(row, [_NUMBERS, _NUMBERS + 3 * n, _NUMBERS + 3 * n + len(self.values)])
+        return np.split(row, CARRIED_NUMBERS + np.array([0, 3 * n, 3 * n + len(self.values)]))
 
     def taken(self, row: Array) -> Array:
         """That of a Snapshot, from C."""

@@ -23,7 +23,9 @@ import numpy as np
 
 from ...compile.equation_record import Equations
 from ...compile.inputs import InputTable, Track
+from ...compile.jacobian import PlanJacobian
 from ...compile.plan import Plan
+from ...compile.tableaus import STIFF
 from ...compile.time_grid import Grid
 from ...model.diagram_grammar import LARGEST_SEED
 from ...text.errors import Fault, UsageError
@@ -32,7 +34,7 @@ from ...text.printable import legible, one_line
 from .differences import of_equations, some
 from .history import Past, Store
 from .measures import Measures
-from .snapshot import MethodMemory, Snapshot, frozen
+from .snapshot import CARRIED_NUMBERS, MethodMemory, Snapshot, frozen
 
 __all__ = ["Kept", "State", "check", "fit", "packed", "standing"]
 
@@ -317,6 +319,23 @@ def _start(tree: Mapping[str, Any]) -> Fraction | None:
     return None if tree.get("start") is None else _fraction(tree["start"])
 
 
+def _check_kept(memory: MethodMemory, method: str, plan: Plan) -> None:
+    """Raise ValueError where what a stiff method keeps could not have come from a run: C uses its pivots as places."""
+    carried, (hits, calm, since) = memory.carried, memory.stiffness
+    if not all(0 <= n < 2**31 and float(n).is_integer() for n in (hits, calm)) or math.isinf(since):
+        raise ValueError("what its method counts cannot be")
+    if carried is None:
+        return
+    if method not in STIFF or carried.ndim != 1 or not np.isfinite(carried).all():
+        raise ValueError("what its method keeps from step to step cannot be")
+    n = len(plan.states)
+    size = CARRIED_NUMBERS + 3 * n + int(PlanJacobian(plan).indptr[-1])
+    pivots = carried[size:]
+    is_whole = len(carried) == size or (len(pivots) == n and np.array_equal(np.sort(pivots), np.arange(n)))
+    if not is_whole or (carried[:CARRIED_NUMBERS] < 0).any():
+        raise ValueError("what its method keeps from step to step is not of such states")
+
+
 def _check_values(state: State, plan: Plan) -> None:
     """Raise ValueError where numbers of a state could not have come from a run."""
     s, measures = state.snapshot, state.measures
@@ -335,8 +354,7 @@ def _check_values(state: State, plan: Plan) -> None:
     first, located = s.memory.first, state.located[1]
     if first is not None and (first.shape != s.x.shape or not np.isfinite(first).all()):
         raise ValueError("its rates have another size than its states")
-    if s.memory.carried is not None and not (s.memory.carried.ndim == 1 and np.isfinite(s.memory.carried).all()):
-        raise ValueError("what its method keeps from step to step cannot be")
+    _check_kept(s.memory, state.method[0], plan)
     crossings = len(plan.crossings)
     if len(s.own) != len(plan.events) or located.shape not in ((0,), (crossings,)):
         raise ValueError("its arrays have other sizes than its names")

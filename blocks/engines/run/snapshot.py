@@ -11,9 +11,12 @@ import numpy as np
 
 from .history import Past
 
-__all__ = ["MethodMemory", "Snapshot", "frozen", "told_method"]
+__all__ = ["CARRIED_NUMBERS", "MethodMemory", "Snapshot", "frozen", "told_method"]
 
 Array = np.ndarray[Any, Any]
+
+CARRIED_NUMBERS = 5
+"""With so many single numbers begins what a stiff method keeps; the polynomial, slopes and pivots follow."""
 
 
 def frozen(array: Array) -> Array:

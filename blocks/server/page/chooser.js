@@ -22,7 +22,7 @@ export function choose(app, { label, placeholder, text = "", find }) {
   };
   const take = (index) => {
     const chosen = entries[index];
-    if (chosen?.why) return app.announce(`${chosen.name}: ${chosen.why}.`);
+    if (chosen?.why) return app.announce(`${chosen.name}: ${chosen.why.replace(/\.$/, "")}.`);
     shown.close();
     document.getElementById("view").focus();
     chosen?.go();

@@ -72,7 +72,7 @@ export function start(app) {
   };
   const fit = () => {
     const [width, height] = size();
-    at.k = Math.min(Math.max(Math.min(view.clientWidth / width, view.clientHeight / height), LEAST), 1.6);
+    at.k = Math.min(Math.max(Math.min(view.clientWidth / width, view.clientHeight / height), LEAST), boxes.size ? 1.6 : 1);
     at.x = (view.clientWidth - width * at.k) / 2;
     at.y = (view.clientHeight - height * at.k) / 2;
     moved();
@@ -113,6 +113,21 @@ export function start(app) {
       for (const name of ["style", "transform"]) if (one.hasAttribute(name)) one.removeAttribute(name); // of a drag
     }
   };
+  /** From where positions count in what is shown; of a level that was laid out automatically nothing is known. */
+  const origin = () => stage.firstElementChild?.dataset.origin?.split(" ").map(Number);
+  /** Let what stays in its place stand still on the screen, though the drawing begins elsewhere. @returns {boolean} whether all is in sight */
+  const stay = (before) => {
+    const now = origin();
+    if (!before || !now) return false;
+    at.x += (before[0] - now[0]) * at.k;
+    at.y += (before[1] - now[1]) * at.k;
+    place();
+    return [...boxes.values()].every(({ dataset }) => {
+      const [x, y] = dataset.at.split(" ").map(Number);
+      const [left, top] = [at.x + x * at.k, at.y + y * at.k];
+      return left > 0 && top > 0 && left < view.clientWidth && top < view.clientHeight;
+    });
+  };
   let asked = 0;
   /** Show a level; the view of a level is kept while the page is open. */
   const show = async (level, svg = "") => {
@@ -129,10 +144,12 @@ export function start(app) {
     }
     const before = isOther ? known.get(level) : at;
     const [width, height] = size();
+    const began = isOther ? null : boxes.size ? origin() : [0, 0];
     put(text, isOther);
     boxes = new Map(drawn.filter(([, { dataset }]) => dataset.path !== undefined).map(([, box]) => [box.dataset.path, box]));
     nets = Map.groupBy(stage.querySelectorAll("[data-net]"), (part) => part.dataset.net);
-    if (!before || (before.fitted && (isOther || width !== size()[0] || height !== size()[1]))) fit();
+    const isInSight = stay(began);
+    if (!before || (before.fitted && !isInSight && (isOther || width !== size()[0] || height !== size()[1]))) fit();
     else if (isOther) Object.assign(at, before), place();
     trail(level);
     mark();

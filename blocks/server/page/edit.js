@@ -90,7 +90,8 @@ export function start(app) {
       if (names.some((name) => name.includes(asked))) return 4;
       return `${entry.doc} ${entry.group}`.toLowerCase().includes(asked) ? 5 : 9;
     };
-    return palette.map((entry) => [rank(entry), entry]).filter(([order]) => order < 9).sort(([a], [b]) => a - b).map(([, entry]) => entry);
+    const later = (entry, order) => order + (entry.word && order > 0.5 && order < 9 ? 3.5 : 0); // it cannot be inserted
+    return palette.map((entry) => [later(entry, rank(entry)), entry]).filter(([order]) => order < 9).sort(([a], [b]) => a - b).map(([, entry]) => entry);
   }
   /** What can be typed besides blocks: what it does, and how. rest: what follows the word. */
   const words = {
@@ -123,9 +124,12 @@ export function start(app) {
       find: (said, full) => {
         const [word, rest] = [said.split(/\s/, 1)[0], said.replace(/^\S*\s*/, "")];
         const defined = Object.entries(words).filter(([kind]) => word && kind.startsWith(word.toLowerCase())).map(([kind, [what, go]]) => ({ name: kind, told: what, go: () => go(rest) }));
-        const entries = meant(word).map((entry) => ({
-          name: title(entry), told: told(entry, full), picture: picture(entry), group: word ? "" : entry.group, why: entry.word ? entry.doc : "", go: () => add(entry, rest, { ...at, ...wire }),
-        })).slice(0, word ? SHOWN : 999);
+        // Names of several words are known as well, as "dc motor".
+        const whole = plain(rest) && !rest.includes("=") ? palette.filter((entry) => [title(entry), ...(entry.words ?? [])].some((one) => plain(one).includes(plain(said)))) : [];
+        const shownOf = (entry, given) => ({
+          name: title(entry), told: told(entry, given && full), picture: picture(entry), group: word ? "" : entry.group, why: entry.word ? entry.doc : "", go: () => add(entry, given, { ...at, ...wire }),
+        });
+        const entries = [...whole.map((entry) => shownOf(entry, "")), ...meant(word).filter((entry) => !whole.includes(entry)).map((entry) => shownOf(entry, rest))].slice(0, word ? SHOWN : 999);
         return defined.some(({ name }) => name === word.toLowerCase()) ? [...defined, ...entries] : [...entries, ...defined];
       },
     });

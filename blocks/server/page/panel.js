@@ -15,8 +15,9 @@ export function start(app) {
       knob ? null : span("unit", unit || known?.unit || ""),
       ...(app.more?.(path, title, { name, link: to, text }) ?? []),
     ];
+    const told = [doc, knob?.range].filter(Boolean).join(", ");
     const notes = [note, knob?.why && !knob.bound && `not in a run: ${knob.why}`].filter(Boolean).join("; ");
-    return element("li", {}, span("name", name), span("value", ...value.filter(Boolean)), doc ? span("what", doc) : null, notes ? span("notes", notes) : null,
+    return element("li", {}, span("name", name), span("value", ...value.filter(Boolean)), told ? span("what", told) : null, notes ? span("notes", notes) : null,
       ...faults.filter((one) => one.place === (path ? `${path}.${name}` : name)).map((one) => element("span", { class: "error", role: "note" }, `${one.code} ${one.message} ${one.cure}`)));
   };
 

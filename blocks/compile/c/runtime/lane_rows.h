@@ -148,10 +148,10 @@ static void begin_row(Lanes *z, BlocksBatch *b, int l)
     lane->state = IDLE;
     if (lane->row >= b->nrows) return;
     blocks_row_begin(b, s, lane->row, lane->room);
-    s->model = &z->model;
     s->slice = INFINITY; /* the clock is not looked at */
     lane->state = DUE;
     if (blocks_start(s)) end_row(lane, BLOCKS_FAILED);
+    s->model = &z->model; /* not before: a run starts with the model of its setup */
     take_parameters(z, l);
     settle(z, b, l);
 }
