@@ -104,7 +104,7 @@ def compare(document: dict[str, Any], run: dict[str, Any], engine: str, toleranc
 
 
 @pytest.mark.parametrize("engine", ["reference", "native"])
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(document=fleets(), run=st.sampled_from(RUNS))
 def test_copies_are_the_diagram_that_is_written_out(engine: str, document: dict[str, Any], run: dict[str, Any]) -> None:
     compare(document, run, engine)
