@@ -280,3 +280,19 @@ def test_a_single_copy_that_others_read() -> None:
     assert Diagram.from_json(document).plan().folded is not None
     for run in RUNS[1], RUNS[3]:
         compare(document, run, "native")
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+@pytest.mark.parametrize("copies", [True, False])
+def test_each_begins_anew_with_its_own_start_value(copies: bool, engine: str) -> None:
+    inner = {**PART, "parameters": {"a": 0}, "blocks": {"x": {"type": "Integrator", "parameters": {"y_start": "=a"}}}}
+    anew = {"enable": {"states": "reset", "outputs": "held"}, "parameters": {"a": "=1+index"}}
+    part = {"copies": 3, "diagram": inner, **anew}
+    on = {"copies": 3, "type": "Step", "parameters": {"at": "=0.2+0.1*index"}}
+    above = {"copies": 3, "type": "CompareToConstant", "parameters": {"constant": 0.5}}
+    document = {**HEAD, "blocks": {"on": on, "above": above, "part": part, "no": {"type": "Constant",
+                "parameters": {"value": 0}}}, "wires": {"above.u": "on.y", "part.enable": "above.y", "part.u": "no.y"}}  # fmt: skip
+    made = Diagram.from_json(document if copies else written_out(document))
+    results = made.run(stop=1, engine=engine, method="rk4", step=0.1)
+    last = results["part.y"][-1] if copies else [results[f"part_{k}.y"][-1] for k in range(3)]
+    np.testing.assert_array_equal(last, [1, 2, 3])
