@@ -290,8 +290,9 @@ def test_each_begins_anew_with_its_own_start_value(copies: bool, engine: str) ->
     part = {"copies": 3, "diagram": inner, **anew}
     on = {"copies": 3, "type": "Step", "parameters": {"at": "=0.2+0.1*index"}}
     above = {"copies": 3, "type": "CompareToConstant", "parameters": {"constant": 0.5}}
-    document = {**HEAD, "blocks": {"on": on, "above": above, "part": part, "no": {"type": "Constant",
-                "parameters": {"value": 0}}}, "wires": {"above.u": "on.y", "part.enable": "above.y", "part.u": "no.y"}}  # fmt: skip
+    blocks = {"on": on, "above": above, "part": part, "no": {"type": "Constant", "parameters": {"value": 0}}}
+    wires = {"above.u": "on.y", "part.enable": "above.y", "part.u": "no.y"}
+    document = {**HEAD, "blocks": blocks, "wires": wires}
     made = Diagram.from_json(document if copies else written_out(document))
     results = made.run(stop=1, engine=engine, method="rk4", step=0.1)
     last = results["part.y"][-1] if copies else [results[f"part_{k}.y"][-1] for k in range(3)]
