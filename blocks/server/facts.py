@@ -16,6 +16,7 @@ from ..compile.coupling import Coupling
 from ..compile.plan import Plan
 from ..compile.setting_programs import Setting
 from ..contract.enumerations import enumeration_of
+from ..model.copies import depth_of, dimensions, own_value, without_numbers
 from ..model.diagram import DiagramValue
 from ..model.values import expressions_in
 from ..text.json_number import Number
@@ -116,12 +117,35 @@ def facts_of(
     value, flat = diagram.value, diagram.flatten(parameters=values)
     facts = {fact.name: fact for fact in _inputs(value, planned)}
     declarations = {block.path: block.interface.declaration.parameters for block in flat.blocks}
+    copied: dict[str, list[Fact]] = {}
+    replaced = set(map(_plain, values or ()))
     for setting in bindings(value, flat, planned if isinstance(planned, Plan) and not values else None, values):
         owner, _, name = setting.path.rpartition(".")
         parameter = declarations.get(owner, {}).get(name)
         choices = tuple(setting.members) or (() if parameter is None else tuple(parameter.choices))
-        facts[setting.path] = _fact(setting, _entry(value, setting.path), choices)
-    return facts
+        depth = None if parameter is None else dimensions(parameter.shape)
+        raw, of_all = _entry(value, setting.path, depth, flat.copies)
+        name = _plain(setting.path)
+        raw = None if name != setting.path and name in replaced else raw
+        facts[setting.path] = fact = _fact(setting, raw, choices)
+        if name != setting.path:
+            one = copied.setdefault(name, [])
+            if not one:
+                facts[name] = replace(fact, name=name, raw=of_all)
+            one.append(fact)
+    return facts | {name: _of_all(facts[name], each) for name, each in copied.items()}
+
+
+def _of_all(first: Fact, each: list[Fact]) -> Fact:
+    """The parameter of all copies: their one value, or the values in their order where these differ.
+
+    first: that of the first copy, with what the file says of all.
+    """
+    values = [fact.nominal for fact in each]
+    is_bound = any(expressions_in(first.raw))
+    why = f"it is computed: {text_of(first.raw)}" if is_bound else first.why
+    is_one = all(value == values[0] for value in values)
+    return replace(first, nominal=values[0] if is_one else values, why=why, is_bound=is_bound)
 
 
 def _fact(setting: Setting, raw: Any, choices: tuple[str, ...]) -> Fact:
@@ -148,15 +172,31 @@ def _inputs(value: DiagramValue, planned: Plan | Coupling) -> Iterator[Fact]:
         yield replace(fact, nominal=fact.number(raw))
 
 
-def _entry(value: DiagramValue, path: str) -> Any:
-    """What a file says of a parameter; None where it says nothing."""
+def _entry(value: DiagramValue, path: str, depth: int | None, copies: Mapping[str, int]) -> tuple[Any, Any]:
+    """What a file says of a parameter, for the copy in the path and for all copies; None where it says nothing.
+
+    depth: the dimensions of the parameter of a block type; None: of one of a diagram. copies: how many, by plain path.
+    """
     *blocks, name = path.split(".")
     given: Mapping[str, Any] = {}
     inside: DiagramValue | None = value
+    block = ""
     for block in blocks:
-        entry = inside.blocks[block] if inside is not None else None
+        entry = inside.blocks[block.partition("[")[0]] if inside is not None else None
         given, inside = ({}, None) if entry is None else (entry.parameters, entry.inner)
-    return given[name] if name in given else inside.parameters.get(name) if inside is not None else None
+    known = inside.parameters.get(name) if inside is not None else None
+    if name not in given:
+        return known, known
+    raw, number = given[name], block.partition("[")[2].removesuffix("]")
+    if not number:
+        return raw, raw
+    depth = depth_of(known) if depth is None else depth
+    return own_value(raw, depth, int(number), copies[_plain(".".join([*blocks, ""]))[:-1]]), raw
+
+
+def _plain(path: str) -> str:
+    """A path without the numbers of copies: it means all of them."""
+    return without_numbers(path)[0].replace("[]", "")
 
 
 def _in_unit(value: Any, unit: str, to: str) -> Any:

@@ -16,6 +16,7 @@ from ..model.diagram import BlockEntry, DiagramValue
 from ..model.hierarchy import DiagramScope, Hierarchy, Leaf
 from ..model.variants import taken
 from ..text.docstrings import Lines, Paragraph, html_of, inline_html
+from ..text.element_names import indexed
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import quoted
 from .document import told_fault
@@ -132,15 +133,30 @@ def knobs_of(session: Session, names: list[str]) -> dict[str, Row]:
 
 
 def _found(root: DiagramScope, path: str) -> tuple[DiagramScope, BlockEntry, Leaf | DiagramScope | None]:
-    """The scope around the block at a path, its entry, and it with its numbers, unless these are faulty."""
+    """The scope around the block at a path, its entry, and it with its numbers, unless these are faulty.
+
+    One copy of a block is shown by what stands for all of them.
+    """
     scope, entry = root, BlockEntry(diagram=root.value)
     found: Leaf | DiagramScope | None = root
-    for name in path.split(".") if path else ():
+    for part in path.split(".") if path else ():
+        name = part.partition("[")[0] if isinstance(found, DiagramScope) and _is_copy(found.value, part) else part
         if not isinstance(found, DiagramScope) or name not in found.value.blocks:
             cure = did_you_mean(name[:200], found.value.blocks) if isinstance(found, DiagramScope) else ""
             raise UsageError(Fault("E502", quoted(path[:200]), "there is no such block.", cure))
         scope, entry, found = found, found.value.blocks[name], found.children.get(name)
+        number, fleet = indexed(part)[1], None if found is None else found.fleet
+        if number is not None and fleet is not None and number >= fleet.count:
+            message = f"there is no such copy: there are {fleet.count}, from 0."
+            raise UsageError(Fault("E502", quoted(path[:200]), message))
     return scope, entry, found
+
+
+def _is_copy(value: DiagramValue, part: str) -> bool:
+    """Whether a part of a path is a block that has copies, with a number."""
+    name, bracket, _ = part.partition("[")
+    entry = value.blocks.get(name)
+    return bool(bracket) and entry is not None and entry.copies is not None and indexed(part)[1] is not None
 
 
 def _joined(doc: Any) -> str:
@@ -156,6 +172,8 @@ def _text(raw: Any) -> str:
 
 def _notes(entry: BlockEntry) -> Iterator[str]:
     """What the entry says beyond its parameters, in words."""
+    if entry.copies is not None:
+        yield f"Copies: {_text(entry.copies)}."
     enable, trigger = entry.control.get("enable"), entry.control.get("trigger")
     if enable is not None:
         how = ", ".join(f"{key} {_text(raw)}" for key, raw in enable.items()) or "states held, outputs held"
@@ -206,7 +224,7 @@ def _of_text(text: str) -> dict[str, str]:
 
 def _source(scope: DiagramScope, path: str, port: str) -> dict[str, str]:
     """Where an input gets its values: the text of its wires, and the block that they begin at."""
-    name, wires = path.rpartition(".")[2], scope.value.wires
+    name, wires = path.rpartition(".")[2].partition("[")[0], scope.value.wires
     found = [str(source) for sink, source in wires.items() if sink.partition("[")[0] == f"{name}.{port}"]
     block = found[0].partition(".")[0] if found else ""
     link = scope.prefix + block if block in scope.value.blocks else ""
