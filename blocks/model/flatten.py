@@ -284,7 +284,7 @@ class _Flattener:
         enabled = tuple(expansion.enabled([(part, scopes[part.path]) for part in enabled]))
         later = Later(expansion.layout.size, lambda: [*expansion.written_out()])
         place = expansion.layout.place
-        of = {place(k, 0): range(place(own[0], 0), place(own[-1], 0) + 1) for k, own in parts.of.items()}
+        of = {place(k, 0): range(place(own[0], 0), place(own[-1], 0) + 1) for k, own in parts.of.items() if own}
         return later, enabled, expansion, of
 
     def expansion(self, blocks: Sequence[FlatBlock]) -> Expansion:
@@ -498,9 +498,12 @@ class _Flattener:
             if rest in scope.value.outputs:
                 return self.wires.strand(WireSource("output", scope.index, rest)) is None
             first, _, rest = rest.partition(".")
+            first, number = indexed(first)
             if first not in scope.children:
                 return False
             child = scope.children[first]
+            if number is not None and child is not None and (child.copied is None or number >= child.copied.count):
+                return False
             if not isinstance(child, DiagramScope):
                 lost = isinstance(child, Leaf) and rest in child.interface.outputs
                 return child is None or (lost and self.wires.strand(WireSource("port", child.index, rest)) is None)

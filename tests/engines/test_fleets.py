@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -187,6 +188,26 @@ def test_a_sparse_matrix_in_each_copy() -> None:
     agent = with_block("m", {"type": "MatrixGain", "parameters": {"K": matrix}}, **wires)
     for engine in ("reference", "native"):
         compare(of_agents(agent, wires={"robots.u": "wave.y"}), RUNS[1], engine)
+
+
+@pytest.mark.parametrize("engine", ["native", "reference"])
+@pytest.mark.parametrize("is_file", [False, True])
+def test_a_coupling_without_edges_leaves_copies_where_they_are(tmp_path: Path, is_file: bool, engine: str) -> None:
+    (tmp_path / "none.csv").write_text("row,column,value\n", encoding="utf-8")
+    matrix: dict[str, Any] = {"csv": "none.csv"} if is_file else {"edges": []}
+    matrix["shape"] = [2, 2]
+    document = {
+        "format": "blocks-diagram", "version": 3, "name": "none",
+        "blocks": {
+            "a": {"type": "Integrator", "copies": 2, "parameters": {"y_start": [3, 4]}},
+            "k": {"type": "MatrixGain", "parameters": {"K": matrix}},
+        },
+        "wires": {"k.u": "a.y", "a.u": "k.y"},
+    }  # fmt: skip
+    (tmp_path / "none.json").write_text(json.dumps(document), encoding="utf-8")
+    results = Diagram.load(tmp_path / "none.json").run(stop=1, engine=engine)
+    assert (results["a.y"] == [3, 4]).all()
+    assert (results["k.y"] == 0).all()
 
 
 def test_an_algebraic_loop_in_each_copy_is_solved() -> None:

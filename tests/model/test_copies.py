@@ -105,6 +105,9 @@ def test_what_is_wrong_with_numbers_of_copies_is_told() -> None:
     assert faults(diagram({"parameters": {"a": "=1+index"}}).flatten, parameters={"robots[1].a": 1}) == [
         ("E117", "robots[1].a")
     ]
+    for log, more in (("robots[2].lag.y", []), ("robots[3].lag.y", [("E105", "run.log")])):
+        wrong = diagram({"parameters": {"a": [1, 2]}}, run={"log": [log]})
+        assert faults(wrong.flatten) == [("E110", "robots.a"), *more]
     zeros = Diagram.from_json({**HEAD, "blocks": {"m": {"copies": 2, "type": "MatrixGain", "parameters": {
         "K": [[[1]], [[0]]]}}}, "inputs": {"u": {"size": 1, "default": 0}}, "wires": {"m.u": "u"}})  # fmt: skip
     assert faults(zeros.flatten) == [("E123", "m")]
