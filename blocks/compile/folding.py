@@ -21,6 +21,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from ..contract.block import Block
 from ..contract.equations import output
 from ..contract.interface import Value
@@ -171,7 +173,7 @@ def _alike(one: Resolved, other: Resolved) -> bool:
     """Whether two blocks have equal numbers in what no parameter holds."""
     tables = one.interface.tables
     starts = all((one.starts[name] == other.starts[name]).all() for name in one.starts)
-    return starts and all(one.values[name] == other.values[name] for name in tables)
+    return starts and all(np.array_equal(one.values[name].value, other.values[name].value) for name in tables)
 
 
 class _Folding:
@@ -231,7 +233,9 @@ class _Folding:
             if isinstance(source, BlockSource):
                 reduce(self.expansion.fleets[source.block])
                 number = self.number[source.block, inner]
-                return source._replace(block=number if outer in (None, -1) else At(number, outer))
+                if outer is None or outer == -1 or fleet is None or _root(fleet).count == 1:
+                    return source._replace(block=number)
+                return source._replace(block=At(number, outer))
             if isinstance(source, EachSource):
                 reduce(source.fleet)
                 if source.fleet.outer is None and outer == -1:

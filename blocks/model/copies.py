@@ -200,7 +200,7 @@ def own_value(raw: Any, depth: int, number: int, count: int) -> Any:
         return said | ({"unit": raw["unit"]} if raw.get("unit") else {})
     if isinstance(raw, Mapping) and "value" in raw:
         return {**raw, "value": own_value(raw["value"], depth, number, count)}
-    if not isinstance(raw, (list, tuple)) or depth_of(raw) <= depth:
+    if not _is_deeper(raw, depth):
         return raw
     if len(raw) != count:
         message = f"has {len(raw)} values, but there are {count} copies."
@@ -212,6 +212,12 @@ def depth_of(raw: Any) -> int:
     """How many lists lie in each other in a raw value."""
     raw = raw.get("value") if isinstance(raw, Mapping) else raw
     return 1 + max(map(depth_of, raw), default=0) if isinstance(raw, (list, tuple)) else 0
+
+
+def _is_deeper(raw: Any, depth: int) -> bool:
+    """Whether more lists than `depth` lie in each other: what `depth_of` counts, looking no further than it must."""
+    raw = raw.get("value") if isinstance(raw, Mapping) else raw
+    return isinstance(raw, (list, tuple)) and (depth == 0 or any(_is_deeper(item, depth - 1) for item in raw))
 
 
 def dimensions(shape: Any) -> int:

@@ -252,3 +252,48 @@ def test_copies_of_an_fmu(kind: str, engine: str) -> None:
     assert len({*results["m.omega"][-1].tolist()}) == 3
     with pytest.raises(ModelError, match=r"E115 .*m\[3\]"):
         Diagram.from_json(document, folder=FMUS).run(master={"steps": {"m[3]": 0.001}}, stop=1)
+
+
+TABLE: dict[str, Any] = {
+    "parameters": {"heights": [-1, 0, 2]}, "inputs": {"u": {}}, "outputs": {"y": "table.y"}, "wires": {"table.u": "u"},
+    "blocks": {"table": {"type": "LookupTable", "parameters": {"points": [-1, 0, 1], "values": "=heights"}}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+@pytest.mark.parametrize("heights", [[-1, 0, 2], [[-1, 0, 2], [-2, 0, 5]]])
+def test_tables_of_copies(engine: str, heights: list[Any]) -> None:
+    wires = {"robots.u": "wave.y"}
+    document = of_agents(TABLE, 2, entry={"parameters": {"heights": heights}}, wires=wires)
+    results = Diagram.from_json(document).run(stop=1, engine=engine)
+    of_last = heights[1] if isinstance(heights[0], list) else heights
+    wanted = np.interp(results["wave.y"], [-1, 0, 1], of_last)
+    np.testing.assert_allclose(results["robots.y"][:, 1], wanted, rtol=1e-12, atol=1e-14)
+
+
+def test_a_single_copy_that_others_read() -> None:
+    lags = {"copies": 1, "type": "FirstOrder"}
+    gains = {"copies": 1, "type": "Gain", "parameters": {"k": "=2+index"}}
+    wires = {"g.u": "wave.y", "x.u": "g.y", "y.u": "g.y[0]"}
+    blocks = {"wave": {"type": "Sine"}, "g": gains, "x": lags, "y": {"type": "FirstOrder"}}
+    document = {**HEAD, "blocks": blocks, "wires": wires}
+    assert Diagram.from_json(document).plan().folded is not None
+    for run in RUNS[1], RUNS[3]:
+        compare(document, run, "native")
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+@pytest.mark.parametrize("copies", [True, False])
+def test_each_begins_anew_with_its_own_start_value(copies: bool, engine: str) -> None:
+    inner = {**PART, "parameters": {"a": 0}, "blocks": {"x": {"type": "Integrator", "parameters": {"y_start": "=a"}}}}
+    anew = {"enable": {"states": "reset", "outputs": "held"}, "parameters": {"a": "=1+index"}}
+    part = {"copies": 3, "diagram": inner, **anew}
+    on = {"copies": 3, "type": "Step", "parameters": {"at": "=0.2+0.1*index"}}
+    above = {"copies": 3, "type": "CompareToConstant", "parameters": {"constant": 0.5}}
+    blocks = {"on": on, "above": above, "part": part, "no": {"type": "Constant", "parameters": {"value": 0}}}
+    wires = {"above.u": "on.y", "part.enable": "above.y", "part.u": "no.y"}
+    document = {**HEAD, "blocks": blocks, "wires": wires}
+    made = Diagram.from_json(document if copies else written_out(document))
+    results = made.run(stop=1, engine=engine, method="rk4", step=0.1)
+    last = results["part.y"][-1] if copies else [results[f"part_{k}.y"][-1] for k in range(3)]
+    np.testing.assert_array_equal(last, [1, 2, 3])

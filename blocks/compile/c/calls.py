@@ -406,7 +406,8 @@ class _Program(CallOrder):
         other: list[str] = []
         local: dict[int, str] = {}  # values of lane 0, for those of all lanes
 
-        is_of_copies = unit.groups[0].calls[0].lanes > 1 if unit.groups else bool(copies)
+        # Without calls: several programs of one form have copies each, one program of all lanes has them once.
+        is_of_copies = unit.groups[0].calls[0].lanes > 1 if unit.groups else len(copies) == 1
 
         def of_copies(kind: str, number: Any, test: str) -> str:
             """The text of what each lane of a call of copies reads in one place."""
