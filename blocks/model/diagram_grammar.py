@@ -39,8 +39,8 @@ from .diagram import BASE, FORMAT, NAME, PLAIN_VERSION, VERSION, name_cure
 __all__ = [
     "BLOCK", "BODY", "COLUMN", "COPIES", "DIAGRAM", "EDGES", "ELEMENT", "ENABLE", "FIXED_STEP", "INPUT",
     "INTERPOLATIONS", "LARGEST_SEED", "LARGEST_SIZE", "LEAST_RTOL", "MASTER", "MEASURE", "MEASURES", "MEASURE_NUMBERS",
-    "MEASURE_UNITS", "METHODS", "NUMBER", "OPTIONS", "QUANTITY", "RUN", "SCHEMA", "SHAPE", "TABLE", "TRIGGER", "VARIANT", "header",
-    "quantity", "signal",
+    "MEASURE_UNITS", "METHODS", "NUMBER", "OPTIONS", "QUANTITY", "RUN", "SCHEMA", "SHAPE", "TABLE", "TRIGGER",
+    "VARIANT", "header", "quantity", "signal",
 ]  # fmt: skip
 
 LARGEST_SIZE = 100_000
