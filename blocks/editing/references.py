@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 from ..contract import expressions
 from ..model import study_grammar as studies
 from ..model.diagram import DEEPEST, FORMAT
-from ..model.diagram_grammar import BODY, VALUE, VARIANT
+from ..model.diagram_grammar import BODY, COPIES, VALUE, VARIANT
 from ..model.project import Project, read_inside
 from ..model.values import is_expression
 from ..text import json_text
@@ -216,6 +216,8 @@ class _Finder:
         choices = Body(body.file, path, entry)
         self.definitions(choices, "variant")
         self.plain([choices], "variant", entry.get("variant"), (*path, "variant"))
+        for found in COPIES.kind.walk(entry.get("copies"), (*path, "copies")):
+            self.expression(body, found)
         inside = body.inside(name, self.documents)
         base = inside[0][0]
         variants = tuple(table(entry, "variants"))

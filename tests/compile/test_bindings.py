@@ -255,7 +255,8 @@ def test_the_settings_of_a_diagram_give_its_parameters_bit_by_bit(path: Path) ->
 
 @every_diagram
 def test_after_leaves_have_changed_they_give_what_flattening_anew_gives(path: Path) -> None:
-    assert assert_follows(of_file(path)) > 0
+    bound = of_file(path)
+    assert assert_follows(bound) > 0 or not settable(bound.settings)
 
 
 @every_diagram

@@ -376,7 +376,8 @@ def without_reciprocals(plan: Plan) -> Plan:
     """The same, with divisions by parameters left as they are, so that every bit can be compared."""
     tapes = {id(instance.tape): replace(instance.tape, quick={}) for instance in plan.instances}
     instances = tuple(replace(instance, tape=tapes[id(instance.tape)]) for instance in plan.instances)
-    return replace(plan, instances=instances)
+    folded = plan.folded and replace(plan.folded, plan=without_reciprocals(plan.folded.plan))
+    return replace(plan, instances=instances, folded=folded)
 
 
 def witnesses(folder: Path, plans: dict[str, Plan], flags: Sequence[str] = (), **how: Any) -> dict[str, Witness]:

@@ -681,3 +681,13 @@ def test_a_parameter_that_a_variant_does_not_share_is_not_taken_for_a_port(
     assert "E501" in told
     assert "without --project" in told
     assert (tmp_path / "st.json").read_text(encoding="utf-8") == study
+
+
+def test_the_number_of_copies_follows_its_parameter(tmp_path: Path) -> None:
+    lags = {"copies": "=n", "type": "FirstOrder", "parameters": {"T": "=1+index/n"}}
+    file = tmp_path / "lags.json"
+    head = {"format": "blocks-diagram", "version": 3, "name": "lags", "parameters": {"n": 3}, "inputs": {"u": {}}}
+    file.write_text(json.dumps({**head, "blocks": {"lags": lags}, "wires": {"lags.u": "u"}}))
+    assert main(["rename", str(file), "n", "count"]) == 0
+    assert json.loads(file.read_text())["blocks"]["lags"]["copies"] == "=count"
+    assert len(Diagram.load(file).plan().states) == 3

@@ -118,7 +118,8 @@ def test_a_configuration_for_this_platform_comes_first(tmp_path: Path) -> None:
         files["sources/own.c"] = b"#ifndef OWN\n#error not by it\n#endif\ntypedef int none;\n"
         define = '<PreprocessorDefinition name="OWN"/><SourceFile name="own.c"/>'
         text = files[BUILD].decode()
-        names = "".join(f'<SourceFile name="{name}.c"/>' for name in ("fmi3", "fmu", "model", "runtime", "tables"))
+        parts = ("fmi3", "fmu", "jacobian", "model", "runtime", "tables")
+        names = "".join(f'<SourceFile name="{name}.c"/>' for name in parts)
         first = f"{own}<SourceFileSet>{define}{names}</SourceFileSet></BuildConfiguration>"
         files[BUILD] = text.replace("</fmiBuildDescription>", f"{first}</fmiBuildDescription>").encode()
 

@@ -180,7 +180,7 @@ text("a random file", random.Random(0).randbytes(100_000), "E001")
 
 # --- header and keys -------------------------------------------------------------------------------------------
 
-text("a newer version", SOUND.replace('"version": 2', '"version": 3'), "E005", "Update blocks")
+text("a newer version", SOUND.replace('"version": 2', '"version": 4'), "E005", "Update blocks")
 text("a much newer version", SOUND.replace('"version": 2', '"version": 1e300'), "E005", "Update blocks")
 text("version 0", SOUND.replace('"version": 2', '"version": 0'), "E005")
 text("version true", SOUND.replace('"version": 2', '"version": true'), "E005")
