@@ -23,7 +23,7 @@ from ..text.json_document import AT_KEY
 from ..text.json_number import Number
 from ..text.printable import legible, quoted
 from . import streams
-from .copies import Copy, Fleet, depth_of, dimensions, labelled, own_value, stream_of
+from .copies import Copy, Fleet, depth_of, dimensions, labelled, own_value, stream_of, without_numbers
 from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList
 from .diagram_grammar import LARGEST_SIZE
 from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
@@ -147,8 +147,10 @@ class Hierarchy:
 
     def check_overrides(self) -> None:
         """Refuse what is set and is not there, once all copies were looked into."""
+        are_seen = not self.faults  # copies behind a fault were not looked into
         for path in self.overrides:
-            if path not in self.settable:
+            of_all = without_numbers(path)[0].replace("[]", "")
+            if path not in self.settable and (are_seen or of_all == path or of_all not in self.settable):
                 inside = [parameter for parameter in self.settable if parameter.startswith(f"{path}.")]
                 cure = self.faults.guess(path, self.settable)
                 cure = f"Parameters of {legible(path)}: {_listed(inside)}." if inside else cure

@@ -108,6 +108,9 @@ def test_what_is_wrong_with_numbers_of_copies_is_told() -> None:
     for log, more in (("robots[2].lag.y", []), ("robots[3].lag.y", [("E105", "run.log")])):
         wrong = diagram({"parameters": {"a": [1, 2]}}, run={"log": [log]})
         assert faults(wrong.flatten) == [("E110", "robots.a"), *more]
+    wrong = diagram({"parameters": {"a": "=1+index"}})  # what is set in one copy is there, though none was looked into
+    both = {"robots.a": 1, "robots[1].mix.K": [[1, 1], [1, 2]]}
+    assert faults(wrong.flatten, parameters=both) == [("E117", "robots.a")]
     zeros = Diagram.from_json({**HEAD, "blocks": {"m": {"copies": 2, "type": "MatrixGain", "parameters": {
         "K": [[[1]], [[0]]]}}}, "inputs": {"u": {"size": 1, "default": 0}}, "wires": {"m.u": "u"}})  # fmt: skip
     assert faults(zeros.flatten) == [("E123", "m")]
