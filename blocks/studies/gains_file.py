@@ -139,6 +139,9 @@ def _place(
     if not blocks:
         place: tuple[str | int, ...] = ("parameters", name)
         return "", place, tree.table_at(workspace.value(first), ("parameters",)).get(name)
+    if any("[" in block for block in blocks):
+        cure = "Set it in all copies, or write a list with a value for each."
+        raise UsageError(Fault("E501", target, "is of one copy, for which the file has no place.", cure))
     scope = ".".join(blocks[:-1])
     spot = spot_of(workspace, first, {"in": scope} if scope else {})
     entry = spot.body.names("block").get(blocks[-1], {})

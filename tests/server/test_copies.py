@@ -96,6 +96,16 @@ def test_a_value_set_for_all_copies_reaches_each_and_is_kept_in_the_file(tmp_pat
     assert session.document.facts["robots[2].motor.Ra"].nominal == 0.5
 
 
+def test_a_value_set_in_one_copy_acts_there_and_is_not_kept(tmp_path: Path) -> None:
+    session = opened(tmp_path)
+    answer(session, {"do": "set", "name": "robots[2].motor.Ra", "value": "0.5 Ohm"})
+    shown = [rows(session, f"robots[{k}].motor")["Ra"]["knob"]["value"] for k in range(4)]
+    assert (shown[2], shown[1] == shown[0] == shown[3] != 0.5) == (0.5, True)
+    assert rows(session, "robots.motor")["Ra"]["knob"]["value"] == shown
+    with pytest.raises(UsageError, match=r"E501 .*one copy"):
+        answer(session, {"do": "keep"})
+
+
 def test_a_page_in_one_file_holds_a_diagram_with_copies() -> None:
     diagram = Diagram.load(CONSENSUS)
     page = page_of(diagram, diagram.run(stop=1))
