@@ -79,7 +79,7 @@ def reset(session: Session, *, name: str | None = None) -> Answer:
         if each in known and fact is not None and live is not None and live.state in ACTIVE:
             try:
                 live.set(each, fact.said)
-            except UsageError:  # it is fixed, or a table over time
+            except BlocksError:  # it is fixed, or a table over time, or differs among copies inside of others
                 later.append(each)
         known.pop(each, None)
     if name in document.variants or (name is None and document.variants):

@@ -106,6 +106,20 @@ def test_a_value_set_in_one_copy_acts_there_and_is_not_kept(tmp_path: Path) -> N
         answer(session, {"do": "keep"})
 
 
+def test_values_of_copies_are_turned_in_a_run_and_go_back(tmp_path: Path) -> None:
+    value = fleet()
+    value["blocks"]["robots"]["parameters"]["kp"] = [20, 21, 22, 23]
+    session = opened(tmp_path, value)
+    live = session.begin("100 ms")
+    for path, new in (("robots.kp", 5), ("robots[1].kp", 7), ("robots.motor.Ra", 0.5)):
+        assert answer(session, {"do": "set", "name": path, "value": new})["t"] is not None  # type: ignore[index]
+    assert [rows(session, f"robots[{k}]")["kp"]["knob"]["value"] for k in range(4)] == [5, 7, 5, 5]
+    told = answer(session, {"do": "reset"})
+    assert told == {"is": "done", "later": []}
+    assert [rows(session, f"robots[{k}]")["kp"]["knob"]["value"] for k in range(4)] == [20, 21, 22, 23]
+    assert [live.turned[k].value for k in (-3, -2, -1)] == [[20, 21, 22, 23], 21, 0.1557]
+
+
 def test_a_page_in_one_file_holds_a_diagram_with_copies() -> None:
     diagram = Diagram.load(CONSENSUS)
     page = page_of(diagram, diagram.run(stop=1))
