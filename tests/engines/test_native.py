@@ -142,7 +142,8 @@ def test_diagrams_with_adaptive_steps_agree_to_tolerance(path: Path) -> None:
     for column in range(reference.values.shape[1]):
         ours, theirs = native.values[same, column], reference.values[on_grid, column]
         if len(ours) == len(theirs):
-            assert np.max(np.abs(ours - theirs)) <= 1e-5 * size[column], list(native.columns)
+            rounding = 1e-15 * np.max(np.abs(theirs))  # all that is left of a signal that stays where it is
+            assert np.max(np.abs(ours - theirs)) <= 1e-5 * size[column] + rounding, list(native.columns)
 
 
 def variant_diagram(entries: list[tuple[str, dict[str, Any]]]) -> Diagram:
