@@ -333,10 +333,15 @@ def test_any_blocks_of_the_shipped_diagrams_can_be_grouped_or_are_refused(name: 
     blocks = [name for name, entry in entries.items() if entry.get("type") != "Noise"]
     for _ in range(3):
         some = chance.sample(blocks, min(len(blocks), chance.randint(1, 4)))
-        edit = edit_file(path, [{"group": some, "as": "some_blocks"}])  # it compares the flat diagrams
-        text = edit.texts[str(path)]
-        assert documents.canonical(read(text))[0] == text
-        again = edit_file(path, [{"ungroup": "some_blocks"}], text=text).texts[str(path)]
+        try:
+            edit = edit_file(path, [{"group": some, "as": "some_blocks"}])  # it compares the flat diagrams
+            text = edit.texts[str(path)]
+            assert documents.canonical(read(text))[0] == text
+            again = edit_file(path, [{"ungroup": "some_blocks"}], text=text).texts[str(path)]
+        except UsageError as error:  # the parts of a sparse coupling stand in another order then
+            if "would not be the same" in str(error) and any("copies" in entry for entry in entries.values()):
+                continue
+            raise
         assert documents.canonical(read(again))[0] == again
         now, was = json.loads(again), json.loads(path.read_text())
         for section in ("parameters", "inputs", "outputs", "wires", "measures", "run"):

@@ -399,8 +399,8 @@ def test_fmpy_simulates_without_any_settings(fmi: int) -> None:
 # comes out much larger in u. With CVode, u is 5e-6 of its range off at 1e-9 (1.5e-5 where u is sampled), 5e-7 at 1e-11.
 # A cart-pole that is swung up, and an encoder whose counts are read at ticks, make more of it too.
 TIGHTER = {
-    "fleet/robot", "gallery/cart_pole", "gallery/servo", "paper/iadrc_noisy", "paper/iadrc_sampled", "paper/wheel_adrc",
-    "paper/wheel_iadrc",
+    "fleet/formation", "fleet/platoon", "fleet/robot", "gallery/cart_pole", "gallery/servo", "paper/iadrc_noisy",
+    "paper/iadrc_sampled", "paper/wheel_adrc", "paper/wheel_iadrc",
 }  # fmt: skip
 
 
@@ -413,6 +413,9 @@ def test_model_exchange_with_cvode_agrees_with_dopri5(name: str, fmi: int) -> No
     names = shown(fmu, diagram)
     inputs = drive(diagram.plan(), 0.0)
     stop = span(DIAGRAMS / f"{name}.json", STOP)
+    if fmi == 2:  # where a vector is a variable for each of its elements
+        signals = diagram.flatten().signals
+        names = [name for name in names if not signals[name].shape]
     found = fmpy.simulate_fmu(
         str(fmu.path), fmi_type="ModelExchange", stop_time=stop, output_interval=H, output=names, start_values=inputs,
         relative_tolerance=1e-11 if name in TIGHTER else 1e-9, record_events=False,
@@ -423,7 +426,7 @@ def test_model_exchange_with_cvode_agrees_with_dopri5(name: str, fmi: int) -> No
     for key in names:
         x = expected[key]
         largest = np.max(np.abs(x))
-        scale = np.ptp(x) if np.ptp(x) > 1e-12 * largest else largest or 1.0  # a range of rounding errors is none
+        scale = np.ptp(x) if np.ptp(x) > 1e-12 else max(largest, 1.0)  # it stays where it is, to the run's atol
         # Rows at the instants of events are values before or after them.
         left = np.searchsorted(expected.t, found["time"] - 1e-9, side="left")
         right = np.searchsorted(expected.t, found["time"] + 1e-9, side="right") - 1
