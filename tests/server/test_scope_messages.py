@@ -249,7 +249,7 @@ def test_values_on_wires_after_runs_of_few_rows_are_those_of_the_last_row(
         with chromium() as page:
             page.call("Page.addScriptToEvaluateOnNewDocument", source=SLOW)
             page.open(transport.url)
-            page.until("document.querySelector('.wire-value')")
+            page.until("document.querySelector('#drawing g[data-net]')")
             names = dict.fromkeys(page.evaluate(f"{nets}.map(one => one.dataset.net)"))
             for number, stop in enumerate((1.025, 1.0053, 1.06), 1):
                 page.evaluate(f"document.querySelector('#runbar label input').value = '{stop}'")
