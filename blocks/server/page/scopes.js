@@ -99,7 +99,8 @@ export function start(app) {
     const level = app.state.level ? `${app.state.level}.` : "";
     for (const wire of drawing?.querySelectorAll("g[data-net]") ?? []) {
       const [name, line] = [level + wire.dataset.net, wire.querySelector("path.run")];
-      if (line && !labels.has(name)) labels.set(name, { line, made: null });
+      // A wire that is kept when the drawing is shown anew has its label already.
+      if (line && !labels.has(name)) labels.set(name, { line, made: line.parentNode.querySelector(".wire-value") });
     }
     fetchValues();
   }
