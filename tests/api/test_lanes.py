@@ -22,7 +22,6 @@ from blocks import (
     LookupTable,
     Noise,
     Parameter,
-    Product,
     Pulse,
     Relay,
     Saturation,
@@ -40,7 +39,7 @@ from blocks import (
 from blocks.api.batch import BatchRows
 from blocks.compile.c.lane_code import Machine
 from blocks.engines.native import model
-from tests.api.test_batch import Doomed, same
+from tests.api.test_batch import Doomed, same, square
 from tests.engines.test_native import sanitized
 from tests.engines.test_random_diagrams import Wiring, plain, wirings
 from tests.support.places import ROOT
@@ -231,18 +230,6 @@ def test_all_functions_agree_with_those_of_one_number() -> None:
     exact, fast = (d.batch(["f.k"], lanes=lanes, **settings)(table) for lanes in ("exact", "fast"))
     assert fast.signals["f.x"] == pytest.approx(exact.signals["f.x"], rel=1e-11, abs=1e-12)
     assert (np.ptp(exact.signals["f.x"][:, -1], axis=0) > 0).sum() > 25, "they depend on the parameter"
-
-
-def square() -> Diagram:
-    """dx/dt = k x^2, which is 1/(1 - k t)."""
-    d = Diagram("square")
-    d.add("x", Integrator(y_start=1.0))
-    d.add("square", Product())
-    d.add("gain", Gain(k=-1.0))
-    for sink, source in {"square.u1": "x.y", "square.u2": "x.y", "gain.u": "square.y", "x.u": "gain.y"}.items():
-        d.wire(sink, source)
-    d.measure("last", "peak", of="x.y")
-    return d
 
 
 def test_a_row_that_fails_leaves_the_others_as_they_are() -> None:
@@ -446,7 +433,8 @@ def test_random_diagrams_in_lanes(wiring: Wiring, method: str) -> None:
 SANITIZED = """
 from blocks.engines.native import model
 model.EXTRA_FLAGS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-g")
-from tests.api.test_lanes import CASES, mixed, rows_of, square
+from tests.api.test_batch import square
+from tests.api.test_lanes import CASES, mixed, rows_of
 for make, names, settings in CASES.values():
     batch = make().batch(names, lanes="fast", **settings)
     table = rows_of(11) if make is mixed else [batch.nominal] * 11
