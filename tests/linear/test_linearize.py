@@ -1696,12 +1696,13 @@ def test_points_of_other_values_are_those_of_a_fresh_diagram_and_cost_no_new_mod
     flattened = []
     flat_of = points.flat_of
     monkeypatch.setattr(points, "flat_of", lambda *given: flattened.append(given) or flat_of(*given))
-    kept = Diagram.load("diagrams/adrc/mass_position.json")
+    file = DIAGRAMS / "adrc" / "mass_position.json"
+    kept = Diagram.load(file)
     for at in (None, 0.4):
         for mass, omega_o in ((1.0, 40.0), (1.3, 25.0), (0.7, 60.0)):
             given = {"parameters": {"mass": mass, "omega_o": omega_o}, "at": at}
             loop = kept.linearizer(**given).loop_transfer("control.u")
-            fresh = Diagram.load("diagrams/adrc/mass_position.json").linearizer(**given).loop_transfer("control.u")
+            fresh = Diagram.load(file).linearizer(**given).loop_transfer("control.u")
             for key in "ABCD":
                 assert np.array_equal(getattr(loop, key), getattr(fresh, key)), (key, given)
     assert len(flattened) == 1 + 6  # the six fresh ones flatten for themselves

@@ -16,6 +16,7 @@ from blocks.server.curves import Curve, Window, extremes, packed, values_at
 from blocks.server.measured import LARGEST, Measured
 from blocks.server.scopes import EventRows, Page, Scope
 from blocks.text.errors import UsageError
+from tests.support.places import DIAGRAMS
 
 VENDOR = Path(blocks.__file__).parent / "server" / "page" / "vendor"
 
@@ -277,7 +278,7 @@ def test_a_long_head_is_read_at_once() -> None:
 
 
 def test_a_file_that_blocks_wrote_is_read_as_results_are(tmp_path: Path) -> None:
-    results = blocks.Diagram.load("diagrams/motor_pid.json").run(stop=0.01)
+    results = blocks.Diagram.load(DIAGRAMS / "motor_pid.json").run(stop=0.01)
     results.save(tmp_path / "r.csv")
     measured = Measured.read("r.csv", (tmp_path / "r.csv").read_text())
     assert np.array_equal(measured.t, results.t)

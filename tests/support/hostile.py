@@ -1120,7 +1120,7 @@ for words in (
 ):
     for what, made, code in (
         ("a text that is not UTF-8", b"\xff\xfe\xfa", "E001"),
-        ("a newer version", SOUND.replace(": 2,", ": 3,", 1), "E005"),
+        ("a newer version", SOUND.replace(": 2,", ": 4,", 1), "E005"),
         ("a circle of files", json.dumps(using("a.json")), "E113"),
     ):
         files(f"{words[0]}: {what}", code, given={"a.json": made}, reads=(words,))
