@@ -105,13 +105,13 @@ class Document:
             before = self.error
             if self.revision and text == self.text and before is None and same.items() <= seen.items():
                 return False
-            self.text = text or b""
+            was, self.text = self.text, text or b""
             try:
                 self.diagram, self.error = Diagram.load(self.path, library=self.library), None
                 self._seen = {**self._stamps(), **self._seen}
             except BlocksError as error:
                 self.error = error
-                if before is not None and before.faults == error.faults:
+                if before is not None and before.faults == error.faults and text == was:
                     return False
         self.revision += 1
         self.check()

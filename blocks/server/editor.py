@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from ..text.atomic_write import write_atomically
 from ..text.errors import BlocksError, Fault, UsageError
 from .document import Document
 
-__all__ = ["Editor", "Operations", "move"]
+__all__ = ["Editor", "Operations", "move", "write_blank"]
 
 Operations = Sequence[Mapping[str, Any]]
 MOST_TEXT = 64 * 2**20
@@ -38,7 +39,7 @@ FARTHEST = 1e6
 """Pixels from the origin of a drawing."""
 
 
-def _blank(path: Path) -> None:
+def write_blank(path: Path) -> None:
     """Write an empty diagram where there is no file, or an empty one. Raises UsageError (E501)."""
     if (path.is_file() and path.stat().st_size == 0) or not path.exists():
         name = re.sub(r"\W", "_", path.stem, flags=re.ASCII).lstrip("_0123456789") or "diagram"
@@ -69,7 +70,8 @@ class Editor(Document):
         self._pictures: dict[str, Picture] = {}
         self._rough: set[str] = set()
         self._checked: tuple[DiagramValue | None, Any] = (None, None)
-        _blank(Path(source))
+        self._known: dict[Path, tuple[Any, str]] = {}
+        write_blank(Path(source))
         super().__init__(source, **given)
 
     # --- the file ----------------------------------------------------------------------------------------------------
@@ -92,14 +94,24 @@ class Editor(Document):
 
     def read(self) -> bool:
         """As of Document; what another program wrote becomes a step that can be undone."""
-        before, revision = self.text, self.revision
-        is_new = super().read()
-        if is_new and revision and before != self.text:
-            name = str(self.file)
-            texts = {name: self.text.decode("utf-8", "replace")}
-            self._push(_Step("the change on disk", Edit(texts, {name: before.decode("utf-8", "replace")}, ())))
+        revision, is_new = self.revision, super().read()
+        new = self._look()
+        if revision and new:
+            texts = {file: self._known[Path(file)][1] for file in new}
+            self._push(_Step("the change on disk", Edit(texts, new, ())))
             self.undone.clear()
         return is_new
+
+    def _look(self) -> dict[str, str]:
+        """Keep the texts of the file and of those of its subdiagrams; returns those of before that are other ones."""
+        before, self._known = self._known, {self.file: (None, self.text.decode("utf-8", "replace"))}
+        for path, stamp in self._seen.items():
+            if path != self.file and path.suffix.lower() != ".fmu":
+                with suppress(OSError, UnicodeDecodeError):
+                    is_same = path in before and before[path][0] == stamp
+                    self._known[path] = before[path] if is_same else (stamp, path.read_bytes().decode())
+        both = before.keys() & self._known.keys()
+        return {str(path): before[path][1] for path in both if before[path][1] != self._known[path][1]}
 
     def edit(self, what: str, operations: Operations) -> Edit:
         """Apply operations and write the file. what: the gesture, in words.
@@ -160,6 +172,7 @@ class Editor(Document):
             self._catch_up()  # so that the next gesture is about what stands there
             raise
         super().read()
+        self._look()
 
     def _push(self, step: _Step) -> None:
         self.done.append(step)
