@@ -24,7 +24,7 @@ from ..model.document import dumps
 from ..model.hierarchy import Resolver
 from ..model.project import project_of
 from ..text import json_text
-from ..text.atomic_write import write_atomically
+from ..text.atomic_write import real, write_atomically
 from ..text.errors import BlocksError, Fault, UsageError
 from .document import Document
 
@@ -70,7 +70,7 @@ class Editor(Document):
         self._pictures: dict[str, Picture] = {}
         self._rough: set[str] = set()
         self._checked: tuple[DiagramValue | None, Any] = (None, None)
-        self._known: dict[Path, tuple[Any, str]] = {}
+        self._known: dict[str, tuple[Any, str]] = {}
         write_blank(Path(source))
         super().__init__(source, **given)
 
@@ -94,24 +94,33 @@ class Editor(Document):
 
     def read(self) -> bool:
         """As of Document; what another program wrote becomes a step that can be undone."""
-        revision, is_new = self.revision, super().read()
-        new = self._look()
-        if revision and new:
-            texts = {file: self._known[Path(file)][1] for file in new}
-            self._push(_Step("the change on disk", Edit(texts, new, ())))
-            self.undone.clear()
+        is_first, is_new = not self.revision, super().read()
+        if is_first:
+            self._look()
+        else:
+            self._note()
         return is_new
+
+    def _note(self) -> None:
+        """Make a step of what another program wrote."""
+        if were := self._look():
+            texts = {file: self._known[file][1] for file in were}
+            self._push(_Step("the change on disk", Edit(texts, were, ())))
+            self.undone.clear()
 
     def _look(self) -> dict[str, str]:
         """Keep the texts of the file and of those of its subdiagrams; returns those of before that are other ones."""
-        before, self._known = self._known, {self.file: (None, self.text.decode("utf-8", "replace"))}
+        before, own = self._known, str(real(self.file))
+        self._known = {own: (None, self.text.decode("utf-8", "surrogateescape"))}
         for path, stamp in self._seen.items():
-            if path != self.file and path.suffix.lower() != ".fmu":
-                with suppress(OSError, UnicodeDecodeError):
-                    is_same = path in before and before[path][0] == stamp
-                    self._known[path] = before[path] if is_same else (stamp, path.read_bytes().decode())
+            file = str(real(path))
+            if file != own and path.suffix.lower() != ".fmu":
+                with suppress(OSError):
+                    is_same = file in before and before[file][0] == stamp
+                    text = before[file][1] if is_same else path.read_bytes().decode("utf-8", "surrogateescape")
+                    self._known[file] = stamp, text
         both = before.keys() & self._known.keys()
-        return {str(path): before[path][1] for path in both if before[path][1] != self._known[path][1]}
+        return {file: before[file][1] for file in both if before[file][1] != self._known[file][1]}
 
     def edit(self, what: str, operations: Operations) -> Edit:
         """Apply operations and write the file. what: the gesture, in words.
@@ -132,6 +141,7 @@ class Editor(Document):
                 raise error
             self._push(_Step(what, edit))
             self.undone.clear()
+            self._note()
         return edit
 
     def undo(self) -> str:
@@ -154,6 +164,7 @@ class Editor(Document):
         self._write(step.edit.undone)
         steps.pop()
         others.append(_Step(step.what, step.edit.undone))
+        self._note()
         return step.what
 
     @property
@@ -171,8 +182,8 @@ class Editor(Document):
         except UsageError:
             self._catch_up()  # so that the next gesture is about what stands there
             raise
+        self._known |= {str(real(Path(file))): (None, text) for file, text in edit.texts.items()}
         super().read()
-        self._look()
 
     def _push(self, step: _Step) -> None:
         self.done.append(step)

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from blocks import BlocksError, Diagram, Gain, Step, subdiagram
+from blocks.editing.edits import Edit
 
 from .test_editor import edited, loop
 
@@ -32,6 +33,43 @@ def test_two_texts_of_another_program_with_the_same_fault_are_undone(tmp_path: P
         assert path.read_text() == ours
         ask("undo")
         assert "stop" not in path.read_text()
+
+
+def test_what_is_no_utf_8_is_undone_and_done_again(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        loop(ask)
+        ours = path.read_bytes()
+        theirs = ours.replace(b"motor", b"mot\xf6r", 1)
+        path.write_bytes(theirs)
+        assert editor.read()
+        for gesture, text in (("undo", ours), ("redo", theirs), ("undo", ours)):
+            ask(gesture)
+            assert path.read_bytes() == text
+
+
+def test_a_program_that_writes_as_soon_as_we_did_is_a_step_behind_the_gesture(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        loop(ask)
+        ours = path.read_text()
+        write = Edit.write
+
+        def then_another(edit: Edit) -> None:
+            write(edit)
+            if "7" in next(iter(edit.texts.values())):
+                path.write_text(path.read_text() + "\n")
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Edit, "write", then_another)
+            ask("put", name="pid.kp", text="7")
+        assert [step.what for step in editor.done[-2:]] == ["set pid.kp", "the change on disk"]
+        ask("undo")
+        ask("undo")
+        assert path.read_text() == ours
+        for _ in range(2):
+            ask("redo")
+        assert path.read_text() == ours.replace('"kp": 20', '"kp": 7') + "\n"
 
 
 def test_what_another_program_writes_into_a_subdiagram_is_undone_in_its_order(tmp_path: Path) -> None:
