@@ -91,7 +91,8 @@ def test_a_command_that_cannot_serve_says_why(words: list[str], said: str, capsy
 
 
 @pytest.mark.parametrize(
-    ("file", "said"), [("no/new.json", "E501 no/new.json: cannot be written: No such file"), (".", 'E007 "." is a folder.')]
+    ("file", "said"),
+    [("no/new.json", "E501 no/new.json: cannot be written: No such file"), (".", 'E007 "." is a folder.')],
 )
 def test_an_editor_of_what_cannot_be_written_has_no_address(
     file: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
