@@ -10,7 +10,7 @@ import binascii
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -51,11 +51,22 @@ def _editor(session: Session) -> Editor:
 
 def _done(session: Session, what: str, operations: Operations, names: Iterable[str] = ()) -> Answer:
     """Do a gesture, tell all pages, and answer which names came of it."""
-    editor = _editor(session)
-    if editor.is_gone:
-        session.tell_document()  # undo can be pressed now
-    edit = editor.edit(what, operations)
+    with _refused(session) as editor:
+        edit = editor.edit(what, operations)
     return _told(session, what, names, [Path(file).name for file in edit.texts if file != str(editor.file)])
+
+
+@contextmanager
+def _refused(session: Session) -> Iterator[Editor]:
+    """Show all pages what another program wrote, or which step is undone next, where a gesture is refused for it."""
+    editor = _editor(session)
+    before = editor.revision, editor.offered
+    try:
+        yield editor
+    except BlocksError:
+        if (editor.revision, editor.offered) != before or editor.is_gone:
+            session.tell_document()
+        raise
 
 
 def _told(session: Session, what: str, names: Iterable[str] = (), files: Sequence[str] = ()) -> Answer:
@@ -85,13 +96,15 @@ def edit(session: Session, *, operations: list[dict[str, Any]], level: str = "",
 @handles
 def undo(session: Session) -> Answer:
     """Take the last gesture back, or a change that another program wrote."""
-    return _told(session, f"undone: {_editor(session).undo()}")
+    with _refused(session) as editor:
+        return _told(session, f"undone: {editor.undo()}")
 
 
 @handles
 def redo(session: Session) -> Answer:
     """Do again what was undone last."""
-    return _told(session, f"done again: {_editor(session).redo()}")
+    with _refused(session) as editor:
+        return _told(session, f"done again: {editor.redo()}")
 
 
 # --- blocks ----------------------------------------------------------------------------------------------------------
@@ -314,7 +327,8 @@ def _pasted(session: Session, what: str, text: str, level: str, at: list[float] 
             operation["by"] = [x - min(one[0] for one in placed), y - min(one[1] for one in placed)]
     before = editor.body(level)
     placing = editor.placing(level) if placed else []
-    editor.edit(what, [*placing, _in(level, operation)])
+    with _refused(session):
+        editor.edit(what, [*placing, _in(level, operation)])
     after = editor.body(level)
     new = {part: after.get(part, {}).keys() - before.get(part, {}).keys() for part in ("blocks", "inputs", "outputs")}
     names = [name for part, own in new.items() for name in after.get(part, {}) if name in own]
