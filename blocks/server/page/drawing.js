@@ -228,7 +228,7 @@ export function start(app) {
   };
   view.onpointermove = (event) => {
     const before = fingers.get(event.pointerId);
-    if (!before) return event.pointerType === "mouse" && !frame && hover(under(event.clientX, event.clientY));
+    if (!before) return event.pointerType === "mouse" && !frame && !app.hold && hover(under(event.clientX, event.clientY));
     const [dx, dy] = [event.clientX - before.clientX, event.clientY - before.clientY];
     const other = [...fingers.values()].find((one) => one.pointerId !== event.pointerId);
     travelled += Math.hypot(dx, dy);

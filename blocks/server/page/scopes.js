@@ -86,6 +86,7 @@ export function start(app) {
       if (!label.made && all.length) label.line.parentNode.append((label.made = beside(label.line)));
       if (!label.made) continue;
       const [some, more] = [SHOWN, MOST].map((count) => all.slice(0, count).map((one) => short(one ?? NaN)).join(", ") + (all.length > count ? ", ..." : ""));
+      label.made.classList.toggle("cut", all.length > SHOWN);
       label.made.replaceChildren(some, all.length > SHOWN ? element("svg:title", {}, `${name}, ${all.length} elements: ${more}`) : "");
     }
     if (speaks && cursor !== null) app.announce(`${seconds(cursor, shown())}. ${scopes.map(({ spoken }) => spoken).join(". ")}`);
