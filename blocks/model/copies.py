@@ -15,7 +15,7 @@ Written out, the blocks stand in the order of the text: copy 0 with all that is 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -25,8 +25,8 @@ from ..text.element_names import matching
 from ..text.errors import Fault, ModelError
 
 __all__ = [
-    "Copy", "CopySource", "EachSource", "Fleet", "Later", "Layout", "depth_of", "dimensions", "labelled", "named",
-    "own_value", "spellings", "stream_of", "unnumbered", "without_numbers",
+    "Copy", "CopySource", "EachSource", "Fleet", "Later", "Layout", "alike", "depth_of", "dimensions", "labelled",
+    "named", "own_value", "spellings", "stream_of", "unnumbered", "without_numbers",
 ]  # fmt: skip
 
 T = TypeVar("T")
@@ -266,6 +266,14 @@ def dimensions(shape: Any) -> int:
 
 _NUMBERS = re.compile(r"\[(0|[1-9][0-9]{0,6})\](?=\.)")
 _NUMBER = re.compile(r"\[(\*|0|[1-9][0-9]{0,6})\]")
+
+
+def alike(paths: Iterable[str]) -> list[str]:
+    """Names in their order, those that differ in numbers of copies alone as one: "robots[*].motor (100 copies)"."""
+    found: dict[str, list[str]] = {}
+    for path in paths:
+        found.setdefault(re.sub(r"\[[0-9]+\]", "[*]", path), []).append(path)
+    return [own[0] if len(own) == 1 else f"{name} ({len(own):,} copies)" for name, own in found.items()]
 
 
 def without_numbers(text: str) -> tuple[str, tuple[int, ...]]:
