@@ -64,7 +64,9 @@ class Rebinding:
         """Find all that depends on the parameters; whether that is all that does."""
         settings = bindings(value, flat, plan, given)
         by_path = {setting.path: setting for setting in settings}
-        given_as = {path: next((name for name in spellings(path) if name in given), "") for path in by_path}
+        last = {name.rpartition(".")[2] for name in given}
+        found = {path: spellings(path) for path in by_path if path.rpartition(".")[2] in last}
+        given_as = {path: next((name for name in names if name in given), "") for path, names in found.items()}
         if len(by_path) != len(settings) or not {*self.free} <= {*given_as.values()}:
             return False
         self.numbers = numbers(settings)
@@ -73,8 +75,8 @@ class Rebinding:
             keys = blocks[path].interface.declaration.streams if path in blocks else ()
             self.streams += [(stream, by_path[f"{path}.{key}"].places[0]) for key in keys]
         for setting in settings:
-            name = given_as[setting.path]
-            if name not in self.free:
+            name = given_as.get(setting.path)
+            if name is None or name not in self.free:
                 continue
             if setting.is_bound or setting.variability == "constant" or setting.type != "real":
                 return False

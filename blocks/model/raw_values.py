@@ -68,7 +68,8 @@ def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, 
                     message = f"is given by {legible(by[path])} and by {legible(pattern)}."
                     raise UsageError(Fault("E501", legible(path), message, "Give it once."))
                 by[path] = pattern
-        given = {path: given[name] for path, name in (by | {name: name for name in given if "*" not in name}).items()}
+        own = {name: name for name in given if "*" not in str(name)}
+        given = {path: given[name] for path, name in (by | own).items()}
     texts = [path for path, raw in given.items() if isinstance(raw, str) and read_quantity(raw) is not raw]
     return {**given, **{path: _given_at(diagram, resolver, str(path).split("."), given[path]) for path in texts}}
 

@@ -26,7 +26,9 @@ from blocks.text.json_text import read
 from tests.support.marks import long_but
 from tests.support.places import ROOT
 
-GROUPED = ("iadrc.json", "platoon.json", "robot.json", "control_iadrc_sampled.json", "motor_pid.json", "iadrc_fmu.json")
+GROUPED = (
+    "iadrc.json", "platoon.json", "robot.json", "control_iadrc_sampled.json", "motor_pid.json", "iadrc_fmu.json"
+)  # fmt: skip
 DIAGRAMS = sorted(path for path in (ROOT / "diagrams").rglob("*.json") if '"blocks-diagram"' in path.read_text())
 LOOP = """\
 {
