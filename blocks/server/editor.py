@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,11 +24,11 @@ from ..model.document import dumps
 from ..model.hierarchy import Resolver
 from ..model.project import project_of
 from ..text import json_text
-from ..text.atomic_write import write_atomically
+from ..text.atomic_write import real, write_atomically
 from ..text.errors import BlocksError, Fault, UsageError
 from .document import Document
 
-__all__ = ["Editor", "Operations", "move"]
+__all__ = ["Editor", "Operations", "move", "write_blank"]
 
 Operations = Sequence[Mapping[str, Any]]
 MOST_TEXT = 64 * 2**20
@@ -38,7 +39,7 @@ FARTHEST = 1e6
 """Pixels from the origin of a drawing."""
 
 
-def _blank(path: Path) -> None:
+def write_blank(path: Path) -> None:
     """Write an empty diagram where there is no file, or an empty one. Raises UsageError (E501)."""
     if (path.is_file() and path.stat().st_size == 0) or not path.exists():
         name = re.sub(r"\W", "_", path.stem, flags=re.ASCII).lstrip("_0123456789") or "diagram"
@@ -69,7 +70,8 @@ class Editor(Document):
         self._pictures: dict[str, Picture] = {}
         self._rough: set[str] = set()
         self._checked: tuple[DiagramValue | None, Any] = (None, None)
-        _blank(Path(source))
+        self._known: dict[str, tuple[Any, str]] = {}
+        write_blank(Path(source))
         super().__init__(source, **given)
 
     # --- the file ----------------------------------------------------------------------------------------------------
@@ -92,14 +94,33 @@ class Editor(Document):
 
     def read(self) -> bool:
         """As of Document; what another program wrote becomes a step that can be undone."""
-        before, revision = self.text, self.revision
-        is_new = super().read()
-        if is_new and revision and before != self.text:
-            name = str(self.file)
-            texts = {name: self.text.decode("utf-8", "replace")}
-            self._push(_Step("the change on disk", Edit(texts, {name: before.decode("utf-8", "replace")}, ())))
-            self.undone.clear()
+        is_first, is_new = not self.revision, super().read()
+        if is_first:
+            self._look()
+        else:
+            self._note()
         return is_new
+
+    def _note(self) -> None:
+        """Make a step of what another program wrote."""
+        if were := self._look():
+            texts = {file: self._known[file][1] for file in were}
+            self._push(_Step("the change on disk", Edit(texts, were, ())))
+            self.undone.clear()
+
+    def _look(self) -> dict[str, str]:
+        """Keep the texts of the file and of those of its subdiagrams; returns those of before that are other ones."""
+        before, own = self._known, str(real(self.file))
+        self._known = {own: (None, self.text.decode("utf-8", "surrogateescape"))}
+        for path, stamp in self._seen.items():
+            file = str(real(path))
+            if file != own and path.suffix.lower() != ".fmu":
+                with suppress(OSError):
+                    is_same = file in before and before[file][0] == stamp
+                    text = before[file][1] if is_same else path.read_bytes().decode("utf-8", "surrogateescape")
+                    self._known[file] = stamp, text
+        both = before.keys() & self._known.keys()
+        return {file: before[file][1] for file in both if before[file][1] != self._known[file][1]}
 
     def edit(self, what: str, operations: Operations) -> Edit:
         """Apply operations and write the file. what: the gesture, in words.
@@ -120,6 +141,7 @@ class Editor(Document):
                 raise error
             self._push(_Step(what, edit))
             self.undone.clear()
+            self._note()
         return edit
 
     def undo(self) -> str:
@@ -142,6 +164,7 @@ class Editor(Document):
         self._write(step.edit.undone)
         steps.pop()
         others.append(_Step(step.what, step.edit.undone))
+        self._note()
         return step.what
 
     @property
@@ -159,6 +182,7 @@ class Editor(Document):
         except UsageError:
             self._catch_up()  # so that the next gesture is about what stands there
             raise
+        self._known |= {str(real(Path(file))): (None, text) for file, text in edit.texts.items()}
         super().read()
 
     def _push(self, step: _Step) -> None:

@@ -354,7 +354,9 @@ def put(session: Session, *, name: str, text: str, level: str = "") -> Answer:
         steps, is_there = [section, own], True
         if section == "inputs":
             steps, is_there = [*steps, "default"], "default" in entry
-        elif isinstance(entry, Mapping) and "value" in entry and text.strip():
+        elif not text.strip():
+            raise UsageError(Fault("E501", legible(name[:200]), "has no default: it needs a value.", "As in 20 V."))
+        elif isinstance(entry, Mapping) and "value" in entry:
             raw = _raw(text, name, "")
             more: Mapping[str, Any] = raw if _is_quantity(raw) else {"value": raw}
             operations = [{"set": [*steps, key], "to": one} for key, one in more.items()]

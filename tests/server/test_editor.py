@@ -288,6 +288,8 @@ def test_values_are_written_as_typed_and_go_back_to_their_defaults(tmp_path: Pat
         ask("define", kind="input", text="r=1 rad/s")
         document = json.loads(path.read_text())
         assert document["parameters"]["gain"] == {"value": 4, "unit": "1/s"}
+        with pytest.raises(UsageError, match="gain: has no default: it needs a value"):
+            ask("put", name="gain", text=" ")
         assert document["inputs"]["r"] == {"default": 1, "unit": "rad/s"}
         ask("put", name="r", text="2")
         assert json.loads(path.read_text())["inputs"]["r"]["default"] == 2

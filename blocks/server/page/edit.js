@@ -127,7 +127,7 @@ export function start(app) {
         // Names of several words are known as well, as "dc motor".
         const whole = plain(rest) && !rest.includes("=") ? palette.filter((entry) => [title(entry), ...(entry.words ?? [])].some((one) => plain(one).includes(plain(said)))) : [];
         const shownOf = (entry, given) => ({
-          name: title(entry), told: told(entry, given && full), picture: picture(entry), group: word ? "" : entry.group, why: entry.word ? entry.doc : "", go: () => add(entry, given, { ...at, ...wire }),
+          name: title(entry), told: told(entry, given && full), picture: picture(entry), group: word ? "" : entry.group, why: entry.word ? entry.doc : "", go: () => add(entry, given, { ...at, ...wire }), drop: (dropped) => add(entry, given, hand.near(app, dropped)),
         });
         const entries = [...whole.map((entry) => shownOf(entry, "")), ...meant(word).filter((entry) => !whole.includes(entry)).map((entry) => shownOf(entry, rest))].slice(0, word ? SHOWN : 999);
         return defined.some(({ name }) => name === word.toLowerCase()) ? [...defined, ...entries] : [...entries, ...defined];
@@ -247,7 +247,7 @@ export function start(app) {
     if (as && (await edit([{ group: names, as }], `group ${names.join(", ")}`))) pick([as]);
   }
   const commands = {
-    insert: { text: "Add", keys: "letters", what: "insert a block by its name; also a double click on free ground", go: () => app.insert(""), can: () => true },
+    insert: { text: "Add", keys: "letters", what: "insert a block by its name, or drag it from the list; also a double click on free ground", go: () => app.insert(""), can: () => true },
     connect: { text: "Connect", keys: "Shift+C", what: "wire the selected block", go: connect, can: () => blocks().length > 0 },
     remove: { text: "Delete", keys: "Delete", what: "delete what is selected", go: remove, can: () => some() || app.state.wire !== null },
     rename: { text: "Rename", keys: "F2", what: "rename the selected block", go: rename, can: () => picked.size === 1 },
