@@ -254,13 +254,13 @@ def arrange(session: Session, *, names: list[str], level: str = "") -> Answer:
 
 @handles
 def delete(session: Session, *, names: list[str], sinks: list[str], level: str = "") -> Answer:
-    """Remove blocks, inputs and outputs with all that means something of them, and the wires to some inputs."""
+    """Remove blocks, inputs and outputs with all that means something of them, and wires to inputs or outputs."""
     body = _editor(session).body(level)
     wires, outputs = body.get("wires", {}), body.get("outputs", {})
     operations: list[dict[str, Any]] = [{"unwire": sink} for sink in dict.fromkeys(sinks) if sink in wires]
-    gone = [name for name in dict.fromkeys([*sinks, *names]) if name in outputs and name not in body.get("blocks", {})]
-    operations += [{"remove": ["outputs", name]} for name in gone]
-    for section in ("inputs", "blocks", "parameters"):
+    gone = [*sinks, *(name for name in names if name not in body.get("blocks", {}))]
+    operations += [{"remove": ["outputs", name]} for name in dict.fromkeys(gone) if name in outputs]
+    for section in ("inputs", "blocks"):  # a parameter of this name is not in the drawing
         operations += [{"remove": [section, name]} for name in dict.fromkeys(names) if name in body.get(section, {})]
     if not operations:
         raise UsageError(Fault("E501", "delete", "nothing of this is there.", "Select what to delete."))

@@ -305,6 +305,44 @@ def test_long_texts_of_spaces_are_read_at_once(tmp_path: Path) -> None:
         ask("put", name="g", text=f"1 x{spaces}y")
 
 
+def test_what_is_deleted_in_the_drawing_is_what_is_drawn_by_that_name(tmp_path: Path) -> None:
+    path = tmp_path / "names.json"
+    with edited(path) as (ask, _):
+        ask("define", kind="parameter", text="w=1")
+        ask("insert", entry={"type": "Gain"}, text="k==w")
+        for output in ("w", "gain", "z"):
+            ask("define", kind="output", text=output, source="gain.y")
+        ask("delete", names=["w"], sinks=[])
+        value = json.loads(path.read_text())
+        assert (value["parameters"], value["outputs"]) == ({"w": 1}, {"gain": "gain.y", "z": "gain.y"})
+        ask("delete", names=[], sinks=["gain"])  # the wire to the output
+        value = json.loads(path.read_text())
+        assert (list(value["blocks"]), value["outputs"]) == (["gain"], {"z": "gain.y"})
+        ask("delete", names=["gain"], sinks=[])
+        assert "outputs" not in json.loads(path.read_text())
+
+
+def test_a_value_is_put_into_the_variant_that_is_chosen(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, _):
+        loop(ask)
+        ask("edit", operations=[{"swap": "pid", "for": {"type": "PID", "parameters": {"kp": 5}}, "as": "other"}])
+
+        def gains() -> list[Any]:
+            block = json.loads(path.read_text())["blocks"]["pid"]
+            return [one["parameters"].get("kp") for one in (block, block["variants"]["other"])]
+
+        before = gains()
+        ask("put", name="pid.kp", text="99")
+        assert gains() == [before[0], 99]
+        ask("variant", path="pid", name="base")
+        ask("put", name="pid.kp", text="7")
+        assert gains() == [7, 99]
+        ask("variant", path="pid", name="other")
+        ask("put", name="pid.kp", text="")
+        assert gains() == [7, None]
+
+
 def test_other_files_that_a_gesture_leaves_as_they_are_are_named(tmp_path: Path) -> None:
     (tmp_path / "pyproject.toml").write_text("")
     inner = Diagram("sub")
