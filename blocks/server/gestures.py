@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import base64
 import binascii
+import io
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from zipfile import is_zipfile
 
 from ..api.catalog import Catalog
 from ..editing.operations import OPERATIONS
@@ -545,6 +547,8 @@ def upload(session: Session, *, name: str, text: str) -> Answer:
     except binascii.Error:
         raise UsageError(Fault("E501", "upload.text", "is no base64.")) from None
     if not target.exists():
+        if not is_zipfile(io.BytesIO(data)):
+            raise UsageError(Fault("E501", legible(name[:200]), "holds no FMU, which is a zip archive."))
         with write_atomically(target) as stream:
             stream.buffer.write(data)
     elif target.read_bytes() != data:
