@@ -85,12 +85,12 @@ class Maze:
         left, top, right, bottom = room
         first, last = bisect_right(self.xs, left), bisect_left(self.xs, right)  # lines inside
         above, below = bisect_right(self.ys, top), bisect_left(self.ys, bottom)
-        for row in range(above, below):
-            for column in range(max(first - 1, 0), last):
-                self.wall[0][row * self.wide + column] = 1
-        for row in range(max(above - 1, 0), below):
-            for column in range(first, last):
-                self.wall[1][row * self.wide + column] = 1
+        entering = max(first - 1, 0)
+        level, upright = b"\1" * (last - entering), b"\1" * (last - first)
+        for begin in range(above * self.wide, below * self.wide, self.wide):
+            self.wall[0][begin + entering : begin + entering + len(level)] = level
+        for begin in range(max(above - 1, 0) * self.wide, below * self.wide, self.wide):
+            self.wall[1][begin + first : begin + first + len(upright)] = upright
 
     def _point(self, node: int, port: Point) -> Point:
         x, y = self.centers[node]
