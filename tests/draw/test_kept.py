@@ -1,0 +1,69 @@
+"""What a picture takes over from the one before an edit is what it would have made itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from benchmarks.drawing import placed
+from blocks import Diagram
+from blocks.draw import picture, ports_of, rendered
+from blocks.draw.picture import Kept
+from blocks.model.diagram import DiagramValue
+from blocks.model.document import dumps
+from blocks.text.errors import Fault
+
+
+def edits(value: DiagramValue) -> list[tuple[str, DiagramValue, dict[str, Any]]]:
+    """The diagram again and again, with what is shown of it."""
+    blocks, layout, wires = dict(value.blocks), dict(value.layout), dict(value.wires)
+    x, y = layout["law1"]
+    left = min(one[0] for one in layout.values())
+    sink = next(sink for sink in wires if sink.startswith("law1."))
+    law = blocks["law1"]
+    other = replace(law, parameters={**law.parameters, "k": 7.5})
+    return [
+        ("moved", replace(value, layout={**layout, "law1": [x + 20, y + 60]}), {}),
+        ("back", value, {}),
+        ("beyond the edge", replace(value, layout={**layout, "law1": [left - 200, y]}), {}),
+        ("set", replace(value, blocks={**blocks, "law1": other}), {}),
+        ("unwired", replace(value, wires={key: one for key, one in wires.items() if key != sink}), {}),
+        ("faulty", value, {"faults": [Fault("E101", sink, "input is not wired.")]}),
+        ("sampled", value, {"rates": {"law1": "1 ms", "law2": "2 ms"}}),
+        ("renamed", replace(value, doc="another"), {}),
+    ]
+
+
+def test_what_is_taken_over_is_what_would_be_made() -> None:
+    diagram = Diagram.from_json(dumps(placed(4)))
+    resolver = diagram._draft.resolver
+
+    def drawn(value: DiagramValue, shown: dict[str, Any], earlier: Any) -> Any:
+        return picture(value, ports_of(value, resolver), earlier=earlier, **shown)
+
+    before = drawn(diagram.value, {}, None)
+    rendered(before, "kept")
+    for what, value, shown in edits(diagram.value):
+        alone = drawn(value, shown, replace(before, kept=Kept()))
+        before = drawn(value, shown, before)
+        assert before == alone, what
+        assert rendered(before, "kept") == rendered(alone, "kept"), what
+
+
+def test_what_stays_is_not_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    diagram = Diagram.from_json(dumps(placed(4)))
+    value, ports = diagram.value, ports_of(diagram.value, diagram._draft.resolver)
+    before = picture(value, ports)
+    rendered(before, "kept")
+    made: list[Any] = []
+    take = Kept.take
+    monkeypatch.setattr(
+        Kept, "take", lambda self, name, of, make: take(self, name, of, lambda: made.append(name) or make())
+    )
+    x, y = value.layout["law1"]
+    after = picture(replace(value, layout={**value.layout, "law1": [x, y + 10]}), ports, earlier=before)
+    rendered(after, "kept")
+    assert {name[2] for name in made if name[0] in ("node", "box")} == {"law1"}
+    assert len(made) < 20
