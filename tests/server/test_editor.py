@@ -119,7 +119,7 @@ def test_a_file_that_was_deleted_on_the_disk_is_written_again_by_undo(tmp_path: 
         loop(ask)
         text = path.read_bytes()
         path.unlink()
-        with pytest.raises(UsageError, match=r"was deleted or renamed by another program.*Undo writes it again"):
+        with pytest.raises(UsageError, match=r"renamed by another program.*Undo writes it again"):
             ask("put", name="pid.ki", text="31")
         assert not path.exists()
         assert editor.told()["editing"]["undo"] == "the deletion on disk"
