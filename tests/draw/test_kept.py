@@ -1,4 +1,4 @@
-"""What a picture takes over from the one before an edit is what it would have made itself."""
+"""Pictures after edits: what they take over from those before is what they would make; blocks that lie upon others."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 from benchmarks.drawing import placed
 from blocks import Diagram
 from blocks.draw import picture, ports_of, rendered
+from blocks.draw.maze import Maze
 from blocks.draw.picture import Kept
 from blocks.model.diagram import DiagramValue
 from blocks.model.document import dumps
@@ -50,6 +51,29 @@ def test_what_is_taken_over_is_what_would_be_made() -> None:
         before = drawn(value, shown, before)
         assert before == alone, what
         assert rendered(before, "kept") == rendered(alone, "kept"), what
+
+
+def test_a_block_upon_another_one_has_its_wires_without_a_search_through_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where an end lies inside of a block, there is no path around it to look for, again and again."""
+    value = Diagram.from_json(dumps(placed(4))).value
+    ports = ports_of(value, Diagram.from_json(dumps(placed(4)))._draft.resolver)
+    x, y = value.layout["error0"]
+    routed: list[int] = []
+    net = Maze._net
+    monkeypatch.setattr(Maze, "_net", lambda self, index: routed.append(index) or net(self, index))
+    before = picture(value, ports)
+    once = len(routed)
+    on_it = replace(value, layout={**value.layout, "reference0": [x + 10, y + 10]})
+    made = picture(on_it, ports)
+    assert len(routed) == 2 * once
+    assert {wire.sink for wire in made.wires} == {wire.sink for wire in before.wires}
+    boxes = {box.path: box for box in made.boxes}
+    for wire in made.wires:
+        (source, out), (sink, entry) = wire.source, wire.sink
+        assert (wire.points[0], wire.points[-1]) == (boxes[source].outputs[out], boxes[sink].inputs[entry])
+    del routed[:]
+    picture(on_it, ports, earlier=before)
+    assert len(routed) < 10
 
 
 def test_what_stays_is_not_made_again(monkeypatch: pytest.MonkeyPatch) -> None:

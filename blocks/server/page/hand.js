@@ -267,7 +267,7 @@ export function start(app, { picked, pick, act, say, wire }) {
     if (file.size > 11e6) return say(`${file.name} is larger than 11 MB: put it into the folder of the diagram, and insert it by its name.`);
     const bytes = new Uint8Array(await file.arrayBuffer());
     const text = btoa(Array.from(bytes, (one) => String.fromCharCode(one)).join(""));
-    const told = await app.ask("upload", { name: file.name, text });
+    const told = await app.connection.ask("upload", { name: file.name, text }).catch(({ message }) => say(message));
     if (!told) return;
     const { box } = under(event.clientX, event.clientY);
     if (box && app.block(app.drawing.full(box))) await act("edit", { operations: [{ swap: box, for: { fmu: told.fmu } }], what: `swap ${box}` });
