@@ -78,7 +78,7 @@ def tip(part: Part) -> str:
 def graph_of(parts: Parts, pieces: Sequence[Piece], kept: Kept) -> Graph:
     """Nodes and nets for the layout. Positions of the file are centers; they hold while no subdiagram is opened."""
 
-    def node(piece: Piece, fixed: Point | None) -> GraphNode:
+    def standing(piece: Piece, fixed: Point | None) -> GraphNode:
         name = "node", piece.kind, piece.part.path
         return kept.take(name, (piece, fixed), lambda: _node(piece, fixed))
 
@@ -90,7 +90,7 @@ def graph_of(parts: Parts, pieces: Sequence[Piece], kept: Kept) -> Graph:
             point = _position(raw)
             if name in place and point is not None:
                 given[place[name]] = point
-    nodes = [node(piece, given.get(index)) for index, piece in enumerate(pieces)]
+    nodes = [standing(piece, given.get(index)) for index, piece in enumerate(pieces)]
     inputs = [{name: k for k, name in enumerate(piece.shape.inputs)} for piece in pieces]
     outputs = [{name: k for k, name in enumerate(piece.shape.outputs)} for piece in pieces]
     nets = []
