@@ -474,9 +474,12 @@ def test_hostile_names_and_texts_are_shown_as_texts(chromium: Any, tmp_path: Pat
             page.type(text)
             page.press("Enter")
             known = json.dumps(f'#lists [data-path="{text}"]') if text.isidentifier() else "'none'"
-            page.until(f"document.querySelector('#edits .refusal').innerText || document.querySelector({known})")
+            page.until(f"document.querySelector('.typed[aria-invalid]') || document.querySelector({known})")
+            if page.evaluate("Boolean(document.querySelector('.typed[aria-invalid]'))"):
+                page.press("Escape")  # the field of a name that was refused stays
+            page.until("!document.querySelector('.typed')")
             hands.type_block(f"describe {text}")
-            page.until("document.querySelector('#panel .own')?.innerText.trim()")
+            page.until(f"document.querySelector('#panel .own')?.textContent === {json.dumps(text)}")
         for text in HOSTILE:
             entries = json.dumps(json.dumps({"blocks": {"b": {"type": text, "doc": text}}}))
             data = f"{{clipboardData: {{getData: () => {entries}}}}}"
