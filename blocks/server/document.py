@@ -97,8 +97,8 @@ class Document:
                 text = self.path.read_bytes() if self.path.is_file() or not self.revision else None  # a pipe would wait
             except OSError:
                 text = None
-            if text is None:
-                if self.revision:  # it is being replaced, or it went: what was read stays open
+            if not text:
+                if self.revision:  # it is being written, or it went: what was read stays open
                     self._seen = seen
                     return False
                 Diagram.load(self.path, library=self.library)  # tells why

@@ -121,6 +121,8 @@ def refused(folder: Path, text: str, *operations: Any, **options: Any) -> Fault:
             '0.50}}\n', '0.50}},\n  "free": {"type": "Gain", "parameters": {"k": 1.0}}\n',
         ),
         ({"remove": "run.log[1]"}, '"gain.y", ', ""),
+        ({"remove": "run.log[1]", "was": "gain.y"}, '"gain.y", ', ""),
+        ({"remove": "blocks.lag.parameters.T", "was": 0.5}, ', "parameters": {"T": 0.50}', ""),
         ({"remove": "blocks.lag.parameters.T"}, ', "parameters": {"T": 0.50}', ""),
         ({"wire": "lag.y", "to": "gain.k"}, '"gain.y"\n },\n "run"', '"gain.y",\n  "gain.k": "lag.y"\n },\n "run"'),
         ({"unwire": "lag.u"}, ',\n  "lag.u": "gain.y"', ""),
@@ -133,6 +135,11 @@ def refused(folder: Path, text: str, *operations: Any, **options: Any) -> Fault:
 def test_one_operation(operation: dict[str, Any], old: str, new: str, tmp_path: Path) -> None:
     assert LOOP.count(old) == 1 or not old
     assert edited(tmp_path, LOOP, operation) == LOOP.replace(old, new)
+
+
+def test_what_is_removed_is_what_was_meant(tmp_path: Path) -> None:
+    with pytest.raises(BlocksError, match=r'log\[0\]: is "lag" now, and not "gain.y". Look at what stands there now'):
+        edited(tmp_path, LOOP, {"remove": "run.log[0]", "was": "gain.y"})
 
 
 def test_what_is_removed_goes_with_all_that_means_it(tmp_path: Path) -> None:

@@ -119,7 +119,7 @@ def test_a_file_that_was_deleted_on_the_disk_is_written_again_by_undo(tmp_path: 
         loop(ask)
         text = path.read_bytes()
         path.unlink()
-        with pytest.raises(UsageError, match=r"was deleted or renamed by another program.*Undo writes it again"):
+        with pytest.raises(UsageError, match=r"renamed by another program.*Undo writes it again"):
             ask("put", name="pid.ki", text="31")
         assert not path.exists()
         assert editor.told()["editing"]["undo"] == "the deletion on disk"
@@ -531,15 +531,22 @@ def test_an_editor_that_is_killed_while_it_writes_leaves_a_whole_file(tmp_path: 
         assert [file.name for file in tmp_path.iterdir()] == ["motor.json"]
 
 
-def test_a_loaded_diagram_opens_its_file_and_one_made_in_python_says_how(tmp_path: Path) -> None:
-    path = tmp_path / "motor.json"
+def test_a_diagram_opens_the_file_it_was_saved_in_or_loaded_from_and_one_without_says_how(tmp_path: Path) -> None:
+    path, other = tmp_path / "motor.json", tmp_path / "other.json"
     with edited(path) as (ask, _):
         loop(ask)
-    server = Diagram.load(path).edit()
-    try:
-        assert isinstance(server._open.document, Editor)
-        assert server._open.document.file == path
-    finally:
-        server.stop()
+    loaded = Diagram.load(path)
+    made = Diagram("motor")
     with pytest.raises(UsageError, match="save"):
-        Diagram("motor").edit()
+        made.edit()
+    for diagram, saved in ((loaded, None), (made, other), (loaded, other)):
+        if saved:
+            diagram.save(saved)
+        server = diagram.edit()
+        try:
+            assert isinstance(server._open.document, Editor)
+            assert server._open.document.file == (saved or path)
+        finally:
+            server.stop()
+    with pytest.raises(UsageError, match="save"):
+        made.copy().edit()
