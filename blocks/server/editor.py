@@ -25,6 +25,7 @@ from ..model.project import project_of
 from ..text import json_text
 from ..text.atomic_write import real, write_atomically
 from ..text.errors import BlocksError, Fault, UsageError
+from ..text.printable import legible
 from .document import Document
 from .history import History, Step
 
@@ -37,8 +38,11 @@ FARTHEST = 1e6
 
 
 def write_blank(path: Path) -> None:
-    """Write an empty diagram where there is no file, or an empty one. Raises UsageError (E501)."""
-    if (path.is_file() and path.stat().st_size == 0) or not path.exists():
+    """Write an empty diagram where there is no file. Raises UsageError (E501), also for an empty file."""
+    if path.is_file() and path.stat().st_size == 0:
+        cure = "Another program may be writing it; where it is to be a new diagram, delete it."
+        raise UsageError(Fault("E501", legible(str(path)), "is empty, and no diagram.", cure))
+    if not path.exists():
         name = re.sub(r"\W", "_", path.stem, flags=re.ASCII).lstrip("_0123456789") or "diagram"
         with write_atomically(path) as stream:
             stream.write(dumps(DiagramValue(name)))
@@ -52,7 +56,7 @@ class Editor(Document):
 
     def __init__(self, source: str | Path, opens: Callable[[Path], str] | None = None, **given: Any) -> None:
         self.opens = opens
-        self._history, self._is_changing = History(), False
+        self._history, self._is_changing, self._was_gone = History(), False, False
         self.done, self.undone = self._history.done, self._history.undone
         self._pictures: dict[str, Picture] = {}
         self._rough: set[str] = set()
@@ -81,13 +85,14 @@ class Editor(Document):
         return self.visible._draft.resolver
 
     def read(self) -> bool:
-        """As of Document; what another program wrote becomes a step that can be undone."""
+        """As of Document, or whether the file went or came back; what another program wrote becomes a step of undo."""
         is_first, is_new = not self.revision, super().read()
         if is_first:
             self._known = self._texts()
         else:
             self._note()
-        return is_new
+        was_gone, self._was_gone = self._was_gone, self.is_gone
+        return is_new or self._was_gone != was_gone
 
     def _note(self, *, is_taken_back: bool = False) -> None:
         """Make a step of what another program wrote.

@@ -205,6 +205,19 @@ def test_what_another_program_or_window_writes_is_shown_and_undone_in_all_window
         assert path.read_text() == ours
 
 
+def test_another_diagram_opens_in_a_tab(chromium: Any, tmp_path: Path) -> None:
+    Diagram("two").save(tmp_path / "two.json")
+    with edited_page(chromium, tmp_path / "one.json") as hands:
+        hands.button("Diagrams")
+        hands.page.until("document.querySelector('dialog.search li')")
+        hands.page.press("Enter")
+        limit = time.monotonic() + 20.0
+        while not any(one._open.pages for path, one in hands.server._tabs.items() if path.name == "two.json"):
+            assert time.monotonic() < limit
+            time.sleep(0.05)
+        hands.page.assert_clean()
+
+
 def test_a_command_that_is_killed_in_the_middle_of_gestures_leaves_a_whole_file(tmp_path: Path) -> None:
     path = tmp_path / "large.json"
     path.write_text(dumps(placed(40)))

@@ -131,7 +131,7 @@ def test_a_file_that_was_emptied_is_written_again_and_not_taken_for_a_new_one(tm
         loop(ask)
         ours = path.read_text()
         path.write_text("")
-        assert not editor.read()
+        assert (editor.read(), editor.read()) == (True, False)
         with pytest.raises(BlocksError, match=r"emptied.*Undo writes it again"):
             ask("put", name="pid.kp", text="1")
         ask("undo")
@@ -184,6 +184,47 @@ def test_what_leads_out_of_the_folder_or_is_no_file_is_not_written(tmp_path: Pat
         ask("undo")
         ask("undo")
         assert path.read_bytes() == ours
+
+
+def test_nothing_is_done_again_after_another_gesture_or_program(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        loop(ask)
+        ask("undo")
+        ask("put", name="pid.kp", text="7")
+        with pytest.raises(BlocksError, match="nothing to redo"):
+            ask("redo")
+        ask("undo")
+        path.write_text(path.read_text().replace('"kp": 20', '"kp": 21'))
+        with pytest.raises(BlocksError, match="nothing to redo"):
+            ask("redo")
+        assert editor.offered == {"undo": "the change on disk", "redo": ""}
+
+
+def test_a_change_of_equal_size_and_time_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, _):
+        loop(ask)
+        ours, found = path.read_text(), path.stat()
+        path.write_text(ours.replace('"kp": 20', '"kp": 21'))
+        os.utime(path, ns=(found.st_atime_ns, found.st_mtime_ns))
+        ask("put", name="pid.ki", text="31")
+        assert '"kp": 21, "ki": 31' in path.read_text()
+        ask("undo")
+        ask("undo")
+        assert path.read_text() == ours
+
+
+def test_a_deletion_is_shown_and_undone_before_any_gesture(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        ours = path.read_bytes()
+        path.unlink()
+        assert (editor.has_changed(), editor.read(), editor.read()) == (True, True, False)
+        assert editor.told()["editing"]["undo"] == "the deletion on disk"
+        ask("undo")
+        assert (path.read_bytes(), editor.offered["undo"]) == (ours, "")
+        assert editor.read()  # so that all pages see it
 
 
 def test_a_gesture_that_is_refused_shows_what_another_program_wrote(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ export function start(app) {
       const told = await app.connection.ask(name, name === "undo" || name === "redo" ? fields : { level: level(), ...fields });
       app.announce(said || told.what || "");
       if (told.files?.length) say(`written into ${told.files.join(", ")}: every block of it is another one now`);
+      if (told.left?.length) say(`${told.left.join(", ")} name it too, and are left as they are: blocks apply --project changes them`);
       if (told.later) say(`not in this run: ${told.later}`);
       return told;
     } catch (error) {
@@ -359,7 +360,7 @@ export function start(app) {
 
   /** Write a parameter as typed. made: what shows it, and what is refused. */
   async function put(path, value, made) {
-    const text = Array.isArray(value) ? `[${value.join(", ")}]` : String(value);
+    const text = Array.isArray(value) ? value.map(String) : String(value);
     const steps = path.split(".");
     const at = steps.slice(0, -2).join(".");
     try {
