@@ -28,8 +28,10 @@ from blocks import (
     SecondOrder,
     Sine,
     State,
+    Step,
     Sum,
     Sweep,
+    TransferFunction,
     TransportDelay,
     UnitDelay,
     UsageError,
@@ -334,6 +336,29 @@ def test_a_machine_without_lanes_says_so(monkeypatch: pytest.MonkeyPatch) -> Non
     batch = square().batch(["gain.k"], stop=0.5, lanes="fast")
     assert "lanes need gcc" in batch.warnings[0].message
     assert batch.how(4, 2) == "2 threads, without lanes: lanes need gcc on Linux and x86-64"
+
+
+def test_rows_whose_form_has_no_lanes_say_so_and_are_exact(tmp_path: Path) -> None:
+    """A numerator of the degree of the denominator closes an algebraic loop."""
+    d = Diagram("forms")
+    for name, block in {"wave": Step(), "sum": Sum(signs="+-"), "law": TransferFunction(num=[0.0, 1.0])}.items():
+        d.add(name, block)
+    for sink, source in {"sum.u1": "wave.y", "sum.u2": "law.y", "law.u": "sum.y"}.items():
+        d.wire(sink, source)
+    d.measure("size", "ISE", of="law.y")
+    d.settings(loops="solve", stop=2.0)
+    table = [[[0.0, 1.0]], [[0.5, 1.0]], [[0.0, 2.0]]]
+    batch = d.batch(["law.num"], lanes="fast")
+    rows = batch(table)
+    assert batch.lanes
+    assert not batch.warnings
+    told = "W504 lanes: there are none for this row: it has algebraic loops."
+    assert rows.messages == ("", told, "")
+    same(rows, 1, d, parameters={"law.num": table[1][0]})
+    path = tmp_path / "rows.parquet"
+    sweep = d.sweep({"law.num": [row[0] for row in table]}, lanes="fast", out=path)
+    assert f"1 ok, but row 1: {told}" in sweep.table()
+    assert Sweep.load(path).messages == rows.messages
 
 
 def test_what_cannot_be_meant_is_refused() -> None:
