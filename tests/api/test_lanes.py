@@ -22,6 +22,7 @@ from blocks import (
     LookupTable,
     Noise,
     Parameter,
+    Product,
     Pulse,
     Relay,
     Saturation,
@@ -41,6 +42,7 @@ from blocks import (
 from blocks.api.batch import BatchRows
 from blocks.compile.c.lane_code import Machine
 from blocks.engines.native import model
+from blocks.model.diagram_grammar import MEASURES
 from tests.api.test_batch import Doomed, same, square
 from tests.engines.test_native import sanitized
 from tests.engines.test_random_diagrams import Wiring, plain, wirings
@@ -421,6 +423,27 @@ def test_fixed_steps_without_functions_are_those_of_single_runs_bit_for_bit(name
     assert_exact(exact([[]] * 3), fast([[]] * 3))
 
 
+@pytest.mark.parametrize("method", ["rk4", "euler"])
+def test_measures_of_each_type_are_those_of_single_runs_bit_for_bit(method: str) -> None:
+    """Of a ringing signal and its square, which five values of a step do not tell, and in windows that begin inside steps."""
+    d = Diagram("measured")
+    for name, block in {"pulse": Pulse(on=0.1, off=1.3), "wave": SecondOrder(), "square": Product()}.items():
+        d.add(name, block)
+    for sink, source in {"wave.u": "pulse.y", "square.u1": "wave.y", "square.u2": "wave.y"}.items():
+        d.wire(sink, source)
+    given = {"settling_time": {"band": 0.05}, "THD": {"omega": 9.0}}
+    for of in ("wave.y", "square.y"):
+        for kind in MEASURES:
+            more = {"against": "pulse.y"} if kind not in ("ISU", "THD", "zero_crossings") else {}
+            d.measure(f"{kind}_{of[0]}", kind, of=of, **more, **given.get(kind, {}))
+            d.measure(f"{kind}_{of[0]}_late", kind, of=of, start=0.4123, stop=1.9371, **more, **given.get(kind, {}))
+    table = [[5.0 + 0.7 * i, 0.02 + 0.1 * i] for i in range(11)]
+    settings: dict[str, Any] = {"stop": 2.5, "method": method, "step": 0.01}
+    exact, fast = (d.batch(["wave.w", "wave.d"], lanes=lanes, **settings) for lanes in ("exact", "fast"))
+    assert fast.lanes
+    assert_exact(exact(table), fast(table))
+
+
 def without_functions(wiring: Wiring) -> Wiring:
     """The same with pulses for sines, and ticks for delays."""
     others = {Sine: Pulse(on=0.3, off=0.9, height=1.1), TransportDelay: UnitDelay(period=0.15, y_start=0.2)}
@@ -457,6 +480,7 @@ def test_random_diagrams_in_lanes(wiring: Wiring, method: str) -> None:
 
 SANITIZED = """
 from blocks.engines.native import model
+from blocks.model.diagram_grammar import MEASURES
 model.EXTRA_FLAGS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-g")
 from tests.api.test_batch import square
 from tests.api.test_lanes import CASES, mixed, rows_of

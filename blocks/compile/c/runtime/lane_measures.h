@@ -115,14 +115,13 @@ static M measured_inside(Lanes *z, V t1, V step, M wanted)
     return parts & wanted;
 }
 
-/* Widen low to high to what quartics reach; the lanes in which that has to be looked at closely. */
-static inline M reached(const V *y, V *low, V *high)
+/* Where quartics go beyond low or high, or may. */
+static inline M go_beyond(const V *y, V low, V high)
 {
     V bottom = y[0], top = y[0];
     for (int k = 1; k < 5; k++) bottom = lanes_smaller(bottom, y[k]), top = lanes_larger(top, y[k]);
     V beyond = REACH * (top - bottom);
-    *low = lanes_smaller(*low, bottom), *high = lanes_larger(*high, top);
-    return (bottom - beyond < *low) | (top + beyond > *high);
+    return (bottom - beyond < low) | (top + beyond > high);
 }
 
 /* Where quartics turn, or may. */
@@ -142,38 +141,39 @@ static M take_in(Lanes *z, int i, V t1, V h, M wanted)
 {
     const BlocksMeasure *what = &z->lanes[0].s->setup->measures[i];
     const int kind = what->kind, is_timed = kind == BLOCKS_TIMED;
-    Measured *made = &z->measured[i], next = *made;
-    V of[5], e[5], values[5], low = lanes_of(0.0), high = low;
+    Measured *made = &z->measured[i];
+    V of[5], e[5], values[5], total = made->total, low = lanes_of(0.0), high = low;
     M close = made->first != made->first; /* it begins */
     wanted &= (what->low <= z->t) & (what->high >= t1);
     for (int k = 0; k < 5; k++) of[k] = z->nodes[k][2 * i], e[k] = of[k] - z->nodes[k][2 * i + 1];
-    next.span += h;
-    if (kind != BLOCKS_SQUARE) next.target = z->nodes[4][2 * i + 1], next.last = e[4];
     if (kind == BLOCKS_SQUARE) {
         for (int k = 0; k < 5; k++) values[k] = e[k] * e[k];
-        next.total += h * weighted(values);
+        total += h * weighted(values);
     } else if (kind == BLOCKS_ABSOLUTE || is_timed) {
         for (int k = 0; k < 5; k++) {
             values[k] = lanes_fabs(e[k]) * (is_timed ? z->t + LOBATTO[k] * h : lanes_of(1.0));
             low = lanes_smaller(low, e[k]), high = lanes_larger(high, e[k]);
         }
         close |= (low < 0.0) & (high > 0.0);
-        next.total += h * weighted(values);
+        total += h * weighted(values);
     } else if (kind == BLOCKS_PEAK) {
-        low = -made->total, high = made->total;
-        close |= reached(e, &low, &high);
-        next.total = lanes_larger(-low, high);
+        close |= go_beyond(e, -made->total, made->total);
     } else if (kind == BLOCKS_VARIATION) {
         close |= turn(e);
-        next.total += lanes_fabs(e[0] - made->last) + lanes_fabs(e[4] - e[0]);
-    } else if (kind == BLOCKS_OVERSHOOT) {
-        close |= reached(of, &next.low, &next.high);
+        total += lanes_fabs(e[0] - made->last) + lanes_fabs(e[4] - e[0]);
+    } else if (kind == BLOCKS_OVERSHOOT || kind == BLOCKS_RISE) {
+        close |= go_beyond(of, made->low, made->high);
     } else if (kind != BLOCKS_END) {
         close = wanted;
     }
     close &= wanted;
-    V *kept = &made->total, *then = &next.total;
-    for (int k = 0; k < BLOCKS_KEPT; k++) kept[k] = lanes_choose(wanted & ~close, then[k], kept[k]);
+    M here = wanted & ~close;
+    made->total = lanes_choose(here, total, made->total);
+    made->span = lanes_choose(here, made->span + h, made->span);
+    if (kind != BLOCKS_SQUARE) {
+        made->target = lanes_choose(here, z->nodes[4][2 * i + 1], made->target);
+        made->last = lanes_choose(here, e[4], made->last);
+    }
     M failed = (M){0};
     if (!lanes_any(close)) return failed;
     EACH_LANE {
