@@ -425,7 +425,7 @@ def test_fixed_steps_without_functions_are_those_of_single_runs_bit_for_bit(name
 
 @pytest.mark.parametrize("method", ["rk4", "euler"])
 def test_measures_of_each_type_are_those_of_single_runs_bit_for_bit(method: str) -> None:
-    """Of a ringing signal and its square, which five values of a step do not tell, and in windows that begin inside steps."""
+    """Of a ringing signal and of its square, which five values do not tell, and in windows that begin inside steps."""
     d = Diagram("measured")
     for name, block in {"pulse": Pulse(on=0.1, off=1.3), "wave": SecondOrder(), "square": Product()}.items():
         d.add(name, block)
