@@ -15,16 +15,19 @@ Written out, the blocks stand in the order of the text: copy 0 with all that is 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any, Generic, NamedTuple, TypeVar
 
+from ..text.element_names import matching
 from ..text.errors import Fault, ModelError
+from ..text.printable import counted
 
 __all__ = [
-    "Copy", "CopySource", "EachSource", "Fleet", "Later", "Layout", "depth_of", "dimensions", "labelled", "own_value",
-    "stream_of", "without_numbers",
+    "Copy", "CopySource", "EachSource", "Fleet", "Later", "Layout", "alike", "depth_of", "dimensions", "labelled",
+    "named", "own_value", "spellings", "stream_of", "unnumbered", "without_numbers",
 ]  # fmt: skip
 
 T = TypeVar("T")
@@ -123,21 +126,17 @@ class Later(Sequence[T], Generic[T]):
         return tuple, (self._items,)
 
 
-class Layout:
-    """Where the blocks stand once they are written out.
+class _CopyByCopy:
+    """Where blocks stand once they are written out: those of copy 0, then of copy 1. fleets: the innermost of each."""
 
-    fleets: the innermost fleet of each block, in the order of the text; those behind `ordered`, which stand at edges
-    of subdiagrams, come last, copy by copy.
-    """
-
-    def __init__(self, fleets: Sequence[Fleet | None], ordered: int) -> None:
+    def __init__(self, fleets: Sequence[Fleet | None]) -> None:
         self.fleets = fleets
         self._first: dict[Fleet, int] = {}  # where the first copy begins, in a copy of the fleet around
         self._size: dict[Fleet, int] = {}  # how many blocks one copy has
         self._place: list[int] = []  # of each block, in its copy
         open_: list[Fleet] = []
         used = [0]  # blocks so far, in the copy of each open fleet
-        for fleet in [*fleets[:ordered], None]:
+        for fleet in [*fleets, None]:
             chain = [] if fleet is None else _chain(fleet)
             while open_ and (len(chain) < len(open_) or chain[len(open_) - 1] is not open_[-1]):
                 self._size[open_[-1]] = used.pop()
@@ -149,22 +148,43 @@ class Layout:
             self._place.append(used[-1])
             used[-1] += 1
         self.size = self._place.pop()
-        self._last: list[int] = []
-        for fleet in fleets[ordered:]:
-            self._last.append(self.size)
-            self.size += 1 if fleet is None else fleet.total
-        self._ordered = ordered
 
     def place(self, block: int, lane: int) -> int:
-        """The number of a block in a lane of its fleet, among those that are written out."""
-        if block >= self._ordered:
-            return self._last[block - self._ordered] + lane
         place, fleet = self._place[block], self.fleets[block]
         while fleet is not None:
             place += self._first[fleet] + lane % fleet.count * self._size[fleet]
             lane //= fleet.count
             fleet = fleet.outer
         return place
+
+
+class Layout:
+    """Where the blocks stand once they are written out.
+
+    fleets: the innermost fleet of each block. The first ones, `ordered`, stand in the order of the text; then come
+    those at which wires go into and out of subdiagrams, `gates`, each for all copies; the rest is copy by copy again.
+    """
+
+    def __init__(self, fleets: Sequence[Fleet | None], ordered: int, gates: int = 0) -> None:
+        self.fleets = fleets
+        self._ordered, self._edge = ordered, ordered + gates
+        self._text = _CopyByCopy(fleets[:ordered])
+        self.size = self._text.size
+        self._gates: list[int] = []
+        for fleet in fleets[ordered : self._edge]:
+            self._gates.append(self.size)
+            self.size += 1 if fleet is None else fleet.total
+        self._before = self.size
+        self._rest = _CopyByCopy(fleets[self._edge :])
+        self.size += self._rest.size
+
+    def place(self, block: int, lane: int) -> int:
+        """The number of a block in a lane of its fleet, among those that are written out."""
+        if block < self._ordered:
+            return self._text.place(block, lane)
+        if block < self._edge:
+            return self._gates[block - self._ordered] + lane
+        return self._before + self._rest.place(block - self._edge, lane)
 
     def lane(self, block: int, fleet: Fleet | None, lane: int) -> int:
         """The lane of a block that is read from a lane of a fleet in the same copy."""
@@ -187,25 +207,63 @@ def _chain(fleet: Fleet) -> list[Fleet]:
 # --- values ----------------------------------------------------------------------------------------------------
 
 
-def own_value(raw: Any, depth: int, number: int, count: int) -> Any:
-    """What a raw value says for one copy of a block: its element, where it has one dimension more than the parameter.
+def own_value(raw: Any, depth: int, copies: Sequence[Copy]) -> Any:
+    """What a raw value says for one copy: its element, where it has more dimensions than the parameter.
 
-    depth: the dimensions of the parameter. Raises ModelError (E110) where there is not an element for each copy.
+    depth: the dimensions of the parameter. copies: of each fleet that the value is for, from the outside; lists for
+    inner ones are the same in all copies of outer ones, unless there is a list of them. Raises ModelError (E110) where
+    there is not an element for each copy.
     """
+    if not copies:
+        return raw
     if isinstance(raw, Mapping) and "csv" in raw:
         numbers = getattr(raw, "numbers", ())
         if depth > 0:
             return raw
-        said: Any = {"value": own_value(list(numbers), depth, number, count)}
+        said: Any = {"value": own_value(list(numbers), depth, copies)}
         return said | ({"unit": raw["unit"]} if raw.get("unit") else {})
     if isinstance(raw, Mapping) and "value" in raw:
-        return {**raw, "value": own_value(raw["value"], depth, number, count)}
-    if not _is_deeper(raw, depth):
-        return raw
-    if len(raw) != count:
-        message = f"has {len(raw)} values, but there are {count} copies."
+        return {**raw, "value": own_value(raw["value"], depth, copies)}
+    (fleet, number, _), inner = copies[0], copies[1:]
+    if not _is_deeper(raw, depth + len(inner)):
+        return own_value(raw, depth, inner)
+    if len(raw) != fleet.count:
+        copies_are = "is 1 copy" if fleet.count == 1 else f"are {fleet.count:,} copies"
+        message = f"has {counted(len(raw), 'value')}, but there {copies_are} of {fleet.path}."
         raise ModelError(Fault("E110", "", message, "Give one value for all copies, or a list with one for each."))
-    return raw[number]
+    return own_value(raw[number], depth, inner)
+
+
+def spellings(path: str) -> Iterator[str]:
+    """The names under which a parameter in copies is set: by the numbers of all, then without some of them."""
+    parts = [dict.fromkeys((part, part.partition("[")[0])) for part in path.split(".")]
+    return map(".".join, product(*parts))
+
+
+def unnumbered(path: str, copies: Sequence[Copy | None]) -> list[Copy]:
+    """The copies around a parameter of which its name has no number. copies: by the parts of the name."""
+    parts = zip(path.split("."), copies, strict=False)
+    return [copy for part, copy in parts if copy is not None and not part.endswith("]")]
+
+
+def named(pattern: str, known: Collection[str], fleets: Collection[str]) -> list[str]:
+    """The parameters that a name or a pattern names: "*[3].motor.R*" -> ["cells[3].motor.Ra"].
+
+    * stands for a part of one name, and [*] for all copies, as does no number. known: without numbers. fleets: the
+    paths of blocks with copies.
+    """
+    labels = [part.partition("[") for part in pattern.split(".")]
+    plain = ".".join(label[0] for label in labels)
+    made = []
+    for path in matching(plain, known) if "*" in plain else [plain] if plain in known else []:
+        names = path.split(".")
+        numbers = ["".join(label[1:]) for label in labels]
+        if all(
+            not number or (_NUMBER.fullmatch(number) and ".".join(names[: k + 1]) in fleets)
+            for k, number in enumerate(numbers)
+        ):
+            made.append(".".join(name + number.replace("[*]", "") for name, number in zip(names, numbers, strict=True)))
+    return made
 
 
 def depth_of(raw: Any) -> int:
@@ -226,6 +284,15 @@ def dimensions(shape: Any) -> int:
 
 
 _NUMBERS = re.compile(r"\[(0|[1-9][0-9]{0,6})\](?=\.)")
+_NUMBER = re.compile(r"\[(\*|0|[1-9][0-9]{0,6})\]")
+
+
+def alike(paths: Iterable[str]) -> list[str]:
+    """Names in their order, those that differ in numbers of copies alone as one: "robots[*].motor (100 copies)"."""
+    found: dict[str, list[str]] = {}
+    for path in paths:
+        found.setdefault(re.sub(r"\[[0-9]+\]", "[*]", path), []).append(path)
+    return [own[0] if len(own) == 1 else f"{name} ({len(own):,} copies)" for name, own in found.items()]
 
 
 def without_numbers(text: str) -> tuple[str, tuple[int, ...]]:

@@ -9,6 +9,7 @@ import shutil
 import typing
 from collections.abc import Iterator
 from pathlib import Path
+from types import UnionType
 from typing import Any
 
 import pytest
@@ -141,7 +142,7 @@ def test_fields_are_what_the_message_declares(name: str, session: Session) -> No
     fine = {str: "a", bool: True, int: 1, float: 1.0, list: [], dict: {}, Any: 1}
 
     def some(kind: Any) -> Any:
-        options = typing.get_args(kind) if type(None) in typing.get_args(kind) else (kind,)
+        options = typing.get_args(kind) if isinstance(kind, UnionType) else (kind,)
         return fine[typing.get_origin(options[0]) or options[0]]
 
     whole = {key: some(kind) for key, (kind, must) in fields.items() if must}
