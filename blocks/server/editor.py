@@ -260,6 +260,8 @@ class Editor(Document):
 
     def told(self) -> dict[str, Any]:
         told = super().told()
+        levels = {"", *(block["path"] for block in told["blocks"] if block["kind"] == "diagram")}
+        self._pictures = {level: made for level, made in self._pictures.items() if level in levels}
         for fault, found in zip(told["faults"], self.faults, strict=True):
             fault["remedies"] = [*self._remedies(found)]
         return told | {"editing": self.offered}

@@ -84,3 +84,12 @@ def test_a_value_of_the_session_gives_way_to_what_is_written_or_undone(paused: A
     ask("run", pace=1.0)
     ask("pause")
     assert stepped() == 20.0
+
+
+def test_values_of_what_is_gone_do_not_count_any_more(paused: Any) -> None:
+    ask, session, _ = paused
+    ask("set", name="constant.value", value=5)
+    ask("stop")
+    ask("delete", names=["constant"], sinks=[])
+    ask("edit", operations=[{"remove": ["blocks", "gain"]}])
+    assert session.values == {}

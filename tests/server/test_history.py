@@ -263,3 +263,43 @@ def test_steps_hold_what_differs_so_that_all_gestures_are_undone(tmp_path: Path)
         assert path.read_bytes() == many
         ask("undo")
         assert path.read_bytes() == empty
+
+
+def test_the_oldest_steps_are_forgotten_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("blocks.server.history.MOST_BYTES", 5000)
+    path = tmp_path / "text.json"
+    with edited(path) as (ask, editor):
+        for number in range(9):
+            ask("describe", of="", text=str(number) * 1000)
+        assert 2 <= len(editor.done) < 5
+        assert sum(step.size for step in editor.done) <= 5000
+        while editor.done:
+            ask("undo")
+        assert 3 <= int(json.loads(path.read_text())["doc"][0]) < 8
+
+
+def test_a_subdiagram_that_another_program_changed_counts_after_a_move(tmp_path: Path) -> None:
+    sub = tmp_path / "sub.json"
+    inner = Diagram("sub")
+    inner.wire(inner.add("g", Gain(k=2.0)).u, inner.input("u", default=0.0))
+    inner.output("y", "g.y")
+    inner.save(sub)
+    with edited(tmp_path / "outer.json") as (ask, editor):
+        ask("insert", entry={"type": "Step"})
+        ask("insert", entry={"diagram": "sub.json"}, source="step.y")
+        assert editor.facts["sub.g.k"].nominal == 2.0
+        sub.write_text(sub.read_text().replace('"k": 2', '"k": 3'))
+        with pytest.raises(BlocksError, match="written by another program"):
+            ask("place", names=["step"], by=[10, 0])
+        ask("place", names=["step"], by=[10, 0])
+        assert editor.facts["sub.g.k"].nominal == 3.0
+
+
+def test_pictures_of_levels_that_are_gone_are_forgotten(tmp_path: Path) -> None:
+    with edited(tmp_path / "motor.json") as (ask, editor):
+        loop(ask)
+        ask("edit", operations=[{"group": ["pid"], "as": "control"}])
+        ask("draw", level="control")
+        assert "control" in editor._pictures
+        ask("undo")
+        assert "control" not in editor._pictures
