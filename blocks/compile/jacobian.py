@@ -125,7 +125,7 @@ class PlanJacobian:
         variables = {reference: j for j, reference in enumerate(self.by)}
         for i, item in enumerate(self.of):
             if isinstance(item, Node) and item.key.startswith("derivative:"):
-                condition = plan.instances[item.instance].condition
+                condition = builder.plan.instances[item.instance].condition
                 if condition is not None:
                     off.setdefault(condition, []).append(i)
             if item in variables:
