@@ -20,8 +20,8 @@ Derivatives are those between instants: discretes, sides, histories and tick num
 subdiagrams that are off stand still. A derivative that is inf or NaN (|e|^alpha at 0, sqrt at 0) says nothing, and all
 that depends on it becomes NaN: `completed` puts difference quotients there.
 
-Of a diagram with copies, d(dx/dt)/dx is found by its plan of one copy. A row stands for all lanes of its instance there:
-each of its entries knows its lane, so that what is done here for each row grows with types, and arrays with copies.
+Of a diagram with copies, d(dx/dt)/dx is found by its plan of one copy, where a row stands for all lanes of an instance
+and each entry knows its lane: what is done for each row grows with types, and only arrays grow with copies.
 
 References: A. Griewank, A. Walther, Evaluating Derivatives, SIAM 2008, chapters 7 (sparse accumulation) and 15
 (implicit functions); A. Curtis, M. Powell, J. Reid, On the estimation of sparse Jacobian matrices, 1974 (columns that
@@ -30,7 +30,7 @@ share a difference quotient).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, chain
@@ -80,13 +80,14 @@ class PlanJacobian:
         self, plan: Plan, of: Sequence[Node | Reference] | None = None, by: Sequence[Reference] | None = None
     ) -> None:
         folded: Folded | None = plan.folded if of is None and by is None else None
-        own = plan if folded is None else folded.plan
+        folded = Folded(plan, (None,) * len(plan.instances), {}, {}) if folded is None else folded
+        own = folded.plan
         self.of: tuple[Node | Reference, ...] = tuple(own.derivatives if of is None else of)
         self.by = tuple([Reference("x", i) for i in range(len(own.states))] if by is None else by)
         if len(set(self.by)) != len(self.by):
             raise ValueError("each variable can be derived by once only")
-        self.shape = (len(self.of), len(self.by)) if folded is None else (len(plan.states), len(plan.states))
-        builder = _JacobianBuilder(own, self.of, self.by, folded)
+        builder = _JacobianBuilder(folded, self.of, self.by)
+        self.shape = (sum(folded.lanes("x", i) for i in range(len(self.of))), builder.width)
         builder.accumulate()
         self._lay_out(plan, builder)
 
@@ -133,7 +134,7 @@ class PlanJacobian:
             else:
                 node = builder.node(item)
                 lane, own, own_entries = _NOTHING if node is None else builder.rows.get(node, _NOTHING)
-                row = np.asarray(builder.places("x", i))[lane] if builder.folded is not None else np.full(len(own), i)
+                row = np.array(builder.folded.places("x", i))[lane]
             rows.append(row)
             columns.append(own)
             entries.append(number[own_entries])
@@ -152,9 +153,11 @@ class PlanJacobian:
             used[solve.inner[1]] = used[solve.outer[1]] = True
         self.unused = ~used
         self.off_partials = [(side, np.array(numbers)) for side, numbers in builder.off.items()]
-        self._name_of = builder.name
+        self._path = builder.folded.path
         self._foreign_of = builder.plan.foreign_of
-        self.probed, self.outputs = builder.outputs, tuple(builder.whole_outputs())
+        self.probed = builder.outputs
+        of_probed = [builder.folded.shown(reference.index) for reference in self.probed]
+        self.outputs = tuple(chain.from_iterable(of_probed))
         self.numbers = np.array(list(builder.numbers), dtype=float)
         # Where rows of memory begin in one array of all.
         sizes = {
@@ -166,15 +169,16 @@ class PlanJacobian:
         self.width = sum(self._sizes)
         ends = np.cumsum(list(sizes.values())).tolist()
         begin = {row: end - sizes[row] for row, end in zip(sizes, ends, strict=True)}
-        lanes_w = [len(builder.places(*reference)) for reference in self.probed]
-        ends_w = accumulate(lanes_w)
-        place_w = {one: range(end - n, end) for one, n, end in zip(self.probed, lanes_w, ends_w, strict=True)}
+        ends_w = accumulate(map(len, of_probed))
+        place_w = {
+            one: range(end - len(own), end) for one, own, end in zip(self.probed, of_probed, ends_w, strict=True)
+        }
 
         def places(reference: Reference, lanes: int) -> Sequence[int]:
             row, index = reference
             if row == "k":
                 return [int(begin["k"]) + builder.numbers[index]] * lanes
-            own = place_w[reference] if row == "w" else builder.places(row, index)
+            own = place_w[reference] if row == "w" else builder.folded.places(row, index)
             if len(own) < lanes or hasattr(index, "lane"):  # of one copy, for all
                 return [int(begin[row]) + own[getattr(index, "lane", 0)]] * lanes
             return range(begin[row] + own[0], begin[row] + own[-1] + 1, own.step)
@@ -255,7 +259,7 @@ class PlanJacobian:
             group = next(g for g in reversed(self.groups) if g.first <= number)
             pair, member = divmod(number - group.first, len(group.members))
             key, argument = group.pairs[pair]
-            block = self._name_of(*group.members[member])
+            block = self._path(*group.members[member])
             if isinstance(group.tape, FmuTape):
                 doubts[Doubt(block, key.partition(":")[2], group.tape.arguments[argument].name)] = None
                 continue
@@ -398,8 +402,9 @@ class Solve:
 class _PartialsGroup:
     """The partials of some results of a type, for all instances that have the same ones.
 
-    members: instances, each with its lane. pairs: for each partial the result's key and the argument. first: the number of the first partial; those of one
-    pair are adjacent, in the order of the members. template: the values of constants and tables by node.
+    members: instances, each with its lane. pairs: for each partial the result's key and the argument. first: the number
+    of the first partial; those of one pair are adjacent, in the order of the members. template: the values of constants
+    and tables by node.
     """
 
     tape: Tape
@@ -475,16 +480,14 @@ def _joined(parts: Sequence[Array]) -> Array:
 class _JacobianBuilder:
     """Finds which entries there are, and which partials and entries each is the sum of."""
 
-    def __init__(
-        self, plan: Plan, of: Sequence[Node | Reference], by: Sequence[Reference], folded: Folded | None
-    ) -> None:
-        self.plan, self.folded = plan, folded
+    def __init__(self, folded: Folded, of: Sequence[Node | Reference], by: Sequence[Reference]) -> None:
+        self.folded, self.plan = folded, folded.plan
         self.columns: dict[Reference, _Row] = {}
         for j, reference in enumerate(by):
-            columns = np.array([j] if folded is None else self.places(*reference))
+            columns = np.array(folded.places("x", j))
             self.columns[reference] = np.arange(len(columns)), columns, np.full(len(columns), -1)
         self.width = sum(len(columns) for _, columns, _ in self.columns.values())
-        self.program: Program = schedule(plan, of)
+        self.program: Program = schedule(self.plan, of)
         self.needed = self._needed(of)
         self.depends = self._depends()
         self.groups: list[_PartialsGroup] = []
@@ -497,26 +500,6 @@ class _JacobianBuilder:
         self.partials: list[Array] = []
         self.sources: list[Array] = []
         self.loops: list[Solve] = []
-
-    def lanes(self, instance: int) -> int:
-        """How many copies an instance stands for."""
-        fleet = None if self.folded is None else self.folded.fleets[instance]
-        return 1 if fleet is None else fleet.count
-
-    def places(self, row: str, index: int) -> range:
-        """The places of a place of memory in the whole diagram."""
-        is_moved = self.folded is not None and row in self.folded.segments
-        return self.folded.places(row, index) if is_moved else range(index, index + 1)  # type: ignore[union-attr]
-
-    def name(self, instance: int, lane: int) -> str:
-        path = self.plan.instances[instance].path
-        fleet = None if self.folded is None else self.folded.fleets[instance]
-        return path if fleet is None else f"{fleet.path}[{lane}]{path[len(fleet.path) :]}"
-
-    def whole_outputs(self) -> Iterator[Reference]:
-        """The places of `outputs` in the whole diagram."""
-        for row, index in self.outputs:
-            yield from (Reference(row, place) for place in self.places(row, index))
 
     def node(self, item: Node | Reference) -> Node | None:
         """The node of a row; None: a constant."""
@@ -564,7 +547,7 @@ class _JacobianBuilder:
         known: dict[Any, _PartialsGroup] = {}
         for step in self.program.order:
             results = tuple(node.result for node in step.nodes if node in self.depends)
-            if not results or self.gathered(step.instance) is not None:
+            if not results or step.instance in self.folded.gathers:
                 continue
             reads = {result: self._reads(Node(step.instance, *result)) for result in results}
             by = {k for pairs in reads.values() for k, _ in pairs}
@@ -576,7 +559,7 @@ class _JacobianBuilder:
                 for result in part:
                     self.group_of[step.instance, result] = group, len(group.members)
                     group.by.update(k for k, _ in reads[result])
-                group.members += [(step.instance, lane) for lane in range(self.lanes(step.instance))]
+                group.members += [(step.instance, lane) for lane in range(self.folded.copies(step.instance))]
         # Single instances are computed as plain numbers; they come first.
         self.groups = sorted(known.values(), key=lambda group: len(group.members) > 1)
         self.count = 0
@@ -596,19 +579,15 @@ class _JacobianBuilder:
                         self.off.setdefault(condition, []).append(group.first + pair * size + member)
         for reference, _ in self.arguments():
             if reference.row == "w":
-                outputs[reference] = None
+                outputs[Reference("w", int(reference.index))] = None  # that of all copies
             elif reference.row == "k":
                 self.numbers.setdefault(reference.index, len(self.numbers))
         self.outputs = tuple(sorted(outputs))
 
-    def gathered(self, instance: int) -> tuple[Reference, ...] | None:
-        """What an instance gathers, one for each lane."""
-        return None if self.folded is None else self.folded.gathers.get(instance)
-
     def arguments(self) -> Iterable[tuple[Reference, int]]:
         """What the groups read, in the order in which they take it; and how many lanes do."""
         for group in self.groups:
-            instances = [(index, self.lanes(index)) for index, lane in group.members if lane == 0]
+            instances = [(index, self.folded.copies(index)) for index, lane in group.members if lane == 0]
             for argument in group.reads.values():
                 for index, lanes in instances:
                     reference = self.plan.instances[index].arguments[argument]
@@ -633,7 +612,7 @@ class _JacobianBuilder:
             source = self.before(reference)
             if source is None or source not in self.rows:
                 return _NOTHING
-            row, count = self.rows[source], self.lanes(source.instance)
+            row, count = self.rows[source], self.folded.copies(source.instance)
         lane, columns, entries = row
         own = getattr(reference.index, "lane", None)
         if own is not None:
@@ -648,7 +627,7 @@ class _JacobianBuilder:
         if node not in self.depends:
             return []
         group, member = self.group_of[node.instance, node.result]
-        arguments, lanes = self.plan.instances[node.instance].arguments, self.lanes(node.instance)
+        arguments, lanes = self.plan.instances[node.instance].arguments, self.folded.copies(node.instance)
         return [
             (group.first + pair * len(group.members) + member, arguments[k], self._read(arguments[k], lanes))
             for k, pair in group.at[node.result]
@@ -663,7 +642,7 @@ class _JacobianBuilder:
         return max((self.level.get(node, 0) for node in nodes if node is not None), default=0)
 
     def _row(self, node: Node) -> None:
-        gathered = self.gathered(node.instance)
+        gathered = self.folded.gathers.get(node.instance)
         if gathered is not None:
             parts = [self._read(reference, 1) for reference in gathered]
             lane = np.repeat(np.arange(len(parts)), [len(columns) for _, columns, _ in parts])
@@ -693,7 +672,7 @@ class _JacobianBuilder:
         unknown = {reference[node]: k for k, node in enumerate(nodes)}
         if nodes:
             terms = {node: self._terms(node) for node in nodes}
-            outer = {node: [term for term in terms[node] if term[1] not in unknown and len(term[2][1])] for node in nodes}
+            outer = {node: [t for t in terms[node] if t[1] not in unknown and len(t[2][1])] for node in nodes}
             columns = np.unique(_joined([term[2][1] for node in nodes for term in outer[node]]))
             level, n, first = self._above([t for node in nodes for t in outer[node]]), len(nodes), len(self.rank)
             inner = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections.abc import Iterable
@@ -37,7 +38,7 @@ def table(kind: str, name: str, rows: Iterable[str]) -> str:
 
 
 class Filled:
-    """Tables of integers that are one row in the library, filled once it is loaded: a compiler takes long for numbers."""
+    """Tables of integers as one row that is filled once the library is loaded, as compilers take long for numbers."""
 
     def __init__(self, row: str) -> None:
         self.row, self.parts, self.size = row, list[Array](), 0
@@ -52,8 +53,13 @@ class Filled:
         return f"#define {name} ((const {kind} *)({self.row} + {self.size - len(numbers)}))\n"
 
     @property
+    def values(self) -> bytes:
+        return b"".join([part.tobytes() for part in self.parts])
+
+    @property
     def text(self) -> str:
-        return f"BLOCKS_API int32_t {self.row}[{self.size}];\n"
+        """The row. The digest makes libraries with other numbers other ones, as one that is loaded serves several runs."""
+        return f"BLOCKS_API int32_t {self.row}[{self.size}]; /* {hashlib.sha256(self.values).hexdigest()} */\n"
 
 
 def _quoted(text: str) -> str:

@@ -383,7 +383,8 @@ class _Emitter(PlanReader):
     def side_by_side(self, asked: Sequence[Node | Reference]) -> list[range | int]:
         """Places for nodes or references, those of the lanes of each side by side."""
         places = Places[Node | Reference]()
-        return [places.place(one, self.copies_of(one[0]) if isinstance(one, Node) else self.lanes_of(*one)) for one in asked]
+        copies = [self.copies_of(one[0]) if isinstance(one, Node) else self.lanes_of(*one) for one in asked]
+        return list(map(places.place, asked, copies))
 
     def numbers_of_causes(self) -> list[range]:
         """The numbers of each cause in the whole diagram: crossings, then event times."""
@@ -653,7 +654,7 @@ class _Emitter(PlanReader):
         sinks = list(map(Sink, self.side_by_side(made.probed)))
         self.define("slope_outputs", self.continuous("slope_outputs", made.probed, sinks))
         tell = ints if self.filled is None else self.filled.ints
-        x_at = np.argsort(self.x_order)
+        x_at = np.argsort(self.x_order).tolist()
         derived = jacobian_text(made, self.offsets, x_at, "slope_outputs", is_square=True, ints=tell)
         order = elimination(*in_order(made, x_at)[:2])
         table, name = ("", "0") if order is None else (tell("elimination", order), "elimination")
@@ -740,5 +741,5 @@ class _Emitter(PlanReader):
         if self.lanes is not None:
             tables = self.tables.text + (states[-1] if moving else "")
             lanes = self.lanes.source(plan.name, sizes | dict.fromkeys(chosen, 1), tables)
-        filled = b"" if self.filled is None else b"".join(part.tobytes() for part in self.filled.parts)
+        filled = b"" if self.filled is None else self.filled.values
         return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes, lanes, filled)
