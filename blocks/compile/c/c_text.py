@@ -58,7 +58,7 @@ class Filled:
 
     @property
     def text(self) -> str:
-        """The row. The digest makes libraries with other numbers other ones, as one that is loaded serves several runs."""
+        """The row; by its digest libraries differ whose numbers do, as one that is loaded serves several runs."""
         return f"BLOCKS_API int32_t {self.row}[{self.size}]; /* {hashlib.sha256(self.values).hexdigest()} */\n"
 
 
