@@ -18,9 +18,11 @@ os.environ.setdefault("BLOCKS_ENGINE", "reference")
 os.environ.setdefault("BLOCKS_CACHE_DIR", str(Path(__file__).resolve().parents[1] / "build" / "test-cache"))
 pytest.register_assert_rewrite("tests.support")
 
-# What is started in the background of a shell has Ctrl-C ignored, and so would all that tests start.
+# In the background of a shell Ctrl-C is ignored, and under nohup SIGHUP; so would all that tests start ignore them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if os.name == "posix" and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.fixture(autouse=True)

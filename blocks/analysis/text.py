@@ -12,6 +12,7 @@ import numpy as np
 from ..frequency.margins import Margins, margins
 from ..frequency.response import bandwidth, dc_gain, poles, zeros
 from ..linear.transfer import LoopOfRates, Transfer
+from ..model.copies import alike
 from ..text.errors import AnalysisError, Fault
 from ..text.printable import counted
 
@@ -101,12 +102,15 @@ def lines(model: Transfer, *, is_loop: bool) -> Iterator[str]:
         yield from (f"  {line}" for line in str(known).splitlines())
     else:
         yield f"  {'stable' if _is_stable(model) else 'not stable'}"
-    for b in model.report:
-        if b.contributes and (b.method, b.smoothness, b.note) != ("exact", "smooth", ""):
-            yield f"  {b.path} ({b.type}): {'; '.join(filter(None, (b.method, b.smoothness, b.note)))}"
+    notes = (
+        f"{b.path} ({b.type}): {'; '.join(filter(None, (b.method, b.smoothness, b.note)))}"
+        for b in model.report
+        if b.contributes and (b.method, b.smoothness, b.note) != ("exact", "smooth", "")
+    )
+    yield from (f"  {note}" for note in alike(notes))
     if model.hint:
         yield f"  {model.hint}"
-    idle = [b.path for b in model.report if not b.contributes]
+    idle = alike(b.path for b in model.report if not b.contributes)
     if idle:
         more = f" and {len(idle) - 8} more" if len(idle) > 8 else ""
         yield f"  not on the way: {', '.join(idle[:8])}{more}"

@@ -36,7 +36,7 @@ from ..model.block_types import Library, library_types
 from ..model.diagram import BlockEntry, DiagramValue, FaultList, check_name
 from ..model.diagram_grammar import MEASURE_NUMBERS, MEASURES
 from ..model.flatten import Flat, interface_of
-from ..model.raw_values import raw_of
+from ..model.raw_values import given_values, raw_of
 from ..model.resolver import resolver_of
 from ..model.variants import Swap, taken
 from ..results.results import Results
@@ -834,6 +834,7 @@ class Diagram:
         value = taken(self.value, variants)
         flat = self.flatten(parameters=parameters, settings=settings, variants=variants)
         refuse_fmus(flat)
+        parameters = given_values(value, resolver_of(dict(self._draft.types)), parameters or {})
         return export(
             value, flat, plan(flat), path,
             fmi=fmi, kinds=kinds, platforms=platforms, name=name, overrides=parameters, version=__version__,

@@ -3,28 +3,32 @@
     "motor.Ra"              a parameter
     "control_*.eso.Ka"      one value for all parameters that the pattern names; * stands for a part of one name
     "control.nlsef.k1[0]"   an element of a vector; M[0,1] of a matrix
+    "cells[3].motor.Ra"     in one copy; "cells[*].motor.Ra" and "cells.motor.Ra" in all
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
 
+from ..contract.resolution import Resolved
+from ..model.copies import Copy, Fleet, depth_of, named, own_value
 from ..model.diagram import DiagramValue
 from ..model.flatten import Flat
 from ..model.raw_values import raw_of
 from ..model.values import Absent, value_of
-from ..text.element_names import element_names, matching
+from ..text.element_names import element_names
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 from ..text.units import si_text, to_si
 
-__all__ = ["Column", "Target", "columns_of", "names_of", "raw_values"]
+__all__ = ["Column", "Target", "columns_of", "each_of", "raw_values"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,13 +65,63 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """A parameter of a diagram: the unit of each element of a bare value, and its value in SI, where it is known."""
+    """A parameter of a diagram: the unit of each element of a bare value, and its value in SI, where it is known.
+
+    others: the values in copies of which they are known to differ, by lane of the `copies` around.
+    """
 
     units: tuple[str, ...]
     value: Any = None
+    others: Mapping[int, Any] = field(default_factory=dict)
 
     def unit(self, element: int = 0) -> str:
         return self.units[min(element, len(self.units) - 1)]
+
+    def value_at(self, copies: Sequence[tuple[int, int | None]]) -> Any:
+        """The value in a copy, or in several that have the same; None where they have others."""
+        lane = 0
+        for count, number in copies:
+            if number is None:
+                return None if self.others else self.value
+            lane = lane * count + number
+        return self.others.get(lane, self.value)
+
+
+class _Parameters:
+    """All parameters that can be given by their paths, without the numbers of copies."""
+
+    def __init__(self, value: DiagramValue, flat: Flat) -> None:
+        self.copies = flat.copies
+        self.known = dict(chain(_of_diagrams(value, self.copies), _of_blocks(flat)))
+
+    def numbers(self, path: str) -> list[tuple[int, int | None]]:
+        """For each of the fleets that a path goes through, how many copies there are, and the number of one, if any."""
+        made, plain = [], ""
+        for part in path.split(".")[:-1]:
+            name, _, number = part.partition("[")
+            plain += name
+            if plain in self.copies:
+                made.append((self.copies[plain], int(number[:-1]) if number else None))
+            plain += "."
+        return made
+
+    def named(self, path: str) -> list[str]:
+        """The parameters that a name or a pattern names; what means all copies stands without a number."""
+        found = named(path, self.known, self.copies)
+        return [one for one in found if all(number is None or number < n for n, number in self.numbers(one))]
+
+    def of(self, path: str) -> _Known:
+        return self.known[_plain(path)]
+
+    def each(self, path: str) -> Iterator[str]:
+        """The same parameter in each copy that a path means."""
+        labels, plain = [], ""
+        for part in path.split("."):
+            plain += part.partition("[")[0]
+            is_open = plain in self.copies and not part.endswith("]")
+            labels.append([f"{part}[{k}]" for k in range(self.copies[plain])] if is_open else [part])
+            plain += "."
+        return map(".".join, product(*labels))
 
 
 def columns_of(names: Sequence[str], value: DiagramValue, flat: Flat) -> tuple[Column, ...]:
@@ -75,34 +129,48 @@ def columns_of(names: Sequence[str], value: DiagramValue, flat: Flat) -> tuple[C
     if isinstance(names, str):
         message, cure = "is one name, not a list of names.", f'As in ["{legible(names)}"].'
         raise UsageError(Fault("E501", legible(names), message, cure))
-    known = dict(_parameters(value, flat))
+    parameters = _Parameters(value, flat)
     columns: list[Column] = []
-    taken: dict[tuple[str, int | None], str] = {}
+    taken: dict[str, dict[int | None, str]] = {}  # by the path in one copy and the element: who varies it
     for name in names:
         if not isinstance(name, str):
             raise UsageError(Fault("E501", legible(str(name)), "is no name of a parameter.", 'As in "motor.Ra".'))
-        targets = tuple(_target(path, name, known) for path in names_of(name, known))
+        path, element = _split(name)
+        found = _found(name, parameters)
+        # Of a copy an element is set together with the others, which each copy may have of its own.
+        found = [one for of_all in found for one in parameters.each(of_all)] if element else found
+        targets = tuple(_target(path, name, element, parameters) for path in found)
         for target in targets:
-            key = target.path, target.element
-            other = taken.get(key) or (taken.get((target.path, None)) if target.element is not None else None)
-            if other is None and target.element is None:
-                other = next((by for (path, _), by in taken.items() if path == target.path), None)
-            if other is not None:
-                message = f"is varied by {legible(other)} already."
-                raise UsageError(Fault("E501", legible(name), message, "Vary each parameter once."))
-            taken[key] = name
+            for path in parameters.each(target.path):
+                by, own = taken.setdefault(path, {}), target.element
+                other = next(iter(by.values()), None) if own is None else by.get(None, by.get(own))
+                if other is not None:
+                    message = f"is varied by {legible(other)} already."
+                    raise UsageError(Fault("E501", legible(name), message, "Vary each parameter once."))
+                by[target.element] = name
         columns.append(Column(name, targets))
     return tuple(columns)
 
 
-def names_of(name: str, known: Mapping[str, Any]) -> list[str]:
+def each_of(name: str, value: DiagramValue, flat: Flat) -> list[str]:
+    """All that a name or a pattern names, each copy by itself. Raises UsageError (E106) where there is nothing."""
+    parameters = _Parameters(value, flat)
+    element = _split(name)[1]
+    return [one + element for path in _found(name, parameters) for one in parameters.each(path)]
+
+
+def _found(name: str, parameters: _Parameters) -> list[str]:
     """The parameters that a name or a pattern names, without elements. Raises UsageError (E106) where there is none."""
     path, _ = _split(name)
-    found = matching(path, known) if "*" in path else [path] if path in known else []
+    found = parameters.named(path)
     if not found:
+        known, last = parameters.known, path.rpartition(".")[2]
         what = "names no parameter" if "*" in path else "there is no such parameter"
-        alike = [each for each in known if each.rpartition(".")[2] == path.rpartition(".")[2]]
+        alike = [each for each in known if each.rpartition(".")[2] == last]
         cure = did_you_mean(path[:200], known) or (f"Did you mean {', '.join(alike[:3])}?" if alike else "")
+        if _plain(path) in known:
+            around = (one for one in parameters.copies.items() if _plain(path).startswith(f"{one[0]}."))
+            cure = " ".join(f"{fleet} has the copies 0 to {count - 1}." for fleet, count in around) or cure
         raise UsageError(Fault("E106", legible(name), f"{what}.", cure))
     return found
 
@@ -140,12 +208,16 @@ def _split(name: str) -> tuple[str, str]:
     return path, bracket + rest
 
 
-def _target(path: str, name: str, known: Mapping[str, _Known]) -> Target:
-    _, element = _split(name)
-    parameter = known[path]
+def _plain(path: str) -> str:
+    """A path without the numbers of copies."""
+    return ".".join(part.partition("[")[0] for part in path.split("."))
+
+
+def _target(path: str, name: str, element: str, parameters: _Parameters) -> Target:
+    parameter = parameters.of(path)
+    value = parameter.value_at(parameters.numbers(path))
     if not element:
-        return Target(path, None, parameter.unit(), _in_unit(parameter.value, parameter.unit()))
-    value = parameter.value
+        return Target(path, None, parameter.unit(), _in_unit(value, parameter.unit()))
     shape = np.shape(value) if value is not None and not isinstance(value, str) else ()
     elements = [each[len(path) :] for each in element_names(path, shape)] if shape else []
     if element not in elements:
@@ -166,32 +238,51 @@ def _in_unit(value: Any, unit: str) -> float:
     return float(array) / to_si(1.0, unit) if array.dtype.kind in "iuf" and array.ndim == 0 else math.nan
 
 
-def _parameters(value: DiagramValue, flat: Flat) -> Iterator[tuple[str, _Known]]:
-    """All parameters that can be given by their paths, those of the diagram first."""
-    copies = flat.copies
-    yield from _of_diagrams(value, "", "", copies)
-    for block in [*flat.blocks, *(flat.one_of_each if copies else ())]:
-        declaration = block.interface.declaration
+def _of_blocks(flat: Flat) -> Iterator[tuple[str, _Known]]:
+    """The parameters of blocks, of which those in copies stand once."""
+    blocks: dict[str, list[tuple[int, Resolved]]] = {}  # the numbers of copy 0, and of the lanes where they are others
+    for k, block in enumerate(flat.one_of_each):
+        found = blocks.setdefault(_plain(block.path), [])
+        found.append((len(found), block.resolved))
+        found += () if flat.expansion is None else flat.expansion.each[k].items()
+    for path, ((_, first), *others) in blocks.items():
+        declaration = first.interface.declaration
         for name, parameter in declaration.parameters.items():
             if name in declaration.streams:
                 continue
-            known = block.resolved.values.get(name)
-            units = block.interface.declared_units(parameter) or ("",)
-            yield f"{block.path}.{name}", _Known(tuple(units), None if known is None else known.value)
+            known: Any = first.values[name].value if name in first.values else None
+            found_values = ((lane, resolved.values[name].value) for lane, resolved in others if name in resolved.values)
+            differ = {lane: value for lane, value in found_values if not np.array_equal(value, known)}
+            yield f"{path}.{name}", _Known(tuple(first.interface.declared_units(parameter)) or ("",), known, differ)
 
 
 def _of_diagrams(
-    value: DiagramValue, prefix: str, path: str, copies: Mapping[str, int]
+    value: DiagramValue,
+    copies: Mapping[str, int],
+    path: str = "",
+    total: int = 1,
+    given: Mapping[str, Any] | None = None,
 ) -> Iterator[tuple[str, _Known]]:
-    for name, raw in value.parameters.items():
-        unit = str(raw.get("unit", "")) if isinstance(raw, Mapping) else ""
-        try:
-            known = value_of(raw, unit, {}).value
-        except (ModelError, Absent, ValueError, TypeError, ArithmeticError):  # it is computed from others
-            known = None
-        yield prefix + name, _Known((unit,), known)
+    """The parameters of a diagram and of those in it. total: how many there are of it. given: by its block."""
+    prefix, count = f"{path}." if path else "", copies.get(path, 0)
+    for name, entry in value.parameters.items():
+        unit = str(entry.get("unit", "")) if isinstance(entry, Mapping) else ""
+        raw, depth = (given or {}).get(name, entry), depth_of(entry)
+        lanes = [[Copy(Fleet(path, count), k)] for k in range(count)]
+        is_list = depth_of(raw) > depth or (isinstance(raw, Mapping) and "csv" in raw)
+        values = [_value(own_value(raw, depth, lane), unit) for lane in (lanes if is_list else lanes[:1]) or [[]]]
+        others = {lane: values[lane % len(values)] for lane in range(total if is_list else 0)}
+        differ = {lane: other for lane, other in others.items() if not np.array_equal(other, values[0])}
+        yield prefix + name, _Known((unit,), values[0], differ)
     for name, block in value.blocks.items():
         if block.inner is not None:
-            own = f"{path}{name}"
-            for label in (name, *(f"{name}[{k}]" for k in range(copies.get(own, 0)))):
-                yield from _of_diagrams(block.inner, f"{prefix}{label}.", f"{own}.", copies)
+            own = prefix + name
+            yield from _of_diagrams(block.inner, copies, own, total * copies.get(own, 1), block.parameters)
+
+
+def _value(raw: Any, unit: str) -> Any:
+    """The value in SI; None where it is computed from others."""
+    try:
+        return value_of(raw, unit, {}).value
+    except (ModelError, Absent, ValueError, TypeError, ArithmeticError):
+        return None

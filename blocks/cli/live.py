@@ -69,10 +69,15 @@ def _live(options: argparse.Namespace) -> int:
         raise UsageError(Fault("E501", f"--host {options.host}", "the server is for this machine alone.", cure))
     if options.diagram is None:
         options.diagram = _newest()
-    if not options.edit and not os.path.isfile(options.diagram):
+    # What cannot be is told before there is an address.
+    if options.edit and not os.path.exists(options.diagram):
+        from ..server.editor import write_blank
+
+        write_blank(Path(options.diagram))
+    if not os.path.isfile(options.diagram):
         from ..api.diagram import Diagram
 
-        Diagram.load(options.diagram)  # tells why, before there is an address
+        Diagram.load(options.diagram)
     from ..server.live_server import LiveServer
 
     server = LiveServer(

@@ -258,6 +258,6 @@ def scenarios_of(items: Sequence[str]) -> dict[str, dict[str, Any]]:
         if not separator or not name.strip():
             cure = 'As in --scenario "heavy:load=2,torque=3"; "quiet:" sets nothing.'
             raise UsageError(Fault("E501", f"--scenario {item}", "is not NAME:SETTINGS.", cure))
-        given = re.split(r",(?=[A-Za-z_][\w.\[\]]*=)", text) if text.strip() else []
+        given = re.split(r",(?=[A-Za-z_*][\w.\[\]*]*=)", text) if text.strip() else []
         scenarios.setdefault(name.strip(), {}).update(assignments(f"--scenario {name}:", given, "load=2"))
     return scenarios

@@ -28,7 +28,7 @@ from ..contract.scalars import Scalar
 from ..contract.sparse import SparseMatrix
 from ..contract.tape import TapeNode
 from ..contract.variables import Clock, Parameter
-from ..model.copies import Copy, Fleet, depth_of, dimensions, labelled, own_value
+from ..model.copies import Copy, Fleet, depth_of, dimensions, labelled, own_value, unnumbered
 from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import MEASURE_NUMBERS, TRIGGER
 from ..model.flatten import Flat, FlatBlock
@@ -103,12 +103,14 @@ class _SettingScope:
     settings: dict[str, int | None] = field(default_factory=dict)
     prefixes: tuple[str, ...] = ("",)  # under which its parameters are given: in one copy, or in all of them
     plain: str = ""  # the prefix without the numbers of copies
+    copies: tuple[Copy | None, ...] = ()  # by the parts of the prefix
 
     def inside(self, name: str, copy: Copy | None) -> _SettingScope:
         """That of a subdiagram, or of a block, of which nothing is known yet."""
         labels = dict.fromkeys((labelled(name, copy), name))
         prefixes = tuple(f"{prefix}{label}." for prefix in self.prefixes for label in labels)
-        return _SettingScope(f"{self.prefix}{labelled(name, copy)}.", {}, {}, prefixes, f"{self.plain}{name}.")
+        path, copies = f"{self.prefix}{labelled(name, copy)}.", (*self.copies, copy)
+        return _SettingScope(path, {}, {}, prefixes, f"{self.plain}{name}.", copies)
 
     def numbered(self, copy: Copy | None) -> _SettingScope:
         """As the parameters of a copy of a block are written: they may read its number."""
@@ -144,12 +146,11 @@ class _Binder:
         self.propagate()
         return self.finished()
 
-    def overridden(self, scope: _SettingScope, name: str, depth: int, copy: Copy | None) -> tuple[Any, bool]:
+    def overridden(self, scope: _SettingScope, name: str, depth: int) -> tuple[Any, bool]:
         """The value that a parameter is given by its path, and whether there is one."""
         for prefix in scope.prefixes:
             if prefix + name in self.overrides:
-                raw = self.overrides[prefix + name]
-                return (raw if is_of_one(prefix + name, copy) else own_raw(raw, depth, copy)), True
+                return own_value(self.overrides[prefix + name], depth, unnumbered(prefix, scope.copies)), True
         return None, False
 
     def open(
@@ -164,11 +165,11 @@ class _Binder:
         prefix = scope.prefix
         raws: dict[str, tuple[Any, _SettingScope]] = {}
         for name, entry in diagram.parameters.items():
-            raw, is_given = self.overridden(scope, name, depth_of(entry), copy) if self.overrides else (None, False)
+            raw, is_given = self.overridden(scope, name, depth_of(entry)) if self.overrides else (None, False)
             if is_given:
                 raws[name] = (raw, scope)
             elif name in given:
-                raws[name] = (own_raw(given[name], depth_of(entry), copy), outer)
+                raws[name] = (own_value(given[name], depth_of(entry), [copy] if copy else []), outer)
             else:
                 raws[name] = (entry, scope)
         for name in order_of({name: names_in(raw) if at is scope else [] for name, (raw, at) in raws.items()}):
@@ -303,9 +304,9 @@ class _Binder:
         if copy is not None or self.overrides:
             keys = block.interface.declaration.parameters
             depths = {key: dimensions(parameter.shape) for key, parameter in keys.items()}
-            raws = {key: own_raw(raw, depths[key], copy) for key, raw in given.items()}
+            raws = {key: own_value(raw, depths[key], [copy] if copy else []) for key, raw in given.items()}
             for key in keys if self.overrides else ():
-                raw, is_given = self.overridden(inside, key, depths[key], copy)
+                raw, is_given = self.overridden(inside, key, depths[key])
                 raws |= {key: raw} if is_given else {}
         own: dict[str, int] = {}
         late: dict[str, tuple[Parameter, _DraftSetting]] = {}
@@ -409,16 +410,6 @@ class _Binder:
                 )
             )
         return tuple(settings)
-
-
-def own_raw(raw: Any, depth: int, copy: Copy | None) -> Any:
-    """The raw value of one copy."""
-    return raw if copy is None else own_value(raw, depth, copy.number, copy.fleet.count)
-
-
-def is_of_one(path: str, copy: Copy | None) -> bool:
-    """Whether a parameter is given by the number of the copy that it belongs to."""
-    return copy is not None and path.rpartition(".")[0].endswith(f"{copy.fleet.path}[{copy.number}]")
 
 
 def _restrict(draft: _DraftSetting, level: int, why: str) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
+from ..model.copies import alike
+from ..model.parts import whole_of
 from ..text.printable import counted
 from ..text.shown import Part
 from .coupling import CoupledUnit, Coupling
@@ -48,8 +50,7 @@ def _units(coupling: Coupling) -> Iterator[str]:
     master = coupling.settings.master
     control = f", error held to {master.tolerance:g}" if master.tolerance is not None else ""
     yield f"master: {master.algorithm}, inputs of order {master.order}{control}"
-    for k in coupling.order:
-        yield f"  {_told(coupling.units[k], coupling)}"
+    yield from (f"  {unit}" for unit in alike(_told(coupling.units[k], coupling) for k in coupling.order))
     if coupling.measures:
         yield "  measures: of the values at communication points, joined by straight lines; what is between is not seen"
 
@@ -84,20 +85,26 @@ def _told(unit: CoupledUnit, coupling: Coupling) -> str:
 
 def _blocks(plan: Plan) -> Iterator[str]:
     program = schedule(plan, [*(Reference("w", i) for i in range(len(plan.outputs))), *plan.derivatives])
-    instances = (plan.instances[step.instance] for step in program.order)
-    order = list(dict.fromkeys(instance.path for instance in instances if not instance.hidden))
+    order = _names(plan, (step.instance for step in program.order))
     if order:
         yield f"order: {_chain(order)}"
     for number, rate in enumerate(plan.rates):
-        ticked = _at_ticks(plan, number)
+        ticked = _names(plan, _at_ticks(plan, number))
         if ticked:
             yield f"at ticks of {plan.tick_time(rate.period):g} s: {_chain(ticked)}"
     loops = [step for step in program.steps if isinstance(step, AlgebraicLoop)]
     for loop in loops:
         names = [plan.node_name(node) for node in loop.nodes]
-        yield f"solved together: {', '.join(names)}"
+        yield f"solved together: {', '.join(alike(names))}"
     if not loops:
         yield "no algebraic loop"
+
+
+def _names(plan: Plan, instances: Iterable[int]) -> list[str]:
+    """The blocks in order, copies as one, and one for all parts of a block over long vectors."""
+    own = {instance.path for instance in plan.instances if not instance.hidden}
+    names = dict.fromkeys(whole_of(plan.instances[k].path, own) for k in instances)
+    return alike(name for name in names if name)
 
 
 def _chain(order: Sequence[str]) -> str:
@@ -105,7 +112,7 @@ def _chain(order: Sequence[str]) -> str:
     return " > ".join(order[:MOST_SHOWN]) + more
 
 
-def _at_ticks(plan: Plan, number: int) -> list[str]:
+def _at_ticks(plan: Plan, number: int) -> list[int]:
     """The blocks that are computed at the ticks of a rate, in order: those with sampled outputs, each after those that
     it needs, and programs; then all others."""
     instances: list[int] = []
@@ -116,7 +123,7 @@ def _at_ticks(plan: Plan, number: int) -> list[str]:
             instances += [step.instance for node in step.nodes if node in nodes]
         instances += [plan.steppers[-1 - key].instance for key in sorted(stage, reverse=True) if key < 0]
     instances += [node[0] for node, _ in plan.rates[number].nexts]
-    return list(dict.fromkeys(plan.instances[k].path for k in instances if not plan.instances[k].hidden))
+    return instances
 
 
 def rates(plan: Plan) -> Iterator[str]:

@@ -8,12 +8,13 @@ then. So nothing that it gives differs from a Plan made anew.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, MutableSequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, MutableSequence, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..contract.reads import arguments
+from ..model.copies import Copy, Fleet, depth_of, dimensions, own_value, spellings, unnumbered
 from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import RUN
 from ..model.flatten import Flat, FlatBlock
@@ -52,7 +53,7 @@ class Rebinding:
         self.parameters, self.seed = plan.parameters, plan.settings.seed
         self.streams: list[tuple[str, tuple[int, ...]]] = []  # the name of each stream, and where its number stands
         self.free = tuple(given if free is None else free)
-        self.leaves: list[tuple[Setting, Unit]] = []  # those that are given, each with the unit of a bare number
+        self.leaves: list[_Leaf] = []
         self.bound: list[Setting] = []  # what is computed from them, in order
         self.checks: list[_Requirement] = []
         self.defaults: set[str] = set()  # of what is bound, the computed defaults of blocks
@@ -63,19 +64,25 @@ class Rebinding:
         """Find all that depends on the parameters; whether that is all that does."""
         settings = bindings(value, flat, plan, given)
         by_path = {setting.path: setting for setting in settings}
-        if len(by_path) != len(settings) or not all(name in by_path for name in self.free):
+        last = {name.rpartition(".")[2] for name in given}
+        found = {path: spellings(path) for path in by_path if path.rpartition(".")[2] in last}
+        given_as = {path: next((name for name in names if name in given), "") for path, names in found.items()}
+        if len(by_path) != len(settings) or not {*self.free} <= {*given_as.values()}:
             return False
         self.numbers = numbers(settings)
         blocks = {block.path: block for block in flat.blocks}
         for path, stream in streams_in(value, flat.copies):
             keys = blocks[path].interface.declaration.streams if path in blocks else ()
             self.streams += [(stream, by_path[f"{path}.{key}"].places[0]) for key in keys]
-        for name in self.free:
-            setting = by_path[name]
+        for setting in settings:
+            name = given_as.get(setting.path)
+            if name is None or name not in self.free:
+                continue
             if setting.is_bound or setting.variability == "constant" or setting.type != "real":
                 return False
-            self.leaves.append((setting, _unit_of(name, value, blocks)))
-        touched = {place for setting, _ in self.leaves for place in _elements(setting)}
+            unit, depth = _declared(setting.path, value, blocks)
+            self.leaves.append(_Leaf(name, setting, unit, depth, unnumbered(name, _copies(setting.path, flat.copies))))
+        touched = {place for leaf in self.leaves for place in _elements(leaf.setting)}
         for setting in settings:
             reads = {int(node.value) for p in setting.elements or () for node in p if node.op == "argument"}
             if reads & touched:
@@ -83,7 +90,7 @@ class Rebinding:
                     return False
                 self.bound.append(setting)
                 touched.update(_elements(setting))
-        paths = {setting.path for setting in (*(leaf for leaf, _ in self.leaves), *self.bound)}
+        paths = {setting.path for setting in (*(leaf.setting for leaf in self.leaves), *self.bound)}
         read_by_run = {name for run in self.runs for _, raw in RUN.quantities(run) for name in names_in(raw)}
         read_by_measures = {name for m in value.measures.values() for raw in m.values() for name in names_in(raw)}
         if paths & (read_by_run | read_by_measures):
@@ -95,7 +102,8 @@ class Rebinding:
 
     def is_tunable(self, name: str) -> bool:
         """Whether a parameter may change during a run."""
-        return any(setting.path == name and setting.variability == "tunable" for setting, _ in self.leaves)
+        found = [leaf.setting.variability for leaf in self.leaves if leaf.name == name]
+        return bool(found) and {*found} == {"tunable"}
 
     def _check(self, block: FlatBlock, paths: set[str], by_path: Mapping[str, Setting]) -> bool:
         """Take in the requirements of a block; whether its values are all in p."""
@@ -127,8 +135,8 @@ class Rebinding:
         if not self.is_possible:
             return False
         s = self.numbers.copy()
-        for setting, unit in self.leaves:
-            values = _numbers(given[setting.path], unit, setting.shape)
+        for leaf in self.leaves:
+            setting, values = leaf.setting, leaf.numbers(given[leaf.name])
             if values is None or not _allowed(setting, values):
                 return False
             s[setting.first : setting.first + len(values)] = values
@@ -144,11 +152,31 @@ class Rebinding:
                 return False
         except Exception:  # what Python refuses, flattening tells; a requirement may raise anything
             return False
-        put([*(leaf for leaf, _ in self.leaves), *self.bound], s, row)
+        put([*(leaf.setting for leaf in self.leaves), *self.bound], s, row)
         for stream, places in self.streams if seed != self.seed else ():
             for index in places:
                 row[index] = number_of(seed, stream)
         return True
+
+
+class _Leaf(NamedTuple):
+    """A setting that is given, maybe by a name that means other copies too.
+
+    unit: of a bare number. depth: the declared dimensions. copies: those that the name gives no number of.
+    """
+
+    name: str
+    setting: Setting
+    unit: Unit
+    depth: int
+    copies: Sequence[Copy]
+
+    def numbers(self, raw: Any) -> list[float] | None:
+        """Its elements in SI, as a raw value of its name gives them; None where these are no plain numbers."""
+        try:
+            return _numbers(own_value(raw, self.depth, self.copies), self.unit, self.setting.shape)
+        except ModelError:
+            return None
 
 
 class _Requirement:
@@ -167,18 +195,30 @@ def _value(setting: Setting, s: list[float]) -> Any:
     return np.array(values).reshape(setting.shape) if setting.shape else np.array(values[0])
 
 
-def _unit_of(path: str, value: DiagramValue, blocks: Mapping[str, FlatBlock]) -> Unit:
-    """The unit of bare numbers of a parameter, or those of its elements."""
+def _copies(path: str, counts: Mapping[str, int]) -> list[Copy | None]:
+    """The copies that a path names, by its parts. counts: how many there are, by path without numbers."""
+    made: list[Copy | None] = []
+    plain = ""
+    for part in path.split(".")[:-1]:
+        name, bracket, number = part.partition("[")
+        plain = f"{plain}.{name}" if plain else name
+        made.append(Copy(Fleet(plain, counts[plain]), int(number[:-1])) if bracket else None)
+    return made
+
+
+def _declared(path: str, value: DiagramValue, blocks: Mapping[str, FlatBlock]) -> tuple[Unit, int]:
+    """The unit of bare numbers of a parameter, or those of its elements; and its dimensions."""
     owner, _, name = path.rpartition(".")
     if owner in blocks and name in blocks[owner].interface.declaration.parameters:
         interface = blocks[owner].interface
-        declared = interface.declared_units(interface.declaration.parameters[name])
-        return declared[0] if len({*declared}) == 1 else declared
+        parameter = interface.declaration.parameters[name]
+        declared = interface.declared_units(parameter)
+        return declared[0] if len({*declared}) == 1 else declared, dimensions(parameter.shape)
     inside: DiagramValue | None = value
     for part in owner.split(".") if owner else ():
         inside = inside.blocks[part.partition("[")[0]].inner if inside is not None else None
     entry = inside.parameters.get(name) if inside is not None else None
-    return str(entry.get("unit", "")) if isinstance(entry, Mapping) else ""
+    return str(entry.get("unit", "")) if isinstance(entry, Mapping) else "", depth_of(entry)
 
 
 def _elements(setting: Setting) -> range:

@@ -79,14 +79,14 @@ class Edit:
         written: list[str] = []
         try:
             for file, text in self.texts.items():
-                with write_atomically(file, was=self.were[file].encode()) as stream:
-                    stream.write(text)
+                with write_atomically(file, was=_bytes(self.were[file])) as stream:
+                    stream.buffer.write(_bytes(text))
                 written.append(file)
         except BaseException:
             for file in written:
                 # Where someone else wrote it since, it stays.
-                with contextlib.suppress(Exception), write_atomically(file, was=self.texts[file].encode()) as stream:
-                    stream.write(self.were[file])
+                with contextlib.suppress(Exception), write_atomically(file, was=_bytes(self.texts[file])) as stream:
+                    stream.buffer.write(_bytes(self.were[file]))
             raise
 
     def __repr__(self) -> str:
@@ -213,6 +213,11 @@ class Workspace:
             tuple(dict.fromkeys(self.elsewhere)),
             self.note,
         )
+
+
+def _bytes(text: str) -> bytes:
+    """Those of a file, also where another program wrote what is no UTF-8."""
+    return text.encode("utf-8", "surrogateescape")
 
 
 def rewritten(document: Document, value: Any) -> tuple[Document, tuple[Splice, ...]]:

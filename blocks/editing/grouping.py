@@ -296,9 +296,10 @@ def ungroup(spot: Spot, entry: Mapping[str, Any]) -> None:
     prefix = "".join(f"{outer}." for outer in blocks_of(spot.scope))
 
     def path(text: str) -> str:
-        first, dot, rest = text.removeprefix(f"{prefix}{name}.").partition(".")
+        rest = text.removeprefix(f"{prefix}{name}.")
+        first = rest.partition(".")[0].partition("[")[0]
         is_one = text.startswith(f"{prefix}{name}.") and first in lifted.blocks
-        return f"{prefix}{lifted.blocks[first]}{dot}{rest}" if is_one else text
+        return f"{prefix}{lifted.blocks[first]}{rest[len(first) :]}" if is_one else text
 
     _check(spot, before, path, name, "cannot be ungrouped")
 

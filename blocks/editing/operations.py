@@ -24,8 +24,9 @@ from ..model.resolver import resolver_of
 from ..model.values import is_expression
 from ..text import grammar, json_text, units
 from ..text.errors import Fault, ModelError, UsageError
-from ..text.grammar import ANY, AnyOf, Field, ListOf, Object, Scalar, Steps, Table, Text
+from ..text.grammar import ANY, AnyOf, Field, ListOf, Object, Scalar, Steps, Table, Text, in_words
 from ..text.json_document import place_of
+from ..text.json_edits import same
 from ..text.json_number import Number
 from ..text.printable import quoted
 from . import tree
@@ -70,7 +71,13 @@ def _set(spot: Spot, entry: Mapping[str, Any]) -> None:
 def _remove(spot: Spot, entry: Mapping[str, Any]) -> None:
     """An entry, and all entries of the project that mean something of it; expressions keep the values of parameters."""
     workspace, steps = spot.workspace, spot.steps(entry["remove"])
-    tree.entry_at(spot.value, steps, spot.name)
+    there = tree.entry_at(spot.value, steps, spot.name)
+    if "was" in entry and not same(there, entry["was"]):
+        now, was = (
+            quoted(value[:200]) if isinstance(value, str) else in_words(value) for value in (there, entry["was"])
+        )
+        what = f"is {now} now, and not {was}."
+        raise UsageError(spot.fault("E501", place_of(steps), what, "Look at what stands there now.", steps))
     if not steps:
         raise UsageError(spot.fault("E501", "remove", "a file is not removed by an edit."))
     gone: dict[str, set[Steps]] = {spot.file: {steps}}
@@ -375,6 +382,7 @@ OPERATIONS: Mapping[str, Operation] = {
         _operation(
             _remove, "Remove an entry, with all that means something of it: wires, outputs, log, measures, positions.",
             _needed("remove", _PLACE, "Where it stands."),
+            Field("was", ANY, "What stands there: another entry stays, as where a list has changed meanwhile."),
         ),
         _operation(
             _rename, "Another name of an entry, with all that refers to it.",

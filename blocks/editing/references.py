@@ -326,7 +326,7 @@ class _Finder:
 
     def follow(self, body: Body, text: str, last: _Last, meanings: _Meanings) -> None:
         """Collect what the names of a text mean in a diagram, level by level: files may contain themselves."""
-        bodies, at, kinds = [body], 0, last[0]
+        bodies, at, kinds = [body], len("each(") if text.startswith("each(") else 0, last[0]
         for _ in range(DEEPEST + 1):
             word = _WORD.match(text, at)
             if word is None:
@@ -339,7 +339,7 @@ class _Finder:
                 if text.startswith(".", beyond) and name in diagram.names("block"):
                     meanings.add(start, end, Target(diagram.file, diagram.scope, "block", name))
                     inner |= self.inside(diagram, name, text, beyond + 1, meanings, last)
-                elif end == len(text) or text[end] == "[":
+                elif end == len(text) or text[end] in "[)":
                     kind = next((kind for kind in kinds if name in diagram.names(kind)), None)
                     if kind is not None:
                         meanings.add(start, end, Target(diagram.file, diagram.scope, kind, name))

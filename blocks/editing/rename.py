@@ -24,7 +24,8 @@ import numpy as np
 from ..model.block_types import library_types
 from ..model.diagram import BASE, DEEPEST, FORMAT, is_name, name_cure
 from ..model.document import alone, loads
-from ..model.flatten import Flat, flatten
+from ..model.flatten import Flat, element_of, flatten
+from ..model.parts import whole_of
 from ..model.resolver import resolver_of
 from ..model.wires import BlockSource
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
@@ -529,9 +530,11 @@ def same_values(was: Flat, now: Flat) -> bool:
 
 
 def _labels(flat: Flat, block: Callable[[str], str]) -> list[str]:
-    """The blocks by their paths. A hidden one stands at the edge of a subdiagram and is named after a port."""
-    hidden = count(1)
-    return [f"{next(hidden)}" if entry.hidden else block(entry.path) for entry in flat.blocks]
+    """The blocks by their paths. A hidden one that is no part of another stands at the edge of a subdiagram, and is
+    named after a port."""
+    hidden, own = count(1), {entry.path for entry in flat.blocks if not entry.hidden}
+    wholes = ((entry.path, whole_of(entry.path, own)) for entry in flat.blocks)
+    return [block(whole) + path[len(whole) :] if whole else f"{next(hidden)}" for path, whole in wholes]
 
 
 def _summary(
@@ -551,9 +554,9 @@ def _summary(
 
     def told(text: Any) -> Any:
         """A signal by its name, or by what it is."""
-        if signal is not None or text not in flat.signals:
+        known = element_of(text, flat.signals) if signal is None and isinstance(text, str) else None
+        if known is None:
             return name(text) if isinstance(text, str) else text
-        known = flat.signals[text]
         return placed(known.sources), known.units, known.type
 
     return (

@@ -20,6 +20,7 @@ from ..compile.plan_builder import plan
 from ..compile.rebinding import Rebinding
 from ..contract.outside import Outside, outside_of
 from ..contract.resolution import Resolved
+from ..model.copies import spellings
 from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import RUN
 from ..model.fingerprint import fingerprint
@@ -157,9 +158,11 @@ class Prepared:
         Raises ModelError, and UsageError (E502) where there is none of that name, (E117) where it cannot change in a
         run.
         """
-        value = given_values(self.value, self.resolver, {name: copy.deepcopy(value)})[name]
-        parameters = {**self.parameters, name: value}
-        quick = self._bound(parameters, self.plan.settings, tunable=name)
+        given = given_values(self.value, self.resolver, {name: copy.deepcopy(value)})
+        # What was set in single copies before is not kept beside what is set in all of them now.
+        kept = {key: raw for key, raw in self.parameters.items() if given.keys().isdisjoint(spellings(key))}
+        parameters = {**kept, **given}
+        quick = self._bound(parameters, self.plan.settings, tunable=given)
         if quick is not None:
             return replace(self, parameters=parameters, plan=quick)
         try:
@@ -201,9 +204,9 @@ class Prepared:
         return vars(self).get("flat") or next(iter(self.alike.made.values())).flat
 
     def _bound(
-        self, parameters: Mapping[str, Any], settings: RunSettings, tunable: str = ""
+        self, parameters: Mapping[str, Any], settings: RunSettings, tunable: Iterable[str] = ()
     ) -> Plan | Coupling | None:
-        """The plan with other values of parameters. tunable: one that must be changeable in a run."""
+        """The plan with other values of parameters. tunable: those that must be changeable in a run."""
         names, alike = frozenset(parameters), self.alike
         base = alike.made.get(names)
         if base is None:
@@ -218,7 +221,7 @@ class Prepared:
             if not self.is_current:  # defaults would be computed from what is outside now
                 return None
             known = alike.rebindings[names] = base.rebinding()
-        if not known.is_possible or (tunable and not known.is_tunable(tunable)):
+        if not known.is_possible or not all(map(known.is_tunable, tunable)):
             return None
         row = known.row(parameters, seed)
         return None if row is None else replace(base.plan, parameters=row, settings=settings)

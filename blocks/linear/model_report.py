@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -97,7 +98,11 @@ def hints_of(
 
     nodes: those laws with their slots.
     """
-    graph, notes, hints = replaced.graph, dict[str, str](), list[str]()
+    graph, notes, hints = replaced.graph, dict[str, str](), dict[str, list[str]]()
+
+    def hint(text: str) -> None:
+        hints.setdefault(re.sub(r"\[[0-9]+\](?=\.)", "", text), []).append(text)
+
     for node, slots in nodes.items():
         path, name = graph.plan.instances[graph.nodes[node][0]].path, graph.node_name(node)
         for slot in slots:
@@ -107,13 +112,14 @@ def hints_of(
             if slope != 0.0 or nonlinear(graph, node)[slot] != {slot}:
                 continue
             if (node, slot) in replaced.described:
-                hints.append(f"The gain of {name} is 0 at the amplitude given for {read}: give a larger one.")
+                hint(f"The gain of {name} is 0 at the amplitude given for {read}: give a larger one.")
                 continue
             value = replaced.slopes.everything_of(slot)
             notes[path] = f"passes nothing on at {read.removeprefix(f'{path}.')} = {value:g}, where it stands"
             how = f'its describing function, amplitude={{"{read}": A}} or --amplitude {read}=A'
             if is_of_one_signal(graph, graph.nodes[node][0]):
                 how = f'a gain in its place, overrides={{"{path}": 1.0}} or --override {path}=1, or {how}'
-            hints.append(f"{name} passes nothing on where it stands: take {how}.")
+            hint(f"{name} passes nothing on where it stands: take {how}.")
     noted = tuple(replace(block, note=notes.get(block.path, block.note)) for block in report)
-    return " ".join(dict.fromkeys(hints)), noted
+    told = ((texts[0], len({*texts}) - 1) for texts in hints.values())
+    return " ".join(f"{text} The same of {more:,} more copies." if more else text for text, more in told), noted

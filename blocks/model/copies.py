@@ -15,16 +15,18 @@ Written out, the blocks stand in the order of the text: copy 0 with all that is 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any, Generic, NamedTuple, TypeVar
 
+from ..text.element_names import matching
 from ..text.errors import Fault, ModelError
 
 __all__ = [
-    "Copy", "CopySource", "EachSource", "Fleet", "Later", "Layout", "depth_of", "dimensions", "labelled", "own_value",
-    "stream_of", "without_numbers",
+    "Copy", "CopySource", "EachSource", "Fleet", "Later", "Layout", "alike", "depth_of", "dimensions", "labelled",
+    "named", "own_value", "spellings", "stream_of", "unnumbered", "without_numbers",
 ]  # fmt: skip
 
 T = TypeVar("T")
@@ -187,25 +189,62 @@ def _chain(fleet: Fleet) -> list[Fleet]:
 # --- values ----------------------------------------------------------------------------------------------------
 
 
-def own_value(raw: Any, depth: int, number: int, count: int) -> Any:
-    """What a raw value says for one copy of a block: its element, where it has one dimension more than the parameter.
+def own_value(raw: Any, depth: int, copies: Sequence[Copy]) -> Any:
+    """What a raw value says for one copy: its element, where it has more dimensions than the parameter.
 
-    depth: the dimensions of the parameter. Raises ModelError (E110) where there is not an element for each copy.
+    depth: the dimensions of the parameter. copies: of each fleet that the value is for, from the outside; lists for
+    inner ones are the same in all copies of outer ones, unless there is a list of them. Raises ModelError (E110) where
+    there is not an element for each copy.
     """
+    if not copies:
+        return raw
     if isinstance(raw, Mapping) and "csv" in raw:
         numbers = getattr(raw, "numbers", ())
         if depth > 0:
             return raw
-        said: Any = {"value": own_value(list(numbers), depth, number, count)}
+        said: Any = {"value": own_value(list(numbers), depth, copies)}
         return said | ({"unit": raw["unit"]} if raw.get("unit") else {})
     if isinstance(raw, Mapping) and "value" in raw:
-        return {**raw, "value": own_value(raw["value"], depth, number, count)}
-    if not _is_deeper(raw, depth):
-        return raw
-    if len(raw) != count:
-        message = f"has {len(raw)} values, but there are {count} copies."
+        return {**raw, "value": own_value(raw["value"], depth, copies)}
+    (fleet, number, _), inner = copies[0], copies[1:]
+    if not _is_deeper(raw, depth + len(inner)):
+        return own_value(raw, depth, inner)
+    if len(raw) != fleet.count:
+        message = f"has {len(raw)} values, but there are {fleet.count} copies of {fleet.path}."
         raise ModelError(Fault("E110", "", message, "Give one value for all copies, or a list with one for each."))
-    return raw[number]
+    return own_value(raw[number], depth, inner)
+
+
+def spellings(path: str) -> Iterator[str]:
+    """The names under which a parameter in copies is set: by the numbers of all, then without some of them."""
+    parts = [dict.fromkeys((part, part.partition("[")[0])) for part in path.split(".")]
+    return map(".".join, product(*parts))
+
+
+def unnumbered(path: str, copies: Sequence[Copy | None]) -> list[Copy]:
+    """The copies around a parameter of which its name has no number. copies: by the parts of the name."""
+    parts = zip(path.split("."), copies, strict=False)
+    return [copy for part, copy in parts if copy is not None and not part.endswith("]")]
+
+
+def named(pattern: str, known: Collection[str], fleets: Collection[str]) -> list[str]:
+    """The parameters that a name or a pattern names: "*[3].motor.R*" -> ["cells[3].motor.Ra"].
+
+    * stands for a part of one name, and [*] for all copies, as does no number. known: without numbers. fleets: the
+    paths of blocks with copies.
+    """
+    labels = [part.partition("[") for part in pattern.split(".")]
+    plain = ".".join(label[0] for label in labels)
+    made = []
+    for path in matching(plain, known) if "*" in plain else [plain] if plain in known else []:
+        names = path.split(".")
+        numbers = ["".join(label[1:]) for label in labels]
+        if all(
+            not number or (_NUMBER.fullmatch(number) and ".".join(names[: k + 1]) in fleets)
+            for k, number in enumerate(numbers)
+        ):
+            made.append(".".join(name + number.replace("[*]", "") for name, number in zip(names, numbers, strict=True)))
+    return made
 
 
 def depth_of(raw: Any) -> int:
@@ -226,6 +265,15 @@ def dimensions(shape: Any) -> int:
 
 
 _NUMBERS = re.compile(r"\[(0|[1-9][0-9]{0,6})\](?=\.)")
+_NUMBER = re.compile(r"\[(\*|0|[1-9][0-9]{0,6})\]")
+
+
+def alike(paths: Iterable[str]) -> list[str]:
+    """Names in their order, those that differ in numbers of copies alone as one: "robots[*].motor (100 copies)"."""
+    found: dict[str, list[str]] = {}
+    for path in paths:
+        found.setdefault(re.sub(r"\[[0-9]+\]", "[*]", path), []).append(path)
+    return [own[0] if len(own) == 1 else f"{name} ({len(own):,} copies)" for name, own in found.items()]
 
 
 def without_numbers(text: str) -> tuple[str, tuple[int, ...]]:

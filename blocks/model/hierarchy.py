@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy as shallow_copy
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -23,7 +23,7 @@ from ..text.json_document import AT_KEY
 from ..text.json_number import Number
 from ..text.printable import legible, quoted
 from . import streams
-from .copies import Copy, Fleet, depth_of, dimensions, labelled, own_value, stream_of, without_numbers
+from .copies import Copy, Fleet, depth_of, dimensions, labelled, own_value, stream_of, unnumbered, without_numbers
 from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList
 from .diagram_grammar import LARGEST_SIZE
 from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
@@ -110,7 +110,9 @@ class DiagramScope:
         self.streams: str = ""  # with which the names of the streams in it begin
         self.prefixes: tuple[str, ...] = ("",)  # under which its parameters are set: in one copy, or in all of them
         self.fleet: Fleet | None = None if self.copy is None else self.copy.fleet
+        self.copies: tuple[Copy | None, ...] = ()  # by the parts of its path
         if self.parent is not None:
+            self.copies = (*self.parent.copies, self.copy)
             own = stream_of(self.stream or self.name, self.copy)
             self.streams = streams.joined(self.parent.streams, own) + "."
             self.prefixes = tuple(f"{path}." for path in self.parent.paths(self.name, self.copy))
@@ -154,6 +156,9 @@ class Hierarchy:
                 inside = [parameter for parameter in self.settable if parameter.startswith(f"{path}.")]
                 cure = self.faults.guess(path, self.settable)
                 cure = f"Parameters of {legible(path)}: {_listed(inside)}." if inside else cure
+                if of_all in self.settable and of_all != path:
+                    around = [fleet for fleet in self.fleets if of_all.startswith(f"{fleet.path}.")]
+                    cure = " ".join(f"{fleet.path} has the copies 0 to {fleet.count - 1}." for fleet in around) or cure
                 cure = cure or "A parameter goes by its path, as in motor.Ra."
                 self.faults.add(Fault("E106", legible(path), "there is no such parameter to set.", cure))
 
@@ -249,7 +254,7 @@ class Hierarchy:
                 unit = _unit_of(known[key])
                 values[key] = None
                 with contextlib.suppress(Absent):
-                    raw = self.own(outer, raw, depth_of(known[key]), inner.copy, place, spot)
+                    raw = self.own(outer, raw, depth_of(known[key]), [inner.copy] if inner.copy else [], place, spot)
                     values[key] = self.evaluated(within, raw, unit, place, spot) if _fault_of(unit) is None else None
             else:
                 cure = self.faults.guess(key, known) or f"Parameters: {_listed(known)}."
@@ -265,9 +270,9 @@ class Hierarchy:
             unit, spot = _unit_of(entry), ("parameters", name)
             raw, set_at = self.overridden(scope.paths(name), _outer_raw(scope, name) if name in given else entry)
             is_override = bool(set_at)
-            if is_override and not is_of_one(set_at, scope.name, scope.copy):
+            if is_override:
                 try:
-                    raw = self.own(scope, raw, depth_of(entry), scope.copy, name, None)
+                    raw = self.own(scope, raw, depth_of(entry), unnumbered(set_at, scope.copies), name, None)
                 except Absent:
                     scope.parameters[name] = None
                     continue
@@ -289,12 +294,10 @@ class Hierarchy:
             raw, unit, spot_ = raws[name]
             scope.parameters[name] = self.evaluated(scope, _with_unit(raw, unit), unit, name, spot_)
 
-    def own(self, scope: DiagramScope, raw: Any, depth: int, copy: Copy | None, place: str, spot: Spot) -> Any:
-        """The raw value of one copy of a block. Raises Absent after a fault was reported."""
-        if copy is None:
-            return raw
+    def own(self, scope: DiagramScope, raw: Any, depth: int, copies: Sequence[Copy], place: str, spot: Spot) -> Any:
+        """The raw value in one copy of each fleet. Raises Absent after a fault was reported."""
         try:
-            return own_value(raw, depth, copy.number, copy.fleet.count)
+            return own_value(raw, depth, copies)
         except ModelError as error:
             fault = error.faults[0]
             self.tell(scope, fault.code, place, fault.message, fault.cure, spot)
@@ -396,22 +399,23 @@ class Hierarchy:
         if entry.stream and not declaration.streams:
             message, cure = "draws no random numbers, so that it has no stream.", "Leave it out."
             self.tell(scope, "E003", f"{name}.stream", message, cure, (*spot, "stream", AT_KEY))
-        single: set[str] = set()  # those that are set in this copy alone
+        around: dict[str, list[Copy]] = {}  # of those that are set: the copies that are set alike, or by a list
         for key in declaration.settable if self.overrides else ():
             paths = tuple(f"{path}.{key}" for path in scope.paths(name, copy))
             raw, set_at = self.overridden(paths, raws.get(key, (None, None))[0])
             if set_at:
                 raws[key] = (raw, None)
-                single |= {key} if is_of_one(set_at, name, copy) else set()
+                around[key] = unnumbered(set_at, (*scope.copies, copy))
         within = numbered(scope, copy)
         given: dict[str, Value] = {}
         # Structural ones first: units may follow from them.
         for key in sorted(raws, key=lambda key: not declaration.parameters[key].structural):
             raw, where = raws[key]
-            if copy is not None and key not in single:
+            copies = around.get(key, [copy] if copy else [])
+            if copies:
                 depth = dimensions(declaration.parameters[key].shape)
                 try:
-                    raw = self.own(scope, raw, depth, copy, f"{shown}.{key}", where)
+                    raw = self.own(scope, raw, depth, copies, f"{shown}.{key}", where)
                 except Absent:
                     ok = False
                     continue
@@ -525,11 +529,6 @@ def is_equal(one: Value | None, other: Value | None) -> bool:
     if one is None or other is None:
         return one is other
     return _hashable(one.value) == _hashable(other.value) and (one.exact, one.unit) == (other.exact, other.unit)
-
-
-def is_of_one(path: str, name: str, copy: Copy | None) -> bool:
-    """Whether a parameter is set in one copy of a block, by its number."""
-    return copy is not None and not copy.is_first and f".{path}".rpartition(".")[0].endswith(f".{labelled(name, copy)}")
 
 
 def streams_in(

@@ -69,7 +69,8 @@ class _Lanes:
         scope = child.scope if isinstance(child, Leaf) else child.parent
         assert scope is not None
         entry = scope.value.blocks[child.name]
-        is_own = child.copied is not None and ("index" in self.reads(entry) or self.has_lists(child, entry))
+        is_own = child.copied is not None and "index" in self.reads(entry)
+        is_own = is_own or (child.fleet is not None and self.has_lists(child, entry))
         if isinstance(child, Leaf):
             is_own = is_own or (child.fleet is not None and bool(child.interface.declaration.streams))
         else:
@@ -78,7 +79,7 @@ class _Lanes:
         return is_own
 
     def has_lists(self, child: Leaf | DiagramScope, entry: BlockEntry) -> bool:
-        raws = dict(entry.parameters)
+        raws = {} if child.copied is None else dict(entry.parameters)
         scope = child.scope if isinstance(child, Leaf) else child.parent
         assert scope is not None
         for path in scope.paths(child.name):

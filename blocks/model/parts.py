@@ -10,7 +10,7 @@ the block itself: the results are the same to the last bit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import repeat
@@ -29,7 +29,7 @@ from .copies import CopySource, EachSource
 from .part_types import Link, Weights, WholeGain, WholeProduct, WholeReduction, WholeSwitch
 from .wires import BlockSource, Source, ValueSource
 
-__all__ = ["Parts", "is_taken_apart"]
+__all__ = ["Parts", "is_taken_apart", "whole_of"]
 
 LONGEST = 64  # elements of a vector that is reduced by one block
 NOTHING = ValueSource(0.0)
@@ -39,6 +39,16 @@ LINK = 16  # elements that one link of a chain takes
 @lru_cache(maxsize=4096)
 def _made(cls: Any, *given: tuple[str, Any]) -> Resolved:
     return resolve(cls, {name: Value(value) for name, value in given})
+
+
+def whole_of(path: str, blocks: Container[str]) -> str:
+    """The block that a path is, or that it is a part of; "" for what stands at the edge of a subdiagram.
+
+    blocks: the paths of those that are not hidden.
+    """
+    while path and path not in blocks:
+        path = path.rpartition(".")[0]
+    return path
 
 
 def is_taken_apart(block: Any) -> bool:

@@ -6,7 +6,7 @@ quantities, {"value": 2, "unit": "mH"}, so that only what is given is read so.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from decimal import Decimal
 from numbers import Rational
 from typing import TYPE_CHECKING, Any
@@ -15,11 +15,13 @@ import numpy as np
 
 from ..contract.sparse import edges_of
 from ..text.errors import BlocksError, Fault, UsageError
-from ..text.printable import quoted
+from ..text.printable import legible, quoted
 from ..text.quantity_text import read_quantity
+from .copies import named
+from .variants import taken
 
 if TYPE_CHECKING:
-    from .diagram import DiagramValue
+    from .diagram import BlockEntry, DiagramValue
     from .hierarchy import Resolver
 
 __all__ = ["given_value", "given_values", "raw_of"]
@@ -50,7 +52,24 @@ def given_value(value: Any, parameter: Any) -> Any:
 
 
 def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Values by the paths of parameters, texts such as "2 mH" as quantities where the parameter is numeric."""
+    """Values by the paths of parameters, texts such as "2 mH" as quantities where the parameter is numeric.
+
+    A pattern gives its value to all parameters that it names, but those that are given by themselves; one that names
+    none stays, and is refused where the diagram is flattened. Raises UsageError (E501) for two patterns of one.
+    """
+    patterns = [name for name in given if "*" in str(name)]
+    if patterns:
+        diagram = taken(diagram)
+        known, fleets = dict.fromkeys(_parameters(diagram, resolver)), {*_fleets(diagram)}
+        by: dict[str, str] = {}
+        for pattern in patterns:
+            for path in named(pattern, known, fleets) or [pattern]:
+                if path in by:
+                    message = f"is given by {legible(by[path])} and by {legible(pattern)}."
+                    raise UsageError(Fault("E501", legible(path), message, "Give it once."))
+                by[path] = pattern
+        own = {name: name for name in given if "*" not in str(name)}
+        given = {path: given[name] for path, name in (by | own).items()}
     texts = [path for path, raw in given.items() if isinstance(raw, str) and read_quantity(raw) is not raw]
     return {**given, **{path: _given_at(diagram, resolver, str(path).split("."), given[path]) for path in texts}}
 
@@ -67,8 +86,32 @@ def _given_at(diagram: DiagramValue, resolver: Resolver, path: list[str], raw: s
         return raw
     if entry.inner is not None:
         return _given_at(entry.inner, resolver, inner, raw)
+    cls = _class_of(entry, diagram, resolver)
+    return raw if cls is None else given_value(raw, cls.declaration.parameters.get(inner[0]))
+
+
+def _class_of(entry: BlockEntry, diagram: DiagramValue, resolver: Resolver) -> Any:
+    """The class of a block; None where there is none, which flattening reports."""
     try:
-        cls = entry.cls or (resolver.fmu(entry, diagram.folder) if entry.fmu else resolver(entry.type))
-    except (BlocksError, KeyError):  # which flattening reports
-        return raw
-    return given_value(raw, cls.declaration.parameters.get(inner[0]))
+        return entry.cls or (resolver.fmu(entry, diagram.folder) if entry.fmu else resolver(entry.type))
+    except (BlocksError, KeyError):
+        return None
+
+
+def _parameters(diagram: DiagramValue, resolver: Resolver, prefix: str = "") -> Iterator[str]:
+    """The paths of all parameters, without the numbers of copies."""
+    yield from (prefix + name for name in diagram.parameters)
+    for name, entry in diagram.blocks.items():
+        if entry.inner is not None:
+            yield from _parameters(entry.inner, resolver, f"{prefix}{name}.")
+        elif (cls := _class_of(entry, diagram, resolver)) is not None:
+            yield from (f"{prefix}{name}.{key}" for key in cls.declaration.settable)
+
+
+def _fleets(diagram: DiagramValue, prefix: str = "") -> Iterator[str]:
+    """The paths of all blocks with copies."""
+    for name, entry in diagram.blocks.items():
+        if entry.copies is not None:
+            yield prefix + name
+        if entry.inner is not None:
+            yield from _fleets(entry.inner, f"{prefix}{name}.")

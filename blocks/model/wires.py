@@ -44,6 +44,10 @@ __all__ = [
 ]
 
 
+COMMON = ".y"
+"""How most outputs are called, so that it does not tell which one is meant."""
+
+
 class BlockSource(NamedTuple):
     """An element that comes from an output of a block: the block's index, the variable, and which of its elements."""
 
@@ -604,10 +608,15 @@ class Wires:
         return _strand(complete, port.shape)
 
     def wire_meant(self, scope: DiagramScope, name: str, at: str, port: Port) -> str:
-        """The cure for an input that is not wired: a source of its name and quantity, if there is one."""
-        for text, unit in self.sources_by_name(scope).get(port.name, ()):
-            if not text.startswith(f"{name}.") and units.same_quantity(unit, port.unit):
-                return f'Did you mean "{at}": "{text}"?'
+        """The cure for an input that is not wired: the source of its name and quantity, if there is one alone."""
+        named = self.sources_by_name(scope).get(port.name, ())
+        found = [
+            text for text, unit in named
+            if not text.startswith(f"{name}.") and not text.endswith(COMMON) and units.same_quantity(unit, port.unit)
+        ]  # fmt: skip
+        taken = {source for sink, source in scope.value.wires.items() if sink.partition(".")[0] == name}
+        if len(found) == 1 and found[0] not in taken:
+            return f'Did you mean "{at}": "{found[0]}"?'
         return f'Add "{at}": "block.output" to the wires.'
 
     def carried(self, scope: DiagramScope, feed: Feed, place: str, spot: Spot) -> Strand:

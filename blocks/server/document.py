@@ -13,6 +13,7 @@ from ..compile.plan import Plan
 from ..draw import picture, ports_of, rendered
 from ..model.diagram import DiagramValue
 from ..text.atomic_write import real
+from ..text.element_names import indexed
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import legible, quoted
 from .facts import Fact, facts_of
@@ -96,8 +97,8 @@ class Document:
                 text = self.path.read_bytes() if self.path.is_file() or not self.revision else None  # a pipe would wait
             except OSError:
                 text = None
-            if text is None:
-                if self.revision:  # it is being replaced, or it went: what was read stays open
+            if not text:
+                if self.revision:  # it is being written, or it went: what was read stays open
                     self._seen = seen
                     return False
                 Diagram.load(self.path, library=self.library)  # tells why
@@ -105,13 +106,13 @@ class Document:
             before = self.error
             if self.revision and text == self.text and before is None and same.items() <= seen.items():
                 return False
-            self.text = text or b""
+            was, self.text = self.text, text or b""
             try:
                 self.diagram, self.error = Diagram.load(self.path, library=self.library), None
                 self._seen = {**self._stamps(), **self._seen}
             except BlocksError as error:
                 self.error = error
-                if before is not None and before.faults == error.faults:
+                if before is not None and before.faults == error.faults and text == was:
                     return False
         self.revision += 1
         self.check()
@@ -142,7 +143,7 @@ class Document:
         """The document as the page gets it."""
         blocks = list(self._blocks())
         paths = self.paths
-        settings = {} if self.planned is None else _settings(self.planned)
+        settings = {} if self.planned is None else _settings(self.planned, self.visible.value)
         return {
             "revision": self.revision,
             "name": self.name,
@@ -273,10 +274,14 @@ def _below(faults: Sequence[Fault], prefix: str) -> list[Fault]:
     return [replace(f, place=f.place.removeprefix(prefix)) for f in faults if f.place.startswith(prefix)]
 
 
-def _settings(planned: Plan | Coupling) -> dict[str, Any]:
+def _settings(planned: Plan | Coupling, value: DiagramValue) -> dict[str, Any]:
+    """How a run goes. first: the signals that are worth to be shown first: what the diagram gives, measures, logs."""
     settings = planned.settings
+    measured = (str(raw[key]) for raw in value.measures.values() for key in ("of", "against") if key in raw)
+    wanted = (*map(str, value.outputs.values()), *measured, *planned.log)
+    first = [name for name in dict.fromkeys(wanted) if indexed(name)[0] in planned.signals]
     stop = None if settings.stop is None else float(settings.stop)
-    return {"start": float(settings.start), "stop": stop, "method": settings.method, "log": list(planned.log)}
+    return {"start": float(settings.start), "stop": stop, "method": settings.method, "first": first}
 
 
 def inside(folder: Path, name: str) -> Path:

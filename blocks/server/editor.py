@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,37 +23,25 @@ from ..model.document import dumps
 from ..model.hierarchy import Resolver
 from ..model.project import project_of
 from ..text import json_text
-from ..text.atomic_write import write_atomically
+from ..text.atomic_write import real, write_atomically
 from ..text.errors import BlocksError, Fault, UsageError
 from .document import Document
+from .history import History, Step
 
-__all__ = ["Editor", "Operations", "move"]
+__all__ = ["Editor", "Operations", "move", "write_blank"]
 
 Operations = Sequence[Mapping[str, Any]]
-MOST_TEXT = 64 * 2**20
-"""Characters of texts that the history holds; the oldest steps are forgotten first."""
-
-_GONE = "the deletion on disk"
+_GONE, _CHANGE = "the deletion on disk", "the change on disk"
 FARTHEST = 1e6
 """Pixels from the origin of a drawing."""
 
 
-def _blank(path: Path) -> None:
+def write_blank(path: Path) -> None:
     """Write an empty diagram where there is no file, or an empty one. Raises UsageError (E501)."""
     if (path.is_file() and path.stat().st_size == 0) or not path.exists():
         name = re.sub(r"\W", "_", path.stem, flags=re.ASCII).lstrip("_0123456789") or "diagram"
         with write_atomically(path) as stream:
             stream.write(dumps(DiagramValue(name)))
-
-
-@dataclass(frozen=True)
-class _Step:
-    what: str
-    edit: Edit
-
-    @property
-    def size(self) -> int:
-        return sum(map(len, (*self.edit.texts.values(), *self.edit.were.values())))
 
 
 class Editor(Document):
@@ -64,12 +52,14 @@ class Editor(Document):
 
     def __init__(self, source: str | Path, opens: Callable[[Path], str] | None = None, **given: Any) -> None:
         self.opens = opens
-        self.done: list[_Step] = []
-        self.undone: list[_Step] = []
+        self._history, self._is_changing = History(), False
+        self.done, self.undone = self._history.done, self._history.undone
         self._pictures: dict[str, Picture] = {}
         self._rough: set[str] = set()
         self._checked: tuple[DiagramValue | None, Any] = (None, None)
-        _blank(Path(source))
+        self._known: dict[str, tuple[Any, str]] = {}
+        self._real = str(real(Path(source)))
+        write_blank(Path(source))
         super().__init__(source, **given)
 
     # --- the file ----------------------------------------------------------------------------------------------------
@@ -92,14 +82,41 @@ class Editor(Document):
 
     def read(self) -> bool:
         """As of Document; what another program wrote becomes a step that can be undone."""
-        before, revision = self.text, self.revision
-        is_new = super().read()
-        if is_new and revision and before != self.text:
-            name = str(self.file)
-            texts = {name: self.text.decode("utf-8", "replace")}
-            self._push(_Step("the change on disk", Edit(texts, {name: before.decode("utf-8", "replace")}, ())))
-            self.undone.clear()
+        is_first, is_new = not self.revision, super().read()
+        if is_first:
+            self._known = self._texts()
+        else:
+            self._note()
         return is_new
+
+    def _note(self, *, is_taken_back: bool = False) -> None:
+        """Make a step of what another program wrote.
+
+        A text that cannot be read is none until it can be, as while it is being written, or until it is taken back.
+        """
+        before, self._known = self._known, self._texts()
+        files = [file for file in before.keys() & self._known.keys() if before[file][1] != self._known[file][1]]
+        self._is_changing = False
+        if files:
+            self.undone.clear()
+        for file in files if self.error is not None and not is_taken_back else ():
+            if not _is_json(self._known[file][1]):
+                self._known[file], self._is_changing = before[file], True
+        new = {file: self._known[file][1] for file in files if self._known[file] != before[file]}
+        if new:
+            self._history.add(Step.of(_CHANGE, new, {file: before[file][1] for file in new}))
+
+    def _texts(self) -> dict[str, tuple[Any, str]]:
+        """The texts of the file and of those of its subdiagrams, and when they were written."""
+        texts: dict[str, tuple[Any, str]] = {self._real: (None, self.text.decode("utf-8", "surrogateescape"))}
+        for path, stamp in self._seen.items():
+            file = str(real(path))
+            if path != self.path and file != self._real and path.suffix.lower() != ".fmu":
+                known = self._known.get(file)
+                text = known[1] if known and known[0] == stamp else _text_of(path)
+                if text is not None:
+                    texts[file] = stamp, text
+        return texts
 
     def edit(self, what: str, operations: Operations) -> Edit:
         """Apply operations and write the file. what: the gesture, in words.
@@ -108,67 +125,81 @@ class Editor(Document):
         """
         self._catch_up()
         if self.is_gone:
-            what = "was deleted or renamed by another program; what is shown is in no file."
+            what = "was deleted, emptied or renamed by another program; what is shown is in no file."
             raise UsageError(Fault("E501", self.file.name, what, "Undo writes it again."))
         if self.error is not None:
             self.shown  # noqa: B018  # says why no edit can be made
         edit = edit_file(self.file, operations, library=self.library, text=self.text, check=False)
         if edit.texts:
-            self._write(edit)
+            texts, were = ({str(real(Path(f))): text for f, text in each.items()} for each in (edit.texts, edit.were))
+            step, written = Step.of(what, texts, were), Edit(texts, were, ())
+            self._write(written)
             if (error := self.error) is not None:  # as of a subdiagram whose file cannot be read
-                self._write(edit.undone)
+                self._write(written.undone, otherwise=step)
                 raise error
-            self._push(_Step(what, edit))
-            self.undone.clear()
+            self._history.add(step)
+            self._note()
         return edit
 
     def undo(self) -> str:
         """Take the last step back; returns which. Raises UsageError (E501)."""
-        return self._back(self.done, self.undone, "undo")
+        return self._back("undo")
 
     def redo(self) -> str:
         """Do the step again that was undone last; returns which. Raises UsageError (E501)."""
-        return self._back(self.undone, self.done, "redo")
+        return self._back("redo")
 
-    def _back(self, steps: list[_Step], others: list[_Step], what: str) -> str:
+    def _back(self, what: str) -> str:
         self._catch_up()
-        if self.is_gone and what == "undo":
-            with write_atomically(self.file) as stream:
-                stream.write(self.text.decode())
+        is_undo = what == "undo"
+        if self.is_gone and is_undo:
+            with write_atomically(self.file, was=b"" if self.file.exists() else None) as stream:
+                stream.buffer.write(self.text)
             return _GONE
+        if self._is_changing and is_undo:
+            self._note(is_taken_back=True)
+        steps = self.done if is_undo else self.undone
         if not steps:
             raise UsageError(Fault("E501", self.file.name, f"there is nothing to {what}."))
         step = steps[-1]
-        self._write(step.edit.undone)
+        own = self.text.decode("utf-8", "surrogateescape")
+        edit, others = step.back({file: own if file == self._real else _text_of(Path(file)) for file in step.parts})
+        if others:
+            steps.pop()
+            if (left := step.but(others)).parts:
+                steps.append(left)
+            names = ", ".join(Path(file).name for file in others)
+            message = f'was written by another program after "{step.what}", and stays as it is.'
+            raise UsageError(Fault("E501", names, message, f"The next {what} goes on without it."))
+        self._write(edit)
         steps.pop()
-        others.append(_Step(step.what, step.edit.undone))
+        (self.undone if is_undo else self.done).append(step.undone)
+        self._note()
         return step.what
 
     @property
     def is_gone(self) -> bool:
-        """Whether another program took the file away: undo writes it again."""
-        return not self.file.exists()
+        """Whether another program took the file or all of its text away: undo writes it again."""
+        return not self.file.exists() or (self.file.is_file() and not self.file.stat().st_size)
 
     def _catch_up(self) -> None:
+        if str(real(self.file)) != self._real:
+            what = "is a link to another file now, which is not written."
+            raise UsageError(Fault("E501", self.file.name, what, "Open that one, or put the file back."))
         if self.has_changed():
             self.read()
 
-    def _write(self, edit: Edit) -> None:
+    def _write(self, edit: Edit, otherwise: Step | None = None) -> None:
+        """otherwise: a step that was done where this cannot be written."""
         try:
             edit.write()
         except UsageError:
-            self._catch_up()  # so that the next gesture is about what stands there
+            if otherwise is not None:
+                self._history.add(otherwise)
+            self.read()  # so that the next gesture is about what stands there
             raise
+        self._known |= {file: (None, text) for file, text in edit.texts.items()}
         super().read()
-
-    def _push(self, step: _Step) -> None:
-        self.done.append(step)
-        size = 0
-        for index in range(len(self.done) - 1, -1, -1):
-            size += self.done[index].size
-            if size > MOST_TEXT and index < len(self.done) - 1:
-                del self.done[: index + 1]
-                break
 
     def check(self) -> None:
         """As of Document; where only blocks were moved, what was found stays."""
@@ -217,9 +248,13 @@ class Editor(Document):
         told = super().told()
         for fault, found in zip(told["faults"], self.faults, strict=True):
             fault["remedies"] = [*self._remedies(found)]
-        last, next_ = ([*steps[-1:], None][0] for steps in (self.done, self.undone))
-        undo = _GONE if self.is_gone else last.what if last else ""
-        return told | {"editing": {"undo": undo, "redo": next_.what if next_ else ""}}
+        return told | {"editing": self.offered}
+
+    @property
+    def offered(self) -> dict[str, str]:
+        """What undo and redo would do; "" for nothing."""
+        undo, redo = (steps[-1].what if steps else "" for steps in (self.done, self.undone))
+        return {"undo": _GONE if self.is_gone else _CHANGE if self._is_changing else undo, "redo": redo}
 
     def _remedies(self, fault: Fault) -> Iterator[dict[str, Any]]:
         """What buttons beside a fault do: operations on a level, or to choose what an input is wired to."""
@@ -278,6 +313,22 @@ class Editor(Document):
         self._pictures[level] = made
         before, self._drawings[level] = self._drawings.get(level), text
         return text != before
+
+
+def _text_of(path: Path) -> str | None:
+    """What a file holds; None where it cannot be read."""
+    try:
+        return path.read_bytes().decode("utf-8", "surrogateescape") if path.is_file() else None
+    except OSError:
+        return None
+
+
+def _is_json(text: str) -> bool:
+    try:
+        json_text.read(text)
+    except BlocksError:
+        return False
+    return True
 
 
 def move(level: str, name: str, at: Sequence[float]) -> dict[str, Any]:

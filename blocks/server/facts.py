@@ -16,7 +16,7 @@ from ..compile.coupling import Coupling
 from ..compile.plan import Plan
 from ..compile.setting_programs import Setting
 from ..contract.enumerations import enumeration_of
-from ..model.copies import depth_of, dimensions, own_value, without_numbers
+from ..model.copies import Copy, Fleet, depth_of, dimensions, own_value, without_numbers
 from ..model.diagram import DiagramValue
 from ..model.values import expressions_in
 from ..text.json_number import Number
@@ -191,7 +191,8 @@ def _entry(value: DiagramValue, path: str, depth: int | None, copies: Mapping[st
     if not number:
         return raw, raw
     depth = depth_of(known) if depth is None else depth
-    return own_value(raw, depth, int(number), copies[_plain(".".join([*blocks, ""]))[:-1]]), raw
+    plain = _plain(".".join([*blocks, ""]))[:-1]
+    return own_value(raw, depth, [Copy(Fleet(plain, copies[plain]), int(number))]), raw
 
 
 def _plain(path: str) -> str:

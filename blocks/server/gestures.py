@@ -10,7 +10,7 @@ import binascii
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,8 @@ from ..text.printable import legible, quoted
 from ..text.quantity_text import value_in
 from .document import inside
 from .editor import Editor, Operations, move
-from .knobs import ACTIVE
+from .facts import Fact
+from .following import follow, followed
 from .messages import Answer, handles
 from .palette import entries_of, files_beside, is_diagram
 from .session import Session
@@ -49,23 +50,42 @@ def _editor(session: Session) -> Editor:
     return session.document
 
 
-def _done(session: Session, what: str, operations: Operations, names: Iterable[str] = ()) -> Answer:
-    """Do a gesture, tell all pages, and answer which names came of it."""
+def _done(
+    session: Session, what: str, operations: Operations, names: Iterable[str] = (), put: str = ""
+) -> Answer:  # fmt: skip
+    """Do a gesture, tell all pages, and answer which names came of it. put: what was given a value, by its path."""
+    before = followed(session)
+    with _refused(session) as editor:
+        edit = editor.edit(what, operations)
+    files = [Path(file).name for file in edit.texts if file != str(editor.file)]
+    return _told(session, what, before, names, files, put)
+
+
+@contextmanager
+def _refused(session: Session) -> Iterator[Editor]:
+    """Show all pages what another program wrote, or which step is undone next, where a gesture is refused for it."""
     editor = _editor(session)
-    if editor.is_gone:
-        session.tell_document()  # undo can be pressed now
-    edit = editor.edit(what, operations)
-    return _told(session, what, names, [Path(file).name for file in edit.texts if file != str(editor.file)])
+    before = editor.revision, editor.offered
+    try:
+        yield editor
+    except BlocksError:
+        if (editor.revision, editor.offered) != before or editor.is_gone:
+            session.tell_document()
+        raise
 
 
-def _told(session: Session, what: str, names: Iterable[str] = (), files: Sequence[str] = ()) -> Answer:
+def _told(
+    session: Session, what: str, before: Mapping[str, Fact], names: Iterable[str] = (), files: Sequence[str] = (),
+    put: str = "",
+) -> Answer:  # fmt: skip
+    later = follow(session, before, put)
     if (session.values or session.inputs) and session.document.planned is not None:
         # What is gone cannot be set in the next run.
         for known in (session.values, session.inputs):
             for name in known.keys() - session.document.facts.keys():
                 del known[name]
     session.tell_document()
-    return {"is": "edited", "what": what, "names": [*names], "files": [*files]}
+    return {"is": "edited", "what": what, "names": [*names], "files": [*files], "later": later}
 
 
 def _in(level: str, operation: Mapping[str, Any]) -> dict[str, Any]:
@@ -85,13 +105,19 @@ def edit(session: Session, *, operations: list[dict[str, Any]], level: str = "",
 @handles
 def undo(session: Session) -> Answer:
     """Take the last gesture back, or a change that another program wrote."""
-    return _told(session, f"undone: {_editor(session).undo()}")
+    before = followed(session)
+    with _refused(session) as editor:
+        what = f"undone: {editor.undo()}"
+    return _told(session, what, before)
 
 
 @handles
 def redo(session: Session) -> Answer:
     """Do again what was undone last."""
-    return _told(session, f"done again: {_editor(session).redo()}")
+    before = followed(session)
+    with _refused(session) as editor:
+        what = f"done again: {editor.redo()}"
+    return _told(session, what, before)
 
 
 # --- blocks ----------------------------------------------------------------------------------------------------------
@@ -314,11 +340,10 @@ def _pasted(session: Session, what: str, text: str, level: str, at: list[float] 
             operation["by"] = [x - min(one[0] for one in placed), y - min(one[1] for one in placed)]
     before = editor.body(level)
     placing = editor.placing(level) if placed else []
-    editor.edit(what, [*placing, _in(level, operation)])
+    told = _done(session, what, [*placing, _in(level, operation)])
     after = editor.body(level)
     new = {part: after.get(part, {}).keys() - before.get(part, {}).keys() for part in ("blocks", "inputs", "outputs")}
-    names = [name for part, own in new.items() for name in after.get(part, {}) if name in own]
-    return _told(session, what, names)
+    return {**(told or {}), "names": [name for part, own in new.items() for name in after.get(part, {}) if name in own]}
 
 
 # --- values ----------------------------------------------------------------------------------------------------------
@@ -328,7 +353,8 @@ def _pasted(session: Session, what: str, text: str, level: str, at: list[float] 
 def put(session: Session, *, name: str, text: str, level: str = "") -> Answer:
     """Write a parameter of a block ("pid.kp"), or a parameter or an input of the level, as typed; "": its default.
 
-    A run that goes on takes it at once where it can; the answer says where it does not.
+    A run that goes on takes it at once where it can, as it does with what any gesture changes; the answer says where it
+    does not (`later`).
     """
     editor = _editor(session)
     body, (block, _, own) = editor.body(level), name.rpartition(".")
@@ -354,35 +380,28 @@ def put(session: Session, *, name: str, text: str, level: str = "") -> Answer:
         steps, is_there = [section, own], True
         if section == "inputs":
             steps, is_there = [*steps, "default"], "default" in entry
-        elif isinstance(entry, Mapping) and "value" in entry and text.strip():
+        elif not text.strip():
+            raise UsageError(Fault("E501", legible(name[:200]), "has no default: it needs a value.", "As in 20 V."))
+        elif isinstance(entry, Mapping) and "value" in entry:
             raw = _raw(text, name, "")
             more: Mapping[str, Any] = raw if _is_quantity(raw) else {"value": raw}
             operations = [{"set": [*steps, key], "to": one} for key, one in more.items()]
-            return _set(session, name, level, operations, raw)
+            return _set(session, name, level, operations)
     if not text.strip():
         operations = [{"remove": steps}] if is_there else []
-        return _set(session, name, level, operations, None)
+        return _set(session, name, level, operations)
     raw = _raw(text, name, type_)
     fact = editor.facts.get(f"{level}.{name}".lstrip("."))
     if _is_quantity(raw) and fact is not None and raw["unit"] == fact.unit and (block or steps[0] == "inputs"):
         raw = raw["value"]  # a bare number is meant in it
-    return _set(session, name, level, [{"set": steps, "to": raw}], raw)
+    return _set(session, name, level, [{"set": steps, "to": raw}])
 
 
-def _set(session: Session, name: str, level: str, operations: Operations, raw: Any) -> Answer:
-    """Write a value, and give it to a run that goes on."""
-    path, live, later = f"{level}.{name}".lstrip("."), session.live, ""
-    told = _done(session, f"set {name}", [_in(level, one) for one in operations])
-    for known in (session.values, session.inputs):
-        known.pop(path, None)
-    if raw is not None and live is not None and live.state in ACTIVE:
-        try:
-            live.set(path, raw)
-        except BlocksError as error:
-            later = error.faults[0].message
+def _set(session: Session, name: str, level: str, operations: Operations) -> Answer:
+    """Write a value, which counts in place of what was set in the session."""
+    told = _done(session, f"set {name}", [_in(level, one) for one in operations], put=f"{level}.{name}".lstrip("."))
     session.broadcast({"is": "changed"})
-    assert told is not None
-    return told | {"later": later}
+    return told
 
 
 @handles

@@ -6,7 +6,7 @@
 answers {"do": "draw", "level": ""}; one about what a page shows takes that too, as a second argument `page`. Fields
 that the function does not take, that it lacks or that have another type are refused (E501) before it is called, and so
 are numbers that are not finite. What takes long is computed aside: `@handles_aside` lets another thread do it, one
-after the other, which changes nothing in the session.
+after the other, which changes nothing in the session, and gets it as it stood when the message came.
 """
 
 from __future__ import annotations

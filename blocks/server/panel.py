@@ -101,7 +101,7 @@ def _run(value: DiagramValue) -> Row:
     for name, raw in value.measures.items():
         keys = (f"{key}={_text(one)}" for key, one in raw.items() if key not in ("type", "doc"))
         measures[name] = " ".join([str(raw.get("type")), *keys])
-    return said | {"log": list(value.run.get("log", ())), "hasLog": "log" in value.run, "measures": measures}
+    return said | {"log": list(value.run.get("log", ())), "measures": measures}
 
 
 def _sheet(value: DiagramValue, controls: tuple[str, ...]) -> Sheet:

@@ -1,11 +1,13 @@
 """What is open: the document, its run and what was turned in it, and the pages that look at it.
 
 All that a session does, it does in one thread, in the order in which it was asked: messages of pages, news of the run,
-and a look at the file twice a second. So no handler needs a lock. What takes long is done aside, by a second thread.
+and a look at the file twice a second. So no handler needs a lock. What takes long is done aside, by a second thread,
+which sees all as it stood when it was asked.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 import queue
 import secrets
@@ -75,7 +77,7 @@ class Session:
         self._todo: queue.SimpleQueue[tuple[Client | None, Any]] = queue.SimpleQueue()
         self._is_told = threading.Event()  # news of the run wait in the queue
         self._told = 0.0
-        self._aside: queue.SimpleQueue[tuple[Client, Mapping[str, Any]] | None] = queue.SimpleQueue()
+        self._aside: queue.SimpleQueue[tuple[Client, Mapping[str, Any], Session] | None] = queue.SimpleQueue()
         self._is_settling = False
         # Python waits for this one: it ends daemon threads where they are, which an FMU that computes does not survive.
         self._thread = threading.Thread(target=self._work, name="blocks session", daemon=False)
@@ -147,9 +149,9 @@ class Session:
         elif client is not None and what == "disconnected":
             self.pages.pop(client, None)
         elif client is not None and what.get("do") in ASIDE:
-            self._aside.put((client, what))
+            self._aside.put((client, what, self._as_it_stands()))
         elif client in self.pages:
-            self._answer(client, what)
+            self._answer(client, what, self)
             self._show(client)
 
     def _settle(self) -> None:
@@ -183,12 +185,21 @@ class Session:
         while (asked := self._aside.get()) is not None:
             self._answer(*asked)
 
-    def _answer(self, client: Client, message: Mapping[str, Any]) -> None:
+    def _as_it_stands(self) -> Session:
+        """The same, with a document and values that do not change any more."""
+        seen = copy.copy(self)
+        seen.document = copy.copy(self.document)
+        seen.document.variants = {**self.document.variants}
+        seen.values, seen.inputs = {**self.values}, {**self.inputs}
+        return seen
+
+    def _answer(self, client: Client, message: Mapping[str, Any], asked: Session) -> None:
+        """asked: this session, or what it was when the message came."""
         try:
             try:
-                told = answer(self, message, self.pages.get(client))
+                told = answer(asked, message, self.pages.get(client))
             except BlocksError as error:
-                paths = self.document.paths
+                paths = asked.document.paths
                 told = {"is": "error", "faults": [told_fault(fault, paths) for fault in error.faults]}
         except Exception as error:  # a page must not end the session of another one
             told = _failed(error)

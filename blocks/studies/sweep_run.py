@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..api.batch import Batch, BatchRows
-from ..api.varied import columns_of
+from ..api.varied import each_of
 from ..model.diagram import check_name
 from ..model.diagram_grammar import MEASURE_UNITS
 from ..model.flatten import Flat, element_of
@@ -82,9 +82,7 @@ def sweep(
 
     def expand(pattern: str) -> list[str]:
         flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
-        _, bracket, element = pattern.partition("[")
-        targets = columns_of([pattern], taken(diagram.value, variants), flat)[0].targets
-        return [f"{target.path}{bracket}{element}" for target in targets]
+        return each_of(pattern, taken(diagram.value, variants), flat)
 
     rows = rows_of(vary, n=n, sampler=sampler, seed=seed, expand=expand)
     given = _scenarios(scenarios, parameters)

@@ -78,11 +78,14 @@ def write_atomically(path: str | Path, *, was: bytes | None = None) -> Iterator[
     """A text file that replaces `path` when all is written, or leaves it as it was, whatever happens.
 
     was: what a file that is edited must still hold then. A link is followed; a device or a pipe is written to as
-    it is. Raises UsageError (E501) where that cannot be done.
+    it is, unless something is to be edited. Raises UsageError (E501) where that cannot be done.
     """
     target = real(Path(path))
     try:
-        with _device(target) if _is_device(target) else _part(target, was) as stream:
+        is_device = _is_device(target)
+        if is_device and was is not None:
+            raise OSError(errno.EINVAL, "this is no file any more", str(target))
+        with _device(target) if is_device else _part(target, was) as stream:
             yield stream
     except OSError as error:
         raise refused(path, error) from None

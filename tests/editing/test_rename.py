@@ -691,3 +691,23 @@ def test_the_number_of_copies_follows_its_parameter(tmp_path: Path) -> None:
     assert main(["rename", str(file), "n", "count"]) == 0
     assert json.loads(file.read_text())["blocks"]["lags"]["copies"] == "=count"
     assert len(Diagram.load(file).plan().states) == 3
+
+
+def test_names_of_studies_follow_where_each_copy_gets_a_value(tmp_path: Path) -> None:
+    inner = {"parameters": {"T": 1}, "blocks": {"lag": {"type": "FirstOrder"}}, "inputs": {"u": {}},
+             "wires": {"lag.u": "u"}}  # fmt: skip
+    blocks = {"wave": {"type": "Sine"}, "a": {"copies": 2, "diagram": inner}}
+    fleet = {"format": "blocks-diagram", "version": 3, "blocks": blocks, "wires": {"a.u": "wave.y"}, "run": {"stop": 1}}
+    given = {"a[*].lag.T": [1, 2], "a[1].lag.k": 2}
+    row = {"diagram": "fleet.json", "vary": {"each(a[*].lag.y_start)": [1], "each(a.T)": [2]}}
+    study = {"format": "blocks-study", "version": 1, "runs": {"r": {"diagram": "fleet.json", "parameters": given}},
+             "sweeps": {"s": row}}  # fmt: skip
+    (tmp_path / ".git").mkdir()
+    (tmp_path / "study.json").write_text(json.dumps(study))
+    file = tmp_path / "fleet.json"
+    file.write_text(json.dumps(fleet))
+    for old, new in (("a", "robots"), ("robots.lag", "motor"), ("robots.T", "tau")):
+        assert main(["rename", "--project", str(file), old, new]) == 0
+    renamed = json.loads((tmp_path / "study.json").read_text())
+    assert list(renamed["runs"]["r"]["parameters"]) == ["robots[*].motor.T", "robots[1].motor.k"]
+    assert list(renamed["sweeps"]["s"]["vary"]) == ["each(robots[*].motor.y_start)", "each(robots.tau)"]

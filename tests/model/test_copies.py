@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from blocks import Diagram, FirstOrder, ModelError, Sine, UsageError, edit_file, subdiagram
-from blocks.model.copies import Fleet, Layout
+from blocks.model.copies import Fleet, Layout, alike
 from blocks.model.diagram import DiagramValue
 from blocks.model.fingerprint import fingerprint
 
@@ -273,6 +273,31 @@ def test_a_difference_in_the_number_is_told() -> None:
     told = str(diagram({"copies": 3}).diff(diagram({"copies": 4})))
     assert "robots" in told
     assert "copies" in told
+
+
+def test_a_check_tells_copies_as_one() -> None:
+    platoon = Diagram.load(Path(__file__).resolve().parents[2] / "diagrams" / "fleet" / "platoon.json")
+    told = str(platoon.check())
+    inner = " > ".join(f"vehicles[*].{name} (50 copies)" for name in ("drive", "speed", "way"))
+    law = "gaps > closing > vehicles[*].law (50 copies)"  # sparse gains are blocks too, of which parts are computed
+    assert f"order: leader > {law} > first_gap > first_closing > way > {inner}\n" in told
+    hold = {"copies": 2, "type": "ZeroOrderHold", "parameters": {"period": 0.1}}
+    held = {"copies": 2, "diagram": {"blocks": {"hold": hold}, "inputs": {"u": {}}, "wires": {"hold.u": "u"}}}
+    made = Diagram.from_json({**HEAD, "blocks": {"wave": {"type": "Sine"}, "r": held}, "wires": {"r.u": "wave.y"}})
+    assert "s: r[*].hold[*] (4 copies)\n" in str(made.check())
+    assert alike(["a", "b[0].y", "b[2].y", "c[1].y"]) == ["a", "b[*].y (2 copies)", "c[1].y"]
+
+
+def test_a_model_tells_of_copies_as_one() -> None:
+    inner = {"blocks": {"q": {"type": "Quantizer"}, "lag": {"type": "FirstOrder"}}, "inputs": {"u": {}},
+             "outputs": {"y": "lag.y"}, "wires": {"q.u": "u", "lag.u": "q.y"}}  # fmt: skip
+    made = Diagram.from_json({**HEAD, "inputs": {"u": {}}, "blocks": {
+        "c": {"copies": 5, "diagram": inner}, "mean": {"type": "Reduction", "parameters": {"size": 5}}},
+        "outputs": {"y": "mean.y"}, "wires": {"c.u": "u", "mean.u": "c.y"}})  # fmt: skip
+    model = made.linearize("u", "y")
+    assert model.hint.startswith("c[0].q.y passes nothing on where it stands: ")
+    assert model.hint.endswith(" The same of 4 more copies.")
+    assert model.hint.count("passes nothing on") == 1
 
 
 # --- the order in which they stand -----------------------------------------------------------------------------

@@ -198,6 +198,23 @@ def test_a_source_of_another_quantity_is_not_offered() -> None:
     assert only(inputs=inputs, blocks={"motor": motor}).cure == 'Did you mean "motor.v": "v"?'
 
 
+def test_a_source_whose_name_says_nothing_is_not_offered() -> None:
+    pid = {"type": "PID", "parameters": {"unit": "rad/s", "unit_u": "V"}}
+    step, none = {"type": "Step", "parameters": {"unit": "rad/s"}}, 'Add "pid.y": "block.output" to the wires.'
+    wires = {"pid.r": "step.y"}
+    assert only(blocks={"pid": pid, "step": step}, wires=wires).cure == none  # which is what it is compared with
+    inputs = {"r": {"unit": "rad/s"}, "y": {"unit": "rad/s"}}
+    assert only(blocks={"pid": pid}, inputs=inputs, wires={"pid.r": "r"}).cure == 'Did you mean "pid.y": "y"?'
+    assert only(blocks={"pid": pid}, inputs=inputs, wires={"pid.r": "y"}).cure == none
+    several = {**json.loads((FOLDER / "paper" / "control_iadrc.json").read_text(encoding="utf-8"))}
+    several["blocks"]["other"], several["wires"] = several["blocks"]["eso"], {**several["wires"]}
+    del several["wires"]["nlsef.z3"]
+    several["wires"] |= {sink.replace("eso.", "other.", 1): source for sink, source in several["wires"].items()
+                         if sink.startswith("eso.")}  # fmt: skip
+    fault = only(**{key: several[key] for key in ("parameters", "inputs", "outputs", "blocks", "wires")})
+    assert fault.cure == 'Add "nlsef.z3": "block.output" to the wires.'  # there are two
+
+
 def test_an_input_with_a_default_may_stay_unwired() -> None:
     made = flat(blocks={"motor": {"type": "PMDCMotor"}}, inputs={"v": {}}, wires={"motor.v": "v"})
     assert source_of(made, "motor.tau") == ("value 0.0",)

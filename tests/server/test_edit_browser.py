@@ -6,6 +6,8 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,11 +16,13 @@ import numpy as np
 import pytest
 
 from benchmarks.drawing import placed
-from blocks import Diagram
+from blocks import Constant, Diagram, Gain, MatrixGain
 from blocks.model.document import dumps
 from blocks.server.editor import Editor
 from tests.support.hands import Hands, edited_page
 from tests.support.places import ROOT
+
+from .test_knobs import Page
 
 pytestmark = pytest.mark.long
 
@@ -57,10 +61,7 @@ def check_and_undo(hands: Hands, empty: bytes, undo: Any) -> None:
     assert np.array_equal(runs[0]["motor.omega"], runs[1]["motor.omega"])
     for _ in range(len(hands.editor.done)):
         undo()
-    for _ in range(1000):
-        if not hands.editor.done:
-            break
-        hands.page.evaluate("new Promise(requestAnimationFrame)")
+    hands.page.until("!document.querySelector('#edits button:not(:disabled)[title^=Undo]')")
     hands.page.until("!document.querySelector('#stage [data-path]')")
     assert path.read_bytes() == empty
     hands.page.assert_clean()
@@ -159,6 +160,7 @@ def test_the_motor_under_control_is_drawn_with_the_keyboard_alone(chromium: Any,
         page.press("ArrowUp")  # a nudge writes all positions
         page.until("document.querySelector('#stage svg').dataset.origin")
         page.press("/")
+        page.until("document.querySelector('dialog.search li')")
         page.type("motor.omega")
         page.press("Enter")
         hands.type_block("output omega")
@@ -307,6 +309,120 @@ def test_500_blocks_are_moved_wired_deleted_and_undone(chromium: Any, tmp_path: 
         assert page.evaluate(shown) == kept
         page.assert_clean()
     assert path.read_bytes() == before
+
+
+@contextmanager
+def pressed(page: Any, selector: str) -> Iterator[None]:
+    """Hold the button of the mouse on an element."""
+    at = page.center(selector)
+    page._mouse("mouseMoved", *at)
+    page._mouse("mousePressed", *at, button="left", buttons=1, clickCount=1)
+    yield
+    page._mouse("mouseReleased", *at, button="left", clickCount=1)
+
+
+def test_a_click_counts_and_what_is_typed_stays_when_the_panel_is_shown_anew(chromium: Any, tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    path.write_bytes(MOTOR.read_bytes())
+    with edited_page(chromium, path) as hands:
+        page, elsewhere = hands.page, Page()
+
+        def another_window(do: str, **fields: Any) -> None:
+            revision = hands.editor.revision
+            hands.server._open.received(elsewhere, {"do": do, "id": 0, **fields})
+            page.until(f"document.body.dataset.revision > {revision}")
+
+        hands.server._open.connected(elsewhere)
+        kd = "#panel [aria-label='Delete kd']"
+        page.until(f'document.querySelector("{kd}")')
+        with pressed(page, kd):  # the line of this button is another one, and those above it are more
+            another_window("put", name="kd", text="5")
+            another_window("define", kind="parameter", text="above=1")
+            time.sleep(0.3)
+        page.until(f'!document.querySelector("{kd}")')
+        assert "kd" not in json.loads(path.read_text())["parameters"]
+        # A block has knobs, and plain fields while there are faults.
+        page.click('#lists [data-path="load"]')
+        page.until("document.querySelector('#panel .knob [aria-label=\"load.at\"]')")
+        page.click('#panel [aria-label="load.at"]', count=3)
+        page.type("7")
+        another_window("delete", names=[], sinks=["motor.v"])
+        page.until("document.querySelector('#panel .field [aria-label=\"load.at\"]')")
+        assert page.evaluate("document.activeElement.ariaLabel + document.activeElement.value") == "load.at7"
+        page.type("5")
+        page.until("document.querySelector('#panel [aria-label=\"load.at\"]').value === '75'")
+        for _ in range(600):
+            if json.loads(path.read_text())["blocks"]["load"]["parameters"]["at"] == 75:
+                break
+            page.evaluate("new Promise(requestAnimationFrame)")
+        assert json.loads(path.read_text())["blocks"]["load"]["parameters"]["at"] == 75
+        page.assert_clean()
+
+
+def test_wires_have_one_value_each_when_the_drawing_is_shown_anew(chromium: Any, tmp_path: Path) -> None:
+    d = Diagram("vectors")
+    double = [[2.0 * (row == column) for column in range(4)] for row in range(4)]
+    d.wire(d.add("vector", MatrixGain(K=double)).u, d.input("r", size=4, default=[1.0, 2.0, 3.0, 4.5]))
+    for name in ("other", "more"):
+        d.wire(d.add(name, MatrixGain(K=[[1.0] * 4])).u, "vector.y")
+    d.wire(d.add("gain", Gain(k=1.0)).u, d.add("constant", Constant(value=7.0)).y)
+    d.settings(stop=1.0)
+    d.save(tmp_path / "vectors.json")
+    labels = (
+        "[...document.querySelectorAll('#stage g[data-net]')].map(one => [one.dataset.net, one.dataset.sink ?? '', "
+        "...[...one.querySelectorAll('.wire-value')].map(text => text.firstChild.data)]).filter(one => one.length > 2)"
+    )
+    with edited_page(chromium, tmp_path / "vectors.json") as hands:
+        page = hands.page
+
+        def shown(constant: str) -> None:
+            wanted = [["constant.y", constant], ["r", "1, 2, 3, ..."], ["vector.y", "2, 4, 6, ..."]]
+            wanted_text = json.dumps(json.dumps(wanted, separators=(",", ":")))
+            told = f"{labels}.map(([net, _, ...texts]) => [net, ...texts]).sort()"
+            page.until(f"JSON.stringify({told}) === {wanted_text}")
+
+        def moved(name: str) -> None:
+            x, y = hands.box(name)
+            hands.done(lambda: page.drag(x, y, x + 40, y + 50))
+
+        hands.button("Run", "#runbar")
+        shown("7")
+        whole = page.evaluate("[...document.querySelectorAll('.wire-value title')].map(one => one.textContent)")
+        assert sorted(whole) == ["r, 4 elements: 1, 2, 3, 4.5", "vector.y, 4 elements: 2, 4, 6, 9"]
+        moved("other")  # its wires are others then, those of the other blocks are kept
+        shown("7")
+        page.click('#lists [data-path="constant"]')
+        page.click('#panel [aria-label="constant.value"]', count=3)
+        page.type("8")
+        hands.done(lambda: page.press("Tab"))
+        shown("7")  # of the run that was
+        hands.button("Run anew", "#runbar")
+        shown("8")
+        moved("vector")
+        shown("8")
+        page.click("#scopes label input[type=checkbox]")
+        page.until(f"{labels}.every(([,, text]) => !text)")
+        page.assert_clean()
+
+
+def test_a_block_is_dragged_from_the_list_into_the_drawing(chromium: Any, tmp_path: Path) -> None:
+    with edited_page(chromium, tmp_path / "new.json") as hands:
+        page = hands.page
+        (x, y), aside = page.center("#view"), page.center("#runbar")
+        hands.button("Add")
+        page.until("document.querySelector('#found [role=option]')")
+        page.type("gain 3")
+        hands.done(lambda: page.drag(*page.center("#found [role=option]"), x + 100, y + 50))
+        hands.seen("[data-path=gain]")
+        assert hands.box("gain") == pytest.approx((x + 100, y + 50), abs=10)  # the grid
+        assert hands.editor.diagram is not None
+        assert hands.editor.diagram.value.blocks["gain"].parameters == {"k": 3}
+        hands.button("Add")
+        page.until("document.querySelector('#found [role=option]')")
+        page.drag(*page.center("#found [role=option]"), *aside)  # no place for a block
+        page.until("!document.querySelector('dialog, .dragged')")
+        assert len(hands.editor.done) == 1
+        page.assert_clean()
 
 
 def test_hostile_names_and_texts_are_shown_as_texts(chromium: Any, tmp_path: Path) -> None:

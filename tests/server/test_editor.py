@@ -119,7 +119,7 @@ def test_a_file_that_was_deleted_on_the_disk_is_written_again_by_undo(tmp_path: 
         loop(ask)
         text = path.read_bytes()
         path.unlink()
-        with pytest.raises(UsageError, match=r"was deleted or renamed by another program.*Undo writes it again"):
+        with pytest.raises(UsageError, match=r"renamed by another program.*Undo writes it again"):
             ask("put", name="pid.ki", text="31")
         assert not path.exists()
         assert editor.told()["editing"]["undo"] == "the deletion on disk"
@@ -288,6 +288,8 @@ def test_values_are_written_as_typed_and_go_back_to_their_defaults(tmp_path: Pat
         ask("define", kind="input", text="r=1 rad/s")
         document = json.loads(path.read_text())
         assert document["parameters"]["gain"] == {"value": 4, "unit": "1/s"}
+        with pytest.raises(UsageError, match="gain: has no default: it needs a value"):
+            ask("put", name="gain", text=" ")
         assert document["inputs"]["r"] == {"default": 1, "unit": "rad/s"}
         ask("put", name="r", text="2")
         assert json.loads(path.read_text())["inputs"]["r"]["default"] == 2

@@ -90,6 +90,19 @@ def test_a_command_that_cannot_serve_says_why(words: list[str], said: str, capsy
     assert (out, err[: len(said)]) == ("", said)
 
 
+@pytest.mark.parametrize(
+    ("file", "said"),
+    [("no/new.json", "E501 no/new.json: cannot be written: No such file"), (".", 'E007 "." is a folder.')],
+)
+def test_an_editor_of_what_cannot_be_written_has_no_address(
+    file: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["edit", file, "--no-browser"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err[: len(said)]) == ("", said)
+
+
 @pytest.mark.parametrize("text", ["", "{", "[]", "\x00", '{"format": "blocks-diagram", "version": 99}'])
 def test_a_file_with_faults_opens_and_tells_them(text: str, tmp_path: Path) -> None:
     path = tmp_path / "broken.json"

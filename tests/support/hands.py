@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +11,8 @@ from typing import Any
 
 from blocks.server.editor import Editor
 from blocks.server.live_server import LiveServer
+
+from .browser import DEADLINE
 
 __all__ = ["Hands", "edited_page"]
 
@@ -73,11 +76,10 @@ class Hands:
 
     def done(self, act: Callable[[], Any]) -> None:
         """Do something that is one more step of the history."""
-        steps = len(self.editor.done)
+        steps, limit = len(self.editor.done), time.monotonic() + DEADLINE
+        refused = "document.querySelector('#edits .refusal').innerText"
         act()
-        for _ in range(600):
-            if len(self.editor.done) > steps:
-                break
+        while len(self.editor.done) == steps and time.monotonic() < limit and not self.page.evaluate(refused):
             self.page.evaluate("new Promise(requestAnimationFrame)")
         said = self.page.text("#edits .refusal")
         assert len(self.editor.done) == steps + 1, f"{said}; {[step.what for step in self.editor.done[steps:]]}"
@@ -94,7 +96,8 @@ class Hands:
         self.done(lambda: self.page.press("Enter"))
 
     def tab_to(self, selector: str) -> None:
-        """Press Tab until an element has the focus."""
+        """Press Tab until an element has the focus, when it is there."""
+        self.page.until(f"document.querySelector({json.dumps(selector)})")
         for _ in range(300):
             if self.page.evaluate(f"document.activeElement?.matches({json.dumps(selector)})"):
                 return

@@ -1,9 +1,11 @@
 /** A field whose words choose among entries, as the search and the insertion of blocks do. */
 import { counted, dialog, element } from "./elements.js";
 
+const LEAST = 6; // pixels before a press is a drag
+
 /**
  * Open it; `refresh` asks anew for what is found. find: the entries for a text, each with name, what is told of it, picture, the group that it is listed under,
- * why it cannot be chosen, and go.
+ * why it cannot be chosen, go, and drop: what is done where it is dragged out of the list, to a place of the drawing.
  * @param {{label: string, placeholder: string, text?: string, find: (text: string) => any[]}} asked
  */
 export function choose(app, { label, placeholder, text = "", find }) {
@@ -27,11 +29,34 @@ export function choose(app, { label, placeholder, text = "", find }) {
     document.getElementById("view").focus();
     chosen?.go();
   };
+  /** Follow the pointer with a picture of an entry until it is let go. */
+  const drag = ({ why, drop }) => (down) => {
+    if (why || !drop || down.button || down.pointerType === "touch") return;
+    const picture = down.currentTarget.querySelector("svg").cloneNode(true);
+    const off = new AbortController();
+    picture.classList.add("dragged");
+    const move = ({ clientX, clientY }) => {
+      if (!picture.isConnected && Math.hypot(clientX - down.clientX, clientY - down.clientY) < LEAST) return;
+      if (shown.open) shown.close();
+      if (!picture.isConnected) document.body.append(picture);
+      Object.assign(picture.style, { left: `${clientX}px`, top: `${clientY}px` });
+    };
+    const end = (event) => {
+      off.abort();
+      if (!picture.isConnected) return;
+      picture.remove();
+      if (event.type === "pointerup" && document.elementFromPoint(event.clientX, event.clientY)?.closest("#view")) drop(event);
+    };
+    document.addEventListener("pointermove", move, off);
+    document.addEventListener("pointerup", end, off);
+    document.addEventListener("pointercancel", end, off);
+    document.addEventListener("keydown", (event) => event.key === "Escape" && end(event), off);
+  };
   word.oninput = () => {
     entries = find(word.value.trim(), word.value);
     at = 0;
     items = entries.map(({ name, told, picture, why }, index) =>
-      element("li", { role: "option", id: `found${index}`, "aria-disabled": why ? "true" : null, onclick: () => take(index) },
+      element("li", { role: "option", id: `found${index}`, "aria-disabled": why ? "true" : null, onclick: () => take(index), onpointerdown: drag(entries[index]) },
         picture?.() ?? null, element("span", { class: "name" }, name), element("span", { class: "type" }, why || told)));
     options.replaceChildren(...items.flatMap((item, index) => {
       const { group } = entries[index];

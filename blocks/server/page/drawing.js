@@ -1,5 +1,5 @@
 /** The drawing of the open level, as `blocks draw` makes it: moved, zoomed, searched, with blocks and wires to select. */
-import { counted, element } from "./elements.js";
+import { counted, element, fill } from "./elements.js";
 
 const LEAST = 0.05;
 const MOST = 8;
@@ -104,14 +104,9 @@ export function start(app) {
     if (isOther || !old) return stage.replaceChildren(document.adoptNode(made));
     for (const name of new Set([...old.getAttributeNames(), ...made.getAttributeNames()]))
       made.hasAttribute(name) ? old.getAttribute(name) === made.getAttribute(name) || old.setAttribute(name, made.getAttribute(name)) : old.removeAttribute(name);
-    const all = new Set(drawn.map(([, one]) => one));
-    [...old.children].forEach((one) => all.has(one) || one.remove());
-    let next = old.firstElementChild;
-    for (const [, one] of drawn) {
-      if (one !== next) old.insertBefore(one, next);
-      else next = next.nextElementSibling;
+    fill(old, drawn.map(([, one]) => one));
+    for (const [, one] of drawn)
       for (const name of ["style", "transform"]) if (one.hasAttribute(name)) one.removeAttribute(name); // of a drag
-    }
   };
   /** From where positions count in what is shown; of a level that was laid out automatically nothing is known. */
   const origin = () => stage.firstElementChild?.dataset.origin?.split(" ").map(Number);
@@ -233,7 +228,7 @@ export function start(app) {
   };
   view.onpointermove = (event) => {
     const before = fingers.get(event.pointerId);
-    if (!before) return event.pointerType === "mouse" && !frame && hover(under(event.clientX, event.clientY));
+    if (!before) return event.pointerType === "mouse" && !frame && !app.hold && hover(under(event.clientX, event.clientY));
     const [dx, dy] = [event.clientX - before.clientX, event.clientY - before.clientY];
     const other = [...fingers.values()].find((one) => one.pointerId !== event.pointerId);
     travelled += Math.hypot(dx, dy);

@@ -20,6 +20,7 @@ export function start(app) {
       const told = await app.connection.ask(name, name === "undo" || name === "redo" ? fields : { level: level(), ...fields });
       app.announce(said || told.what || "");
       if (told.files?.length) say(`written into ${told.files.join(", ")}: every block of it is another one now`);
+      if (told.later) say(`not in this run: ${told.later}`);
       return told;
     } catch (error) {
       app.drawing.show(level()); // as it stands
@@ -127,7 +128,7 @@ export function start(app) {
         // Names of several words are known as well, as "dc motor".
         const whole = plain(rest) && !rest.includes("=") ? palette.filter((entry) => [title(entry), ...(entry.words ?? [])].some((one) => plain(one).includes(plain(said)))) : [];
         const shownOf = (entry, given) => ({
-          name: title(entry), told: told(entry, given && full), picture: picture(entry), group: word ? "" : entry.group, why: entry.word ? entry.doc : "", go: () => add(entry, given, { ...at, ...wire }),
+          name: title(entry), told: told(entry, given && full), picture: picture(entry), group: word ? "" : entry.group, why: entry.word ? entry.doc : "", go: () => add(entry, given, { ...at, ...wire }), drop: (dropped) => add(entry, given, hand.near(app, dropped)),
         });
         const entries = [...whole.map((entry) => shownOf(entry, "")), ...meant(word).filter((entry) => !whole.includes(entry)).map((entry) => shownOf(entry, rest))].slice(0, word ? SHOWN : 999);
         return defined.some(({ name }) => name === word.toLowerCase()) ? [...defined, ...entries] : [...entries, ...defined];
@@ -230,7 +231,7 @@ export function start(app) {
     if (!wire) return say("Choose a signal first: its wire, or its name in the list.");
     const { run } = await app.ask("panel", { path: "" });
     const at = run.log.indexOf(wire);
-    const operation = at >= 0 ? { remove: ["run", "log", at] } : run.hasLog ? { add: ["run", "log", run.log.length], value: wire } : { set: ["run", "log"], to: [wire] };
+    const operation = at >= 0 ? { remove: ["run", "log", at], was: wire } : { add: ["run", "log"], value: wire };
     await act("edit", { level: "", operations: [operation], what: at >= 0 ? `log ${wire} no longer` : `log ${wire}` });
   }
   /** Write the doc of the selected block, or of the open level; with a name: of its parameter or input. */
@@ -247,7 +248,7 @@ export function start(app) {
     if (as && (await edit([{ group: names, as }], `group ${names.join(", ")}`))) pick([as]);
   }
   const commands = {
-    insert: { text: "Add", keys: "letters", what: "insert a block by its name; also a double click on free ground", go: () => app.insert(""), can: () => true },
+    insert: { text: "Add", keys: "letters", what: "insert a block by its name, or drag it from the list; also a double click on free ground", go: () => app.insert(""), can: () => true },
     connect: { text: "Connect", keys: "Shift+C", what: "wire the selected block", go: connect, can: () => blocks().length > 0 },
     remove: { text: "Delete", keys: "Delete", what: "delete what is selected", go: remove, can: () => some() || app.state.wire !== null },
     rename: { text: "Rename", keys: "F2", what: "rename the selected block", go: rename, can: () => picked.size === 1 },
@@ -428,12 +429,12 @@ export function start(app) {
   const forms = (panel, selected) => {
     if (selected || !panel.run) return null;
     const line = (name, text, ...more) => element("li", {}, element("span", { class: "name" }, name), element("span", { class: "value" }, text, " ", ...more));
-    const gone = (place, what) => element("button", { class: "link", "aria-label": `Delete ${what}`, onclick: () => edit([{ remove: place }], `delete ${what}`) }, "Delete");
+    const gone = (place, what, was) => element("button", { class: "link", "aria-label": `Delete ${what}`, onclick: () => edit([{ remove: place, ...was }], `delete ${what}`) }, "Delete");
     const change = (place, what, text) => element("button", { class: "link", "aria-label": `Change ${what}`, onclick: async () => {
       const said = await prompted(what, text);
       if (said) await act("define", place === "measure" ? { kind: place, text: said } : { kind: "entry", text: `${place}=${said}` });
     } }, "Change");
-    const log = panel.run.log.map((name, index) => line(name, "logged", gone(["run", "log", index], name)));
+    const log = panel.run.log.map((name, index) => line(name, "logged", gone(["run", "log", index], name, { was: name })));
     return element("details", { class: "doc", open: areRunsOpen, ontoggle: ({ target }) => (areRunsOpen = target.open) }, element("summary", {}, element("h3", {}, "Runs, log and measures")),
       element("ul", { class: "rows" },
         ...["stop", "every", "method"].map((name) => line(name, panel.run[name], change(`run.${name}`, name, panel.run[name]))),

@@ -11,6 +11,39 @@ export function element(tag, attributes = {}, ...children) {
   return made;
 }
 
+/** Give a place these children; those that stay are not taken out meanwhile, and keep the focus. */
+export function fill(place, children) {
+  const stay = new Set(children);
+  [...place.childNodes].forEach((one) => stay.has(one) || one.remove());
+  let next = place.firstChild;
+  for (const one of children) one === next ? (next = next.nextSibling) : place.insertBefore(one, next);
+}
+
+/** What gives for equal keys the element that it gave in the round before. `round()` begins the next one. */
+export function keeper() {
+  let [known, now] = [new Map(), new Map()];
+  const keep = (key, make) => {
+    const name = JSON.stringify(key);
+    const one = (!now.has(name) && known.get(name)) || make();
+    now.set(name, one);
+    return one;
+  };
+  keep.round = () => ([known, now] = [now, new Map()]);
+  return keep;
+}
+
+let isPressed = false;
+const waiting = new Map();
+const lifted = ({ type, buttons }) => {
+  if (!isPressed || (type === "pointermove" && buttons)) return;
+  isPressed = false;
+  setTimeout(() => [...waiting].forEach(([name, act]) => waiting.delete(name) && act())); // after the click
+};
+addEventListener("pointerdown", () => (isPressed = true), true);
+for (const name of ["pointerup", "pointercancel", "pointermove"]) addEventListener(name, lifted, true);
+/** Show something anew, but not under a pressed pointer, whose click would be lost. Of each name the last one waits. */
+export const anew = (name, act) => void (isPressed ? waiting.set(name, act) : act());
+
 /** A dialog that closes by Escape and by a click beside it, and gives the focus back. */
 export function dialog(label, ...children) {
   const made = element("dialog", { "aria-label": label }, ...children);

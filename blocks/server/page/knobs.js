@@ -1,5 +1,5 @@
 /** Knobs: fields and sliders of parameters and inputs, the board of those that are pinned, what was changed and turned. */
-import { dialog, element, shown, table } from "./elements.js";
+import { anew, dialog, element, shown, table } from "./elements.js";
 
 const TYPED = 500; // ms after which a value that is typed counts, without Return
 const PAUSE = 100; // ms between two looks at what is changed
@@ -52,7 +52,7 @@ export function start(app) {
       const names = [...knobs.values()].filter((one) => one.isConnected).map((one) => one.fact.name);
       const told = await app.connection.ask("knobs", { names: [...new Set(names)], since: turned.children.length }).catch(() => null);
       told?.knobs.forEach((fact) => ["panel", "board"].forEach((place) => knobs.get(`${place}-${fact.name}`)?.show(fact)));
-      if (told) list(told);
+      if (told) anew("changes", () => list(told));
       await new Promise((resolve) => setTimeout(resolve, PAUSE));
     }
     isLooking = false;

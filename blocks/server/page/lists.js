@@ -1,6 +1,6 @@
 /** The lists of blocks, signals and faults, and the search: all of the drawing for who has no mouse, or does not see it. */
 import { choose } from "./chooser.js";
-import { element } from "./elements.js";
+import { anew, element, fill, keeper } from "./elements.js";
 
 const SHOWN = 300;
 
@@ -19,7 +19,7 @@ export function roving(list) {
 
 export function start(app) {
   const place = document.getElementById("lists");
-  const filter = element("input", { type: "search", placeholder: "Filter", "aria-label": "Filter the lists", oninput: () => fill() });
+  const filter = element("input", { type: "search", placeholder: "Filter", "aria-label": "Filter the lists", oninput: () => show() });
   const group = (title, open) => {
     const count = element("span", { class: "count" });
     const list = element("ul", { class: "items", "aria-label": title });
@@ -31,15 +31,18 @@ export function start(app) {
   place.append(filter, ...Object.values(groups).map(({ shown }) => shown));
 
   const fits = (...texts) => texts.some((text) => text.toLowerCase().includes(filter.value.trim().toLowerCase()));
-  const put = ({ list, count }, items, total) => {
+  const keep = keeper();
+  /** Show some entries. item: makes one of them. */
+  const put = ({ list, count }, entries, item) => {
     const focused = list.contains(document.activeElement) ? [...list.children].indexOf(document.activeElement.closest("li")) : -1;
-    list.replaceChildren(...items.slice(0, SHOWN));
-    if (items.length > SHOWN) list.append(element("li", { class: "more" }, `${items.length - SHOWN} more: use the filter`));
+    const items = entries.slice(0, SHOWN).map((one) => keep([one, app.state.level, filter.value], () => item(one)));
+    const more = entries.length - SHOWN;
+    fill(list, more > 0 ? [...items, element("li", { class: "more" }, `${more} more: use the filter`)] : items);
     const buttons = [...list.querySelectorAll("button")];
     const first = buttons.find((one) => one.ariaCurrent) ?? buttons[0];
     buttons.forEach((one) => (one.tabIndex = one === first ? 0 : -1));
-    if (focused >= 0) (buttons[focused] ?? first ?? filter).focus();
-    count.textContent = total;
+    if (focused >= 0 && !list.contains(document.activeElement)) (list.children[focused]?.querySelector("button") ?? first ?? filter).focus();
+    count.textContent = entries.length;
   };
 
   /** Whether a signal is of a block, or an input or output, of the level. */
@@ -55,29 +58,30 @@ export function start(app) {
     );
     return element("li", {}, made);
   };
-  const fill = () => {
+  const show = () => {
     const { document: told, level } = app.state;
     if (!told) return;
     const blocks = told.blocks.filter((one) => (filter.value ? fits(one.path, one.type) : one.level === level));
-    put(groups.blocks, blocks.map(blockItem), blocks.length);
+    put(groups.blocks, blocks, blockItem);
     const prefix = level ? `${level}.` : "";
     const signals = told.signals.filter((one) => (filter.value ? fits(one.name) : isHere(one.name, prefix)));
-    put(groups.signals, signals.map((one) => {
+    put(groups.signals, signals, (one) => {
       const shape = one.shape.length ? `[${one.shape.join("×")}]` : "";
       const open = () => app.selectWire(one.name);
       return element("li", {}, element("button", { "data-signal": one.name, title: `Show ${one.name} in a scope`, onclick: open },
         element("span", { class: "name" }, (filter.value ? one.name : one.name.slice(prefix.length)) + shape), element("span", { class: "unit" }, one.unit)));
-    }), signals.length);
+    });
     groups.faults.shown.hidden = !told.faults.length;
-    put(groups.faults, told.faults.map((one) => element("li", {}, element("button", {
+    put(groups.faults, told.faults, (one) => element("li", {}, element("button", {
       class: one.warning ? "warning" : "fault", onclick: () => (one.block ? app.reveal(one.block) : app.announce("This fault is of no block.")),
-    }, element("b", {}, one.code), ` ${one.place}: ${one.message}`, element("span", { class: "cure" }, one.cure)), app.remedy?.(one) ?? null)), told.faults.length);
+    }, element("b", {}, one.code), ` ${one.place}: ${one.message}`, element("span", { class: "cure" }, one.cure)), app.remedy?.(one) ?? null));
+    keep.round();
   };
   let waiting = 0;
   /** Once for all that comes together, and after the drawing was painted. */
   const soon = () => {
     clearTimeout(waiting);
-    waiting = setTimeout(fill, 0);
+    waiting = setTimeout(() => anew("lists", show), 0);
   };
   app.on("document", soon);
   app.on("level", soon);

@@ -1,5 +1,5 @@
 /** The panel: what the selected block is, its parameters, its ports; without one, the open diagram. */
-import { element, fault, shown, trusted } from "./elements.js";
+import { anew, element, fault, fill, keeper, shown, trusted } from "./elements.js";
 
 export function start(app) {
   const place = document.getElementById("panel");
@@ -37,23 +37,48 @@ export function start(app) {
     const name = path.split(".").pop() || app.state.document.name;
     const kind = { diagram: path ? "subdiagram" : "diagram", fmu: "FMU", block: "block" }[panel.kind];
     const open = selected && panel.kind === "diagram" ? element("button", { onclick: () => app.open(path) }, "Open") : null;
+    anew("panel", () => number === asked && put(selected, path, panel, element("header", {}, element("h2", {}, name), element("p", { class: "type" }, panel.type === name ? kind : `${panel.type} · ${kind}`), open)));
+  };
+  /** What is the same as before stays the same element: with its focus, its caret, what is open in it. */
+  const keep = keeper();
+  const put = (selected, path, panel, header) => {
     const focused = place.contains(document.activeElement) ? document.activeElement : null;
-    const parts = [
-      element("header", {}, element("h2", {}, name), element("p", { class: "type" }, panel.type === name ? kind : `${panel.type} · ${kind}`), open),
-      variants(panel),
-      element("div", { class: "doc" }, ...trusted(panel.mathml)),
-      panel.faults.length ? element("div", { class: "faults" }, ...panel.faults.map((one) => element("div", {}, fault(one), app.remedy?.(one) ?? null))) : null,
-      app.forms?.(panel, selected) ?? null,
+    const here = [path, app.state.level, selected];
+    const known = (name) => app.state.document.signals.find((one) => one.name === name);
+    const rows = ([title, entries]) => {
+      const list = keep([here, title, "rows"], () => element("ul", { class: "rows" }));
+      fill(list, entries.map((one) => {
+        const faults = panel.faults.filter(({ place: of }) => of === (path ? `${path}.${one.name}` : one.name));
+        return keep([here, title, one, faults, known(one.signal)], () => row(path, title, faults)(one));
+      }));
+      return [keep([title], () => element("h3", {}, title)), list];
+    };
+    fill(place, [
+      header,
+      keep([here, panel.variants, panel.variant, panel.anew], () => variants(panel) ?? ""),
+      keep([panel.mathml], () => element("div", { class: "doc" }, ...trusted(panel.mathml))),
+      panel.faults.length ? keep([here, panel.faults], () => element("div", { class: "faults" }, ...panel.faults.map((one) => element("div", {}, fault(one), app.remedy?.(one) ?? null)))) : null,
+      keep([here, panel.run], () => app.forms?.(panel, selected) ?? ""),
       panel.doc ? element("p", { class: "own" }, panel.doc) : null,
       ...panel.notes.map((note) => element("p", { class: "note" }, note)),
-      ...Object.entries(panel.rows).filter(([, rows]) => rows.length).flatMap(([title, rows]) => [element("h3", {}, title), element("ul", { class: "rows" }, ...rows.map(row(path, title, panel.faults)))]),
-      panel.more ? element("details", { class: "doc" }, element("summary", {}, element("h3", {}, "More")), ...trusted(panel.more)) : null,
-    ];
-    place.replaceChildren(...parts.filter(Boolean));
-    if (focused) (focused.isConnected ? focused : place).focus();
+      ...Object.entries(panel.rows).filter(([, entries]) => entries.length).flatMap(rows),
+      panel.more ? keep([panel.more], () => element("details", { class: "doc" }, element("summary", {}, element("h3", {}, "More")), ...trusted(panel.more))) : null,
+    ].filter(Boolean));
+    keep.round();
+    if (focused && document.activeElement !== focused) again(focused).focus();
     app.state.panel = selected;
     app.emit("panel", panel);
   };
+  /** What stands for an element that had the focus: itself, or its like, with what was typed and is not taken yet. */
+  function again(focused) {
+    if (focused.isConnected) return focused;
+    const like = focused.ariaLabel ? [...place.querySelectorAll(focused.localName)].find((one) => one.ariaLabel === focused.ariaLabel) : null;
+    if (like?.type === "text" && like.value !== focused.value) {
+      like.value = focused.value;
+      like.dispatchEvent(new Event("input"));
+    }
+    return like ?? place;
+  }
   app.on("select", show);
   app.on("level", () => app.state.selected ?? show(null));
   app.on("document", () => show(app.state.selected));

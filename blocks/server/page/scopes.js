@@ -5,6 +5,7 @@ import { Scope, dark, short } from "./scope.js";
 
 const TURN = 33; // ms between two frames that are asked for
 const NUMBERS = 150; // ms between two looks at the numbers
+const [SHOWN, MOST] = [3, 100]; // elements of a signal on its wire, and where the pointer is on them
 const LARGEST = 8 * 2 ** 20; // bytes of a measured file
 
 /** @param {any} app */
@@ -81,9 +82,12 @@ export function start(app) {
     [values, others] = [answer?.values ?? {}, answer?.others ?? {}];
     tell();
     for (const [name, label] of labels) {
-      const some = Object.hasOwn(values, name) && wires.checked ? [values[name]].flat() : [];
-      if (!label.made && some.length) label.line.parentNode.append((label.made = beside(label.line)));
-      if (label.made) label.made.textContent = some.slice(0, 3).map((one) => short(one ?? NaN)).join(", ") + (some.length > 3 ? ", ..." : "");
+      const all = Object.hasOwn(values, name) && wires.checked ? [values[name]].flat() : [];
+      if (!label.made && all.length) label.line.parentNode.append((label.made = beside(label.line)));
+      if (!label.made) continue;
+      const [some, more] = [SHOWN, MOST].map((count) => all.slice(0, count).map((one) => short(one ?? NaN)).join(", ") + (all.length > count ? ", ..." : ""));
+      label.made.classList.toggle("cut", all.length > SHOWN);
+      label.made.replaceChildren(some, all.length > SHOWN ? element("svg:title", {}, `${name}, ${all.length} elements: ${more}`) : "");
     }
     if (speaks && cursor !== null) app.announce(`${seconds(cursor, shown())}. ${scopes.map(({ spoken }) => spoken).join(". ")}`);
   }
@@ -306,8 +310,8 @@ export function start(app) {
   app.on("run", (now) => {
     if (now.id && !was && !number) {
       const unit = (name) => app.state.document.signals.find((one) => one.name === name)?.unit;
-      const logged = (app.state.document?.settings.log ?? []).filter((name, _k, [first]) => unit(name) === unit(first));
-      if (logged.length) app.openScope(logged.slice(0, 3));
+      const wanted = (app.state.document?.settings.first ?? []).filter((name, _k, [first]) => unit(name) === unit(first));
+      if (wanted.length) app.openScope(wanted.slice(0, 3));
     }
     const state = now.id && `${now.id} ${now.state}`;
     if (state !== was) listRuns();
