@@ -96,6 +96,7 @@ class Diagram:
         check_name(name)
         self._draft = Draft(DiagramValue(name, folder=os.path.abspath(folder)), library_types(library))
         self._last = LastMade()
+        self._saved = ""
 
     # --- from and to files -------------------------------------------------------------------------------------
 
@@ -144,6 +145,7 @@ class Diagram:
         text = documents.dumps(documents.relocated(self.value, Path(path).parent))
         with write_atomically(path) as stream:
             stream.write(text)
+        self._saved = os.path.abspath(path)
 
     def copy(self) -> Diagram:
         """A diagram of its own with the same value."""
@@ -152,7 +154,7 @@ class Diagram:
     def _like(self, value: DiagramValue) -> Diagram:
         """A diagram with another value and the same block types."""
         diagram = Diagram.__new__(Diagram)
-        diagram._draft, diagram._last = Draft(value, self._draft.types), LastMade()
+        diagram._draft, diagram._last, diagram._saved = Draft(value, self._draft.types), LastMade(), ""
         return diagram
 
     def __getstate__(self) -> dict[str, Any]:
@@ -675,13 +677,14 @@ class Diagram:
     def edit(self, *, trust: Paths = (), port: int = 0) -> Any:
         """A server that edits the file of this diagram in a browser: `url`, `stop()`; a notebook shows the page itself.
 
-        Every gesture is written into the file at once, and can be undone there; this object stays as it is, and
-        `Diagram.load` reads what came of it. Raises UsageError (E501) for a diagram that was read from no file.
+        The file is the one last saved, else the one it was loaded from. Every gesture is written into it at once, and
+        can be undone there; this object stays as it is, and `Diagram.load` reads what came of it. Raises UsageError
+        (E501) for a diagram without a file.
         """
-        if not os.path.isfile(self.value.file):
-            cure = "Write one with save, and load it."
-            raise UsageError(Fault("E501", self.name, "was read from no file that could be edited.", cure))
-        return late("edit", self.value.file, library=tuple(self.types.values()), trust=trust, port=port)
+        file = self._saved or self.value.file
+        if not os.path.isfile(file):
+            raise UsageError(Fault("E501", self.name, "has no file that could be edited.", "Write one with save."))
+        return late("edit", file, library=tuple(self.types.values()), trust=trust, port=port)
 
     # --- linear models -----------------------------------------------------------------------------------------
 

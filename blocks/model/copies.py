@@ -23,6 +23,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from ..text.element_names import matching
 from ..text.errors import Fault, ModelError
+from ..text.printable import counted
 
 __all__ = [
     "Copy", "CopySource", "EachSource", "Fleet", "Later", "Layout", "alike", "depth_of", "dimensions", "labelled",
@@ -125,21 +126,17 @@ class Later(Sequence[T], Generic[T]):
         return tuple, (self._items,)
 
 
-class Layout:
-    """Where the blocks stand once they are written out.
+class _CopyByCopy:
+    """Where blocks stand once they are written out: those of copy 0, then of copy 1. fleets: the innermost of each."""
 
-    fleets: the innermost fleet of each block, in the order of the text; those behind `ordered`, which stand at edges
-    of subdiagrams, come last, copy by copy.
-    """
-
-    def __init__(self, fleets: Sequence[Fleet | None], ordered: int) -> None:
+    def __init__(self, fleets: Sequence[Fleet | None]) -> None:
         self.fleets = fleets
         self._first: dict[Fleet, int] = {}  # where the first copy begins, in a copy of the fleet around
         self._size: dict[Fleet, int] = {}  # how many blocks one copy has
         self._place: list[int] = []  # of each block, in its copy
         open_: list[Fleet] = []
         used = [0]  # blocks so far, in the copy of each open fleet
-        for fleet in [*fleets[:ordered], None]:
+        for fleet in [*fleets, None]:
             chain = [] if fleet is None else _chain(fleet)
             while open_ and (len(chain) < len(open_) or chain[len(open_) - 1] is not open_[-1]):
                 self._size[open_[-1]] = used.pop()
@@ -151,22 +148,43 @@ class Layout:
             self._place.append(used[-1])
             used[-1] += 1
         self.size = self._place.pop()
-        self._last: list[int] = []
-        for fleet in fleets[ordered:]:
-            self._last.append(self.size)
-            self.size += 1 if fleet is None else fleet.total
-        self._ordered = ordered
 
     def place(self, block: int, lane: int) -> int:
-        """The number of a block in a lane of its fleet, among those that are written out."""
-        if block >= self._ordered:
-            return self._last[block - self._ordered] + lane
         place, fleet = self._place[block], self.fleets[block]
         while fleet is not None:
             place += self._first[fleet] + lane % fleet.count * self._size[fleet]
             lane //= fleet.count
             fleet = fleet.outer
         return place
+
+
+class Layout:
+    """Where the blocks stand once they are written out.
+
+    fleets: the innermost fleet of each block. The first ones, `ordered`, stand in the order of the text; then come
+    those at which wires go into and out of subdiagrams, `gates`, each for all copies; the rest is copy by copy again.
+    """
+
+    def __init__(self, fleets: Sequence[Fleet | None], ordered: int, gates: int = 0) -> None:
+        self.fleets = fleets
+        self._ordered, self._edge = ordered, ordered + gates
+        self._text = _CopyByCopy(fleets[:ordered])
+        self.size = self._text.size
+        self._gates: list[int] = []
+        for fleet in fleets[ordered : self._edge]:
+            self._gates.append(self.size)
+            self.size += 1 if fleet is None else fleet.total
+        self._before = self.size
+        self._rest = _CopyByCopy(fleets[self._edge :])
+        self.size += self._rest.size
+
+    def place(self, block: int, lane: int) -> int:
+        """The number of a block in a lane of its fleet, among those that are written out."""
+        if block < self._ordered:
+            return self._text.place(block, lane)
+        if block < self._edge:
+            return self._gates[block - self._ordered] + lane
+        return self._before + self._rest.place(block - self._edge, lane)
 
     def lane(self, block: int, fleet: Fleet | None, lane: int) -> int:
         """The lane of a block that is read from a lane of a fleet in the same copy."""
@@ -210,7 +228,8 @@ def own_value(raw: Any, depth: int, copies: Sequence[Copy]) -> Any:
     if not _is_deeper(raw, depth + len(inner)):
         return own_value(raw, depth, inner)
     if len(raw) != fleet.count:
-        message = f"has {len(raw)} values, but there are {fleet.count} copies of {fleet.path}."
+        copies_are = "is 1 copy" if fleet.count == 1 else f"are {fleet.count:,} copies"
+        message = f"has {counted(len(raw), 'value')}, but there {copies_are} of {fleet.path}."
         raise ModelError(Fault("E110", "", message, "Give one value for all copies, or a list with one for each."))
     return own_value(raw[number], depth, inner)
 

@@ -20,19 +20,20 @@ __all__ = ["Expansion"]
 class Expansion:
     """blocks: one of each; fleets: the innermost fleet of each; each: by lane, the numbers that are others in it.
 
-    ordered: how many of the blocks stand in the order of the text; what is at the edges of subdiagrams, and parts of
-    blocks, follow. moved: from sources to those in parts of blocks.
+    ordered: how many of the blocks stand in the order of the text; what is at the edges of subdiagrams, first `gates`
+    where wires cross them, and parts of blocks, follow. moved: from sources to those in parts of blocks.
     """
 
     blocks: tuple[FlatBlock, ...]
     fleets: tuple[Fleet | None, ...]
     each: tuple[Mapping[int, Resolved], ...]
     ordered: int
+    gates: int = 0
     moved: Callable[[tuple[Source, ...]], tuple[Source, ...]] = tuple
 
     @cached_property
     def layout(self) -> Layout:
-        return Layout(self.fleets, self.ordered)
+        return Layout(self.fleets, self.ordered, self.gates)
 
     def source(self, source: Any, fleet: Fleet | None, lane: int) -> Source:
         """A source as it is in a lane of the fleet that it is seen from."""

@@ -295,7 +295,7 @@ class _Flattener:
         rest = len(blocks) - len(leaves) - len(scopes)  # parts of blocks, which are in no fleet
         fleets = (*(leaf.fleet for leaf in leaves), *(scope.fleet for scope in scopes), *[None] * rest)
         each = (*(leaf.each for leaf in leaves), *({} for _ in range(len(scopes) + rest)))
-        expansion = Expansion(tuple(blocks), fleets, each, len(leaves))
+        expansion = Expansion(tuple(blocks), fleets, each, len(leaves), len(self.wires.gates))
         if expansion.layout.size > MAX_BLOCKS:
             message = f"the diagram has {expansion.layout.size:,} blocks, but {MAX_BLOCKS:,} are the most."
             raise ModelError(self.diagram.fault("E008", self.diagram.name, message))

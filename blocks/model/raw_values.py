@@ -47,8 +47,8 @@ def raw_of(value: Any) -> Any:
 def given_value(value: Any, parameter: Any) -> Any:
     """A value that a parameter of a block type is given, as the file would hold it. Raises UsageError (E501)."""
     raw = raw_of(value)
-    is_numeric = isinstance(raw, str) and parameter is not None and parameter.type != "string" and not parameter.members
-    return read_quantity(raw) if is_numeric else raw
+    is_numeric = parameter is not None and parameter.type != "string" and not parameter.members
+    return _quantities(raw) if is_numeric else raw
 
 
 def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -70,17 +70,22 @@ def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, 
                 by[path] = pattern
         own = {name: name for name in given if "*" not in str(name)}
         given = {path: given[name] for path, name in (by | own).items()}
-    texts = [path for path, raw in given.items() if isinstance(raw, str) and read_quantity(raw) is not raw]
+    texts = [path for path, raw in given.items() if isinstance(raw, (str, list, tuple)) and _quantities(raw) != raw]
     return {**given, **{path: _given_at(diagram, resolver, str(path).split("."), given[path]) for path in texts}}
 
 
-def _given_at(diagram: DiagramValue, resolver: Resolver, path: list[str], raw: str) -> Any:
+def _quantities(raw: Any) -> Any:
+    """A text that is a quantity as the file would hold it, and lists of such, as of the values of copies."""
+    return type(raw)(map(_quantities, raw)) if type(raw) in (list, tuple) else read_quantity(raw)
+
+
+def _given_at(diagram: DiagramValue, resolver: Resolver, path: list[str], raw: Any) -> Any:
     """A number with a unit that is given to a parameter: a quantity, unless the parameter is a text, or not there."""
     name, *inner = path
     if not inner:
         known = diagram.parameters.get(name)
         known = known.get("value") if isinstance(known, Mapping) else known
-        return raw if known is None or (isinstance(known, str) and known[:1] != "=") else read_quantity(raw)
+        return raw if known is None or (isinstance(known, str) and known[:1] != "=") else _quantities(raw)
     entry = diagram.blocks.get(name.partition("[")[0])
     if entry is None:
         return raw

@@ -45,7 +45,7 @@ class Document:
         self.revision, self.text = 0, b""
         self._drawings: dict[str, str] = {}
         self._facts: dict[str, Fact] | None = None
-        self._seen: dict[Path, tuple[int, int] | None] = {}
+        self._seen: dict[Path, tuple[int, ...] | None] = {}
         self.read()
 
     @property
@@ -83,8 +83,8 @@ class Document:
         # Which files one names that could not be read is not known.
         return self.path is not None and (self.error is not None or self._stamps() != self._seen)
 
-    def _stamps(self) -> dict[Path, tuple[int, int] | None]:
-        """When each file of the diagram was written, and how large it is; None for one that is not there."""
+    def _stamps(self) -> dict[Path, tuple[int, ...] | None]:
+        """When each file of the diagram was written, which one it is and how large; None for one that is not there."""
         assert self.path is not None
         named = () if self.diagram is None else _files_of(self.diagram.value)
         return {path: _stamp(path) for path in (self.path, *named)}
@@ -97,7 +97,7 @@ class Document:
                 text = self.path.read_bytes() if self.path.is_file() or not self.revision else None  # a pipe would wait
             except OSError:
                 text = None
-            if not text:
+            if text is None or (self.revision and not text):
                 if self.revision:  # it is being written, or it went: what was read stays open
                     self._seen = seen
                     return False
@@ -206,12 +206,12 @@ class Document:
         return {"ports": ports, "faults": _below(self.faults, prefix), "rates": rates}
 
 
-def _stamp(path: Path) -> tuple[int, int] | None:
+def _stamp(path: Path) -> tuple[int, ...] | None:
     try:
         found = path.stat()
     except (OSError, ValueError):
         return None
-    return found.st_mtime_ns, found.st_size
+    return found.st_mtime_ns, found.st_ctime_ns, found.st_ino, found.st_size  # times of files can be set
 
 
 def _files_of(value: DiagramValue) -> Iterator[Path]:

@@ -25,6 +25,7 @@ from ..model.project import project_of
 from ..text import json_text
 from ..text.atomic_write import real, write_atomically
 from ..text.errors import BlocksError, Fault, UsageError
+from ..text.printable import legible
 from .document import Document
 from .history import History, Step
 
@@ -37,8 +38,11 @@ FARTHEST = 1e6
 
 
 def write_blank(path: Path) -> None:
-    """Write an empty diagram where there is no file, or an empty one. Raises UsageError (E501)."""
-    if (path.is_file() and path.stat().st_size == 0) or not path.exists():
+    """Write an empty diagram where there is no file. Raises UsageError (E501), also for an empty file."""
+    if path.is_file() and path.stat().st_size == 0:
+        cure = "Another program may be writing it; where it is to be a new diagram, delete it."
+        raise UsageError(Fault("E501", legible(str(path)), "is empty, and no diagram.", cure))
+    if not path.exists():
         name = re.sub(r"\W", "_", path.stem, flags=re.ASCII).lstrip("_0123456789") or "diagram"
         with write_atomically(path) as stream:
             stream.write(dumps(DiagramValue(name)))
@@ -52,7 +56,7 @@ class Editor(Document):
 
     def __init__(self, source: str | Path, opens: Callable[[Path], str] | None = None, **given: Any) -> None:
         self.opens = opens
-        self._history, self._is_changing = History(), False
+        self._history, self._is_changing, self._was_gone = History(), False, False
         self.done, self.undone = self._history.done, self._history.undone
         self._pictures: dict[str, Picture] = {}
         self._rough: set[str] = set()
@@ -81,13 +85,14 @@ class Editor(Document):
         return self.visible._draft.resolver
 
     def read(self) -> bool:
-        """As of Document; what another program wrote becomes a step that can be undone."""
+        """As of Document, or whether the file went or came back; what another program wrote becomes a step of undo."""
         is_first, is_new = not self.revision, super().read()
         if is_first:
             self._known = self._texts()
         else:
             self._note()
-        return is_new
+        was_gone, self._was_gone = self._was_gone, self.is_gone
+        return is_new or self._was_gone != was_gone
 
     def _note(self, *, is_taken_back: bool = False) -> None:
         """Make a step of what another program wrote.
@@ -118,17 +123,24 @@ class Editor(Document):
                     texts[file] = stamp, text
         return texts
 
-    def edit(self, what: str, operations: Operations) -> Edit:
-        """Apply operations and write the file. what: the gesture, in words.
-
-        Raises ModelError and UsageError, with nothing changed.
-        """
-        self._catch_up()
+    def begin(self) -> None:
+        """What is written is made of what stands there. Raises UsageError (E501) where that is not what was shown."""
+        is_new = self._catch_up()
         if self.is_gone:
             what = "was deleted, emptied or renamed by another program; what is shown is in no file."
             raise UsageError(Fault("E501", self.file.name, what, "Undo writes it again."))
         if self.error is not None:
             self.shown  # noqa: B018  # says why no edit can be made
+        if is_new:
+            what = "was written by another program; what it says now is shown, and nothing else was done."
+            raise UsageError(Fault("E501", self.file.name, what, "Do it again where it still fits."))
+
+    def edit(self, what: str, operations: Operations) -> Edit:
+        """Apply operations and write the file. what: the gesture, in words.
+
+        Raises ModelError and UsageError, with nothing changed.
+        """
+        self.begin()
         edit = edit_file(self.file, operations, library=self.library, text=self.text, check=False)
         if edit.texts:
             texts, were = ({str(real(Path(f))): text for f, text in each.items()} for each in (edit.texts, edit.were))
@@ -182,12 +194,14 @@ class Editor(Document):
         """Whether another program took the file or all of its text away: undo writes it again."""
         return not self.file.exists() or (self.file.is_file() and not self.file.stat().st_size)
 
-    def _catch_up(self) -> None:
+    def _catch_up(self) -> bool:
         if str(real(self.file)) != self._real:
             what = "is a link to another file now, which is not written."
             raise UsageError(Fault("E501", self.file.name, what, "Open that one, or put the file back."))
+        revision = self.revision
         if self.has_changed():
             self.read()
+        return self.revision != revision
 
     def _write(self, edit: Edit, otherwise: Step | None = None) -> None:
         """otherwise: a step that was done where this cannot be written."""
@@ -264,11 +278,14 @@ class Editor(Document):
                 operations = [{"wire": meant[2], "to": meant[1]}]
                 yield {"label": f"Add the wire from {meant[2]}", "level": level, "operations": operations}
             yield {"label": "Connect ...", "sink": fault.place}
+        if fault.file and Path(fault.file).name != self.file.name:
+            return
         meant = re.match(r"Did you mean '([^']+)'\?", fault.cure)
-        if meant and not (fault.file and Path(fault.file).name != self.file.name):
-            operations = [*self._renamed(fault, meant[1])]
-            if operations:
-                yield {"label": f"Take {meant[1]}", "level": "", "operations": operations}
+        operations = [*self._renamed(fault, meant[1])] if meant else []
+        if meant and operations:
+            yield {"label": f"Take {meant[1]}", "level": "", "operations": operations}
+        if fault.code == "E106" and fault.path[-2:-1] == ("parameters",):
+            yield {"label": f"Remove {fault.path[-1]}", "level": "", "operations": [{"remove": list(fault.path)}]}
 
     def _renamed(self, fault: Fault, name: str) -> Iterator[dict[str, Any]]:
         """The operation that takes a name in place of the one that a fault is about."""

@@ -8,7 +8,8 @@ request passes `Guard.admit` before anything is looked up, which knows no networ
   joined or looked up in a folder;
 - its Host is this server's own, so that no name of a foreign site leads here (DNS rebinding);
 - its Origin, where it has one, is this server's own; a WebSocket must have one, since browsers let any site open it;
-- the browser does not say (Sec-Fetch-Site) that another site makes it;
+- the browser does not say (Sec-Fetch-Site) that another site makes it, or another port, which may open a page by a
+  ticket: that of a diagram in a tab beside this one;
 - it holds the token, which is made at the start and told to nobody but the user: in a cookie, which `/?token=...` sets,
   or, in notebooks, in the path `/k/TOKEN/`, as browsers send no SameSite=Strict cookie into frames of other sites.
 """
@@ -17,6 +18,7 @@ from __future__ import annotations
 
 import hmac
 import re
+from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
@@ -24,6 +26,7 @@ __all__ = ["Admitted", "Guard", "Refusal", "cookie_name"]
 
 SOCKET = "/ws"
 LONGEST_PATH = 1000  # characters
+MOST_TICKETS = 16  # that wait for their pages
 _TOKEN = re.compile(r"[\w-]{20,}", re.ASCII).fullmatch
 
 
@@ -49,8 +52,8 @@ class Guard:
             raise ValueError("a token has at least 20 letters, digits, - or _")
         self.token, self.port, self.routes, self.framed = token, port, {*routes, SOCKET}, framed
         self.hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
-        self.tickets: set[str] = set()
-        """Tokens that let one page in, once."""
+        self.tickets: deque[str] = deque(maxlen=MOST_TICKETS)
+        """Tokens that let one page in, once; also one that a page of another port of this machine opens."""
 
     def admit(self, method: str, path: str, headers: Iterable[tuple[str, str]]) -> Admitted | Refusal:
         """headers: names and values as they came; one that decides and stands twice is refused."""
@@ -72,13 +75,16 @@ class Guard:
         origin = one.get("origin")
         if origin != f"http://{host}" and (origin is not None or route == SOCKET):
             return Refusal(403, "Pages of other sites do not get in.")
-        if not self._is_own(one, route, is_known and path.startswith("/k/")):
+        ticket = path.removeprefix("/?token=")
+        is_ticket = path.startswith("/?") and ticket in self.tickets
+        if not self._is_own(one, route, is_known and path.startswith("/k/"), is_ticket):
             return Refusal(403, "Pages of other sites do not get in.")
         if not is_known:
             return Refusal(401, "Open the address with the token that `blocks live` printed when it began.")
         if route not in self.routes:
             return Refusal(404, "There is nothing here.")
-        self.tickets -= {path.removeprefix("/?token=")}
+        if is_ticket:
+            self.tickets.remove(ticket)
         return Admitted(route, enters=path.startswith("/?"))
 
     def _route(self, path: str, cookies: str) -> tuple[str, bool]:
@@ -98,13 +104,15 @@ class Guard:
         # In constant time, so that nobody finds the token letter by letter.
         return hmac.compare_digest(token.encode(), self.token.encode())
 
-    def _is_own(self, one: Mapping[str, str], route: str, in_path: bool) -> bool:
+    def _is_own(self, one: Mapping[str, str], route: str, in_path: bool, is_ticket: bool) -> bool:
         """Whether a browser, where it says so, makes the request for this server's own page, or for its user."""
         site = one.get("sec-fetch-site", "none")
         if site in ("none", "same-origin"):
             return True
-        opens = one.get("sec-fetch-mode") == "navigate" and one.get("sec-fetch-dest") in ("iframe", "document")
-        return self.framed and in_path and route == "/" and opens
+        goes, where = one.get("sec-fetch-mode") == "navigate", one.get("sec-fetch-dest")
+        if is_ticket and site == "same-site":
+            return goes and where == "document"
+        return self.framed and in_path and route == "/" and goes and where in ("iframe", "document")
 
 
 def cookie_name(port: int) -> str:

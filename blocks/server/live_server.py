@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import html
 import os
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..text.atomic_write import real
 from .transport import Transport, new_token
 
 if TYPE_CHECKING:
@@ -24,6 +26,7 @@ __all__ = ["LiveServer", "edit", "live"]
 
 FAR = ("JUPYTERHUB_USER", "COLAB_RELEASE_TAG", "KAGGLE_KERNEL_RUN_TYPE", "BINDER_SERVICE_HOST")
 """Variables of the environment of notebooks whose browser is on another machine."""
+_OPENING = threading.Lock()
 
 
 class LiveServer:
@@ -50,7 +53,7 @@ class LiveServer:
         edit: bool = False,
     ) -> None:
         """Raises UsageError (E501) where the port cannot be opened."""
-        self._edits, self._others = edit, dict[Path, LiveServer]()
+        self._edits, self._tabs = edit, dict[Path, LiveServer]()  # of all diagrams that are edited beside each other
         self._source, self._library, self._variants = source, library, variants
         self._given: dict[str, Any] = {"values": values, "inputs": inputs, "engine": engine, "trust": trust}
         self._session: Session | None = None
@@ -86,6 +89,7 @@ class LiveServer:
             given: dict[str, Any] = {"library": self._library, "variants": self._variants}
             if self._edits and isinstance(self._source, (str, Path)):
                 document: Document = Editor(self._source, self._open_tab, **given)
+                self._tabs[real(Path(self._source))] = self
             else:
                 document = Document(self._source, **given)
             self._session = Session(document, **self._given)
@@ -96,16 +100,19 @@ class LiveServer:
         return self
 
     def _open_tab(self, path: Path) -> str:
-        """The address of another diagram, edited by a server beside this one."""
-        if path not in self._others:
-            given = {**self._given, "values": None, "inputs": None}
-            self._others[path] = LiveServer(path, library=self._library, edit=True, **given).start()
-        return self._others[path].ticket
+        """The address of another diagram, edited by a server beside this one: by one for all tabs of it."""
+        with _OPENING:
+            if path not in self._tabs:
+                given = {**self._given, "values": None, "inputs": None}
+                other = LiveServer(path, library=self._library, edit=True, **given)
+                other._tabs = self._tabs
+                other.start()
+            return self._tabs[path].ticket
 
     def stop(self) -> None:
-        """End the run, close the pages and the port. Once more does nothing."""
-        for other in self._others.values():
-            other.stop()
+        """End the run, close the pages and the port, and all tabs beside it. Once more does nothing."""
+        while self._tabs:
+            self._tabs.popitem()[1].stop()
         self._transport.stop()
         if self._session is not None:
             self._session.close()

@@ -160,7 +160,7 @@ class Transport:
     def ticket(self) -> str:
         """An address that lets one page in, once."""
         token = new_token()
-        self._guard.tickets |= {token}
+        self._guard.tickets.append(token)
         return f"http://127.0.0.1:{self.port}/?token={token}"
 
     def start(self) -> None:
@@ -203,6 +203,9 @@ class Transport:
             return self._response(admitted.status, request, f"{admitted.reason}\n".encode())
         if admitted.enters:
             cookie = f"{cookie_name(self.port)}={self._guard.token}; HttpOnly; SameSite=Strict; Path=/"
+            if request.headers.get("Sec-Fetch-Site") == "same-site":  # a redirection would still be that other page's
+                body = b'<!doctype html><meta http-equiv="refresh" content="0; url=/">'
+                return self._response(200, request, body, {"Set-Cookie": cookie}, "text/html")
             return self._response(303, request, b"", {"Location": "/", "Set-Cookie": cookie})
         if admitted.route == SOCKET:
             return None
@@ -222,7 +225,7 @@ class Transport:
                 "Content-Type": f"{type_}; charset=utf-8",
                 "Content-Length": str(len(body)),
                 "Connection": "close",
-                "Cache-Control": "no-store" if status >= 400 or status == 303 else "no-cache",
+                "Cache-Control": "no-store" if status >= 400 or "Set-Cookie" in (more or {}) else "no-cache",
                 "Content-Security-Policy": self._policy(),
                 "X-Content-Type-Options": "nosniff",
                 "Referrer-Policy": "no-referrer",

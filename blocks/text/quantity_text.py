@@ -10,7 +10,7 @@ from .json_number import Number, spelled
 __all__ = ["DECIMAL", "quantity_in", "read_quantity", "value_in"]
 
 DECIMAL = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-_split = re.compile(rf"\s*({DECIMAL})\s*(\S.*?)?\s*\Z").match
+_number = re.compile(DECIMAL).match
 
 
 def quantity_in(text: str) -> tuple[Number, str] | None:
@@ -18,8 +18,10 @@ def quantity_in(text: str) -> tuple[Number, str] | None:
 
     The unit is not looked at. Raises ModelError (E004) for a number out of the range of a double.
     """
-    match = _split(text)
-    return (Number(spelled(match[1])), match[2] or "") if match else None
+    text = text.strip()
+    match = _number(text)
+    unit = text[match.end() :].strip() if match else "\n"
+    return (Number(spelled(match[0])), unit) if match and "\n" not in unit else None
 
 
 def read_quantity(raw: Any) -> Any:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import zipfile
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -56,6 +58,8 @@ NAMES: list[tuple[dict[str, Any], dict[str, Any]]] = [  # as it is given, and wh
     ({"robots[*].lag.T": np.array([0.1, 0.2, 0.4])}, LAGS),
     ({"*.lag.T": {"value": [100, 200, 400], "unit": "ms"}}, LAGS),
     ({"robots.lag.T": [{"value": 100, "unit": "ms"}, 0.2, "=0.8/2"]}, LAGS),
+    ({"robots.lag.T": ["100 ms", "0.2 s", 0.4]}, LAGS),
+    ({"*.a": ["3 s", "1000 ms", 2]}, {f"robots[{k}].a": (3, 1, 2)[k] for k in ALL}),
     ({"robots.a": [3, 1, 2]}, {f"robots[{k}].a": (3, 1, 2)[k] for k in ALL}),
     ({"robots[*].a": [3, 1, 2]}, {f"robots[{k}].a": (3, 1, 2)[k] for k in ALL}),
     ({"robots.wheels.T": 0.2}, {f"robots[{k}].wheels[{w}].T": 0.2 for k, w in WHEELS}),
@@ -167,7 +171,7 @@ def test_the_value_of_the_diagram_is_told() -> None:
         ({"robots[*].lag.T": [1, 2, 3, 4]}, "E110", "has 4 values"),
         ({"robots.wheels.T": [1, 2, 3]}, "E110", "has 3 values, but there are 2 copies of robots.wheels"),
         ({"robots.wheels.T": [[1, 2], [1, 2]]}, "E110", "has 2 values, but there are 3 copies of robots"),
-        ({"robots.wheels.T": [[1, 2], [1, 2], [1]]}, "E110", "has 1 values"),
+        ({"robots.wheels.T": [[1, 2], [1, 2], [1]]}, "E110", "has 1 value,"),
         ({"robots.lag.T": []}, "E110", "has 0 values"),
         ({"robots[1].lag.T": [1, 2, 3]}, "E110", "shape"),
         ({"robots.lag.T": {"value": [1, 2, 3], "unit": "V"}}, "E104", "V"),
@@ -222,3 +226,21 @@ def test_the_command_line_and_studies_take_the_same_names(
     assert outcome.results["run"].measures["end"] == ends[0]
     assert outcome.sweeps["rows"].measures["end"].tolist() == [ends[1]]
     assert list(outcome.sweeps["rows"].varied) == [f"robots[{k}].lag.T" for k in ALL]
+
+
+def test_what_a_tuning_finds_for_all_copies_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.json"
+    path.write_text(json.dumps(FLEET.to_json()))
+    found = Diagram.load(path).tune(over={"*.lag.T": (0.1, 0.4)}, minimize="1-end", budget=6)
+    found.write(path)
+    inside = json.loads(path.read_text())["blocks"]["robots"]["diagram"]["blocks"]["lag"]
+    assert inside["parameters"] == {"T": found.values["*.lag.T"]}
+    best = FLEET.run(parameters={f"robots[{k}].lag.T": found.values["*.lag.T"] for k in ALL}).measures["end"]
+    assert Diagram.load(path).run().measures["end"] == best > FLEET.run().measures["end"]
+
+
+def test_an_fmu_starts_from_values_of_all_names(tmp_path: Path) -> None:
+    FLEET.export(tmp_path / "fleet.fmu", parameters={"*.lag.T": ["100 ms", 0.2, 0.4]}, platforms=())
+    description = zipfile.ZipFile(tmp_path / "fleet.fmu").read("modelDescription.xml").decode()
+    starts = dict(re.findall(r'name="(robots\[\d\]\.lag\.T)"[^>]* start="([^"]*)"', description))
+    assert {name: float(start) for name, start in starts.items()} == LAGS

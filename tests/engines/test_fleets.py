@@ -143,6 +143,10 @@ PART = {"inputs": {"u": {}}, "outputs": {"y": "x.y"}, "blocks": {"x": {"type": "
 INSIDE = with_block("part", {"diagram": PART, "enable": {}}, part__u="wave.y", part__enable="is.y", sum__u1="part.y")
 INSIDE["blocks"]["is"] = {"type": "CompareToConstant"}
 INSIDE["wires"]["is.u"] = "wave.y"
+TWICE: dict[str, Any] = {**INSIDE, "blocks": {
+    **INSIDE["blocks"], "two": {"diagram": PART, "enable": {}}, "wheels": {"copies": 2, "diagram": PART, "enable": {}}},
+    "wires": {**INSIDE["wires"], "two.u": "part.y", "wheels.u": "two.y", "two.enable": "is.y", "wheels.enable": "is.y",
+              "is.u": "u"}}  # fmt: skip
 GAIN = {**AGENT, "blocks": {"g": {"type": "Gain", "parameters": {"k": "=a"}}}, "wires": {"g.u": "u"},
         "outputs": {"y": "g.y"}}  # fmt: skip
 KINDS = {
@@ -151,6 +155,9 @@ KINDS = {
     "enabled": of_agents(AGENT, entry={"enable": {"states": "reset", "outputs": "reset"}}, blocks=ON,
                          wires={"on.u": "wave.y", "robots.enable": "on.y"}),
     "enabled inside": of_agents(INSIDE),
+    "several enabled at one time": of_agents(TWICE, entry={"enable": {}}, blocks={
+        "above": {"type": "CompareToConstant"}}, wires={
+        "above.u": "wave.y", "robots.u": "wave.y", "robots.enable": "above.y"}),
     "triggered": of_agents(GAIN, entry={"trigger": {"direction": "up"}},
                            wires={"robots.u": "wave.y", "robots.trigger": "wave.y"}),
     "ticks": of_agents(GAIN, entry={"trigger": {"every": 0.07}}, wires={"robots.u": "wave.y"}),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -16,7 +17,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from blocks import PID, Block, BlocksError, Diagram, Input, Parameter, PMDCMotor, Step, UsageError, output
+from blocks import PID, Block, BlocksError, Diagram, Input, Parameter, PMDCMotor, Step, UsageError, output, subdiagram
 from blocks.draw import picture, ports_of, rendered
 from blocks.model.document import dumps
 from blocks.server import deeper, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
@@ -137,7 +138,10 @@ def test_what_another_program_wrote_is_never_overwritten_and_can_be_undone(tmp_p
         ours = path.read_text()
         theirs = ours.replace('"kp": 20', '"kp": 21')
         path.write_text(theirs)
-        ask("put", name="pid.ki", text="31")  # what stands on the disk is read in first
+        with pytest.raises(UsageError, match="written by another program; what it says now is shown"):
+            ask("put", name="pid.ki", text="31")  # which was typed without a look at it
+        assert path.read_text() == theirs
+        ask("put", name="pid.ki", text="31")
         assert path.read_text() == theirs.replace('"ki": 30', '"ki": 31')
         ask("undo")
         assert path.read_text() == theirs
@@ -157,6 +161,37 @@ def test_what_another_program_wrote_is_never_overwritten_and_can_be_undone(tmp_p
             ask("put", name="pid.ki", text="32")
         ask("undo")
         assert path.read_text() == ours
+
+
+def test_no_gesture_is_made_of_what_stood_there_before_another_program_wrote(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, _):
+        loop(ask)
+        ours = path.read_text()
+        gesture: dict[str, dict[str, Any]] = {
+            "insert": {"entry": {"type": "Gain"}, "at": [10, 10], "of": "pid"},
+            "place": {"names": ["pid"], "by": [10, 0]},
+            "arrange": {"names": []},
+            "delete": {"names": ["pid"], "sinks": []},
+            "duplicate": {"names": ["pid"]},
+            "paste": {"text": '{"blocks": {"g": {"type": "Gain"}}}'},
+            "put": {"name": "pid.kp", "text": "7"},
+            "define": {"kind": "parameter", "text": "k=1"},
+            "describe": {"of": "pid", "text": "x"},
+            "edit": {"operations": [{"set": "run.stop", "to": 9}]},
+        }
+        for number, (do, fields) in enumerate(gesture.items()):
+            theirs = ours.replace(
+                '"name": "motor"', f'"name": "motor", "doc": "{number}", "layout": {{"pid": [500, {number}]}}'
+            )
+            path.write_text(theirs)
+            with pytest.raises(UsageError, match="written by another program; what it says now is shown"):
+                ask(do, **fields)
+            assert path.read_text() == theirs
+            ask(do, **fields)
+            assert path.read_text() != theirs
+            ask("undo")
+            assert path.read_text() == theirs
 
 
 def test_a_file_that_cannot_be_written_stays_as_it_was(tmp_path: Path) -> None:
@@ -243,6 +278,118 @@ def test_the_palette_has_types_words_and_the_files_of_the_project(tmp_path: Path
         for name in ("../b/no_diagram.json", "../../x.json", "/etc/passwd", ""):
             with pytest.raises(UsageError):
                 ask("tab", file=name)
+
+
+def test_an_empty_file_is_no_new_diagram(tmp_path: Path) -> None:
+    path = tmp_path / "empty.json"
+    path.touch()
+    with pytest.raises(UsageError, match="is empty, and no diagram"):
+        Editor(path)
+    assert path.read_bytes() == b""
+
+
+def test_all_tabs_of_a_diagram_share_its_history(tmp_path: Path) -> None:
+    one, two = tmp_path / "one.json", tmp_path / "two.json"
+    Diagram("two").save(two)
+    server = LiveServer(one, edit=True).start()
+    try:
+        (tmp_path / "link.json").symlink_to(one)
+
+        def port(of: LiveServer, file: str) -> int:
+            return int(answer(of._open, {"do": "tab", "file": file})["url"].split(":")[2].partition("/")[0])  # type: ignore[index]
+
+        other = port(server, "two.json")
+        assert other != server.port == port(server, "one.json") == port(server, "link.json")
+        beside = server._tabs[two]
+        assert (beside.port, port(beside, "one.json"), port(beside, "two.json")) == (other, server.port, other)
+    finally:
+        server.stop()
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", other))
+
+
+def test_elements_of_a_vector_are_typed_as_numbers_quantities_and_expressions(tmp_path: Path) -> None:
+    path = tmp_path / "vector.json"
+    with edited(path) as (ask, _):
+        ask("edit", operations=[{"set": "parameters.g", "to": {"value": [3, 4], "unit": "V"}}])
+        ask("define", kind="parameter", text="h=5")
+        ask("insert", entry={"type": "Step"})
+        ask("insert", entry={"type": "TransferFunction"}, text="num=[1, 2] den=[1, 2, 3]", source="step.y")
+
+        def now() -> Any:
+            value = json.loads(path.read_text())
+            return value["blocks"]["transfer_function"]["parameters"]["den"], value["parameters"]["g"]
+
+        ask("put", name="transfer_function.den", text=["1", "=h", " 3"])
+        ask("put", name="g", text=["2 mV", "3"])
+        assert now() == ([1, "=h", 3], {"value": [0.002, 3], "unit": "V"})
+        for name, text, why in (
+            ("g", ["2 s", "3"], r"given in s where \[V\] is needed"),
+            ("g", ["", "3"], "no value for one"),
+        ):
+            with pytest.raises(UsageError, match=why):
+                ask("put", name=name, text=text)
+
+
+def test_long_texts_of_spaces_are_read_at_once(tmp_path: Path) -> None:
+    spaces = " " * 90_000
+    with edited(tmp_path / "long.json") as (ask, _):
+        ask("define", kind="parameter", text="g=1")
+        ask("insert", entry={"type": "Gain"}, text=f"a{spaces}!")
+        ask("put", name="g", text=f"1 x{spaces}y")
+
+
+def test_what_is_deleted_in_the_drawing_is_what_is_drawn_by_that_name(tmp_path: Path) -> None:
+    path = tmp_path / "names.json"
+    with edited(path) as (ask, _):
+        ask("define", kind="parameter", text="w=1")
+        ask("insert", entry={"type": "Gain"}, text="k==w")
+        for output in ("w", "gain", "z"):
+            ask("define", kind="output", text=output, source="gain.y")
+        ask("delete", names=["w"], sinks=[])
+        value = json.loads(path.read_text())
+        assert (value["parameters"], value["outputs"]) == ({"w": 1}, {"gain": "gain.y", "z": "gain.y"})
+        ask("delete", names=[], sinks=["gain"])  # the wire to the output
+        value = json.loads(path.read_text())
+        assert (list(value["blocks"]), value["outputs"]) == (["gain"], {"z": "gain.y"})
+        ask("delete", names=["gain"], sinks=[])
+        assert "outputs" not in json.loads(path.read_text())
+
+
+def test_a_value_is_put_into_the_variant_that_is_chosen(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, _):
+        loop(ask)
+        ask("edit", operations=[{"swap": "pid", "for": {"type": "PID", "parameters": {"kp": 5}}, "as": "other"}])
+
+        def gains() -> list[Any]:
+            block = json.loads(path.read_text())["blocks"]["pid"]
+            return [one["parameters"].get("kp") for one in (block, block["variants"]["other"])]
+
+        before = gains()
+        ask("put", name="pid.kp", text="99")
+        assert gains() == [before[0], 99]
+        ask("variant", path="pid", name="base")
+        ask("put", name="pid.kp", text="7")
+        assert gains() == [7, 99]
+        ask("variant", path="pid", name="other")
+        ask("put", name="pid.kp", text="")
+        assert gains() == [7, None]
+
+
+def test_other_files_that_a_gesture_leaves_as_they_are_are_named(tmp_path: Path) -> None:
+    (tmp_path / "pyproject.toml").write_text("")
+    inner = Diagram("sub")
+    inner.output("y", inner.input("u", default=0.0))
+    inner.save(tmp_path / "sub.json")
+    for name in ("one", "other"):
+        outer = Diagram(name, folder=tmp_path)
+        outer.wire(outer.add("inside", subdiagram("sub.json")).u, outer.add("step", Step()).y)
+        outer.save(tmp_path / f"{name}.json")
+    with edited(tmp_path / "one.json") as (ask, _):
+        told = ask("edit", operations=[{"rename": ["inputs", "u"], "to": "v"}], level="inside")
+        assert told["files"] == ["sub.json"]
+        assert [Path(file).name for file in told["left"]] == ["other.json"]
 
 
 def test_blocks_of_ones_own_are_in_the_palette_and_can_be_inserted(tmp_path: Path) -> None:
@@ -334,8 +481,10 @@ def test_a_fault_has_a_button_that_does_what_its_cure_says(tmp_path: Path) -> No
         good["blocks"]["pid"]["parameters"]["kd"] = 3
         assert json.loads(path.read_text()) == good
         ask("edit", operations=[{"set": ["blocks", "pid", "parameters", "kpp"], "to": 3}])
-        assert [one["remedies"] for one in editor.told()["faults"]] == [[]]  # there is a kp
-        ask("undo")
+        ((remedy,),) = (one["remedies"] for one in editor.told()["faults"])  # there is a kp
+        assert remedy["label"] == "Remove kpp"
+        ask("edit", operations=remedy["operations"])
+        assert json.loads(path.read_text()) == good
         ask("delete", names=[], sinks=["pmdc_motor.v"])
         (fault,) = editor.told()["faults"]
         assert fault["remedies"][-1] == {"label": "Connect ...", "sink": "pmdc_motor.v"}
@@ -531,15 +680,22 @@ def test_an_editor_that_is_killed_while_it_writes_leaves_a_whole_file(tmp_path: 
         assert [file.name for file in tmp_path.iterdir()] == ["motor.json"]
 
 
-def test_a_loaded_diagram_opens_its_file_and_one_made_in_python_says_how(tmp_path: Path) -> None:
-    path = tmp_path / "motor.json"
+def test_a_diagram_opens_the_file_it_was_saved_in_or_loaded_from_and_one_without_says_how(tmp_path: Path) -> None:
+    path, other = tmp_path / "motor.json", tmp_path / "other.json"
     with edited(path) as (ask, _):
         loop(ask)
-    server = Diagram.load(path).edit()
-    try:
-        assert isinstance(server._open.document, Editor)
-        assert server._open.document.file == path
-    finally:
-        server.stop()
+    loaded = Diagram.load(path)
+    made = Diagram("motor")
     with pytest.raises(UsageError, match="save"):
-        Diagram("motor").edit()
+        made.edit()
+    for diagram, saved in ((loaded, None), (made, other), (loaded, other)):
+        if saved:
+            diagram.save(saved)
+        server = diagram.edit()
+        try:
+            assert isinstance(server._open.document, Editor)
+            assert server._open.document.file == (saved or path)
+        finally:
+            server.stop()
+    with pytest.raises(UsageError, match="save"):
+        made.copy().edit()

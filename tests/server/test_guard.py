@@ -112,11 +112,36 @@ def test_wrong_tokens_let_nobody_in(token: str) -> None:
 
 def test_a_ticket_lets_one_page_in_once() -> None:
     guard = Guard(TOKEN, 8123, ROUTES)
-    guard.tickets |= {"t" * 32}
+    guard.tickets.append("t" * 32)
     enter = "GET", f"/?token={'t' * 32}"
     assert isinstance(guard.admit(*enter, [("Host", "evil.example:8123")]), Refusal)  # which does not use it up
     assert guard.admit(*enter, [("Host", HOST)]) == Admitted("/", enters=True)
     assert isinstance(guard.admit(*enter, [("Host", HOST)]), Refusal)
+
+
+def test_a_page_of_another_port_opens_one_in_a_tab_by_a_ticket_alone() -> None:
+    opens = {"Host": HOST, "Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
+    for given, token, is_let_in in (
+        (opens, "t" * 32, True),
+        (opens, TOKEN, False),
+        ({**opens, "Sec-Fetch-Site": "cross-site"}, "t" * 32, False),
+        ({**opens, "Sec-Fetch-Dest": "iframe"}, "t" * 32, False),
+        ({**opens, "Sec-Fetch-Mode": "no-cors", "Sec-Fetch-Dest": "script"}, "t" * 32, False),
+        ({**opens, "Origin": "http://127.0.0.1:8124"}, "t" * 32, False),
+    ):
+        guard = Guard(TOKEN, 8123, ROUTES)
+        guard.tickets.append("t" * 32)
+        found = guard.admit("GET", f"/?token={token}", given.items())
+        assert found == Admitted("/", enters=True) if is_let_in else isinstance(found, Refusal)
+        assert isinstance(guard.admit("GET", "/", {**given, "Cookie": f"blocks-8123={TOKEN}"}.items()), Refusal)
+
+
+def test_tickets_that_no_page_takes_do_not_heap_up() -> None:
+    guard = Guard(TOKEN, 8123, ROUTES)
+    for number in range(100):
+        guard.tickets.append(f"{number:032}")
+    assert isinstance(guard.admit("GET", f"/?token={0:032}", [("Host", HOST)]), Refusal)
+    assert guard.admit("GET", f"/?token={99:032}", [("Host", HOST)]) == Admitted("/", enters=True)
 
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site"])

@@ -86,12 +86,13 @@ def test_what_another_program_writes_into_a_subdiagram_is_undone_in_its_order(tm
     def gain() -> Any:
         return json.loads(sub.read_text())["blocks"]["g"]["parameters"]["k"]
 
-    with edited(tmp_path / "outer.json") as (ask, _):
+    with edited(tmp_path / "outer.json") as (ask, editor):
         ask("put", name="step.after", text="5")
         before = [path.read_bytes() for path in (sub, tmp_path / "outer.json")]
         ask("put", name="g.k", text="3", level="inside")
         with edited(sub) as (elsewhere, _):
             elsewhere("put", name="g.k", text="4")
+        assert editor.read()
         ask("put", name="step.after", text="6")
         assert gain() == 4
         assert [ask("undo")["what"] for _ in range(2)] == ["undone: set step.after", "undone: the change on disk"]
@@ -131,7 +132,7 @@ def test_a_file_that_was_emptied_is_written_again_and_not_taken_for_a_new_one(tm
         loop(ask)
         ours = path.read_text()
         path.write_text("")
-        assert not editor.read()
+        assert (editor.read(), editor.read()) == (True, False)
         with pytest.raises(BlocksError, match=r"emptied.*Undo writes it again"):
             ask("put", name="pid.kp", text="1")
         ask("undo")
@@ -186,6 +187,49 @@ def test_what_leads_out_of_the_folder_or_is_no_file_is_not_written(tmp_path: Pat
         assert path.read_bytes() == ours
 
 
+def test_nothing_is_done_again_after_another_gesture_or_program(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        loop(ask)
+        ask("undo")
+        ask("put", name="pid.kp", text="7")
+        with pytest.raises(BlocksError, match="nothing to redo"):
+            ask("redo")
+        ask("undo")
+        path.write_text(path.read_text().replace('"kp": 20', '"kp": 21'))
+        with pytest.raises(BlocksError, match="nothing to redo"):
+            ask("redo")
+        assert editor.offered == {"undo": "the change on disk", "redo": ""}
+
+
+def test_a_change_of_equal_size_and_time_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, _):
+        loop(ask)
+        ours, found = path.read_text(), path.stat()
+        path.write_text(ours.replace('"kp": 20', '"kp": 21'))
+        os.utime(path, ns=(found.st_atime_ns, found.st_mtime_ns))
+        with pytest.raises(BlocksError, match="written by another program"):
+            ask("put", name="pid.ki", text="31")
+        ask("put", name="pid.ki", text="31")
+        assert '"kp": 21, "ki": 31' in path.read_text()
+        ask("undo")
+        ask("undo")
+        assert path.read_text() == ours
+
+
+def test_a_deletion_is_shown_and_undone_before_any_gesture(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, editor):
+        ours = path.read_bytes()
+        path.unlink()
+        assert (editor.has_changed(), editor.read(), editor.read()) == (True, True, False)
+        assert editor.told()["editing"]["undo"] == "the deletion on disk"
+        ask("undo")
+        assert (path.read_bytes(), editor.offered["undo"]) == (ours, "")
+        assert editor.read()  # so that all pages see it
+
+
 def test_a_gesture_that_is_refused_shows_what_another_program_wrote(tmp_path: Path) -> None:
     path = tmp_path / "motor.json"
     with edited(path) as (ask, editor):
@@ -194,7 +238,7 @@ def test_a_gesture_that_is_refused_shows_what_another_program_wrote(tmp_path: Pa
         told: list[int] = []
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(Session, "tell_document", lambda session: told.append(session.document.revision))
-            with pytest.raises(BlocksError, match="is driven by"):
+            with pytest.raises(BlocksError, match="written by another program"):
                 ask("edit", operations=[{"wire": "step.y", "to": "pid.y"}])
             with pytest.raises(BlocksError, match="is driven by"):
                 ask("edit", operations=[{"wire": "step.y", "to": "pid.y"}])

@@ -89,6 +89,11 @@ def test_the_address_sets_a_cookie_and_leads_to_the_page(server: Transport) -> N
     assert got(server, "/", Cookie="")[0] == 401
     ticket = server.ticket().removeprefix(f"http://127.0.0.1:{server.port}")
     assert [got(server, ticket, Cookie="")[0] for _ in range(2)] == [303, 401]
+    opens = {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
+    ticket = server.ticket().removeprefix(f"http://127.0.0.1:{server.port}")
+    status, headers, content = got(server, ticket, Cookie="", **opens)
+    assert (status, headers["set-cookie"].split(";")[0]) == (200, f"blocks-{server.port}={TOKEN}")
+    assert b'http-equiv="refresh" content="0; url=/"' in content  # so that this page, and not the other one, leads on
 
 
 def test_every_file_of_the_page_is_served_as_what_it_is_packed_and_once(server: Transport) -> None:
