@@ -33,7 +33,7 @@ from ..text.live_line import in_rows, live_line
 from ..text.printable import counted, legible
 from ..text.shown import Part, Shown, Table
 from .batch_processes import Worker, in_processes, packed
-from .lanes import Lanes
+from .lanes import Lanes, no_lanes
 from .prepared_model import PreparedModel
 from .run import Run, RunOptions
 from .values import check_settings, time_of
@@ -61,10 +61,10 @@ _NUMERIC = ("E301", "E303", "E304", "E305", "E306", "E307", "E308", "E309")
 class BatchRows(Shown):
     """What became of n rows.
 
-    status: (n,) of STATUSES. messages: why, "" where there is nothing to say. measures: (n,) each, nan where a row has
-    none. t: (g,) in s; signals: (n, g) and the shape of the signal, in SI, nan after the end of a row. steps: (n,)
-    accepted and rejected; those of the budget where it was cut short. how: they ran, in words ("2 threads", "2
-    processes: it has FMUs").
+    status: (n,) of STATUSES. messages: why, "" where there is nothing to say; also that a row has no lanes (W504),
+    where those of other structural values have. measures: (n,) each, nan where a row has none. t: (g,) in s; signals:
+    (n, g) and the shape of the signal, in SI, nan after the end of a row. steps: (n,) accepted and rejected; those of
+    the budget where it was cut short. how: they ran, in words ("2 threads", "2 processes: it has FMUs").
     """
 
     status: Array
@@ -350,8 +350,9 @@ class Batch(Shown):
         self._check_times(plan)
         names = {path for paths in self.targets for path in paths} - {*(self._fixed or ())}
         inputs = read_inputs(plan, dict(plan.settings.inputs), interpolation="linear")
-        model = self._lanes.model(plan, self._engine)
-        return _Form(prepared, prepared.rebinding(names), model, inputs, np.array(plan.parameters))
+        model, why = self._lanes.model(plan, self._engine)
+        fault = no_lanes("this row", why) if why else None
+        return _Form(prepared, prepared.rebinding(names), model, inputs, np.array(plan.parameters), fault)
 
     def _run(
         self, form: _Form, places: list[int], table: Array, work: _Work, threads: int | None
@@ -369,7 +370,7 @@ class Batch(Shown):
         )  # fmt: skip
         for i, row in zip(places, rows, strict=True):
             if row is not None:
-                made.take(i, row)
+                made.take(i, row if row.status != "ok" else replace(row, fault=row.fault or form.fault))
         made.interrupted |= is_cancelled
         work.tell(before + sum(row is not None for row in rows))
 
@@ -467,6 +468,7 @@ class _Form:
     model: Any
     inputs: InputTable
     base: Array  # the row p
+    fault: Fault | None  # W504: other forms have lanes
 
     @property
     def seed(self) -> int:

@@ -17,7 +17,8 @@ from ..model.study_grammar import LANES
 from ..text.errors import CompilerError, Fault, UsageError, did_you_mean
 from ..text.printable import legible
 
-__all__ = ["Lanes"]
+__all__ = ["Lanes", "no_lanes"]
+
 
 @dataclass(frozen=True, slots=True)
 class Lanes:
@@ -38,19 +39,22 @@ class Lanes:
         if why:
             return cls(None, why)
         found = cls(Machine.own())
-        model = found.model(plan, engine)
-        return found if model.lanes is not None else cls(None, model.why_no_lanes or "the compiler refuses their code")
+        why = found.model(plan, engine)[1]
+        return cls(None, why) if why else found
 
-    def model(self, plan: Plan | Coupling, engine: str | None) -> Any:
-        """The compiled model of a Plan, with lanes where it can have them; None where another engine runs it."""
-        if self.machine is not None and isinstance(plan, Plan) and not why_no_lanes(plan):
+    def model(self, plan: Plan | Coupling, engine: str | None) -> tuple[Any, str]:
+        """The compiled model of a Plan (None where another engine runs it), and why it has no lanes, in words; "" where
+        it has them, or none are asked for."""
+        if self.machine is None or not isinstance(plan, Plan):
+            return compiled_model(plan, engine=engine), ""
+        why = why_no_lanes(plan)
+        if not why:
             try:
                 model = compiled_model(plan, engine=engine, lanes=self.machine)
+                return model, "" if model is None else model.why_no_lanes
             except CompilerError:
-                model = None
-            if model is not None:
-                return model
-        return compiled_model(plan, engine=engine)
+                why = "the compiler refuses their code"
+        return compiled_model(plan, engine=engine), why
 
     @property
     def width(self) -> int:
@@ -63,5 +67,9 @@ class Lanes:
 
     @property
     def warnings(self) -> tuple[Fault, ...]:
-        cure = "The rows are those of lanes=\"exact\"."
-        return (Fault("W504", "lanes", f"there are none for these rows: {self.why}.", cure),) if self.why else ()
+        return (no_lanes("these rows", self.why),) if self.why else ()
+
+
+def no_lanes(rows: str, why: str) -> Fault:
+    """The warning that lanes were asked for, and are not there."""
+    return Fault("W504", "lanes", f"there are none for {rows}: {why}.", "The rows are those of lanes=\"exact\".")

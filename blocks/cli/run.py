@@ -328,7 +328,9 @@ def _report_lines(options: argparse.Namespace, run: Run, results: Results, secon
         accuracy = f"({accuracy}; FMUs {', '.join(f'{value:g}' for value in own)})" if own else f"({accuracy})"
     begin = results.span[0] if options.resume and results.rows else float(settings.start)
     span = f"{begin:g} ... {t:g} s"
-    yield f"{results.diagram}  {' '.join(filter(None, (statistics.method, accuracy)))}  {statistics.engine}  {span}"
+    joint = ", " if ":" in statistics.method else " "  # of auto, which tells what it has decided
+    method = joint.join(filter(None, (statistics.method, accuracy)))
+    yield f"{results.diagram}  {method}  {statistics.engine}  {span}"
     if run.given:
         yield "  set: " + ", ".join(f"{path} = {value}" for path, value in run.given.items())
     steps, events = counted(statistics.steps, "step"), counted(len(results.events), "event")

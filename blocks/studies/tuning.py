@@ -293,7 +293,7 @@ class _Search:
                 measure: np.where(rows.status == "ok", column, np.nan) for measure, column in rows.measures.items()
             }
             status = np.where(status == "ok", rows.status, status)
-            self.why = self.why or next(filter(None, rows.messages), "")
+            self.why = self.why or next((text for text in rows.messages if text and not text.startswith("W504")), "")
             if rows.interrupted:
                 self.is_interrupted = True
                 status = np.where(status == "ok", "left", status)

@@ -22,14 +22,17 @@ from blocks import (
     LookupTable,
     Noise,
     Parameter,
+    Product,
     Pulse,
     Relay,
     Saturation,
     SecondOrder,
     Sine,
     State,
+    Step,
     Sum,
     Sweep,
+    TransferFunction,
     TransportDelay,
     UnitDelay,
     UsageError,
@@ -39,6 +42,7 @@ from blocks import (
 from blocks.api.batch import BatchRows
 from blocks.compile.c.lane_code import Machine
 from blocks.engines.native import model
+from blocks.model.diagram_grammar import MEASURES
 from tests.api.test_batch import Doomed, same, square
 from tests.engines.test_native import sanitized
 from tests.engines.test_random_diagrams import Wiring, plain, wirings
@@ -336,6 +340,29 @@ def test_a_machine_without_lanes_says_so(monkeypatch: pytest.MonkeyPatch) -> Non
     assert batch.how(4, 2) == "2 threads, without lanes: lanes need gcc on Linux and x86-64"
 
 
+def test_rows_whose_form_has_no_lanes_say_so_and_are_exact(tmp_path: Path) -> None:
+    """A numerator of the degree of the denominator closes an algebraic loop."""
+    d = Diagram("forms")
+    for name, block in {"wave": Step(), "sum": Sum(signs="+-"), "law": TransferFunction(num=[0.0, 1.0])}.items():
+        d.add(name, block)
+    for sink, source in {"sum.u1": "wave.y", "sum.u2": "law.y", "law.u": "sum.y"}.items():
+        d.wire(sink, source)
+    d.measure("size", "ISE", of="law.y")
+    d.settings(loops="solve", stop=2.0)
+    table = [[[0.0, 1.0]], [[0.5, 1.0]], [[0.0, 2.0]]]
+    batch = d.batch(["law.num"], lanes="fast")
+    rows = batch(table)
+    assert batch.lanes
+    assert not batch.warnings
+    told = "W504 lanes: there are none for this row: it has algebraic loops."
+    assert rows.messages == ("", told, "")
+    same(rows, 1, d, parameters={"law.num": table[1][0]})
+    path = tmp_path / "rows.parquet"
+    sweep = d.sweep({"law.num": [row[0] for row in table]}, lanes="fast", out=path)
+    assert f"1 ok, but row 1: {told}" in sweep.table()
+    assert Sweep.load(path).messages == rows.messages
+
+
 def test_what_cannot_be_meant_is_refused() -> None:
     with pytest.raises(UsageError, match=r"E501 lanes: 'fats' is not known\. Did you mean 'fast'"):
         square().batch([], lanes="fats", stop=1.0)
@@ -396,6 +423,27 @@ def test_fixed_steps_without_functions_are_those_of_single_runs_bit_for_bit(name
     assert_exact(exact([[]] * 3), fast([[]] * 3))
 
 
+@pytest.mark.parametrize("method", ["rk4", "euler"])
+def test_measures_of_each_type_are_those_of_single_runs_bit_for_bit(method: str) -> None:
+    """Of a ringing signal and of its square, which five values do not tell, and in windows that begin inside steps."""
+    d = Diagram("measured")
+    for name, block in {"pulse": Pulse(on=0.1, off=1.3), "wave": SecondOrder(), "square": Product()}.items():
+        d.add(name, block)
+    for sink, source in {"wave.u": "pulse.y", "square.u1": "wave.y", "square.u2": "wave.y"}.items():
+        d.wire(sink, source)
+    given = {"settling_time": {"band": 0.05}, "THD": {"omega": 9.0}}
+    for of in ("wave.y", "square.y"):
+        for kind in MEASURES:
+            more = {"against": "pulse.y"} if kind not in ("ISU", "THD", "zero_crossings") else {}
+            d.measure(f"{kind}_{of[0]}", kind, of=of, **more, **given.get(kind, {}))
+            d.measure(f"{kind}_{of[0]}_late", kind, of=of, start=0.4123, stop=1.9371, **more, **given.get(kind, {}))
+    table = [[5.0 + 0.7 * i, 0.02 + 0.1 * i] for i in range(11)]
+    settings: dict[str, Any] = {"stop": 2.5, "method": method, "step": 0.01}
+    exact, fast = (d.batch(["wave.w", "wave.d"], lanes=lanes, **settings) for lanes in ("exact", "fast"))
+    assert fast.lanes
+    assert_exact(exact(table), fast(table))
+
+
 def without_functions(wiring: Wiring) -> Wiring:
     """The same with pulses for sines, and ticks for delays."""
     others = {Sine: Pulse(on=0.3, off=0.9, height=1.1), TransportDelay: UnitDelay(period=0.15, y_start=0.2)}
@@ -432,6 +480,7 @@ def test_random_diagrams_in_lanes(wiring: Wiring, method: str) -> None:
 
 SANITIZED = """
 from blocks.engines.native import model
+from blocks.model.diagram_grammar import MEASURES
 model.EXTRA_FLAGS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-g")
 from tests.api.test_batch import square
 from tests.api.test_lanes import CASES, mixed, rows_of

@@ -13,9 +13,11 @@ from scipy.sparse import csc_matrix, random_array
 from benchmarks.stiff_problems import PROBLEMS, Problem
 from blocks import (
     Block,
+    Constant,
     Diagram,
     DiscretePID,
     FirstOrder,
+    Integrator,
     Parameter,
     Relay,
     Results,
@@ -306,7 +308,7 @@ def test_auto_decides_once_and_says_so(engine: str, tmp_path: Path, capsys: pyte
     assert np.array_equal(plain["b.x"], by_itself["b.x"])
     smooth.save(tmp_path / "smooth.json")
     assert main(["run", str(tmp_path / "smooth.json"), "--stop", "2", "--method", "auto", "--engine", engine]) == 0
-    assert "auto: dopri5" in capsys.readouterr().out
+    assert "auto: dopri5, rtol 1e-06 atol" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -331,3 +333,15 @@ def test_a_snapshot_of_one_engine_goes_on_in_the_other(engines: tuple[str, str])
     rest = one(VanDerPol(mu=1e3)).run(resume=run.snapshot(), engine=engines[1], **settings)
     run.finish()
     assert rest["b.x"][-1] == pytest.approx(run.results["b.x"][-1], rel=1e-6)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_what_converges_at_once_is_not_taken_for_a_run_that_has_kept_nothing(engine: str) -> None:
+    """Of dx/dt = 1 the second iteration changes nothing at all, and 0 in the place of the rate stands for none."""
+    d = Diagram("ramp")
+    d.add("one", Constant())
+    d.add("x", Integrator())
+    d.wire("x.u", "one.y")
+    run = d.start(stop=1.0, method="radau", engine=engine)
+    run.advance_past(1e-5)
+    assert run.snapshot().snapshot.memory.carried[2] == np.finfo(float).eps

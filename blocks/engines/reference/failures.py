@@ -87,5 +87,11 @@ class Failures:
         following = self.at(t + step, x + step * rates)
         if self._culprit(following) is not None:
             return self.not_finite(following, "became")
-        cause = f"radau failed at t = {t} s, where this state changes fastest: {message}"
-        return SimulationError(Fault("E308", self.plan.states[worst], cause, "Raise rtol and atol, or use dopri5."))
+        cause = f"radau failed at t = {t} s, where this state changes fastest: {message}."
+        cure = "Raise rtol and atol, or use dopri5."
+        if max(abs(x[worst]), weights[worst]) < 100 * step * abs(rates[worst]):
+            cure = (
+                "It changes by its own size in a moment: the solution likely ends here, as where a state grows without "
+                "bound or a divisor passes 0. Bound the state or the divisor, or stop before."
+            )
+        return SimulationError(Fault("E308", self.plan.states[worst], cause, cure))

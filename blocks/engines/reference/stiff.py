@@ -225,7 +225,7 @@ class Radau:
             error = math.inf
             if solved is not None:
                 z, rate, theta, count = solved
-                carried = replace(carried, rate=rate, factored=step)
+                carried = replace(carried, rate=max(rate, _EPS), factored=step)
                 x1 = x + z[2]
                 error, culprit = self._error(t, x, first, step, z, carried, atol, rtol, again=rejected)
                 if error <= 1.0:

@@ -220,12 +220,14 @@ export function start(app) {
     const told = await act("delete", { names, sinks });
     if (told) pick([]);
   }
-  async function rename() {
+  function rename() {
     const [name] = picked;
-    const to = await hand.typedOver(app, name);
-    if (!to || to === name) return;
-    const section = app.block(app.drawing.full(name)) ? "blocks" : app.drawing.boxes().get(name).classList.contains("input") ? "inputs" : "outputs";
-    if (await edit([{ rename: [section, name], to }], `rename ${name} to ${to}`)) pick([to]);
+    hand.typedOver(app, name, async (to) => {
+      const section = app.block(app.drawing.full(name)) ? "blocks" : app.drawing.boxes().get(name).classList.contains("input") ? "inputs" : "outputs";
+      const isDone = await edit([{ rename: [section, name], to }], `rename ${name} to ${to}`);
+      if (isDone) pick([to]);
+      return isDone;
+    });
   }
   async function log(signal) {
     const wire = signal || app.state.wire;
@@ -463,8 +465,9 @@ export function start(app) {
     app.drawing.view.append(hint);
     if (document.activeElement === document.body) app.drawing.view.focus();
     Object.assign(app, { key, put, field, more, forms, remedy, chosen: (path, name) => ["edit", { level: path.split(".").slice(0, -1).join("."), operations: [name === "base" ? { remove: ["blocks", path.split(".").pop(), "variant"] } : { set: ["blocks", path.split(".").pop(), "variant"], to: name }], what: `variant ${name}` }] });
+    for (const one of app.keys) one[0] = one[0].replace(/^[a-z](?= |$)/i, (letter) => `Shift+${letter.toUpperCase()}`); // letters insert
     for (const { keys, what } of Object.values(commands)) if (keys) app.keys.push([keys, what]);
-    app.keys.push(["Ctrl+C Ctrl+X Ctrl+V", "copy, cut and paste, also as text"], ["Ctrl+arrow", "along a wire to the next block"], ["arrows", "move what is selected"], ["Enter", "to the values of the selected block; Escape leads back"], ["Shift+R Shift+S Shift+F Shift+B", "run anew, stop, show all, analysis: letters insert blocks"]);
+    app.keys.push(["Ctrl+C Ctrl+X Ctrl+V", "copy, cut and paste, also as text"], ["Ctrl+arrow", "along a wire to the next block"], ["arrows", "move what is selected; without a selection, the drawing"], ["Enter", "to the values of the selected block; Escape leads back"]);
     mark();
   });
 }

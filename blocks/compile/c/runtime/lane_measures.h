@@ -1,5 +1,6 @@
 /* What is measured inside the steps of lanes, where five values tell it. Part of lane_steps.h; twin: steps.h. */
 #if BLOCKS_QUICK_MEASURES
+BLOCKS_QUARTICS(static, V)
 
 /* The states at one of SHARES of a step, as its dense output has them. */
 static inline void inside(const Lanes *z, const int share, const int *states, const int n, V h, V *restrict made)
@@ -114,25 +115,102 @@ static M measured_inside(Lanes *z, V t1, V step, M wanted)
     return parts & wanted;
 }
 
-static int take_measures(Lanes *z, int l, double t1)
+/* Where quartics go beyond low or high, or may. */
+static inline M go_beyond(const V *y, V low, V high)
 {
-    BlocksSim *s = z->lanes[l].s;
-    for (int i = 1; i < 5; i++)
-        for (int j = 0; j < N; j++) s->nodes[i * N + j] = z->nodes[i][j][l];
-    return blocks_measure_whole(s, z->t[l], t1);
+    V bottom = y[0], top = y[0];
+    for (int k = 1; k < 5; k++) bottom = lanes_smaller(bottom, y[k]), top = lanes_larger(top, y[k]);
+    V beyond = REACH * (top - bottom);
+    return (bottom - beyond < low) | (top + beyond > high);
+}
+
+/* Where quartics turn, or may. */
+static inline M turn(const V *y)
+{
+    M rises = (M){0}, falls = (M){0};
+    V a[5];
+    for (int k = 0; k < 4; k++) rises |= y[k + 1] > y[k], falls |= y[k + 1] < y[k];
+    quartic(y, a);
+    V second = at_share(a, 1.0 / 128), last = at_share(a, 1.0 - 1.0 / 128);
+    return (rises & falls) | ((second - y[0]) * (y[1] - y[0]) < 0.0) | ((y[4] - last) * (y[4] - y[3]) < 0.0);
+}
+
+/* Take a step of `wanted` lanes into a measure, as `take` of runtime.c does, to the same bits. What that looks at closely it
+   does itself, for the run behind the lane. The lanes in which there is no memory for it. */
+static M take_in(Lanes *z, int i, V t1, V h, M wanted)
+{
+    const BlocksMeasure *what = &z->lanes[0].s->setup->measures[i];
+    const int kind = what->kind, is_timed = kind == BLOCKS_TIMED;
+    Measured *made = &z->measured[i];
+    V of[5], e[5], values[5], total = made->total, low = lanes_of(0.0), high = low;
+    M close = made->first != made->first; /* it begins */
+    wanted &= (what->low <= z->t) & (what->high >= t1);
+    for (int k = 0; k < 5; k++) of[k] = z->nodes[k][2 * i], e[k] = of[k] - z->nodes[k][2 * i + 1];
+    if (kind == BLOCKS_SQUARE) {
+        for (int k = 0; k < 5; k++) values[k] = e[k] * e[k];
+        total += h * weighted(values);
+    } else if (kind == BLOCKS_ABSOLUTE || is_timed) {
+        for (int k = 0; k < 5; k++) {
+            values[k] = lanes_fabs(e[k]) * (is_timed ? z->t + LOBATTO[k] * h : lanes_of(1.0));
+            low = lanes_smaller(low, e[k]), high = lanes_larger(high, e[k]);
+        }
+        close |= (low < 0.0) & (high > 0.0);
+        total += h * weighted(values);
+    } else if (kind == BLOCKS_PEAK) {
+        close |= go_beyond(e, -made->total, made->total);
+    } else if (kind == BLOCKS_VARIATION) {
+        close |= turn(e);
+        total += lanes_fabs(e[0] - made->last) + lanes_fabs(e[4] - e[0]);
+    } else if (kind == BLOCKS_OVERSHOOT || kind == BLOCKS_RISE) {
+        close |= go_beyond(of, made->low, made->high);
+    } else if (kind != BLOCKS_END) {
+        close = wanted;
+    }
+    close &= wanted;
+    M here = wanted & ~close;
+    made->total = lanes_choose(here, total, made->total);
+    made->span = lanes_choose(here, made->span + h, made->span);
+    if (kind != BLOCKS_SQUARE) {
+        made->target = lanes_choose(here, z->nodes[4][2 * i + 1], made->target);
+        made->last = lanes_choose(here, e[4], made->last);
+    }
+    M failed = (M){0};
+    if (!lanes_any(close)) return failed;
+    EACH_LANE {
+        if (!close[l]) continue;
+        BlocksSim *s = z->lanes[l].s;
+        for (int k = 0; k < 5; k++)
+            for (int j = 2 * i; j < 2 * i + 2; j++) s->nodes[k * N + j] = z->nodes[k][j][l];
+        give_measure(z, l, i);
+        failed[l] = -blocks_measure_one(s, i, z->t[l], t1[l]);
+        take_measure(z, l, i);
+    }
+    return failed;
+}
+
+/* Take in a step as one part; the lanes in which that fails. */
+static M take_measures(Lanes *z, V t1, V h, M wanted)
+{
+    M failed = (M){0};
+    for (int i = 0; i < N / 2; i++) failed |= take_in(z, i, t1, h, wanted);
+    z->known = lanes_choose(wanted, t1, z->known);
+    for (int j = 0; j < N; j++) z->nodes[0][j] = lanes_choose(wanted, z->nodes[4][j], z->nodes[0][j]);
+    return failed;
 }
 
 /* The lanes in which a step is to be measured; `quiet` loses those where that goes in parts. */
 static M to_measure(const Lanes *z, const Step *step, M *quiet)
 {
     M wanted = *quiet & (z->t < step->t1);
-    if (z->lanes[0].s->setup->has_windows)
-        EACH_LANE {
-            if (!wanted[l]) continue;
-            int in = blocks_measures_in(z->lanes[l].s, z->t[l], step->t1[l]);
-            if (in < 0) (*quiet)[l] = 0;
-            if (in) wanted[l] = 0;
-        }
+    const BlocksSetup *setup = z->lanes[0].s->setup;
+    M any = (M){0}, in_part = any;
+    for (int i = 0; i < N / 2 && setup->has_windows; i++) {
+        const double low = setup->measures[i].low, high = setup->measures[i].high;
+        M touched = (low < step->t1) & (high > z->t);
+        in_part |= touched & ((low > z->t) | (high < step->t1));
+        any |= touched;
+    }
+    if (setup->has_windows) *quiet &= ~(wanted & in_part), wanted &= any & ~in_part;
     M stale = wanted & (z->known != z->t);
     *quiet &= ~stale;
     return wanted & ~stale;

@@ -12,11 +12,17 @@ typedef struct {
     int state, status; /* how the row ended */
 } Lane;
 
+/* Measures so far: as BlocksMeasured begins. */
+typedef struct {
+    V total, span, first, begin, target, last, low, high;
+} Measured;
+
 struct BlocksLanes {
     V rows_x[2][SOME(NX)], rows_k[STAGES + 1][SOME(SPAN)], xs[SOME(NX)], sides[SOME(NS)];
     V d[SOME(BLOCKS_ND)], s[SOME(NS)], p[SOME(BLOCKS_NP)], u[SOME(BLOCKS_NU)], tick[SOME(BLOCKS_NRATES)], q[SOME(BLOCKS_NQ)],
         v[SOME(BLOCKS_NV)], n[SOME(BLOCKS_NN)], w[SOME(LANES_NW)];
     V nodes[5][SOME(N)];
+    Measured measured[SOME(N / 2)];
     V t, h, error, target, grow, known;
     M flowing, fresh; /* lanes that flow; those whose first rates are not known */
     V *x1, *k[STAGES], *before;
@@ -49,6 +55,33 @@ static void give_step(Lanes *z, int l)
         for (int i = 0; i < WIDTH; i++) s->k[n][i] = z->k[n][i][l];
 }
 
+#if BLOCKS_QUICK_MEASURES
+static void give_measure(const Lanes *z, int l, int i)
+{
+    const V *from = &z->measured[i].total;
+    double *to = &z->lanes[l].s->measured[i].total;
+    for (int k = 0; k < BLOCKS_KEPT; k++) to[k] = from[k][l];
+}
+
+static void take_measure(Lanes *z, int l, int i)
+{
+    V *to = &z->measured[i].total;
+    const double *from = &z->lanes[l].s->measured[i].total;
+    for (int k = 0; k < BLOCKS_KEPT; k++) to[k][l] = from[k];
+}
+#endif
+
+static void give_measures(const Lanes *z, int l)
+{
+    (void)z, (void)l;
+#if BLOCKS_QUICK_MEASURES
+    BlocksSim *s = z->lanes[l].s;
+    s->known[0] = z->known[l];
+    for (int j = 0; j < N; j++) s->nodes[j] = z->nodes[0][j][l];
+    for (int i = 0; i < N / 2; i++) give_measure(z, l, i);
+#endif
+}
+
 static void take_back(Lanes *z, int l)
 {
     BlocksSim *s = z->lanes[l].s;
@@ -57,9 +90,10 @@ static void take_back(Lanes *z, int l)
     z->t[l] = s->t, z->h[l] = s->h, z->error[l] = s->error;
     z->fresh[l] = -!s->has_first;
     s->has_before = 0;
-#if BLOCKS_NMEASURED
+#if BLOCKS_QUICK_MEASURES
     z->known[l] = s->known[0];
     for (int j = 0; j < N; j++) z->nodes[0][j][l] = s->nodes[j];
+    for (int i = 0; i < N / 2; i++) take_measure(z, l, i);
 #endif
 }
 

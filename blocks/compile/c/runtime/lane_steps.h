@@ -185,6 +185,7 @@ static void hand_over(Lanes *z, int l, Step *step)
     Lane *lane = &z->lanes[l];
     give_back(z, l);
     give_step(z, l);
+    give_measures(z, l);
     int stopped = blocks_accept(lane->s, step->t1[l], step->size[l], step->proposed[l], step->error[l], z->target[l]);
     if (stopped == BLOCKS_DONE) lane->state = DUE;
     else if (stopped > 0) end_row(lane, stopped);
@@ -194,12 +195,12 @@ static void hand_over(Lanes *z, int l, Step *step)
 /* Each lane's part in an accepted step. */
 static void accept(Lanes *z, const BlocksBatch *b, Step *step, M accepted)
 {
-    M quiet = accepted & ~are_loud(z);
+    M quiet = accepted & ~are_loud(z), failed = (M){0};
     if (!IS_PLAIN) quiet = (M){0};
 #if BLOCKS_QUICK_MEASURES
     M measured_here = to_measure(z, step, &quiet);
     if (lanes_any(measured_here)) quiet &= ~measured_inside(z, step->t1, step->size, measured_here);
-    measured_here &= quiet;
+    failed = take_measures(z, step->t1, step->size, measured_here & quiet);
 #endif
     step->taken = quiet;
     step->handed = (M){0};
@@ -210,19 +211,11 @@ static void accept(Lanes *z, const BlocksBatch *b, Step *step, M accepted)
         if (!quiet[l]) {
             hand_over(z, l, step);
         } else {
-            int failed = look_at(z, l, step);
-#if BLOCKS_QUICK_MEASURES
-            failed = failed || (measured_here[l] && take_measures(z, l, step->t1[l]));
-#endif
+            if (look_at(z, l, step) || failed[l]) end_row(lane, BLOCKS_FAILED);
             s->steps++;
-            if (failed) end_row(lane, BLOCKS_FAILED);
         }
         if (b->budget && lane->state == FLOWING && s->steps + s->rejected > b->budget) end_row(lane, BLOCKS_PAUSED);
     }
-#if BLOCKS_QUICK_MEASURES
-    z->known = lanes_choose(measured_here, step->t1, z->known);
-    for (int j = 0; j < N; j++) z->nodes[0][j] = lanes_choose(measured_here, z->nodes[4][j], z->nodes[0][j]);
-#endif
 }
 
 /* The lanes that took the step stand at its end; so do those whose run did. */
@@ -250,6 +243,7 @@ static void turn_over(Lanes *z, const Step *step)
         }
         if (!there[l] || z->lanes[l].state != FLOWING) continue;
         give_back(z, l);
+        give_measures(z, l);
         s->exact = s->target_exact;
         s->count = s->target_count;
         s->outstanding = 1;

@@ -226,7 +226,7 @@ static int converges(BlocksSim *s, double t, const double *x, double h)
         }
         before = fmax(change, EPS);
         if (rate * change <= needed) {
-            s->carried[RATE] = rate;
+            s->carried[RATE] = fmax(rate, EPS); /* 0: none is known */
             return 0;
         }
     }

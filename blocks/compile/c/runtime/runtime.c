@@ -25,7 +25,7 @@ static const double ON_THE_WAY[] = {
     1.0 / 1024, 1.0 / 256, 1.0 / 64, 1.0 / 16, 0.25, 0.5, 0.75, 15.0 / 16, 63.0 / 64, 255.0 / 256, 1023.0 / 1024, 1.0,
 };
 static const double QUARTERS[] = {0.0, 0.25, 0.5, 0.75, 1.0};
-static const double LOBATTO[] = {0.0, 0.17267316464601146, 0.5, 0.82732683535398854, 1.0};
+BLOCKS_QUARTICS(HOT static, double)
 
 /* --- times -------------------------------------------------------------------------------------------------- */
 
@@ -804,33 +804,6 @@ enum { FINE = 128 };
 /* Functions of other optimization are not inlined. */
 #define LEAST(a, b) ((a) < (b) ? (a) : (b))
 #define MOST(a, b) ((a) > (b) ? (a) : (b))
-static const double NODE_WEIGHTS[] = {1.0 / 20, 49.0 / 180, 16.0 / 45, 49.0 / 180, 1.0 / 20};
-static const double REACH = 0.35876858129917541; /* how far a quartic goes beyond its values at the nodes, in their spans */
-
-HOT static inline double weighted(const double *y)
-{
-    return NODE_WEIGHTS[0] * y[0] + NODE_WEIGHTS[1] * y[1] + NODE_WEIGHTS[2] * y[2] + NODE_WEIGHTS[3] * y[3] +
-           NODE_WEIGHTS[4] * y[4];
-}
-
-/* The quartic through values at the nodes, by powers of 2 theta - 1: that of its middle first. */
-HOT static void quartic(const double *y, double *a)
-{
-    const double b = 2.0 * LOBATTO[3] - 1.0, b2 = 3.0 / 7.0;
-    double even = (y[4] - y[2] + (y[0] - y[2])) / 2, odd = (y[4] - y[0]) / 2;
-    double inner_even = (y[3] - y[2] + (y[1] - y[2])) / 2, inner_odd = (y[3] - y[1]) / 2;
-    a[0] = y[2];
-    a[4] = (even - inner_even / b2) / (1.0 - b2);
-    a[3] = (odd - inner_odd / b) / (1.0 - b2);
-    a[2] = even - a[4];
-    a[1] = odd - a[3];
-}
-
-HOT static double at_share(const double *a, double theta)
-{
-    double s = 2.0 * theta - 1.0;
-    return a[0] + s * (a[1] + s * (a[2] + s * (a[3] + s * a[4])));
-}
 
 /* The values at the ends of 128 equal pieces; both ends exactly. */
 HOT static void finely(const double *y, double *fine)
@@ -1115,7 +1088,15 @@ HOT int blocks_measures_in(const BlocksSim *s, double t0, double t1)
     return !any;
 }
 
-/* Take in a step as one part: its values stand in `nodes`. */
+/* Take in a step as one part, for one measure: its values stand in `nodes`. */
+HOT int blocks_measure_one(BlocksSim *s, int i, double t0, double t1)
+{
+    if (path_room(s, 1)) return 1;
+    take(s, i, t0, t1 - t0, s->nodes);
+    return 0;
+}
+
+/* The same for all measures. */
 HOT int blocks_measure_whole(BlocksSim *s, double t0, double t1)
 {
     const int m = s->model->nmeasured;

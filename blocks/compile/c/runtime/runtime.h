@@ -352,7 +352,36 @@ double blocks_first_step(BlocksSim *s, double most);
 int blocks_chatters(BlocksSim *s, double step);
 int blocks_misses(BlocksSim *s, double *given);
 int blocks_measures_in(const BlocksSim *s, double t0, double t1);
+int blocks_measure_one(BlocksSim *s, int i, double t0, double t1);
 int blocks_measure_whole(BlocksSim *s, double t0, double t1);
+
+/* Quartics through values at the nodes of Lobatto's rule, of numbers or of vectors of them: their integral; their coefficients, by
+   powers of 2 theta - 1, that of the middle first; and their values. REACH: how far they go beyond these, in their spans. */
+#define BLOCKS_QUARTICS(KIND, REAL)                                                                                   \
+    static const double LOBATTO[] = {0.0, 0.17267316464601146, 0.5, 0.82732683535398854, 1.0};                        \
+    static const double NODE_WEIGHTS[] = {1.0 / 20, 49.0 / 180, 16.0 / 45, 49.0 / 180, 1.0 / 20};                     \
+    static const double REACH = 0.35876858129917541;                                                                  \
+    KIND inline REAL weighted(const REAL *y)                                                                          \
+    {                                                                                                                 \
+        return NODE_WEIGHTS[0] * y[0] + NODE_WEIGHTS[1] * y[1] + NODE_WEIGHTS[2] * y[2] + NODE_WEIGHTS[3] * y[3] +    \
+               NODE_WEIGHTS[4] * y[4];                                                                                \
+    }                                                                                                                 \
+    KIND void quartic(const REAL *y, REAL *a)                                                                         \
+    {                                                                                                                 \
+        const double b = 2.0 * LOBATTO[3] - 1.0, b2 = 3.0 / 7.0;                                                      \
+        REAL even = (y[4] - y[2] + (y[0] - y[2])) / 2.0, odd = (y[4] - y[0]) / 2.0;                                   \
+        REAL inner_even = (y[3] - y[2] + (y[1] - y[2])) / 2.0, inner_odd = (y[3] - y[1]) / 2.0;                       \
+        a[0] = y[2];                                                                                                  \
+        a[4] = (even - inner_even / b2) / (1.0 - b2);                                                                 \
+        a[3] = (odd - inner_odd / b) / (1.0 - b2);                                                                    \
+        a[2] = even - a[4];                                                                                           \
+        a[1] = odd - a[3];                                                                                            \
+    }                                                                                                                 \
+    KIND REAL at_share(const REAL *a, double theta)                                                                   \
+    {                                                                                                                 \
+        double s = 2.0 * theta - 1.0;                                                                                 \
+        return a[0] + s * (a[1] + s * (a[2] + s * (a[3] + s * a[4])));                                                \
+    }
 
 /* A run is stiff where so many steps say so, without so many between that do not; see docs/semantics.md, "Methods". */
 enum { BLOCKS_HITS = 15, BLOCKS_CALM = 6 };
