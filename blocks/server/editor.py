@@ -280,11 +280,14 @@ class Editor(Document):
                 operations = [{"wire": meant[2], "to": meant[1]}]
                 yield {"label": f"Add the wire from {meant[2]}", "level": level, "operations": operations}
             yield {"label": "Connect ...", "sink": fault.place}
+        if fault.file and Path(fault.file).name != self.file.name:
+            return
         meant = re.match(r"Did you mean '([^']+)'\?", fault.cure)
-        if meant and not (fault.file and Path(fault.file).name != self.file.name):
-            operations = [*self._renamed(fault, meant[1])]
-            if operations:
-                yield {"label": f"Take {meant[1]}", "level": "", "operations": operations}
+        operations = [*self._renamed(fault, meant[1])] if meant else []
+        if meant and operations:
+            yield {"label": f"Take {meant[1]}", "level": "", "operations": operations}
+        if fault.code == "E106" and fault.path[-2:-1] == ("parameters",):
+            yield {"label": f"Remove {fault.path[-1]}", "level": "", "operations": [{"remove": list(fault.path)}]}
 
     def _renamed(self, fault: Fault, name: str) -> Iterator[dict[str, Any]]:
         """The operation that takes a name in place of the one that a fault is about."""

@@ -10,7 +10,7 @@ import binascii
 import io
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -377,7 +377,11 @@ def put(session: Session, *, name: str, text: str | list[str], level: str = "") 
     """
     editor = _begun(session)
     body, (block, _, own) = editor.body(level), name.rpartition(".")
-    fact, type_ = editor.facts.get(f"{level}.{name}".lstrip(".")), ""
+    type_ = ""
+
+    def fact() -> Fact | None:  # asked for where it is needed: of many blocks that takes long
+        return editor.facts.get(f"{level}.{name}".lstrip("."))
+
     is_empty = not "".join(text).strip()
     if block:
         if block not in body.get("blocks", {}):
@@ -411,18 +415,20 @@ def put(session: Session, *, name: str, text: str | list[str], level: str = "") 
         operations = [{"remove": steps}] if is_there else []
         return _set(session, name, level, operations)
     raw = _value(text, name, type_, fact)
-    if _is_quantity(raw) and fact is not None and raw["unit"] == fact.unit and (block or steps[0] == "inputs"):
-        raw = raw["value"]  # a bare number is meant in it
+    if _is_quantity(raw) and (block or steps[0] == "inputs"):
+        known_fact = fact()
+        if known_fact is not None and raw["unit"] == known_fact.unit:
+            raw = raw["value"]  # a bare number is meant in it
     return _set(session, name, level, [{"set": steps, "to": raw}])
 
 
-def _value(text: str | list[str], name: str, type_: str, fact: Fact | None) -> Any:
+def _value(text: str | list[str], name: str, type_: str, of: Callable[[], Fact | None]) -> Any:
     """A typed value; that of elements in the unit of their parameter, where they have units."""
     if isinstance(text, str):
         return _raw(text, name, type_)
     if not all(each.strip() for each in text):
         raise UsageError(Fault("E501", legible(name[:200]), "has no value for one of its elements.", "As in 2 mH."))
-    elements = [_raw(each, name, type_) for each in text]
+    fact, elements = of(), [_raw(each, name, type_) for each in text]
     given = [each["unit"] for each in elements if _is_quantity(each)]
     if fact is not None:
         elements = [fact.number(each) if _is_quantity(each) else each for each in elements]

@@ -481,8 +481,10 @@ def test_a_fault_has_a_button_that_does_what_its_cure_says(tmp_path: Path) -> No
         good["blocks"]["pid"]["parameters"]["kd"] = 3
         assert json.loads(path.read_text()) == good
         ask("edit", operations=[{"set": ["blocks", "pid", "parameters", "kpp"], "to": 3}])
-        assert [one["remedies"] for one in editor.told()["faults"]] == [[]]  # there is a kp
-        ask("undo")
+        ((remedy,),) = (one["remedies"] for one in editor.told()["faults"])  # there is a kp
+        assert remedy["label"] == "Remove kpp"
+        ask("edit", operations=remedy["operations"])
+        assert json.loads(path.read_text()) == good
         ask("delete", names=[], sinks=["pmdc_motor.v"])
         (fault,) = editor.told()["faults"]
         assert fault["remedies"][-1] == {"label": "Connect ...", "sink": "pmdc_motor.v"}

@@ -48,6 +48,7 @@ export function start(app) {
     app.drawing.choose(last === undefined ? {} : { box: last });
     isPicking = false;
     mark();
+    if (picked.size > 1) app.announce(`${picked.size} are selected: ${[...picked].slice(0, 6).join(", ")}${picked.size > 6 ? ", ..." : ""}`);
   }
   let isPicking = false;
   app.on("select", (path) => {
@@ -250,6 +251,10 @@ export function start(app) {
     const as = await prompted("Name of the subdiagram", "group");
     if (as && (await edit([{ group: names, as }], `group ${names.join(", ")}`))) pick([as]);
   }
+  async function arrange() {
+    const names = picked.size > 1 ? [...picked] : [];
+    if ((await act("arrange", { names })) && !names.length) app.drawing.fit();
+  }
   const commands = {
     insert: { text: "Add", keys: "letters", what: "insert a block by its name, or drag it from the list; also a double click on free ground", go: () => app.insert(""), can: () => true },
     connect: { text: "Connect", keys: "Shift+C", what: "wire the selected block", go: connect, can: () => blocks().length > 0 },
@@ -258,7 +263,7 @@ export function start(app) {
     duplicate: { text: "Duplicate", keys: "Ctrl+D", what: "duplicate what is selected", go: async () => pick((await act("duplicate", { names: [...picked] }))?.names ?? [...picked]), can: some },
     group: { text: "Group", keys: "Ctrl+G", what: "make a subdiagram of the selected blocks", go: group, can: () => blocks().length > 0 },
     ungroup: { text: "Ungroup", keys: "Ctrl+Shift+G", what: "put the blocks of a subdiagram in its place", go: () => edit([{ ungroup: [...picked][0] }], `ungroup ${[...picked][0]}`), can: () => app.block(app.state.selected)?.kind === "diagram" && picked.size === 1 },
-    arrange: { text: "Lay out", keys: "Shift+L", what: "lay out what is selected, or all", go: () => act("arrange", { names: [...picked] }), can: () => true },
+    arrange: { text: "Lay out", keys: "Shift+L", what: "lay out the blocks that are selected, where these are several, or all", go: arrange, can: () => true },
     log: { text: "Log", keys: "", what: "record the selected signal in runs, or no longer", go: () => log(""), can: () => app.state.wire !== null },
     describe: { text: "Describe", keys: "", what: "write what the selected block, or the diagram, is for", go: () => describe(""), can: () => picked.size < 2 },
     undo: { text: "Undo", keys: "Ctrl+Z", what: "undo", go: () => act("undo"), can: () => Boolean(app.state.document?.editing?.undo) },
@@ -268,6 +273,7 @@ export function start(app) {
   async function others() {
     await list();
     const found = palette.filter(({ diagram }) => diagram);
+    if (!found.length) return say("There is no other diagram in this folder.");
     const go = (diagram) => async () => {
       const tab = window.open("about:blank"); // now, while the click counts
       const told = await app.ask("tab", { file: diagram });
