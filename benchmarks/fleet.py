@@ -1,7 +1,8 @@
 """Copies: a fleet of the paper's robots: from its file to the first step, a further start, memory, the time of a step.
 
 Starts are measured in processes of their own; steps are rk4 of 1 ms, against one robot and a loop over robots in
-C. At last what it costs that all copies share their steps: relays that switch at different times.
+C. Then the same starts with radau, and its steps, of robots and of stiff oscillators that are coupled or not. At last
+what it costs that all copies share their steps: relays that switch at different times.
 """
 
 from __future__ import annotations
@@ -27,12 +28,13 @@ GOALS = {1000: (1.0, 0.3, None), 10_000: (8.0, None, 2e9)}
 STACK = 2**29  # of the thread that runs the C program, which has all states on its stack
 
 
-def fleet(count: int, *, differ: bool = False) -> dict[str, Any]:
+def fleet(count: int, *, differ: bool = False, method: str = "rk4") -> dict[str, Any]:
     """A document with so many robots; differ: each has a load and a start of its own."""
     robots: dict[str, Any] = {"copies": count, "diagram": "iadrc.json"}
     if differ:
         robots["parameters"] = {"torque": "=3*index/copies", "heading": "=0.1*index"}
-    run = {"stop": 1, "method": "rk4", "step": 0.001, "every": 0.01, "log": ["robots.omega_right[0]"]}
+    run: dict[str, Any] = {"stop": 1, "method": method, "every": 0.01, "log": ["robots.omega_right[0]"]}
+    run |= {"step": 0.001} if method == "rk4" else {}
     return {"format": "blocks-diagram", "version": 3, "name": "fleet", "blocks": {"robots": robots}, "run": run}
 
 
@@ -61,14 +63,14 @@ def _processor() -> float:
     return used.user + used.system + used.children_user + used.children_system
 
 
-def _started(count: int, *, differ: bool) -> dict[str, float]:
+def _started(count: int, **how: Any) -> dict[str, float]:
     """The least of three processes, each with a cache that knows the runtime and no diagram."""
     made: list[dict[str, float]] = []
     folder = diagrams.ROOT / "diagrams" / "paper"
     with tempfile.NamedTemporaryFile("w", suffix=".json", dir=folder) as file, tempfile.TemporaryDirectory() as cache:
         for k in range(4):
             # Another name is another text, which is compiled anew.
-            json.dump({**fleet(count, differ=differ), "name": f"fleet_{k}"}, file)
+            json.dump({**fleet(count, **how), "name": f"fleet_{k}"}, file)
             file.flush()
             code = "import sys; from benchmarks.fleet import worker; worker(sys.argv[1])"
             done = subprocess.run(
@@ -97,19 +99,23 @@ def _in_c(count: int, stop: float) -> float:
     return 1e9 * min(seconds) / (4 * 1000 * stop * count)
 
 
+def _tell_start(count: int, what: str, **how: Any) -> None:
+    made = _started(count, **how)
+    pairs = zip((made["first"], made["second"], made["peak"]), GOALS.get(count, (None, None, None)), strict=True)
+    told = ["" if goal is None else " met" if value <= goal else " MISSED" for value, goal in pairs]
+    print(f"  {f'{count} {what}':48} {made['first']:6.2f} s{told[0]}  {made['second']:6.3f} s{told[1]}"
+          f"  {made['peak'] / 1e6:6.0f} MB{told[2]}; of the processor {made['cpu']:.2f} and {made['cpu_2']:.2f} s",
+          flush=True)  # fmt: skip
+
+
 def main() -> None:
     from blocks import Diagram
 
     print("from the file to the first step, with a cache that does not know the diagram; a further start; memory")
     for count, differ in ((100, False), (1000, False), (1000, True), (10_000, False), (10_000, True)):
-        made = _started(count, differ=differ)
-        goals = GOALS.get(count, (None, None, None))
-        pairs = zip((made["first"], made["second"], made["peak"]), goals, strict=True)
-        told = ["" if goal is None else " met" if value <= goal else " MISSED" for value, goal in pairs]
-        what = f"{count} robots{', each with its own numbers' if differ else ''}"
-        print(f"  {what:42} {made['first']:6.2f} s{told[0]}  {made['second']:6.3f} s{told[1]}"
-              f"  {made['peak'] / 1e6:6.0f} MB{told[2]}; of the processor {made['cpu']:.2f} and {made['cpu_2']:.2f} s",
-              flush=True)  # fmt: skip
+        _tell_start(count, f"robots{', each with its own numbers' if differ else ''}", differ=differ)
+    for count in (1000, 10_000):
+        _tell_start(count, "robots by radau, each with its own numbers", differ=True, method="radau")
     print("ns for each right-hand side and robot, rk4")
     folder = diagrams.ROOT / "diagrams" / "paper"
     alone = 0.0
@@ -124,7 +130,48 @@ def main() -> None:
             theirs = _in_c(count, stop)
             print(f"  {count:6} {ours:6.0f} ns  {ours / alone:5.2f} x one, goal 1.2 {verdict:6}  C {theirs:6.0f} ns"
                   f"  {ours / theirs:5.2f} x C", flush=True)  # fmt: skip
+        _stiff()
         _relays()
+
+
+def cells(count: int, adjacency: Any = None) -> dict[str, Any]:
+    """Stiff oscillators, each with its own damping; adjacency: of those that pull each other."""
+    from blocks import graph
+
+    each = {"mu": "=50+50*index/copies", "x_start": "=2-index/copies"}
+    blocks: dict[str, Any] = {"cells": {"type": "VanDerPol", "copies": count, "parameters": each}}
+    wires = {}
+    if adjacency is not None:
+        pull = (-5.0 * graph.laplacian(adjacency)).tocoo()
+        edges = [[int(i), int(j), float(k)] for i, j, k in zip(pull.row, pull.col, pull.data, strict=True)]
+        blocks["mix"] = {"type": "MatrixGain", "parameters": {"K": {"edges": edges, "shape": [count, count]}}}
+        wires = {"mix.u": "cells.x", "cells.u": "mix.y"}
+    run = {"stop": 1, "method": "radau", "every": 1, "log": ["cells.x[0]"]}
+    return {"format": "blocks-diagram", "version": 3, "name": "cells", "blocks": blocks, "wires": wires, "run": run}
+
+
+def _stiff() -> None:
+    from blocks import Diagram, graph
+
+    print("us of the processor for each step of radau and copy, to the first step before")
+    robots = [(f"{n} robots", fleet(n, differ=True, method="radau")) for n in (10, 100, 1000)]
+    links = {"alone": None, "in a ring": graph.ring(1000), "in a grid of 40 by 25": graph.grid(40, 25)}
+    coupled = [(f"1000 cells {name}", cells(1000, adjacency)) for name, adjacency in links.items()]
+    one = 0.0
+    for what, document in (*robots, *coupled):
+        diagram = Diagram.from_json(document, folder=diagrams.ROOT / "diagrams" / "paper")
+        begun = _processor()
+        diagram.start(engine="native").advance(1e-6)
+        first = _processor() - begun
+        seconds = []
+        for _ in range(3):
+            begun = time.process_time()
+            steps = diagram.run(engine="native").statistics.steps
+            seconds.append(time.process_time() - begun)
+        each = 1e6 * min(seconds) / (steps * int(what.split()[0]))
+        one = one or each
+        ratio = f"  {each / one:5.2f} x ten robots" if "robots" in what else ""
+        print(f"  {what:32} {each:6.2f} us  {steps:6} steps  first {first:5.2f} s{ratio}", flush=True)
 
 
 def relays(count: int) -> dict[str, Any]:

@@ -96,6 +96,8 @@ class Folded:
 
     def places(self, row: str, index: int) -> range:
         """The places of all copies of a place."""
+        if row not in self.segments:
+            return range(index, index + 1)
         segments = self.segments[row]
         found = segments[bisect_right(segments, index, key=lambda segment: segment.own) - 1]
         first = found.first + index - found.own
@@ -133,7 +135,25 @@ class Folded:
         return iter(sorted(whole) if places == sorted(places) else whole)
 
     def lanes(self, row: str, index: int) -> int:
-        return len(self.places(row, index)) if row in self.segments else 1
+        """How many copies a place stands for."""
+        return len(self.places(row, index))
+
+    def copies(self, instance: int) -> int:
+        """How many copies an instance stands for."""
+        fleet = self.fleets[instance]
+        return 1 if fleet is None else fleet.count
+
+    def shown(self, index: int) -> Sequence[Reference]:
+        """What a place of w shows in each copy, in the whole diagram."""
+        gathered = self.gathers.get(self.plan.outputs[index].instance)
+        if gathered is not None:
+            return [self.of_whole(reference) for reference in gathered]
+        return [Reference("w", place) for place in self.places("w", index)]
+
+    def path(self, instance: int, lane: int) -> str:
+        """The path of a copy of an instance."""
+        path, fleet = self.plan.instances[instance].path, self.fleets[instance]
+        return path if fleet is None else f"{fleet.path}[{lane}]{path[len(fleet.path) :]}"
 
     def of_one(self, reference: Reference) -> Reference:
         """Where something of the whole diagram is in the plan of one copy."""

@@ -20,6 +20,9 @@ Derivatives are those between instants: discretes, sides, histories and tick num
 subdiagrams that are off stand still. A derivative that is inf or NaN (|e|^alpha at 0, sqrt at 0) says nothing, and all
 that depends on it becomes NaN: `completed` puts difference quotients there.
 
+Of a diagram with copies, d(dx/dt)/dx is found by its plan of one copy, where a row stands for all lanes of an instance
+and each entry knows its lane: what is done for each row grows with types, and only arrays grow with copies.
+
 References: A. Griewank, A. Walther, Evaluating Derivatives, SIAM 2008, chapters 7 (sparse accumulation) and 15
 (implicit functions); A. Curtis, M. Powell, J. Reid, On the estimation of sparse Jacobian matrices, 1974 (columns that
 share a difference quotient).
@@ -30,6 +33,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import accumulate, chain
 from typing import Any
 
 import numpy as np
@@ -38,6 +42,7 @@ from ..contract.scalars import LOGICAL, OPERATIONS
 from ..contract.tape import Tape
 from ..contract.tracing import jacobian
 from .fmu_tape import FmuTape
+from .folding import Folded
 from .plan import AlgebraicLoop, Node, Plan, Program, Reference
 from .scheduler import schedule
 
@@ -62,7 +67,8 @@ class PlanJacobian:
 
     of: nodes, or references. by: references, each once. A place of w in `by` is cut: what reads it sees a variable of
     its own (the node in `of` is then what the block would give). shape: (results, variables). indptr, indices: the
-    pattern in CSC, rows in order. outputs: the places of w whose values the partials need.
+    pattern in CSC, rows in order. outputs: the places of w whose values the partials need; probed: the same in the plan
+    of one copy, where each is that of all copies.
 
     How it is computed, for those who print it: all that is read is one row (x d s p u tick h, outputs, t, numbers).
     `gather` takes the arguments of `groups` from it, and their results are the partials (npartials; `unused` ones are
@@ -73,12 +79,15 @@ class PlanJacobian:
     def __init__(
         self, plan: Plan, of: Sequence[Node | Reference] | None = None, by: Sequence[Reference] | None = None
     ) -> None:
-        self.of: tuple[Node | Reference, ...] = tuple(plan.derivatives if of is None else of)
-        self.by = tuple([Reference("x", i) for i in range(len(plan.states))] if by is None else by)
+        folded: Folded | None = plan.folded if of is None and by is None else None
+        folded = Folded(plan, (None,) * len(plan.instances), {}, {}) if folded is None else folded
+        own = folded.plan
+        self.of: tuple[Node | Reference, ...] = tuple(own.derivatives if of is None else of)
+        self.by = tuple([Reference("x", i) for i in range(len(own.states))] if by is None else by)
         if len(set(self.by)) != len(self.by):
             raise ValueError("each variable can be derived by once only")
-        self.shape = (len(self.of), len(self.by))
-        builder = _JacobianBuilder(plan, self.of, self.by)
+        builder = _JacobianBuilder(folded, self.of, self.by)
+        self.shape = (sum(folded.lanes("x", i) for i in range(len(self.of))), builder.width)
         builder.accumulate()
         self._lay_out(plan, builder)
 
@@ -117,15 +126,16 @@ class PlanJacobian:
         variables = {reference: j for j, reference in enumerate(self.by)}
         for i, item in enumerate(self.of):
             if isinstance(item, Node) and item.key.startswith("derivative:"):
-                condition = plan.instances[item.instance].condition
+                condition = builder.plan.instances[item.instance].condition
                 if condition is not None:
                     off.setdefault(condition, []).append(i)
             if item in variables:
-                own, own_entries = np.array([variables[item]]), np.array([-1])
+                row, own, own_entries = np.array([i]), np.array([variables[item]]), np.array([-1])
             else:
                 node = builder.node(item)
-                own, own_entries = _NOTHING if node is None else builder.rows.get(node, _NOTHING)
-            rows.append(np.full(len(own), i))
+                lane, own, own_entries = _NOTHING if node is None else builder.rows.get(node, _NOTHING)
+                row = np.array(builder.folded.places("x", i))[lane]
+            rows.append(row)
             columns.append(own)
             entries.append(number[own_entries])
         row, column, entry = _joined(rows), _joined(columns), _joined(entries)
@@ -143,9 +153,11 @@ class PlanJacobian:
             used[solve.inner[1]] = used[solve.outer[1]] = True
         self.unused = ~used
         self.off_partials = [(side, np.array(numbers)) for side, numbers in builder.off.items()]
-        self._names = builder.names
-        self._foreign_of = plan.foreign_of
-        self.outputs = builder.outputs
+        self._path = builder.folded.path
+        self._foreign_of = builder.plan.foreign_of
+        self.probed = builder.outputs
+        of_probed = [builder.folded.shown(reference.index) for reference in self.probed]
+        self.outputs = tuple(chain.from_iterable(of_probed))
         self.numbers = np.array(list(builder.numbers), dtype=float)
         # Where rows of memory begin in one array of all.
         sizes = {
@@ -157,15 +169,21 @@ class PlanJacobian:
         self.width = sum(self._sizes)
         ends = np.cumsum(list(sizes.values())).tolist()
         begin = {row: end - sizes[row] for row, end in zip(sizes, ends, strict=True)}
-        place_w = {reference: i for i, reference in enumerate(self.outputs)}
+        ends_w = accumulate(map(len, of_probed))
+        place_w = {
+            one: range(end - len(own), end) for one, own, end in zip(self.probed, of_probed, ends_w, strict=True)
+        }
 
-        def place(reference: Reference) -> int:
+        def places(reference: Reference, lanes: int) -> Sequence[int]:
             row, index = reference
             if row == "k":
-                return int(begin["k"]) + builder.numbers[index]
-            return int(begin[row]) + (place_w[reference] if row == "w" else int(index))
+                return [int(begin["k"]) + builder.numbers[index]] * lanes
+            own = place_w[reference] if row == "w" else builder.folded.places(row, index)
+            if len(own) < lanes or hasattr(index, "lane"):  # of one copy, for all
+                return [int(begin[row]) + own[getattr(index, "lane", 0)]] * lanes
+            return range(begin[row] + own[0], begin[row] + own[-1] + 1, own.step)
 
-        self.gather = np.array([place(reference) for reference in builder.arguments()], dtype=np.intp)
+        self.gather = np.fromiter(chain.from_iterable(places(*read) for read in builder.arguments()), dtype=np.intp)
         self._single = sum(len(group.reads) for group in self.groups if len(group.members) == 1)
 
     def at(self, memory: Sequence[Any], outputs: Sequence[float]) -> Evaluated:
@@ -208,7 +226,7 @@ class PlanJacobian:
                 if size > 1:
                     points = arguments[place : place + len(group.reads) * size].reshape(-1, size).T
                 place += points.size
-                for member, (index, point) in enumerate(zip(group.members, points.tolist(), strict=True)):
+                for member, ((index, _), point) in enumerate(zip(group.members, points.tolist(), strict=True)):
                     derivatives = foreign[self._foreign_of[index]].partials(group.asked, point)
                     if size == 1:
                         scalars += derivatives
@@ -241,7 +259,7 @@ class PlanJacobian:
             group = next(g for g in reversed(self.groups) if g.first <= number)
             pair, member = divmod(number - group.first, len(group.members))
             key, argument = group.pairs[pair]
-            block = self._names[group.members[member]]
+            block = self._path(*group.members[member])
             if isinstance(group.tape, FmuTape):
                 doubts[Doubt(block, key.partition(":")[2], group.tape.arguments[argument].name)] = None
                 continue
@@ -384,14 +402,15 @@ class Solve:
 class _PartialsGroup:
     """The partials of some results of a type, for all instances that have the same ones.
 
-    pairs: for each partial the result's key and the argument. first: the number of the first partial; those of one
-    pair are adjacent, in the order of the members. template: the values of constants and tables by node.
+    members: instances, each with its lane. pairs: for each partial the result's key and the argument. first: the number
+    of the first partial; those of one pair are adjacent, in the order of the members. template: the values of constants
+    and tables by node.
     """
 
     tape: Tape
     results: tuple[tuple[str, int], ...]
     tables: tuple[Reference, ...]
-    members: list[int] = field(default_factory=list)
+    members: list[tuple[int, int]] = field(default_factory=list)
     by: set[int] = field(default_factory=set)
     first: int = 0
     pairs: list[tuple[str, int]] = field(default_factory=list)
@@ -447,9 +466,11 @@ class _PartialsGroup:
                 self.reads[n] = int(node.value)
 
 
-_Row = tuple[Array, Array]
-"""The columns in which a row can differ from 0, and the numbers of these entries."""
-_NOTHING: _Row = (np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp))
+_Row = tuple[Array, Array, Array]
+"""The places in which a row can differ from 0: of each its lane, its column and the number of its entry."""
+_NOTHING: _Row = (np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp))
+_Term = tuple[int, Reference, _Row]
+"""An argument: the number of its partial (that of the first lane), what it is, and its row."""
 
 
 def _joined(parts: Sequence[Array]) -> Array:
@@ -459,9 +480,14 @@ def _joined(parts: Sequence[Array]) -> Array:
 class _JacobianBuilder:
     """Finds which entries there are, and which partials and entries each is the sum of."""
 
-    def __init__(self, plan: Plan, of: Sequence[Node | Reference], by: Sequence[Reference]) -> None:
-        self.plan, self.columns = plan, {reference: j for j, reference in enumerate(by)}
-        self.program: Program = schedule(plan, of)
+    def __init__(self, folded: Folded, of: Sequence[Node | Reference], by: Sequence[Reference]) -> None:
+        self.folded, self.plan = folded, folded.plan
+        self.columns: dict[Reference, _Row] = {}
+        for j, reference in enumerate(by):
+            columns = np.array(folded.places("x", j))
+            self.columns[reference] = np.arange(len(columns)), columns, np.full(len(columns), -1)
+        self.width = sum(len(columns) for _, columns, _ in self.columns.values())
+        self.program: Program = schedule(self.plan, of)
         self.needed = self._needed(of)
         self.depends = self._depends()
         self.groups: list[_PartialsGroup] = []
@@ -521,7 +547,7 @@ class _JacobianBuilder:
         known: dict[Any, _PartialsGroup] = {}
         for step in self.program.order:
             results = tuple(node.result for node in step.nodes if node in self.depends)
-            if not results:
+            if not results or step.instance in self.folded.gathers:
                 continue
             reads = {result: self._reads(Node(step.instance, *result)) for result in results}
             by = {k for pairs in reads.values() for k, _ in pairs}
@@ -533,12 +559,11 @@ class _JacobianBuilder:
                 for result in part:
                     self.group_of[step.instance, result] = group, len(group.members)
                     group.by.update(k for k, _ in reads[result])
-                group.members.append(step.instance)
+                group.members += [(step.instance, lane) for lane in range(self.folded.copies(step.instance))]
         # Single instances are computed as plain numbers; they come first.
         self.groups = sorted(known.values(), key=lambda group: len(group.members) > 1)
         self.count = 0
         self.numbers: dict[float, int] = {}
-        self.names = {i: instance.path for i, instance in enumerate(plan.instances)}
         self.off: dict[int, list[int]] = {}
         outputs: dict[Reference, None] = {}
         for group in self.groups:
@@ -546,28 +571,29 @@ class _JacobianBuilder:
             group.first = self.count
             size = len(group.members)
             self.count += len(group.pairs) * size
-            for member, index in enumerate(group.members):
+            for member, (index, _) in enumerate(group.members):
                 condition = plan.instances[index].condition
                 for pair, (key, _) in enumerate(group.pairs) if condition is not None else ():
                     if key.startswith("derivative:"):
                         assert condition is not None
                         self.off.setdefault(condition, []).append(group.first + pair * size + member)
-        for reference in self.arguments():
+        for reference, _ in self.arguments():
             if reference.row == "w":
-                outputs[reference] = None
+                outputs[Reference("w", int(reference.index))] = None  # that of all copies
             elif reference.row == "k":
                 self.numbers.setdefault(reference.index, len(self.numbers))
         self.outputs = tuple(sorted(outputs))
 
-    def arguments(self) -> Iterable[Reference]:
-        """What the groups read, in the order in which they take it."""
+    def arguments(self) -> Iterable[tuple[Reference, int]]:
+        """What the groups read, in the order in which they take it; and how many lanes do."""
         for group in self.groups:
+            instances = [(index, self.folded.copies(index)) for index, lane in group.members if lane == 0]
             for argument in group.reads.values():
-                for index in group.members:
+                for index, lanes in instances:
                     reference = self.plan.instances[index].arguments[argument]
                     if reference.row == "tick":
                         reference = Reference("tick", self.plan.rate_of[Node(index, *group.results[0])])
-                    yield reference
+                    yield reference, lanes
 
     def accumulate(self) -> None:
         for step in self.program.steps:
@@ -577,38 +603,64 @@ class _JacobianBuilder:
                 for node in step.nodes:
                     self._row(node)
 
-    def _terms(self, node: Node) -> list[tuple[int, Reference, Array, Array]]:
-        """For each argument of a node: the partial's number, what it is, its columns and its entries."""
+    def _read(self, reference: Reference, lanes: int) -> _Row:
+        """The row of what so many lanes read."""
+        if reference in self.columns:
+            row = self.columns[reference]
+            count = len(row[0])
+        else:
+            source = self.before(reference)
+            if source is None or source not in self.rows:
+                return _NOTHING
+            row, count = self.rows[source], self.folded.copies(source.instance)
+        lane, columns, entries = row
+        own = getattr(reference.index, "lane", None)
+        if own is not None:
+            is_own, count = lane == own, 1
+            lane, columns, entries = np.zeros(int(is_own.sum()), dtype=np.intp), columns[is_own], entries[is_own]
+        if lanes == count:
+            return lane, columns, entries
+        return np.repeat(np.arange(lanes), len(columns)), np.tile(columns, lanes), np.tile(entries, lanes)
+
+    def _terms(self, node: Node) -> list[_Term]:
+        """The terms of a node."""
         if node not in self.depends:
             return []
         group, member = self.group_of[node.instance, node.result]
-        arguments, terms = self.plan.instances[node.instance].arguments, []
-        for argument, pair in group.at[node.result]:
-            reference, number = arguments[argument], group.first + pair * len(group.members) + member
-            if reference in self.columns:
-                terms.append((number, reference, np.array([self.columns[reference]]), np.array([-1])))
-            else:
-                before = self.before(reference)
-                columns, entries = self.rows.get(before, _NOTHING) if before is not None else _NOTHING
-                terms.append((number, reference, columns, entries))
-        return terms
+        arguments, lanes = self.plan.instances[node.instance].arguments, self.folded.copies(node.instance)
+        return [
+            (group.first + pair * len(group.members) + member, arguments[k], self._read(arguments[k], lanes))
+            for k, pair in group.at[node.result]
+        ]
 
-    def _above(self, terms: Iterable[tuple[int, Reference, Array, Array]]) -> int:
+    def _above(self, terms: Iterable[_Term]) -> int:
         """The level of a sum of these terms."""
-        below = (self.before(reference) for _, reference, columns, _ in terms if len(columns))
-        return 1 + max((self.level.get(node, 0) for node in below if node is not None), default=0)
+        return 1 + self._highest(reference for _, reference, row in terms if len(row[1]))
+
+    def _highest(self, references: Iterable[Reference]) -> int:
+        nodes = map(self.before, references)
+        return max((self.level.get(node, 0) for node in nodes if node is not None), default=0)
 
     def _row(self, node: Node) -> None:
-        terms = [term for term in self._terms(node) if len(term[2])]
+        gathered = self.folded.gathers.get(node.instance)
+        if gathered is not None:
+            parts = [self._read(reference, 1) for reference in gathered]
+            lane = np.repeat(np.arange(len(parts)), [len(columns) for _, columns, _ in parts])
+            self.rows[node] = lane, _joined([part[1] for part in parts]), _joined([part[2] for part in parts])
+            self.level[node] = self._highest(gathered)
+            return
+        terms = [term for term in self._terms(node) if len(term[2][1])]
         if not terms:
             return
-        columns, place = np.unique(np.concatenate([term[2] for term in terms]), return_inverse=True)
+        places = np.concatenate([lane * self.width + columns for _, _, (lane, columns, _) in terms])
+        places, place = np.unique(places, return_inverse=True)
         level, first = self._above(terms), len(self.rank)
         self.targets.append(first + place)
-        self.partials.append(np.repeat([term[0] for term in terms], [len(term[2]) for term in terms]))
-        self.sources.append(np.concatenate([term[3] for term in terms]))
-        self.rank += [2 * level] * len(columns)
-        self.rows[node], self.level[node] = (columns, np.arange(first, len(self.rank))), level
+        self.partials.append(np.concatenate([number + lane for number, _, (lane, _, _) in terms]))
+        self.sources.append(np.concatenate([entries for _, _, (_, _, entries) in terms]))
+        self.rank += [2 * level] * len(places)
+        self.rows[node] = *np.divmod(places, self.width), np.arange(first, len(self.rank))
+        self.level[node] = level
 
     def _loop(self, loop: AlgebraicLoop) -> None:
         """The rows of a loop; a cut variable is no unknown, but its row may be asked for."""
@@ -620,15 +672,15 @@ class _JacobianBuilder:
         unknown = {reference[node]: k for k, node in enumerate(nodes)}
         if nodes:
             terms = {node: self._terms(node) for node in nodes}
-            outer = {node: [term for term in terms[node] if term[1] not in unknown and len(term[2])] for node in nodes}
-            columns = np.unique(_joined([term[2] for node in nodes for term in outer[node]]))
+            outer = {node: [t for t in terms[node] if t[1] not in unknown and len(t[2][1])] for node in nodes}
+            columns = np.unique(_joined([term[2][1] for node in nodes for term in outer[node]]))
             level, n, first = self._above([t for node in nodes for t in outer[node]]), len(nodes), len(self.rank)
             inner = [
                 (k * n + unknown[t[1]], t[0]) for k, node in enumerate(nodes) for t in terms[node] if t[1] in unknown
             ]
             places, partials, sources = [], [], []
             for k, node in enumerate(nodes):
-                for number, _, own, entries in outer[node]:
+                for number, _, (_, own, entries) in outer[node]:
                     places.append(k * len(columns) + np.searchsorted(columns, own))
                     partials.append(np.full(len(own), number))
                     sources.append(entries)
@@ -641,7 +693,7 @@ class _JacobianBuilder:
             self.loops.append(Solve(2 * level + 1, first, len(self.rank), np.array(explicit), (at, numbers), outside))
             for k, node in enumerate(nodes):
                 begin = first + k * len(columns)
-                self.rows[node] = columns, np.arange(begin, begin + len(columns))
+                self.rows[node] = np.zeros_like(columns), columns, np.arange(begin, begin + len(columns))
                 self.level[node] = level
         for node in everything:
             if node in self.depends and reference[node] in self.columns:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from math import ceil
 
 from ..model.diagram import DiagramValue
@@ -11,7 +12,7 @@ from ..text.errors import Fault
 from .graph import Arranged, Graph, Point, junctions
 from .layered import layered
 from .parts import Net, Part, Parts, Ports, parts_of
-from .picture import Box, Dot, Mark, Marks, Open, Picture, Wire
+from .picture import Box, Dot, Kept, Mark, Marks, Open, Picture, Wire
 from .piece import Piece, extent, graph_of, reachable, shape_of, tip, with_replaced
 from .pinned import pinned
 from .shapes import HEADER, Shape, Text, flag_shape, frame_header
@@ -46,8 +47,9 @@ def picture(
     when there is time.
     """
     located, elsewhere = _located(diagram, faults, min(depth, DEEPEST))
-    drawing = _Drawer(ports, located, dict(rates or {}), marks, earlier).level(diagram, "", min(depth, DEEPEST))
-    return replace(drawing, elsewhere=elsewhere, marks=marks)
+    drawer = _Drawer(ports, located, dict(rates or {}), marks, earlier)
+    drawing = drawer.level(diagram, "", min(depth, DEEPEST))
+    return replace(drawing, elsewhere=elsewhere, marks=marks, kept=drawer.kept)
 
 
 # --- faults ----------------------------------------------------------------------------------------------------
@@ -99,14 +101,14 @@ class _Drawer:
         earlier: Picture | None,
     ) -> None:
         self.ports, self.faults, self.rates, self.compared = ports, faults, rates, marks
-        self.earlier = earlier.routes if earlier else {}
+        self.earlier, self.kept = (earlier.routes, earlier.kept) if earlier else ({}, Kept())
 
     def level(self, diagram: DiagramValue, prefix: str, depth: int, *, stacked: bool = False) -> Picture:
         """One diagram with all that lies in it. stacked: its terminals must be free to the left and to the right."""
         replaced = self.compared.replaced.get(prefix, ()) if self.compared else ()
         parts = parts_of(diagram, self.ports, prefix, replaced)
-        pieces = [self.piece(part, depth) for part in parts.parts]
-        graph = graph_of(parts, pieces)
+        pieces = [self.piece_of(part, depth) for part in parts.parts]
+        graph = graph_of(parts, pieces, self.kept)
         arranged = None
         if any(node.fixed for node in graph.nodes):
             known = [[self.earlier.get(ends, ()) for ends in _ends(parts, signal)] for signal in parts.signals]
@@ -129,10 +131,9 @@ class _Drawer:
         opens: list[Open] = []
         for piece, (x, y) in zip(pieces, arranged.centers, strict=True):
             part, path = piece.part, piece.part.path
-            faults = () if part.entry is None else tuple(self.faults.get(path, ()))
-            copies = "" if part.entry is None or part.entry.copies is None else str(part.entry.copies).lstrip("=")
-            about = tip(part), faults, self.rates.get(path, ""), self.mark(part), copies
-            boxes.append(Box(path, piece.kind, 0.0, 0.0, piece.shape, tuple(piece.texts), *about).moved(x, y))
+            rate, mark = self.rates.get(path, ""), self.mark(part)
+            make = partial(self.box, piece, rate, mark, x, y)
+            boxes.append(self.kept.take(("box", piece.kind, path), (piece, rate, mark, x, y), make))
             opens += [Open(path, port, x + dx, y + dy) for port, dx, dy in piece.opens]
             if piece.inside is not None:
                 inner = piece.inside.moved(x - piece.shape.width / 2 + FRAME, y - piece.shape.height / 2 + FRAME_TOP)
@@ -149,12 +150,26 @@ class _Drawer:
         width, height = right - left, bottom - top
         return Picture(parts.diagram.name, width, height, tuple(boxes), tuple(wires), tuple(dots), tuple(opens))
 
+    def box(self, piece: Piece, rate: str, mark: Mark | None, x: float, y: float) -> Box:
+        part = piece.part
+        faults = () if part.entry is None else tuple(self.faults.get(part.path, ()))
+        copies = "" if part.entry is None or part.entry.copies is None else str(part.entry.copies).lstrip("=")
+        about = tip(part), faults, rate, mark, copies
+        return Box(part.path, piece.kind, 0.0, 0.0, piece.shape, tuple(piece.texts), *about).moved(x, y)
+
     def rate(self, parts: Parts, signal: Net) -> str:
         return self.rates.get(signal.name) or self.rates.get(parts.parts[signal.source[0]].path, "")
 
     def mark(self, part: Part) -> Mark | None:
         kind = part.kind if part.entry is None else "block"
         return self.compared.boxes.get((part.path, kind)) if self.compared else None
+
+    def piece_of(self, part: Part, depth: int) -> Piece:
+        """The piece of the picture before, where the part and its faults are those of before."""
+        if self.compared is not None or depth > 1:
+            return self.piece(part, depth)
+        of = part, self.faults.get(part.path)
+        return self.kept.take(("piece", part.kind, part.path), of, lambda: self.piece(part, depth))
 
     def piece(self, part: Part, depth: int) -> Piece:
         mark = self.mark(part)

@@ -28,6 +28,8 @@ CROSSING = 25.0
 MOST = 2_000_000  # points of the lattice
 OVERLAP = 3_000.0
 THROUGH = 8_000.0
+SQUEEZED = 60.0  # through a block, where an end lies inside of one: there is no other path to look for
+ROOM = 40  # points around an end that lies in no block, at least
 ATTEMPTS = 4  # with other orders, as long as a wire finds no path of its own
 ROUNDS = 2  # of rerouting each net
 AGAIN = 60  # nets, above which only those are rerouted that found no path of their own
@@ -60,6 +62,7 @@ class Maze:
         self.owner = ([0] * size, [0] * size)  # of the level line and of the upright line through a point: net + 1
         self.blocked: dict[int, set[int]] = {}  # nets that found no path of their own, and those that they ran over
         self.haste = 1.0
+        self.shut: dict[int, bool] = {}  # points, and whether they lie inside of blocks
         self.starts: list[int] = []
         self.ends: list[list[tuple[int, int]]] = []  # points, and the directions in which they are entered
         self._reserve()
@@ -85,12 +88,12 @@ class Maze:
         left, top, right, bottom = room
         first, last = bisect_right(self.xs, left), bisect_left(self.xs, right)  # lines inside
         above, below = bisect_right(self.ys, top), bisect_left(self.ys, bottom)
-        for row in range(above, below):
-            for column in range(max(first - 1, 0), last):
-                self.wall[0][row * self.wide + column] = 1
-        for row in range(max(above - 1, 0), below):
-            for column in range(first, last):
-                self.wall[1][row * self.wide + column] = 1
+        entering = max(first - 1, 0)
+        level, upright = b"\1" * (last - entering), b"\1" * (last - first)
+        for begin in range(above * self.wide, below * self.wide, self.wide):
+            self.wall[0][begin + entering : begin + entering + len(level)] = level
+        for begin in range(max(above - 1, 0) * self.wide, below * self.wide, self.wide):
+            self.wall[1][begin + first : begin + first + len(upright)] = upright
 
     def _point(self, node: int, port: Point) -> Point:
         x, y = self.centers[node]
@@ -240,7 +243,7 @@ class Maze:
                     before[b] = a
                 line = 0 if a // self.wide == b // self.wide else 1
                 others = {self.owner[line][point] - 1 for point in (a, b)} - {-1, index}
-                if others or self.wall[line][min(a, b)]:
+                if others or (self.wall[line][min(a, b)] and not self._is_shut(start, goals[k][0])):
                     self.blocked.setdefault(index, set()).update(others)
                 self.owner[line][a] = self.owner[line][b] = index + 1
             before.setdefault(start, -1)
@@ -259,6 +262,7 @@ class Maze:
         if goal in before or goal == start:
             return [goal]
         own, wide = index + 1, self.wide
+        through = SQUEEZED if self._is_shut(start, goal) else THROUGH
         far, deep, side, height, turns = self._ahead(goal, entry)
         heap: list[tuple[float, int]] = []
         cost: dict[int, float] = {}
@@ -297,7 +301,7 @@ class Maze:
                 continue
             next_, row, column = point + (1, wide, -1, -wide)[way], row + DOWNWARDS[way], column + RIGHTWARDS[way]
             if self.wall[line][point if point < next_ else next_]:
-                added += THROUGH
+                added += through
             if along[next_] not in (0, own) or along[point] not in (0, own):
                 added += OVERLAP
             if across[next_] not in (0, own):
@@ -308,6 +312,28 @@ class Maze:
                 origin[other] = state
                 heappush(heap, (value + far[column] + deep[row] + turns[way][side[column] + height[row]], other))
         return [start, goal]  # not reached: every state can be left
+
+    def _is_shut(self, *ends: int) -> bool:
+        """Whether one of two points lies inside of blocks, so that no path leads out but through them."""
+        for point in ends:
+            if point not in self.shut:
+                self.shut[point] = self._room(point) <= ROOM
+        return any(self.shut[point] for point in ends)
+
+    def _room(self, point: int) -> int:
+        """How many points can be reached from one without a block in between; no more than some are counted."""
+        seen, waiting, wide = {point}, [point], self.wide
+        while waiting and len(seen) <= ROOM:
+            here = waiting.pop()
+            row, column = divmod(here, wide)
+            for line, piece, other, is_there in (
+                (0, here, here + 1, column + 1 < wide), (0, here - 1, here - 1, column > 0),
+                (1, here, here + wide, row + 1 < len(self.ys)), (1, here - wide, here - wide, row > 0),
+            ):  # fmt: skip
+                if is_there and other not in seen and not self.wall[line][piece]:
+                    seen.add(other)
+                    waiting.append(other)
+        return len(seen)
 
     def _ahead(self, goal: int, entry: int) -> tuple[list[float], list[float], list[int], list[int], list[list[float]]]:
         """What lies ahead at least: distances by column and by row; and bends by direction, and the place by both."""

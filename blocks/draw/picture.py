@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 from ..text.errors import Fault
 from .graph import Path, Point
 from .shapes import Shape, Text
 
-__all__ = ["Box", "Dot", "Mark", "Marks", "Open", "Picture", "Wire"]
+__all__ = ["Box", "Dot", "Kept", "Mark", "Marks", "Open", "Picture", "Wire"]
+
+_Made = TypeVar("_Made")
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,12 +116,27 @@ class Open:
     y: float
 
 
+class Kept:
+    """What was made for a picture, which the picture after an edit takes over where it is made of the same."""
+
+    def __init__(self) -> None:
+        self._made: dict[Hashable, tuple[Any, Any]] = {}
+
+    def take(self, name: Hashable, of: Any, make: Callable[[], _Made]) -> _Made:
+        """The one of that name, made anew where it is to be made of something else than before."""
+        known = self._made.get(name)
+        if known is None or known[0] != of:
+            known = self._made[name] = of, make()
+        made: _Made = known[1]
+        return made
+
+
 @dataclass(frozen=True, slots=True)
 class Picture:
     """Everything with its place; the top left corner is (0, 0).
 
     origin: where the position [0, 0] of the file's `layout` lies; None where its positions are not those of the file.
-    routes: the wires by source and sink, from that origin.
+    routes: the wires by source and sink, from that origin. kept: what the next picture may take over.
     """
 
     title: str
@@ -132,13 +150,23 @@ class Picture:
     marks: Marks | None = None
     origin: Point | None = None
     routes: Mapping[tuple[tuple[str, str], tuple[str, str]], Path] = field(default_factory=dict, repr=False)
+    kept: Kept = field(default_factory=Kept, repr=False, compare=False)
 
     def moved(self, dx: float, dy: float) -> Picture:
+        def box(one: Box) -> Box:
+            return self.kept.take(("moved", one.kind, one.path), (one, dx, dy), lambda: one.moved(dx, dy))
+
+        def wire(one: Wire) -> Wire:
+            def make() -> Wire:
+                return replace(one, points=tuple((x + dx, y + dy) for x, y in one.points))
+
+            return self.kept.take(("moved", one.net, one.sink), (one, dx, dy), make)
+
         return replace(
             self,
             origin=(self.origin[0] + dx, self.origin[1] + dy) if self.origin else None,
-            boxes=tuple(box.moved(dx, dy) for box in self.boxes),
-            wires=tuple(replace(w, points=tuple((x + dx, y + dy) for x, y in w.points)) for w in self.wires),
+            boxes=tuple(map(box, self.boxes)),
+            wires=tuple(map(wire, self.wires)),
             dots=tuple(replace(dot, x=dot.x + dx, y=dot.y + dy) for dot in self.dots),
             opens=tuple(replace(mark, x=mark.x + dx, y=mark.y + dy) for mark in self.opens),
         )

@@ -10,7 +10,7 @@ from typing import Any
 
 from .graph import Arranged, Graph, GraphNode, Net, Point, bounds
 from .parts import BEFORE, Part, Parts
-from .picture import Picture
+from .picture import Kept, Picture
 from .shapes import PITCH, Shape, Text, block_shape, named_box
 from .text import plain, shown
 
@@ -75,8 +75,13 @@ def tip(part: Part) -> str:
     return "\n".join(plain(line) for line in lines)
 
 
-def graph_of(parts: Parts, pieces: Sequence[Piece]) -> Graph:
+def graph_of(parts: Parts, pieces: Sequence[Piece], kept: Kept) -> Graph:
     """Nodes and nets for the layout. Positions of the file are centers; they hold while no subdiagram is opened."""
+
+    def standing(piece: Piece, fixed: Point | None) -> GraphNode:
+        name = "node", piece.kind, piece.part.path
+        return kept.take(name, (piece, fixed), lambda: _node(piece, fixed))
+
     closed = all(piece.inside is None for piece in pieces)
     given: dict[int, Point] = {}
     if closed:
@@ -85,7 +90,7 @@ def graph_of(parts: Parts, pieces: Sequence[Piece]) -> Graph:
             point = _position(raw)
             if name in place and point is not None:
                 given[place[name]] = point
-    nodes = [_node(piece, given.get(index)) for index, piece in enumerate(pieces)]
+    nodes = [standing(piece, given.get(index)) for index, piece in enumerate(pieces)]
     inputs = [{name: k for k, name in enumerate(piece.shape.inputs)} for piece in pieces]
     outputs = [{name: k for k, name in enumerate(piece.shape.outputs)} for piece in pieces]
     nets = []

@@ -22,7 +22,7 @@ from ..text.errors import Fault
 from .compose import picture
 from .graph import Path, Point
 from .parts import BEFORE, Ports
-from .picture import Box, Mark, Marks, Picture, Wire
+from .picture import Box, Kept, Mark, Marks, Picture, Wire
 from .shapes import Pins, Text, num, polygon
 from .style import RATES, style_of
 from .text import cut, escaped, fitted, plain, width_of
@@ -113,26 +113,25 @@ def _notes(drawing: Picture) -> list[str]:
 
 def _body(drawing: Picture, labels: Mapping[str, int]) -> list[str]:
     """Frames, wires, blocks, dots: each covers what came before."""
-    lines = []
-    for box in drawing.boxes:
-        if box.kind == "frame":
-            lines += _box(box, labels, _marked(drawing, box.mark))
+    kept, wires = drawing.kept, dict[str, _Drawn]()
+
+    def box_of(box: Box) -> list[str]:
+        of = box, labels.get(box.rate), _marked(drawing, box.mark)
+        return kept.take(("drawn", box.kind, box.path), of, lambda: _box(box, labels, of[2]))
+
+    lines = [line for box in drawing.boxes if box.kind == "frame" for line in box_of(box)]
     dots: dict[str, set[Point]] = {}
     for dot in drawing.dots:
         dots.setdefault(dot.net, set()).add((dot.x, dot.y))
-    drawn: dict[str, _Ink] = {}
     glyphs = []
     # What stays comes first: a wire that was added or removed begins where it leaves the others of its net.
     for wire in sorted(drawing.wires, key=lambda wire: wire.mark is not None):
-        earlier = drawn.setdefault(wire.net, _Ink())
-        style = _marked(drawing, wire.mark)
-        lines.append(_wire(wire, earlier, dots.get(wire.net, set()), labels, style))
+        net = wires.setdefault(wire.net, _Drawn())
+        lines.append(net.line(wire, dots.get(wire.net, set()), labels, _marked(drawing, wire.mark), kept))
         if wire.mark:
-            glyphs.append(_sign(*_spot(earlier.fresh(wire.points)[0]), wire.mark))
-        earlier.add(wire.points)
-    for box in drawing.boxes:
-        if box.kind != "frame":
-            lines += _box(box, labels, _marked(drawing, box.mark))
+            glyphs.append(_sign(*_spot(net.ink.fresh(wire.points)[0]), wire.mark))
+        net.wires.append(wire)
+    lines += [line for box in drawing.boxes if box.kind != "frame" for line in box_of(box)]
     dot_styles = _dot_styles(drawing)
     for dot in drawing.dots:
         style = f"dot{_rate(dot.rate, labels)}{dot_styles.get(dot.net, '')}"
@@ -219,6 +218,29 @@ class _Ink:
                 return (_toward(a, b, common) if common else a, *points[index + 1 :]), length
             here = here.after.get(b) if here else None
         return points[-1:], length
+
+
+class _Drawn:
+    """The wires of a net that are drawn already, and their ink, which is made when it is asked for."""
+
+    def __init__(self) -> None:
+        self.wires: list[Wire] = []
+        self._ink, self._inked = _Ink(), 0
+        self._last: object = None  # another one where the last line is another one than in the picture before
+
+    @property
+    def ink(self) -> _Ink:
+        for wire in self.wires[self._inked :]:
+            self._ink.add(wire.points)
+        self._inked = len(self.wires)
+        return self._ink
+
+    def line(self, wire: Wire, dots: set[Point], labels: Mapping[str, int], marked: str, kept: Kept) -> str:
+        """The next wire; that of the picture before, where it and those before it are the same."""
+        of = wire, self._last, dots, labels.get(wire.rate), marked
+        name = "drawn", wire.net, wire.sink
+        text, self._last = kept.take(name, of, lambda: (_wire(wire, self.ink, dots, labels, marked), object()))
+        return text
 
 
 def _way(a: Point, b: Point) -> tuple[bool, bool]:

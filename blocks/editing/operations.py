@@ -319,7 +319,16 @@ def _paste(spot: Spot, entry: Mapping[str, Any]) -> None:
             if name in there and section in ("inputs", "parameters", "layout"):
                 continue  # it is shared
             value = tree.put_in(value, path, added, spot.name)
+    if value["version"] < VERSION and _have_copies(given.get("blocks", {})):
+        value = tree.replaced(value, ("version",), VERSION, spot.name)
     spot.put(value)
+
+
+def _have_copies(blocks: Mapping[str, Any]) -> bool:
+    """Whether any of the blocks, their variants or blocks inside has copies, which older files cannot say."""
+    every = [one for block in blocks.values() for one in (block, *block.get("variants", {}).values())]
+    inner = [one["diagram"].get("blocks", {}) for one in every if isinstance(one.get("diagram"), Mapping)]
+    return any("copies" in one for one in every) or any(map(_have_copies, inner))
 
 
 def _plain(number: float) -> float:

@@ -39,7 +39,9 @@ def _values(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str
 _PARAMETERS = Table(Ref(lambda: AnyOf(PLAIN, QUANTITY), dict, is_left=True), Text(refers="own parameter"))
 _MODEL = (
     Field("diagram", FILLED, "The path of a diagram file, from the folder of this file on.", required=True),
-    Field("parameters", _PARAMETERS, 'Values of parameters by path ("motor.Ra"), in place of those of the diagram.'),
+    Field("parameters", _PARAMETERS, (
+        'Values of parameters by path or pattern ("motor.Ra"), in place of those of the diagram.'
+    )),
     Field("variants", Table(Text(what="the name of a variant", refers="variant"), Text(refers="block")), (
         "The variants of blocks that are taken, by path."
     )),

@@ -123,17 +123,24 @@ class Editor(Document):
                     texts[file] = stamp, text
         return texts
 
-    def edit(self, what: str, operations: Operations) -> Edit:
-        """Apply operations and write the file. what: the gesture, in words.
-
-        Raises ModelError and UsageError, with nothing changed.
-        """
-        self._catch_up()
+    def begin(self) -> None:
+        """What is written is made of what stands there. Raises UsageError (E501) where that is not what was shown."""
+        is_new = self._catch_up()
         if self.is_gone:
             what = "was deleted, emptied or renamed by another program; what is shown is in no file."
             raise UsageError(Fault("E501", self.file.name, what, "Undo writes it again."))
         if self.error is not None:
             self.shown  # noqa: B018  # says why no edit can be made
+        if is_new:
+            what = "was written by another program; what it says now is shown, and nothing else was done."
+            raise UsageError(Fault("E501", self.file.name, what, "Do it again where it still fits."))
+
+    def edit(self, what: str, operations: Operations) -> Edit:
+        """Apply operations and write the file. what: the gesture, in words.
+
+        Raises ModelError and UsageError, with nothing changed.
+        """
+        self.begin()
         edit = edit_file(self.file, operations, library=self.library, text=self.text, check=False)
         if edit.texts:
             texts, were = ({str(real(Path(f))): text for f, text in each.items()} for each in (edit.texts, edit.were))
@@ -187,12 +194,14 @@ class Editor(Document):
         """Whether another program took the file or all of its text away: undo writes it again."""
         return not self.file.exists() or (self.file.is_file() and not self.file.stat().st_size)
 
-    def _catch_up(self) -> None:
+    def _catch_up(self) -> bool:
         if str(real(self.file)) != self._real:
             what = "is a link to another file now, which is not written."
             raise UsageError(Fault("E501", self.file.name, what, "Open that one, or put the file back."))
+        revision = self.revision
         if self.has_changed():
             self.read()
+        return self.revision != revision
 
     def _write(self, edit: Edit, otherwise: Step | None = None) -> None:
         """otherwise: a step that was done where this cannot be written."""
@@ -269,11 +278,14 @@ class Editor(Document):
                 operations = [{"wire": meant[2], "to": meant[1]}]
                 yield {"label": f"Add the wire from {meant[2]}", "level": level, "operations": operations}
             yield {"label": "Connect ...", "sink": fault.place}
+        if fault.file and Path(fault.file).name != self.file.name:
+            return
         meant = re.match(r"Did you mean '([^']+)'\?", fault.cure)
-        if meant and not (fault.file and Path(fault.file).name != self.file.name):
-            operations = [*self._renamed(fault, meant[1])]
-            if operations:
-                yield {"label": f"Take {meant[1]}", "level": "", "operations": operations}
+        operations = [*self._renamed(fault, meant[1])] if meant else []
+        if meant and operations:
+            yield {"label": f"Take {meant[1]}", "level": "", "operations": operations}
+        if fault.code == "E106" and fault.path[-2:-1] == ("parameters",):
+            yield {"label": f"Remove {fault.path[-1]}", "level": "", "operations": [{"remove": list(fault.path)}]}
 
     def _renamed(self, fault: Fault, name: str) -> Iterator[dict[str, Any]]:
         """The operation that takes a name in place of the one that a fault is about."""

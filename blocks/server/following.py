@@ -23,7 +23,10 @@ def follow(session: Session, before: Mapping[str, Fact], put: str = "") -> str:
 
     put: the path of what was given a value, which may be the one that the file has.
     """
-    facts, running, later = session.document.facts, _running(session), []
+    running, later = _running(session), []
+    if not (session.values or session.inputs or running):
+        return ""  # which facts there are, is not asked for nothing: of many blocks that takes long
+    facts = session.document.facts
     if running and before and not facts:
         return "the diagram has faults."
     for name, fact in facts.items() if put or facts is not before else ():

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import base64
 import binascii
+import io
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from zipfile import is_zipfile
 
 from ..api.catalog import Catalog
 from ..editing.operations import OPERATIONS
@@ -62,6 +64,13 @@ def _done(
     files = [Path(file).name for file in edit.texts if file != str(editor.file)]
     left = sorted({change.file for change in edit.elsewhere})
     return {**_told(session, what, before, names, files, put), "left": left}
+
+
+def _begun(session: Session) -> Editor:
+    """The document for a gesture that changes it, as it stands on the disk."""
+    with _refused(session) as editor:
+        editor.begin()
+    return editor
 
 
 @contextmanager
@@ -146,7 +155,7 @@ def insert(
     alone is that of the first one. at: its place in pixels, from the center of the block or terminal `of`; left out: it
     stands where the layout puts it. source, sink: what its first free input, or its first output, is wired to.
     """
-    editor = _editor(session)
+    editor = _begun(session)
     kind = next((key for key in ("type", "diagram", "fmu") if isinstance(entry.get(key), str)), None)
     if kind is None:
         raise UsageError(Fault("E501", "insert.entry", "has no type, diagram or fmu."))
@@ -229,7 +238,7 @@ def _wired(editor: Editor, level: str, name: str, entry: Mapping[str, Any], sour
 @handles
 def place(session: Session, *, names: list[str], by: list[float], level: str = "") -> Answer:
     """Move blocks and terminals. The first move on a level that was laid out automatically writes all its positions."""
-    editor = _editor(session)
+    editor = _begun(session)
     if len(by) != 2:
         raise UsageError(Fault("E501", "place.by", "is no distance.", "Give [x, y]."))
     standing = editor.positions(level)
@@ -245,7 +254,7 @@ def place(session: Session, *, names: list[str], by: list[float], level: str = "
 @handles
 def arrange(session: Session, *, names: list[str], level: str = "") -> Answer:
     """Lay out some blocks, all others stay; without names, all."""
-    editor = _editor(session)
+    editor = _begun(session)
     before = editor.positions(level)
     after = editor.positions(level, names or before)
     changed = [move(level, name, at) for name, at in after.items() if not names or name in names]
@@ -255,7 +264,7 @@ def arrange(session: Session, *, names: list[str], level: str = "") -> Answer:
 @handles
 def delete(session: Session, *, names: list[str], sinks: list[str], level: str = "") -> Answer:
     """Remove blocks, inputs and outputs with all that means something of them, and wires to inputs or outputs."""
-    body = _editor(session).body(level)
+    body = _begun(session).body(level)
     wires, outputs = body.get("wires", {}), body.get("outputs", {})
     operations: list[dict[str, Any]] = [{"unwire": sink} for sink in dict.fromkeys(sinks) if sink in wires]
     gone = [*sinks, *(name for name in names if name not in body.get("blocks", {}))]
@@ -319,11 +328,11 @@ def paste(
 @handles
 def duplicate(session: Session, *, names: list[str], level: str = "") -> Answer:
     """A copy of blocks beside them."""
-    return _pasted(session, "duplicate", _fragment(_editor(session).body(level), names), level, None, "")
+    return _pasted(session, "duplicate", _fragment(_begun(session).body(level), names), level, None, "")
 
 
 def _pasted(session: Session, what: str, text: str, level: str, at: list[float] | None, of: str) -> Answer:
-    editor = _editor(session)
+    editor = _begun(session)
     try:
         value = json_text.read(text, file="<pasted>").value
     except ModelError as error:
@@ -336,9 +345,14 @@ def _pasted(session: Session, what: str, text: str, level: str, at: list[float] 
     if not found:
         raise UsageError(Fault("E501", what, "the text holds nothing of a diagram.", "Copy some blocks first."))
     operation: dict[str, Any] = {"paste": found, "by": [BESIDE, BESIDE]}
-    placed = [at_ for at_ in found.get("layout", {}).values() if isinstance(at_, list) and len(at_) == 2]
+    layout = found.get("layout")  # the grammar of the operation says what is wrong with it
+    placed = (
+        [at_ for at_ in layout.values() if isinstance(at_, list) and len(at_) == 2]
+        if isinstance(layout, Mapping)
+        else []
+    )
     if at is not None and placed:
-        with suppress(TypeError):  # the grammar of the operation says what is wrong
+        with suppress(TypeError):
             x, y = _place(editor, level, of, at)
             operation["by"] = [x - min(one[0] for one in placed), y - min(one[1] for one in placed)]
     before = editor.body(level)
@@ -361,9 +375,13 @@ def put(session: Session, *, name: str, text: str | list[str], level: str = "") 
     A run that goes on takes it at once where it can, as it does with what any gesture changes; the answer says where it
     does not (`later`).
     """
-    editor = _editor(session)
+    editor = _begun(session)
     body, (block, _, own) = editor.body(level), name.rpartition(".")
-    fact, type_ = editor.facts.get(f"{level}.{name}".lstrip(".")), ""
+    type_ = ""
+
+    def fact() -> Fact | None:  # asked for where it is needed: of many blocks that takes long
+        return editor.facts.get(f"{level}.{name}".lstrip("."))
+
     is_empty = not "".join(text).strip()
     if block:
         if block not in body.get("blocks", {}):
@@ -397,18 +415,20 @@ def put(session: Session, *, name: str, text: str | list[str], level: str = "") 
         operations = [{"remove": steps}] if is_there else []
         return _set(session, name, level, operations)
     raw = _value(text, name, type_, fact)
-    if _is_quantity(raw) and fact is not None and raw["unit"] == fact.unit and (block or steps[0] == "inputs"):
-        raw = raw["value"]  # a bare number is meant in it
+    if _is_quantity(raw) and (block or steps[0] == "inputs"):
+        known_fact = fact()
+        if known_fact is not None and raw["unit"] == known_fact.unit:
+            raw = raw["value"]  # a bare number is meant in it
     return _set(session, name, level, [{"set": steps, "to": raw}])
 
 
-def _value(text: str | list[str], name: str, type_: str, fact: Fact | None) -> Any:
+def _value(text: str | list[str], name: str, type_: str, of: Callable[[], Fact | None]) -> Any:
     """A typed value; that of elements in the unit of their parameter, where they have units."""
     if isinstance(text, str):
         return _raw(text, name, type_)
     if not all(each.strip() for each in text):
         raise UsageError(Fault("E501", legible(name[:200]), "has no value for one of its elements.", "As in 2 mH."))
-    elements = [_raw(each, name, type_) for each in text]
+    fact, elements = of(), [_raw(each, name, type_) for each in text]
     given = [each["unit"] for each in elements if _is_quantity(each)]
     if fact is not None:
         elements = [fact.number(each) if _is_quantity(each) else each for each in elements]
@@ -432,7 +452,7 @@ def define(session: Session, *, kind: str, text: str, level: str = "", source: s
 
     source: what an output shows. kind "entry": another value of an entry, by its place: "run.stop=5 s".
     """
-    editor = _editor(session)
+    editor = _begun(session)
     said, _, value = (part.strip() for part in text.partition("="))
     if kind == "measure" and (typed := re.match(r"(?:(\w+)\s*=\s*)?(\w+)\s+(?=\w+\s*=)", text.strip())):
         measured = {"type": typed[2], **dict(_typed(text.strip()[typed.end() :], {}))}
@@ -457,7 +477,7 @@ def define(session: Session, *, kind: str, text: str, level: str = "", source: s
 @handles
 def describe(session: Session, *, of: str, text: str, level: str = "") -> Answer:
     """Write the doc of a block, a parameter or an input of a level, by its name; of "": that of the level."""
-    body, lines = _editor(session).body(level), text.strip().splitlines()
+    body, lines = _begun(session).body(level), text.strip().splitlines()
     doc: Any = lines if len(lines) > 1 else "".join(lines)
     section = next((part for part in ("blocks", "parameters", "inputs") if of in body.get(part, {})), "")
     if of and not section:
@@ -533,6 +553,8 @@ def upload(session: Session, *, name: str, text: str) -> Answer:
     except binascii.Error:
         raise UsageError(Fault("E501", "upload.text", "is no base64.")) from None
     if not target.exists():
+        if not is_zipfile(io.BytesIO(data)):
+            raise UsageError(Fault("E501", legible(name[:200]), "holds no FMU, which is a zip archive."))
         with write_atomically(target) as stream:
             stream.buffer.write(data)
     elif target.read_bytes() != data:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import numpy as np
 import pytest
 
 from blocks import Diagram
 from blocks.compile.c.emit_cache import plan_key
 from blocks.compile.c.model_code import emit
+from blocks.compile.jacobian import PlanJacobian
 from blocks.compile.plan import Plan
+from blocks.engines.reference.python_code import CompiledPrograms
 
 HEAD = {"format": "blocks-diagram", "version": 3}
 WHEELS = {"copies": 2, "type": "FirstOrder", "parameters": {"T": "=0.1*(1+index)"}}
@@ -65,21 +68,59 @@ def test_the_plan_is_that_of_the_diagram_written_out(given: dict[str, Any]) -> N
             assert plan.folded.of_whole(plan.folded.of_one(reference)) == reference
 
 
-def test_nothing_of_each_copy_is_made_to_print_them() -> None:
+@pytest.mark.parametrize("method", ["rk4", "radau", "auto"])
+def test_nothing_of_each_copy_is_made_to_print_them(method: str) -> None:
     plan = fleet(50, a="=1+index").plan()
-    plan_key(plan, [], [], "rk4")
-    emit(plan, method="rk4", logged=plan.signals["robots.y"].references)
+    plan_key(plan, [], [], method)
+    emit(plan, method=method, logged=plan.signals["robots.y"].references, is_filled=True)
     for name in ("instances", "outputs", "derivatives", "crossings", "events", "x_start", "d_start"):
         assert "_items" not in vars(getattr(plan, name)), name
 
 
-def test_the_code_grows_with_types_and_not_with_copies() -> None:
+@pytest.mark.parametrize("method", ["rk4", "radau", "auto"])
+def test_the_code_grows_with_types_and_not_with_copies(method: str) -> None:
     def written(n: int) -> list[int]:
         plan = fleet(n).plan()
-        text = emit(plan, method="rk4", logged=plan.signals["robots.y"].references).source
+        text = emit(plan, method=method, logged=plan.signals["robots.y"].references, is_filled=True).source
         return [text.count(word) for word in ("static", "for (int i", "(")]
 
     assert written(200) == written(40)
+
+
+MIXED = {"square": {"type": "Product"}, "mix": {"type": "MatrixGain", "parameters": {"K": {
+    "edges": [[i, j, 1.0 + i + j] for i in range(70) for j in (i, (7 * i + 3) % 70)], "shape": [70, 70]}}}}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "wires",
+    [
+        {},
+        {"mix.u": "lags.y", "lags.u": "mix.y"},
+        {"square.u1": "robots.y[69]", "square.u2": "lags.y[3]", "lags.u": "square.y"},
+        {f"lags.u[{k}]": f"robots.y[{69 - k}]" for k in range(70)},
+    ],
+)
+def test_derivatives_are_those_of_the_diagram_written_out(wires: dict[str, str]) -> None:
+    limit = {"type": "Trigonometry"}
+    agent = {**AGENT, "blocks": {**AGENT["blocks"], "limit": limit}, "wires": {**AGENT["wires"], "limit.u": "u"}}
+    document = fleet(70, agent, a="=1+index").to_json()
+    blocks = {name: block for name, block in MIXED.items() if any(sink.startswith(name) for sink in wires)}
+    left = {sink: source for sink, source in document["wires"].items() if f"{sink}[0]" not in wires}
+    made = Diagram.from_json({**document, "blocks": document["blocks"] | blocks, "wires": left | wires})
+    plan = made.plan()
+    assert plan.folded is not None
+    assert plan.written_out is not None
+    random = np.random.default_rng(1)
+    x, compiled = random.normal(size=len(plan.states)).tolist(), CompiledPrograms(plan.written_out())
+    held = [0.0] * len(plan.discretes), [1.0] * len(plan.crossings), plan.parameters
+    memory = 0.4, x, *held, (), (1,) * len(plan.rates), (), ()
+    one, whole = (PlanJacobian(each) for each in (plan, plan.written_out()))
+    assert one.indptr.tolist() == whole.indptr.tolist()
+    assert one.indices.tolist() == whole.indices.tolist()
+    of_one, of_whole = (each.at(memory, compiled.program("w", each.outputs)(*memory)).data for each in (one, whole))
+    np.testing.assert_allclose(of_one, of_whole, rtol=1e-14)
+    assert len(one.groups) < 20
+    assert {type(reference.index) for reference in one.probed} == {int}
 
 
 @pytest.mark.parametrize(

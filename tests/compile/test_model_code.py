@@ -34,6 +34,7 @@ from blocks import (
     Gain,
     Input,
     Integrator,
+    Norm,
     Parameter,
     PMDCMotor,
     Pulse,
@@ -716,6 +717,17 @@ def test_the_text_grows_with_types_and_not_with_instances() -> None:
             texts.append(emit(plan, method="rk4", logged=references_of(plan)[:-2]).source)
         lines = [re.sub(r"[0-9]+", "0", text).splitlines() for text in texts]
         assert len(lines[0]) == len(lines[1])
+
+
+def test_a_long_norm_is_a_loop() -> None:
+    texts = []
+    for n in (100, 1600):
+        d = Diagram("long")
+        norm = d.add("norm", Norm(size=n))
+        d.wire(norm.u, d.add("x", Integrator(), copies=n).y)
+        d.wire("x.u", norm.y)
+        texts.append(emit(d.plan(), method="rk4").source)
+    assert len(texts[1]) < 1.3 * len(texts[0])
 
 
 def parts_of_one_rate(n: int) -> Diagram:

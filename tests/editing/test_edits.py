@@ -137,6 +137,13 @@ def test_one_operation(operation: dict[str, Any], old: str, new: str, tmp_path: 
     assert edited(tmp_path, LOOP, operation) == LOOP.replace(old, new)
 
 
+def test_pasted_copies_bring_the_version_that_has_them(tmp_path: Path) -> None:
+    for block in ({"type": "Gain", "copies": 3}, {"diagram": {"blocks": {"g": {"type": "Gain", "copies": 3}}}}):
+        value = json.loads(edited(tmp_path, LOOP, {"paste": {"blocks": {"many": block}}}))
+        assert (value["version"], value["blocks"]["many"]) == (3, block)
+    assert json.loads(edited(tmp_path, LOOP, {"paste": {"blocks": {"one": {"type": "Gain"}}}}))["version"] == 2
+
+
 def test_what_is_removed_is_what_was_meant(tmp_path: Path) -> None:
     with pytest.raises(BlocksError, match=r'log\[0\]: is "lag" now, and not "gain.y". Look at what stands there now'):
         edited(tmp_path, LOOP, {"remove": "run.log[0]", "was": "gain.y"})

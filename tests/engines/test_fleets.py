@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from blocks import Diagram, ModelError
 from tests.support.fleets import named_by_hand, named_by_number, written_out
@@ -229,6 +230,68 @@ def test_implicit_methods_are_close() -> None:
         compare(of_agents(AGENT, wires={"robots.u": "wave.y"}), {"method": "radau", "rtol": 1e-9}, engine, 1e-6)
 
 
+@pytest.mark.parametrize("method", ["radau", "auto"])
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@given(document=fleets())
+def test_implicit_methods_of_copies_are_those_written_out(method: str, document: dict[str, Any]) -> None:
+    """Crossings are located to the tolerance, so that their order may be another one."""
+    run = {"stop": 0.5, "method": method, "rtol": 1e-9, "every": 0.05, "engine": "native"}
+    by_hand = Diagram.from_json(written_out(document, VECTORS)).run(**run)
+    copies = Diagram.from_json(document).run(**run, log=[named_by_number(name) for name in by_hand])
+    told, wanted = (sorted((round(event.t, 6), event.what) for event in made.events) for made in (copies, by_hand))
+    assert told == wanted
+    for name in by_hand:
+        np.testing.assert_allclose(copies[named_by_number(name)], by_hand[name], rtol=1e-6, atol=1e-6, err_msg=name)
+
+
+def cells(n: int) -> dict[str, Any]:
+    """Stiff oscillators, each pulled by the products of its neighbours in a ring."""
+    names = [f"cells.x[{(k + step) % n}]" for k in range(n) for step in (1, -1)]
+    blocks = {
+        "cells": {"type": "VanDerPol", "copies": n, "parameters": {"mu": "=30+index", "x_start": "=2-index/copies"}},
+        "pairs": {"type": "Product", "copies": n},
+        "pull": {"type": "Gain", "copies": n, "parameters": {"k": -3}},
+    }
+    wires = {f"pairs.u{number + 1}[{k}]": names[2 * k + number] for k in range(n) for number in (0, 1)}
+    return {**HEAD, "blocks": blocks, "wires": {**wires, "pull.u": "pairs.y", "cells.u": "pull.y"}}
+
+
+@pytest.mark.parametrize("n", [4, 25])
+def test_stiff_copies_that_are_coupled_are_those_of_scipy(n: int) -> None:
+    def rates(t: float, x: Any) -> Any:
+        place, speed = x[:n], x[n:]
+        force = -3 * np.roll(place, 1) * np.roll(place, -1)
+        return np.concatenate([speed, (30 + np.arange(n)) * (1 - place**2) * speed - place + force])
+
+    start = np.concatenate([2 - np.arange(n) / n, np.zeros(n)])
+    exact = solve_ivp(rates, (0, 8), start, method="Radau", rtol=1e-9, atol=1e-10)
+    run = {"stop": 8, "method": "radau", "rtol": 1e-8, "atol": 1e-10, "engine": "native"}
+    made = Diagram.from_json(cells(n))
+    assert made.plan().folded is not None
+    copies = made.run(**run, log=["cells.x", "cells.v"])
+    np.testing.assert_allclose(copies["cells.x"][-1], exact.y[:n, -1], rtol=1e-5)
+    np.testing.assert_allclose(copies["cells.v"][-1], exact.y[n:, -1], rtol=1e-4, atol=1e-7)
+    # With slopes that are not these, steps would still be right, and many more.
+    by_hand = Diagram.from_json(written_out(cells(n))).run(**run, log=["cells_0.x"])
+    assert copies.statistics.steps == pytest.approx(by_hand.statistics.steps, rel=0.02)
+    assert copies.statistics.evaluations == pytest.approx(by_hand.statistics.evaluations, rel=0.02)
+
+
+def test_slopes_that_are_not_finite_cost_no_more_in_many_copies() -> None:
+    """At 0 the slope of a root is infinite; difference quotients there are taken in all copies at once."""
+    agent = {
+        "outputs": {"y": "x.y"},
+        "blocks": {"x": {"type": "Integrator"}, "root": {"type": "Sqrt", "parameters": {"form": "signed"}},
+                   "sum": {"type": "Sum", "parameters": {"signs": "+-"}}, "one": {"type": "Constant"}},
+        "wires": {"root.u": "x.y", "sum.u1": "one.y", "sum.u2": "root.y", "x.u": "sum.y"},
+    }  # fmt: skip
+    run = {"stop": 1, "method": "radau", "every": 0.5, "engine": "native"}
+    one, many = (Diagram.from_json({**HEAD, "blocks": {"x": {"copies": n, "diagram": agent}}}) for n in (1, 60))
+    few, more = one.run(**run, log=["x.y"]), many.run(**run, log=["x.y"])
+    np.testing.assert_allclose(more["x.y"], np.broadcast_to(few["x.y"], (3, 60)), rtol=1e-12)
+    assert more.statistics.evaluations == few.statistics.evaluations
+
+
 @pytest.mark.parametrize("engine", ["reference", "native"])
 def test_copies_that_are_not_coupled_change_places(engine: str) -> None:
     def run(order: list[int], **settings: Any) -> Any:
@@ -239,8 +302,9 @@ def test_copies_that_are_not_coupled_change_places(engine: str) -> None:
     for method in ("euler", "rk4"):
         plain, moved = (run(numbers, method=method, step=0.01) for numbers in ([0, 1, 2, 3], order))
         np.testing.assert_array_equal(moved, plain[:, order])
-    plain, moved = (run(numbers) for numbers in ([0, 1, 2, 3], order))
-    np.testing.assert_allclose(moved, plain[:, order], rtol=1e-5, atol=1e-8)
+    for method in ("dopri5", "radau"):
+        plain, moved = (run(numbers, method=method) for numbers in ([0, 1, 2, 3], order))
+        np.testing.assert_allclose(moved, plain[:, order], rtol=1e-5, atol=1e-8)
 
 
 def test_a_run_of_copies_is_saved_and_goes_on() -> None:
@@ -253,6 +317,22 @@ def test_a_run_of_copies_is_saved_and_goes_on() -> None:
         state = run.snapshot()
         np.testing.assert_array_equal(made.run(resume=state, engine=engine)["robots.y"][-1], whole)
         np.testing.assert_allclose(made.run(resume=state, engine=other)["robots.y"][-1], whole, rtol=1e-11)
+
+
+def test_a_stiff_run_of_copies_goes_on_in_the_other_engine() -> None:
+    """What it keeps from step to step, slopes among it, is that of the diagram written out."""
+    made = Diagram.from_json(cells(12))
+    made.settings(stop=2, method="radau", log=["cells.x"], rtol=1e-8)
+    for engine, other in (("native", "reference"), ("reference", "native")):
+        run = made.start(engine=engine)
+        run.advance(1)
+        state = run.snapshot()
+        run.advance(1)
+        goes_on, ours = (made.start(resume=state, engine=one) for one in (engine, other))
+        goes_on.advance(1)
+        ours.advance(1)
+        np.testing.assert_array_equal(goes_on["cells.x"], run["cells.x"])
+        np.testing.assert_allclose(ours["cells.x"], run["cells.x"], rtol=1e-9)
 
 
 def test_a_copy_is_linearized_as_a_block_is() -> None:

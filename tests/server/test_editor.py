@@ -138,7 +138,10 @@ def test_what_another_program_wrote_is_never_overwritten_and_can_be_undone(tmp_p
         ours = path.read_text()
         theirs = ours.replace('"kp": 20', '"kp": 21')
         path.write_text(theirs)
-        ask("put", name="pid.ki", text="31")  # what stands on the disk is read in first
+        with pytest.raises(UsageError, match="written by another program; what it says now is shown"):
+            ask("put", name="pid.ki", text="31")  # which was typed without a look at it
+        assert path.read_text() == theirs
+        ask("put", name="pid.ki", text="31")
         assert path.read_text() == theirs.replace('"ki": 30', '"ki": 31')
         ask("undo")
         assert path.read_text() == theirs
@@ -158,6 +161,37 @@ def test_what_another_program_wrote_is_never_overwritten_and_can_be_undone(tmp_p
             ask("put", name="pid.ki", text="32")
         ask("undo")
         assert path.read_text() == ours
+
+
+def test_no_gesture_is_made_of_what_stood_there_before_another_program_wrote(tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    with edited(path) as (ask, _):
+        loop(ask)
+        ours = path.read_text()
+        gesture: dict[str, dict[str, Any]] = {
+            "insert": {"entry": {"type": "Gain"}, "at": [10, 10], "of": "pid"},
+            "place": {"names": ["pid"], "by": [10, 0]},
+            "arrange": {"names": []},
+            "delete": {"names": ["pid"], "sinks": []},
+            "duplicate": {"names": ["pid"]},
+            "paste": {"text": '{"blocks": {"g": {"type": "Gain"}}}'},
+            "put": {"name": "pid.kp", "text": "7"},
+            "define": {"kind": "parameter", "text": "k=1"},
+            "describe": {"of": "pid", "text": "x"},
+            "edit": {"operations": [{"set": "run.stop", "to": 9}]},
+        }
+        for number, (do, fields) in enumerate(gesture.items()):
+            theirs = ours.replace(
+                '"name": "motor"', f'"name": "motor", "doc": "{number}", "layout": {{"pid": [500, {number}]}}'
+            )
+            path.write_text(theirs)
+            with pytest.raises(UsageError, match="written by another program; what it says now is shown"):
+                ask(do, **fields)
+            assert path.read_text() == theirs
+            ask(do, **fields)
+            assert path.read_text() != theirs
+            ask("undo")
+            assert path.read_text() == theirs
 
 
 def test_a_file_that_cannot_be_written_stays_as_it_was(tmp_path: Path) -> None:
@@ -447,8 +481,10 @@ def test_a_fault_has_a_button_that_does_what_its_cure_says(tmp_path: Path) -> No
         good["blocks"]["pid"]["parameters"]["kd"] = 3
         assert json.loads(path.read_text()) == good
         ask("edit", operations=[{"set": ["blocks", "pid", "parameters", "kpp"], "to": 3}])
-        assert [one["remedies"] for one in editor.told()["faults"]] == [[]]  # there is a kp
-        ask("undo")
+        ((remedy,),) = (one["remedies"] for one in editor.told()["faults"])  # there is a kp
+        assert remedy["label"] == "Remove kpp"
+        ask("edit", operations=remedy["operations"])
+        assert json.loads(path.read_text()) == good
         ask("delete", names=[], sinks=["pmdc_motor.v"])
         (fault,) = editor.told()["faults"]
         assert fault["remedies"][-1] == {"label": "Connect ...", "sink": "pmdc_motor.v"}

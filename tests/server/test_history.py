@@ -86,12 +86,13 @@ def test_what_another_program_writes_into_a_subdiagram_is_undone_in_its_order(tm
     def gain() -> Any:
         return json.loads(sub.read_text())["blocks"]["g"]["parameters"]["k"]
 
-    with edited(tmp_path / "outer.json") as (ask, _):
+    with edited(tmp_path / "outer.json") as (ask, editor):
         ask("put", name="step.after", text="5")
         before = [path.read_bytes() for path in (sub, tmp_path / "outer.json")]
         ask("put", name="g.k", text="3", level="inside")
         with edited(sub) as (elsewhere, _):
             elsewhere("put", name="g.k", text="4")
+        assert editor.read()
         ask("put", name="step.after", text="6")
         assert gain() == 4
         assert [ask("undo")["what"] for _ in range(2)] == ["undone: set step.after", "undone: the change on disk"]
@@ -208,6 +209,8 @@ def test_a_change_of_equal_size_and_time_is_read(tmp_path: Path) -> None:
         ours, found = path.read_text(), path.stat()
         path.write_text(ours.replace('"kp": 20', '"kp": 21'))
         os.utime(path, ns=(found.st_atime_ns, found.st_mtime_ns))
+        with pytest.raises(BlocksError, match="written by another program"):
+            ask("put", name="pid.ki", text="31")
         ask("put", name="pid.ki", text="31")
         assert '"kp": 21, "ki": 31' in path.read_text()
         ask("undo")
@@ -235,7 +238,7 @@ def test_a_gesture_that_is_refused_shows_what_another_program_wrote(tmp_path: Pa
         told: list[int] = []
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(Session, "tell_document", lambda session: told.append(session.document.revision))
-            with pytest.raises(BlocksError, match="is driven by"):
+            with pytest.raises(BlocksError, match="written by another program"):
                 ask("edit", operations=[{"wire": "step.y", "to": "pid.y"}])
             with pytest.raises(BlocksError, match="is driven by"):
                 ask("edit", operations=[{"wire": "step.y", "to": "pid.y"}])

@@ -17,6 +17,7 @@ import pytest
 from blocks import BlocksError, Diagram, Gain, ModelError, UsageError
 from blocks.server import deeper, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
 from blocks.server.document import Document
+from blocks.server.editor import Editor
 from blocks.server.messages import HANDLERS, answer
 from blocks.server.scopes import Page
 from blocks.server.session import Session
@@ -118,6 +119,76 @@ def session(tmp_path: Path) -> Iterator[Session]:
     os.chdir(before)
     assert sorted(path.name for path in folder.iterdir()) == ["link.csv", "out"]
     assert (tmp_path / "other" / "file.csv").read_bytes() == b""
+
+
+EDITED: dict[str, list[Row]] = {
+    "insert": [
+        ({"entry": {}}, "has no type"),
+        ({"entry": {"type": "os.system"}}, "no such block type"),
+        ({"entry": {"diagram": "../other/file.json"}}, "outside the project|cannot be read"),
+        ({"entry": {"type": "Gain"}, "at": [1.0]}, "is no place"),
+        ({"entry": {"type": "Gain"}, "at": [1e300, 0.0]}, "farther away"),
+        ({"entry": {"type": "Gain"}, "level": "nothing"}, "no block"),
+        ({"entry": {"type": "Gain"}, "source": "nothing.y"}, "nothing"),
+    ],
+    "edit": [
+        ({"operations": [{"file": "../other/x.json", "set": "name", "to": "x"}]}, "level that it shows"),
+        ({"operations": [{"set": "blocks.gain", "to": {"diagram": "/etc/passwd"}}]}, "outside the project"),
+        ({"operations": [{"remove": "format"}]}, "format"),
+    ],
+    "place": [
+        ({"names": ["nothing"], "by": [1.0, 1.0]}, "nothing"),
+        ({"names": ["gain"], "by": [1e300, 0.0]}, "farther"),
+    ],
+    "delete": [({"names": ["nothing"], "sinks": []}, "nothing of this")],
+    "paste": [
+        ({"text": "{}"}, "holds nothing"),
+        ({"text": '{"layout": [1], "blocks": {"g": {"type": "Gain"}}}'}, "layout"),
+        ({"text": '{"layout": [1], "blocks": {"g": {"type": "Gain"}}}', "at": [1.0, 1.0]}, "layout"),
+        ({"text": "[" * 1000}, "no JSON"),
+    ],
+    "put": [
+        ({"name": "nothing.k", "text": "1"}, "no such block"),
+        ({"name": "__class__", "text": "1"}, "no such parameter"),
+    ],
+    "define": [
+        ({"kind": "block", "text": "x"}, "cannot be added"),
+        ({"kind": "parameter", "text": "a b=1"}, "not a name"),
+    ],
+    "describe": [({"of": "nothing", "text": "x"}, "nothing")],
+    "targets": [({"end": "nothing.y"}, "no such port")],
+    "tab": [({"file": path}, "lies outside|no diagram that can be opened") for path in (*PLACES, "/etc/passwd", "~")],
+    "upload": [
+        *(({"name": path, "text": ""}, "outside|no name of an FMU") for path in PLACES),
+        ({"name": "out/x.fmu", "text": ""}, "outside"),
+        ({"name": "below/x.fmu", "text": ""}, "no name of an FMU"),
+        ({"name": "x.fmu", "text": "?"}, "no base64"),
+        ({"name": "x.fmu", "text": "bm90aGluZw=="}, "is a zip archive"),
+    ],
+}
+"""What pages may not ask of a diagram that they edit, and what is said: nothing is written."""
+
+
+@pytest.mark.parametrize("name", sorted(EDITED))
+def test_gestures_that_are_refused_write_nothing(name: str, tmp_path: Path) -> None:
+    folder, other = tmp_path / "project", tmp_path / "other"
+    for one in (folder, other, folder / "below"):
+        one.mkdir()
+    (folder / "out").symlink_to(other)
+    (folder / "link.csv").symlink_to(other / "file.csv")
+    (other / "file.csv").touch()
+    loop = Diagram("loop")
+    loop.wire(loop.add("gain", Gain(k=2.0)).u, loop.input("u", default=1.0))
+    loop.save(folder / "loop.json")
+    session = Session(Editor(folder / "loop.json", str))
+    before = {path: path.read_bytes() if path.is_file() else b"" for path in sorted(tmp_path.rglob("*"))}
+    try:
+        for fields, message in EDITED[name]:
+            with pytest.raises((ModelError, UsageError), match=message):
+                answer(session, {"do": name, **fields})
+            assert {p: p.read_bytes() if p.is_file() else b"" for p in sorted(tmp_path.rglob("*"))} == before
+    finally:
+        session.close()
 
 
 def fields_of(name: str) -> dict[str, tuple[Any, bool]]:

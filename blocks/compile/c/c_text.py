@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
 
 from .functions import number
 
-__all__ = ["ints", "reals", "table", "texts"]
+__all__ = ["Filled", "ints", "reals", "table", "texts"]
+
+Array = np.ndarray[Any, Any]
 
 
 def ints(name: str, values: Iterable[int], kind: str = "int32_t") -> str:
@@ -29,6 +35,31 @@ def texts(name: str, values: Iterable[str]) -> str:
 def table(kind: str, name: str, rows: Iterable[str]) -> str:
     """A table of structures by their initializers; an empty one holds a zero."""
     return _array(f"static const {kind} {name}[]", [*rows] or ["{0}"])
+
+
+class Filled:
+    """Tables of integers as one row that is filled once the library is loaded, as compilers take long for numbers."""
+
+    def __init__(self, row: str) -> None:
+        self.row, self.parts, self.size = row, list[Array](), 0
+
+    def ints(self, name: str, values: Iterable[int], kind: str = "int32_t") -> str:
+        """What `ints` gives, for one of these tables."""
+        given = np.asarray(values, dtype=kind.removesuffix("_t"))
+        numbers = np.zeros(given.nbytes // 4 + 1, dtype=np.int32)
+        numbers.view(given.dtype)[: len(given)] = given
+        self.parts.append(numbers)
+        self.size += len(numbers)
+        return f"#define {name} ((const {kind} *)({self.row} + {self.size - len(numbers)}))\n"
+
+    @property
+    def values(self) -> bytes:
+        return b"".join([part.tobytes() for part in self.parts])
+
+    @property
+    def text(self) -> str:
+        """The row; by its digest libraries differ whose numbers do, as one that is loaded serves several runs."""
+        return f"BLOCKS_API int32_t {self.row}[{self.size}]; /* {hashlib.sha256(self.values).hexdigest()} */\n"
 
 
 def _quoted(text: str) -> str:

@@ -8,7 +8,8 @@ enough for gcc) are in a scratch row w.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -324,22 +325,32 @@ class _Program(CallOrder):
     def straight(self, unit: CallSequence, copies: Sequence[Copy]) -> list[str]:
         lines: list[str] = []
         local: dict[int, str] = {}
-        for group in unit.groups:
-            call = group.calls[0]
-            given = [self.read(value, unit, local) for value in call.arguments]
+        calls = [group.calls[0] for group in unit.groups]
+        read = (value for call in calls for value in (*call.arguments, *(call.fallback or ())))
+        reads = Counter(value[1] for value in (*read, *(copy.value for copy in copies)) if value[0] in ("r", "ge"))
+        number = 0
+        while number < len(calls):
+            chain = self.chain(calls[number:], reads, unit)
+            number += len(chain)
+            call = chain[-1]
+            given = [self.read(value, unit, local) for value in call.arguments] if len(chain) == 1 else []
             names = [f"r{len(local) + k}" for k in range(len(call.values))]
             keeps = [f"w[{self.w_at[v]}] = {r};" for v, r in zip(call.values, names, strict=True) if v in self.w_at]
             other = [
                 f"{r} = {self.read(value, unit, local)};"
                 for r, value in zip(names, call.fallback or (), strict=bool(call.fallback))
             ]
-            local.update(zip(call.values, names, strict=True))
             stores = []
             for r, sinks in zip(names, call.sinks, strict=True):
                 for sink in sinks:
                     side = "" if sink.condition is None else self.read(("s", sink.condition), unit, {})
                     own = self.read(("s", sink.index), unit, {}) if sink.off == "side" else ""
                     stores.append(self.store(str(sink.index), r, sink.off, side, own))
+            if len(chain) > 1:
+                lines += [*self.chained(chain, names[0], unit, local), *stores, *keeps]
+                local.update(zip(call.values, names, strict=True))
+                continue
+            local.update(zip(call.values, names, strict=True))
             code = self.call_text(call, given, names, unit)
             by_value = len(names) == 1 and not call.function.takes_memory
             label = f"  /* {comment(call.label)} */"
@@ -357,6 +368,40 @@ class _Program(CallOrder):
             lines += ["}", *keeps]
         lines = [f"    {line}" for line in lines]
         return lines + self.copied(copies, unit, local)
+
+    def chain(self, calls: Sequence[Call], reads: Mapping[int, int], unit: CallSequence) -> list[Call]:
+        """The first of some calls, with those behind it that make a loop with it: each is of the value of the one
+        before, which nothing else reads, and of memory at equal distances. reads: how often values are read."""
+        made = [calls[0]]
+        for call in calls[1:]:
+            last = made[-1]
+            is_link = _is_plain(last) and _is_plain(call) and call.function is last.function
+            if not is_link or last.sinks[0] or last.values[0] in self.w_at or reads[last.values[0]] > 1:
+                break
+            if call.arguments[0] != ("r", last.values[0]):
+                break
+            made.append(call)
+        while len(made) >= LEAST:
+            if all(self.is_even(values, unit) for values in _besides(made)):
+                return made
+            made = made[: len(made) // 2]
+        return made[:1]
+
+    def is_even(self, values: Sequence[Value], unit: CallSequence) -> bool:
+        """Whether values are in memory at equal distances."""
+        if any(kind in ("ge", "t") or (kind == "r" and index not in self.w_at) for kind, index in values):
+            return False
+        rows, places = zip(*(self.row(value, unit) for value in values), strict=True)
+        return len({*rows}) == 1 and rows[0] in ("w", *_ROWS[:-1]) and is_affine(places)
+
+    def chained(self, calls: Sequence[Call], name: str, unit: CallSequence, local: dict[int, str]) -> list[str]:
+        """A loop over calls, each of the value of the one before."""
+        columns = [[self.row(value, unit) for value in values] for values in _besides(calls)]
+        given = [_text(column[0][0], self.index([place for _, place in column])) for column in columns]
+        code = self.call_text(calls[0], [name, *given], [name], unit)
+        begin, label = self.read(calls[0].arguments[0], unit, local), f"  /* {comment(calls[0].label)} */"
+        loop = f"for (int i = 0; i < {len(calls)}; i++) {name} = {code};{label}"
+        return [f"{self.numbers.real} {name} = {begin};", loop]
 
     def call_text(self, call: Call, given: list[str], names: list[str], unit: CallSequence) -> str:
         if call.function.takes_memory:
@@ -561,6 +606,17 @@ def _indices(sinks: Sequence[Sink]) -> Sequence[int]:
     """The places of lanes: of calls one by one, or of one call of copies."""
     first = sinks[0].index
     return first if isinstance(first, range) else [at_of(sink) for sink in sinks]
+
+
+def _besides(calls: Sequence[Call]) -> list[tuple[Value, ...]]:
+    """What calls read in each place but the first."""
+    return list(zip(*(call.arguments[1:] for call in calls), strict=True))
+
+
+def _is_plain(call: Call) -> bool:
+    """Whether a call is always made, of one value that it returns."""
+    is_single = len(call.values) == 1 and call.lanes == 1 and not call.gathers
+    return is_single and not call.guard and not call.function.takes_memory and bool(call.arguments)
 
 
 def _text(row: str, index: str) -> str:

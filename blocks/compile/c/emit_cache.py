@@ -5,6 +5,7 @@ The key is a digest of all of the Plan that emission reads. Parameter values and
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import functools
 import hashlib
@@ -39,14 +40,14 @@ def emitted(
 ) -> Emitted:
     """What `emit` gives, from the cache if it is there. digest: the `plan_key` of the same arguments."""
     if len(plan.instances) < LEAST:
-        return emit(plan, measured=measured, method=method, logged=logged)
+        return emit(plan, measured=measured, method=method, logged=logged, is_filled=True)
     place = caches.of_user()
     key = hashlib.sha256(_own_digest().encode() + digest).hexdigest()
     stored = place.find(key)
     if stored is not None:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             return _read(stored)
-    model = emit(plan, measured=measured, method=method, logged=logged)
+    model = emit(plan, measured=measured, method=method, logged=logged, is_filled=True)
     with contextlib.suppress(OSError), place.work() as work:
         file = work / "emitted.json"
         file.write_text(_text(model), encoding="utf-8")
@@ -116,7 +117,7 @@ def _own_digest() -> str:
     """Of the Python files that emit."""
     digest = hashlib.sha256()
     here = Path(__file__).parent
-    others = (here.parent / f"{name}.py" for name in ("folding", "motion", "scheduler", "tick_stages"))
+    others = (here.parent / f"{name}.py" for name in ("folding", "jacobian", "motion", "scheduler", "tick_stages"))
     for path in (*sorted(here.glob("*.py")), *others):
         digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -129,11 +130,12 @@ def _text(model: Emitted) -> str:
     ]
     numbers = [number.hex() for number in model.numbers]  # JSON has no infinities
     tables = [number.hex() for number in model.tables]
-    return json.dumps([model.source, model.x_order, numbers, tables, cliques, dict(model.sizes)])
+    filled = base64.b64encode(model.filled).decode()
+    return json.dumps([model.source, model.x_order, numbers, tables, cliques, dict(model.sizes), filled])
 
 
 def _read(path: Path) -> Emitted:
-    source, x_order, numbers, tables, cliques, sizes = json.loads(path.read_text(encoding="utf-8"))
+    source, x_order, numbers, tables, cliques, sizes, filled = json.loads(path.read_text(encoding="utf-8"))
     typed_cliques = tuple(
         Clique(
             frozenset(rates),
@@ -142,4 +144,4 @@ def _read(path: Path) -> Emitted:
         for rates, stages in cliques
     )
     hexed = tuple(map(float.fromhex, numbers)), tuple(map(float.fromhex, tables))
-    return Emitted(source, tuple(x_order), *hexed, typed_cliques, sizes)
+    return Emitted(source, tuple(x_order), *hexed, typed_cliques, sizes, filled=base64.b64decode(filled))

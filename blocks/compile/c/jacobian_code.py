@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,11 +28,17 @@ class JacobianText:
 
 
 def jacobian_text(
-    made: PlanJacobian, tables_at: Sequence[int], x_at: Sequence[int], outputs: str, *, is_square: bool = False
+    made: PlanJacobian,
+    tables_at: Sequence[int],
+    x_at: Sequence[int],
+    outputs: str,
+    *,
+    is_square: bool = False,
+    ints: Callable[..., str] = ints,
 ) -> JacobianText:
     """The C text of a Jacobian. tables_at: where each table of the plan begins in the row of tables. x_at: the place of
     each state in the model. outputs: the program that gives made.outputs. is_square: of rates by states, whose rows and
-    columns stand in the order of the model."""
+    columns stand in the order of the model. ints: how tables are told."""
     pattern = in_order(made, x_at) if is_square else (made.indptr, made.indices, np.arange(len(made.indices)))
     indptr, indices, order = pattern
     texts, calls = [], []
@@ -83,7 +89,7 @@ def jacobian_text(
     )
     sums, most = [], 0
     for k, stage in enumerate(made.stages):
-        text, row, size = _stage(k, stage)
+        text, row, size = _stage(k, stage, ints)
         texts.append(text)
         sums.append(row)
         most = max(most, size)
@@ -142,7 +148,7 @@ def elimination(indptr: Array, indices: Array) -> Array | None:
     return np.argsort(order)
 
 
-def _stage(k: int, stage: Sum | Solve) -> tuple[str, str, int]:
+def _stage(k: int, stage: Sum | Solve, ints: Callable[..., str]) -> tuple[str, str, int]:
     """The arrays of a stage, its row in the table of sums, and how many unknowns it has."""
     text = []
 

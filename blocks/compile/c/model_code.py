@@ -22,6 +22,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from ...text.gc_pause import paused
 from ..jacobian import PlanJacobian
 from ..motion import looked_at
@@ -29,7 +31,7 @@ from ..plan import Node, Plan, Program, Reference
 from ..scheduler import schedule
 from ..tableaus import METHODS, STIFF
 from ..tick_stages import stages_of, tick_program
-from .c_text import ints
+from .c_text import Filled, ints
 from .calls import SAME, print_program, print_selected
 from .functions import LANES, comment, function_text
 from .jacobian_code import elimination, in_order, jacobian_text
@@ -50,7 +52,7 @@ class Emitted:
 
     x_order: the Plan's index of each state of the model. numbers, tables: the rows n and c. sizes: the macros
     BLOCKS_..., by their names without the prefix, where they are numbers. lanes: the C text of several runs side by
-    side; "": it was not asked for.
+    side; "": it was not asked for. filled: the row blocks_filled, which the library gets once it is loaded.
     """
 
     source: str
@@ -60,6 +62,7 @@ class Emitted:
     cliques: tuple[Clique, ...]
     sizes: Mapping[str, int]
     lanes: str = ""
+    filled: bytes = b""
 
 
 @paused()
@@ -73,13 +76,14 @@ def emit(
     others: Mapping[str, Sequence[Reference]] = MappingProxyType({}),
     end: str = "",
     lanes: bool = False,
+    is_filled: bool = False,
 ) -> Emitted:
     """The model of a Plan. measured, logged: what its programs of these names give. method: whose stepping loop is
     compiled ("euler", "rk4", "dopri5", "radau", "auto"; any other: none). loops: False prints every call by itself.
     others: what further programs give, by their names; end: C text at the end. lanes: whether programs of several runs
-    side by side are printed too."""
+    side by side are printed too. is_filled: whether tables of copies may stand in `Emitted.filled`."""
     folded = plan.folded
-    if folded is None or not is_printed_folded(method, lanes=lanes):
+    if folded is None or lanes:
         plan = plan if plan.written_out is None else plan.written_out()
         emitter = _Emitter(plan, loops, looked_at(plan, measured, logged))
         if lanes:
@@ -88,12 +92,9 @@ def emit(
     one, of_one = folded.plan, folded.of_one
     watched = looked_at(one, list(map(of_one, measured)), list(map(of_one, logged)))
     others = {name: list(map(of_one, asked)) for name, asked in others.items()}
-    return _Emitter(one, True, watched, folded).emitted(plan, method, others, end)
-
-
-def is_printed_folded(method: str, *, lanes: bool = False) -> bool:
-    """Whether copies are printed as one: the Jacobian of stiff methods, and lanes of a batch, are of all blocks."""
-    return method not in STIFF and not lanes
+    emitter = _Emitter(one, True, watched, folded)
+    emitter.filled = Filled("blocks_filled") if is_filled else None
+    return emitter.emitted(plan, method, others, end)
 
 
 _SIGNATURES = {
@@ -122,6 +123,7 @@ def _moved(places: range | int, by: int) -> range | int:
 
 class _Emitter(PlanReader):
     lanes: LaneCode | None = None
+    filled: Filled | None = None
     is_long = False  # whether the rates are
     whole: Plan
     """The plan of the whole diagram; `plan` is that of one copy where there are copies."""
@@ -378,10 +380,11 @@ class _Emitter(PlanReader):
         self.compare_lanes()
         return self.finished(method, cliques, moving, slopes, end, quick)
 
-    def side_by_side(self, nodes: Sequence[Node]) -> list[range | int]:
-        """Places for nodes, those of the lanes of each side by side."""
-        places = Places[Node]()
-        return [places.place(node, self.copies_of(node.instance)) for node in nodes]
+    def side_by_side(self, asked: Sequence[Node | Reference]) -> list[range | int]:
+        """Places for nodes or references, those of the lanes of each side by side."""
+        places = Places[Node | Reference]()
+        copies = [self.copies_of(one[0]) if isinstance(one, Node) else self.lanes_of(*one) for one in asked]
+        return list(map(places.place, asked, copies))
 
     def numbers_of_causes(self) -> list[range]:
         """The numbers of each cause in the whole diagram: crossings, then event times."""
@@ -647,14 +650,17 @@ class _Emitter(PlanReader):
 
     def slopes(self) -> str:
         """The Jacobian of the rates for a stiff method, and the order in which its columns are eliminated."""
-        made = PlanJacobian(self.plan)
-        plain = [Sink(k) for k in range(len(made.outputs))]
-        self.define("slope_outputs", self.continuous("slope_outputs", made.outputs, plain))
-        derived = jacobian_text(made, self.offsets, self.x_at, "slope_outputs", is_square=True)
-        order = elimination(*in_order(made, self.x_at)[:2])
-        table, name = ("", "0") if order is None else (ints("elimination", order), "elimination")
+        made = PlanJacobian(self.whole)
+        sinks = list(map(Sink, self.side_by_side(made.probed)))
+        self.define("slope_outputs", self.continuous("slope_outputs", made.probed, sinks))
+        tell = ints if self.filled is None else self.filled.ints
+        x_at = np.argsort(self.x_order).tolist()
+        derived = jacobian_text(made, self.offsets, x_at, "slope_outputs", is_square=True, ints=tell)
+        order = elimination(*in_order(made, x_at)[:2])
+        table, name = ("", "0") if order is None else (tell("elimination", order), "elimination")
         own = f"static const BlocksJacobian slopes = {derived.initializer};\n{table}#define ELIMINATION {name}\n"
-        return f'\n#include "stiff.h"\n{derived.text}{own}'
+        row = "" if self.filled is None else self.filled.text
+        return f'\n#include "stiff.h"\n{row}{derived.text}{own}'
 
     def looked_at(self, name: str) -> str:
         """The tables of what is looked at inside a step: the states that it needs, and how else it moves."""
@@ -735,4 +741,5 @@ class _Emitter(PlanReader):
         if self.lanes is not None:
             tables = self.tables.text + (states[-1] if moving else "")
             lanes = self.lanes.source(plan.name, sizes | dict.fromkeys(chosen, 1), tables)
-        return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes, lanes)
+        filled = b"" if self.filled is None else self.filled.values
+        return Emitted(source, self.x_order, tuple(self.numbers), table, cliques, sizes, lanes, filled)

@@ -137,8 +137,7 @@ class PlanReader:
 
     def copies_of(self, instance: int) -> int:
         """How many copies an instance stands for."""
-        fleet = None if self.folded is None else self.folded.fleets[instance]
-        return 1 if fleet is None else fleet.count
+        return 1 if self.folded is None else self.folded.copies(instance)
 
     def gathered(self, instance: int) -> tuple[Reference, ...] | None:
         """What an instance gathers, one for each lane."""

@@ -153,17 +153,15 @@ class RuntimeTables:
         resets: list[tuple[Any, tuple[int, ...]]] = []
         listed: list[tuple[Any, int]] = []
         for places, begin, cause in number_of:
-            instance, fleet = one.instances[cause.instance], folded.fleets[cause.instance]
             direction = {"": 0, "up": 1, "down": 2, "both": 3}[cause.direction]
-            known = ranks[id(instance.tape)]
+            known = ranks[id(one.instances[cause.instance].tape)]
             pairs = [(known[node.key], folded.places(row, at), row == "x") for node, (row, at) in cause.resets]
             for lane, place in enumerate(places):
                 number = begin + place
                 # Blocks of one copy stand before those of the next one, and other blocks between fleets.
                 order = folded.order(cause.instance, lane)
                 rows[number] = direction, len(pairs), 0, -1, 1, 0
-                path = instance.path if fleet is None else f"{fleet.path}[{lane}]{instance.path[len(fleet.path) :]}"
-                told[number] = path, cause.name
+                told[number] = folded.path(cause.instance, lane), cause.name
                 listed.append(((order, known[cause.node.key]), number))
                 for k, (rank, own, is_state) in enumerate(pairs):
                     at = int(self.place[own[lane]]) if is_state else own[lane]

@@ -99,6 +99,8 @@ class Model(RuntimeTables):
         library = load(_built(plan, units))
         self.library = _prepared(library, has_batch=not plan.foreign, has_lanes=self.lanes is not None)
         self.address = ctypes.cast(self.library["blocks_model"], ctypes.c_void_p).value
+        if made.filled:
+            ctypes.memmove(self.library["blocks_filled"], made.filled, len(made.filled))
 
     @cached_property
     def setup(self) -> Any:

@@ -310,5 +310,5 @@ export function start(app) {
   });
   app.connection.on("drawing", ({ settled, level, svg }) => settled && level === app.state.level && show(level, svg));
   /** What those who change the drawing need of it. */
-  app.drawing = { view, stage, under, choose, full, boxes: () => boxes, scale: () => at.k, show, neighbor };
+  app.drawing = { view, stage, under, choose, full, boxes: () => boxes, scale: () => at.k, fit, show, neighbor };
 }

@@ -48,6 +48,7 @@ export function start(app) {
     app.drawing.choose(last === undefined ? {} : { box: last });
     isPicking = false;
     mark();
+    if (picked.size > 1) app.announce(`${picked.size} are selected: ${[...picked].slice(0, 6).join(", ")}${picked.size > 6 ? ", ..." : ""}`);
   }
   let isPicking = false;
   app.on("select", (path) => {
@@ -220,12 +221,14 @@ export function start(app) {
     const told = await act("delete", { names, sinks });
     if (told) pick([]);
   }
-  async function rename() {
+  function rename() {
     const [name] = picked;
-    const to = await hand.typedOver(app, name);
-    if (!to || to === name) return;
-    const section = app.block(app.drawing.full(name)) ? "blocks" : app.drawing.boxes().get(name).classList.contains("input") ? "inputs" : "outputs";
-    if (await edit([{ rename: [section, name], to }], `rename ${name} to ${to}`)) pick([to]);
+    hand.typedOver(app, name, async (to) => {
+      const section = app.block(app.drawing.full(name)) ? "blocks" : app.drawing.boxes().get(name).classList.contains("input") ? "inputs" : "outputs";
+      const isDone = await edit([{ rename: [section, name], to }], `rename ${name} to ${to}`);
+      if (isDone) pick([to]);
+      return isDone;
+    });
   }
   async function log(signal) {
     const wire = signal || app.state.wire;
@@ -248,6 +251,10 @@ export function start(app) {
     const as = await prompted("Name of the subdiagram", "group");
     if (as && (await edit([{ group: names, as }], `group ${names.join(", ")}`))) pick([as]);
   }
+  async function arrange() {
+    const names = picked.size > 1 ? [...picked] : [];
+    if ((await act("arrange", { names })) && !names.length) app.drawing.fit();
+  }
   const commands = {
     insert: { text: "Add", keys: "letters", what: "insert a block by its name, or drag it from the list; also a double click on free ground", go: () => app.insert(""), can: () => true },
     connect: { text: "Connect", keys: "Shift+C", what: "wire the selected block", go: connect, can: () => blocks().length > 0 },
@@ -256,7 +263,7 @@ export function start(app) {
     duplicate: { text: "Duplicate", keys: "Ctrl+D", what: "duplicate what is selected", go: async () => pick((await act("duplicate", { names: [...picked] }))?.names ?? [...picked]), can: some },
     group: { text: "Group", keys: "Ctrl+G", what: "make a subdiagram of the selected blocks", go: group, can: () => blocks().length > 0 },
     ungroup: { text: "Ungroup", keys: "Ctrl+Shift+G", what: "put the blocks of a subdiagram in its place", go: () => edit([{ ungroup: [...picked][0] }], `ungroup ${[...picked][0]}`), can: () => app.block(app.state.selected)?.kind === "diagram" && picked.size === 1 },
-    arrange: { text: "Lay out", keys: "Shift+L", what: "lay out what is selected, or all", go: () => act("arrange", { names: [...picked] }), can: () => true },
+    arrange: { text: "Lay out", keys: "Shift+L", what: "lay out the blocks that are selected, where these are several, or all", go: arrange, can: () => true },
     log: { text: "Log", keys: "", what: "record the selected signal in runs, or no longer", go: () => log(""), can: () => app.state.wire !== null },
     describe: { text: "Describe", keys: "", what: "write what the selected block, or the diagram, is for", go: () => describe(""), can: () => picked.size < 2 },
     undo: { text: "Undo", keys: "Ctrl+Z", what: "undo", go: () => act("undo"), can: () => Boolean(app.state.document?.editing?.undo) },
@@ -266,6 +273,7 @@ export function start(app) {
   async function others() {
     await list();
     const found = palette.filter(({ diagram }) => diagram);
+    if (!found.length) return say("There is no other diagram in this folder.");
     const go = (diagram) => async () => {
       const tab = window.open("about:blank"); // now, while the click counts
       const told = await app.ask("tab", { file: diagram });
@@ -463,8 +471,9 @@ export function start(app) {
     app.drawing.view.append(hint);
     if (document.activeElement === document.body) app.drawing.view.focus();
     Object.assign(app, { key, put, field, more, forms, remedy, chosen: (path, name) => ["edit", { level: path.split(".").slice(0, -1).join("."), operations: [name === "base" ? { remove: ["blocks", path.split(".").pop(), "variant"] } : { set: ["blocks", path.split(".").pop(), "variant"], to: name }], what: `variant ${name}` }] });
+    for (const one of app.keys) one[0] = one[0].replace(/^[a-z](?= |$)/i, (letter) => `Shift+${letter.toUpperCase()}`); // letters insert
     for (const { keys, what } of Object.values(commands)) if (keys) app.keys.push([keys, what]);
-    app.keys.push(["Ctrl+C Ctrl+X Ctrl+V", "copy, cut and paste, also as text"], ["Ctrl+arrow", "along a wire to the next block"], ["arrows", "move what is selected"], ["Enter", "to the values of the selected block; Escape leads back"], ["Shift+R Shift+S Shift+F Shift+B", "run anew, stop, show all, analysis: letters insert blocks"]);
+    app.keys.push(["Ctrl+C Ctrl+X Ctrl+V", "copy, cut and paste, also as text"], ["Ctrl+arrow", "along a wire to the next block"], ["arrows", "move what is selected; without a selection, the drawing"], ["Enter", "to the values of the selected block; Escape leads back"]);
     mark();
   });
 }

@@ -33,31 +33,35 @@ export function near(app, event) {
   const [bx, by] = center(first[1]);
   return { at: [x - bx, y - by], of: first[0] };
 }
-/** Type another name over that of a box. @returns {Promise<string | null>} */
-export function typedOver(app, name) {
-  return new Promise((resolve) => {
-    const box = app.drawing.boxes().get(name);
-    const text = (box.querySelector("text.name") ?? box).getBoundingClientRect();
-    const around = app.drawing.view.getBoundingClientRect();
-    const field = element("input", { class: "typed", "aria-label": `Name of ${name}`, spellcheck: "false", autocomplete: "off" });
-    field.value = name;
-    field.style.left = `${text.x + text.width / 2 - around.x}px`;
-    field.style.top = `${text.y + text.height / 2 - around.y}px`;
-    const done = (value) => {
-      field.onblur = null;
-      field.remove();
-      app.drawing.view.focus();
-      resolve(value);
-    };
-    field.onblur = () => done(field.value.trim());
-    field.onkeydown = (event) => {
-      event.stopPropagation();
-      if (event.key === "Enter") done(field.value.trim());
-      if (event.key === "Escape") done(null);
-    };
-    app.drawing.view.append(field);
-    field.select();
-  });
+/** Type another name over that of a box. take: whether it was taken; who typed one that was not may mend it. */
+export function typedOver(app, name, take) {
+  const box = app.drawing.boxes().get(name);
+  const text = (box.querySelector("text.name") ?? box).getBoundingClientRect();
+  const around = app.drawing.view.getBoundingClientRect();
+  const field = element("input", { class: "typed", "aria-label": `Name of ${name}`, spellcheck: "false", autocomplete: "off" });
+  field.value = name;
+  field.style.left = `${text.x + text.width / 2 - around.x}px`;
+  field.style.top = `${text.y + text.height / 2 - around.y}px`;
+  let isAsking = false;
+  const done = async (value, isLeft = false) => {
+    if (isAsking) return;
+    isAsking = true;
+    const isTaken = !value || value === name || (await take(value));
+    isAsking = false;
+    field.ariaInvalid = isTaken ? null : "true";
+    if (!isTaken && !isLeft) return;
+    field.onblur = null;
+    field.remove();
+    if (!isLeft || document.activeElement === document.body) app.drawing.view.focus();
+  };
+  field.onblur = () => done(field.value.trim(), true);
+  field.onkeydown = (event) => {
+    event.stopPropagation();
+    if (event.key === "Enter") done(field.value.trim());
+    if (event.key === "Escape") done(null);
+  };
+  app.drawing.view.append(field);
+  field.select();
 }
 
 export function start(app, { picked, pick, act, say, wire }) {
@@ -263,7 +267,7 @@ export function start(app, { picked, pick, act, say, wire }) {
     if (file.size > 11e6) return say(`${file.name} is larger than 11 MB: put it into the folder of the diagram, and insert it by its name.`);
     const bytes = new Uint8Array(await file.arrayBuffer());
     const text = btoa(Array.from(bytes, (one) => String.fromCharCode(one)).join(""));
-    const told = await app.ask("upload", { name: file.name, text });
+    const told = await app.connection.ask("upload", { name: file.name, text }).catch(({ message }) => say(message));
     if (!told) return;
     const { box } = under(event.clientX, event.clientY);
     if (box && app.block(app.drawing.full(box))) await act("edit", { operations: [{ swap: box, for: { fmu: told.fmu } }], what: `swap ${box}` });

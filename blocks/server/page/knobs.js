@@ -101,7 +101,11 @@ export function start(app) {
       [taken, isOpen] = [JSON.stringify(read()), true];
       (app.put ?? turn)(name, read(), root);
     };
-    if (slider && app.put) slider.input.onchange = () => app.put(name, slider.value(), root);
+    if (slider && app.put)
+      slider.input.onchange = () => {
+        waiting.delete(name); // what was turned on the way there would stand over what is written
+        app.put(name, slider.value(), root);
+      };
     const fill = () => {
       if (isBox) field.checked = root.fact.value === true;
       else fields.forEach((one, k) => (one.value = count ? String(root.fact.value[k]) : root.fact.text));

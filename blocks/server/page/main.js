@@ -127,7 +127,7 @@ connection.on("run", (run) => {
 connection.on("knob", (knob) => app.emit("knob", knob));
 connection.on("closed", async () => {
   const gone = document.getElementById("gone");
-  gone.textContent = "The server has ended. What is shown stays; run blocks live again, and open the address that it prints.";
+  gone.textContent = `The server has ended. What is shown stays; run blocks ${app.state.document?.editing ? "edit" : "live"} again, and open the address that it prints.`;
   gone.hidden = false;
   app.emit("closed");
   // The same server lets this page in again, as after a sleep of the machine; another one at this address does not.

@@ -322,5 +322,8 @@ export function start(app) {
   // With the analysis open, a click on a wire chooses its loop.
   app.on("wire", (name) => name && document.getElementById("analysis").hidden && app.openScope([name]));
   app.on("drawn", label);
-  dark.addEventListener("change", () => scopes.forEach((scope) => scope.arrange()));
+  dark.addEventListener("change", () => {
+    scopes.forEach((scope) => scope.arrange());
+    draw();
+  });
 }

@@ -39,7 +39,7 @@ typedef struct {
     BlocksFactors *factors;
     double *polynomial; /* (3, nx) of the last step, in `carried`; as are slopes and, of sparse matrices, pivots */
     double *slopes, *pivots;
-    double *z[3], *w[3], *f[3], *at, *weights, *moved, *from, *room, *arena;
+    double *z[3], *w[3], *f[3], *at, *weights, *moved, *groups, *from, *room, *arena;
     double theta; /* how the last iteration converged */
     int32_t iterations, is_fresh; /* whether the slopes are those of the begin of this step */
 } Radau;
@@ -59,7 +59,7 @@ int blocks_stiff_open(BlocksSim *s)
     if (!r) return 1;
     s->ncarried = (int64_t)(NUMBERS + 3 * (n - 1) + values + (implicit->order ? n - 1 : 0));
     r->factors = blocks_factors_new((int32_t)n - 1, slopes->first, slopes->rows, implicit->order);
-    r->arena = calloc((size_t)s->ncarried + 9 * n + 3 * wide + 4 * wide + blocks_jacobian_room(slopes) + 8, sizeof(double));
+    r->arena = calloc((size_t)s->ncarried + 9 * n + 6 * wide + blocks_jacobian_room(slopes) + 8, sizeof(double));
     if (!r->arena || !r->factors) {
         blocks_stiff_close(s);
         return 1;
@@ -70,7 +70,7 @@ int blocks_stiff_open(BlocksSim *s)
     for (int i = 0; i < 3; i++) r->z[i] = place, r->w[i] = place + n, place += 2 * n;
     r->weights = place, r->from = place + n, place += 3 * n;
     for (int i = 0; i < 3; i++) r->f[i] = place, place += wide;
-    r->at = place, r->moved = place + wide, r->room = place + 4 * wide;
+    r->at = place, r->moved = place + wide, r->groups = place + 2 * wide, r->room = place + 3 * wide;
     return 0;
 }
 
@@ -94,36 +94,58 @@ static void forget(BlocksSim *s)
         for (int i = 0; i < s->model->nx; i++) r->pivots[i] = i;
 }
 
-/* The slopes at (t, x); difference quotients where they are not finite: 0, or 1 where these are not either. */
-static int take_slopes(BlocksSim *s, double t, const double *x)
+/* Difference quotients for slopes that are not finite, to one side: 1 where some of these are not finite either. Columns
+   that have no row in common are moved at once: of many equal blocks, no more than one of them takes. */
+static int take_quotients(BlocksSim *s, double t, const double *x, const double *base, int side)
 {
     Radau *r = s->implicit;
     const BlocksJacobian *j = s->model->implicit->slopes;
     const BlocksSetup *setup = s->setup;
-    if (s->moving) blocks_outside(s, t);
-    blocks_jacobian(j, s, t, x, r->room, r->slopes);
-    int has_base = 0, n = s->model->nx;
-    double *base = r->f[0], *moved = r->f[1];
-    for (int column = 0; column < n; column++) {
-        int begin = j->first[column], end = j->first[column + 1], missing = 0;
-        for (int p = begin; p < end; p++) missing |= !isfinite(r->slopes[p]);
-        if (!missing) continue;
-        if (!has_base) blocks_rates(s, t, x, base), has_base = 1;
-        double nominal = setup->plain_atol > 0.0 ? setup->atol[column] / setup->plain_atol : 1.0;
-        double size = sqrt(EPS) * fmax(fabs(x[column]), nominal);
-        for (int side = 1; side >= -1 && missing; side -= 2) {
-            memcpy(r->moved, x, (size_t)n * sizeof(double));
-            r->moved[column] += side * size;
+    const int n = s->model->nx;
+    double *slopes = r->slopes, *rates = r->f[1], *by_column = r->groups, *by_row = r->at; /* the last group of each; 0: none */
+    int wrong = 0;
+    memset(by_column, 0, (size_t)n * sizeof(double));
+    memset(by_row, 0, (size_t)n * sizeof(double));
+    for (double group = 1.0;; group += 1.0) {
+        int is_empty = 1;
+        memcpy(r->moved, x, (size_t)n * sizeof(double));
+        for (int column = 0; column < n; column++) {
+            int end = j->first[column + 1], is_asked = 0, is_free = by_column[column] == 0.0;
+            for (int p = j->first[column]; p < end && is_free; p++) {
+                is_asked |= !isfinite(slopes[p]);
+                is_free = by_row[j->rows[p]] != group;
+            }
+            if (!is_asked || !is_free) continue;
+            for (int p = j->first[column]; p < end; p++) by_row[j->rows[p]] = group;
+            double nominal = setup->plain_atol > 0.0 ? setup->atol[column] / setup->plain_atol : 1.0;
+            r->moved[column] += side * sqrt(EPS) * fmax(fabs(x[column]), nominal);
+            by_column[column] = group;
+            is_empty = 0;
+        }
+        if (is_empty) return wrong;
+        blocks_rates(s, t, r->moved, rates);
+        for (int column = 0; column < n; column++) {
+            if (by_column[column] != group) continue;
             double step = r->moved[column] - x[column];
-            blocks_rates(s, t, r->moved, moved);
-            missing = 0;
-            for (int p = begin; p < end; p++) {
-                if (!isfinite(r->slopes[p])) r->slopes[p] = (moved[j->rows[p]] - base[j->rows[p]]) / step;
-                missing |= !isfinite(r->slopes[p]);
+            for (int p = j->first[column]; p < j->first[column + 1]; p++) {
+                if (!isfinite(slopes[p])) slopes[p] = (rates[j->rows[p]] - base[j->rows[p]]) / step;
+                wrong |= !isfinite(slopes[p]);
             }
         }
-        if (missing) return 1;
     }
+}
+
+/* The slopes at (t, x); difference quotients where they are not finite: 0, or 1 where these are not either. */
+static int take_slopes(BlocksSim *s, double t, const double *x)
+{
+    Radau *r = s->implicit;
+    int missing = 0;
+    if (s->moving) blocks_outside(s, t);
+    blocks_jacobian(s->model->implicit->slopes, s, t, x, r->room, r->slopes);
+    for (int p = 0; p < nvalues(s); p++) missing |= !isfinite(r->slopes[p]);
+    if (missing) blocks_rates(s, t, x, r->f[0]);
+    for (int side = 1; side >= -1 && missing; side -= 2) missing = take_quotients(s, t, x, r->f[0], side);
+    if (missing) return 1;
     s->carried[FACTORED] = 0.0;
     s->carried[HAS_SLOPES] = r->is_fresh = 1;
     return 0;
