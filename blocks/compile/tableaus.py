@@ -108,11 +108,17 @@ def _c_text(tableau: Tableau) -> str:
     rows = ", ".join(f"{{{', '.join(map(repr, row))}}}" for row in shares)
     text += f"static const double SHARES_AT[] = {{{', '.join(map(repr, SHARES))}}};\n"
     text += f"static const double SHARES[][STAGES] = {{{rows}}};\n"
-    text += "#define MAKE_STEP"
+    is_scaled = tableau.e is None  # h times a weight first, once for all states: other last bits
+    parts = sorted({1 / weight for row in tableau.a for weight in row.tolist() if weight}) if is_scaled else []
+    text += "#define MAKE_STEP" + "".join(f" \\\n    const REAL h{part:.0f} = h / {part!r};" for part in parts)
     for n, row in enumerate(tableau.a, start=1):
         end, then = "x1" if n == last else "xs", "h" if tableau.c[n] == 1 else f"{tableau.c[n]!r} * h"
         text += f" \\\n    const REAL *restrict k{n - 1} = k[{n - 1}];"
-        text += f" \\\n    EACH({end}[i] = x[i] + h * ({_c_sum(row)})); \\\n    STAGE({n}, t + {then}, {end});"
+        change = f"h * ({_c_sum(row)})"
+        if is_scaled:
+            change = " + ".join(f"h{1 / weight:.0f} * k{m}[i]" for m, weight in enumerate(row.tolist()) if weight)
+            change = f"({change})"
+        text += f" \\\n    EACH({end}[i] = x[i] + {change}); \\\n    STAGE({n}, t + {then}, {end});"
     if tableau.e is not None:
         text += f"\n#define END_APART {{{', '.join(map(repr, end_apart(tableau).tolist()))}}}"
     return text + ("\n" if tableau.e is None else f"\n#define ERROR(i) ({_c_sum(tableau.e)})\n")

@@ -65,20 +65,7 @@ static void make_step(Lanes *z, V h)
     const V t = z->t, *restrict x = m->x;
     V *restrict x1 = z->x1, *restrict xs = z->xs, *const *k = z->k;
     (void)xs;
-#if BLOCKS_METHOD_RK4
-    const V *restrict k0 = k[0], *restrict k1 = k[1], *restrict k2 = k[2], *restrict k3 = k[3];
-    const V h2 = 0.5 * h, h3 = h / 3.0, h6 = h / 6.0;
-    EACH(xs[i] = x[i] + h2 * k0[i]);
-    STAGE(1, t + h2, xs);
-    EACH(xs[i] = x[i] + h2 * k1[i]);
-    STAGE(2, t + h2, xs);
-    EACH(xs[i] = x[i] + h * k2[i]);
-    STAGE(3, t + h, xs);
-    EACH(x1[i] = x[i] + (h6 * k0[i] + h3 * k1[i] + h3 * k2[i] + h6 * k3[i]));
-    STAGE(4, t + h, x1);
-#else
     MAKE_STEP
-#endif
 }
 
 /* The rates from which a step begins, in lanes that do not know them. */

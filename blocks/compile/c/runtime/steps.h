@@ -109,21 +109,8 @@ static inline __attribute__((always_inline)) void stages_of(BlocksSim *s, const 
                                                             const int is_whole, double t, const double *restrict x,
                                                             double h, Stages k, double *restrict x1, double *restrict xs)
 {
-#if BLOCKS_METHOD_RK4 /* h times a weight, as MAKE_STEP does not: other last bits */
-    const double *restrict k0 = k[0], *restrict k1 = k[1], *restrict k2 = k[2], *restrict k3 = k[3];
-    const double h2 = 0.5 * h, h3 = h / 3.0, h6 = h / 6.0;
-    EACH(xs[i] = x[i] + h2 * k0[i]);
-    STAGE(1, t + h2, xs);
-    EACH(xs[i] = x[i] + h2 * k1[i]);
-    STAGE(2, t + h2, xs);
-    EACH(xs[i] = x[i] + h * k2[i]);
-    STAGE(3, t + h, xs);
-    EACH(x1[i] = x[i] + (h6 * k0[i] + h3 * k1[i] + h3 * k2[i] + h6 * k3[i]));
-    STAGE(4, t + h, x1);
-#else
     (void)xs;
     MAKE_STEP
-#endif
 }
 
 static inline __attribute__((always_inline)) void step_of(BlocksSim *s, const BlocksMemory *m, const int moving, double t,
