@@ -693,7 +693,7 @@ def model_edit(value: Any, operation: dict[str, Any]) -> None:
     if name == "remove":
         del value[last]
     else:
-        value[last] = operation["value" if name == "add" else "to"]
+        value[last] = copy.deepcopy(operation["value" if name == "add" else "to"])
 
 
 def any_operation(value: Any, chance: random.Random) -> dict[str, Any]:
