@@ -40,6 +40,8 @@ __all__: list[str] = []
 
 BESIDE = 30
 """Pixels between what is copied and its copy."""
+ROOM = (110, 100)
+"""Pixels between the centers of a copy and of what stands there, across and down."""
 SECTIONS = ("parameters", "inputs", "outputs", "blocks", "wires", "measures", "layout")
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
@@ -344,13 +346,14 @@ def _pasted(session: Session, what: str, text: str, level: str, at: list[float] 
     found = {key: value[key] for key in SECTIONS if value.get(key)} if isinstance(value, Mapping) else {}
     if not found:
         raise UsageError(Fault("E501", what, "the text holds nothing of a diagram.", "Copy some blocks first."))
-    operation: dict[str, Any] = {"paste": found, "by": [BESIDE, BESIDE]}
+    operation: dict[str, Any] = {"paste": found}
     layout = found.get("layout")  # the grammar of the operation says what is wrong with it
     placed = (
         [at_ for at_ in layout.values() if isinstance(at_, list) and len(at_) == 2]
         if isinstance(layout, Mapping)
         else []
     )
+    operation["by"] = _free_place(editor.positions(level) if placed else {}, placed)
     if at is not None and placed:
         with suppress(TypeError):
             x, y = _place(editor, level, of, at)
@@ -361,6 +364,19 @@ def _pasted(session: Session, what: str, text: str, level: str, at: list[float] 
     after = editor.body(level)
     new = {part: after.get(part, {}).keys() - before.get(part, {}).keys() for part in ("blocks", "inputs", "outputs")}
     return {**told, "names": [name for part, own in new.items() for name in after.get(part, {}) if name in own]}
+
+
+def _free_place(standing: Mapping[str, Sequence[int]], copies: Sequence[Sequence[Any]]) -> list[int]:
+    """How far copies are moved: beside, or down to where they stand on nothing."""
+    (xs, ys) = zip(*copies, strict=True) if copies else ((), ())
+    if not copies or not all(isinstance(one, (int, float)) for one in (*xs, *ys)):
+        return [BESIDE, BESIDE]
+    wide, high = ROOM
+    for dx, dy in ((BESIDE, BESIDE), *((0, dy) for dy in range(high, 100 * high, 20))):
+        left, right, top, bottom = min(xs) + dx - wide, max(xs) + dx + wide, min(ys) + dy - high, max(ys) + dy + high
+        if not any(left < x < right and top < y < bottom for x, y in standing.values()):
+            return [dx, dy]
+    return [BESIDE, BESIDE]
 
 
 # --- values ----------------------------------------------------------------------------------------------------------

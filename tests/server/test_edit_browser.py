@@ -536,3 +536,54 @@ def test_what_is_typed_into_fields_stays_and_a_fault_stands_beside_its_field(chr
         page.press("Shift+R")
         page.until("document.getElementById('runbar').dataset.state === 'done'")
         page.assert_clean()
+
+
+def test_what_is_selected_is_shown_and_what_is_free_is_offered(chromium: Any, tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    path.write_bytes(MOTOR.read_bytes())
+    head = "document.querySelector('#panel h2').textContent"
+    with edited_page(chromium, path) as hands:
+        page = hands.page
+        # Outputs that no wire leaves have a stub.
+        hands.seen(".free")
+        free = page.evaluate("[...document.querySelectorAll('#stage .free')].map(one => one.textContent)")
+        assert free == ["motor.i"]
+        # The stop time is the file's.
+        page.click('#runbar input[type="text"]')
+        page.type("2")
+        hands.done(lambda: page.press("Tab"))
+        assert Diagram.load(path).value.run["stop"] == 2
+        page.until("document.querySelector('#runbar input').value === ''")
+        assert page.evaluate("document.querySelector('#runbar input').placeholder") == "2 s"
+        hands.button("Run", "#runbar")
+        page.until("document.getElementById('runbar').dataset.state === 'done'")
+        scopes = page.evaluate("document.querySelectorAll('.scope').length")
+        # A wire is selected by a click: where it leads and what it carries stand in the panel, and no scope opens.
+        (x, y), (x2, _) = hands.port("control.u", "out"), hands.port("motor.v", "in")
+        page.click_at((x + x2) / 2, y)
+        page.until(f"{head} === 'control.u'")
+        told = "[...document.querySelectorAll('#panel .rows .value')].map(one => one.innerText)"
+        page.until(f"/^[-0-9.]+$/.test({told}[3])")
+        assert page.evaluate(told)[:3] == ["control.u", "motor.vTake off", "V"]
+        assert page.evaluate("document.querySelectorAll('.scope').length") == scopes
+        page.press("Enter")
+        page.until(f"document.querySelectorAll('.scope').length === {scopes + 1}")
+        # Several blocks are counted, and marked in the list.
+        page.evaluate("document.getElementById('view').focus()")
+        page.press("Control+a")
+        page.until(f"{head} === '5 selected'")
+        assert page.evaluate("document.querySelectorAll('#lists [data-path][aria-current]').length") == 4
+        page.click('#lists [data-path="load"]')
+        page.until(f"{head} === 'load' && document.getElementById('announcer').textContent === 'load, Step, selected'")
+        assert page.evaluate("document.querySelectorAll('#lists [data-path][aria-current]').length") == 1
+        # A change by another program is told.
+        path.write_text(path.read_text().replace('"value": 4,', '"value": 5,'))
+        page.until("document.querySelector('#edits .refusal').textContent.includes('by another program')")
+        page.evaluate("document.getElementById('view').focus()")
+        hands.type_block("gain 3")
+        page.until("document.getElementById('announcer').textContent.includes('E101 gain.u')")
+        page.click_at(x + 5, y)
+        page.until(f"{head} === 'control.u'")
+        hands.done(lambda: page.press("Delete"))  # with faults, too
+        assert "motor.v" not in Diagram.load(path).value.wires
+        page.assert_clean()

@@ -213,7 +213,8 @@ export function start(app) {
     app.state.sink = sink ?? null;
     const block = box && app.block(full(box));
     const name = net ?? (block ? null : box); // terminals stand for their signals
-    const isSignal = name != null && app.state.document.signals.some((one) => one.name === full(name));
+    // A diagram that has faults has no signals, and its wires are edited.
+    const isSignal = name != null && ((net !== undefined && app.key) || app.state.document.signals.some((one) => one.name === full(name)));
     app.selectWire(isSignal ? full(name) : null);
     if (!net) app.select(block ? full(box) : null);
     if (block) app.announce(`${box}, ${block.type}`);
@@ -250,7 +251,12 @@ export function start(app) {
   };
   view.onpointerup = view.onpointercancel = lifted;
   view.onpointerleave = () => hover({});
-  view.ondblclick = (event) => (under(event.clientX, event.clientY).box ? (enter() === false && app.values?.()) : app.insert ? app.insert("", event) : fit());
+  view.ondblclick = (event) => {
+    const { box, net } = under(event.clientX, event.clientY);
+    if (box) enter() === false && app.values?.();
+    else if (net && app.state.wire) app.openScope([app.state.wire]);
+    else app.insert ? app.insert("", event) : fit();
+  };
   view.addEventListener("wheel", (event) => {
     event.preventDefault();
     const lines = event.deltaMode ? 16 : 1;

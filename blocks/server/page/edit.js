@@ -37,6 +37,7 @@ export function start(app) {
 
   const mark = () => {
     for (const [name, box] of app.drawing.boxes()) box.classList.toggle("picked", picked.has(name));
+    app.emit("picked", [...picked].map(app.drawing.full));
     for (const [command, button] of buttons) button.disabled = !commands[command].can();
   };
   /** Choose names; the last one is shown in the panel. */
@@ -57,7 +58,10 @@ export function start(app) {
     if (path && own(path) && !own(path).includes(".")) picked.add(own(path));
     mark();
   });
-  app.on("wire", mark);
+  app.on("wire", (name) => {
+    if (name && !isPicking && picked.size) app.select(null); // one of both is selected
+    mark();
+  });
   app.on("drawn", () => {
     hint.hidden = app.drawing.boxes().size > 0;
     [...picked].forEach((name) => app.drawing.boxes().has(name) || picked.delete(name));
@@ -110,8 +114,9 @@ export function start(app) {
   };
   const set = async (name, text) => {
     const said = text || (await prompted(name));
-    if (said) await act("define", { level: "", kind: "entry", text: `run.${name}=${said}` });
+    if (said) await entry(`run.${name}`, said);
   };
+  const entry = (place, text) => act("define", { level: "", kind: "entry", text: `${place}=${text}` }, `${place.split(".").pop()} ${text}`);
   /** What is told of an entry: what it is, or, when parameters are typed, which it takes. */
   const told = (entry, text) => {
     const asked = text.trim().toLowerCase();
@@ -141,7 +146,10 @@ export function start(app) {
   async function add({ type, diagram, fmu }, text, where) {
     const entry = Object.fromEntries(Object.entries({ type, diagram, fmu }).filter(([, value]) => value));
     const told = await act("insert", { entry, text, ...where });
-    if (told) pick(told.names);
+    if (!told) return;
+    pick(told.names);
+    const faults = app.state.document.faults.filter(({ block }) => told.names.some((name) => block === app.drawing.full(name)));
+    if (faults.length) app.announce(`${told.what}. ${faults.map(({ code, place, message }) => `${code} ${place}: ${message}`).join(" ")}`);
   }
   async function define(kind, text) {
     const source = kind === "output" ? chosenSource() : "";
@@ -326,6 +334,7 @@ export function start(app) {
     else if (isHeld && event.key.toLowerCase() === "a") pick([...app.drawing.boxes().keys()]);
     else if (isHeld && event.key.toLowerCase() === "c" && picked.size) copy();
     else if (isHeld && event.key.toLowerCase() === "x" && picked.size) copy().then((isCopied) => isCopied && remove());
+    else if (event.key === "Enter" && app.state.wire && !picked.size) app.openScope([app.state.wire]);
     else if (event.key === "Enter" && app.block(app.state.selected)?.kind !== "diagram") app.values();
     else if (/^[a-z]$/.test(event.key) && !isHeld && !event.altKey) app.insert(event.key);
     else return false;
@@ -433,6 +442,23 @@ export function start(app) {
     const isWired = source || !text.startsWith("not wired");
     return isWired ? [link("Take off", `Take the wire off ${port}`, () => act("delete", { names: [], sinks: [port] }))] : [link("Connect", `Connect ${port}`, () => app.connect(port, "in"))];
   };
+  /** What the panel shows of the selected signal: where its wire begins and ends, its unit, its last value. */
+  const signal = (name) => {
+    const net = own(name);
+    const { unit = "", shape = [] } = app.state.document.signals.find((one) => one.name === name) ?? {};
+    const line = (what, ...shown) => element("li", {}, element("span", { class: "name" }, what), element("span", { class: "value" }, ...shown));
+    const to = (port) => {
+      const block = app.drawing.full(port.split(/[.[]/)[0]);
+      return app.block(block) ? link(port, `Select ${block}`, () => app.reveal(block)) : port;
+    };
+    const sinks = [...hand.driven(app)].filter(([, source]) => source === net).map(([sink]) => sink);
+    const ends = sinks.map((sink) => line("to", to(sink), link("Take off", `Take the wire off ${sink}`, () => act("delete", { names: [], sinks: [sink] }))));
+    return [
+      element("header", {}, element("h2", {}, name), element("p", { class: "type" }, shape.length ? `signal of ${shape.join("×")}` : "signal"), element("button", { onclick: () => app.openScope([name]) }, "Scope")),
+      element("ul", { class: "rows" }, line("from", to(net || name)), ...ends, unit ? line("unit", unit) : null, line("last value", element("output", {}))),
+      sinks.length || net.split(".").length > 2 ? null : element("p", { class: "note" }, "It is wired to nothing here."),
+    ];
+  };
   let areRunsOpen = false;
   /** What a diagram says beside its blocks: what is logged, measured, and when a run ends. */
   const forms = (panel, selected) => {
@@ -461,7 +487,11 @@ export function start(app) {
     app.connect(sink.split(".").slice(-2).join("."), "in");
   }
 
+  let seen = -1;
   app.on("document", (told) => {
+    // With something to redo it is what an undo led back to.
+    if (/ on disk$/.test(told.editing?.undo) && !told.editing.redo && seen >= 0 && told.revision !== seen) say(`${told.file} was changed by another program: undo takes it back.`);
+    seen = told.revision;
     if (!told.editing || !bar.hidden) return mark();
     bar.hidden = false;
     document.getElementById("drawing").prepend(bar);
@@ -470,10 +500,10 @@ export function start(app) {
     list();
     app.drawing.view.append(hint);
     if (document.activeElement === document.body) app.drawing.view.focus();
-    Object.assign(app, { key, put, field, more, forms, remedy, chosen: (path, name) => ["edit", { level: path.split(".").slice(0, -1).join("."), operations: [name === "base" ? { remove: ["blocks", path.split(".").pop(), "variant"] } : { set: ["blocks", path.split(".").pop(), "variant"], to: name }], what: `variant ${name}` }] });
+    Object.assign(app, { key, put, field, more, forms, remedy, signal, entry, many: () => [...picked], chosen: (path, name) => ["edit", { level: path.split(".").slice(0, -1).join("."), operations: [name === "base" ? { remove: ["blocks", path.split(".").pop(), "variant"] } : { set: ["blocks", path.split(".").pop(), "variant"], to: name }], what: `variant ${name}` }] });
     for (const one of app.keys) one[0] = one[0].replace(/^[a-z](?= |$)/i, (letter) => `Shift+${letter.toUpperCase()}`); // letters insert
     for (const { keys, what } of Object.values(commands)) if (keys) app.keys.push([keys, what]);
-    app.keys.push(["Ctrl+C Ctrl+X Ctrl+V", "copy, cut and paste, also as text"], ["Ctrl+arrow", "along a wire to the next block"], ["arrows", "move what is selected; without a selection, the drawing"], ["Enter", "to the values of the selected block; Escape leads back"]);
+    app.keys.push(["Ctrl+C Ctrl+X Ctrl+V", "copy, cut and paste, also as text"], ["Ctrl+arrow", "along a wire to the next block"], ["arrows", "move what is selected; without a selection, the drawing"], ["Enter", "to the values of the selected block; Escape leads back; of a selected wire: its scope"]);
     mark();
   });
 }

@@ -78,7 +78,18 @@ export function start(app, { picked, pick, act, say, wire }) {
     return made;
   };
   let known = null;
-  app.on("drawn", () => (known = null));
+  /** Stubs to drag from at outputs that no wire leaves. */
+  function offer() {
+    known = null;
+    const wired = new Set([...stage.querySelectorAll("[data-net]")].map(({ dataset }) => dataset.net.split("[")[0]));
+    for (const [name, box] of app.drawing.boxes()) {
+      box.querySelectorAll(":scope > .free").forEach((one) => one.remove());
+      for (const { port, x, y } of ports(app, name, "out"))
+        if (!wired.has(port)) box.append(element("svg:path", { class: "free", d: `M${x} ${y}h6m0 0a3 3 0 1 0 6 0a3 3 0 1 0 -6 0` }, element("svg:title", {}, port)));
+    }
+  }
+  app.on("drawn", offer);
+  offer();
   /** All ports of the level. */
   const all = () => (known ??= [...app.drawing.boxes().keys()].flatMap((name) => [...ports(app, name, "out"), ...ports(app, name, "in")]));
   /** The port that is nearest to a point, if any is near. */

@@ -195,6 +195,7 @@ export function start(app) {
     record.hidden = !turned.children.length;
     place.hidden = !board.children.length && !changes.children.length && record.hidden;
   };
+  app.on("document", ({ editing }) => editing && document.getElementById("scopes").append(place)); // where it moves nothing
   const stored = () => sessionStorage.setItem("pinned", JSON.stringify([...board.children].map((one) => one.fact.name)));
   function pin(fact) {
     board.append(app.knob(fact, "board"));

@@ -49,11 +49,11 @@ export function start(app) {
   const isHere = (name, prefix) => name.startsWith(prefix) && name.slice(prefix.length).split(".").length <= 2;
   const blockItem = (block) => {
     const name = block.path.split(".").pop();
-    const isCurrent = block.path === app.state.selected;
     const opens = block.kind === "diagram";
+    const onclick = () => app.reveal(block.path).then(() => app.announce(`${name}, ${block.type}, selected`));
     const onkeydown = (event) => opens && event.key === "ArrowRight" && app.open(block.path);
     const made = element(
-      "button", { "data-path": block.path, "aria-current": isCurrent ? "true" : null, ondblclick: () => opens && app.open(block.path), onclick: () => app.reveal(block.path), onkeydown },
+      "button", { "data-path": block.path, ondblclick: () => opens && app.open(block.path), onclick, onkeydown },
       element("span", { class: "name" }, filter.value ? block.path : name), element("span", { class: "type" }, opens ? `${block.type} ›` : block.type),
     );
     return element("li", {}, made);
@@ -68,9 +68,11 @@ export function start(app) {
     put(groups.signals, signals, (one) => {
       const shape = one.shape.length ? `[${one.shape.join("×")}]` : "";
       const open = () => app.selectWire(one.name);
-      return element("li", {}, element("button", { "data-signal": one.name, title: `Show ${one.name} in a scope`, onclick: open },
+      const title = told.editing ? `Select ${one.name}; a double click shows it in a scope` : `Show ${one.name} in a scope`;
+      return element("li", {}, element("button", { "data-signal": one.name, title, onclick: open, ondblclick: () => app.openScope([one.name]) },
         element("span", { class: "name" }, (filter.value ? one.name : one.name.slice(prefix.length)) + shape), element("span", { class: "unit" }, one.unit)));
     });
+    mark();
     groups.faults.shown.hidden = !told.faults.length;
     put(groups.faults, told.faults, (one) => element("li", {}, element("button", {
       class: one.warning ? "warning" : "fault", onclick: () => (one.block ? app.reveal(one.block) : app.announce("This fault is of no block.")),
@@ -85,9 +87,14 @@ export function start(app) {
   };
   app.on("document", soon);
   app.on("level", soon);
-  app.on("select", () => groups.blocks.list.querySelectorAll("button").forEach((one) => {
-    one.ariaCurrent = one.dataset.path === app.state.selected ? "true" : null;
-  }));
+  let picked = [];
+  const isCurrent = (path) => path === app.state.selected || picked.includes(path);
+  const mark = () => groups.blocks.list.querySelectorAll("button").forEach((one) => (one.ariaCurrent = isCurrent(one.dataset.path) ? "true" : null));
+  app.on("select", mark);
+  app.on("picked", (paths) => {
+    picked = paths;
+    mark();
+  });
 
   // --- search ---
   /** What a word finds: names that begin with it first. */

@@ -15,8 +15,8 @@ const listeners = new Map();
 
 /**
  * What the parts share. Events: "document" (also when the file changed), "run", "knob", "level" (the open subdiagram),
- * "select" (the path of a block, or null), "wire" (the name of a signal, or null), "panel" ({panel, place}: shown anew),
- * "drawn" (the svg of the level), "cursor" (t), "closed".
+ * "select" (the path of a block, or null), "picked" (paths of all that is selected, where it is edited), "wire" (the name of a signal, or null), "panel" ({panel, place}: shown anew),
+ * "drawn" (the svg of the level), "cursor" (t), "values" (of all signals at the cursor), "closed".
  */
 const app = {
   connection,

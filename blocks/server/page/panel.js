@@ -28,9 +28,38 @@ export function start(app) {
     return element("p", {}, element("label", {}, "Variant ", choice), " ", offer);
   }
 
+  /** What is shown of several blocks. */
+  const several = () => {
+    const names = app.many?.() ?? [];
+    if (names.length < 2) return null;
+    const one = (name) => element("li", {}, link(name, () => app.reveal(app.drawing.full(name))));
+    return [element("header", {}, element("h2", {}, `${names.length} selected`)), element("ul", { class: "rows" }, ...names.map(one))];
+  };
+  /** What is shown of a signal whose wire is selected on the open level. */
+  const wired = () => {
+    const { wire, level } = app.state;
+    return wire && app.signal && wire.startsWith(level ? `${level}.` : "") ? app.signal(wire) : null;
+  };
+  const only = (shown) => {
+    const hadFocus = place.contains(document.activeElement);
+    fill(place, shown.filter(Boolean));
+    if (hadFocus && !place.contains(document.activeElement)) place.focus();
+    tell();
+  };
+  let values = {};
+  const tell = () => {
+    const last = app.state.wire && place.querySelector(":scope > .rows output");
+    if (last) last.textContent = [values[app.state.wire] ?? "none yet: run"].flat().slice(0, 8).map((x) => (typeof x === "number" ? shown(x) : x)).join(", ");
+  };
+  app.on("values", (now) => {
+    values = now;
+    tell();
+  });
   let asked = 0;
   const show = async (selected) => {
     const number = ++asked;
+    const special = selected === null || app.many?.().length > 1 ? several() ?? wired() : null;
+    if (special) return anew("panel", () => number === asked && only(special));
     const path = selected ?? app.state.level;
     const panel = await app.ask("panel", { path });
     if (!panel || number !== asked) return;
@@ -80,6 +109,7 @@ export function start(app) {
     return like ?? place;
   }
   app.on("select", show);
+  app.on("wire", (name) => name && app.signal && show(app.state.selected));
   app.on("level", () => app.state.selected ?? show(null));
   app.on("document", () => show(app.state.selected));
 }

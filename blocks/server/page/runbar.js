@@ -51,6 +51,11 @@ export function start(app) {
 
   const stop = element("input", { type: "text", size: 8, autocomplete: "off", spellcheck: "false" });
   stop.onkeydown = ({ key }) => void (key === "Enter" && begin());
+  /** In an editor the file is the model, and holds the stop time as well. */
+  stop.onchange = async () => {
+    const text = stop.value.trim();
+    if (text && (await app.entry?.("run.stop", text)) && stop.value.trim() === text) stop.value = "";
+  };
   bar.append(element("label", { title: "When the run ends: a number of seconds, or with a unit, as in 5 min" }, "Stop time ", stop));
   const choice = element("select", {});
   for (const [value, text] of [["", "as fast as it goes"], ["1", "real time (1x)"], ["10", "10x"], ["other", "other"]])

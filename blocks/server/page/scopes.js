@@ -80,6 +80,7 @@ export function start(app) {
     isAsked = false;
     if (isWanted) return fetchValues(speaks);
     [values, others] = [answer?.values ?? {}, answer?.others ?? {}];
+    app.emit("values", values);
     tell();
     for (const [name, label] of labels) {
       const all = Object.hasOwn(values, name) && wires.checked ? [values[name]].flat() : [];
@@ -319,8 +320,8 @@ export function start(app) {
     if (now.state !== "running" || performance.now() - askedAt > NUMBERS) fetchValues(); // at a pinned cursor too
     draw();
   });
-  // With the analysis open, a click on a wire chooses its loop.
-  app.on("wire", (name) => name && document.getElementById("analysis").hidden && app.openScope([name]));
+  // With the analysis open, a click on a wire chooses its loop; where wires are edited it selects them.
+  app.on("wire", (name) => name && !app.state.document.editing && document.getElementById("analysis").hidden && app.openScope([name]));
   app.on("drawn", label);
   dark.addEventListener("change", () => {
     scopes.forEach((scope) => scope.arrange());
