@@ -149,11 +149,11 @@ def test_the_motor_under_control_is_drawn_with_the_keyboard_alone(chromium: Any,
             page.until("document.querySelector('dialog.search li')")
             page.type(source.split(".")[0])
             page.press("Enter", "C")
-            page.until("document.querySelector('dialog.search li')")
+            page.until("document.querySelector('dialog:is([aria-label^=Port], [aria-label^=Connect])')")
             if page.evaluate("document.querySelector('dialog').ariaLabel").startswith("Port"):
                 page.type(source)
                 page.press("Enter")
-                page.until("document.querySelector('dialog')?.ariaLabel.startsWith('Connect')")
+            page.until("document.querySelector('dialog[aria-label^=Connect] li')")
             page.type(sink)
             hands.done(lambda: page.press("Enter"))
         hands.rest()

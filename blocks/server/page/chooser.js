@@ -24,10 +24,11 @@ export function choose(app, { label, placeholder, text = "", find }) {
   };
   const take = (index) => {
     const chosen = entries[index];
-    if (chosen?.why) return app.announce(`${chosen.name}: ${chosen.why.replace(/\.$/, "")}.`);
+    if (!chosen) return app.announce("No match.");
+    if (chosen.why) return app.announce(`${chosen.name}: ${chosen.why.replace(/\.$/, "")}.`);
     shown.close();
     document.getElementById("view").focus();
-    chosen?.go();
+    chosen.go();
   };
   /** Follow the pointer with a picture of an entry until it is let go. */
   const drag = ({ why, drop }) => (down) => {
@@ -77,7 +78,7 @@ export function choose(app, { label, placeholder, text = "", find }) {
   shown.classList.add("search");
   word.value = text;
   word.oninput();
-  return { refresh: () => shown.isConnected && word.oninput() };
+  return { refresh: () => shown.isConnected && word.oninput(), close: () => shown.close() };
 }
 
 /** Ask for a text, of several lines where asked so; null where none was given. @returns {Promise<string | null>} */

@@ -59,7 +59,7 @@ export function start(app) {
     mark();
   });
   app.on("wire", (name) => {
-    if (name && !isPicking && picked.size) app.select(null); // one of both is selected
+    if (name && !bar.hidden && !isPicking && picked.size) app.select(null); // one of both is edited
     mark();
   });
   app.on("drawn", () => {
@@ -172,14 +172,17 @@ export function start(app) {
 
   // --- wires by keys ------------------------------------------------------------------------------------------------
 
-  /** Choose what a port is wired to. */
-  app.connect = async (port, kind = "") => {
+  /** Choose what a port, "in" or "out", is wired to. What is typed before the server has answered is kept. */
+  app.connect = async (port, kind) => {
+    const isSource = kind === "out";
+    let entries = [];
+    const shown = choose(app, { label: `Connect ${port} ${isSource ? "to" : "from"}`, placeholder: "Port", find: (text) => entries.filter(({ name }) => name.toLowerCase().includes(text.toLowerCase())).slice(0, SHOWN) });
     const told = await app.ask("targets", { end: port, kind, level: level() });
-    if (!told) return;
-    const entries = Object.entries(told.ports).map(([name, why]) => ({ name, told: "", why, go: () => wire(...(told.source ? [port, name] : [name, port])) }));
-    if (told.source) entries.push(...outputs().map((name) => ({ name, told: "output of the diagram", why: "", go: () => wire(port, name) })));
+    if (!told) return shown.close();
+    entries = Object.entries(told.ports).map(([name, why]) => ({ name, told: "", why, go: () => wire(...(isSource ? [port, name] : [name, port])) }));
+    if (isSource) entries.push(...outputs().map((name) => ({ name, told: "output of the diagram", why: "", go: () => wire(port, name) })));
     entries.sort((a, b) => Boolean(a.why) - Boolean(b.why));
-    choose(app, { label: told.source ? `Connect ${port} to` : `Connect ${port} from`, placeholder: "Port", find: (text) => entries.filter(({ name }) => name.toLowerCase().includes(text.toLowerCase())).slice(0, SHOWN) });
+    shown.refresh();
   };
   const outputs = () => [...app.drawing.boxes()].filter(([, box]) => box.classList.contains("output")).map(([name]) => name);
   /** A wire from a source to an input, or to an output of the diagram; before: where its end was. */
