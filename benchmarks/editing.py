@@ -88,8 +88,8 @@ def _gestures(page: Browser, blocks: int, goal: float) -> None:
             spent[what].append(1e3 * (time.process_time() - begun))
             time.sleep(1.5)  # what was drawn in haste is drawn well meanwhile
     for what, taken in times.items():
-        beside = f"median {statistics.median(taken):.0f}, of the processor in the server {min(spent[what]):.0f}"
-        tell(f"{blocks} blocks, edit to painted, {what}", min(taken), "ms", goal, beside=beside)
+        beside = f"least {min(taken):.0f}, of the processor in the server {min(spent[what]):.0f}"
+        tell(f"{blocks} blocks, edit to painted, {what}", statistics.median(taken), "ms", goal, beside=beside)
 
 
 def _frames(page: Browser) -> None:
