@@ -541,7 +541,7 @@ def targets(session: Session, *, end: str, level: str = "", kind: str = "") -> A
             if not why and not units.same_quantity(unit, other):
                 why = f"[{other}] and [{unit}] are different quantities"
         told[name] = why
-    return {"is": "targets", "ports": told, "source": is_source}
+    return {"is": "targets", "ports": told}
 
 
 @handles
