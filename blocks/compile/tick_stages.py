@@ -1,15 +1,19 @@
-"""What is computed at ticks that coincide: which rates may tick together, and the stages of their outputs."""
+"""The order of computation at ticks that coincide: which rates may tick together, and the stages of their outputs.
+
+Both engines take their stages from here: `rate_sets` and `stages_of`.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 
 from ..text.errors import Fault, ModelError
-from .plan import Node, Plan, Program, Rate, Reference
+from .plan import AlgebraicLoop, Node, Plan, Program, Rate, Reference
 from .scheduler import components, schedule
 
-__all__ = ["coinciding", "stages_of", "tick_program"]
+__all__ = ["coinciding", "rate_sets", "stages_at", "stages_of", "tick_program"]
 
 
 def tick_program(plan: Plan, slots: Sequence[int]) -> Program:
@@ -18,26 +22,79 @@ def tick_program(plan: Plan, slots: Sequence[int]) -> Program:
 
 
 def stages_of(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
-    """The sampled outputs of the rates that tick together, as places in d, in the order in which they are computed.
+    """Return the sampled outputs of the rates that tick together, as places in d, in the order of their computation.
 
     An output that needs another one at once is in the same stage or a later one; one that depends on it through a
-    side, or through what events reset, is in a later one, so that the events in between come first. A stepper is
-    listed as -1 - its number, after its inputs and before all that reads its outputs. Raises ModelError (E102) where
-    a stepper needs itself.
+    side, through what events reset, or because it is switched on or off by it, is in a later one, so that the events in
+    between come first. So is one that reads an output of a part that may be off while the reader is on: it reads the
+    held value. A stepper is listed as -1 - its number, after its inputs and before all that reads its outputs.
+    Memory breaks circles: inside of one, only what is needed at once counts. Raises ModelError (E102) where a stepper
+    needs itself, or where a loop that must be solved passes the edge of an enabled part.
     """
-    due = frozenset(slot for k in rates for _, slot in plan.rates[k].outputs)
-    steppers = {-1 - n: part for n, part in enumerate(plan.steppers) if part.rate in rates}
-    given_by = {slot: key for key, part in steppers.items() for _, slots, _ in part.outputs for slot in slots}
-    changed_by: dict[Reference, list[Node]] = {}
-    for cause in (*plan.crossings, *plan.events):
-        for node, reference in cause.resets:
-            changed_by.setdefault(reference, []).extend((cause.node, node))
-    changed_by.update((Reference("s", j), [cause.node]) for j, cause in enumerate(plan.crossings))
-    if not steppers and (len(due) < 2 or not (changed_by or plan.foreign)):
-        return (due,)
-    units = {part.instance: part for part in plan.foreign}
+    needs = _Needs(plan, rates)
+    if needs.is_flat:
+        return (needs.due,)
+    stage: dict[int, int] = {}
+    for group in needs.groups:
+        earliest, circle = 0, set(group)
+        for key in group:
+            for late in (0, 1):
+                for other in needs.of[key][late] - circle:
+                    earliest = max(earliest, stage[other] + (1 if late or needs.is_apart(key, other) else 0))
+        inside = {key: sorted(needs.of[key][0] & circle) for key in group}
+        for loop in components(inside):
+            needs.check_loop(loop, inside)
+            first = earliest
+            for key in loop:
+                for other in set(inside[key]) - set(loop):
+                    first = max(first, stage[other] + (1 if needs.is_apart(key, other) else 0))
+            stage.update(dict.fromkeys(loop, first))
+    return tuple(frozenset(key for key in stage if stage[key] == n) for n in range(max(stage.values()) + 1))
 
-    def seen(begin: Iterable[Reference]) -> tuple[set[int], set[int]]:
+
+class _Needs:
+    """The dependencies among the sampled outputs and steppers of rates that tick together.
+
+    of: by key, the keys that are needed at once, and the keys that are seen through memory: through sides, through
+    resets, and through the sides that enable a part. groups: keys in a circle, each group after the ones it needs.
+    """
+
+    def __init__(self, plan: Plan, rates: frozenset[int]) -> None:
+        self.plan = plan
+        self.due = frozenset(slot for k in rates for _, slot in plan.rates[k].outputs)
+        self.steppers = {-1 - n: part for n, part in enumerate(plan.steppers) if part.rate in rates}
+        self.given_by = {s: key for key, part in self.steppers.items() for _, slots, _ in part.outputs for s in slots}
+        self.units = {part.instance: part for part in plan.foreign}
+        self.changed_by: dict[Reference, list[Node | Reference]] = {}
+        for cause in (*plan.crossings, *plan.events):
+            for node, reference in cause.resets:
+                self.changed_by.setdefault(reference, []).extend((cause.node, node, *self.gate(cause.instance)))
+        for j, cause in enumerate(plan.crossings):
+            self.changed_by[Reference("s", j)] = [cause.node, *self.gate(cause.instance)]
+        for part in plan.enabled:
+            for reference in part.resets:
+                self.changed_by.setdefault(reference, []).append(Reference("s", part.side))
+        self.is_flat = not self.steppers and (len(self.due) < 2 or not (self.changed_by or plan.foreign))
+        self.of: dict[int, tuple[set[int], set[int]]] = {}
+        if self.is_flat:
+            return
+        for slot in sorted(self.due):
+            node = plan.held_nodes[slot][0]
+            self.of[slot] = self.seen([*plan.bind(node), *self.gate(node.instance)])
+        for key, stepper in self.steppers.items():
+            read = [reference for _, references, _ in stepper.inputs for reference in references]
+            self.of[key] = self.seen([*read, *self.gate(stepper.instance)])
+
+    @cached_property
+    def groups(self) -> list[list[int]]:
+        return components({key: [*direct, *late] for key, (direct, late) in self.of.items()})
+
+    def gate(self, instance: int) -> list[Reference]:
+        """The side that says whether an instance is on, if it may be off."""
+        condition = self.plan.instances[instance].condition
+        return [] if condition is None else [Reference("s", condition)]
+
+    def seen(self, begin: Iterable[Reference]) -> tuple[set[int], set[int]]:
         """The due outputs and steppers that are needed at once, and those that are seen through memory."""
         dependencies: tuple[set[int], set[int]] = (set(), set())
         waiting = [(reference, False) for reference in begin]
@@ -45,42 +102,127 @@ def stages_of(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int], ...]:
         while waiting:
             reference, late = waiting.pop()
             row, index = reference
-            nodes: list[tuple[Node, bool]] = []
+            read: list[tuple[Node | Reference, bool]] = []
             if row == "w":
-                nodes = [(plan.outputs[index], late)]
-            elif row == "d" and (index in due or index in given_by):
-                dependencies[late].add(given_by[index] if index in given_by else int(index))
+                read = [(self.plan.outputs[index], late)]
+            elif row == "d" and (index in self.due or index in self.given_by):
+                dependencies[late].add(self.given_by.get(index, int(index)))
             else:
-                nodes = [(node, True) for node in changed_by.get(reference, ())]
-            for node, flag in nodes:
-                reached = [(other, flag) for other in plan.bind(node)]
-                if node.instance in units:  # its inputs at an instant may change all its outputs by an event
-                    reached += [(other, True) for other in units[node.instance].inputs]
+                read = [(item, True) for item in self.changed_by.get(reference, ())]
+            for item, flag in read:
+                reached = [(other, flag) for other in (self.plan.bind(item) if isinstance(item, Node) else (item,))]
+                if isinstance(item, Node) and item.instance in self.units:
+                    # Its inputs at an instant may change all its outputs by an event.
+                    reached += [(other, True) for other in self.units[item.instance].inputs]
                 for pair in reached:
                     if pair not in known:
                         known.add(pair)
                         waiting.append(pair)
         return dependencies
 
-    needs = {slot: seen(plan.bind(plan.held_nodes[slot][0])) for slot in sorted(due)}
-    for key, part in steppers.items():
-        needs[key] = seen(reference for _, references, _ in part.inputs for reference in references)
-    for group in components({key: list(direct) for key, (direct, _) in needs.items()}):
-        bad = [key for key in group if key < 0 and (len(group) > 1 or key in needs[key][0])]
-        if bad:
+    def is_apart(self, key: int, other: int) -> bool:
+        """Whether the other is read in memory: one is a program, or the other may be off while the reader is on."""
+        return key < 0 or other < 0 or self.condition(other) not in (None, self.condition(key))
+
+    def condition(self, key: int) -> int | None:
+        return self.plan.instances[self.instance(key)].condition
+
+    def instance(self, key: int) -> int:
+        return self.steppers[key].instance if key < 0 else self.plan.held_nodes[key][0].instance
+
+    def rate(self, key: int) -> int:
+        return self.steppers[key].rate if key < 0 else self.plan.held_nodes[key][1]
+
+    def check_loop(self, loop: Sequence[int], needs: Mapping[int, Sequence[int]]) -> None:
+        """Refuse what need each other at once and cannot be solved for together. Raises ModelError (E102)."""
+        if len(loop) == 1 and loop[0] not in needs[loop[0]]:
+            return
+        steppers = [key for key in loop if key < 0]
+        if steppers:
             message = "its outputs come back to its inputs at one tick, and a stepper cannot be solved for."
-            raise ModelError(Fault("E102", steppers[bad[0]].path, message, "Put a UnitDelay or a state in between."))
-    # Memory breaks loops: outputs that see each other in a circle share a stage.
-    stage: dict[int, int] = {}
-    for group in components({key: [*direct, *late] for key, (direct, late) in needs.items()}):
-        earliest = 0
-        for key in group:
-            for late in (0, 1):
-                for other in needs[key][late] - set(group):
-                    alone = key < 0 or other < 0 or late
-                    earliest = max(earliest, stage[other] + (1 if alone else 0))
-        stage.update(dict.fromkeys(group, earliest))
-    return tuple(frozenset(key for key in stage if stage[key] == n) for n in range(max(stage.values()) + 1))
+        elif len({self.condition(key) for key in loop}) > 1:
+            message = "is in an algebraic loop at one tick that passes the edge of an enabled subdiagram."
+        else:
+            return
+        path = self.plan.instances[self.instance(steppers[0] if steppers else loop[0])].path
+        raise ModelError(Fault("E102", path, message, "Put a UnitDelay or a state in between."))
+
+
+def stages_at(plan: Plan, due: frozenset[int], sets: Sequence[frozenset[int]]) -> tuple[frozenset[int], ...]:
+    """Return what is computed where these rates are due, in order. sets: `rate_sets` of the plan."""
+    rates = next(rates for rates in sets if due <= rates)
+    keys = {slot for k in due for _, slot in plan.rates[k].outputs}
+    keys.update(-1 - n for n, part in enumerate(plan.steppers) if part.rate in due)
+    return tuple(filter(None, (stage & keys for stage in stages_of(plan, rates))))
+
+
+def rate_sets(plan: Plan) -> list[frozenset[int]]:
+    """Return the sets of rates that have stages of their own, each before its supersets.
+
+    Rates that are due are computed in the stages of the first set that has them all. One set serves its subsets, too,
+    unless an algebraic loop or a circle through memory is another one if not all of its rates are due.
+    """
+    everything = frozenset(range(len(plan.rates)))
+    if _can_tick(plan, everything) and not _is_split(plan, everything):
+        return [everything]
+    found: set[frozenset[int]] = set()
+    for largest in coinciding(plan.rates):
+        if not _is_split(plan, largest):
+            found.add(largest)
+            continue
+        own = [largest]
+        for rates in _subsets(plan, largest):
+            if _has_loop(plan, largest) or stages_at(plan, rates, own[::-1]) != stages_of(plan, rates):
+                own.append(rates)
+        found.update(own)
+    return sorted(found, key=lambda rates: (len(rates), sorted(rates)))
+
+
+def _subsets(plan: Plan, largest: frozenset[int]) -> Iterable[frozenset[int]]:
+    """The smaller sets of these rates that may be due, large ones first. A tick of 0.2 s is one of 0.1 s, too."""
+    brings = {
+        a: frozenset(
+            b
+            for b, other in ((b, plan.rates[b]) for b in largest)
+            if other.offset <= rate.offset
+            and rate.period % other.period == 0
+            and (rate.offset - other.offset) % other.period == 0
+        )
+        for a, rate in ((a, plan.rates[a]) for a in largest)
+    }
+    closed: set[frozenset[int]] = {frozenset()}
+    for rate in sorted(largest):
+        closed |= {rates | brings[rate] for rates in closed}
+    return sorted(closed - {frozenset(), largest}, key=lambda rates: (-len(rates), sorted(rates)))
+
+
+def _can_tick(plan: Plan, rates: frozenset[int]) -> bool:
+    try:
+        stages_of(plan, rates)
+        tick_program(plan, _slots(plan, rates))
+    except ModelError:
+        return False
+    return True
+
+
+def _slots(plan: Plan, rates: frozenset[int]) -> list[int]:
+    """The places in d of the sampled outputs of these rates."""
+    return sorted(slot for k in rates for _, slot in plan.rates[k].outputs)
+
+
+def _is_split(plan: Plan, rates: frozenset[int]) -> bool:
+    """Whether what is computed together is another set if not all of the rates are due."""
+    if len(rates) < 2:
+        return False
+    needs = _Needs(plan, rates)
+    circles = [] if needs.is_flat else [group for group in needs.groups if len({*map(needs.rate, group)}) > 1]
+    return bool(circles) or _has_loop(plan, rates)
+
+
+def _has_loop(plan: Plan, rates: frozenset[int]) -> bool:
+    """Whether an algebraic loop passes a sampled output."""
+    steps = tick_program(plan, _slots(plan, rates)).steps
+    return any(r.row == "d" for step in steps if isinstance(step, AlgebraicLoop) for r in step.unknowns)
 
 
 def coinciding(rates: Sequence[Rate]) -> Iterable[frozenset[int]]:

@@ -30,7 +30,7 @@ from ..motion import looked_at
 from ..plan import Node, Plan, Program, Reference
 from ..scheduler import schedule
 from ..tableaus import METHODS, STIFF
-from ..tick_stages import stages_of, tick_program
+from ..tick_stages import rate_sets, stages_of, tick_program
 from .c_text import Filled, ints
 from .calls import SAME, print_program, print_selected
 from .functions import LANES, comment, function_text
@@ -38,7 +38,7 @@ from .jacobian_code import elimination, in_order, jacobian_text
 from .lane_code import LANE_PROGRAMS, LaneCode
 from .loops import Call, Copy, Sink, at_of
 from .plan_reader import MOVING, Places, PlanReader, ProgramScope
-from .ticks import Clique, Stage, cliques
+from .ticks import Clique, Stage
 
 __all__ = ["Clique", "Emitted", "Stage", "emit"]
 
@@ -514,7 +514,7 @@ class _Emitter(PlanReader):
             return ()
         tick_cliques: list[Clique] = []
         cases: list[str] = []
-        for rates in cliques(plan):
+        for rates in rate_sets(plan):
             stages = []
             for number, members in enumerate(stages_of(plan, rates)):
                 slots = tuple((slot, plan.held_nodes[slot][1]) for slot in sorted(members) if slot >= 0)

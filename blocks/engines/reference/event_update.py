@@ -22,13 +22,14 @@ import os
 import traceback
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from ...compile.plan import Cause, EnabledPart, Node, Plan, Reference, StepperPart
-from ...compile.tick_stages import stages_of
+from ...compile.tick_stages import rate_sets, stages_at
 from ...results.results import Event
 from ...text.errors import NOT_FINITE, Fault, SimulationError, UsageError
 from ..run.history import Past
@@ -97,6 +98,10 @@ class Instants:
         # By block, then as declared: so events are listed, and so the reset that is declared later wins.
         self.order = sorted(range(len(self.causes)), key=lambda i: self._rank(self.causes[i].node))
         self.ranks = [[self._rank(node) for node, _ in cause.resets] for cause in self.causes]
+
+    @cached_property
+    def rate_sets(self) -> list[frozenset[int]]:
+        return rate_sets(self.plan)
 
     def _rank(self, node: Node) -> tuple[int, int]:
         return node.instance, list(self.plan.instances[node.instance].tape.results).index(node.key)
@@ -449,7 +454,7 @@ class Instants:
         """
         if due not in self._due:
             label = "_".join(map(str, sorted(due)))
-            stages = stages_of(self.plan, due)
+            stages = stages_at(self.plan, due, self.rate_sets)
             nexts = [pair for k in sorted(due) for pair in self.plan.rates[k].nexts]
             self._due[due] = (
                 [
@@ -470,7 +475,7 @@ class Instants:
             after = self.updated(after, u, stage)
             for number in steppers:
                 after = self.stepped(number, before_stage, after, u)
-        if update[1] and any(slots for (_, slots), _ in outputs):
+        if update[1] and outputs:
             after = self.quiet(after, u, {}, fired)
         after = self.updated(after, u, update)
         return replace(after, ticks=tuple(n + 1 if k in due else n for k, n in enumerate(before.ticks)))

@@ -1933,7 +1933,7 @@ HOT static int tick(BlocksSim *s, int *touched)
     const BlocksModel *model = s->model;
     BlocksMemory *m = &s->memory;
     const size_t nd = (size_t)model->nd;
-    int clique = 0, outputs = 0;
+    int clique = 0;
     for (; clique < setup->ncliques - 1; clique++) {
         int fits = 1;
         for (int r = 0; r < model->nrates && fits; r++) fits = !s->due[r] || setup->cliques[clique].rates[r];
@@ -1953,7 +1953,6 @@ HOT static int tick(BlocksSim *s, int *touched)
         begun = 1;
         copy(s->d1, m->d, nd);
         if (has_slots) {
-            outputs = 1;
             if (s->moving) blocks_outside(s, s->t);
             model->outputs(m, s->t, m->x, clique, stage, s->due, s->d1);
             if (check_slots(s, slots, part->nslots)) return BLOCKS_FAILED;
@@ -1973,7 +1972,7 @@ HOT static int tick(BlocksSim *s, int *touched)
         model->refresh(m);
     }
     if (any_due(s, setup->nexts, setup->nnexts)) {
-        if (outputs && !is_calm(s) && quiet(s, NULL, 0, touched)) return BLOCKS_FAILED;
+        if (begun && !is_calm(s) && quiet(s, NULL, 0, touched)) return BLOCKS_FAILED;
         copy(s->d1, m->d, nd);
         if (s->moving) blocks_outside(s, s->t);
         model->nexts(m, s->t, m->x, s->due, s->d1);
