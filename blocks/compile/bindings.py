@@ -10,7 +10,6 @@ default, what it reads is constant. `bindings_c` (`c.bindings_code`) prints the 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -36,6 +35,7 @@ from ..model.values import expressions_in, is_expression, names_in, order_of, va
 from ..text.gc_pause import paused
 from ..text.units import si_text
 from .default_tracing import Untraceable, default_programs
+from .memory_layout import parameter_places
 from .plan import Plan
 from .setting_programs import Program, Setting, evaluated, program_of, recorded
 
@@ -466,13 +466,13 @@ def _copied(known: _DraftSetting, path: str, place: int) -> _DraftSetting:
 
 def _sizes(block: FlatBlock) -> int:
     """How many places in p a block has."""
-    interface = block.interface
-    return sum(math.prod(interface.shape(parameter)) for parameter in interface.symbolic_parameters.values())
+    return sum(map(len, parameter_places(block.interface).values()))
 
 
 def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _DraftSetting]]:
     """The parameters of a block that have a value; `place` counts from the block's first one."""
-    interface, values, place = resolved.interface, resolved.values, 0
+    interface, values = resolved.interface, resolved.values
+    places = parameter_places(interface)
     uses = _uses(interface.declaration)
     for name, parameter in interface.declaration.parameters.items():
         value = values[name].value
@@ -495,9 +495,8 @@ def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _DraftSetting]]:
                 low, draft.high = limits(parameter, values)
                 draft.low_open = parameter.positive and (low is None or low <= 0)
                 draft.low = 0.0 if draft.low_open else low
-        if name in interface.symbolic_parameters:
-            draft.place = place
-            place += len(draft.values)
+        if name in places:
+            draft.place = places[name].start
         yield parameter, draft
 
 

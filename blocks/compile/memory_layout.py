@@ -17,7 +17,7 @@ from ..contract.tracing import trace
 from ..contract.variables import Discrete, Stepped
 from .fmu_tape import EVENT, opaque
 
-__all__ = ["ROWS", "CauseLayout", "Clocked", "Footprint", "Start", "names_of"]
+__all__ = ["ROWS", "CauseLayout", "Clocked", "Footprint", "Start", "names_of", "parameter_places"]
 
 ROWS = {row: number for number, row in enumerate("xdspwhc")}
 """The rows that blocks have places in, and their numbers in `Footprint.sizes`."""
@@ -114,8 +114,8 @@ class Footprint:
     def _lay_out(self) -> None:
         """Places for all variables, row by row in the order of the declaration."""
         d = self.interface.declaration
-        for name, parameter in self.interface.symbolic_parameters.items():
-            self._take("p", name, self._size(parameter))
+        for name, places in parameter_places(self.interface).items():
+            self._take("p", name, len(places))
         for name in self.interface.tables:
             self._take("c", name, 1)
         for name, state in d.states.items():
@@ -198,6 +198,15 @@ def _clashes(tape: Tape) -> Mapping[str, tuple[str, ...]]:
         for target, results in resets.items()
         if len({result.nodes for result in results}) > 1
     }
+
+
+def parameter_places(interface: Interface) -> dict[str, range]:
+    """The places of each parameter of a block in the row p, counted from the block's first one."""
+    places, first = dict[str, range](), 0
+    for name, parameter in interface.symbolic_parameters.items():
+        places[name] = range(first, first + math.prod(interface.shape(parameter)))
+        first = places[name].stop
+    return places
 
 
 def names_of(path: str, size: int, shape: tuple[int, ...]) -> list[str]:

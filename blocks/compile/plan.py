@@ -29,6 +29,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..contract.tape import Tape
@@ -337,6 +338,15 @@ class Plan(Shown):
     def unknowns_at(self) -> Mapping[Reference, int]:
         """The place in z of each unknown."""
         return {reference: k for k, reference in enumerate(self.unknowns)}
+
+    @cached_property
+    def table_places(self) -> list[range]:
+        """The places of each table in the row c of printed code, where all copies share the tables of one copy."""
+        if self.folded is not None:
+            one, of_one = self.folded.plan.table_places, self.folded.of_one
+            return [one[of_one(Reference("c", k)).index] for k in range(len(self.tables))]
+        ends = accumulate(map(len, self.tables))
+        return [range(end - len(table), end) for table, end in zip(self.tables, ends, strict=True)]
 
     @cached_property
     def foreign_of(self) -> dict[int, int]:

@@ -40,10 +40,7 @@ def tables_text(
     """The text of tables.c. kinds: 1 Model Exchange, 2 Co-Simulation, 3 both. dependencies: by reference."""
     settings = plan.settings
     setup, setup_fields = _setup(made, plan, settings)
-    offsets = [0]
-    for values in plan.tables:
-        offsets.append(offsets[-1] + len(values))
-    derived = jacobian_text(jacobian, offsets, made.place.tolist(), "blocks_probed")
+    derived = jacobian_text(jacobian, plan.table_places, made.place.tolist(), "blocks_probed")
     parts = ["/* Tables of the diagram. */\n", '#include "fmu_model.h"\n#include "fmu.h"\n\n', setup, derived.text]
     rows, members, strings = _variables(variables)
     parts += [table("FmuVariable", "variables", rows), reals("members", members), texts("strings", strings)]

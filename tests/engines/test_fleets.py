@@ -13,7 +13,18 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from blocks import Diagram, ModelError
-from tests.support.fleets import named_by_hand, named_by_number, written_out
+from blocks.compile.c.lane_code import Machine
+from tests.support.fleets import (
+    beside_copies,
+    inputs_beside_copies,
+    named_by_hand,
+    named_by_number,
+    other_values,
+    written_out,
+)
+from tests.support.fmus import exported
+from tests.support.library_variants import VARIANTS
+from tests.support.marks import long
 
 FMUS = Path(__file__).resolve().parents[2] / "fmus"
 HEAD = {"format": "blocks-diagram", "version": 3}
@@ -405,3 +416,84 @@ def test_each_begins_anew_with_its_own_start_value(copies: bool, engine: str) ->
     results = made.run(stop=1, engine=engine, method="rk4", step=0.1)
     last = results["part.y"][-1] if copies else [results[f"part_{k}.y"][-1] for k in range(3)]
     np.testing.assert_array_equal(last, [1, 2, 3])
+
+
+# --- equal blocks beside copies -----------------------------------------------------------------------------------
+
+CHAOTIC = [("TrackingDifferentiator", {}), ("LuGreFriction", {})]  # with steps of this length
+OTHERS = [one for one in VARIANTS if one[0] not in ("InvertedPendulum", "TransportDelay") and one not in CHAOTIC]
+ONE_OF_EACH = [*{name: (name, given) for name, given in reversed(OTHERS)}.values()]
+LONG_BESIDE = [
+    (OTHERS[k : k + 40], *form)
+    for k in range(0, len(OTHERS), 40)
+    for form in ((4, ("first",)), (5, ("between",)), (4, ("last",)), (17, ("first", "between", "last")))
+]
+
+
+def assert_written_out(results: Any, by_hand: Any) -> None:
+    for name in by_hand:
+        assert np.array_equal(results[named_by_number(name)], by_hand[name], equal_nan=True), name
+
+
+@pytest.mark.parametrize(
+    ("entries", "count", "where"),
+    [(ONE_OF_EACH[1::3], 4, ("first", "between")), *(long(*case) for case in LONG_BESIDE)],
+)
+def test_equal_blocks_of_every_type_read_their_own_numbers_beside_copies(
+    entries: Any, count: int, where: tuple[str, ...]
+) -> None:
+    document = beside_copies(entries, count, where)
+    by_hand, made = Diagram.from_json(written_out(document)), Diagram.from_json(document)
+    assert made.plan().folded is not None
+    run: dict[str, Any] = {"stop": 0.4, "every": 0.02, "method": "rk4", "step": 0.01}
+    inputs = inputs_beside_copies(document)
+    log = [named_by_number(name) for name in by_hand.flatten().log]
+    prepared = made.prepare(engine="native", log=log, **run)
+    for values in ({}, other_values(document)):
+        wanted = by_hand.run(engine="native", parameters=values, inputs=inputs, **run)
+        assert_written_out(prepared.run(parameters=values, inputs=inputs), wanted)
+
+
+SEVERAL: list[tuple[str, dict[str, Any]]] = [
+    ("TransferFunction", {"num": [2.0], "den": [0.2, 0.5, 1.0]}),
+    ("Saturation", {}),
+    ("Relay", {"on_at": 0.5, "off_at": 0.2}),
+    ("UnitDelay", {"period": 0.1, "y_start": 2.0}),
+    ("LookupTable", {"points": [-1.0, 0.5, 2.0], "values": [3.0, 1.0, -2.0]}),
+    ("Polynomial", {"c": [2.0, 0.0, -1.0, 0.5]}),
+]
+
+
+@pytest.mark.parametrize("where", [("first", "between"), long(("first",)), long(("between",)), long(("last",))])
+def test_equal_blocks_beside_copies_are_the_same_in_runs_rows_lanes_and_fmus(where: tuple[str, ...]) -> None:
+    document = beside_copies(SEVERAL, 4, where)
+    # All blocks follow one state: lanes know when a polynomial of states crosses.
+    document["blocks"]["swing"] = {"type": "SecondOrder", "parameters": {"w": 7, "d": 0.1, "v_start": 9}}
+    wires = {sink: "swing.y" if source in document["inputs"] else source for sink, source in document["wires"].items()}
+    document |= {"wires": wires | {"swing.u": "wave.y"}, "inputs": {}}
+    signals = [f"{name}.y[1]" if "copies" in entry else f"{name}.y" for name, entry in document["blocks"].items()]
+    document["outputs"] = {f"o{k}": name for k, name in enumerate(signals)}
+    made, by_hand = Diagram.from_json(document), Diagram.from_json(written_out(document))
+    run: dict[str, Any] = {"stop": 1.0, "every": 2**-4, "method": "rk4", "step": 2**-8, "log": [*document["outputs"]]}
+    several = [other_values(document, factor) for factor in (1.02, 1.05)]
+    names = [path for path, value in several[0].items() if isinstance(value, float)]
+    rows = [{path: values[path] for path in names} for values in several]
+    wanted = [by_hand.run(engine="native", parameters=row, **run) for row in ({}, *rows)]
+    assert made.plan().folded is not None
+    of_reference = made.run(engine="reference", **run)
+    batches = [made.batch(names, lanes=lanes, engine="native", **run) for lanes in ("exact", "fast")]
+    assert Machine.own() is None or batches[1].lanes, batches[1].warnings
+    exact, fast = (batch([[row[path] for path in names] for row in rows]) for batch in batches)
+    settings = {key: run[key] for key in ("method", "step")}
+    with exported(made, 2, log=[], **settings).instance() as one:
+        one.begin(stop=1.0)
+        for k in range(17):
+            for name in document["outputs"]:
+                assert np.array_equal(one[name], wanted[0][name][k]), name
+            if k < 16:
+                one.step(k / 16, 1 / 16)
+    for name in document["outputs"]:
+        np.testing.assert_allclose(of_reference[name], wanted[0][name], rtol=1e-12, atol=1e-12, err_msg=name)
+        for row in (0, 1):
+            np.testing.assert_array_equal(exact.signals[name][row], wanted[1 + row][name], err_msg=name)
+            np.testing.assert_allclose(fast.signals[name][row], wanted[1 + row][name], rtol=1e-9, atol=1e-12)

@@ -751,12 +751,29 @@ def enabled() -> Diagram:
     return d
 
 
+def tables_beside_copies() -> Diagram:
+    """Curves in copies and behind them, in loops with lags."""
+    curve = {"type": "LookupTable", "parameters": {"points": [-1, 0, 1], "values": [-2, 0, 3]}}
+    own = {"type": "LookupTable", "parameters": {"points": [-1, 0, 0.5, 1], "values": [-5, 0, 1, 9]}}
+    error = {"type": "Sum", "parameters": {"signs": "+-"}}
+    part = {
+        "inputs": {"u": {}}, "outputs": {"y": "x.y"},
+        "blocks": {"t": curve, "x": {"type": "FirstOrder"}, "s": error},
+        "wires": {"s.u1": "u", "s.u2": "t.y", "t.u": "x.y", "x.u": "s.y"},
+    }  # fmt: skip
+    return Diagram.from_json({
+        "format": "blocks-diagram", "version": 3, "inputs": {"v": {"default": 0.3}}, "outputs": {"y": "x.y"},
+        "blocks": {"r": {"copies": 3, "diagram": part}, "t": own, "e": error, "x": {"type": "FirstOrder"}},
+        "wires": {"r.u": "v", "e.u1": "v", "e.u2": "t.y", "t.u": "x.y", "x.u": "e.y"},
+    })  # fmt: skip
+
+
 MADE = {
     "motor": lambda: Diagram.alone(PMDCMotor()), "looped": looped, "vectors": vectors, "delayed": delayed,
-    "enabled": enabled,
+    "enabled": enabled, "tables": tables_beside_copies,
 }  # fmt: skip
 SETTINGS: dict[str, dict[str, Any]] = {"looped": {"loops": "solve"}}
-DERIVED = ["motor", "looped", "vectors", "inverted_pendulum", "quarter_car", "paper/iadrc"]
+DERIVED = ["motor", "looped", "vectors", "tables", "inverted_pendulum", "quarter_car", "paper/iadrc"]
 
 
 def diagram_of(name: str) -> Diagram:

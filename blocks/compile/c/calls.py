@@ -15,7 +15,7 @@ from typing import Any
 
 from ..folding import At
 from .functions import ONE, Numbers, comment
-from .loops import LEAST, Call, CallOrder, CallSequence, Copy, EqualCalls, Sink, Value, at_of, is_affine
+from .loops import LEAST, Call, CallOrder, CallSequence, Copy, EqualCalls, Place, Sink, Value, at_of, is_affine
 
 __all__ = ["Printed", "Tables", "print_program", "print_selected"]
 
@@ -57,7 +57,7 @@ def print_program(
     name: str,
     calls: Sequence[Call],
     copies: Sequence[Copy],
-    place: Callable[[Value], Value],
+    place: Callable[[Value], Place],
     tables: Tables,
     *,
     loops: bool = True,
@@ -65,7 +65,7 @@ def print_program(
     is_hot: bool = False,
     numbers: Numbers = ONE,
 ) -> Printed:
-    """A program. `place` gives the row and the index of what is laid out when it is first read.
+    """A program. `place` gives the place of a value, and lays out what is first read now.
 
     is_aliased: whether it writes a row that it also reads.
     """
@@ -75,7 +75,7 @@ def print_program(
 def print_selected(
     name: str,
     programs: Sequence[tuple[Sequence[Call], Sequence[Copy]]],
-    place: Callable[[Value], Value],
+    place: Callable[[Value], Place],
     tables: Tables,
     numbers: Sequence[Sequence[int]],
 ) -> Printed:
@@ -133,7 +133,7 @@ def print_selected(
 
 
 def _one_of(
-    function: str, calls: Sequence[Call], copies: Sequence[Copy], place: Callable[[Value], Value], tables: Tables,
+    function: str, calls: Sequence[Call], copies: Sequence[Copy], place: Callable[[Value], Place], tables: Tables,
     lanes: int,
 ) -> tuple[str, list[str]]:  # fmt: skip
     """The body of a program of copies that gives the values of lane i, and functions that it needs."""
@@ -186,7 +186,7 @@ class _Program(CallOrder):
         name: str,
         calls: Sequence[Call],
         copies: Sequence[Copy],
-        place: Callable[[Value], Value],
+        place: Callable[[Value], Place],
         tables: Tables,
         is_aliased: bool,
         is_hot: bool = False,
@@ -287,39 +287,39 @@ class _Program(CallOrder):
         other = self.numbers.constant(math.inf if off == "inf" else 0.0)
         return f"out[{at}] = {self.numbers.chosen(f'{side} != 0.0', value, other)};"
 
-    def row(self, value: Value, unit: CallSequence) -> Value:
-        """Where a value is in memory: the row in C and the index."""
+    def row(self, value: Value, unit: CallSequence) -> Place:
+        """Find a value in memory: one place."""
         row, index = value
         if row in ("r", "ge"):
             first = self.w_at[index]
-            return "w", first + index.lane if type(index) is At else first
-        row, index = self.place_of(value)
-        if row != "t":
-            unit.rows[row] = None
-        return row, index[0] if isinstance(index, range) else index
+            return Place("w", first + index.lane if type(index) is At else first)
+        place = self.place_of(value)
+        if place.row != "t":
+            unit.rows[place.row] = None
+        return Place(place.row, place.index[0]) if isinstance(place.index, range) else place
 
-    def of_lanes(self, value: Value, unit: CallSequence) -> Value:
-        """Where the lanes of a call of copies find a value: the row, and a range of indices, or the one of all."""
+    def of_lanes(self, value: Value, unit: CallSequence) -> Place:
+        """Find a value in memory for the lanes of a call of copies: a range of indices, or the one of all."""
         row, index = value
         if row in ("r", "ge"):
             first, lanes = self.w_at[index], self.made[index][0].lanes
             if type(index) is At:
-                return "w", first + index.lane
-            return "w", range(first, first + lanes) if lanes > 1 else first
-        row, index = self.place_of(value)
-        if row in ("p", "d", "s") and isinstance(index, range) and not is_affine(index, 1):
-            row, index = self.place_of(("copy", value))  # side by side
-        if row != "t":
-            unit.rows[row] = None
-        return row, index
+                return Place("w", first + index.lane)
+            return Place("w", range(first, first + lanes) if lanes > 1 else first)
+        place = self.place_of(value)
+        if place.row in ("p", "d", "s") and isinstance(place.index, range) and not is_affine(place.index, 1):
+            place = self.place_of(("copy", value))  # side by side
+        if place.row != "t":
+            unit.rows[place.row] = None
+        return place
 
     def read(self, value: Value, unit: CallSequence, local: dict[int, str]) -> str:
         kind, number = value
         if kind in ("r", "ge") and number in local:
             text = local[number]
         else:
-            row, index = self.row(value, unit)
-            text = _text(row, str(index))
+            place = self.row(value, unit)
+            text = _text(place.row, str(place.index))
         return self.numbers.as_real(f"{text} >= 0.0") if kind == "ge" else text
 
     def straight(self, unit: CallSequence, copies: Sequence[Copy]) -> list[str]:
@@ -391,13 +391,14 @@ class _Program(CallOrder):
         """Whether values are in memory at equal distances."""
         if any(kind in ("ge", "t") or (kind == "r" and index not in self.w_at) for kind, index in values):
             return False
-        rows, places = zip(*(self.row(value, unit) for value in values), strict=True)
-        return len({*rows}) == 1 and rows[0] in ("w", *_ROWS[:-1]) and is_affine(places)
+        places = [self.row(value, unit) for value in values]
+        rows = {place.row for place in places}
+        return len(rows) == 1 and rows <= {"w", *_ROWS[:-1]} and is_affine([place.index for place in places])
 
     def chained(self, calls: Sequence[Call], name: str, unit: CallSequence, local: dict[int, str]) -> list[str]:
         """A loop over calls, each of the value of the one before."""
         columns = [[self.row(value, unit) for value in values] for values in _besides(calls)]
-        given = [_text(column[0][0], self.index([place for _, place in column])) for column in columns]
+        given = [_text(column[0].row, self.index([place.index for place in column])) for column in columns]
         code = self.call_text(calls[0], [name, *given], [name], unit)
         begin, label = self.read(calls[0].arguments[0], unit, local), f"  /* {comment(calls[0].label)} */"
         loop = f"for (int i = 0; i < {len(calls)}; i++) {name} = {code};{label}"
@@ -458,7 +459,8 @@ class _Program(CallOrder):
             """The text of what each lane of a call of copies reads in one place."""
             if kind in ("r", "ge") and type(number) is int and number in local:
                 return f"(double)({local[number]}{test})" if test else local[number]
-            row, index = self.of_lanes((kind, number), unit)
+            place = self.of_lanes((kind, number), unit)
+            row, index = place.row, place.index
             at = self.index(index) if isinstance(index, range) else str(index)
             if self.same is not None and row in ("q", "n") and isinstance(index, range) and index.step == 1:
                 self.same[row, index[0], len(index)] = None
@@ -480,16 +482,16 @@ class _Program(CallOrder):
                 producers = [self.group_of[self.made[index][0]] for _, index in values]
                 if all(g is group and lane == i for i, (g, lane) in enumerate(producers)):
                     return self.numbers.as_real(f"{local[number]}{test}") if test else local[number]
-            if kind in ("p", "d", "s") and not is_affine([index for _, index in values], 1):
-                values = [self.place_of(("copy", value)) for value in values]  # side by side
+            if kind in ("p", "d", "s") and not is_affine([self.place_of(value).index for value in values], 1):
+                values = [("copy", value) for value in values]  # side by side
             places = [self.row(value, unit) for value in values]
-            at = self.index([index for _, index in places])
-            if self.same is not None and places[0][0] in ("q", "n") and (at == "i" or at.endswith("+ i")):
+            at, row = self.index([place.index for place in places]), places[0].row
+            if self.same is not None and row in ("q", "n") and (at == "i" or at.endswith("+ i")):
                 # Parameters: loops read one for all lanes where they are equal.
-                self.same[places[0][0], places[0][1], len(places)] = None
+                self.same[row, places[0].index, len(places)] = None
                 at = at[:-1] + SAME
-            text = _text(places[0][0], at)
-            if all(place == places[0] for place in places) and places[0][0] not in ("t", "c"):
+            text = _text(row, at)
+            if all(place == places[0] for place in places) and row not in ("t", "c"):
                 hoisted.append(f"    const {self.numbers.real} h{len(hoisted)} = {text};")
                 text = f"h{len(hoisted) - 1}"
             return self.numbers.as_real(f"{text}{test}") if test else text
@@ -544,21 +546,22 @@ class _Program(CallOrder):
         runs: dict[object, list[Copy]] = {}
         for copy in copies:
             if isinstance(copy.sink.index, range):  # of all lanes
-                row, index = self.of_lanes(copy.value, unit)
-                text = _text(row, self.index(index) if isinstance(index, range) else str(index))
+                of_lanes = self.of_lanes(copy.value, unit)
+                index = of_lanes.index
+                text = _text(of_lanes.row, self.index(index) if isinstance(index, range) else str(index))
                 text = f"(double)({text} >= 0.0)" if copy.value[0] == "ge" else text
                 at = self.index(copy.sink.index)
                 lines.append(f"    for (int i = 0; i < {len(copy.sink.index)}; i++) out[{at}] = {text};")
         copies = [copy for copy in copies if not isinstance(copy.sink.index, range)]
         for copy in sorted(copies, key=lambda copy: at_of(copy.sink)):
             kind = copy.value[0]
-            kind = f"at {self.row(copy.value, unit)[0]}" if kind == "at" else kind
+            kind = f"at {self.row(copy.value, unit).row}" if kind == "at" else kind
             key: object = (kind, copy.sink.condition is None, copy.sink.off)
             if local is not None and copy.value[0] in ("r", "ge") and copy.value[1] in local:
                 key = copy
             runs.setdefault(key, []).append(copy)
         for run in runs.values():
-            for piece in _pieces(run, lambda copy: (self.row(copy.value, unit)[1], at_of(copy.sink))):
+            for piece in _pieces(run, lambda copy: (self.row(copy.value, unit).index, at_of(copy.sink))):
                 if len(piece) < LEAST:
                     for copy in piece:
                         text = self.read(copy.value, unit, local or {})
@@ -567,7 +570,7 @@ class _Program(CallOrder):
                         lines.append("    " + self.store(str(copy.sink.index), text, copy.sink.off, side, own))
                     continue
                 places = [self.row(copy.value, unit) for copy in piece]
-                text = _text(places[0][0], self.index([index for _, index in places]))
+                text = _text(places[0].row, self.index([place.index for place in places]))
                 text = self.numbers.as_real(f"{text} >= 0.0") if piece[0].value[0] == "ge" else text
                 at = self.index([at_of(copy.sink) for copy in piece])
                 conditions = [c.sink.condition for c in piece if c.sink.condition is not None]

@@ -29,16 +29,16 @@ class JacobianText:
 
 def jacobian_text(
     made: PlanJacobian,
-    tables_at: Sequence[int],
+    tables: Sequence[range],
     x_at: Sequence[int],
     outputs: str,
     *,
     is_square: bool = False,
     ints: Callable[..., str] = ints,
 ) -> JacobianText:
-    """The C text of a Jacobian. tables_at: where each table of the plan begins in the row of tables. x_at: the place of
-    each state in the model. outputs: the program that gives made.outputs. is_square: of rates by states, whose rows and
-    columns stand in the order of the model. ints: how tables are told."""
+    """The C text of a Jacobian. tables: the places of each table of its plan. x_at: the place of each state in the
+    model. outputs: the program that gives made.outputs. is_square: of rates by states, whose rows and columns stand in
+    the order of the model. ints: how tables are told."""
     pattern = in_order(made, x_at) if is_square else (made.indptr, made.indices, np.arange(len(made.indices)))
     indptr, indices, order = pattern
     texts, calls = [], []
@@ -58,9 +58,9 @@ def jacobian_text(
             names[n] = f"a{n}_"
             argument = int(tape.nodes[n].value)
             if argument in table_of:
-                where = table_of[argument][1]
-                sizes[n] = tables_at[where + 1] - tables_at[where]
-                given.append(f"tables + {tables_at[where]}")
+                places = tables[table_of[argument][1]]
+                sizes[n] = len(places)
+                given.append(f"tables + {places.start}")
         for k, n in enumerate(group.reads):
             gathered.append((n, f"a[gather[{at + k * size} + i]]"))
         at += size * len(group.reads)

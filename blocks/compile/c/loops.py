@@ -16,13 +16,26 @@ from typing import Any
 from ..folding import At
 from .functions import Function
 
-__all__ = ["LEAST", "Call", "CallOrder", "CallSequence", "Copy", "EqualCalls", "Sink", "Value", "at_of", "is_affine"]
+__all__ = [
+    "LEAST", "Call", "CallOrder", "CallSequence", "Copy", "EqualCalls", "Place", "Sink", "Value", "at_of", "is_affine"
+]  # fmt: skip
 
 Value = tuple[str, Any]
 """A row of memory and an index in it (in q, n and v: or a name for what has no place yet; in c: an offset). Also
 ("t", 0); ("r", number): a value of a call of this program; ("ge", number): 1 where that is not negative, else 0;
 ("offset", number): the number itself. In a plan of one copy a value is that of the own lane, unless its number is an
 `At`, or it is ("at", (value, lane))."""
+
+
+@dataclass(slots=True)
+class Place:
+    """The place of a value in memory: a row in C, and an index in it or one for each lane.
+
+    It is no `Value`: in a plan of one copy numbers count the places of that copy, here those of the whole diagram.
+    """
+
+    row: str
+    index: Any  # an int, or a range of them
 
 LEAST = 4  # equal calls that make a loop where all of their wires are regular
 LEAST_IRREGULAR = 16  # and where they are not: registers are faster than short tables

@@ -655,7 +655,7 @@ class _Emitter(PlanReader):
         self.define("slope_outputs", self.continuous("slope_outputs", made.probed, sinks))
         tell = ints if self.filled is None else self.filled.ints
         x_at = np.argsort(self.x_order).tolist()
-        derived = jacobian_text(made, self.offsets, x_at, "slope_outputs", is_square=True, ints=tell)
+        derived = jacobian_text(made, self.plan.table_places, x_at, "slope_outputs", is_square=True, ints=tell)
         order = elimination(*in_order(made, x_at)[:2])
         table, name = ("", "0") if order is None else (tell("elimination", order), "elimination")
         own = f"static const BlocksJacobian slopes = {derived.initializer};\n{table}#define ELIMINATION {name}\n"
@@ -714,7 +714,7 @@ class _Emitter(PlanReader):
             "NX": len(plan.states), "ND": len(plan.discretes), "NS": len(plan.crossings), "NP": len(plan.parameters),
             "NU": sum(math.prod(shape) for _, shape, *_ in plan.inputs), "NH": len(plan.histories),
             "NZ": len(plan.unknowns), "NRATES": len(plan.rates), "NQ": self.q.size, "NV": self.v.size,
-            "NN": len(self.numbers), "NC": self.offsets[-1], "NW": self.scratch, "NEVENTS": len(plan.events),
+            "NN": len(self.numbers), "NC": sum(map(len, own.tables)), "NW": self.scratch, "NEVENTS": len(plan.events),
             "NLOGGED": len(self.watched["logged"]), "NMEASURED": len(self.watched["measured"]),
             "NREMEMBERED": len(plan.histories), "NPROJECTIONS": len(plan.projections), "MOVING_SIDES": int(moving),
             "BENT_SIDES": int(any(self.is_bent(cause.node) for cause in own.crossings)),

@@ -20,7 +20,7 @@ from ..scheduler import schedule
 from .calls import Tables
 from .fmu_requests import request_text
 from .functions import Function, function_text, is_costly, needed_from
-from .loops import Call, Value
+from .loops import Call, Place, Value
 
 __all__ = ["FIXED", "HELD", "MOVING", "PlanReader", "ProgramScope"]
 
@@ -84,9 +84,6 @@ class PlanReader:
         self.v: Places[Node | Reference] = Places()
         self.n: dict[object, int] = {}
         self.numbers: list[float] = []
-        self.offsets = [0]
-        for table in plan.tables:
-            self.offsets.append(self.offsets[-1] + len(table))
         self.tape_numbers: dict[int, int] = {}
         self.forms: dict[object, Function] = {}  # by type and results asked for
         self.fixed_arguments: dict[int, int] = {}
@@ -211,7 +208,7 @@ class PlanReader:
             elif row == "tick":
                 return "k", index
             elif row == "c":
-                return "c", self.offsets[index]
+                return "c", self.plan.table_places[index].start
             elif row != "w":
                 return self.in_lane((row, int(index) if type(index) is At else index), lane)
             else:
@@ -227,36 +224,36 @@ class PlanReader:
             return "q", (node.instance, self.tape_node(node))
         return "v", node
 
-    def place(self, value: Value) -> Value:
-        """The row and index of a value in memory; what has no place yet gets the next one."""
+    def place(self, value: Value) -> Place:
+        """The place of a value in memory; what has no place yet gets the next one."""
         row, index = value
         if row == "at":
             own, lane = index
-            row, index = self.place(own)
-            return row, index[lane] if isinstance(index, range) else index
+            place = self.place(own)
+            return Place(place.row, place.index[lane]) if isinstance(place.index, range) else place
         if row == "copy":
             if not self.is_hot:
-                return self.place(index) if self.folded is not None else index
+                return self.place(index)
             lanes = self.lanes_of(*index)
             if index[0] == "p":
-                return "q", self.q.place(index, lanes)
-            return "v", self.v.place(Reference(*index), lanes)
+                return Place("q", self.q.place(index, lanes))
+            return Place("v", self.v.place(Reference(*index), lanes))
         if isinstance(index, int):
             if row == "x":
                 lanes = self.lanes_of(row, index)
-                return row, range(self.x_at[index], self.x_at[index] + lanes) if lanes > 1 else self.x_at[index]
-            return (row, self.all_places(row, index)) if row in _OF_BLOCKS else value
+                return Place(row, range(self.x_at[index], self.x_at[index] + lanes) if lanes > 1 else self.x_at[index])
+            return Place(row, self.all_places(row, index) if row in _OF_BLOCKS else index)
         if row == "q":
             lanes = self.lanes_of("p", index[1]) if index[0] == "p" else self.copies_of(index[0])
-            return "q", self.q.place(index, lanes)
+            return Place("q", self.q.place(index, lanes))
         if row == "v":
             lanes = self.lanes_of(*index) if isinstance(index, Reference) else self.copies_of(index.instance)
-            return "v", self.v.place(index, lanes)
+            return Place("v", self.v.place(index, lanes))
         key, number = index
         if key not in self.n:
             self.n[key] = len(self.n)
             self.numbers.append(float(number))
-        return "n", self.n[key]
+        return Place("n", self.n[key])
 
     # --- functions of types ---------------------------------------------------------------------------------------
 
