@@ -135,6 +135,11 @@ class CoupledUnit:
         return [slot for slot in self.slots_in if any(self.continuous[slot.first : slot.first + slot.size])]
 
     @property
+    def is_rigid(self) -> bool:
+        """Whether it is an FMU whose communication steps must not differ: it stops at the points of its grid only."""
+        return self.foreign is not None and not self.foreign.interface.any_step
+
+    @property
     def way(self) -> str:
         """How the course of an input over a step reaches it: exactly, by derivatives or by intermediate update; by its
         mean (of second order at best); or not, where nothing of it moves."""
@@ -325,8 +330,9 @@ class _Coupler:
             units = [unit if unit.is_sure else replace(unit, is_assumed=True) for unit in units]
         order, at_instants = _order(units, self.elements), _order(units, self.elements, at_instants=True)
         inputs = tuple(PlanInput(i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs)
+        settings = self.ending_at_points(units)
         coupling = Coupling(
-            flat.name, tuple(units), tuple(self.elements), stages, order, at_instants, inputs, flat, self.settings,
+            flat.name, tuple(units), tuple(self.elements), stages, order, at_instants, inputs, flat, settings,
             flat.log, flat.measures, tuple(map(flat.placed, self.warnings)), self.used,
         )  # fmt: skip
         self.check_steps(coupling)
@@ -469,6 +475,25 @@ class _Coupler:
             if foreign is not None and foreign.kind == "CS":
                 yield foreign
 
+    def ending_at_points(self, units: Sequence[CoupledUnit]) -> RunSettings:
+        """Return the settings with a stop that units whose steps must not differ can reach; warn if it is earlier."""
+        start, stop = self.settings.start, self.settings.stop
+        rigid = [unit for unit in units if unit.is_rigid]
+        if stop is None or self.master.tolerance is not None or not rigid:
+            return self.settings
+        ends = {unit.path: start + (stop - start) // unit.step * unit.step for unit in rigid}
+        path, end = min(ends.items(), key=lambda item: item[1])
+        if end == stop:
+            return self.settings
+        step = next(unit.step for unit in rigid if unit.path == path)
+        message = f"takes steps of {float(step):g} s only, and the stop at {float(stop):g} s is no multiple of them"
+        if end == start:
+            cure = 'Make the run longer, or set "step" in "run": {"master": ...}.'
+            raise ModelError(Fault("E115", path, f"{message}: not one step fits.", cure))
+        cure = f"Set the stop to {float(end):g} s, or choose another step."
+        self.warnings.append(Fault("W209", path, f"{message}; the run ends at {float(end):g} s.", cure))
+        return replace(self.settings, stop=end)
+
     def check_steps(self, coupling: Coupling) -> None:
         faults = []
         paths = {unit.path for unit in coupling.units}
@@ -480,12 +505,12 @@ class _Coupler:
             if unit.foreign is None:
                 continue
             if self.master.tolerance is not None:
-                if not unit.foreign.interface.any_step:
+                if unit.is_rigid:
                     message = "says that its communication steps must not differ, and a tolerance makes them differ."
                     faults.append(Fault("E115", unit.path, message, "Use a fixed step."))
                 continue
             fixed, step = unit.foreign.interface.fixed_step, unit.step
-            if fixed and not unit.foreign.interface.any_step:
+            if fixed and unit.is_rigid:
                 ratio = float(step) / fixed
                 if abs(ratio - round(ratio)) > 1e-9 * max(ratio, 1.0) or round(ratio) < 1:
                     message = f"its communication step of {float(step):g} s is no multiple of its own of {fixed:g} s."

@@ -37,6 +37,7 @@ from .policy import Policy
 from .stepped_units import (
     FmuUnit,
     Running,
+    acts_later,
     calls_of,
     endless,
     endless_stops,
@@ -81,7 +82,7 @@ def master_library() -> ctypes.CDLL:
     runtime = TranslationUnit("runtime.c", packaged("runtime.c")["runtime.c"], packaged(*RUNTIME), is_shared=True)
     library = load(build([runtime, TranslationUnit("master.c", text, headers, is_shared=True)]))
     library.master_run.argtypes = [_P, _D]
-    library.master_changed.argtypes = library.master_state_bytes.argtypes = [_P]
+    library.master_changed.argtypes, library.master_state_bytes.argtypes = [_P, ctypes.c_int], [_P]
     library.master_state_bytes.restype = _L
     sizes = [*(_L * len(_KINDS)).in_dll(library, "master_sizes")]
     if sizes != [ctypes.sizeof(kind) for kind in _KINDS]:
@@ -228,6 +229,8 @@ class NativeMaster(ReferenceMaster):
         m.nunits, m.nelements, m.nexchanged = len(coupling.units), n, len(coupling.exchanged)
         m.needs_past = int(m.order > 0 or m.is_sequential or m.is_controlled)
         m.has_instants = int(any(unit.acts for unit in coupling.units))
+        m.has_rigid = int(any(unit.is_rigid for unit in coupling.units))
+        m.needs_past |= m.has_rigid & (m.has_instants | int(bool(self.inputs.tracks)))  # to know what its inputs were
         m.is_uniform = int(len({unit.step for unit in coupling.units}) == 1)
         m.y = self._array(self.y)
         for name, size in (("left_y", n), ("kept_y", 3 * n), ("guess", n), ("ends", n)):
@@ -351,6 +354,7 @@ class NativeMaster(ReferenceMaster):
         c_unit.has_instants, c_unit.acts, c_unit.can_save = unit.has_instants, unit.acts, running.can_save
         c_unit.has_feed, c_unit.has_moving = any(unit.feeds), any(unit.continuous)
         c_unit.is_unsure, c_unit.reads_inputs = unit.is_assumed, unit.reads_inputs
+        c_unit.is_rigid, c_unit.late_t = unit.is_rigid, math.nan
         c_unit.links, c_unit.moves = self._links(unit.links), self._array(unit.continuous, np.uint8)
         c_unit.outputs = self._array(unit.outputs, np.int32)
         c_unit.inputs, c_unit.courses = self._array(np.zeros(n)), self._array(np.zeros(3 * n))
@@ -460,6 +464,8 @@ class NativeMaster(ReferenceMaster):
             if element >= 0:
                 self._tell_growth(element, c_growth.circle, array(m.grown_t, m.nwatched)[c_growth.circle])
         for c_unit, running in zip((MasterUnit * m.nunits).from_address(m.units), self.units, strict=False):
+            if not math.isnan(c_unit.late_t):
+                self.late.setdefault(self.units.index(running), acts_later(running.unit, c_unit.late_t))
             if c_unit.is_over and isinstance(running, FmuUnit) and running.over is None:
                 running.end(c_unit.over_t)
             if c_unit.refused and isinstance(running, FmuUnit):
@@ -584,22 +590,22 @@ class NativeMaster(ReferenceMaster):
 
     # --- from outside --------------------------------------------------------------------------------------------
 
-    def _changed(self) -> None:
-        if self.library.master_changed(ctypes.byref(self._c)) == _IS.FAILED:
+    def _changed(self, *, is_input: bool) -> None:
+        if self.library.master_changed(ctypes.byref(self._c), is_input) == _IS.FAILED:
             self._failed()
         self._take_over()
 
     def set_parameters(self, coupling: Coupling) -> None:
         with self._ending():
             self._put_parameters(coupling)
-            self._changed()
+            self._changed(is_input=False)
 
     def set_input(self, index: int, value: Array) -> None:
         self.inputs = self.inputs.replaced(index, value)
         self.segment = self.inputs.segment(self.t)
         with self._ending():
             self._c_tracks(self._c)  # the row before is recorded with the segment of the old ones
-            self._changed()
+            self._changed(is_input=True)
 
     def values(self, references: Any) -> Row:
         if self._c is not None:

@@ -522,6 +522,13 @@ def not_finite(coupling: Coupling, link: Link, value: float, t: float) -> Simula
     return SimulationError(Fault("E303", element.name, f"is {value} at t = {t} s.", own if is_foreign else NOT_FINITE))
 
 
+def acts_later(unit: CoupledUnit, t: float) -> Fault:
+    """Return the warning that a jump at t reaches a unit, whose steps must not differ, at its next point."""
+    step = f"{float(unit.step):g}"
+    message = f"takes steps of {step} s only: the jump of its input at t = {t:.10g} s acts at the next step."
+    return Fault("W209", unit.path, message, "Later ones do too. Choose a step that has its points at the jumps.")
+
+
 def unconverged(coupling: Coupling, t: float, t1: float) -> SimulationError:
     master = coupling.settings.master
     message = f"the step from t = {t} s to {t1} s did not converge in {master.iterations} iterations."

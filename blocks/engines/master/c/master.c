@@ -721,7 +721,7 @@ static double *more(Master *m, BlocksList *list, int64_t n)
 static int values_of(Master *m, const MasterLink *links, int n, double *out)
 {
     double check = 0.0;
-    int is_even = m->is_uniform && !m->has_instants; /* all stand at one time */
+    int is_even = m->is_uniform && !m->has_instants && !m->has_rigid; /* all stand at one time */
     for (int i = 0; i < n; i++) {
         out[i] = is_even && links[i].row == MASTER_ELEMENT ? m->y[links[i].place] : value_at(m, &links[i], m->t);
         check += out[i] * 0.0;
@@ -815,6 +815,47 @@ static void courses(Master *m, MasterUnit *u, const MasterPast *past)
     }
 }
 
+/* Whether a unit can step to t. */
+static int can_stop(const MasterUnit *u, double t) { return !u->is_rigid || u->next_t == t; }
+
+/* The units that cannot stop at m->t keep their courses as they are before what happens here: waits is 2 until `wait`. */
+static void stay_behind(Master *m)
+{
+    for (int k = 0; k < m->nunits && m->has_rigid; k++) {
+        MasterUnit *u = &m->units[k];
+        if (!u->is_rigid || u->waits || !(u->t < m->t)) continue;
+        courses(m, u, m->past);
+        u->waits = 2;
+    }
+}
+
+/* Whether a unit reads an element that does this. */
+static int reads(const Master *m, const MasterUnit *u, int (*does)(const Master *, int))
+{
+    for (int i = 0; i < u->ninputs; i++)
+        if (u->links[i].row == MASTER_ELEMENT && does(m, u->links[i].place)) return 1;
+    return 0;
+}
+
+static int jumped_now(const Master *m, int g) { return m->units[m->elements[g].unit].t == m->t && m->y[g] != m->left_y[g]; }
+
+static int renewed_now(const Master *m, int g)
+{
+    return jumped_now(m, g) || (m->units[m->elements[g].unit].t == m->t && m->units[m->elements[g].unit].is_bent);
+}
+
+/* Units that lag behind keep their courses where an input takes a new one; else they go on by later points. */
+static void wait(Master *m, int at_break)
+{
+    for (int k = 0; k < m->nunits && m->has_rigid; k++) {
+        MasterUnit *u = &m->units[k];
+        if (u->waits != 2) continue;
+        int is_driven = at_break && u->reads_inputs;
+        u->waits = is_driven || reads(m, u, renewed_now);
+        if (isnan(u->late_t) && (is_driven || reads(m, u, jumped_now))) u->late_t = m->t;
+    }
+}
+
 /* Steps one unit that lags behind up to t1. */
 static int catch_up(Master *m, MasterUnit *u, double t1)
 {
@@ -861,7 +902,7 @@ static int instants(Master *m, const double *left_y)
             if (m->guess[g] == m->y[g]) continue;
             for (int i = m->elements[g].first_reader; i < m->elements[g + 1].first_reader; i++) {
                 int k = m->readers[i];
-                if (m->units[k].t < t) late = m->acting[k] = 1;
+                if (m->units[k].t < t) late = m->acting[k] = !m->units[k].is_rigid || late;
                 else if (m->units[k].t == t && m->units[k].has_instants) any = m->acting[k] = 1;
             }
         }
@@ -931,6 +972,7 @@ static int arrived(Master *m, int *calm)
     }
     if (recorded(m, m->left_row)) return 1;
     memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
+    stay_behind(m);
     if (instants(m, m->left_y)) return 1;
     /* What jumps, and what comes out of units where something happened or that hear of a jump, goes on otherwise. */
     int jumped = 0, is_new = 0;
@@ -941,6 +983,7 @@ static int arrived(Master *m, int *calm)
         jumped = 1;
         for (int i = m->elements[g].first_reader; i < m->elements[g + 1].first_reader; i++) m->units[m->readers[i]].is_bent = 1;
     }
+    wait(m, at_break);
     for (int g = 0; g < m->nelements; g++) {
         MasterPast *p = &m->past[g];
         if (m->units[m->elements[g].unit].t != t) continue;
@@ -972,12 +1015,12 @@ static int sweep(Master *m, double t1, int is_sequential, int is_again, int *ear
     *early = -1;
     if (!is_sequential)
         for (int k = 0; k < m->nunits; k++)
-            if (m->due[k]) courses(m, &m->units[k], m->past);
+            if (m->due[k] && !m->units[k].waits) courses(m, &m->units[k], m->past);
     for (int o = 0; o < m->nunits; o++) {
         int k = m->ordered[o];
         MasterUnit *u = &m->units[k];
         if (!m->due[k] || (is_again && !u->can_save)) continue;
-        if (is_sequential) courses(m, u, m->old);
+        if (is_sequential && !u->waits) courses(m, u, m->old);
         if (step_unit(m, u, t1)) return 1;
         if (u->reached < t1) {
             *early = k;
@@ -1096,6 +1139,7 @@ static int at_early(Master *m, int first, int iterates, int *calm)
         if (!m->due[k]) continue;
         if (k == first && stays) {
             u->t = te;
+            u->waits = 0;
         } else if (u->can_save && m->keeps) {
             if (restore(m, u, MASTER_OF_STEP)) return 1;
         } else if (u->reached > u->t) {
@@ -1111,7 +1155,7 @@ static int at_early(Master *m, int first, int iterates, int *calm)
         for (int j = m->elements[g].first_reader; j < m->elements[g + 1].first_reader; j++) m->changed[m->readers[j]] = 1;
     }
     for (int k = 0; k < m->nunits; k++) {
-        m->due[k] = (m->changed[k] || m->units[k].has_instants) && m->units[k].t < te;
+        m->due[k] = (m->changed[k] || m->units[k].has_instants) && m->units[k].t < te && can_stop(&m->units[k], te);
         any |= m->due[k];
     }
     if (any) {
@@ -1153,7 +1197,7 @@ static int to(Master *m, double t1, int *calm)
     }
     if (early >= 0) return at_early(m, early, iterates, calm);
     for (int k = 0; k < m->nunits; k++)
-        if (m->due[k]) m->units[k].t = t1;
+        if (m->due[k]) m->units[k].t = t1, m->units[k].waits = 0;
     m->t = t1;
     return arrived(m, calm);
 }
@@ -1375,12 +1419,24 @@ static int quick(Master *m, double stop, double deadline)
     return 0;
 }
 
+/* Whether all units can step from here to the stop together. */
+static int has_even_points(const Master *m, double stop)
+{
+    for (int k = 0; k < m->nunits && m->has_rigid; k++) {
+        const MasterUnit *u = &m->units[k];
+        const BlocksGrid *g = &u->grid;
+        double number = nearbyint((stop * (double)g->unit - (double)g->start) / (double)g->step);
+        if (u->is_rigid && (u->t != m->t || blocks_grid(g, (int64_t)number) != stop)) return 0;
+    }
+    return 1;
+}
+
 int master_run(Master *m, double stop)
 {
     double deadline = seconds() + m->slice;
     m->failure = MASTER_FINE;
     m->depth = 0;
-    if (m->quick) {
+    if (m->quick && has_even_points(m, stop)) {
         int wrong = m->t < stop && quick(m, stop, deadline);
         for (int k = 0; k < m->nunits; k++) m->units[k].t = m->t;
         return wrong ? MASTER_FAILED : m->t < stop ? MASTER_PAUSED : MASTER_DONE;
@@ -1393,7 +1449,7 @@ int master_run(Master *m, double stop)
             if (controlled(m, limit)) return MASTER_FAILED;
         } else {
             double target = limit;
-            int is_even = m->is_uniform && !m->has_instants, n = is_even ? 1 : m->nunits; /* all stand at one time */
+            int is_even = m->is_uniform && !m->has_instants && !m->has_rigid, n = is_even ? 1 : m->nunits; /* all stand at one time */
             for (int k = 0; k < n; k++) {
                 MasterUnit *u = &m->units[k];
                 while (u->next_t <= u->t) u->next_t = blocks_grid(&u->grid, ++u->next);
@@ -1402,7 +1458,7 @@ int master_run(Master *m, double stop)
             for (int k = 0; k < m->nunits; k++) {
                 MasterUnit *u = &m->units[k];
                 /* What may stop on the way goes along, so that nobody who hears of it is ahead. */
-                m->due[k] = u->t < target && (is_even || u->has_instants || target >= limit || u->next_t == target);
+                m->due[k] = u->t < target && (is_even || u->next_t == target || (!u->is_rigid && (u->has_instants || target >= limit)));
             }
             if (to(m, target, &calm)) return MASTER_FAILED;
         }
@@ -1411,13 +1467,16 @@ int master_run(Master *m, double stop)
     return MASTER_DONE;
 }
 
-int master_changed(Master *m)
+int master_changed(Master *m, int is_input)
 {
     memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
     m->failure = MASTER_FINE;
     if (recorded(m, m->left_row)) return MASTER_FAILED;
+    stay_behind(m);
     take_segment(m, m->t);
     if (evaluate(m, m->t) || instants(m, m->left_y)) return MASTER_FAILED;
+    for (int k = 0; k < m->nunits; k++) m->units[k].is_bent = 1;
+    wait(m, is_input);
     for (int g = 0; g < m->nelements; g++) begin_anew(&m->past[g], m->t, m->y[g]);
     m->fresh = 0;
     return measure(m, 1.0) || record(m, m->left_row) ? MASTER_FAILED : MASTER_DONE;

@@ -82,6 +82,8 @@ typedef struct {
     double refused_t; /* when it refused derivatives of order `takes` + 1, where refused is their status */
     int32_t is_over, takes, refused; /* takes: the highest order of derivatives that it has not refused */
     int32_t is_bent, reads_inputs; /* is_bent: its outputs go on otherwise from now on */
+    int32_t is_rigid, waits; /* is_rigid: it stops at the points of its grid alone; waits: its courses are kept until then */
+    double late_t; /* when a jump first reached it between its points; NaN: none has */
     int32_t has_saved, is_due, warnings, warned; /* calls that gave a warning; which the first was, and at which time */
     double warned_t;
 } MasterUnit;
@@ -131,7 +133,7 @@ typedef struct {
     int32_t order, iterations, is_sequential, is_controlled, is_doubled;
     int64_t iterated_steps;
     double noise, tolerance, ratio, span, first_step, least_step;
-    int32_t nunits, nelements, nstages, ncolumns, nmeasured, is_uniform, ntracks, nexchanged, has_instants, needs_past;
+    int32_t nunits, nelements, nstages, ncolumns, nmeasured, is_uniform, ntracks, nexchanged, has_instants, needs_past, has_rigid;
     MasterUnit *units;
     MasterStage *stages;
     MasterLoop *loops;
@@ -169,7 +171,7 @@ typedef struct {
 } Master;
 
 BLOCKS_API int master_run(Master *m, double stop);                /* on to `stop` */
-BLOCKS_API int master_changed(Master *m);                         /* an input was set from outside, at the time where it stands */
+BLOCKS_API int master_changed(Master *m, int is_input);           /* an input or a parameter was set from outside, at the time where it stands */
 extern BLOCKS_API const int64_t master_sizes[]; /* of the structures above, in their order */
 BLOCKS_API int64_t master_state_bytes(MasterUnit *u);             /* of a native unit */
 BLOCKS_API void master_intermediate(void *environment, double t, int set_requested, int get_allowed, int finished,
