@@ -11,7 +11,7 @@ elements are those of signals. Modules below this one know no diagrams.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
@@ -35,6 +35,7 @@ from ..text.shown import Part, Shown
 from .plan import Plan, PlanInput, PlanSignal, Reference
 from .plan_builder import plan
 from .scheduler import components
+from .upstream import Upstream
 
 if TYPE_CHECKING:
     from ..fmi.schema import ModelVariable
@@ -118,6 +119,8 @@ class CoupledUnit:
     is_assumed: bool = False  # that its outputs do not depend on its inputs at once, to break a circle
     sampled: tuple[int, ...] = ()
     """The inputs that are read by what is computed at ticks."""
+    follows: tuple[frozenset[Reference], ...] = ()
+    """Of blocks with equations: for each output all memory that can ever change it, by `Upstream`."""
 
     @property
     def acts(self) -> bool:
@@ -133,6 +136,13 @@ class CoupledUnit:
     def moving(self) -> list[Slot]:
         """The variables of an FMU that may be extrapolated."""
         return [slot for slot in self.slots_in if any(self.continuous[slot.first : slot.first + slot.size])]
+
+    def following(self, inputs: Collection[int]) -> list[int]:
+        """Return the elements that follow some of its inputs: of an FMU all, if there are any such inputs."""
+        if self.plan is None:
+            return [*self.outputs] if inputs else []
+        given = {Reference("u", i) for i in inputs}
+        return [g for g, follows in zip(self.outputs, self.follows, strict=True) if not given.isdisjoint(follows)]
 
     @property
     def is_rigid(self) -> bool:
@@ -268,6 +278,21 @@ class Coupling(Shown):
     def exchanged(self) -> tuple[int, ...]:
         """The elements that a unit reads."""
         return tuple(g for g, readers in enumerate(self.readers) if readers)
+
+    @cached_property
+    def seen(self) -> tuple[frozenset[Reference], ...]:
+        """For each unit the memory that what others read of it follows, or what is recorded at jumps or measured.
+
+        Nobody outside sees an instant that changes nothing of this.
+        """
+        rows = self.columns if self.settings.records_jumps else ()
+        names = [name for spec in self.measures for name in (spec.of, spec.against) if isinstance(name, str)]
+        measured = [link for name in names for link in self.signal(name).references]
+        asked = {*self.exchanged, *(place for row, place in (*rows, *measured) if row == "y")}
+        return tuple(
+            frozenset().union(*(f for g, f in zip(unit.outputs, unit.follows, strict=False) if g in asked))
+            for unit in self.units
+        )
 
     @cached_property
     def shortest(self) -> Fraction:
@@ -566,6 +591,7 @@ class _Coupler:
         self.warnings += island_plan.warnings
         references = tuple(island_plan.signal(str(n)).references[0] for n in range(len(mine)))
         closures = [_closure(island_plan, reference) for reference in references]
+        upstream = Upstream(island_plan)
         feeds = []
         reset = {r for cause in (*island_plan.crossings, *island_plan.events) for _, r in cause.resets}
         for (_, g), closure in zip(mine, closures, strict=True):
@@ -582,7 +608,7 @@ class _Coupler:
             has_instants=bool(
                 island_plan.rates or island_plan.events or island_plan.crossings or island_plan.histories
             ),
-            sampled=_sampled(island_plan),
+            sampled=_sampled(island_plan), follows=tuple(upstream.of([reference]) for reference in references),
         )  # fmt: skip
 
     def input_name(self, source: BlockSource | InputSource) -> str:

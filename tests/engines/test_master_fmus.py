@@ -25,14 +25,18 @@ from blocks import (
     PID,
     Block,
     Constant,
+    Counter,
     Diagram,
+    FirstOrder,
     Input,
     Parameter,
     PMDCMotor,
     Ramp,
+    Relay,
     Sine,
     State,
     Step,
+    TransportDelay,
     ZeroOrderHold,
     fmu,
     output,
@@ -57,6 +61,7 @@ from tests.support.coupled_systems import (
     switched_at,
 )
 from tests.support.faulty import NEEDS_COMPILER, make
+from tests.support.fmus import exported
 from tests.support.marks import long
 from tests.support.places import ROOT
 
@@ -740,3 +745,74 @@ def test_a_run_with_a_rigid_fmu_ends_at_its_last_point_before_the_stop(tmp_path:
     assert "the run ends at 1 s" in warning.message
     with pytest.raises(ModelError, match=r"E115 plant: .* not one step fits"):
         d.run(stop=0.005, engine=engine, master={"step": 0.01})
+
+
+# --- what nobody reads ----
+
+
+@functools.cache
+def lag_fmu(fmi: int) -> Path:
+    """x' = (u - x) / 0.3, exported."""
+    return exported(Diagram.alone(FirstOrder(T=0.3)), fmi=fmi, kinds=("CS",)).path
+
+
+UNREAD: Mapping[str, Callable[[Diagram], Any]] = {
+    "delay": lambda d: d.add("more", TransportDelay(delay=0.13)),
+    "delay between points": lambda d: d.add("more", TransportDelay(delay=0.1234)),
+    "hold": lambda d: d.add("more", ZeroOrderHold(period=0.01)),
+    "hold between points": lambda d: d.add("more", ZeroOrderHold(period=0.003)),
+    "relay": lambda d: d.add("more", Relay(on_at=0.5, off_at=-0.5)),
+    "counter": lambda d: d.add("more", Counter()),
+}
+
+
+@each_engine
+@pytest.mark.parametrize(("algorithm", "order"), [("jacobi", 1), ("gauss-seidel", 2), ("iterated", 2)])
+@pytest.mark.parametrize("what", UNREAD)
+def test_a_part_that_nobody_reads_changes_nothing(what: str, algorithm: str, order: int, engine: str) -> None:
+    """The other parts of the run are the same to the last bit, and so are the communication points.
+
+    Where steps are repeated, their number says nothing: blocks with a delay cannot go back.
+    """
+
+    def made(add: Callable[[Diagram], Any] | None) -> Results:
+        d = Diagram("lagging")
+        sine = d.add("sine", Sine(omega=4.0, amplitude=1.5))
+        d.wire(d.add("lag", fmu(lag_fmu(2), "CS")).u, sine.y)
+        if add is not None:
+            d.wire(add(d).u, sine.y)
+        master = {"step": 0.01, "algorithm": algorithm, "order": order}
+        return d.run(stop=1.5, every=0.1, log=["lag.y"], engine=engine, master=master)
+
+    alone, beside = made(None), made(UNREAD[what])
+    assert np.array_equal(alone["lag.y"], beside["lag.y"])
+    assert algorithm != "jacobi" or alone.statistics.steps == beside.statistics.steps
+
+
+@each_engine
+def test_an_fmu_that_reads_a_hold_leaves_the_inputs_of_another_extrapolated(engine: str) -> None:
+    d = Diagram("two")
+    sine = d.add("sine", Sine(omega=4.0, amplitude=1.5))
+    d.wire(d.add("lag", fmu(lag_fmu(2), "CS")).u, sine.y)
+    d.wire(d.add("held", ZeroOrderHold(period=0.01)).u, sine.y)
+    d.wire(d.add("other", fmu(lag_fmu(2), "CS")).u, "held.y")
+    results = d.run(stop=1.5, every=0.1, log=["lag.y"], engine=engine, master={"step": 0.01, "order": 1})
+    t, T, w = results.t, 0.3, 4.0
+    exact = 1.5 / (1 + (w * T) ** 2) * (np.sin(w * t) - w * T * np.cos(w * t) + w * T * np.exp(-t / T))
+    assert np.abs(results["lag.y"] - exact).max() < 1e-3  # held: 2e-2
+
+
+@each_engine
+def test_communication_points_do_not_come_back_out_of_a_delay(engine: str) -> None:
+    """A delay between two FMUs: the points of 10 ms, the start of the delayed signal, and no others."""
+    d = Diagram("chain")
+    sine = d.add("sine", Sine(omega=4.0, amplitude=1.5))
+    d.wire(d.add("lag", fmu(lag_fmu(2), "CS")).u, sine.y)
+    d.wire(d.add("late", TransportDelay(delay=0.1234)).u, "lag.y")
+    d.wire(d.add("other", fmu(lag_fmu(2), "CS")).u, "late.y")
+    results = d.run(stop=1.5, every=0.1, log=["late.y", "other.y"], engine=engine, master={"step": 0.01, "order": 1})
+    assert results.statistics.steps <= 3 * 152
+    t = np.maximum(results.t - 0.1234, 0.0)
+    T, w = 0.3, 4.0
+    exact = 1.5 / (1 + (w * T) ** 2) * (np.sin(w * t) - w * T * np.cos(w * t) + w * T * np.exp(-t / T))
+    assert np.abs(results["late.y"] - exact).max() < 3e-3  # in the first step the sine is held

@@ -113,7 +113,7 @@ class ReferenceMaster(Exchange):
 
     def _unit(self, unit: CoupledUnit) -> Running:
         if unit.plan is not None:
-            return PlanUnit(unit)
+            return PlanUnit(unit, self.plan.seen[self.plan.units.index(unit)])
         with self.open_unit(unit) as loaded:
             return FmuUnit(unit, loaded, self.plan)
 
@@ -429,18 +429,21 @@ class ReferenceMaster(Exchange):
         bent = self._act(left_values, before)
         here = [g for g, element in enumerate(coupling.elements) if self.at[element.unit] == t]
         jumps = set(here) if left_values is None else {g for g in here if self.y[g] != left_values[g]}
-        # Elements that jump, and outputs of units where something happened or that read a jump, take a new course.
-        bent |= {k for g in jumps for k in coupling.readers[g]}
-        if at_break:
-            bent |= {k for k, unit in enumerate(coupling.units) if unit.reads_inputs}
-        renewed = {g for g in here if g in jumps or coupling.elements[g].unit in bent}
-        self._wait(behind, renewed, jumps, at_break=at_break or set_behind is not None)
+        is_set = at_break or set_behind is not None
+        # Elements that jump, or follow what happened in their unit or an input that jumps, take a new course.
+        renewed = jumps | (bent & set(here))
+        jumped = {Reference("y", g) for g in jumps}
+        for k, unit in enumerate(coupling.units):
+            if self.at[k] == t:
+                new = [i for i, link in enumerate(unit.links) if link in jumped or (is_set and link.row == "u")]
+                renewed.update(unit.following(new))
+        self._wait(behind, renewed, jumps, at_break=is_set)
         is_new = False
         for g in here:
             points = self.past[g]
             if g in renewed:
                 self.past[g] = [(t, self.y[g])]
-                is_new = is_new or bool(coupling.readers[g])
+                is_new = is_new or bool(coupling.readers[g] and not coupling.elements[g].held)
             elif not points or points[-1][0] < t:
                 points.append((t, self.y[g]))
                 del points[:-3]
@@ -477,11 +480,15 @@ class ReferenceMaster(Exchange):
         return at_break
 
     def _act(self, left_values: list[float] | None, before: list[list[Point]] | None) -> set[int]:
-        """Instants of the units that stand at t, until nothing changes. Returns the units where something happened."""
+        """Let instants happen in the units that stand at t, until nothing changes; return the elements that bend."""
         t, coupling = self.t, self.plan
         has = [unit.has_instants for unit in coupling.units]
         acting = [k for k, unit in enumerate(coupling.units) if self.at[k] == t and unit.acts]
-        bent: set[int] = set()
+        acted: set[int] = set()
+        arrived = set(acting)
+        for k in acting:
+            self.units[k].take(self._inputs(k, t))
+            self.units[k].arrive()
         passes = 0
         while acting:
             if passes == MOST_PASSES:
@@ -494,8 +501,8 @@ class ReferenceMaster(Exchange):
                 self.units[k].take(self._inputs(k, t))
                 if self.units[k].instant(is_due=not passes):
                     is_any = True
-                    bent.add(k)
-                if several and k in bent:
+                    acted.add(k)
+                if several and k in acted:
                     self.evaluate(t)
             self.instants += is_any
             passes += 1
@@ -506,8 +513,9 @@ class ReferenceMaster(Exchange):
             late = {k for k in readers if self.at[k] < t and not coupling.units[k].is_rigid}
             if late and left_values is not None and before is not None:
                 self._catch_up(late, left_values, before)
+                arrived |= {k for k in late if coupling.units[k].acts}
             acting = sorted(k for k in readers if self.at[k] == t and has[k])
-        return bent
+        return {coupling.units[k].outputs[n] for k in arrived for n in self.units[k].bent(k in acted)}
 
     def _catch_up(self, late: set[int], left_values: list[float], before: list[list[Point]]) -> None:
         """Step units that lag behind to t, with inputs as they were left of it."""
@@ -515,9 +523,10 @@ class ReferenceMaster(Exchange):
         y, self.y = self.y, list(left_values)
         for k in sorted(late):
             self.units[k].step(self.at[k], t, Fraction(t), self._courses(k, self.at[k], before))
-        self.y = y
         for k in late:
+            self.units[k].arrive()
             self.at[k] = t
+        self.y = y
         self.evaluate(t)
 
     def _record(self, left: tuple[float, ...] | None, *, is_start: bool) -> None:

@@ -23,6 +23,7 @@ from ...compile.c.structures import constants, structures
 from ...compile.coupling import CoupledUnit, Coupling, CouplingLoop, Get, Link, Slot
 from ...compile.inputs import InputTable, Track
 from ...compile.toolchain.compiler import TranslationUnit, build, load
+from ...compile.upstream import changed_by, remembers_inputs
 from ...fmi.calls import WARNING
 from ...fmi.instance import PATIENCE, Loaded, some
 from ...fmi.types import code_of, full_name
@@ -52,7 +53,7 @@ from .stepped_units import (
 )
 
 if TYPE_CHECKING:
-    from ...compile.plan import Plan
+    from ...compile.plan import Plan, Reference
     from ..native.model import Model
 
 __all__ = ["NativeMaster", "master_library"]
@@ -263,6 +264,7 @@ class NativeMaster(ReferenceMaster):
         m.slice, m.soft, m.most_bytes = 0.05, math.inf, for_recording() / COPIES_OF_MASTER
         m.patience = max((unit.one.timeout for unit in self.units if isinstance(unit, FmuUnit)), default=PATIENCE)
         m.due, m.acting, m.changed = (self._array(np.zeros(m.nunits), np.uint8) for _ in range(3))
+        m.renewed = self._array(np.zeros(n), np.uint8)
         watched = [
             MasterGrowth(size=abs(self.y[g]), element=g, circle=growth.circle) for g, growth in self.growths.items()
         ]
@@ -363,13 +365,13 @@ class NativeMaster(ReferenceMaster):
         c_unit.grid, c_unit.next = grid_of(self.settings.start, unit.step, stop), 0
         c_unit.t = c_unit.next_t = self.t
         if isinstance(running, CoreUnit):
-            self._c_native(c_unit, running)
+            self._c_native(c_unit, running, self.plan.seen[k])
         else:
             assert isinstance(running, FmuUnit)
             self._c_fmu(c_unit, running)
         return c_unit
 
-    def _c_native(self, c_unit: Any, running: CoreUnit) -> None:
+    def _c_native(self, c_unit: Any, running: CoreUnit, seen: frozenset[Reference]) -> None:
         c_unit.kind, c_unit.way, c_unit.component = _IS.NATIVE, _IS.EXACT, running.engine.address
         library = running.engine.model.library
         for place, name in enumerate(_OF_RUNTIME, start=len(_OF_FMI)):
@@ -377,12 +379,34 @@ class NativeMaster(ReferenceMaster):
         n = c_unit.ninputs
         c_unit.terms = c_unit.polynomials.terms = self._array(np.zeros(4 * max(n, 1)))
         c_unit.track = running.row.ctypes.data
-        c_unit.given = self._array(np.zeros(c_unit.noutputs))
+        c_unit.given = self._array(np.zeros(c_unit.noutputs + n))
         plan, c_unit.uncounted = running.plan, -math.inf
+        c_unit.remembers_inputs = remembers_inputs(plan)
+        if not plan.foreign:
+            self._c_follows(c_unit, running, seen)
         c_unit.counted = self._array(np.zeros(2 * len(plan.crossings) + len(plan.events) + 1))
         size = self.library.master_state_bytes(ctypes.byref(c_unit))
         for whose in range(len(c_unit.saved)):
             c_unit.saved[whose] = self._array(np.zeros(size // 8 + 2))
+
+    def _c_follows(self, c_unit: Any, running: CoreUnit, seen: frozenset[Reference]) -> None:
+        """What instants of a unit must change to be seen outside, and what its outputs follow."""
+        plan = running.plan
+        c_unit.seen = self._array([not seen.isdisjoint(changed) for changed in changed_by(plan)], np.uint8)
+        sizes = {
+            "x": len(plan.states), "d": len(plan.discretes), "s": len(plan.crossings), "u": c_unit.ninputs,
+            "h": len(plan.histories),
+        }  # fmt: skip
+        begins = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
+        follows = [
+            sorted(begins[row] + index for row, index in references if row in sizes)
+            for references in running.unit.follows
+        ]
+        c_unit.follow_first = self._array(np.cumsum([0, *map(len, follows)]), np.int32)
+        c_unit.follows = self._array([place for places in follows for place in places], np.int32)
+        c_unit.stood = self._array(np.zeros(sizes["x"] + sizes["d"] + sizes["s"]))
+        c_unit.passed = self._array(np.zeros(sizes["h"]), np.int64)
+        c_unit.moved = self._array(np.zeros(sum(sizes.values())), np.uint8)
 
     def _c_fmu(self, c_unit: Any, running: FmuUnit) -> None:
         unit = running.unit
