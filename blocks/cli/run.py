@@ -141,7 +141,8 @@ def _concluded(
     if results.interrupted and options.out and results.rows > LONG:
         say(f"interrupted: writing {results.rows} rows to {options.out}; once more, and they are lost")
     written, refused = _written(options, run, results, shown, is_whole=failure is None)
-    tell_faults([warning for warning in results.warnings if warning not in run.warnings], options.json)
+    known = (*run.warnings, *run.plan.warnings)
+    tell_faults([warning for warning in results.warnings if warning not in known], options.json)
     if failure is not None:
         tell_faults(failure.faults, options.json)
     tell_faults(refused, options.json)

@@ -11,7 +11,7 @@ elements are those of signals. Modules below this one know no diagrams.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
@@ -35,6 +35,7 @@ from ..text.shown import Part, Shown
 from .plan import Plan, PlanInput, PlanSignal, Reference
 from .plan_builder import plan
 from .scheduler import components
+from .upstream import Upstream
 
 if TYPE_CHECKING:
     from ..fmi.schema import ModelVariable
@@ -118,6 +119,8 @@ class CoupledUnit:
     is_assumed: bool = False  # that its outputs do not depend on its inputs at once, to break a circle
     sampled: tuple[int, ...] = ()
     """The inputs that are read by what is computed at ticks."""
+    follows: tuple[frozenset[Reference], ...] = ()
+    """Of blocks with equations: for each output all memory that can ever change it, by `Upstream`."""
 
     @property
     def acts(self) -> bool:
@@ -133,6 +136,18 @@ class CoupledUnit:
     def moving(self) -> list[Slot]:
         """The variables of an FMU that may be extrapolated."""
         return [slot for slot in self.slots_in if any(self.continuous[slot.first : slot.first + slot.size])]
+
+    def following(self, inputs: Collection[int]) -> list[int]:
+        """Return the elements that follow some of its inputs: of an FMU all, if there are any such inputs."""
+        if self.plan is None:
+            return [*self.outputs] if inputs else []
+        given = {Reference("u", i) for i in inputs}
+        return [g for g, follows in zip(self.outputs, self.follows, strict=True) if not given.isdisjoint(follows)]
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether it is an FMU whose communication steps must not differ: it stops at the points of its grid only."""
+        return self.foreign is not None and not self.foreign.interface.any_step
 
     @property
     def way(self) -> str:
@@ -265,6 +280,21 @@ class Coupling(Shown):
         return tuple(g for g, readers in enumerate(self.readers) if readers)
 
     @cached_property
+    def seen(self) -> tuple[frozenset[Reference], ...]:
+        """For each unit the memory that what others read of it follows, or what is recorded at jumps or measured.
+
+        Nobody outside sees an instant that changes nothing of this.
+        """
+        rows = self.columns if self.settings.records_jumps else ()
+        names = [name for spec in self.measures for name in (spec.of, spec.against) if isinstance(name, str)]
+        measured = [link for name in names for link in self.signal(name).references]
+        asked = {*self.exchanged, *(place for row, place in (*rows, *measured) if row == "y")}
+        return tuple(
+            frozenset().union(*(f for g, f in zip(unit.outputs, unit.follows, strict=False) if g in asked))
+            for unit in self.units
+        )
+
+    @cached_property
     def shortest(self) -> Fraction:
         """The shortest communication step."""
         return min(unit.step for unit in self.units)
@@ -325,8 +355,9 @@ class _Coupler:
             units = [unit if unit.is_sure else replace(unit, is_assumed=True) for unit in units]
         order, at_instants = _order(units, self.elements), _order(units, self.elements, at_instants=True)
         inputs = tuple(PlanInput(i.name, i.shape, i.declared, i.type, i.default) for i in flat.inputs)
+        settings = self.ending_at_points(units)
         coupling = Coupling(
-            flat.name, tuple(units), tuple(self.elements), stages, order, at_instants, inputs, flat, self.settings,
+            flat.name, tuple(units), tuple(self.elements), stages, order, at_instants, inputs, flat, settings,
             flat.log, flat.measures, tuple(map(flat.placed, self.warnings)), self.used,
         )  # fmt: skip
         self.check_steps(coupling)
@@ -469,6 +500,25 @@ class _Coupler:
             if foreign is not None and foreign.kind == "CS":
                 yield foreign
 
+    def ending_at_points(self, units: Sequence[CoupledUnit]) -> RunSettings:
+        """Return the settings with a stop that units whose steps must not differ can reach; warn if it is earlier."""
+        start, stop = self.settings.start, self.settings.stop
+        rigid = [unit for unit in units if unit.is_rigid]
+        if stop is None or self.master.tolerance is not None or not rigid:
+            return self.settings
+        ends = {unit.path: start + (stop - start) // unit.step * unit.step for unit in rigid}
+        path, end = min(ends.items(), key=lambda item: item[1])
+        if end == stop:
+            return self.settings
+        step = next(unit.step for unit in rigid if unit.path == path)
+        message = f"takes steps of {float(step):g} s only, and the stop at {float(stop):g} s is no multiple of them"
+        if end == start:
+            cure = 'Make the run longer, or set "step" in "run": {"master": ...}.'
+            raise ModelError(Fault("E115", path, f"{message}: not one step fits.", cure))
+        cure = f"Set the stop to {float(end):g} s, or choose another step."
+        self.warnings.append(Fault("W209", path, f"{message}; the run ends at {float(end):g} s.", cure))
+        return replace(self.settings, stop=end)
+
     def check_steps(self, coupling: Coupling) -> None:
         faults = []
         paths = {unit.path for unit in coupling.units}
@@ -480,12 +530,12 @@ class _Coupler:
             if unit.foreign is None:
                 continue
             if self.master.tolerance is not None:
-                if not unit.foreign.interface.any_step:
+                if unit.is_rigid:
                     message = "says that its communication steps must not differ, and a tolerance makes them differ."
                     faults.append(Fault("E115", unit.path, message, "Use a fixed step."))
                 continue
             fixed, step = unit.foreign.interface.fixed_step, unit.step
-            if fixed and not unit.foreign.interface.any_step:
+            if fixed and unit.is_rigid:
                 ratio = float(step) / fixed
                 if abs(ratio - round(ratio)) > 1e-9 * max(ratio, 1.0) or round(ratio) < 1:
                     message = f"its communication step of {float(step):g} s is no multiple of its own of {fixed:g} s."
@@ -541,6 +591,7 @@ class _Coupler:
         self.warnings += island_plan.warnings
         references = tuple(island_plan.signal(str(n)).references[0] for n in range(len(mine)))
         closures = [_closure(island_plan, reference) for reference in references]
+        upstream = Upstream(island_plan)
         feeds = []
         reset = {r for cause in (*island_plan.crossings, *island_plan.events) for _, r in cause.resets}
         for (_, g), closure in zip(mine, closures, strict=True):
@@ -557,7 +608,7 @@ class _Coupler:
             has_instants=bool(
                 island_plan.rates or island_plan.events or island_plan.crossings or island_plan.histories
             ),
-            sampled=_sampled(island_plan),
+            sampled=_sampled(island_plan), follows=tuple(upstream.of([reference]) for reference in references),
         )  # fmt: skip
 
     def input_name(self, source: BlockSource | InputSource) -> str:

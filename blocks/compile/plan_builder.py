@@ -40,6 +40,7 @@ from .plan import (
 )
 from .scheduler import schedule
 from .tick_stages import coinciding, stages_of, tick_program
+from .upstream import Upstream
 
 __all__ = ["plan"]
 
@@ -450,35 +451,7 @@ def _with_echoes(plan: Plan) -> Iterable[History]:
     """The histories, each with whether a source of any depends on it, through equations or through memory."""
     if not plan.histories:
         return
-    makes: dict[Reference, list[Node]] = {Reference("w", i): [node] for i, node in enumerate(plan.outputs)}
-    for i, node in enumerate(plan.derivatives):
-        makes.setdefault(Reference("x", i), []).append(node)
-    for j, cause in enumerate(plan.crossings):
-        makes.setdefault(Reference("s", j), []).append(cause.node)
-    for cause in (*plan.crossings, *plan.events):
-        for node, reference in cause.resets:
-            makes.setdefault(reference, []).extend((cause.node, node))
-    for rate in plan.rates:
-        for node, slot in (*rate.outputs, *rate.nexts):
-            makes.setdefault(Reference("d", slot), []).append(node)
-    for node, reference in plan.projections:
-        makes.setdefault(reference, []).append(node)
-    inputs = {
-        slot: [reference for _, references, _ in part.inputs for reference in references]
-        for part in plan.steppers
-        for _, slots, _ in part.outputs
-        for slot in slots
-    }
-    known = {history.source for history in plan.histories}
-    waiting = list(known)
-    while waiting:
-        reference = waiting.pop()
-        read = [other for node in makes.get(reference, ()) for other in plan.bind(node)]
-        read += inputs.get(reference.index, []) if reference.row == "d" else []
-        for other in read:
-            if other not in known:
-                known.add(other)
-                waiting.append(other)
+    known = Upstream(plan).of(history.source for history in plan.histories)
     for i, history in enumerate(plan.histories):
         yield replace(history, echoes=Reference("h", i) in known)
 

@@ -21,7 +21,26 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from blocks import PID, Block, Constant, Diagram, Input, Parameter, PMDCMotor, Sine, State, Step, fmu, output
+from blocks import (
+    PID,
+    Block,
+    Constant,
+    Counter,
+    Diagram,
+    FirstOrder,
+    Input,
+    Parameter,
+    PMDCMotor,
+    Ramp,
+    Relay,
+    Sine,
+    State,
+    Step,
+    TransportDelay,
+    ZeroOrderHold,
+    fmu,
+    output,
+)
 from blocks.results.results import Results
 from blocks.text.errors import ModelError
 from tests.support.coupled_systems import (
@@ -42,6 +61,7 @@ from tests.support.coupled_systems import (
     switched_at,
 )
 from tests.support.faulty import NEEDS_COMPILER, make
+from tests.support.fmus import exported
 from tests.support.marks import long
 from tests.support.places import ROOT
 
@@ -654,3 +674,145 @@ def test_without_known_dependencies_both_engines_do_the_same(tmp_path: Path, fmi
     a, b = (fmu(slave(tmp_path / str(fmi), fmi, first), "CS") for first in (True, False))
     made = [errors(a, b, engine, algorithm="jacobi", order=1) for engine in ("reference", "native")]
     assert made[0] == pytest.approx(made[1], rel=1e-6)
+
+
+# --- FMUs whose communication steps must not differ: the integrator refuses any other step ----
+
+
+def integrated(path: Path, signal: Block) -> Diagram:
+    d = Diagram("integrated")
+    d.wire(d.add("plant", fmu(path, "CS")).u, d.add("signal", signal).y)
+    return d
+
+
+@each_engine_and_fmi
+@pytest.mark.parametrize("order", [0, 1, 2])
+@pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel", "iterated"])
+def test_a_jump_between_the_points_of_a_rigid_fmu_acts_at_its_next_one(
+    tmp_path: Path, algorithm: str, order: int, fmi: int, engine: str
+) -> None:
+    d = integrated(make(tmp_path, fmi=fmi, any_step=False), Step(at=0.505, before=1.0, after=2.0))
+    master = {"step": 0.01, "algorithm": algorithm, "order": order}
+    results = d.run(stop=1.0, every=0.01, engine=engine, master=master)
+    assert results["plant.y"] == pytest.approx(np.where(results.t < 0.51, results.t, 2 * results.t - 0.51), abs=1e-12)
+    (warning,) = [w for w in results.warnings if w.code == "W209"]
+    assert warning.place == "plant"
+    assert "t = 0.505 s" in warning.message
+
+
+@each_engine_and_fmi
+def test_ticks_between_the_points_of_a_rigid_fmu_wait_for_them(tmp_path: Path, fmi: int, engine: str) -> None:
+    """A ramp held every 3 ms reaches an FMU with steps of 10 ms by its value at the points."""
+    d = Diagram("held")
+    held, ramp = d.add("held", ZeroOrderHold(period=0.003)), d.add("ramp", Ramp())
+    d.wire(held.u, ramp.y)
+    d.wire(d.add("plant", fmu(make(tmp_path, fmi=fmi, any_step=False), "CS")).u, held.y)
+    results = d.run(stop=0.3, every=0.01, engine=engine, log=["plant.y"], master={"step": 0.01})
+    points = np.arange(31) * 10
+    given = (points // 3) * 0.003
+    assert results["plant.y"] == pytest.approx(np.concatenate([[0.0], np.cumsum(0.01 * given[:-1])]), abs=1e-12)
+
+
+@each_engine_and_fmi
+def test_a_jump_of_an_input_of_the_diagram_waits_for_a_rigid_fmu(tmp_path: Path, fmi: int, engine: str) -> None:
+    d = Diagram("driven")
+    d.wire(d.add("plant", fmu(make(tmp_path, fmi=fmi, any_step=False), "CS")).u, d.input("drive"))
+    drive = {"drive": ([0.0, 0.505, 1.0], [1.0, 2.0, 2.0], "hold")}
+    results = d.run(stop=1.0, every=0.5, engine=engine, inputs=drive, log=["plant.y"], master={"step": 0.01})
+    assert results["plant.y"] == pytest.approx([0.0, 0.5, 0.51 + 2 * 0.49], abs=1e-12)
+    assert [w.code for w in results.warnings] == ["W209"]
+
+
+@each_engine_and_fmi
+def test_what_is_set_between_the_points_of_a_rigid_fmu_waits(tmp_path: Path, fmi: int, engine: str) -> None:
+    d = Diagram("driven")
+    d.wire(d.add("plant", fmu(make(tmp_path, fmi=fmi, any_step=False), "CS")).u, d.input("drive"))
+    run = d.start(stop=1.0, engine=engine, inputs={"drive": 1.0}, log=["plant.y"], master={"step": 0.01})
+    run.advance_to(0.505)
+    run.set("drive", 2.0)
+    run.advance_to(0.507)
+    run.set("drive", 3.0)
+    assert run.finish()["plant.y"][-1] == pytest.approx(0.51 + 3 * 0.49, abs=1e-12)
+
+
+@each_engine_and_fmi
+def test_a_run_with_a_rigid_fmu_ends_at_its_last_point_before_the_stop(tmp_path: Path, fmi: int, engine: str) -> None:
+    d = integrated(make(tmp_path, fmi=fmi, any_step=False), Constant(value=1.0))
+    results = d.run(stop=1.005, engine=engine, log=["plant.y"], master={"step": 0.01})
+    assert (results.t[-1], results["plant.y"][-1]) == pytest.approx((1.0, 1.0), abs=1e-12)
+    (warning,) = results.warnings
+    assert (warning.code, warning.place) == ("W209", "plant")
+    assert "the run ends at 1 s" in warning.message
+    with pytest.raises(ModelError, match=r"E115 plant: .* not one step fits"):
+        d.run(stop=0.005, engine=engine, master={"step": 0.01})
+
+
+# --- what nobody reads ----
+
+
+@functools.cache
+def lag_fmu(fmi: int) -> Path:
+    """x' = (u - x) / 0.3, exported."""
+    return exported(Diagram.alone(FirstOrder(T=0.3)), fmi=fmi, kinds=("CS",)).path
+
+
+UNREAD: Mapping[str, Callable[[Diagram], Any]] = {
+    "delay": lambda d: d.add("more", TransportDelay(delay=0.13)),
+    "delay between points": lambda d: d.add("more", TransportDelay(delay=0.1234)),
+    "hold": lambda d: d.add("more", ZeroOrderHold(period=0.01)),
+    "hold between points": lambda d: d.add("more", ZeroOrderHold(period=0.003)),
+    "relay": lambda d: d.add("more", Relay(on_at=0.5, off_at=-0.5)),
+    "counter": lambda d: d.add("more", Counter()),
+}
+
+
+@each_engine
+@pytest.mark.parametrize(("algorithm", "order"), [("jacobi", 1), ("gauss-seidel", 2), ("iterated", 2)])
+@pytest.mark.parametrize("what", UNREAD)
+def test_a_part_that_nobody_reads_changes_nothing(what: str, algorithm: str, order: int, engine: str) -> None:
+    """The other parts of the run are the same to the last bit, and so are the communication points.
+
+    Where steps are repeated, their number says nothing: blocks with a delay cannot go back.
+    """
+
+    def made(add: Callable[[Diagram], Any] | None) -> Results:
+        d = Diagram("lagging")
+        sine = d.add("sine", Sine(omega=4.0, amplitude=1.5))
+        d.wire(d.add("lag", fmu(lag_fmu(2), "CS")).u, sine.y)
+        if add is not None:
+            d.wire(add(d).u, sine.y)
+        master = {"step": 0.01, "algorithm": algorithm, "order": order}
+        return d.run(stop=1.5, every=0.1, log=["lag.y"], engine=engine, master=master)
+
+    alone, beside = made(None), made(UNREAD[what])
+    assert np.array_equal(alone["lag.y"], beside["lag.y"])
+    assert algorithm != "jacobi" or alone.statistics.steps == beside.statistics.steps
+
+
+@each_engine
+def test_an_fmu_that_reads_a_hold_leaves_the_inputs_of_another_extrapolated(engine: str) -> None:
+    d = Diagram("two")
+    sine = d.add("sine", Sine(omega=4.0, amplitude=1.5))
+    d.wire(d.add("lag", fmu(lag_fmu(2), "CS")).u, sine.y)
+    d.wire(d.add("held", ZeroOrderHold(period=0.01)).u, sine.y)
+    d.wire(d.add("other", fmu(lag_fmu(2), "CS")).u, "held.y")
+    results = d.run(stop=1.5, every=0.1, log=["lag.y"], engine=engine, master={"step": 0.01, "order": 1})
+    t, T, w = results.t, 0.3, 4.0
+    exact = 1.5 / (1 + (w * T) ** 2) * (np.sin(w * t) - w * T * np.cos(w * t) + w * T * np.exp(-t / T))
+    assert np.abs(results["lag.y"] - exact).max() < 1e-3  # held: 2e-2
+
+
+@each_engine
+def test_communication_points_do_not_come_back_out_of_a_delay(engine: str) -> None:
+    """A delay between two FMUs: the points of 10 ms, the start of the delayed signal, and no others."""
+    d = Diagram("chain")
+    sine = d.add("sine", Sine(omega=4.0, amplitude=1.5))
+    d.wire(d.add("lag", fmu(lag_fmu(2), "CS")).u, sine.y)
+    d.wire(d.add("late", TransportDelay(delay=0.1234)).u, "lag.y")
+    d.wire(d.add("other", fmu(lag_fmu(2), "CS")).u, "late.y")
+    results = d.run(stop=1.5, every=0.1, log=["late.y", "other.y"], engine=engine, master={"step": 0.01, "order": 1})
+    assert results.statistics.steps <= 3 * 152
+    t = np.maximum(results.t - 0.1234, 0.0)
+    T, w = 0.3, 4.0
+    exact = 1.5 / (1 + (w * T) ** 2) * (np.sin(w * t) - w * T * np.cos(w * t) + w * T * np.exp(-t / T))
+    assert np.abs(results["late.y"] - exact).max() < 3e-3  # in the first step the sine is held

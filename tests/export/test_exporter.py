@@ -58,6 +58,7 @@ from blocks import (
     TransferFunction,
     TransportDelay,
     Trigonometry,
+    UnitDelay,
     UsageError,
     ZeroOrderHold,
     crossing,
@@ -235,6 +236,36 @@ def test_communication_steps_that_are_added_up_drift_and_still_meet_the_ticks(fm
             run.advance_to(Fraction(k + 1, 10))
             assert_equal(one, run, names)
     assert t != 3.0
+
+
+@pytest.mark.parametrize(("fmi", "period"), [(2, "0.01"), (3, "0.001"), (2, "1/3000")])
+def test_a_million_steps_that_are_added_up_meet_every_tick(fmi: int, period: str) -> None:
+    d = Diagram("ticks")
+    count, more = d.add("count", UnitDelay(period=f"={period}")), d.add("more", Sum())
+    d.wire(more.u1, d.add("one", Constant(value=1.0)).y)
+    d.wire(more.u2, count.y)
+    d.wire(count.u, more.y)
+    h, t, n = float(Fraction(period)), 0.0, 1_000_000
+    with exported(d, fmi=fmi).instance() as one:
+        one.begin(stop=2 * n * h)
+        for k in range(n):
+            one.step(t, h)
+            t += h
+            if k % 9973 == 0:
+                assert one["count.y"] == k + 1  # the tick at 0 gives 0
+    assert abs(t / (n * Fraction(period)) - 1) > 1e-12
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_step_that_ends_beside_a_tick_by_more_than_its_sum_may_be_off_does_not_reach_it(fmi: int) -> None:
+    d = Diagram("ramp_held")
+    d.wire(d.add("held", ZeroOrderHold(period=0.1)).u, d.add("ramp", Ramp()).y)
+    with exported(d, fmi=fmi).instance() as one:
+        one.begin(stop=1.0)
+        one.step(0.0, 0.1 - 1e-13)
+        assert one["held.y"] == 0.0
+        one.step(0.1 - 1e-13, 1e-13)
+        assert one["held.y"] == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

@@ -41,9 +41,11 @@ from .measured import measured
 from .policy import Policy
 from .step_control import StepControl
 from .stepped_units import (
+    Course,
     FmuUnit,
     PlanUnit,
     Running,
+    acts_later,
     course_at,
     endless,
     endless_stops,
@@ -92,6 +94,8 @@ class ReferenceMaster(Exchange):
         self.depth = 0  # how many instants have cut the step under way short
         self.reached: dict[int, float] = {}  # up to where each unit went in the last sweep
         self.end = math.nan if settings.stop is None else float(settings.stop)
+        self.waiting: dict[int, list[Course]] = {}  # courses of units that cannot stop where their inputs jumped
+        self.late: dict[int, Fault] = {}  # the warnings about the first such jump, by unit
         self.growths: dict[int, Growth] = {}  # of the elements that are watched
         self.grown: dict[int, Fault] = {}  # the warnings about them, by circle
 
@@ -109,7 +113,7 @@ class ReferenceMaster(Exchange):
 
     def _unit(self, unit: CoupledUnit) -> Running:
         if unit.plan is not None:
-            return PlanUnit(unit)
+            return PlanUnit(unit, self.plan.seen[self.plan.units.index(unit)])
         with self.open_unit(unit) as loaded:
             return FmuUnit(unit, loaded, self.plan)
 
@@ -182,6 +186,10 @@ class ReferenceMaster(Exchange):
             self.next[k] += 1
         return begin + self.next[k] * step
 
+    def _can_stop(self, k: int, t: float) -> bool:
+        """Return whether a unit can step to t: one whose steps must not differ stops at the points of its grid only."""
+        return not self.plan.units[k].is_rigid or float(self._grid(k)) == t
+
     def _macro(self, stop: Fraction, end: float) -> None:
         """One step of the master, to the next communication point of any unit, or one try at it."""
         limit: Fraction = stop
@@ -194,10 +202,10 @@ class ReferenceMaster(Exchange):
         target = min(self._grid(k) for k in range(len(self.units)))
         if float(target) >= float(limit):
             target = target if float(target) == float(limit) else limit  # a point of the grid keeps its exact name
-            due = list(range(len(self.units)))
+            due = [k for k in range(len(self.units)) if self._can_stop(k, float(target))]
         else:
             # Units that may stop on the way go along, so that no unit that reads them is ahead.
-            has = [unit.has_instants for unit in self.plan.units]
+            has = [unit.has_instants and not unit.is_rigid for unit in self.plan.units]
             due = [k for k in range(len(self.units)) if has[k] or self._grid(k) == target]
         self.go_to(target, due)
 
@@ -223,6 +231,7 @@ class ReferenceMaster(Exchange):
         self.past = old
         for k in due:
             self.at[k] = t1
+            self.waiting.pop(k, None)
         self.t, self.exact = t1, target
         return self._arrived()
 
@@ -258,11 +267,12 @@ class ReferenceMaster(Exchange):
         for k in due:
             if k == first and stays:
                 self.at[k] = te
+                self.waiting.pop(k, None)
             elif k in saved:
                 self.units[k].restore(saved[k])
             else:  # it cannot go back, and waits where it is
                 self.at[k] = self.reached.get(k, self.at[k])
-        rest = [k for k in sorted(wanted) if self.at[k] < te]
+        rest = [k for k in sorted(wanted) if self.at[k] < te and self._can_stop(k, te)]
         if rest:
             self.depth += 1
             try:
@@ -285,9 +295,10 @@ class ReferenceMaster(Exchange):
             for g, value in guess.items():
                 view[g].append((t1, value))
         courses = {k: self._courses(k, self.at[k], view) for k in order} if not sequential else {}
+        courses.update(self.waiting)
         y = list(self.y)
         for k in order:
-            given = courses[k] if not sequential else self._courses(k, self.at[k], view)
+            given = courses[k] if k in courses else self._courses(k, self.at[k], view)
             reached = self.units[k].step(self.at[k], t1, target, given)
             self.reached[k] = reached
             self.steps += 1
@@ -406,23 +417,33 @@ class ReferenceMaster(Exchange):
         left: tuple[float, ...] | None = None,
         left_values: list[float] | None = None,
         before: list[list[Point]] | None = None,
+        set_behind: dict[int, list[Course]] | None = None,
     ) -> bool:
-        """What happens at t: in all units that stand here, until nothing changes."""
+        """What happens at t: in all units that stand here, until nothing changes.
+
+        set_behind: where an input was set, the courses that `_behind` gave before.
+        """
         t, coupling = self.t, self.plan
+        behind = self._behind(before) if set_behind is None else set_behind
         at_break = self._passes_break()
         bent = self._act(left_values, before)
         here = [g for g, element in enumerate(coupling.elements) if self.at[element.unit] == t]
         jumps = set(here) if left_values is None else {g for g in here if self.y[g] != left_values[g]}
-        # Elements that jump, and outputs of units where something happened or that read a jump, take a new course.
-        bent |= {k for g in jumps for k in coupling.readers[g]}
-        if at_break:
-            bent |= {k for k, unit in enumerate(coupling.units) if unit.reads_inputs}
+        is_set = at_break or set_behind is not None
+        # Elements that jump, or follow what happened in their unit or an input that jumps, take a new course.
+        renewed = jumps | (bent & set(here))
+        jumped = {Reference("y", g) for g in jumps}
+        for k, unit in enumerate(coupling.units):
+            if self.at[k] == t:
+                new = [i for i, link in enumerate(unit.links) if link in jumped or (is_set and link.row == "u")]
+                renewed.update(unit.following(new))
+        self._wait(behind, renewed, jumps, at_break=is_set)
         is_new = False
         for g in here:
             points = self.past[g]
-            if g in jumps or coupling.elements[g].unit in bent:
+            if g in renewed:
                 self.past[g] = [(t, self.y[g])]
-                is_new = is_new or bool(coupling.readers[g])
+                is_new = is_new or bool(coupling.readers[g] and not coupling.elements[g].held)
             elif not points or points[-1][0] < t:
                 points.append((t, self.y[g]))
                 del points[:-3]
@@ -431,6 +452,23 @@ class ReferenceMaster(Exchange):
         if jumps or is_start or at_break:
             self._measure(1.0)
         return not is_new
+
+    def _behind(self, before: list[list[Point]] | None) -> dict[int, list[Course]]:
+        """Return the courses of the units that cannot stop at t, as they are before what happens there."""
+        units = self.plan.units
+        late = [k for k, at in enumerate(self.at) if at < self.t and units[k].is_rigid and k not in self.waiting]
+        return {k: self._courses(k, self.at[k], self.past if before is None else before) for k in late}
+
+    def _wait(self, behind: dict[int, list[Course]], renewed: set[int], jumps: set[int], *, at_break: bool) -> None:
+        """Let units that lag behind keep their courses where an input takes a new one; warn of the first jump."""
+        for k, courses in behind.items():
+            links = self.plan.units[k].links
+            read = {place for row, place in links if row == "y"}
+            is_driven = at_break and self.plan.units[k].reads_inputs
+            if is_driven or read & renewed:
+                self.waiting[k] = courses
+            if k not in self.late and (is_driven or read & jumps):
+                self.late[k] = acts_later(self.plan.units[k], self.t)
 
     def _passes_break(self) -> bool:
         """Whether an input jumps or bends at t, from where on its next piece counts."""
@@ -442,11 +480,15 @@ class ReferenceMaster(Exchange):
         return at_break
 
     def _act(self, left_values: list[float] | None, before: list[list[Point]] | None) -> set[int]:
-        """Instants of the units that stand at t, until nothing changes. Returns the units where something happened."""
+        """Let instants happen in the units that stand at t, until nothing changes; return the elements that bend."""
         t, coupling = self.t, self.plan
         has = [unit.has_instants for unit in coupling.units]
         acting = [k for k, unit in enumerate(coupling.units) if self.at[k] == t and unit.acts]
-        bent: set[int] = set()
+        acted: set[int] = set()
+        arrived = set(acting)
+        for k in acting:
+            self.units[k].take(self._inputs(k, t))
+            self.units[k].arrive()
         passes = 0
         while acting:
             if passes == MOST_PASSES:
@@ -459,20 +501,21 @@ class ReferenceMaster(Exchange):
                 self.units[k].take(self._inputs(k, t))
                 if self.units[k].instant(is_due=not passes):
                     is_any = True
-                    bent.add(k)
-                if several and k in bent:
+                    acted.add(k)
+                if several and k in acted:
                     self.evaluate(t)
             self.instants += is_any
             passes += 1
             self.evaluate(t)
             changed = [g for g, (a, b) in enumerate(zip(known, self.y, strict=True)) if a != b]
             # A unit that reads a jump and lags behind comes here with its old inputs.
-            late = {k for g in changed for k in coupling.readers[g] if self.at[k] < t}
+            readers = {k for g in changed for k in coupling.readers[g]}
+            late = {k for k in readers if self.at[k] < t and not coupling.units[k].is_rigid}
             if late and left_values is not None and before is not None:
                 self._catch_up(late, left_values, before)
-            hearing = {k for g in changed for k in coupling.readers[g] if self.at[k] == t}
-            acting = sorted(k for k in hearing if has[k])
-        return bent
+                arrived |= {k for k in late if coupling.units[k].acts}
+            acting = sorted(k for k in readers if self.at[k] == t and has[k])
+        return {coupling.units[k].outputs[n] for k in arrived for n in self.units[k].bent(k in acted)}
 
     def _catch_up(self, late: set[int], left_values: list[float], before: list[list[Point]]) -> None:
         """Step units that lag behind to t, with inputs as they were left of it."""
@@ -480,9 +523,10 @@ class ReferenceMaster(Exchange):
         y, self.y = self.y, list(left_values)
         for k in sorted(late):
             self.units[k].step(self.at[k], t, Fraction(t), self._courses(k, self.at[k], before))
-        self.y = y
         for k in late:
+            self.units[k].arrive()
             self.at[k] = t
+        self.y = y
         self.evaluate(t)
 
     def _record(self, left: tuple[float, ...] | None, *, is_start: bool) -> None:
@@ -534,12 +578,12 @@ class ReferenceMaster(Exchange):
     # --- from outside ------------------------------------------------------------------------------------------
 
     def set_input(self, index: int, value: Array) -> None:
-        left, values = self._row(self.plan.columns), list(self.y)
+        left, values, behind = self._row(self.plan.columns), list(self.y), self._behind(None)
         self.inputs = self.inputs.replaced(index, value)
         self.segment = self.inputs.segment(self.t)
         with self._ending():
             self.evaluate(self.t)
-            self._instant(left=left, left_values=values, before=[list(p) for p in self.past])
+            self._instant(left=left, left_values=values, before=[list(p) for p in self.past], set_behind=behind)
 
     def set_parameters(self, coupling: Coupling) -> None:
         left, values = self._row(self.plan.columns), list(self.y)
@@ -582,7 +626,11 @@ class ReferenceMaster(Exchange):
         statistics = Statistics(self._told(), self.name, self.steps, self.rejected, 0, self.instants)
         events: list[Event] = sorted((e for unit in self.units for e in unit.events()), key=lambda event: event.t)
         measures, uncovered = measured(self.plan, self._points())
-        warnings = (*(told for unit in self.units for told in unit.warnings()), *self.grown.values(), *uncovered)
+        warnings = (
+            *(fault for fault in self.plan.warnings if fault.code == "W209"),  # the run ends before its stop
+            *(told for unit in self.units for told in unit.warnings()), *self.late.values(), *self.grown.values(),
+            *uncovered,
+        )  # fmt: skip
         return Recorded(t, values, tuple(events), measures, statistics, warnings)
 
     def taken(self) -> Array:

@@ -23,6 +23,7 @@ from ...compile.c.structures import constants, structures
 from ...compile.coupling import CoupledUnit, Coupling, CouplingLoop, Get, Link, Slot
 from ...compile.inputs import InputTable, Track
 from ...compile.toolchain.compiler import TranslationUnit, build, load
+from ...compile.upstream import changed_by, remembers_inputs
 from ...fmi.calls import WARNING
 from ...fmi.instance import PATIENCE, Loaded, some
 from ...fmi.types import code_of, full_name
@@ -37,6 +38,7 @@ from .policy import Policy
 from .stepped_units import (
     FmuUnit,
     Running,
+    acts_later,
     calls_of,
     endless,
     endless_stops,
@@ -51,7 +53,7 @@ from .stepped_units import (
 )
 
 if TYPE_CHECKING:
-    from ...compile.plan import Plan
+    from ...compile.plan import Plan, Reference
     from ..native.model import Model
 
 __all__ = ["NativeMaster", "master_library"]
@@ -81,7 +83,7 @@ def master_library() -> ctypes.CDLL:
     runtime = TranslationUnit("runtime.c", packaged("runtime.c")["runtime.c"], packaged(*RUNTIME), is_shared=True)
     library = load(build([runtime, TranslationUnit("master.c", text, headers, is_shared=True)]))
     library.master_run.argtypes = [_P, _D]
-    library.master_changed.argtypes = library.master_state_bytes.argtypes = [_P]
+    library.master_changed.argtypes, library.master_state_bytes.argtypes = [_P, ctypes.c_int], [_P]
     library.master_state_bytes.restype = _L
     sizes = [*(_L * len(_KINDS)).in_dll(library, "master_sizes")]
     if sizes != [ctypes.sizeof(kind) for kind in _KINDS]:
@@ -228,6 +230,8 @@ class NativeMaster(ReferenceMaster):
         m.nunits, m.nelements, m.nexchanged = len(coupling.units), n, len(coupling.exchanged)
         m.needs_past = int(m.order > 0 or m.is_sequential or m.is_controlled)
         m.has_instants = int(any(unit.acts for unit in coupling.units))
+        m.has_rigid = int(any(unit.is_rigid for unit in coupling.units))
+        m.needs_past |= m.has_rigid & (m.has_instants | int(bool(self.inputs.tracks)))  # to know what its inputs were
         m.is_uniform = int(len({unit.step for unit in coupling.units}) == 1)
         m.y = self._array(self.y)
         for name, size in (("left_y", n), ("kept_y", 3 * n), ("guess", n), ("ends", n)):
@@ -260,6 +264,7 @@ class NativeMaster(ReferenceMaster):
         m.slice, m.soft, m.most_bytes = 0.05, math.inf, for_recording() / COPIES_OF_MASTER
         m.patience = max((unit.one.timeout for unit in self.units if isinstance(unit, FmuUnit)), default=PATIENCE)
         m.due, m.acting, m.changed = (self._array(np.zeros(m.nunits), np.uint8) for _ in range(3))
+        m.renewed = self._array(np.zeros(n), np.uint8)
         watched = [
             MasterGrowth(size=abs(self.y[g]), element=g, circle=growth.circle) for g, growth in self.growths.items()
         ]
@@ -351,6 +356,7 @@ class NativeMaster(ReferenceMaster):
         c_unit.has_instants, c_unit.acts, c_unit.can_save = unit.has_instants, unit.acts, running.can_save
         c_unit.has_feed, c_unit.has_moving = any(unit.feeds), any(unit.continuous)
         c_unit.is_unsure, c_unit.reads_inputs = unit.is_assumed, unit.reads_inputs
+        c_unit.is_rigid, c_unit.late_t = unit.is_rigid, math.nan
         c_unit.links, c_unit.moves = self._links(unit.links), self._array(unit.continuous, np.uint8)
         c_unit.outputs = self._array(unit.outputs, np.int32)
         c_unit.inputs, c_unit.courses = self._array(np.zeros(n)), self._array(np.zeros(3 * n))
@@ -359,13 +365,13 @@ class NativeMaster(ReferenceMaster):
         c_unit.grid, c_unit.next = grid_of(self.settings.start, unit.step, stop), 0
         c_unit.t = c_unit.next_t = self.t
         if isinstance(running, CoreUnit):
-            self._c_native(c_unit, running)
+            self._c_native(c_unit, running, self.plan.seen[k])
         else:
             assert isinstance(running, FmuUnit)
             self._c_fmu(c_unit, running)
         return c_unit
 
-    def _c_native(self, c_unit: Any, running: CoreUnit) -> None:
+    def _c_native(self, c_unit: Any, running: CoreUnit, seen: frozenset[Reference]) -> None:
         c_unit.kind, c_unit.way, c_unit.component = _IS.NATIVE, _IS.EXACT, running.engine.address
         library = running.engine.model.library
         for place, name in enumerate(_OF_RUNTIME, start=len(_OF_FMI)):
@@ -373,12 +379,34 @@ class NativeMaster(ReferenceMaster):
         n = c_unit.ninputs
         c_unit.terms = c_unit.polynomials.terms = self._array(np.zeros(4 * max(n, 1)))
         c_unit.track = running.row.ctypes.data
-        c_unit.given = self._array(np.zeros(c_unit.noutputs))
+        c_unit.given = self._array(np.zeros(c_unit.noutputs + n))
         plan, c_unit.uncounted = running.plan, -math.inf
+        c_unit.remembers_inputs = remembers_inputs(plan)
+        if not plan.foreign:
+            self._c_follows(c_unit, running, seen)
         c_unit.counted = self._array(np.zeros(2 * len(plan.crossings) + len(plan.events) + 1))
         size = self.library.master_state_bytes(ctypes.byref(c_unit))
         for whose in range(len(c_unit.saved)):
             c_unit.saved[whose] = self._array(np.zeros(size // 8 + 2))
+
+    def _c_follows(self, c_unit: Any, running: CoreUnit, seen: frozenset[Reference]) -> None:
+        """What instants of a unit must change to be seen outside, and what its outputs follow."""
+        plan = running.plan
+        c_unit.seen = self._array([not seen.isdisjoint(changed) for changed in changed_by(plan)], np.uint8)
+        sizes = {
+            "x": len(plan.states), "d": len(plan.discretes), "s": len(plan.crossings), "u": c_unit.ninputs,
+            "h": len(plan.histories),
+        }  # fmt: skip
+        begins = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
+        follows = [
+            sorted(begins[row] + index for row, index in references if row in sizes)
+            for references in running.unit.follows
+        ]
+        c_unit.follow_first = self._array(np.cumsum([0, *map(len, follows)]), np.int32)
+        c_unit.follows = self._array([place for places in follows for place in places], np.int32)
+        c_unit.stood = self._array(np.zeros(sizes["x"] + sizes["d"] + sizes["s"]))
+        c_unit.passed = self._array(np.zeros(sizes["h"]), np.int64)
+        c_unit.moved = self._array(np.zeros(sum(sizes.values())), np.uint8)
 
     def _c_fmu(self, c_unit: Any, running: FmuUnit) -> None:
         unit = running.unit
@@ -460,6 +488,8 @@ class NativeMaster(ReferenceMaster):
             if element >= 0:
                 self._tell_growth(element, c_growth.circle, array(m.grown_t, m.nwatched)[c_growth.circle])
         for c_unit, running in zip((MasterUnit * m.nunits).from_address(m.units), self.units, strict=False):
+            if not math.isnan(c_unit.late_t):
+                self.late.setdefault(self.units.index(running), acts_later(running.unit, c_unit.late_t))
             if c_unit.is_over and isinstance(running, FmuUnit) and running.over is None:
                 running.end(c_unit.over_t)
             if c_unit.refused and isinstance(running, FmuUnit):
@@ -584,22 +614,22 @@ class NativeMaster(ReferenceMaster):
 
     # --- from outside --------------------------------------------------------------------------------------------
 
-    def _changed(self) -> None:
-        if self.library.master_changed(ctypes.byref(self._c)) == _IS.FAILED:
+    def _changed(self, *, is_input: bool) -> None:
+        if self.library.master_changed(ctypes.byref(self._c), is_input) == _IS.FAILED:
             self._failed()
         self._take_over()
 
     def set_parameters(self, coupling: Coupling) -> None:
         with self._ending():
             self._put_parameters(coupling)
-            self._changed()
+            self._changed(is_input=False)
 
     def set_input(self, index: int, value: Array) -> None:
         self.inputs = self.inputs.replaced(index, value)
         self.segment = self.inputs.segment(self.t)
         with self._ending():
             self._c_tracks(self._c)  # the row before is recorded with the segment of the old ones
-            self._changed()
+            self._changed(is_input=True)
 
     def values(self, references: Any) -> Row:
         if self._c is not None:

@@ -14,10 +14,11 @@ import numpy as np
 
 from ...compile.coupling import CoupledUnit, Coupling, CouplingLoop, Link, Slot
 from ...compile.inputs import InputTable
-from ...compile.plan import Plan
+from ...compile.plan import Plan, Reference
 from ...compile.time_grid import within_ulps
 from ...compile.toolchain.cache import of_user
 from ...compile.toolchain.isolation_build import compiled
+from ...compile.upstream import changed_by
 from ...fmi.instance import Instance, Loaded, Saved, ended
 from ...fmi.schema import ModelVariable
 from ...fmi.types import call_of
@@ -59,6 +60,13 @@ class Running(Protocol):
     def instant(self, *, is_due: bool) -> bool:
         """What happens at t, with the inputs as they are now; whether anything did. is_due: only what is due."""
         ...
+
+    def arrive(self) -> None:
+        """Stand at a communication point, before anything happens there."""
+
+    def bent(self, has_acted: bool) -> Collection[int]:
+        """Return the places of the outputs that take a new course since `arrive`. has_acted: whether `instant` did."""
+        return range(len(self.unit.outputs)) if has_acted else ()
 
     def save(self) -> Any:
         raise AssertionError("compiled code saves")
@@ -121,7 +129,7 @@ def foreigns(plan: Plan) -> Foreigns:
 class PlanUnit(Running):
     """Blocks with equations: a run of their Plan, whose inputs the master gives."""
 
-    def __init__(self, unit: CoupledUnit) -> None:
+    def __init__(self, unit: CoupledUnit, seen: frozenset[Reference]) -> None:
         from ..reference.engine import ReferenceEngine  # FMUs alone need none
 
         assert unit.plan is not None
@@ -133,6 +141,9 @@ class PlanUnit(Running):
         self.has_begun = False
         self.uncounted = -math.inf  # when a crossing was found last that the inputs did not confirm
         self.counted = self.engine.crossed.kept()
+        self.seen = [not seen.isdisjoint(changed) for changed in changed_by(self.plan)]
+        self.arrived: tuple[Any, ...] = ()
+        self.arrived_u: list[float] = []
 
     def start(self, t: float, stop: float | None) -> None:
         self._hold(t)
@@ -178,8 +189,13 @@ class PlanUnit(Running):
         self.counted = engine.crossed.kept()
         end = exact if exact is not None else Fraction(t1)
         with np.errstate(all="ignore"):
-            while engine.t < t1 and not engine.outstanding:
-                engine.step(*engine.next_instant(end))
+            while engine.t < t1:
+                if not engine.outstanding:
+                    engine.step(*engine.next_instant(end))
+                elif self._is_seen():
+                    break
+                else:
+                    engine.instant()
         return t1 if within_ulps(engine.t, t1, engine.scale) else engine.t
 
     def instant(self, *, is_due: bool) -> bool:
@@ -189,9 +205,10 @@ class PlanUnit(Running):
         before = engine.now.s, len(engine.events)
         has_crossed = engine.crossing
         self._hold(engine.t)
-        engine.changed = True
+        engine.changed, engine.recourses = True, self.u == self.arrived_u
         with np.errstate(all="ignore"):
             engine.instant(is_start=not engine.steps and engine.left is None)
+        engine.recourses = False
         is_ahead = engine.t - self.uncounted > NEAR * math.ulp(engine.t)  # else it comes back again and again
         if has_crossed and is_ahead and (engine.now.s, len(engine.events)) == before:
             self.uncounted = engine.t
@@ -199,6 +216,41 @@ class PlanUnit(Running):
             engine.crossed.go_back(self.counted)
             engine.located = (math.nan, np.empty(0))
         return was_due
+
+    def _is_seen(self) -> bool:
+        """Return whether what happens now changes anything that can be seen outside."""
+        engine, plan, now = self.engine, self.plan, self.engine.now
+        if plan.foreign:
+            return True
+        happening = [*engine.due_rates]
+        first = len(plan.rates)
+        if engine.crossing:
+            t, values = engine.sides
+            crossed = np.flatnonzero((values >= 0) != (np.array(now.s) > 0)).tolist() if t == now.t else []
+            happening += [first + j for j in crossed or range(len(plan.crossings))]  # not known: any
+        first += len(plan.crossings)
+        happening += [first + i for i in engine.due_events]
+        first += len(plan.events)
+        if now.past is not None:
+            happening += [first + i for i in now.past.breaks_at(now.t, engine.scale)]
+        return any(self.seen[k] for k in happening)
+
+    def arrive(self) -> None:
+        self.arrived, self.arrived_u = self._memory(), list(self.u)
+
+    def _memory(self) -> tuple[Any, ...]:
+        engine, now = self.engine, self.engine.now
+        broken = [] if now.past is None else now.past.breaks_at(now.t, engine.scale)
+        return now.x.tolist(), now.d, now.s, broken, engine.instants.foreign.events
+
+    def bent(self, has_acted: bool) -> Collection[int]:
+        (x, d, s, broken, events), (x1, d1, s1, _, events1) = self.arrived, self._memory()
+        if events != events1:  # of an FMU inside: it may change all
+            return range(len(self.unit.outputs))
+        rows = (("x", x, x1), ("d", d, d1), ("s", s, s1))
+        changed = {Reference(row, i) for row, a, b in rows for i, (v, w) in enumerate(zip(a, b, strict=True)) if v != w}
+        changed |= {Reference("h", i) for i in broken}
+        return [n for n, follows in enumerate(self.unit.follows) if not changed.isdisjoint(follows)]
 
     def save(self) -> Any:
         return self.engine.keep(), list(self.u)
@@ -520,6 +572,13 @@ def not_finite(coupling: Coupling, link: Link, value: float, t: float) -> Simula
     is_foreign = coupling.units[element.unit].foreign is not None
     own = "The FMU gives it: try other inputs or parameters, or a shorter communication step, or ask its maker."
     return SimulationError(Fault("E303", element.name, f"is {value} at t = {t} s.", own if is_foreign else NOT_FINITE))
+
+
+def acts_later(unit: CoupledUnit, t: float) -> Fault:
+    """Return the warning that a jump at t reaches a unit, whose steps must not differ, at its next point."""
+    step = f"{float(unit.step):g}"
+    message = f"takes steps of {step} s only: the jump of its input at t = {t:.10g} s acts at the next step."
+    return Fault("W209", unit.path, message, "Later ones do too. Choose a step that has its points at the jumps.")
 
 
 def unconverged(coupling: Coupling, t: float, t1: float) -> SimulationError:

@@ -21,6 +21,7 @@ from ...compile.inputs import InputTable
 from ...compile.plan import Plan, Reference
 from ...compile.tableaus import METHODS, Tableau, end_apart
 from ...compile.time_grid import Grid, within_ulps
+from ...compile.upstream import remembers_inputs
 from ...fmi.patience import patient
 from ...results.results import Event, Statistics
 from ...text.errors import Fault, SimulationError
@@ -95,6 +96,7 @@ class ReferenceEngine:
         self.fixed = Grid.of(self.settings.start, self.settings.step) if self.settings.step is not None else None
         # Times are computed from the start and from delays, whose rounding errors they carry along near 0.
         self.scale = max([abs(float(self.settings.start)), *(history.delay for history in plan.histories)])
+        self.remembers_inputs = remembers_inputs(plan)
         self.failures = Failures(plan, self.compiled, self.instants, self._memory)
         self._clear()
 
@@ -116,6 +118,7 @@ class ReferenceEngine:
         self.outstanding = True  # whether the instant at the current time is still to come
         self.crossing = False  # whether a side has changed at the end of the last step
         self.changed = True  # whether an input or a parameter was set since the last instant
+        self.recourses = False  # whether inputs did not jump since, but go on by another extrapolation
         self.left: Row | None = None  # the row before an input or a parameter was set
         self.sides = _UNKNOWN  # a time, and the values of all crossings at it
         self.sloped: tuple[Snapshot | None, Array] = (None, np.empty(0))  # where the Jacobian is known, and what it is
@@ -267,7 +270,8 @@ class ReferenceEngine:
     def _next_delayed(self) -> float:
         return math.inf if self.now.past is None else self.now.past.next_break()
 
-    def _due_rates(self) -> frozenset[int]:
+    @property
+    def due_rates(self) -> frozenset[int]:
         """The rates whose next tick lies exactly here."""
         exact = self.now.exact
         if exact is None:
@@ -279,15 +283,21 @@ class ReferenceEngine:
     @property
     def is_due(self) -> bool:
         """Whether something happens now by itself: a tick, an event, a crossing."""
-        plan, now = self.plan, self.now
+        plan = self.plan
         if self.crossing or (plan.projections and plan.crossings) or plan.histories:
             return True
-        return bool(self._due_rates()) or any(within_ulps(event, now.t, self.scale) for event in now.events)
+        return bool(self.due_rates or self.due_events)
+
+    @property
+    def due_events(self) -> list[int]:
+        """The event times that stand here."""
+        now = self.now
+        return [i for i, event in enumerate(now.events) if within_ulps(event, now.t, self.scale)]
 
     def instant(self, *, is_start: bool = False) -> None:
         """The instant at the current time, where everything that stands within 4 ulp happens."""
         now = self.now
-        events = [i for i, event in enumerate(now.events) if within_ulps(event, now.t, self.scale)]
+        events = self.due_events
         has_left = self.settings.records_jumps and not is_start and not self.is_silent
         left = self.left or self._row() if has_left else None
         crossed: list[Event] = []
@@ -306,13 +316,17 @@ class ReferenceEngine:
             segment, changed = self.inputs.segment(max(now.t, broken)), True
         self.instants.inputs_later = segment.at(now.t + self.instants.later)
         after, fired = self.instants.instant(
-            now, segment.at(now.t), events, self._due_rates(), changed=changed or now.past is not past
+            now, segment.at(now.t), events, self.due_rates, changed=changed or now.past is not past
         )
         was = self.now  # also before the crossings in the step fired
         same = np.array_equal(after.x, was.x) and (after.d, after.s, after.ticks) == (was.d, was.s, was.ticks)
-        fresh = changed or not same or bool(crossed or fired) or self.instants.foreign.events != hidden
+        happened = not same or bool(events or crossed or fired) or self.instants.foreign.events != hidden
+        fresh = changed or happened
         if after.past is not None:
-            after = replace(after, past=after.past.after_instant(now.t, changed=fresh))
+            jumps = happened or (changed and not self.recourses)
+            ends_course = self.recourses and self.remembers_inputs and not jumps
+            kept = after.past.after_course(now.t) if ends_course else after.past
+            after = replace(after, past=kept.after_instant(now.t, changed=jumps))
         measures, sides = self.measures, self.sides
         memory = self.instants.memory(after, segment.at(now.t))
         if fresh or now.past is not past:

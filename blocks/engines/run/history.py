@@ -24,7 +24,7 @@ import numpy as np
 from ...compile.plan import History, Plan
 from ...compile.time_grid import within_ulps
 
-__all__ = ["Past", "Store"]
+__all__ = ["COURSE", "Past", "Store"]
 
 Array = np.ndarray[Any, Any]
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
@@ -32,6 +32,7 @@ POWERS = np.linalg.inv(NODES[:, None] ** np.arange(5))  # values at the nodes ->
 Row = Sequence[float]
 
 ORDER = 4  # derivatives above this one may jump inside a step: the methods do not see it
+COURSE = 2  # of a break that a master makes between two pieces of an extrapolation: no jump of what is meant
 _JUMP = 1e-9  # relative size below which a jump or a bend is one of rounding and interpolation
 _TRIM = 1024  # what is forgotten is taken out by so many parts at once, or copying would take most of the time
 
@@ -112,6 +113,16 @@ class Past:
         ]
         return min(times, default=math.inf)
 
+    def breaks_at(self, t: float, scale: float) -> list[int]:
+        """Return the histories in which a jump or a bend arrives at t that was more than the end of a `COURSE`."""
+        return [
+            i
+            for i, (passed, history) in enumerate(zip(self.passed, self.histories, strict=True))
+            if passed < self.broken
+            and within_ulps(self.store.breaks[passed][0] + history.delay, t, scale, 64)
+            and self.store.breaks[passed][1] < COURSE
+        ]
+
     def after_breaks(self, t: float, scale: float) -> Past:
         """The past as it is seen from the instant at t on; itself where no history breaks there.
 
@@ -142,6 +153,15 @@ class Past:
         del breaks[self.broken :]  # of an instant that was interrupted
         breaks.append((t, 0))
         return replace(self, broken=self.broken + 1, open=True, seen=seen)
+
+    def after_course(self, t: float) -> Past:
+        """The past with a break at t of order 2, where inputs only take the next piece of an extrapolation."""
+        if self.store.breaks[self.broken - 1][0] == t:
+            return self
+        breaks = self.store.breaks
+        del breaks[self.broken :]
+        breaks.append((t, COURSE))
+        return replace(self, broken=self.broken + 1, seen=min(self.seen, COURSE))
 
     def part_at(self, i: int, t: float) -> float:
         """Where history i is read at t: the number of the part of the past, and how much of it has gone by."""

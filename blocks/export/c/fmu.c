@@ -18,6 +18,7 @@ enum { CROWD = 1000 };
 /* What is saved as it stands. */
 typedef struct {
     double start, stop, tolerance, slopes_at;
+    int64_t steps; /* communication steps since the start */
     int32_t mode, kind, has_stop, has_tolerance, has_event_mode, known, set, has_slopes;
 } Live;
 
@@ -312,14 +313,27 @@ static void tell_events(Fmu *f)
 
 /* --- times ------------------------------------------------------------------------------------------------------ */
 
-/* The tick of a rate that stands within some ulp of t: its count in base steps; 0 where there is none. */
-static int tick_at(const Fmu *f, double t, int64_t *count)
+/* By how much the end of a communication step of h s may miss a tick: an importer that adds up n steps rounds n times,
+   each time by half an ulp of t at most. A small part of the step, or another tick could be meant. */
+static double drift(const Fmu *f, double t, double h)
+{
+    return fmin((4.0 + 0.5 * (double)f->live.steps) * blocks_ulp(t), 1e-3 * h);
+}
+
+/* Whether t means this point of time: it is some ulp away, or what an importer's sum of steps may miss it by. */
+static int means(const Fmu *f, double point, double t, double miss)
+{
+    return fabs(point - t) <= miss || blocks_within_ulps(point, t, f->setup.scale);
+}
+
+/* Find the tick of a rate that t means: its count in base steps. Return 0 if there is none. */
+static int tick_at(const Fmu *f, double t, double miss, int64_t *count)
 {
     const BlocksSetup *setup = &f->setup;
     for (int r = 0; r < setup->model->nrates; r++) {
         const BlocksRate *rate = &setup->rates[r];
         int64_t next = rate->offset + f->sim->ticks[r] * rate->period;
-        if (blocks_within_ulps(blocks_tick_time(f->sim, next), t, setup->scale)) { /* mostly it is this one */
+        if (means(f, blocks_tick_time(f->sim, next), t, miss)) { /* mostly it is this one */
             *count = next;
             return 1;
         }
@@ -327,7 +341,7 @@ static int tick_at(const Fmu *f, double t, int64_t *count)
         double number = nearbyint((t / base - (double)rate->offset) / (double)rate->period);
         if (!(number >= 0 && number < 9e15)) continue;
         int64_t at = rate->offset + (int64_t)number * rate->period;
-        if (blocks_within_ulps(blocks_tick_time(f->sim, at), t, setup->scale)) {
+        if (means(f, blocks_tick_time(f->sim, at), t, miss)) {
             *count = at;
             return 1;
         }
@@ -335,20 +349,21 @@ static int tick_at(const Fmu *f, double t, int64_t *count)
     return 0;
 }
 
-/* The tick or the point of the grid of steps that stands within some ulp of t, or t. */
-static double snapped(const Fmu *f, double t)
+/* The tick or the point of the grid of steps that the end t of a communication step of h s means, or t. */
+static double snapped(const Fmu *f, double t, double h)
 {
     int64_t count;
+    double miss = drift(f, t, h);
     const BlocksGrid *grid = &f->setup.fixed;
-    if (f->setup.model->nrates && tick_at(f, t, &count)) return blocks_tick_time(f->sim, count);
+    if (f->setup.model->nrates && tick_at(f, t, miss, &count)) return blocks_tick_time(f->sim, count);
     if (grid->is_given) {
         /* Mostly it is the next one; where a step ended at a point, `fixed` is still the number of that. */
         double next = blocks_grid(grid, f->sim->fixed);
         if (next <= f->sim->t) next = blocks_grid(grid, f->sim->fixed + 1);
-        if (blocks_within_ulps(next, t, f->setup.scale)) return next;
+        if (means(f, next, t, miss)) return next;
         double k = nearbyint((t * (double)grid->unit - (double)grid->start) / (double)grid->step);
         double point = fabs(k) < 9e15 ? blocks_grid(grid, (int64_t)k) : t;
-        if (blocks_within_ulps(point, t, f->setup.scale)) return point;
+        if (means(f, point, t, miss)) return point;
     }
     return t;
 }
@@ -358,7 +373,7 @@ static void stand_at(Fmu *f, double t)
 {
     BlocksSim *s = f->sim;
     int64_t count = 0;
-    s->exact = tick_at(f, t, &count);
+    s->exact = tick_at(f, t, 0.0, &count);
     s->count = count;
     s->t = s->exact ? blocks_tick_time(s, count) : t;
 }
@@ -1050,7 +1065,7 @@ static int step_to(Fmu *f, double begin, double goal, int early, FmuIntermediate
                 if (s->outstanding && blocks_is_due(s)) step->event_needed = f->live.has_event_mode;
                 return FMU_OK;
             }
-            if (is_early && early && early_time < end) end = snapped(f, early_time);
+            if (is_early && early && early_time < end) end = snapped(f, early_time, early_time - begin);
             if (asks && f->is_other && s->t < end) ask(f, end, 0, intermediate, owner);
         }
     }
@@ -1067,7 +1082,8 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the communication point is t = %.17g s, but the FMU stands at %.17g s", t, s->t);
     if (f->live.has_stop && t + h > f->live.stop + 1e-9 * (fabs(f->live.stop) + h))
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the step to t = %.17g s goes beyond the stop time %.17g s", t + h, f->live.stop);
-    double begin = s->t, goal = snapped(f, t + h);
+    f->live.steps++;
+    double begin = s->t, goal = snapped(f, t + h, h);
     if (!(goal > begin)) {
         step->last_time = begin;
         return fmu_say(f, FMU_WARNING, FMU_LOG_WARNING, "the step of %g s is too short to be seen at t = %.17g s", h, begin);

@@ -364,6 +364,18 @@ static int add_break(BlocksSim *s, double t, int changed)
     return 0;
 }
 
+/* A break at t of order 2, where inputs only take the next piece of an extrapolation; see run/history.py. */
+static int add_course(BlocksSim *s, double t)
+{
+    BlocksPast *past = &s->past;
+    if (past->breaks[past->broken - 1] == t) return 0;
+    if (blocks_past_room(s, 0, 1)) return no_memory(s);
+    if (past->seen > BLOCKS_COURSE) past->seen = BLOCKS_COURSE;
+    past->breaks[past->broken] = t;
+    past->orders[past->broken++] = BLOCKS_COURSE;
+    return 0;
+}
+
 static void powers(const double *v, int64_t stride, double *a)
 {
     double v0 = v[0], v1 = v[stride], v2 = v[2 * stride], v3 = v[3 * stride], v4 = v[4 * stride];
@@ -2095,9 +2107,11 @@ HOT static int instant(BlocksSim *s, int is_start)
         if (model->nevents && event_times(s)) goto restore;
     }
     int same = !any_tick && is_same(x0, m->x, nx) && is_same(d0, m->d, nd) && is_same(s0, m->s, ns);
-    int fresh = changed || !same || crossed_any || s->fired_events.used > told || ndue;
-    if (model->hooks && model->hooks->epoch(s) != hidden) fresh = 1;
-    if (model->nh && add_break(s, s->t, fresh)) goto restore;
+    int happened = !same || crossed_any || s->fired_events.used > told || ndue;
+    if (model->hooks && model->hooks->epoch(s) != hidden) happened = 1;
+    int fresh = changed || happened, jumps = happened || (changed && !s->recourses);
+    if (model->nh && s->recourses == 2 && !jumps && add_course(s, s->t)) goto restore;
+    if (model->nh && add_break(s, s->t, jumps)) goto restore;
     if (fresh || broke) {
         /* The rates at the start of the next step are other ones now; the proposed step may still serve. */
         s->has_first = 0;

@@ -224,6 +224,8 @@ typedef struct {
     BlocksList path; /* rows of 7: begin, length and `of` at the nodes of parts */
 } BlocksMeasured;
 
+enum { BLOCKS_COURSE = 2 }; /* the order of a break that is the end of an extrapolation by a master */
+
 /* What histories remember; see docs/contract.md, "Delays". */
 typedef struct {
     double *starts, *ends, *parts; /* parts: (known, 6, nh) */
@@ -247,6 +249,7 @@ struct BlocksSim {
     double h, error;   /* proposed step (0: none), last error */
     int64_t fixed;     /* number of the next point of the fixed-step grid */
     int64_t row;       /* number of the next row of the recording grid */
+    int32_t recourses; /* set by a master: inputs go on by another extrapolation, without a jump; 2: delays remember them */
     double broken;     /* the last input breakpoint passed */
     int32_t outstanding, crossing, changed, has_left;
     int32_t moving;    /* whether inputs or histories change with time now */

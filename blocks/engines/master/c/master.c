@@ -353,6 +353,88 @@ void master_intermediate(void *environment, double t, int set_requested, int get
     }
 }
 
+/* Whether an element has jumped in the instant now. */
+static int jumped_now(const Master *m, int g) { return m->units[m->elements[g].unit].t == m->t && m->y[g] != m->left_y[g]; }
+
+/* Whether what happens now in a native unit can be seen outside; see Coupling.seen. */
+static int is_seen(const MasterUnit *u)
+{
+    const BlocksSim *s = u->component;
+    const BlocksModel *model = s->model;
+    const uint8_t *rates = u->seen;
+    if (!rates) return 1;
+    const uint8_t *crossings = rates + model->nrates, *events = crossings + model->ns, *histories = events + model->nevents;
+    for (int r = 0; r < model->nrates && s->exact == 1; r++)
+        if (rates[r] && s->setup->rates[r].offset + s->ticks[r] * s->setup->rates[r].period == s->count) return 1;
+    for (int i = 0; i < model->nevents; i++)
+        if (events[i] && blocks_within_ulps(s->events[i], s->t, s->setup->scale)) return 1;
+    int any = !s->crossing, is_known = s->sides_t == s->t;
+    for (int j = 0; j < model->ns && s->crossing && is_known; j++) {
+        if ((s->sides[j] >= 0) == (s->memory.s[j] > 0)) continue;
+        any = 1;
+        if (crossings[j]) return 1;
+    }
+    for (int j = 0; j < model->ns && !any; j++)
+        if (crossings[j]) return 1; /* which side changes is not known */
+    for (int i = 0; i < model->nh; i++) {
+        const BlocksPast *past = &s->past;
+        if (!histories[i] || past->passed[i] >= past->broken || past->orders[past->passed[i]] >= BLOCKS_COURSE) continue;
+        double due = past->breaks[past->passed[i]] + s->setup->histories[i].delay;
+        if (fabs(due - s->t) <= 64 * blocks_ulp(fmax(fmax(fabs(due), fabs(s->t)), s->setup->scale))) return 1;
+    }
+    return 0;
+}
+
+/* A native unit stands at a communication point, before anything happens there. */
+static void arrive(Master *m, MasterUnit *u)
+{
+    if (u->kind != MASTER_NATIVE) return;
+    const BlocksSim *s = u->component;
+    const BlocksModel *model = s->model;
+    double *to = u->stood;
+    take_inputs(m, u, m->t);
+    if (u->ninputs) memcpy(u->given + u->noutputs, u->inputs, (size_t)u->ninputs * sizeof(double));
+    if (!u->follows) return;
+    memcpy(to, s->memory.x, (size_t)model->nx * sizeof(double));
+    memcpy(to += model->nx, s->memory.d, (size_t)model->nd * sizeof(double));
+    memcpy(to += model->nd, s->memory.s, (size_t)model->ns * sizeof(double));
+    if (model->nh) memcpy(u->passed, s->past.passed, (size_t)model->nh * sizeof(int64_t));
+}
+
+/* The elements of a unit that take a new course, as something that they follow has changed since it arrived. */
+static void renew(Master *m, MasterUnit *u, int at_break)
+{
+    int any = 0;
+    if (!u->follows) {
+        any = u->is_bent;
+        for (int i = 0; i < u->ninputs && !any; i++)
+            any = u->links[i].row == MASTER_ELEMENT ? jumped_now(m, u->links[i].place) : at_break && u->links[i].row == MASTER_INPUT;
+        for (int i = 0; i < u->noutputs && any; i++) m->renewed[u->outputs[i]] = 1;
+        return;
+    }
+    const BlocksSim *s = u->component;
+    const BlocksModel *model = s->model;
+    const double *rows[] = {s->memory.x, s->memory.d, s->memory.s}, *before = u->stood;
+    const int sizes[] = {model->nx, model->nd, model->ns};
+    uint8_t *moved_ = u->moved;
+    for (int r = 0; r < 3; before += sizes[r], moved_ += sizes[r], r++)
+        for (int i = 0; i < sizes[r]; i++) any |= moved_[i] = rows[r][i] != before[i];
+    for (int i = 0; i < u->ninputs; i++)
+        any |= moved_[i] = u->links[i].row == MASTER_ELEMENT ? jumped_now(m, u->links[i].place) : at_break && u->links[i].row == MASTER_INPUT;
+    moved_ += u->ninputs;
+    for (int i = 0; i < model->nh; i++) {
+        moved_[i] = 0;
+        for (int64_t k = u->passed[i]; k < s->past.passed[i]; k++) moved_[i] |= s->past.orders[k] < BLOCKS_COURSE;
+        any |= moved_[i];
+    }
+    for (int i = 0; i < u->noutputs && any; i++)
+        for (int k = u->follow_first[i]; k < u->follow_first[i + 1]; k++)
+            if (u->moved[u->follows[k]]) {
+                m->renewed[u->outputs[i]] = 1;
+                break;
+            }
+}
+
 static int step_native(Master *m, MasterUnit *u, double t1)
 {
     BlocksSim *s = u->component;
@@ -379,12 +461,15 @@ static int step_native(Master *m, MasterUnit *u, double t1)
         if (came == BLOCKS_FAILED || came == BLOCKS_NO_MEMORY) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, came, 0.0);
         if (!s->outstanding) continue;
         if (!(s->t < goal)) break;
-        if (CALL(IsDue, u, CALL_is_due)(s)) {
+        if (!CALL(IsDue, u, CALL_is_due)(s)) {
+            s->outstanding = 0;
+        } else if (is_seen(u)) {
             u->reached = s->t;
             u->is_due = 1;
             return 0;
+        } else if (CALL(OfSim, u, CALL_settle)(s)) {
+            return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
         }
-        s->outstanding = 0;
     }
     u->is_due = 1;
     return 0;
@@ -540,7 +625,11 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first)
         if (has_crossed) memcpy(u->counted + s->setup->ncauses, s->memory.s, ns * sizeof(double));
         native_inputs(u, 0);
         s->outstanding = s->changed = 1;
-        if (CALL(OfSim, u, CALL_settle)(s)) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
+        s->recourses = !u->ninputs || !memcmp(u->inputs, u->given + u->noutputs, (size_t)u->ninputs * sizeof(double));
+        if (u->remembers_inputs) s->recourses *= 2;
+        int is_lost = CALL(OfSim, u, CALL_settle)(s);
+        s->recourses = 0;
+        if (is_lost) return fail(m, MASTER_SIMULATION, number_of(m, u), 0, 0, 0.0);
         int is_ahead = s->t - u->uncounted > NEAR * blocks_ulp(s->t); /* else it comes back again and again */
         if (has_crossed && is_ahead && s->fired_events.used == told && !memcmp(u->counted + s->setup->ncauses, s->memory.s, ns * sizeof(double))) {
             /* By the inputs as they are it is not crossed yet: soon it will be, and that is no chattering. */
@@ -721,7 +810,7 @@ static double *more(Master *m, BlocksList *list, int64_t n)
 static int values_of(Master *m, const MasterLink *links, int n, double *out)
 {
     double check = 0.0;
-    int is_even = m->is_uniform && !m->has_instants; /* all stand at one time */
+    int is_even = m->is_uniform && !m->has_instants && !m->has_rigid; /* all stand at one time */
     for (int i = 0; i < n; i++) {
         out[i] = is_even && links[i].row == MASTER_ELEMENT ? m->y[links[i].place] : value_at(m, &links[i], m->t);
         check += out[i] * 0.0;
@@ -815,6 +904,42 @@ static void courses(Master *m, MasterUnit *u, const MasterPast *past)
     }
 }
 
+/* Whether a unit can step to t. */
+static int can_stop(const MasterUnit *u, double t) { return !u->is_rigid || u->next_t == t; }
+
+/* The units that cannot stop at m->t keep their courses as they are before what happens here: waits is 2 until `keep_waiting`. */
+static void stay_behind(Master *m)
+{
+    for (int k = 0; k < m->nunits && m->has_rigid; k++) {
+        MasterUnit *u = &m->units[k];
+        if (!u->is_rigid || u->waits || !(u->t < m->t)) continue;
+        courses(m, u, m->past);
+        u->waits = 2;
+    }
+}
+
+/* Whether a unit reads an element that does this. */
+static int reads(const Master *m, const MasterUnit *u, int (*does)(const Master *, int))
+{
+    for (int i = 0; i < u->ninputs; i++)
+        if (u->links[i].row == MASTER_ELEMENT && does(m, u->links[i].place)) return 1;
+    return 0;
+}
+
+static int renewed_now(const Master *m, int g) { return m->renewed[g]; }
+
+/* Units that lag behind keep their courses where an input takes a new one; else they go on by later points. */
+static void keep_waiting(Master *m, int at_break)
+{
+    for (int k = 0; k < m->nunits && m->has_rigid; k++) {
+        MasterUnit *u = &m->units[k];
+        if (u->waits != 2) continue;
+        int is_driven = at_break && u->reads_inputs;
+        u->waits = is_driven || reads(m, u, renewed_now);
+        if (isnan(u->late_t) && (is_driven || reads(m, u, jumped_now))) u->late_t = m->t;
+    }
+}
+
 /* Steps one unit that lags behind up to t1. */
 static int catch_up(Master *m, MasterUnit *u, double t1)
 {
@@ -838,6 +963,7 @@ static int instants(Master *m, const double *left_y)
         MasterUnit *u = &m->units[k];
         u->is_bent = 0;
         m->acting[k] = u->t == t && u->acts;
+        if (m->acting[k]) arrive(m, u);
         any |= m->acting[k];
     }
     for (int pass = 0; any; pass++) {
@@ -861,7 +987,7 @@ static int instants(Master *m, const double *left_y)
             if (m->guess[g] == m->y[g]) continue;
             for (int i = m->elements[g].first_reader; i < m->elements[g + 1].first_reader; i++) {
                 int k = m->readers[i];
-                if (m->units[k].t < t) late = m->acting[k] = 1;
+                if (m->units[k].t < t) late = m->acting[k] = !m->units[k].is_rigid || late;
                 else if (m->units[k].t == t && m->units[k].has_instants) any = m->acting[k] = 1;
             }
         }
@@ -869,8 +995,11 @@ static int instants(Master *m, const double *left_y)
             /* What hears of a jump and lags behind comes here with its old inputs. */
             memcpy(m->kept_y, m->y, (size_t)m->nelements * sizeof(double));
             memcpy(m->y, left_y, (size_t)m->nelements * sizeof(double));
-            for (int k = 0; k < n; k++)
-                if (m->acting[k] && m->units[k].t < t && catch_up(m, &m->units[k], t)) return 1;
+            for (int k = 0; k < n; k++) {
+                if (!m->acting[k] || !(m->units[k].t < t)) continue;
+                if (catch_up(m, &m->units[k], t)) return 1;
+                arrive(m, &m->units[k]);
+            }
             memcpy(m->y, m->kept_y, (size_t)m->nelements * sizeof(double));
             if (evaluate(m, t)) return 1;
             any = 0;
@@ -931,29 +1060,29 @@ static int arrived(Master *m, int *calm)
     }
     if (recorded(m, m->left_row)) return 1;
     memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
+    stay_behind(m);
     if (instants(m, m->left_y)) return 1;
     /* What jumps, and what comes out of units where something happened or that hear of a jump, goes on otherwise. */
-    int jumped = 0, is_new = 0;
+    int jumped = 0, is_new = 0, is_again = 0;
+    for (int g = 0; g < m->nelements; g++) jumped |= m->renewed[g] = (uint8_t)jumped_now(m, g);
     for (int k = 0; k < m->nunits; k++)
-        if (at_break && m->units[k].reads_inputs) m->units[k].is_bent = 1;
-    for (int g = 0; g < m->nelements; g++) {
-        if (m->units[m->elements[g].unit].t != t || m->y[g] == m->left_y[g]) continue;
-        jumped = 1;
-        for (int i = m->elements[g].first_reader; i < m->elements[g + 1].first_reader; i++) m->units[m->readers[i]].is_bent = 1;
-    }
+        if (m->units[k].t == t) renew(m, &m->units[k], at_break);
+    keep_waiting(m, at_break);
     for (int g = 0; g < m->nelements; g++) {
         MasterPast *p = &m->past[g];
         if (m->units[m->elements[g].unit].t != t) continue;
-        if (m->y[g] != m->left_y[g] || m->units[m->elements[g].unit].is_bent) {
+        if (m->renewed[g]) {
             begin_anew(p, t, m->y[g]);
-            if (m->elements[g].first_reader < m->elements[g + 1].first_reader) is_new = 1;
+            if (m->elements[g].first_reader == m->elements[g + 1].first_reader) continue;
+            is_again = 1;
+            if (!m->elements[g].is_held) is_new = 1;
         } else if (p->n == 0 || p->t[0] < t) {
             remember(p, t, m->y[g]);
         }
     }
     m->fresh = is_new ? 0 : m->fresh + 1;
     if ((jumped || at_break) && measure(m, 1.0)) return 1;
-    *calm = !is_new;
+    *calm = !is_again;
     return record(m, m->left_row);
 }
 
@@ -972,12 +1101,12 @@ static int sweep(Master *m, double t1, int is_sequential, int is_again, int *ear
     *early = -1;
     if (!is_sequential)
         for (int k = 0; k < m->nunits; k++)
-            if (m->due[k]) courses(m, &m->units[k], m->past);
+            if (m->due[k] && !m->units[k].waits) courses(m, &m->units[k], m->past);
     for (int o = 0; o < m->nunits; o++) {
         int k = m->ordered[o];
         MasterUnit *u = &m->units[k];
         if (!m->due[k] || (is_again && !u->can_save)) continue;
-        if (is_sequential) courses(m, u, m->old);
+        if (is_sequential && !u->waits) courses(m, u, m->old);
         if (step_unit(m, u, t1)) return 1;
         if (u->reached < t1) {
             *early = k;
@@ -1096,6 +1225,7 @@ static int at_early(Master *m, int first, int iterates, int *calm)
         if (!m->due[k]) continue;
         if (k == first && stays) {
             u->t = te;
+            u->waits = 0;
         } else if (u->can_save && m->keeps) {
             if (restore(m, u, MASTER_OF_STEP)) return 1;
         } else if (u->reached > u->t) {
@@ -1111,7 +1241,7 @@ static int at_early(Master *m, int first, int iterates, int *calm)
         for (int j = m->elements[g].first_reader; j < m->elements[g + 1].first_reader; j++) m->changed[m->readers[j]] = 1;
     }
     for (int k = 0; k < m->nunits; k++) {
-        m->due[k] = (m->changed[k] || m->units[k].has_instants) && m->units[k].t < te;
+        m->due[k] = (m->changed[k] || m->units[k].has_instants) && m->units[k].t < te && can_stop(&m->units[k], te);
         any |= m->due[k];
     }
     if (any) {
@@ -1153,7 +1283,7 @@ static int to(Master *m, double t1, int *calm)
     }
     if (early >= 0) return at_early(m, early, iterates, calm);
     for (int k = 0; k < m->nunits; k++)
-        if (m->due[k]) m->units[k].t = t1;
+        if (m->due[k]) m->units[k].t = t1, m->units[k].waits = 0;
     m->t = t1;
     return arrived(m, calm);
 }
@@ -1375,12 +1505,24 @@ static int quick(Master *m, double stop, double deadline)
     return 0;
 }
 
+/* Whether all units can step from here to the stop together. */
+static int has_even_points(const Master *m, double stop)
+{
+    for (int k = 0; k < m->nunits && m->has_rigid; k++) {
+        const MasterUnit *u = &m->units[k];
+        const BlocksGrid *g = &u->grid;
+        double number = nearbyint((stop * (double)g->unit - (double)g->start) / (double)g->step);
+        if (u->is_rigid && (u->t != m->t || blocks_grid(g, (int64_t)number) != stop)) return 0;
+    }
+    return 1;
+}
+
 int master_run(Master *m, double stop)
 {
     double deadline = seconds() + m->slice;
     m->failure = MASTER_FINE;
     m->depth = 0;
-    if (m->quick) {
+    if (m->quick && has_even_points(m, stop)) {
         int wrong = m->t < stop && quick(m, stop, deadline);
         for (int k = 0; k < m->nunits; k++) m->units[k].t = m->t;
         return wrong ? MASTER_FAILED : m->t < stop ? MASTER_PAUSED : MASTER_DONE;
@@ -1393,7 +1535,7 @@ int master_run(Master *m, double stop)
             if (controlled(m, limit)) return MASTER_FAILED;
         } else {
             double target = limit;
-            int is_even = m->is_uniform && !m->has_instants, n = is_even ? 1 : m->nunits; /* all stand at one time */
+            int is_even = m->is_uniform && !m->has_instants && !m->has_rigid, n = is_even ? 1 : m->nunits; /* all stand at one time */
             for (int k = 0; k < n; k++) {
                 MasterUnit *u = &m->units[k];
                 while (u->next_t <= u->t) u->next_t = blocks_grid(&u->grid, ++u->next);
@@ -1402,7 +1544,7 @@ int master_run(Master *m, double stop)
             for (int k = 0; k < m->nunits; k++) {
                 MasterUnit *u = &m->units[k];
                 /* What may stop on the way goes along, so that nobody who hears of it is ahead. */
-                m->due[k] = u->t < target && (is_even || u->has_instants || target >= limit || u->next_t == target);
+                m->due[k] = u->t < target && (is_even || u->next_t == target || (!u->is_rigid && (u->has_instants || target >= limit)));
             }
             if (to(m, target, &calm)) return MASTER_FAILED;
         }
@@ -1411,13 +1553,16 @@ int master_run(Master *m, double stop)
     return MASTER_DONE;
 }
 
-int master_changed(Master *m)
+int master_changed(Master *m, int is_input)
 {
     memcpy(m->left_y, m->y, (size_t)m->nelements * sizeof(double));
     m->failure = MASTER_FINE;
     if (recorded(m, m->left_row)) return MASTER_FAILED;
+    stay_behind(m);
     take_segment(m, m->t);
     if (evaluate(m, m->t) || instants(m, m->left_y)) return MASTER_FAILED;
+    memset(m->renewed, 1, (size_t)m->nelements);
+    keep_waiting(m, is_input);
     for (int g = 0; g < m->nelements; g++) begin_anew(&m->past[g], m->t, m->y[g]);
     m->fresh = 0;
     return measure(m, 1.0) || record(m, m->left_row) ? MASTER_FAILED : MASTER_DONE;

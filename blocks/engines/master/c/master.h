@@ -82,6 +82,17 @@ typedef struct {
     double refused_t; /* when it refused derivatives of order `takes` + 1, where refused is their status */
     int32_t is_over, takes, refused; /* takes: the highest order of derivatives that it has not refused */
     int32_t is_bent, reads_inputs; /* is_bent: its outputs go on otherwise from now on */
+    int32_t is_rigid, waits; /* is_rigid: it stops at the points of its grid alone; waits: its courses are kept until then */
+    /* Native, without FMUs inside: which memory an instant must change to be seen outside, by rate, crossing, event and
+       history; by output the places in (x, d, s, inputs, histories) that it follows, from follow_first on; these as they
+       stood when it arrived at a communication point, and which have changed since. Null: all is seen, and all follow. */
+    const uint8_t *seen;
+    const int32_t *follow_first, *follows;
+    double *stood;
+    int64_t *passed; /* (nhistories) breaks that had been passed */
+    uint8_t *moved;
+    int32_t remembers_inputs;
+    double late_t; /* when a jump first reached it between its points; NaN: none has */
     int32_t has_saved, is_due, warnings, warned; /* calls that gave a warning; which the first was, and at which time */
     double warned_t;
 } MasterUnit;
@@ -131,7 +142,7 @@ typedef struct {
     int32_t order, iterations, is_sequential, is_controlled, is_doubled;
     int64_t iterated_steps;
     double noise, tolerance, ratio, span, first_step, least_step;
-    int32_t nunits, nelements, nstages, ncolumns, nmeasured, is_uniform, ntracks, nexchanged, has_instants, needs_past;
+    int32_t nunits, nelements, nstages, ncolumns, nmeasured, is_uniform, ntracks, nexchanged, has_instants, needs_past, has_rigid;
     MasterUnit *units;
     MasterStage *stages;
     MasterLoop *loops;
@@ -159,7 +170,7 @@ typedef struct {
     int64_t steps, rejected, instants, iterated;
     int32_t failure, unit, function, status;
     double value, failed_t;
-    uint8_t *due, *acting, *changed;
+    uint8_t *due, *acting, *changed, *renewed; /* renewed: (nelements) those that take a new course from now on */
     MasterQuick *quick; /* (nunits); null: not all units are so */
     int32_t nwatched;
     int32_t keeps; /* keeps: the states of units were saved before the step under way */
@@ -169,7 +180,7 @@ typedef struct {
 } Master;
 
 BLOCKS_API int master_run(Master *m, double stop);                /* on to `stop` */
-BLOCKS_API int master_changed(Master *m);                         /* an input was set from outside, at the time where it stands */
+BLOCKS_API int master_changed(Master *m, int is_input);           /* an input or a parameter was set from outside, at the time where it stands */
 extern BLOCKS_API const int64_t master_sizes[]; /* of the structures above, in their order */
 BLOCKS_API int64_t master_state_bytes(MasterUnit *u);             /* of a native unit */
 BLOCKS_API void master_intermediate(void *environment, double t, int set_requested, int get_allowed, int finished,

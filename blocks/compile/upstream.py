@@ -1,0 +1,88 @@
+"""Everything that a value depends on, now or later: the memory that can still change it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from .plan import Node, Plan, Reference
+
+__all__ = ["Upstream", "changed_by", "remembers_inputs"]
+
+
+class Upstream:
+    """The memory of a Plan that values depend on, through rates, ticks, resets, sides and delays as well.
+
+    What is not upstream of a value never changes it: neither its course nor a jump of it.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.written_by: dict[Reference, list[Node]] = {}
+        self.read_by: dict[Reference, list[Reference]] = {}
+        for place, node in enumerate(plan.derivatives):
+            self._writes(Reference("x", place), node)
+        for rate in plan.rates:
+            for node, place in (*rate.outputs, *rate.nexts):
+                self._writes(Reference("d", place), node)
+        for place, cause in enumerate(plan.crossings):
+            self._writes(Reference("s", place), cause.node)
+        for cause in (*plan.crossings, *plan.events):
+            for node, reference in cause.resets:
+                self._writes(reference, node, cause.node)
+        for node, reference in plan.projections:
+            self._writes(reference, node)
+        for place, history in enumerate(plan.histories):
+            self._reads(Reference("h", place), [history.source])
+        for part in plan.enabled:
+            side = Reference("s", part.side)
+            for reference in (*part.resets, Reference("d", part.time)):
+                self._reads(reference, [side])
+        for part in plan.steppers:
+            read = [reference for _, references, _ in part.inputs for reference in references]
+            for _, places, _ in part.outputs:
+                for place in places:
+                    self._reads(Reference("d", place), read)
+        self.foreign = {  # an FMU's outputs depend on all that it knows
+            part.instance: [*part.inputs, *(Reference("x", place) for place in part.states)] for part in plan.foreign
+        }
+
+    def _writes(self, reference: Reference, *nodes: Node) -> None:
+        self.written_by.setdefault(reference, []).extend(nodes)
+
+    def _reads(self, reference: Reference, read: list[Reference]) -> None:
+        self.read_by.setdefault(reference, []).extend(read)
+
+    def of(self, begin: Iterable[Reference]) -> frozenset[Reference]:
+        """Return all memory that some values depend on, these included."""
+        found = set(begin)
+        waiting = [*found]
+        while waiting:
+            reference = waiting.pop()
+            nodes = self.written_by.get(reference, [])
+            if reference.row == "w":
+                nodes = [self.plan.outputs[reference.index]]
+            reached = [*self.read_by.get(reference, ())]
+            for node in nodes:
+                condition = self.plan.instances[node.instance].condition
+                reached += self.plan.bind(node) + self.foreign.get(node.instance, [])
+                reached += [] if condition is None else [Reference("s", condition)]
+            for other in reached:
+                if other not in found:
+                    found.add(other)
+                    waiting.append(other)
+        return frozenset(found)
+
+
+def changed_by(plan: Plan) -> list[frozenset[Reference]]:
+    """Return the memory that each rate, crossing, event time and break of a delay changes, in this order."""
+    rates = ([Reference("d", place) for _, place in (*rate.outputs, *rate.nexts)] for rate in plan.rates)
+    crossings = ([Reference("s", j), *(r for _, r in cause.resets)] for j, cause in enumerate(plan.crossings))
+    events = ([r for _, r in cause.resets] for cause in plan.events)
+    histories = ([Reference("h", i)] for i in range(len(plan.histories)))
+    return [frozenset(changed) for changed in (*rates, *crossings, *events, *histories)]
+
+
+def remembers_inputs(plan: Plan) -> bool:
+    """Return whether a delay remembers anything that follows an input of the diagram."""
+    sources = [history.source for history in plan.histories]
+    return bool(sources) and any(row == "u" for row, _ in Upstream(plan).of(sources))
