@@ -15,6 +15,8 @@ DEEPEST = 3
 """A step is iterated until so many instants inside it have cut it short."""
 NEAR = 4096
 """So many ulp apart times are near each other."""
+CLOSE = 0.1
+"""A point that comes less than this part of a step after the last one replaces it, if something happened there."""
 SMALLEST = 1024
 """The smallest part of a step that is tried where a whole one is discarded."""
 MISSES, NEAR_MISSES, GROWTH = 30, 10, 1e6

@@ -36,7 +36,7 @@ from ..run.recording import Recording
 from ..run.saved_state import State
 from .exchange import Exchange, Point, course_of
 from .growth import Growth, circles, warning
-from .limits import CONVERGED, DEEPEST, MOST_PASSES, NEAR
+from .limits import CLOSE, CONVERGED, DEEPEST, MOST_PASSES, NEAR
 from .measured import measured
 from .policy import Policy
 from .step_control import StepControl
@@ -426,7 +426,7 @@ class ReferenceMaster(Exchange):
         t, coupling = self.t, self.plan
         behind = self._behind(before) if set_behind is None else set_behind
         at_break = self._passes_break()
-        bent = self._act(left_values, before)
+        bent, acted = self._act(left_values, before)
         here = [g for g, element in enumerate(coupling.elements) if self.at[element.unit] == t]
         jumps = set(here) if left_values is None else {g for g in here if self.y[g] != left_values[g]}
         is_set = at_break or set_behind is not None
@@ -438,20 +438,28 @@ class ReferenceMaster(Exchange):
                 new = [i for i, link in enumerate(unit.links) if link in jumped or (is_set and link.row == "u")]
                 renewed.update(unit.following(new))
         self._wait(behind, renewed, jumps, at_break=is_set)
-        is_new = False
+        is_new = is_late = False
         for g in here:
-            points = self.past[g]
+            points, unit = self.past[g], coupling.elements[g].unit
+            is_followed = bool(coupling.readers[g] and not coupling.elements[g].held)
             if g in renewed:
                 self.past[g] = [(t, self.y[g])]
-                is_new = is_new or bool(coupling.readers[g] and not coupling.elements[g].held)
+                is_new = is_new or is_followed
+            elif unit in acted and points and t - points[-1][0] < CLOSE * self._length(unit):
+                points[-1] = (t, self.y[g])  # a line through points that are so close would be one of their errors
+                is_late = is_late or is_followed
             elif not points or points[-1][0] < t:
                 points.append((t, self.y[g]))
                 del points[:-3]
-        self.fresh = 0 if is_new else self.fresh + 1
+        self.fresh = 0 if is_new else self.fresh + (not is_late)
         self._record(left, is_start=is_start)
         if jumps or is_start or at_break:
             self._measure(1.0)
         return not is_new
+
+    def _length(self, k: int) -> float:
+        """Return the length of a usual step of a unit."""
+        return self.control.h if self.policy.is_controlled else float(self.plan.units[k].step)
 
     def _behind(self, before: list[list[Point]] | None) -> dict[int, list[Course]]:
         """Return the courses of the units that cannot stop at t, as they are before what happens there."""
@@ -479,8 +487,13 @@ class ReferenceMaster(Exchange):
             self.evaluate(t)
         return at_break
 
-    def _act(self, left_values: list[float] | None, before: list[list[Point]] | None) -> set[int]:
-        """Let instants happen in the units that stand at t, until nothing changes; return the elements that bend."""
+    def _act(
+        self, left_values: list[float] | None, before: list[list[Point]] | None
+    ) -> tuple[set[int], set[int]]:  # fmt: skip
+        """Let instants happen in the units that stand at t, until nothing changes.
+
+        Return the elements that bend, and the units where something happened.
+        """
         t, coupling = self.t, self.plan
         has = [unit.has_instants for unit in coupling.units]
         acting = [k for k, unit in enumerate(coupling.units) if self.at[k] == t and unit.acts]
@@ -515,7 +528,7 @@ class ReferenceMaster(Exchange):
                 self._catch_up(late, left_values, before)
                 arrived |= {k for k in late if coupling.units[k].acts}
             acting = sorted(k for k in readers if self.at[k] == t and has[k])
-        return {coupling.units[k].outputs[n] for k in arrived for n in self.units[k].bent(k in acted)}
+        return {coupling.units[k].outputs[n] for k in arrived for n in self.units[k].bent(k in acted)}, acted
 
     def _catch_up(self, late: set[int], left_values: list[float], before: list[list[Point]]) -> None:
         """Step units that lag behind to t, with inputs as they were left of it."""

@@ -356,7 +356,7 @@ class NativeMaster(ReferenceMaster):
         c_unit.has_instants, c_unit.acts, c_unit.can_save = unit.has_instants, unit.acts, running.can_save
         c_unit.has_feed, c_unit.has_moving = any(unit.feeds), any(unit.continuous)
         c_unit.is_unsure, c_unit.reads_inputs = unit.is_assumed, unit.reads_inputs
-        c_unit.is_rigid, c_unit.late_t = unit.is_rigid, math.nan
+        c_unit.is_rigid, c_unit.step, c_unit.late_t = unit.is_rigid, float(unit.step), math.nan
         c_unit.links, c_unit.moves = self._links(unit.links), self._array(unit.continuous, np.uint8)
         c_unit.outputs = self._array(unit.outputs, np.int32)
         c_unit.inputs, c_unit.courses = self._array(np.zeros(n)), self._array(np.zeros(3 * n))

@@ -928,6 +928,9 @@ static int reads(const Master *m, const MasterUnit *u, int (*does)(const Master 
 
 static int renewed_now(const Master *m, int g) { return m->renewed[g]; }
 
+/* The length of a usual step of a unit. */
+static double length_of(const Master *m, const MasterUnit *u) { return m->is_controlled ? m->h : u->step; }
+
 /* Units that lag behind keep their courses where an input takes a new one; else they go on by later points. */
 static void keep_waiting(Master *m, int at_break)
 {
@@ -1063,7 +1066,7 @@ static int arrived(Master *m, int *calm)
     stay_behind(m);
     if (instants(m, m->left_y)) return 1;
     /* What jumps, and what comes out of units where something happened or that hear of a jump, goes on otherwise. */
-    int jumped = 0, is_new = 0, is_again = 0;
+    int jumped = 0, is_new = 0, is_again = 0, is_late = 0;
     for (int g = 0; g < m->nelements; g++) jumped |= m->renewed[g] = (uint8_t)jumped_now(m, g);
     for (int k = 0; k < m->nunits; k++)
         if (m->units[k].t == t) renew(m, &m->units[k], at_break);
@@ -1076,11 +1079,15 @@ static int arrived(Master *m, int *calm)
             if (m->elements[g].first_reader == m->elements[g + 1].first_reader) continue;
             is_again = 1;
             if (!m->elements[g].is_held) is_new = 1;
+        } else if (m->units[m->elements[g].unit].is_bent && p->n && t - p->t[0] < CLOSE * length_of(m, &m->units[m->elements[g].unit])) {
+            /* A line through points that are so close would be one of their errors. */
+            p->t[0] = t, p->y[0] = m->y[g];
+            if (m->elements[g].first_reader < m->elements[g + 1].first_reader && !m->elements[g].is_held) is_late = 1;
         } else if (p->n == 0 || p->t[0] < t) {
             remember(p, t, m->y[g]);
         }
     }
-    m->fresh = is_new ? 0 : m->fresh + 1;
+    m->fresh = is_new ? 0 : m->fresh + !is_late;
     if ((jumped || at_break) && measure(m, 1.0)) return 1;
     *calm = !is_again;
     return record(m, m->left_row);

@@ -92,6 +92,7 @@ typedef struct {
     int64_t *passed; /* (nhistories) breaks that had been passed */
     uint8_t *moved;
     int32_t remembers_inputs;
+    double step;
     double late_t; /* when a jump first reached it between its points; NaN: none has */
     int32_t has_saved, is_due, warnings, warned; /* calls that gave a warning; which the first was, and at which time */
     double warned_t;
