@@ -32,7 +32,7 @@ class Polynomial:
 
     def __call__(self, theta: Array) -> Array:
         powers = theta[:, None] ** np.arange(1, len(self.weights) + 1)
-        return np.asarray(self.x0 + powers @ self.weights)
+        return np.asarray(self.x0 + combined(powers.T[:, :, None], self.weights))
 
 
 @dataclass(frozen=True)
@@ -54,10 +54,22 @@ class Trial:
     @property
     def error(self) -> Array:
         assert self.tableau.e is not None
-        return np.asarray(self.h * (self.tableau.e @ self.k))
+        return np.asarray(self.h * combined(self.tableau.e, self.k))
 
     def interpolant(self) -> Polynomial:
-        return Polynomial(self.t0, self.h, self.x0, self.h * (self.tableau.p.T @ self.k))
+        return Polynomial(self.t0, self.h, self.x0, self.h * combined(self.tableau.p[:, :, None], self.k))
+
+
+def combined(weights: Array, rows: Array) -> Array:
+    """Return the sum of rows (m, n), each times its weight, from first to last.
+
+    A product of matrices would add in an order that depends on their sizes and on the processor, and so would the bits
+    of each state on how many others there are.
+    """
+    total = weights[0] * rows[0]
+    for weight, row in zip(weights[1:], rows[1:], strict=True):
+        total = total + weight * row
+    return np.asarray(total)
 
 
 def trial(tableau: Tableau, rates: Rates, t: float, x: Array, first: Array, h: float) -> Trial:
@@ -66,7 +78,7 @@ def trial(tableau: Tableau, rates: Rates, t: float, x: Array, first: Array, h: f
     k[0] = first
     x1 = x
     for i, row in enumerate(tableau.a, start=1):
-        x1 = x + h * (row @ k[:i])
+        x1 = x + h * combined(row, k[:i])
         k[i] = rates(t + tableau.c[i] * h, x1)
     return Trial(t, h, x, x1, k, tableau)
 
