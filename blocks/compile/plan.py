@@ -218,6 +218,11 @@ class PlanSignal:
     def unit(self) -> str:
         return self.units[0] if len(set(self.units)) == 1 else ""
 
+    @property
+    def declared_unit(self) -> str:
+        """The one declared unit of all elements, or "" where they differ."""
+        return self.declared[0] if len(set(self.declared)) == 1 else ""
+
 
 class ProgramStep(NamedTuple):
     """Results of one instance that are computed together."""

@@ -39,7 +39,7 @@ VERSION = 3
 PLAIN_VERSION = 2
 """The version of a diagram that means the same in the newest version: without copies, and without a plain number
 beside `against`."""
-MADE = 0
+MADE = -1
 """The version of a diagram that was made in Python: it means what the newest version means, and is written in the
 oldest version that can hold it."""
 BASE = "base"
