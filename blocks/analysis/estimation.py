@@ -84,8 +84,8 @@ class SineStream:
 
     amplitude: one for all, or one each; a plain number is in the declared unit of the excited signal, a quantity such
     as "2 rpm" or {"value": ..., "unit": ...} in its own. settle: time in s before anything is measured, at each
-    frequency; settle_periods: the same in periods. periods: those of the first window (at least 2); windows grow until two of them
-    agree, over `most_periods` at most. harmonics: the highest one that is measured.
+    frequency; settle_periods: the same in periods. periods: those of the first window (at least 2); windows grow until
+    two of them agree, over `most_periods` at most. harmonics: the highest one that is measured.
     """
 
     frequencies: Sequence[float] | Array

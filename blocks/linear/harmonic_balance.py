@@ -322,8 +322,8 @@ class Linearizer(Linearization, Shown):
     ) -> HarmonicResponse:
         """The fundamentals of `outputs` for a sine of an amplitude at `input`, by harmonic balance; omega: in rad/s.
 
-        amplitude: a number in the declared unit of `input`, or a quantity such as "2 rpm". Raises AnalysisError: E704 (a
-        law that moves the mean), E706 (no solution).
+        amplitude: a number in the declared unit of `input`, or a quantity such as "2 rpm". Raises AnalysisError: E704
+        (a law that moves the mean), E706 (no solution).
         """
         balance = Balance(self, input, outputs, openings=openings)
         return balance.at(in_si(amplitude, balance.input.declared, "amplitude"), omega)

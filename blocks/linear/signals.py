@@ -94,8 +94,8 @@ def _found(graph: Interconnection, name: str) -> tuple[SignalElement, ...] | Non
         path, _, port = name.rpartition(".")
         is_copy = any(port in graph.type_of[i].tape.rearranged for i in graph.at_path.get(path, ()))
         return tuple(
-            SignalElement(label, column, None if is_copy else _outside(graph, column, path), *both, is_copy)
-            for label, column, *both in zip(names, columns, signal.units, signal.declared, strict=True)
+            SignalElement(label, column, None if is_copy else _outside(graph, column, path), unit, declared, is_copy)
+            for label, column, unit, declared in zip(names, columns, signal.units, signal.declared, strict=True)
         )
     path, _, port = name.rpartition(".")
     for i in graph.at_path.get(path, ()):

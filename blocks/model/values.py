@@ -28,8 +28,8 @@ from ..text.quantity_text import read_quantity
 from .diagram_grammar import EDGES, NUMBER, QUANTITY, SHAPE
 
 __all__ = [
-    "Absent", "Column", "EdgeTable", "Known", "Unit", "expressions_in", "in_si", "is_expression", "names_in",
-    "order_of", "value_of",
+    "Absent", "Column", "EdgeTable", "Known", "Unit", "expressions_in", "in_si", "in_unit", "is_expression",
+    "names_in", "order_of", "value_of",
 ]  # fmt: skip
 
 Known = Mapping[str, Value | None]
@@ -149,6 +149,27 @@ def in_si(raw: Any, declared: Unit, place: str) -> Any:
     except ModelError as error:
         raise UsageError(*(Fault("E501", place, fault.message, fault.cure) for fault in error.faults)) from None
     return value if isinstance(value, (float, list)) else raw
+
+
+def in_unit(raw: Any, declared: str, place: str) -> Any:
+    """Return a number that a user gave for something with a declared unit, in that unit.
+
+    A plain number, and what is no number, comes back as it is. place: what an error names. Raises ModelError (E104,
+    E114).
+    """
+    quantity = read_quantity(raw)
+    if not isinstance(quantity, Mapping) or not {*quantity} <= {"value", "unit", "doc"}:
+        return raw
+    value, unit = quantity.get("value"), str(quantity.get("unit", ""))
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return raw
+    try:
+        if not declared:
+            return units.to_si(float(value), unit)
+        exact, scale = units.scale_exact(unit, declared), units.scale(unit, declared)
+    except ModelError as error:
+        raise ModelError(*(replace(fault, place=place) for fault in error.faults)) from None
+    return float(value) * scale if exact is None else float(exact_decimal(float(value)) * exact)
 
 
 def _single(declared: Unit) -> str:
