@@ -61,11 +61,11 @@ class Space:
         for name, given in over.items():
             try:
                 low, high = (_number(bound, name, unit_of) for bound in given)
-            except (TypeError, ValueError):
-                low = high = math.nan
             except ModelError as error:
                 faults += [replace(fault, code="E501") for fault in error.faults]
                 low, high = 0.0, 1.0
+            except (TypeError, ValueError):
+                low = high = math.nan
             if not -math.inf < low < high < math.inf:
                 cure = "Give the least and the largest value: (50, 600)."
                 faults.append(Fault("E501", legible(str(name)), f"has no two bounds, but {given!r}.", cure))
