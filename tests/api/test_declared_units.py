@@ -1,4 +1,4 @@
-"""Numbers about a thing are in its declared unit, and texts with a unit are taken: in analysis, inputs, limits, data."""
+"""Plain numbers about a thing are in its declared unit, and texts with a unit are taken."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def test_a_csv_file_gives_units_to_times_and_elements_and_may_not_give_others(tm
     assert diagram.run(stop=0.5, inputs=path)["u"][-1] == pytest.approx([RPM, RPM])
     for units in ('{"u": "V"}', '{"u[0]": "V"}', '{"time": "V"}'):
         path.write_text(f"# units: {units}\ntime,u[0],u[1]\n0,0,0\n1,2,12\n", encoding="utf-8")
-        with pytest.raises(UsageError, match="E502 .*different quantities"):
+        with pytest.raises(UsageError, match=r"E502 .*different quantities"):
             diagram.run(stop=0.5, inputs=path)
 
 
