@@ -18,6 +18,7 @@ from ..linear.interconnection import Interconnection
 from ..linear.linear_model import LinearModel
 from ..linear.nonlinearities import nonlinear
 from ..linear.signals import places
+from ..model.values import in_si
 from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.printable import aligned
 
@@ -92,14 +93,14 @@ def observer_report(
     diagram: Diagram,
     block: str,
     *,
-    amplitudes: Iterable[float] = AMPLITUDES,
+    amplitudes: Iterable[Any] = AMPLITUDES,
     **point: Any,
 ) -> ObserverReport:
     """Poles, bandwidth and noise gain of an observer block, against the amplitude of its error.
 
     block: the path of a block with the input y, perhaps u, and the outputs z1, z2, ... (LESO, SMESO, NESO, their
-    sampled forms, or one of your own). amplitudes: of the signal of its law, in SI. point: what `Diagram.linearizer`
-    takes (at, held, parameters, ...).
+    sampled forms, or one of your own). amplitudes: of the signal of its law, in its declared unit, or quantities such
+    as "2 rpm". point: what `Diagram.linearizer` takes (at, held, parameters, ...).
 
     Its y and u are cut, so that the figures are its own whatever stands around it. The response from the total
     disturbance f to its last estimate is that from -u, divided by its gain at zero frequency: f enters the model of the
@@ -111,7 +112,8 @@ def observer_report(
     laws, signal = _law_of(graph, block)
     rows = []
     try:
-        given = [float(a) for a in amplitudes]
+        declared = places(graph, signal)[0].declared if signal else ""
+        given = [float(in_si(a, declared, "amplitudes")) for a in amplitudes]
     except (TypeError, ValueError):
         message = f"{str(amplitudes)[:80]} are no numbers."
         raise UsageError(Fault("E501", "amplitudes", message, "Give a list of numbers.")) from None
@@ -120,7 +122,7 @@ def observer_report(
     for amplitude in given:
         if not (math.isfinite(amplitude) and amplitude > 0):
             raise UsageError(Fault("E501", "amplitudes", f"{amplitude:g} is not above 0."))
-        now = Linearizer(linearizer.slopes, amplitude={signal: amplitude}) if signal else linearizer
+        now = Linearizer(linearizer.slopes, amplitude={signal: f"={amplitude!r}"}) if signal else linearizer
         rows.append(_row(now, block, estimates, amplitude, laws))
     return ObserverReport(diagram.name, block, len(estimates), not signal, signal, tuple(rows))
 

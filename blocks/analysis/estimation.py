@@ -29,8 +29,8 @@ from ..api.values import at_rest
 from ..compile.coupling import Coupling, couple
 from ..contract.block import Block
 from ..frequency.response import poles
+from ..model.values import in_si
 from ..results.results import Results
-from ..text import units
 from ..text.errors import AnalysisError, Fault, FMUError, SimulationError, UsageError
 from .excitation import TONE, Correlator, Multitone, Sweep, Tone
 from .injection import free_name, inject, is_port, known, probe, target
@@ -82,10 +82,10 @@ RESERVED = ("stop", "every", "log")
 class SineStream:
     """One sine after the other, at frequencies in rad/s; the exact method, and the one for nonlinear diagrams.
 
-    amplitude: one for all, or one each; a bare number is in the unit that the excited input declares, or in SI for the
-    signal of a block; or {"value": ..., "unit": ...}. settle: time in s before anything is measured, at each frequency;
-    settle_periods: the same in periods. periods: those of the first window (at least 2); windows grow until two of them
-    agree, over `most_periods` at most. harmonics: the highest one that is measured.
+    amplitude: one for all, or one each; a plain number is in the declared unit of the excited signal, a quantity such
+    as "2 rpm" or {"value": ..., "unit": ...} in its own. settle: time in s before anything is measured, at each
+    frequency; settle_periods: the same in periods. periods: those of the first window (at least 2); windows grow until
+    two of them agree, over `most_periods` at most. harmonics: the highest one that is measured.
     """
 
     frequencies: Sequence[float] | Array
@@ -354,8 +354,6 @@ class _Estimation:
         self.name, self.inputs = name, {**at_rest(self.diagram.value, self.flat), **(inputs or {})}
         self.where = target(self.diagram, self.flat, name)
         self.outputs, self.units = self._listened(outputs)
-        entry = value.inputs.get(self.where.source) if not self.where.path else None
-        self.declared = str(entry.get("unit", "")) if entry is not None else ""
         self.amplitude = np.atleast_1d(self._amplitude(signal))
         self.waiting = 0.0 if model is None else _settling(model, tolerance)
         known_settings = self.flat.settings
@@ -380,14 +378,7 @@ class _Estimation:
 
     def _amplitude(self, signal: Excitation) -> Array:
         """The amplitude in SI: one, or one for each frequency."""
-        raw, unit = signal.amplitude, self.declared
-        if isinstance(raw, Mapping):
-            unit, raw = str(raw.get("unit", "")), raw.get("value")
-            known_unit = self.declared or self.where.unit
-            if unit and known_unit and not units.same_quantity(unit, known_unit):
-                message = f"the amplitude is in {unit}, and {self.name} in {known_unit}: different quantities."
-                raise UsageError(Fault("E501", type(signal).__name__, message))
-        amplitudes = np.asarray(raw, dtype=float)
+        amplitudes = np.asarray(in_si(signal.amplitude, self.where.declared, type(signal).__name__), dtype=float)
         count = np.size(signal.frequencies) if isinstance(signal, SineStream) else 1
         if (
             amplitudes.ndim > 1
@@ -398,7 +389,7 @@ class _Estimation:
         if np.any(amplitudes < LEAST_AMPLITUDE):
             message = f"amplitudes below {LEAST_AMPLITUDE:g} (in SI) drown in the tolerances of a run."
             raise _refused(signal, message, "Take a larger one.")
-        return amplitudes * (units.parse(unit).factor if unit else 1.0)
+        return amplitudes
 
     def _atol(self, own: float) -> float:
         return max(min(own, ATOL * float(np.min(self.amplitude)), ATOL), LEAST_ATOL)

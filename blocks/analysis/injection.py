@@ -28,7 +28,8 @@ __all__ = ["Target", "free_name", "inject", "is_port", "known", "probe", "target
 class Target:
     """A signal that something is added to. path: the subdiagram in which it lies. sink: "" for all that read it.
 
-    source: what the wires begin with. size: 0, or that of the vector of which `index` is the element.
+    source: what the wires begin with. size: 0, or that of the vector of which `index` is the element. declared: the
+    unit of plain numbers about it.
     """
 
     path: tuple[str, ...]
@@ -37,6 +38,7 @@ class Target:
     size: int
     index: int
     unit: str
+    declared: str
 
 
 def target(diagram: Diagram, flat: Flat, name: str) -> Target:
@@ -63,13 +65,13 @@ def target(diagram: Diagram, flat: Flat, name: str) -> Target:
         raise UsageError(Fault("E501", name, what, "Excite a signal of real numbers."))
     if sink and sink not in scope.wires:  # an element of a sink that is wired as a whole
         sink, index = indexed(sink)
-        return Target(path, base, sink, signal.shape[0], index or 0, signal.unit)
+        return Target(path, base, sink, signal.shape[0], index or 0, signal.unit, signal.declared_unit)
     if signal.shape and index is None:
         what = f"has {signal.shape[0]} elements, and one of them is excited."
         raise UsageError(Fault("E501", name, what, f'Name it: "{name}[0]".'))
     if index is not None and not sink:
-        return Target(path, base, sink, signal.shape[0], index, signal.unit)
-    return Target(path, source, sink, 0, 0, signal.unit)
+        return Target(path, base, sink, signal.shape[0], index, signal.unit, signal.declared_unit)
+    return Target(path, source, sink, 0, 0, signal.unit, signal.declared_unit)
 
 
 def known(diagram: Diagram, flat: Flat, name: str) -> FlatSignal:
@@ -85,7 +87,8 @@ def known(diagram: Diagram, flat: Flat, name: str) -> FlatSignal:
     if index is None:
         return signal
     unit = signal.units[0] if len(signal.units) == 1 else signal.units[index]
-    return replace(signal, name=name, shape=(), units=(unit,))
+    declared = signal.declared[0] if len(signal.declared) == 1 else signal.declared[index]
+    return replace(signal, name=name, shape=(), units=(unit,), declared=(declared,))
 
 
 def is_port(diagram: Diagram, flat: Flat, name: str) -> bool:
@@ -225,8 +228,8 @@ def _source(flat: Flat, path: tuple[str, ...], scope: DiagramValue, text: str) -
     if not path or base not in scope.inputs:
         return _signal(flat, ".".join((*path, text)))
     shape = shape_of(scope.inputs[base].get("size", ()))
-    unit = units.si_text(str(scope.inputs[base].get("unit", "")))
-    return FlatSignal(base, (), shape, (unit,), type_text(scope.inputs[base].get("type", "real"))), index
+    declared, type_ = str(scope.inputs[base].get("unit", "")), type_text(scope.inputs[base].get("type", "real"))
+    return FlatSignal(base, (), shape, (units.si_text(declared),), (declared,), type_), index
 
 
 def _unknown(flat: Flat, name: str, more: Iterable[str]) -> UsageError:

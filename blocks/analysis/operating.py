@@ -13,8 +13,9 @@ from ..api.values import at_rest
 from ..compile.coupling import Coupling, couple
 from ..linear.limit_cycles import LimitCycles
 from ..linear.limit_cycles import limit_cycles as of_linearizer
-from ..linear.operating_point import Free, OperatingPoint, Quantity, search, standing
+from ..linear.operating_point import Free, OperatingPoint, Quantity, declared_unit, search, standing
 from ..model.flatten import Flat
+from ..model.values import in_si
 from ..text import units
 from ..text.errors import AnalysisError, Fault, UsageError
 
@@ -44,9 +45,10 @@ def find_operating_point(
     """Where a diagram rests.
 
     inputs: by name, in the unit that the diagram declares, a number: known; None, (low, high) or Free(guess, min, max):
-    to be found. Those that are not named have their default, or 0. states, outputs: the same, in SI; states that are
-    not named are free. An output that is given as (low, high) is to lie between. steady: True: every state rests and
-    no tick changes anything; {name: rate}: these have that rate (None: any), all others rest; False: nothing is asked.
+    to be found. Those that are not named have their default, or 0. states, outputs: the same, in their declared units;
+    states that are not named are free. An output that is given as (low, high) is to lie between. steady: True: every
+    state rests and no tick changes anything; {name: rate}: these have that rate, in the declared unit per second (None:
+    any), all others rest; False: nothing is asked. Quantities such as "2 rpm" are in their own units.
     at: the time in s of a run from which the search begins (the start, unless given).
 
     FMUs for Model Exchange take part as other blocks do. With FMUs for Co-Simulation the diagram is run until its
@@ -62,8 +64,20 @@ def find_operating_point(
         return _settled(diagram, flat, inputs or {}, bool(states or outputs), chosen, settings)
     declared = {name: str(entry.get("unit", "")) for name, entry in diagram.value.inputs.items()}
     point = diagram.point(at=at, **chosen, **settings)
-    given = {name: _in_si(value, declared.get(name.partition("[")[0], "")) for name, value in (inputs or {}).items()}
-    return search(point, inputs=given, states=states, outputs=outputs, steady=steady, told=flat.log)
+    given = {name: _in_si(name, raw, declared.get(name.partition("[")[0], "")) for name, raw in (inputs or {}).items()}
+
+    def by_signal(table: Any, of_time: str = "") -> Any:
+        """The numbers of states or outputs in SI; what is no mapping is refused by the search."""
+        if not isinstance(table, Mapping):
+            return table
+        unit_of = {name: declared_unit(point.plan, str(name)) for name in table}
+        unit_of = {name: units.quotient(unit, of_time) if of_time else unit for name, unit in unit_of.items()}
+        return {name: _in_si(str(name), raw, unit_of[name]) for name, raw in table.items()}
+
+    return search(
+        point, inputs=given, states=by_signal(states), outputs=by_signal(outputs), steady=by_signal(steady, "s"),
+        told=flat.log,
+    )  # fmt: skip
 
 
 def operating_points(
@@ -98,12 +112,13 @@ def limit_cycles(
     diagram: Diagram,
     *,
     omega: tuple[float, float] | None = None,
-    amplitude: tuple[float, float] = (1e-9, 1e3),
+    amplitude: tuple[Any, Any] | None = None,
     **point: Any,
 ) -> LimitCycles:
     """The limit cycles of a diagram around an operating point, by harmonic balance, with their stability.
 
-    omega: where to look, in rad/s (from the poles, unless given). amplitude: of the signal of the first law, in SI.
+    omega: where to look, in rad/s (from the poles, unless given). amplitude: of the signal of the first law, in its
+    declared unit, or quantities such as "2 rpm" (1e-9 to 1e3 in SI, unless given).
     point: what `Diagram.linearizer` takes (at, held, parameters, ...). Of a sampled diagram also the cycle of two
     periods, which is exact. Raises AnalysisError: E704 (a law that moves the mean), E705 (no law in a loop, or a point
     at which what stands between the laws is not at rest).
@@ -116,23 +131,18 @@ def _is_coupled(flat: Flat) -> bool:
     return isinstance(couple(flat), Coupling)
 
 
-def _in_si(value: Any, unit: str) -> Any:
-    if isinstance(value, Mapping) and {"value", "unit"} == set(value):
-        own = str(value["unit"])
-        if unit and not units.same_quantity(own, unit):
-            message = f"{own} is no unit of it, which is in {unit}."
-            raise UsageError(Fault("E501", "inputs", message))
-        return units.to_si(float(value["value"]), own)
-    if value is None or not unit:
+def _in_si(name: str, value: Any, declared: str) -> Any:
+    """Return what was given for a quantity in SI: a number, bounds, or a list with one for each element."""
+    if value is None or isinstance(value, bool):
         return value
     if isinstance(value, Free):
-        guess = None if value.guess is None else units.to_si(value.guess, unit)
-        return replace(value, guess=guess, min=units.to_si(value.min, unit), max=units.to_si(value.max, unit))
-    if isinstance(value, tuple):
-        return tuple(units.to_si(bound, unit) for bound in value)
+        guess = None if value.guess is None else in_si(value.guess, declared, name)
+        low, high = in_si((value.min, value.max), declared, name)
+        return replace(value, guess=guess, min=low, max=high)
     if isinstance(value, (list, np.ndarray)):
-        return [units.to_si(float(item), unit) for item in value]
-    return units.to_si(value, unit) if isinstance(value, (int, float)) else value
+        return [_in_si(name, item, declared) for item in value]
+    si = in_si(value, declared, name)
+    return tuple(si) if isinstance(value, tuple) else si
 
 
 def _settled(
@@ -147,7 +157,7 @@ def _settled(
 
     is_more: whether states or outputs were asked for. chosen: parameters, variants and trust of the diagram.
     """
-    free = [name for name, value in inputs.items() if not isinstance(value, (int, float))]
+    free = [name for name, value in inputs.items() if value is None or isinstance(value, (tuple, Free))]
     if free or is_more:
         message = "with FMUs of Co-Simulation only numbers for inputs can be given: the diagram is left to settle."
         raise AnalysisError(Fault("E702", (free or [diagram.name])[0], message, 'Import them as "kind": "ME".'))

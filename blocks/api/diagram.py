@@ -44,6 +44,7 @@ from ..text.atomic_write import write_atomically
 from ..text.brief import UnknownName
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible, quoted
+from ..text.quantity_text import read_quantity
 from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan
 from .draft import Draft
 from .entries import as_name, input_entry, input_like, parameter_entry
@@ -318,7 +319,11 @@ class Diagram:
         band: Any = None,
         omega: Any = None,
     ) -> None:
-        """A measure to be taken in every run; see `blocks list measures`."""
+        """A measure to be taken in every run; see `blocks list measures`.
+
+        against: a signal, or a number in the declared unit of `of`; "30 rpm" is in its own unit. In a diagram of an
+        older file, too: its measures are brought to version 3 first.
+        """
         if name in self._draft.section("measures"):
             raise ModelError(Fault("E109", legible(str(name)), "the name is taken by a measure."))
         check_name(name)
@@ -328,7 +333,9 @@ class Diagram:
         entry: dict[str, Any] = {"type": type, "of": text_of(of, self)}
         for key, given in zip(MEASURE_NUMBERS, (against, start, stop, band, omega), strict=True):
             if given is not None:
-                entry[key] = text_of(given, self) if isinstance(given, PortName) else raw_of(given)
+                entry[key] = text_of(given, self) if isinstance(given, PortName) else read_quantity(raw_of(given))
+        if isinstance(entry.get("against"), (int, float)):
+            self._draft.bring_up_to_date()
         self._draft.put("measures", documents.entries(measures={name: entry}).measures)
 
     def settings(self, **run: Any) -> None:

@@ -478,7 +478,7 @@ class Run:
                 try:
                     self._simulation.set_input(index, constant(_given_input(value, type_), shape, unit, type_))
                 except ValueError as error:
-                    message = error.faults[0].message if isinstance(error, ModelError) else str(error)
+                    message = error.faults[0].message if isinstance(error, (ModelError, UsageError)) else str(error)
                     raise UsageError(Fault("E502", name, message)) from None
                 break
         else:

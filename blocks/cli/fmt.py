@@ -8,7 +8,7 @@ from typing import Any
 
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.printable import counted
-from .options import takes_json
+from .options import takes_json, takes_library
 from .output import emit, printable, say, tell_faults
 
 __all__ = ["add"]
@@ -23,6 +23,7 @@ def add(verbs: Any) -> None:
     )
     fmt.add_argument("files", metavar="FILE", nargs="+", help="a diagram or a study; - reads stdin and writes stdout")
     fmt.add_argument("--check", action="store_true", help="write nothing; exit code 1 where a file is not canonical")
+    takes_library(fmt)
     takes_json(fmt)
     fmt.set_defaults(verb=_fmt)
 
@@ -35,8 +36,9 @@ def _fmt(options: argparse.Namespace) -> int:
         raise UsageError(Fault("E501", "-", "stdin stands alone.", "As in `blocks fmt - < FILE`."))
     status, changed = 0, 0
     for file in options.files:
+        source = ("<stdin>", sys.stdin.buffer) if file == "-" else (file,)
         try:
-            form = canonical("<stdin>", sys.stdin.buffer) if file == "-" else canonical(file)
+            form = canonical(*source, library=options.library)
             if form.old != form.new:
                 changed += 1
                 status = status or (1 if options.check else 0)

@@ -49,7 +49,7 @@ def add(verbs: Any) -> None:
     observer.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
     observer.add_argument("block", metavar="BLOCK", help="the observer: control_right.eso")
     observer.add_argument(
-        "--amplitudes", metavar="A", nargs="+", help="of its error, in SI (default: 0.001 0.01 0.1 1)"
+        "--amplitudes", metavar="A", nargs="+", help='of its error, as 0.1 or "2 rpm" (default: 0.001 0.01 0.1 1)'
     )
     observer.set_defaults(verb=_observer)
     for verb in (linear, observer):
@@ -125,7 +125,7 @@ def _observer(options: argparse.Namespace) -> int:
 
     diagram, point = _linearizer(options)
     texts = [text for item in options.amplitudes or () for text in item.split(",") if text]
-    given = [raw_number(parsed(text)) for text in texts] or AMPLITUDES
+    given = [parsed(text) for text in texts] or AMPLITUDES
     report = observer_report(diagram, options.block, amplitudes=given, **point)
     if options.json:
         emit(report.as_json())

@@ -135,8 +135,8 @@ def _whole(option: str, text: str) -> int:
     return int(number)
 
 
-def _over(items: Sequence[str]) -> dict[str, tuple[float, float]]:
-    over: dict[str, tuple[float, float]] = {}
+def _over(items: Sequence[str]) -> dict[str, tuple[Any, Any]]:
+    over: dict[str, tuple[Any, Any]] = {}
     for item in items:
         name, bounds = _bounds(item)
         if name in over:
@@ -145,14 +145,18 @@ def _over(items: Sequence[str]) -> dict[str, tuple[float, float]]:
     return over
 
 
-def _bounds(item: str) -> tuple[str, tuple[float, float]]:
+def _bounds(item: str) -> tuple[str, tuple[Any, Any]]:
     """NAME=LOW,HIGH."""
+    from ..text.quantity_text import value_in
+
     name, separator, text = item.partition("=")
     try:
-        low, high = (float(part) for part in text.split(","))
+        low, high = (value_in(part) for part in text.split(","))
     except ValueError:
-        separator = ""
-    if not separator or not name.strip() or not low < high:
+        low = high = ""
+    are_numbers = not any(isinstance(bound, (str, bool, list)) for bound in (low, high))
+    are_plain = isinstance(low, float) and isinstance(high, float)
+    if not are_numbers or not separator or not name.strip() or (are_plain and not low < high):
         message = "is not NAME=LOW,HIGH, the lower bound first."
         raise UsageError(Fault("E501", f"--over {item}", message, 'As in --over "kp=1,100".'))
     return name.strip(), (low, high)

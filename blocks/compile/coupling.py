@@ -239,9 +239,9 @@ class Coupling(Shown):
         base, _, index = name.rpartition("[")
         if name in self.flat.signals:
             whole = self.flat.signals[name]
-            return PlanSignal(name, tuple(map(self.link, whole.sources)), whole.shape, whole.units)
+            return PlanSignal(name, tuple(map(self.link, whole.sources)), whole.shape, whole.units, whole.declared)
         whole, k = self.flat.signals[base], int(index[:-1])
-        return PlanSignal(name, (self.link(whole.sources[k]),), (), (whole.units[k],))
+        return PlanSignal(name, (self.link(whole.sources[k]),), (), (whole.units[k],), (whole.declared[k],))
 
     def link(self, source: Source) -> Link:
         match source:
@@ -575,7 +575,7 @@ class _Coupler:
         names = tuple(self.input_name(source) for source in taken)
         inputs = tuple(FlatInput(f"u{j}", j, (), "", "", "real", (0.0,)) for j in range(len(taken)))
         asked = {str(n): inside(source) for n, (source, _) in enumerate(mine)}
-        signals = {name: FlatSignal(name, (source,), (), ("",), "real") for name, source in asked.items()}
+        signals = {name: FlatSignal(name, (source,), (), ("",), ("",), "real") for name, source in asked.items()}
         each = len(self.groups) > 1 and self.master.couple == "each"
         path = flat.blocks[group[0]].path if each else ""
         enabled = tuple(

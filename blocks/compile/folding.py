@@ -460,7 +460,7 @@ class _WholeSignals(Mapping[str, PlanSignal]):
             moved = self._folding.expansion.moved(signal.sources)
             sources = [self._folding.source(source, fleet, lane % inner, outer) for source in moved]
             references = tuple(self._folded.of_whole(self._memory.reference(source)) for source in sources)
-            self._made[name] = PlanSignal(name, references, signal.shape, signal.units)
+            self._made[name] = PlanSignal(name, references, signal.shape, signal.units, signal.declared)
         return self._made[name]
 
     def __contains__(self, name: object) -> bool:

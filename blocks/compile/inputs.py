@@ -14,11 +14,13 @@ import numpy as np
 
 from ..contract.enumerations import Enumeration, enumeration_of
 from ..model.diagram_grammar import INTERPOLATIONS, TABLE
+from ..model.values import in_si
 from ..text import units
 from ..text.csv_text import read_columns
 from ..text.element_names import element_names
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.plain_files import opened
+from ..text.quantity_text import quantity_in
 from .plan import Plan
 
 __all__ = ["InputTable", "Segment", "read_csv", "read_inputs"]
@@ -124,7 +126,7 @@ def read_inputs(plan: Plan, raw: Mapping[str, Any], *, interpolation: str = "lin
             given = raw[name] if name in raw else _in_si(default or (), shape, unit)
             tracks.append(_track(given, shape, unit, type_, interpolation))
         except (ValueError, TypeError) as error:
-            message = error.faults[0].message if isinstance(error, ModelError) else str(error)
+            message = error.faults[0].message if isinstance(error, (ModelError, UsageError)) else str(error)
             faults.append(Fault("E502", name, message))
     if faults:
         raise UsageError(*faults)
@@ -177,6 +179,8 @@ def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bo
         unit, raw = given or unit, raw.get("value")
     factor = units.parse(unit).factor if unit else 1.0  # a bare number is in the unit that the input declares
     members = enumeration_of(type_)
+    if members is None and type_ != "bool" and isinstance(raw, (str, list, tuple)) and _holds_quantities(raw):
+        raw, factor = in_si(raw, unit, ""), 1.0
     if members is not None:
         if given:
             raise ValueError(f"has no unit. Give the number of a member, or its name: {', '.join(members.members)}.")
@@ -205,6 +209,13 @@ def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bo
     return values
 
 
+def _holds_quantities(raw: Any) -> bool:
+    """Whether a value is given as a text or a quantity, or holds some, such as ["2 rpm", 3]."""
+    if isinstance(raw, (list, tuple)):
+        return any(map(_holds_quantities, raw))
+    return isinstance(raw, Mapping) or quantity_in(raw) is not None if isinstance(raw, (str, Mapping)) else False
+
+
 def _numbers(raw: Any, members: Enumeration) -> Any:
     """The numbers of members, which are given by name or by number."""
     if isinstance(raw, np.ndarray):
@@ -224,11 +235,12 @@ def read_csv(path: str | Path, plan: Plan) -> dict[str, Any]:
     def refuse(message: str, cure: str = "") -> UsageError:
         return UsageError(Fault("E502", str(path), message, cure))
 
+    given: dict[str, str] = {}
     try:
         with opened(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as stream:
             if os.fstat(raw.fileno()).st_size > MAX_CSV_BYTES:
                 raise refuse(f"is larger than {MAX_CSV_BYTES // 2**20} MiB.")
-            header, data = read_columns(stream, words=_words(plan))
+            header, data = read_columns(stream, words=_words(plan), units=given)
     except UsageError:
         raise
     except (OSError, UnicodeDecodeError) as error:
@@ -239,11 +251,15 @@ def read_csv(path: str | Path, plan: Plan) -> dict[str, Any]:
         raise refuse("has no column 'time' in front.", "The first line is: time,NAME,...")
     if not len(data):
         raise refuse("has no rows.")
+    try:
+        data[:, 0] *= units.scale(given.get(header[0]) or "s", "s")
+    except ModelError as error:
+        raise refuse(f"the column '{header[0]}': {error.faults[0].message}") from None
     stop = plan.settings.stop
     if stop is not None and data[0, 0] > stop:
         message = f"begins at {data[0, 0]:.10g} s, after the end of the run at {float(stop):.10g} s."
         raise refuse(message, "Its times are those of the run, in s: shift them, or run for longer (--stop).")
-    return _columns(header, data, plan, refuse)
+    return _columns(header, data, plan, given, refuse)
 
 
 def _words(plan: Plan) -> dict[str, Mapping[str, float]]:
@@ -256,10 +272,13 @@ def _words(plan: Plan) -> dict[str, Mapping[str, float]]:
     return words
 
 
-def _columns(header: Sequence[str], data: Array, plan: Plan, refuse: Any) -> dict[str, Any]:
+def _columns(
+    header: Sequence[str], data: Array, plan: Plan, given: Mapping[str, str], refuse: Any
+) -> dict[str, Any]:
+    """Return the inputs by name, in the units that the file gives, or the inputs declare."""
     inputs: dict[str, Any] = {}
     used = {0}
-    for name, shape, *_ in plan.inputs:
+    for name, shape, unit, type_, _ in plan.inputs:
         names = element_names(name, shape)
         if not any(column in header for column in names):
             continue
@@ -268,7 +287,15 @@ def _columns(header: Sequence[str], data: Array, plan: Plan, refuse: Any) -> dic
             raise refuse(f"has no column '{missing[0]}'.")
         picked = [header.index(column) for column in names]
         used.update(picked)
-        inputs[name] = (data[:, 0], data[:, picked].reshape(-1, *shape) if shape else data[:, picked[0]])
+        own = [given.get(column) or given.get(name) or unit for column in names] if type_ in ("real", "int") else [unit]
+        values: Any = data[:, picked]
+        if len(set(own)) > 1:
+            try:
+                values, own = values * [units.scale(each, unit) for each in own], [unit]
+            except ModelError as error:
+                raise refuse(f"the columns of '{name}': {error.faults[0].message}") from None
+        values = values.reshape(-1, *shape) if shape else values[:, 0]
+        inputs[name] = (data[:, 0], values if own[0] == unit else {"value": values, "unit": own[0]})
     unused = [name for index, name in enumerate(header) if index not in used]
     if unused:
         known = [name for name, *_ in plan.inputs]

@@ -203,16 +203,25 @@ class EnabledPart:
 
 @dataclass(frozen=True, slots=True)
 class PlanSignal:
-    """A named value that can be recorded or measured."""
+    """A named value that can be recorded or measured.
+
+    units: in SI. declared: the units of its ports, in which plain numbers about it are meant.
+    """
 
     name: str
     references: tuple[Reference, ...]
     shape: tuple[int, ...]
     units: tuple[str, ...]
+    declared: tuple[str, ...]
 
     @property
     def unit(self) -> str:
         return self.units[0] if len(set(self.units)) == 1 else ""
+
+    @property
+    def declared_unit(self) -> str:
+        """The one declared unit of all elements, or "" where they differ."""
+        return self.declared[0] if len(set(self.declared)) == 1 else ""
 
 
 class ProgramStep(NamedTuple):
@@ -386,7 +395,7 @@ class Plan(Shown):
         whole = self.signals[base]
         row = math.prod(whole.shape[1:])
         k = slice(int(index[:-1]) * row, (int(index[:-1]) + 1) * row)
-        return PlanSignal(name, whole.references[k], whole.shape[1:], whole.units[k])
+        return PlanSignal(name, whole.references[k], whole.shape[1:], whole.units[k], whole.declared[k])
 
     def node_name(self, node: Node) -> str:
         """The name of a node in messages: block.variable, with the element of an array."""

@@ -98,7 +98,7 @@ class _PlanSignals(Mapping[str, PlanSignal]):
         if name not in self._made:
             signal = self._signals[name]
             references = tuple(map(self._memory.reference, signal.sources))
-            self._made[name] = PlanSignal(name, references, signal.shape, signal.units)
+            self._made[name] = PlanSignal(name, references, signal.shape, signal.units, signal.declared)
         return self._made[name]
 
     def __contains__(self, name: object) -> bool:

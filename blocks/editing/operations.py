@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from ..model.block_types import library_types
-from ..model.diagram import FORMAT, VERSION, check_name
+from ..model.diagram import FORMAT, VERSION, check_name, is_plain_number
 from ..model.diagram_grammar import BODY, FILLED, NAMES, NUMBER, VARIANT
 from ..model.document import dumps_document, entries, entry_document, loads
-from ..model.flatten import Flat
+from ..model.flatten import Flat, numbers_in_si
 from ..model.resolver import resolver_of
 from ..model.values import is_expression
+from ..model.version_3 import converted, with_expressions
 from ..text import grammar, json_text, units
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.grammar import ANY, AnyOf, Field, ListOf, Object, Scalar, Steps, Table, Text, in_words
@@ -320,8 +321,20 @@ def _paste(spot: Spot, entry: Mapping[str, Any]) -> None:
                 continue  # it is shared
             value = tree.put_in(value, path, added, spot.name)
     if value["version"] < VERSION and _have_copies(given.get("blocks", {})):
-        value = tree.replaced(value, ("version",), VERSION, spot.name)
+        value = tree.replaced(_with_units(spot, value), ("version",), VERSION, spot.name)
     spot.put(value)
+
+
+def _with_units(spot: Spot, value: Any) -> Any:
+    """Give the numbers of measures their units before an older file becomes one of version 3."""
+    measures = tree.table_at(value, ("measures",))
+    if not any(is_plain_number(raw.get("against")) for raw in measures.values()):
+        return value
+    before = spot.workspace.flat(spot.file)
+    if not isinstance(before, Flat) or before.diagram is None:
+        return {**value, "measures": with_expressions(measures)}
+    in_si = numbers_in_si(before.diagram, before.signals)
+    return {**value, "measures": dict(converted(replace(before.diagram, measures=measures), in_si).measures)}
 
 
 def _have_copies(blocks: Mapping[str, Any]) -> bool:

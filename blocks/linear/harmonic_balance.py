@@ -27,6 +27,7 @@ import numpy as np
 from ..frequency.delayed import DelayedModel
 from ..frequency.response import poles, response
 from ..frequency.systems import frd
+from ..model.values import in_si
 from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.printable import counted
 from ..text.shown import Part, Shown
@@ -92,6 +93,8 @@ class Balance:
 
     def at(self, amplitude: float, omega: Any) -> HarmonicResponse:
         """The response at each omega in rad/s, in this order; of several solutions, each continues the one before.
+
+        amplitude: in SI.
 
         At 0 it is the limit for a very slow sine: real, or inf behind an integrator. Raises UsageError (E501), and
         AnalysisError: E704 (a law that moves the mean), E706 (no solution).
@@ -298,7 +301,8 @@ class Linearizer(Linearization, Shown):
     """Slopes at a point, wired anew for each transfer that is asked for.
 
     amplitude: by signal, the amplitude of a sine there: laws of that signal are replaced by their describing functions.
-    sigma: the same with the standard deviation of a Gaussian signal. overrides: by the path of a block, a linear model
+    sigma: the same with the standard deviation of a Gaussian signal. Plain numbers are in the declared unit of the
+    signal; quantities such as "2 rpm" are in their own. overrides: by the path of a block, a linear model
     in its place (of python-control, or a matrix of gains), from its inputs to its outputs as declared. Raises
     UsageError (E501) and AnalysisError (E704) where they do not fit.
     """
@@ -314,10 +318,12 @@ class Linearizer(Linearization, Shown):
         yield from [f"  no slope here: {', '.join(laws)}"] if laws else []
 
     def harmonic_response(
-        self, input: str, outputs: Names, omega: Any, *, amplitude: float, openings: Names = ()
+        self, input: str, outputs: Names, omega: Any, *, amplitude: Any, openings: Names = ()
     ) -> HarmonicResponse:
         """The fundamentals of `outputs` for a sine of an amplitude at `input`, by harmonic balance; omega: in rad/s.
 
-        Raises AnalysisError: E704 (a law that moves the mean), E706 (no solution).
+        amplitude: a number in the declared unit of `input`, or a quantity such as "2 rpm". Raises AnalysisError: E704
+        (a law that moves the mean), E706 (no solution).
         """
-        return Balance(self, input, outputs, openings=openings).at(amplitude, omega)
+        balance = Balance(self, input, outputs, openings=openings)
+        return balance.at(in_si(amplitude, balance.input.declared, "amplitude"), omega)

@@ -26,10 +26,12 @@ import numpy as np
 from ..compile.plan import Reference
 from ..frequency.delayed import DelayedModel
 from ..frequency.response import response
+from ..model.values import in_si
 from ..text.errors import AnalysisError, Fault, UsageError
 from .harmonic_balance import speeds
 from .linearization import Linearization
 from .modes import GrowthZero, LinearRest, Mode, Resting, crossings, groups
+from .signals import places
 from .sinusoidal_gains import MOVED, NEAR, Laws, Rest, gain_matrix
 from .transfer import Transfer
 
@@ -46,6 +48,7 @@ _RESTING = 1e-6
 """How much a quantity at rest may change in a second, relative to its size."""
 _FAR = 500.0
 """A bound of the logarithms of amplitudes and frequencies in a search."""
+_AMPLITUDES = (1e-9, 1e3)  # in SI
 _BALANCE, _TWO = "harmonic balance", "two periods"
 
 
@@ -92,7 +95,7 @@ def limit_cycles(
     linearizer: Linearization,
     *,
     omega: tuple[float, float] | None = None,
-    amplitude: tuple[float, float] = (1e-9, 1e3),
+    amplitude: tuple[Any, Any] | None = None,
 ) -> LimitCycles:
     """The limit cycles of a diagram around its operating point, which must be one of rest, by frequency.
 
@@ -101,12 +104,12 @@ def limit_cycles(
     judged: its effect on the means takes a run.
 
     omega: where to look, in rad/s (from the poles and delays, unless given). amplitude: of the signal of the first law
-    in each loop, in SI. Raises UsageError (E501), AnalysisError: E704 (a law that moves the mean at all amplitudes),
+    in each loop: numbers in the declared unit of the signal, or quantities such as "2 rpm" (1e-9 to 1e3 in SI, unless
+    given). Raises UsageError (E501), AnalysisError: E704 (a law that moves the mean at all amplitudes),
     E705 (no law in a loop, or no point of rest).
     """
-    for name, pair in (("omega", omega), ("amplitude", amplitude)):
-        if pair is not None and not 0 < pair[0] < pair[1] < math.inf:
-            raise UsageError(Fault("E501", name, f"{pair} are no limits above 0, the lower one first."))
+    _check_limits("omega", omega)
+    _limits_of(amplitude, "")
     nodes = linearizer.nonlinear_nodes((), ())
     cut = linearizer.with_gains({(node, slot): 0.0 for node, slots in nodes.items() for slot in slots})
     laws = Laws(linearizer, nodes)
@@ -125,9 +128,31 @@ def limit_cycles(
         part = laws.some(own, slots)
         part.rest = Rest.of(model, own, slots)
         group = _CoupledLaws(part, model, rational, own, slots)
-        cycles += group.cycles(omega, amplitude)
+        cycles += group.cycles(omega, _limits_of(amplitude, _declared_unit(linearizer, part.names[0])))
         unknown += group.unknown
     return LimitCycles(sorted(cycles, key=lambda cycle: (cycle.omega, *cycle.amplitudes.values())), unknown)
+
+
+def _check_limits(name: str, pair: Any) -> None:
+    if pair is not None and not (len(pair) == 2 and 0 < pair[0] < pair[1] < math.inf):
+        raise UsageError(Fault("E501", name, f"{pair} are no limits above 0, the lower one first."))
+
+
+def _limits_of(amplitude: Any, declared: str) -> tuple[float, float]:
+    """Return the limits of an amplitude in SI. declared: the unit of plain numbers. Raises UsageError (E501)."""
+    if amplitude is None:
+        return _AMPLITUDES
+    low, *high = in_si(tuple(amplitude), declared, "amplitude")
+    _check_limits("amplitude", (low, *high))
+    return low, high[0]
+
+
+def _declared_unit(linearizer: Linearization, signal: str) -> str:
+    """Return the declared unit of the signal of a law; "" if it has none, as locals have."""
+    try:
+        return places(linearizer.graph, signal)[0].declared
+    except UsageError:  # a state that has no name of its own
+        return ""
 
 
 def _check_rest(cut: Linearization, laws: Laws, own: Sequence[int], slots: Sequence[int]) -> None:

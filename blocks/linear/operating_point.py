@@ -21,6 +21,7 @@ from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan, Reference
 from ..text import units
 from ..text.brief import UnknownName
+from ..text.element_names import indexed
 from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
 from ..text.printable import quoted
 from ..text.shown import Part, Shown, Table
@@ -494,6 +495,22 @@ def _units_of(plan: Plan) -> dict[Reference, str]:
         for reference, unit in zip(signal.references, signal.units, strict=True):
             unit_of.setdefault(reference, unit)
     return unit_of
+
+
+def declared_unit(plan: Plan, name: str) -> str:
+    """Return the unit in which plain numbers about a signal or a state are meant; "" if it is not known."""
+    base, index = indexed(name)
+    if name in plan.signals:
+        return plan.signals[name].declared_unit
+    if base in plan.signals:
+        declared = plan.signals[base].declared
+        return declared[index] if index is not None and index < len(declared) else ""
+    path, _, variable = base.rpartition(".")  # a state that is no output
+    for instance in plan.instances:
+        d = instance.tape.interface.declaration
+        if instance.path == path and variable in {**d.states, **d.discretes}:
+            return instance.tape.interface.declared_units({**d.states, **d.discretes}[variable])[index or 0]
+    return ""
 
 
 def _input_names(plan: Plan) -> dict[str, Reference]:

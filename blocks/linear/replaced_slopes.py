@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from copy import copy
 from functools import cached_property
@@ -12,6 +12,7 @@ import numpy as np
 
 from ..compile.plan import Node, Reference
 from ..frequency.systems import is_of
+from ..model.values import in_si
 from ..text.errors import AnalysisError, Fault, UsageError
 from .interconnection import Interconnection
 from .nonlinearities import StaticLaw, nonlinear
@@ -56,10 +57,9 @@ class ReplacedSlopes:
         graph = self.graph
         spots = places(graph, name)
         word = "sigma" if is_random else "amplitude"
-        if isinstance(values, Mapping):
-            values = _in_si(name, values, spots)
+        numbers = in_si(values, tuple(spot.declared for spot in spots), f"{word} of {name}")
         try:
-            sizes = np.broadcast_to(np.asarray(values, dtype=float), (len(spots),)).tolist()
+            sizes = np.broadcast_to(np.asarray(numbers, dtype=float), (len(spots),)).tolist()
         except (TypeError, ValueError):
             message = f"{str(values)[:80]} is neither a number nor {len(spots)} numbers."
             raise UsageError(Fault("E501", f"{word} of {name}", message)) from None
@@ -166,23 +166,6 @@ class ReplacedSlopes:
             owners = np.array([node.instance for node in graph.nodes], dtype=np.intp)
             keep &= ~np.isin(owners[rows], list(self.overridden))
         return graph.variable[rows[keep]], slots[keep], data[keep]
-
-
-def _in_si(name: str, quantity: Mapping[str, Any], spots: Sequence[SignalElement]) -> float:
-    """A quantity, {"value": ..., "unit": ...}, of a signal. Raises UsageError (E501) where the unit is another one."""
-    from ..text import units
-
-    try:
-        value, unit = float(quantity["value"]), str(quantity["unit"])
-        known = {spot.unit for spot in spots if spot.unit}
-        if not all(units.same_quantity(unit, other) for other in known):
-            message = f"{unit} is no unit of it, which is in {', '.join(sorted(known))}."
-            raise UsageError(Fault("E501", name, message))
-        return float(units.to_si(value, unit))
-    except (KeyError, TypeError, ValueError) as error:
-        if isinstance(error, UsageError):
-            raise
-        raise UsageError(Fault("E501", name, f"{str(quantity)[:80]} is no number with a unit.")) from None
 
 
 def state_space(given: Any, path: str) -> tuple[Array, Array, Array, Array]:

@@ -29,13 +29,15 @@ class SignalElement:
     """One element of a signal: the column that it is, and the slots that read it here.
 
     column: -1 where it is a constant. slots: None: all that read the column. is_copy: it is an output of a block that
-    only re-arranges signals: it can be measured, but a perturbation or a cut there would reach others too.
+    only re-arranges signals: it can be measured, but a perturbation or a cut there would reach others too. unit: in SI.
+    declared: of plain numbers about it.
     """
 
     name: str
     column: int
     slots: tuple[int, ...] | None = None
     unit: str = ""
+    declared: str = ""
     is_copy: bool = False
 
 
@@ -92,8 +94,8 @@ def _found(graph: Interconnection, name: str) -> tuple[SignalElement, ...] | Non
         path, _, port = name.rpartition(".")
         is_copy = any(port in graph.type_of[i].tape.rearranged for i in graph.at_path.get(path, ()))
         return tuple(
-            SignalElement(label, column, None if is_copy else _outside(graph, column, path), unit, is_copy)
-            for label, column, unit in zip(names, columns, signal.units, strict=True)
+            SignalElement(label, column, None if is_copy else _outside(graph, column, path), unit, declared, is_copy)
+            for label, column, unit, declared in zip(names, columns, signal.units, signal.declared, strict=True)
         )
     path, _, port = name.rpartition(".")
     for i in graph.at_path.get(path, ()):
@@ -106,7 +108,8 @@ def _found(graph: Interconnection, name: str) -> tuple[SignalElement, ...] | Non
             for e in range(known.size):
                 k = kind.by_fine["input", known.variable, known.first + e]
                 slot = first + kind.slot_of[k]
-                elements.append(SignalElement(names[e], int(graph.selects[slot]), (slot,), known.units[e]))
+                both = known.units[e], known.declared[e]
+                elements.append(SignalElement(names[e], int(graph.selects[slot]), (slot,), *both))
             return tuple(elements)
         own = [row for row in kind.locals if row[0] == f"local:{port}"]
         if own:

@@ -23,17 +23,26 @@ __all__ = ["FlatSignal", "Signals", "element_of"]
 
 @dataclass(frozen=True, slots=True)
 class FlatSignal:
-    """A value that can be recorded, by name: where its elements come from."""
+    """A value that can be recorded, by name: where its elements come from.
+
+    units: in SI. declared: the units of its ports, in which plain numbers about it are meant.
+    """
 
     name: str
     sources: tuple[Source, ...]
     shape: tuple[int, ...]
     units: tuple[str, ...]
+    declared: tuple[str, ...]
     type: str
 
     @property
     def unit(self) -> str:
         return self.units[0] if len(set(self.units)) == 1 else ""
+
+    @property
+    def declared_unit(self) -> str:
+        """The one declared unit of all elements, or "" where they differ."""
+        return self.declared[0] if len(set(self.declared)) == 1 else ""
 
 
 class Signals(Mapping[str, FlatSignal]):
@@ -103,7 +112,7 @@ class Signals(Mapping[str, FlatSignal]):
         else:
             index, port = entry
             sources = tuple(BlockSource(index, port.variable, port.first + k) for k in range(port.size))
-            signal = FlatSignal(name, sources, port.shape, port.units, port.type)
+            signal = FlatSignal(name, sources, port.shape, port.units, port.declared, port.type)
         return signal, fleet, lane
 
     def __getitem__(self, name: str) -> FlatSignal:
@@ -161,7 +170,7 @@ def element_of(name: str, signals: Mapping[str, FlatSignal]) -> FlatSignal | Non
         return None
     row = math.prod(signal.shape[1:])
     k = slice(index * row, (index + 1) * row)
-    return FlatSignal(name, signal.sources[k], signal.shape[1:], signal.units[k], signal.type)
+    return FlatSignal(name, signal.sources[k], signal.shape[1:], signal.units[k], signal.declared[k], signal.type)
 
 
 def _around(fleet: Fleet | None) -> list[Fleet]:

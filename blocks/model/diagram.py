@@ -20,6 +20,7 @@ __all__ = [
     "BASE",
     "DEEPEST",
     "FORMAT",
+    "MADE",
     "NAME",
     "PLAIN_VERSION",
     "VERSION",
@@ -29,13 +30,18 @@ __all__ = [
     "beside",
     "check_name",
     "is_name",
+    "is_plain_number",
     "name_cure",
 ]
 
 FORMAT = "blocks-diagram"
 VERSION = 3
 PLAIN_VERSION = 2
-"""That of a diagram without copies, which alone are new in the newest version."""
+"""The version of a diagram that means the same in the newest version: without copies, and without a plain number
+beside `against`."""
+MADE = -1
+"""The version of a diagram that was made in Python: it means what the newest version means, and is written in the
+oldest version that can hold it."""
 BASE = "base"
 """The name that stands for a block itself where one of its variants is chosen."""
 DEEPEST = 30
@@ -47,6 +53,10 @@ UMLAUTS = {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue
 
 def is_name(text: Any) -> bool:
     return isinstance(text, str) and bool(NAME.match(text))
+
+
+def is_plain_number(raw: Any) -> bool:
+    return isinstance(raw, (int, float)) and not isinstance(raw, bool)
 
 
 def check_name(name: Any) -> None:
@@ -124,8 +134,8 @@ class BlockEntry:
 class DiagramValue:
     """A diagram: blocks, wires (sink -> source), inputs, outputs, parameters, run settings, measures, layout.
 
-    file, positions, prefix: where it was read, for the places of faults; version: that of its file. They are not part
-    of the value.
+    file, positions, prefix: where it was read, for the places of faults; version: of its file, or MADE. They are not
+    part of the value; but before version 3 the plain numbers of measures are in SI.
     """
 
     name: str = "diagram"
@@ -143,7 +153,17 @@ class DiagramValue:
     folder: str = field(default="", compare=False, repr=False)  # where its relative paths begin
     positions: Mapping[Any, tuple[int, int]] = field(default_factory=dict, compare=False, repr=False)
     prefix: tuple[str | int, ...] = field(default=(), compare=False, repr=False)
-    version: int = field(default=PLAIN_VERSION, compare=False, repr=False)
+    version: int = field(default=MADE, compare=False, repr=False)
+
+    @property
+    def is_before_3(self) -> bool:
+        """Whether plain numbers beside `against` are in SI, and not in the declared units of the signals."""
+        return MADE < self.version < VERSION
+
+    @property
+    def has_plain_numbers(self) -> bool:
+        """Whether a measure has a plain number beside `against`, whose unit depends on the version."""
+        return any(is_plain_number(raw.get("against")) for raw in self.measures.values())
 
     def fault(self, code: str, place: str, message: str, cure: str = "", path: tuple[str | int, ...] = ()) -> Fault:
         """A fault with its place in the file: that of `path`, or of the nearest thing around it.

@@ -531,7 +531,9 @@ BLOCK = Object(
 MEASURE = Object(
     Field("type", Text(meanings=MEASURES), "What is measured, of e = of - against.", required=True),
     Field("of", SIGNAL_NAME, 'A signal, such as "motor.omega".', required=True),
-    Field("against", AnyOf(SCALAR, SIGNAL_NAME), "A signal, or a number, that is taken off.", 0, is_later=True),
+    Field("against", AnyOf(SCALAR, SIGNAL_NAME), (
+        "A signal, or a number in the unit of `of`, that is taken off."
+    ), 0, is_later=True),
     Field("from", SECONDS, "Begin of the window, in s; left out: the start of the run.", is_later=True),
     Field("to", SECONDS, "End of the window, in s; left out: the end of the run.", is_later=True),
     Field("band", AnyOf(Scalar(above=0, below=1), COMPUTED), (

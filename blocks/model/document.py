@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,11 +19,12 @@ from ..text.errors import Fault, ModelError
 from ..text.gc_pause import paused
 from ..text.grammar import Object
 from ..text.json_document import Document
-from .diagram import DEEPEST, FORMAT, PLAIN_VERSION, VERSION, BlockEntry, DiagramValue, FaultList
+from .diagram import DEEPEST, FORMAT, MADE, PLAIN_VERSION, VERSION, BlockEntry, DiagramValue, FaultList
 from .diagram_grammar import BLOCK, BODY, DIAGRAM, SCHEMA, VARIANT
 from .document_reader import DocumentReader, Loading
 from .project import Project, read_inside
 from .values import Column
+from .version_3 import with_expressions
 
 __all__ = [
     "alone",
@@ -38,6 +39,7 @@ __all__ = [
     "relocated",
     "self_contained",
     "to_document",
+    "written_version",
 ]
 
 # --- reading ---------------------------------------------------------------------------------------------------
@@ -78,10 +80,13 @@ def alone(document: Document) -> tuple[DiagramValue | None, list[Fault]]:
     return value, loading.faults.in_order()
 
 
-def canonical(document: Document) -> tuple[str, int]:
-    """The canonical text of a diagram's document, in the newest version, and the version that it has.
+def canonical(
+    document: Document, convert: Callable[[DiagramValue], DiagramValue] = lambda value: value
+) -> tuple[str, int]:
+    """The canonical text of a diagram's document, and the version that the document has.
 
-    What the diagram means may be wrong; its structure may not. Raises ModelError with the faults of that.
+    convert: brings numbers up to date, which takes the units of the signals. What the diagram means may be wrong; its
+    structure may not. Raises ModelError with the faults of that.
     """
     value, faults = alone(document)
     # Faults with these codes leave nothing out of the value.
@@ -89,8 +94,9 @@ def canonical(document: Document) -> tuple[str, int]:
     if faults:
         raise ModelError(*faults)
     assert value is not None
-    text = dumps(value)
-    if alone(json_text.read(text))[0] != value:
+    new = convert(value)
+    text = dumps(new)
+    if alone(json_text.read(text))[0] != new:
         raise AssertionError("the canonical text says something else")
     return text, value.version
 
@@ -151,10 +157,18 @@ def to_document(value: DiagramValue, *, inner: bool = False) -> dict[str, Any]:
         document["blocks"] = {name: entry_document(entry) for name, entry in value.blocks.items()}
     document |= value.extras
     if not inner:
-        version = VERSION if has_copies(value) else max(value.version, PLAIN_VERSION)
+        version = written_version(value)
+        if value.is_before_3 and version == VERSION:
+            document |= {"measures": with_expressions(value.measures)}
         return DIAGRAM.ordered({"format": FORMAT, "version": version} | document)
     left = {SCHEMA, "name"} if value.name == "diagram" else {SCHEMA}
     return BODY.ordered({key: entry for key, entry in document.items() if key not in left})
+
+
+def written_version(value: DiagramValue) -> int:
+    """Return the version in which a diagram is written: the version of its file, or the oldest that can hold it."""
+    is_new = has_copies(value) or (value.version == MADE and value.has_plain_numbers)
+    return VERSION if is_new else max(value.version, PLAIN_VERSION)
 
 
 def entry_document(entry: BlockEntry, kind: Object = BLOCK) -> dict[str, Any]:

@@ -24,6 +24,8 @@ def fingerprint(value: DiagramValue) -> str:
     """
     # The version of the format is no part of what is computed; 1 is what went in when there was no other.
     document = {**to_document(_bare(value)), "version": 1}
+    if value.has_plain_numbers and not value.is_before_3:
+        document["version"] = 3  # the same number is another value than in an older file
     return hashlib.sha256(json.dumps(document).encode()).hexdigest()
 
 

@@ -25,10 +25,11 @@ from ..text.errors import Fault, ModelError
 from ..text.gc_pause import paused
 from ..text.json_document import AT_KEY
 from ..text.printable import legible, quoted
+from ..text.quantity_text import read_quantity
 from .block_signals import FlatSignal, Signals, element_of
 from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .copies import Fleet, Later, without_numbers
-from .diagram import PLAIN_VERSION, DiagramValue
+from .diagram import MADE, PLAIN_VERSION, DiagramValue, is_plain_number
 from .diagram_grammar import MEASURE_NUMBERS, MEASURES, RUN
 from .expansion import Expansion
 from .flat_block import FlatBlock, FlatEnabled
@@ -52,6 +53,7 @@ __all__ = [
     "element_of",
     "flatten",
     "interface_of",
+    "numbers_in_si",
 ]
 
 
@@ -137,6 +139,20 @@ def interface_of(diagram: DiagramValue, name: str, resolver: Resolver) -> Interf
     leaf = hierarchy.root.children[name]
     assert isinstance(leaf, Leaf)
     return leaf.interface
+
+
+def numbers_in_si(value: DiagramValue, signals: Mapping[str, FlatSignal]) -> dict[str, str]:
+    """Find the plain numbers of measures in an older file that mean something else in version 3.
+
+    Returns their units, which are in SI, by measure.
+    """
+    found: dict[str, str] = {}
+    for name, raw in value.measures.items() if value.is_before_3 else ():
+        number, of = raw.get("against"), raw.get("of")
+        signal = element_of(of, signals) if isinstance(of, str) and is_plain_number(number) else None
+        if signal is not None and units.to_si(float(number), signal.declared_unit) != number:
+            found[name] = signal.unit
+    return found
 
 
 def _blocks_around(signal: str) -> list[str]:
@@ -245,7 +261,7 @@ class _Flattener:
             self.settings,
             log,
             tuple(measure for measure in measures if measure is not None),
-            tuple(self.of_older_versions()),
+            (*self.of_older_versions(), *self.of_numbers_in_si(signals)),
             enabled,
             self.diagram,
             expansion,
@@ -305,9 +321,20 @@ class _Flattener:
         """Warnings about files of older versions, each once."""
         files = {scope.value.file: scope.value for scope in self.hierarchy.scopes if not scope.value.prefix}
         for value in files.values():
-            if value.version < PLAIN_VERSION:
+            if MADE < value.version < PLAIN_VERSION:
                 message = f"the file is of version {value.version}; the newest is {PLAIN_VERSION}."
                 yield value.fault("W103", "version", message, "`blocks fmt` brings it up to date.", ("version",))
+
+    def of_numbers_in_si(self, signals: Signals) -> Iterator[Fault]:
+        """Warn of numbers of measures that mean something else in version 3."""
+        for name, unit in numbers_in_si(self.diagram, signals).items():
+            raw = self.diagram.measures[name]
+            number, signal = float(raw["against"]), element_of(raw["of"], signals)
+            assert signal is not None
+            message = f"{number:g} is in {unit} in version {self.diagram.version} of the file, and would be in "
+            message += f"{signal.declared_unit} in version 3."
+            cure = f'`blocks fmt` converts it. Or write {{"value": {number:g}, "unit": "{unit}"}}.'
+            yield self.diagram.fault("W104", f"measures.{name}", message, cure, ("measures", name, "against"))
 
     def check_steps(self) -> None:
         """Refuse a communication step for a name that is no block."""
@@ -382,11 +409,12 @@ class _Flattener:
 
         def add(name: str, strand: Strand | None, fleet: Fleet | None = None) -> None:
             if strand is not None:
-                whole = FlatSignal(name, strand.sources, strand.shape, strand.units, strand.type)
+                whole = FlatSignal(name, strand.sources, strand.shape, strand.units, strand.declared, strand.type)
                 all_signals.add(name, whole, fleet)
                 for k, element in enumerate(strand.names):
                     of_bus = f"{name}[{element}]"
-                    own = FlatSignal(of_bus, strand.sources[k : k + 1], (), strand.units[k : k + 1], strand.types[k])
+                    part = strand.part(slice(k, k + 1), ())
+                    own = FlatSignal(of_bus, part.sources, (), part.units, part.declared, part.type)
                     if element:
                         all_signals.add(of_bus, own, fleet, is_told=False)
 
@@ -524,8 +552,11 @@ class _Flattener:
             refuse("type", f"there is no measure {quoted(type_)}.", cure)
         operands: dict[str, FlatSignal] = {}
         complete = True
+        given = {"of": raw.get("of"), "against": raw.get("against")}
+        if not self.diagram.is_before_3:
+            given["against"] = read_quantity(given["against"])  # "30 rpm" names no signal
         for key in ("of", "against"):
-            text = raw.get(key)
+            text = given[key]
             if not isinstance(text, str) or (key == "against" and is_expression(text)):
                 continue
             signal = element_of(text, signals)
@@ -540,7 +571,9 @@ class _Flattener:
                 operands[key] = signal
         against: str | float = operands["against"].name if "against" in operands else 0.0
         if "against" in raw and "against" not in operands and complete:
-            number = self.number(name, "against", raw["against"], operands["of"].unit if "of" in operands else "")
+            signal = operands.get("of")
+            unit = "" if signal is None else signal.unit if self.diagram.is_before_3 else signal.declared_unit
+            number = self.number(name, "against", given["against"], unit)
             against = 0.0 if number is None else number
         window = {"from": -math.inf, "to": math.inf, "band": 0.02, "omega": 0.0}
         for key in window:

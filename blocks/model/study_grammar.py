@@ -101,7 +101,7 @@ MARGIN = Object(
     Field("overrides", Table(AnyOf(NUMBER, ListOf(ListOf(NUMBER))), Text(refers="block")), (
         "Gains in the place of blocks, by path."
     )),
-    Field("held", Table(AnyOf(NUMBER, FLAG, ListOf(NUMBER)), Text(refers="input")), "Values of its inputs."),
+    Field("held", Table(AnyOf(NUMBER, FLAG, ListOf(NUMBER), QUANTITY), Text(refers="input")), "Values of its inputs."),
     Field("at", TIME, "The time at which the row is linearized, as it stands then in a run; left out: its start."),
     Field("pade", Scalar(low=0, high=20, is_whole=True), "The order of the models of exact delays.", 0),
     rules=[Rule(_margin, lambda _: {

@@ -10,6 +10,7 @@ import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from graphlib import CycleError, TopologicalSorter
 from typing import Any, NoReturn
 
@@ -20,14 +21,15 @@ from ..contract.expressions import Expression, Scalar, exact_decimal
 from ..contract.interface import Value
 from ..contract.sparse import SparseMatrix
 from ..text import units
-from ..text.errors import Fault, ModelError
+from ..text.errors import Fault, ModelError, UsageError
 from ..text.json_number import Number
 from ..text.printable import quoted
+from ..text.quantity_text import read_quantity
 from .diagram_grammar import EDGES, NUMBER, QUANTITY, SHAPE
 
 __all__ = [
-    "Absent", "Column", "EdgeTable", "Known", "Unit", "expressions_in", "is_expression", "names_in", "order_of",
-    "value_of",
+    "Absent", "Column", "EdgeTable", "Known", "Unit", "expressions_in", "in_si", "in_unit", "is_expression",
+    "names_in", "order_of", "value_of",
 ]  # fmt: skip
 
 Known = Mapping[str, Value | None]
@@ -127,6 +129,47 @@ def value_of(raw: Any, declared: Unit, known: Known) -> Value:
     if raw is None or isinstance(raw, bool):
         return Value(raw)
     return _number(raw, _single(declared))
+
+
+def in_si(raw: Any, declared: Unit, place: str) -> Any:
+    """Return a number, or a list of numbers, that a user gave for something with a declared unit, in SI.
+
+    A plain number is in the declared unit. A quantity, {"value": 2, "unit": "rpm"} or "2 rpm", is in its own unit,
+    which must be of the same quantity. What is no finite number comes back as it is. place: what an error names. Raises
+    UsageError (E501).
+    """
+    if isinstance(raw, (list, tuple, np.ndarray)) and np.ndim(raw):
+        own = declared if isinstance(declared, tuple) and len(declared) == len(raw) else (declared,) * len(raw)
+        return [in_si(item, unit, place) for item, unit in zip(raw, own, strict=True)]
+    raw = raw.item() if isinstance(raw, (np.ndarray, np.generic)) else float(raw) if isinstance(raw, Fraction) else raw
+    if isinstance(raw, float) and not math.isfinite(raw):
+        return raw
+    try:
+        value = value_of(read_quantity(raw), declared, {}).value
+    except ModelError as error:
+        raise UsageError(*(Fault("E501", place, fault.message, fault.cure) for fault in error.faults)) from None
+    return value if isinstance(value, (float, list)) else raw
+
+
+def in_unit(raw: Any, declared: str, place: str) -> Any:
+    """Return a number that a user gave for something with a declared unit, in that unit.
+
+    A plain number, and what is no number, comes back as it is. place: what an error names. Raises ModelError (E104,
+    E114).
+    """
+    quantity = read_quantity(raw)
+    if not isinstance(quantity, Mapping) or not {*quantity} <= {"value", "unit", "doc"}:
+        return raw
+    value, unit = quantity.get("value"), str(quantity.get("unit", ""))
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return raw
+    try:
+        if not declared:
+            return units.to_si(float(value), unit)
+        exact, scale = units.scale_exact(unit, declared), units.scale(unit, declared)
+    except ModelError as error:
+        raise ModelError(*(replace(fault, place=place) for fault in error.faults)) from None
+    return float(value) * scale if exact is None else float(exact_decimal(float(value)) * exact)
 
 
 def _single(declared: Unit) -> str:

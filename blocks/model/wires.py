@@ -88,10 +88,14 @@ class FlatInput:
 
 
 class Strand(NamedTuple):
-    """What a wire carries: of each element its source, unit and type; of a bus the names of its elements too."""
+    """Describe a wire: the source, units and type of each element; of a bus also the names of its elements.
+
+    units: in SI. declared: the units that the ports declare, in which plain numbers about the signal are meant.
+    """
 
     sources: tuple[Source, ...]
     units: tuple[str, ...]
+    declared: tuple[str, ...]
     types: tuple[str, ...]
     shape: tuple[int, ...]
     names: tuple[str, ...] = ()
@@ -102,6 +106,14 @@ class Strand(NamedTuple):
         types = set(self.types)
         return types.pop() if len(types) == 1 else "real"
 
+    def part(self, k: slice, shape: tuple[int, ...]) -> Strand:
+        """Return some elements, without their names."""
+        return Strand(self.sources[k], self.units[k], self.declared[k], self.types[k], shape)
+
+    def repeated(self, n: int, shape: tuple[int, ...]) -> Strand:
+        """Return the elements n times, without their names."""
+        return Strand(self.sources * n, self.units * n, self.declared * n, self.types * n, shape)
+
 
 @dataclass(frozen=True, slots=True)
 class WireElement:
@@ -109,6 +121,7 @@ class WireElement:
 
     source: Source
     unit: str
+    declared: str
     type: str
     name: str = ""
 
@@ -459,7 +472,7 @@ class Wires:
                 return leaving(leaf.copied, strand)
             places = range(port.first, port.first + port.size)
             owned = tuple([BlockSource(leaf.index, port.variable, place) for place in places])
-            return leaving(leaf.copied, Strand(owned, port.units, port.types, port.shape))
+            return leaving(leaf.copied, Strand(owned, port.units, port.declared, port.types, port.shape))
         scope = self.scopes[node.owner]
         if node.kind == "output":
             try:
@@ -473,12 +486,13 @@ class Wires:
         if scope.parent is None:
             first = self.inputs[node.name].first
             sources = tuple([InputSource(first + i) for i in range(port.size)])
-            return Strand(sources, port.units, port.types, port.shape)
+            return Strand(sources, port.units, port.declared, port.types, port.shape)
         fed = self.entering(scope.parent, scope.name, port.name)
         if fed is None:
             return None
-        units_ = tuple(own or given for own, given in zip((port.unit,) * port.size, fed.units, strict=True))
-        entering = Strand(fed.sources, units_, port.types, port.shape, fed.names)
+        units_ = tuple(own or given for own, given in zip(port.units, fed.units, strict=True))
+        declared = tuple(own or given for own, given in zip(port.declared, fed.declared, strict=True))
+        entering = Strand(fed.sources, units_, declared, port.types, port.shape, fed.names)
         return self.gated(scope, node.name, entering) if scope.control else entering
 
     def gated(self, scope: DiagramScope, name: str, strand: Strand, *, is_output: bool = False) -> Strand:
@@ -514,7 +528,7 @@ class Wires:
                 complete = False
             else:
                 names = fed.names or ("",) * len(fed.sources)
-                parts[port.variable] += [WireElement(*element) for element in zip(*fed[:3], names, strict=True)]
+                parts[port.variable] += [WireElement(*element) for element in zip(*fed[:4], names, strict=True)]
         if not complete:
             return None
         for name, part in parts.items():
@@ -586,13 +600,13 @@ class Wires:
             return self.fitting(scope, f"{name}.{port.name}", feeds, port, None, sink.copied)
         elements: list[WireElement | None] = [None] * port.size
         if port.default is not None:
-            given = zip(port.default, port.units, strict=True)
-            elements = [WireElement(ValueSource(value), unit, port.type) for value, unit in given]
+            given = zip(map(ValueSource, port.default), port.units, port.declared, port.types, strict=True)
+            elements = [WireElement(*element) for element in given]
         absent = False
         for index, feed in feeds.items():
             try:
                 strand = self.fitting(scope, f"{name}.{port.name}[{index}]", feed, port, index)
-                part = [WireElement(*element) for element in zip(*strand[:3], strict=True)]
+                part = [WireElement(*element) for element in zip(*strand[:4], strict=True)]
                 elements[index * len(part) : (index + 1) * len(part)] = part
             except Absent:
                 absent = True
@@ -635,7 +649,7 @@ class Wires:
             raise Absent
         row = math.prod(strand.shape[1:])  # of a matrix, as of the vectors of copies, an element is a row
         k = slice(feed.element * row, (feed.element + 1) * row)
-        return Strand(strand.sources[k], strand.units[k], strand.types[k], strand.shape[1:])
+        return strand.part(k, strand.shape[1:])
 
     def of_bus(self, scope: DiagramScope, strand: Strand, text: str, place: str, spot: Spot) -> Strand:
         """The element that a wire takes from a bus by its name."""
@@ -647,7 +661,7 @@ class Wires:
             self.tell(scope, "E105", place, f"{base} has no element {quoted(name)}.", cure, spot)
             raise Absent
         k = strand.names.index(name)
-        return Strand(strand.sources[k : k + 1], strand.units[k : k + 1], strand.types[k : k + 1], ())
+        return strand.part(slice(k, k + 1), ())
 
     def fitting(
         self, scope: DiagramScope, at: str, feed: Feed, port: Port, index: int | None, copied: Fleet | None = None
@@ -664,7 +678,7 @@ class Wires:
             wanted = port.units[index * row : (index + 1) * row]
         elif copied is not None and strand.shape == shape[1:]:
             n = copied.count
-            strand = Strand(strand.sources * n, strand.units * n, strand.types * n, shape, strand.names)
+            strand = strand.repeated(n, shape)._replace(names=strand.names)
         if strand.shape != shape:
             message = f"{_extent(shape)}, but {feed.text} {_extent(strand.shape)}."
             cure = ""
@@ -729,7 +743,8 @@ def entered(copied: Fleet, strand: Strand) -> Strand:
     sources: tuple[Any, ...] = tuple(
         column[0] if column[:-1] == column[1:] else EachSource(copied, column) for column in columns
     )
-    return Strand(sources, strand.units[:size], strand.types[:size], strand.shape[1:], strand.names[:size])
+    one = strand.part(slice(size), strand.shape[1:])
+    return one._replace(sources=sources, names=strand.names[:size])
 
 
 def leaving(copied: Fleet | None, strand: Strand) -> Strand:
@@ -739,7 +754,7 @@ def leaving(copied: Fleet | None, strand: Strand) -> Strand:
     n = range(copied.count)
     sources = tuple([_left(copied, number, source) for number in n for source in strand.sources])
     shape = (copied.count, *strand.shape)
-    return Strand(sources, strand.units * copied.count, strand.types * copied.count, shape)
+    return strand.repeated(copied.count, shape)._replace(sources=sources)
 
 
 def _left(copied: Fleet, number: int, source: Any) -> Any:
@@ -764,6 +779,7 @@ def _strand(elements: list[WireElement], shape: tuple[int, ...]) -> Strand:
     return Strand(
         tuple(element.source for element in elements),
         tuple(element.unit for element in elements),
+        tuple(element.declared for element in elements),
         tuple(element.type for element in elements),
         shape,
         tuple(element.name for element in elements) if shape and any(element.name for element in elements) else (),

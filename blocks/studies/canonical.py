@@ -9,9 +9,14 @@ from typing import BinaryIO
 
 from ..model import diagram, study_grammar
 from ..model import document as documents
+from ..model.block_types import Library, library_types
+from ..model.diagram import DiagramValue
+from ..model.flatten import flatten, numbers_in_si
 from ..model.project import MAX_BYTES, Project, read_inside
+from ..model.resolver import resolver_of
+from ..model.version_3 import converted
 from ..text import json_text
-from ..text.errors import Fault
+from ..text.errors import BlocksError, Fault
 from . import study
 
 __all__ = ["Canonical", "canonical"]
@@ -27,10 +32,12 @@ class Canonical:
     newest: int
 
 
-def canonical(file: str, stream: BinaryIO | None = None) -> Canonical:
-    """The canonical form of a file, in the newest version; nothing but the file itself is read.
+def canonical(file: str, stream: BinaryIO | None = None, *, library: Library = ()) -> Canonical:
+    """The canonical form of a file, in the newest version.
 
-    stream: where its bytes come from in place of the file. Raises ModelError with the faults of its structure.
+    Nothing but the file itself is read, unless it is a diagram of an older version with plain numbers in its measures:
+    the units of the signals tell whether a number is converted. stream: where its bytes come from in place of the
+    file. library: block types beyond the library that ships. Raises ModelError with the faults of its structure.
     """
     if stream is not None:
         data = stream.read(MAX_BYTES + 1)
@@ -38,6 +45,26 @@ def canonical(file: str, stream: BinaryIO | None = None) -> Canonical:
         data = read_inside(Path(file), Project(Path(os.path.realpath(file)).parent), Fault("E007", "", ""))
     document = json_text.read(data, file=file)
     is_study = isinstance(document.value, dict) and document.value.get("format") == study_grammar.FORMAT
-    new, version = (study.canonical if is_study else documents.canonical)(document)
-    newest = study_grammar.VERSION if is_study else max(version, diagram.PLAIN_VERSION)
-    return Canonical(document.text, new, version, newest)
+    if is_study:
+        return Canonical(document.text, *study.canonical(document), study_grammar.VERSION)
+    newest = diagram.PLAIN_VERSION
+
+    def convert(value: DiagramValue) -> DiagramValue:
+        nonlocal newest
+        value = _up_to_date(value, document.text, file, library)
+        newest = documents.written_version(value)
+        return value
+
+    return Canonical(document.text, *documents.canonical(document, convert), newest)
+
+
+def _up_to_date(value: DiagramValue, text: str, file: str, library: Library) -> DiagramValue:
+    """Return the diagram of a file with numbers as version 3 has them; as it is if its meaning has faults."""
+    if not (value.is_before_3 and value.has_plain_numbers):
+        return value
+    try:
+        whole = documents.loads(text, file=file, folder=os.path.dirname(os.path.realpath(file)))
+        found = numbers_in_si(whole, flatten(whole, resolver_of(library_types(library))).signals)
+    except BlocksError:  # `blocks check` reports it; an older version keeps its meaning
+        return value
+    return converted(value, found) if found else value

@@ -18,15 +18,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..api.varied import columns_of, raw_values
+from ..model.flatten import Flat, element_of
 from ..model.variants import taken
 from ..results import plots
 from ..results.results import Results
+from ..text import units
 from ..text.csv_text import read_columns
-from ..text.errors import Fault, SimulationError, UsageError, did_you_mean
+from ..text.errors import Fault, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import legible
 from ..text.shown import Part, Table, as_text
 from .gains_file import Found
-from .search_space import Space
+from .search_space import Space, units_of_parameters
 from .tuned import short
 
 if TYPE_CHECKING:
@@ -125,17 +127,22 @@ def fit(
     """What `Diagram.fit` gives; its arguments."""
     from scipy import optimize, stats
 
-    space = Space.of(over)
+    space = Space.of(over, units_of_parameters(diagram, parameters, variants))
     if not isinstance(compare, Mapping):
         raise UsageError(Fault("E501", "compare", "must map signals to columns.", 'As in {"motor.omega": "omega"}.'))
     if isinstance(level, bool) or not isinstance(level, (int, float)) or not 0 < level < 1:
         raise UsageError(Fault("E501", "level", f"is {legible(repr(level))}.", "Give a share of 1, such as 0.95."))
-    columns = _columns(data, diagram, compare)
+    columns, given = _columns(data, diagram, compare)
     value = taken(diagram.value, variants)
-    varied = columns_of(list(over), value, diagram.flatten(parameters=parameters, variants=variants))
+    flat = diagram.flatten(parameters=parameters, variants=variants)
+    varied = columns_of(list(over), value, flat)
     t = columns["time"]
-    measured = {signal: columns[column] for signal, column in compare.items()}
-    tracks = {name: (t, columns[name], interpolation) for name in value.inputs if name in columns}
+    measured = {name: _in_si(columns[column], given.get(column, ""), flat, name) for name, column in compare.items()}
+    tracks: dict[str, Any] = {}
+    for name in value.inputs:
+        if name in columns:
+            u = {"value": columns[name], "unit": given[name]} if given.get(name) else columns[name]
+            tracks[name] = (t, u, interpolation)
     tracks = {**tracks, **(inputs or {})}
     grid = _grid(diagram, t, settings)
     model = diagram.prepare(
@@ -283,20 +290,38 @@ def _grid(diagram: Diagram, t: Array, settings: Mapping[str, Any]) -> dict[str, 
     return {"stop": stop, "every": every, "stops": []} if is_even else {"stop": stop, "stops": t.tolist()}
 
 
-def _columns(data: Any, diagram: Diagram, compare: Mapping[str, str]) -> dict[str, Array]:
-    """The columns of the data that count, as floats. Raises UsageError (E501)."""
+def _in_si(column: Array, unit: str, flat: Flat, name: str) -> Array:
+    """Return measured values of a signal in SI. unit: the unit of the column; "": the declared unit of the signal.
+
+    Raises UsageError (E501).
+    """
+    signal = element_of(name, flat.signals)
+    declared = "" if signal is None else signal.declared_unit
+    try:
+        return column * (units.scale(unit or declared, units.si_text(declared or unit)))
+    except ModelError as error:
+        raise UsageError(*(Fault("E501", legible(name), fault.message, fault.cure) for fault in error.faults)) from None
+
+
+def _columns(
+    data: Any, diagram: Diagram, compare: Mapping[str, str]
+) -> tuple[dict[str, Array], dict[str, str]]:
+    """The columns of the data that count, as floats, and the units that the data give. Raises UsageError (E501)."""
     place = str(data) if isinstance(data, (str, Path)) else "data"
+    given: dict[str, str] = {}
     needed = ["time", *compare.values()]
     if isinstance(data, (str, Path)):
         try:
             with open(data, encoding="utf-8", newline="") as stream:
-                names, rows = read_columns(stream, ["time"])
+                names, rows = read_columns(stream, ["time"], units=given)
         except (OSError, ValueError) as error:
             what = error.strerror if isinstance(error, OSError) else str(error)
             raise UsageError(Fault("E501", place, f"cannot be read: {what}")) from None
         table: Mapping[str, Any] = dict(zip(names, rows.T, strict=True))
     else:
-        table = data
+        quantities = {str(name): raw for name, raw in data.items() if isinstance(raw, Mapping) and "value" in raw}
+        given = {name: str(raw.get("unit", "")) for name, raw in quantities.items()}
+        table = {**data, **{name: raw["value"] for name, raw in quantities.items()}} if quantities else data
     known = [str(name) for name in table]
     faults = []
     for name in needed:
@@ -318,4 +343,4 @@ def _columns(data: Any, diagram: Diagram, compare: Mapping[str, str]) -> dict[st
             raise UsageError(Fault("E501", place, message, "Give one number for each time."))
     if len(columns["time"]) < 2 or not np.isfinite(columns["time"]).all():
         raise UsageError(Fault("E501", place, "has fewer than two rows, or a time that is no number."))
-    return columns
+    return columns, given

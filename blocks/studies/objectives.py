@@ -116,9 +116,13 @@ def objective_of(text: str, measures: Sequence[str], scenarios: Sequence[str], *
 
 
 def constraints_of(
-    texts: Sequence[str], measures: Sequence[str], scenarios: Sequence[str], *, unknown: str = "E501"
+    texts: Sequence[str], measures: Sequence[str], scenarios: Sequence[str], *, unknown: str = "E501",
+    unit_of: Callable[[str], str] = lambda name: "",
 ) -> tuple[Constraint, ...]:
-    """The constraints of texts; one of bare names is one for each scenario. Raises as `objective_of`."""
+    """The constraints of texts; one of bare names is one for each scenario. Raises as `objective_of`.
+
+    unit_of: the unit of a measure, with which that of a limit such as "75 V" must agree.
+    """
     if isinstance(texts, str):
         texts = (texts,)
     made: list[Constraint] = []
@@ -131,7 +135,8 @@ def constraints_of(
             faults.append(Fault("E501", place, message, 'As in "noisy.variation <= 75".'))
             continue
         left, right = (_parsed(place, side) for side in text.split(signs[0]))
-        faults += _faults(place, text, (*left.names, *right.names), measures, scenarios, unknown)
+        wrong = _faults(place, text, (*left.names, *right.names), measures, scenarios, unknown)
+        faults += wrong or _misfits(place, text.split(signs[0]), (left, right), unit_of)
         if signs[0].startswith(">"):
             left, right = right, left
         is_bare = any("." not in name for name in (*left.names, *right.names))
@@ -147,17 +152,33 @@ def _parsed(place: str, text: str) -> Expression:
     try:
         return parse(text.strip(), has_parts=True)
     except ModelError as error:
-        if (quantity := _QUANTITY.fullmatch(text)) and _is_unit(quantity[2]):
-            message = f"{quoted(text.strip())} is a number with a unit."
-            cure = f"A limit is a bare number in the unit of the measure: {quantity[1]}."
-            raise UsageError(Fault("E501", place, message, cure)) from None
+        if (quantity := _quantity(text)) is not None:
+            return parse(repr(units.to_si(*quantity)))  # measures are in SI
         raise UsageError(*(Fault("E501", place, fault.message, fault.cure) for fault in error.faults)) from None
 
 
-def _is_unit(text: str) -> bool:
-    with suppress(ModelError):
-        return bool(units.parse(text))
-    return False
+def _quantity(text: str) -> tuple[float, str] | None:
+    """Return the number and the unit of a text such as "75 V"; None for any other text."""
+    match = _QUANTITY.fullmatch(text)
+    if match is not None:
+        with suppress(ModelError, ValueError):
+            return float(match[1]), units.parse(match[2]).text
+    return None
+
+
+def _misfits(
+    place: str, texts: Sequence[str], sides: Sequence[Expression], unit_of: Callable[[str], str]
+) -> list[Fault]:
+    """Find a limit with a unit beside a measure that is another quantity."""
+    faults = []
+    for text, other in ((texts[0], sides[1]), (texts[1], sides[0])):
+        quantity = _quantity(text)
+        if quantity is not None and other.name is not None:
+            unit = unit_of(other.name.rpartition(".")[2])
+            if not units.same_quantity(quantity[1], unit):
+                message = f"{quoted(text.strip())} is the limit of a measure in {unit}: different quantities."
+                faults.append(Fault("E501", place, message))
+    return faults
 
 
 def _faults(

@@ -3,22 +3,42 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ..text.errors import Fault, UsageError
+from ..api.varied import columns_of
+from ..model.values import in_unit
+from ..model.variants import taken
+from ..text.errors import Fault, ModelError, UsageError
 from ..text.printable import legible
 
-__all__ = ["Space"]
+__all__ = ["Space", "units_of_parameters"]
 
 Array = np.ndarray[Any, Any]
 FAR_APART = 10.0
 """Bounds of which the upper is so many times the lower are searched on a logarithmic scale."""
 DIGITS = 6
 """Significant digits of the values of candidates: what is run, told and written is the same."""
+
+
+def _number(bound: Any, name: str, unit_of: Callable[[str], str]) -> float:
+    """Return a bound in the unit of its parameter. Raises ModelError, TypeError, ValueError."""
+    return float(bound if isinstance(bound, (int, float)) else in_unit(bound, unit_of(name), legible(name)))
+
+
+def units_of_parameters(
+    diagram: Any, parameters: Mapping[str, Any] | None = None, variants: Mapping[str, str] | None = None
+) -> Callable[[str], str]:
+    """Return the function that gives the unit of plain numbers for a parameter of a diagram, by its name."""
+
+    def unit_of(name: str) -> str:
+        flat = diagram.flatten(parameters=parameters, variants=variants)
+        return columns_of([name], taken(diagram.value, variants), flat)[0].unit
+
+    return unit_of
 
 
 @dataclass(frozen=True)
@@ -30,14 +50,20 @@ class Space:
     is_log: Array
 
     @classmethod
-    def of(cls, over: Mapping[str, Any]) -> Space:
-        """Raises UsageError (E501) with all bounds that are none."""
+    def of(cls, over: Mapping[str, Any], unit_of: Callable[[str], str] = lambda name: "") -> Space:
+        """Read the bounds: numbers in the units of the parameters, or quantities. unit_of: the unit of a parameter.
+
+        Raises UsageError (E501) with all bounds that are none.
+        """
         if not isinstance(over, Mapping):
             raise UsageError(Fault("E501", "over", "must map names to bounds.", 'As in over={"motor.Ra": (0.1, 0.2)}.'))
         faults, bounds = [], []
         for name, given in over.items():
             try:
-                low, high = (float(bound) for bound in given)
+                low, high = (_number(bound, name, unit_of) for bound in given)
+            except ModelError as error:
+                faults += [replace(fault, code="E501") for fault in error.faults]
+                low, high = 0.0, 1.0
             except (TypeError, ValueError):
                 low = high = math.nan
             if not -math.inf < low < high < math.inf:

@@ -13,7 +13,7 @@ from ..results.table import optional
 from ..text.errors import BlocksError, Fault
 from ..text.grammar import Steps
 from .objectives import constraints_of, objective_of
-from .search_space import Space
+from .search_space import Space, units_of_parameters
 from .study_sweeps import ManyRuns, plain
 from .tuned import Tuning
 from .tuning import measured
@@ -56,8 +56,9 @@ def faults_of(entry: StudyTuning, diagram: Diagram, parameters: Mapping[str, Any
     ]
     for k, text in enumerate(options.get("subject_to", ())):
         checks.append((("subject_to", k), partial(constraints_of, [text], measures, entry.told, unknown="E105")))
+    unit_of = units_of_parameters(diagram, parameters)
     for name, bounds in entry.vary.items():
-        checks.append((("over", name), partial(Space.of, {name: plain(bounds)})))
+        checks.append((("over", name), partial(Space.of, {name: plain(bounds)}, unit_of)))
         checks += [(("over", name), partial(columns_of, [name], diagram.value, flat)) for flat in flats[:1]]
     found = [(steps, fault) for steps, check in checks for fault in _faults(check)]
     if flats and not found:  # whether two names are of one parameter

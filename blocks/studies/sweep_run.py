@@ -11,7 +11,6 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from fractions import Fraction
 from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,9 +24,10 @@ from ..model.diagram_grammar import MEASURE_UNITS
 from ..model.flatten import Flat, element_of
 from ..model.raw_values import raw_of
 from ..model.trust import Paths
+from ..model.values import in_unit
 from ..model.variants import taken
 from ..text import units as unit_texts
-from ..text.errors import Fault, ModelError, UsageError
+from ..text.errors import Fault, UsageError
 from ..text.live_line import in_rows, live_line
 from ..text.printable import legible
 from ..text.quantity_text import read_quantity
@@ -190,18 +190,10 @@ def _in_unit(name: str, column: Array, unit: str) -> Array:
     quantities = [isinstance(item, Mapping) and {*item} <= {"value", "unit", "doc"} for item in column]
     if column.dtype.kind == "f" or not unit or not any(quantities):
         return column
-    made = []
-    for item, is_quantity in zip(column.tolist(), quantities, strict=True):
-        value, own = (item.get("value"), str(item.get("unit", ""))) if is_quantity else (item, "")
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            return column  # vectors and texts stay as they are given
-        try:
-            exact = unit_texts.scale_exact(own, unit)
-            by = unit_texts.scale(own, unit)
-        except ModelError as error:
-            raise ModelError(*(replace(fault, place=name) for fault in error.faults)) from None
-        made.append(float(value) * by if exact is None else float(Fraction(repr(float(value))) * exact))
-    return np.array(made)
+    numbers = [in_unit(item, unit, name) for item in column.tolist()]
+    if any(isinstance(number, bool) or not isinstance(number, (int, float)) for number in numbers):
+        return column  # vectors and texts stay as they are given
+    return np.array(numbers, dtype=float)
 
 
 def _table(rows: Rows) -> Array:

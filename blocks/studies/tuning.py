@@ -31,7 +31,8 @@ from ..text.printable import legible, quoted
 from .gains_file import changes
 from .objectives import Constraint, Objective, constraints_of, objective_of
 from .optimizers import METHODS, Spent
-from .search_space import Space
+from .search_space import Space, units_of_parameters
+from .sweep_run import units_of_measures
 from .tuned import Candidates, Condition, Tuning
 
 if TYPE_CHECKING:
@@ -136,8 +137,13 @@ def problem_of(
     scenarios = dict(scenarios) if scenarios else {"nominal": {}}
     measures = tuple(diagram.value.measures)
     objective = objective_of(minimize, measures, tuple(scenarios))
-    constraints = constraints_of(subject_to, measures, tuple(scenarios))
-    space = Space.of(over)
+    constraints = constraints_of(
+        subject_to, measures, tuple(scenarios),
+        unit_of=lambda name: units_of_measures(
+            diagram.flatten(parameters=parameters, variants=variants), plain="1"
+        )[name],
+    )  # fmt: skip
+    space = Space.of(over, units_of_parameters(diagram, parameters, variants))
     read = objective.reads(tuple(scenarios)) + [pair for each in constraints for pair in each.reads()]
     needed = {name: sorted({measure for scenario, measure in read if scenario == name}) for name in scenarios}
     given = {

@@ -1,11 +1,16 @@
-"""Tables of numbers in CSV text: one header line, then rows; lines that begin with # are left out."""
+"""Tables of numbers in CSV text: one header line, then rows; lines that begin with # are left out.
+
+A line `# units: {"omega": "rpm"}` above the header, as result files have it, gives the units of columns.
+"""
 
 from __future__ import annotations
 
 import csv
+import json
 import math
+import re
 from array import array
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -14,6 +19,7 @@ import numpy as np
 __all__ = ["read_columns"]
 
 Array = np.ndarray[Any, Any]
+_UNITS = re.compile(r"[\ufeff \t]*#\s*units:(.*)$", re.DOTALL)
 
 
 def read_columns(
@@ -22,14 +28,15 @@ def read_columns(
     *,
     most: int | None = None,
     words: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
+    units: dict[str, str] | None = None,
 ) -> tuple[list[str], Array]:
     """The names in the header, and the numbers, of shape (rows, columns).
 
     wanted: the columns that must hold numbers, all unless given; in others, NaN stands for what is none. most: rows.
-    words: for a column the numbers that words in it stand for.
+    words: for a column the numbers that words in it stand for. units: filled with the units that the text gives.
     Raises ValueError with a sentence.
     """
-    reader = csv.reader(lines)
+    reader = csv.reader(lines if units is None else _noting_units(lines, units))
     header: list[str] = []
     numbers = array("d")
     count = 0
@@ -64,6 +71,22 @@ def read_columns(
     if len(set(header)) < len(header):
         raise ValueError("has two columns of one name.")
     return header, np.array(numbers).reshape(count, len(header))
+
+
+def _noting_units(lines: Iterable[str], found: dict[str, str]) -> Iterator[str]:
+    """Yield the lines, and put the units that a comment above the header gives into `found`."""
+    is_above = True
+    for line in lines:
+        is_comment = line.lstrip("\ufeff \t").startswith("#")
+        is_above = is_above and (is_comment or not line.strip())
+        if is_above and is_comment and (match := _UNITS.match(line)):
+            try:
+                units = json.loads(match[1])
+            except (ValueError, RecursionError):  # a comment of another program
+                units = None
+            if isinstance(units, dict):
+                found.update((name, unit) for name, unit in units.items() if isinstance(unit, str))
+        yield line
 
 
 def _number(cell: str) -> float:
