@@ -12,12 +12,18 @@ from scipy.optimize import brentq
 
 from blocks import (
     Block,
+    BouncingBall,
     Constant,
     Diagram,
+    FirstOrder,
+    Gain,
     Integrator,
     ModelError,
     Parameter,
     Pulse,
+    Ramp,
+    Relay,
+    ResettableIntegrator,
     Results,
     SimulationError,
     Sine,
@@ -28,6 +34,7 @@ from blocks import (
     TransferFunction,
     ZeroOrderHold,
 )
+from blocks.model.diagram_grammar import MEASURES
 
 TIGHT: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-12}
 CLOSE = 1e-7
@@ -316,7 +323,7 @@ def test_total_variation_counts_jumps_and_what_is_between() -> None:
     samples = np.sin(np.arange(21) / 10)
     assert measures["held"] == pytest.approx(np.sum(np.abs(np.diff(samples))), abs=1e-12)
     assert measures["part"] == pytest.approx(math.sin(1.5) - math.sin(1.2), abs=1e-9)
-    assert measures["edge"] == 5.0  # the jump at its beginning is before it
+    assert measures["edge"] == 10.0  # with the jump at its beginning
 
 
 def test_a_jump_at_the_stop_counts_in_a_window_that_is_open() -> None:
@@ -324,6 +331,106 @@ def test_a_jump_at_the_stop_counts_in_a_window_that_is_open() -> None:
     diagram.add("s", Step(at=2.0))
     diagram.measure("TV", "total_variation", "s.y")
     assert diagram.run(stop=2.0).measures["TV"] == 1.0
+
+
+def jumping() -> Diagram:
+    """Signals that jump at ticks, event times, crossings and resets, at multiples of 1/4 s among other times."""
+    d = Diagram("jumping")
+    ramp, wave = d.add("ramp", Ramp()), d.add("wave", Sine(omega=2 * math.pi))
+    d.wire(d.add("held", ZeroOrderHold(period=0.25)).u, wave.y)
+    d.add("step", Step(at=1.0, after=-3.0))
+    d.wire(d.add("relay", Relay(on_at=0.75, off_at=-1.0, on=2.0)).u, ramp.y)
+    reset = d.add("reset", ResettableIntegrator())
+    d.wire(reset.u, ramp.y)
+    d.wire(reset.trigger, wave.y)
+    d.add("ball", BouncingBall(h_start=0.5))
+    return d
+
+
+JUMPING = {name: f"{name}.y" for name in ("held", "step", "relay", "reset", "wave")} | {"ball": "ball.v"}
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+@pytest.mark.parametrize("settings", [{}, {"method": "rk4", "step": 0.1}, {"method": "radau"}], ids=str)
+def test_variations_of_adjacent_windows_add_up_wherever_borders_lie(engine: str, settings: dict[str, Any]) -> None:
+    borders = [0.0, 0.25, 0.6, 0.75, 1.0, 1.1, 1.5, 2.0]
+    diagram, windows = jumping(), [*pairwise(borders)]
+    for name, of in JUMPING.items():
+        diagram.measure(f"{name}_whole", "total_variation", of)
+        diagram.measure(f"{name}_shut", "total_variation", of, start=0.0, stop=2.0)
+        for k, (start, stop) in enumerate(windows):
+            diagram.measure(f"{name}_{k}", "total_variation", of, start=start, stop=stop)
+    measures = diagram.run(stop=2.0, engine=engine, **settings).measures
+    for name in JUMPING:
+        parts = [measures[f"{name}_{k}"] for k in range(len(windows))]
+        assert measures[f"{name}_shut"] == measures[f"{name}_whole"]
+        assert sum(parts) == pytest.approx(measures[f"{name}_whole"], rel=1e-9), (name, parts)
+    assert measures["step_4"] == 3.0  # the jump is where it begins
+    held = [measures[f"held_{k}"] for k in range(len(windows))]  # 0 1 0 -1 0 1 0 -1 0 from 0 on, every 0.25 s
+    assert held == pytest.approx([0.0, 2.0, 0.0, 1.0, 1.0, 1.0, 3.0], abs=1e-12)
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_a_window_to_the_stop_measures_what_one_without_an_end_does(engine: str) -> None:
+    diagram = jumping()
+    for kind in MEASURES:
+        given = {"omega": math.pi} if kind == "THD" else {}
+        for name, of in JUMPING.items():
+            for begin, window in (("", {}), ("late_", {"start": 1.0})):
+                diagram.measure(f"{begin}{kind}_{name}_open", kind, of, 0.25, **window, **given)
+                diagram.measure(f"{begin}{kind}_{name}_shut", kind, of, 0.25, stop=2.0, **window, **given)
+    results = diagram.run(stop=2.0, engine=engine)
+    for name, value in results.measures.items():
+        if name.endswith("open"):
+            shut = results.measures[name.replace("open", "shut")]
+            assert shut == value or (math.isnan(shut) and math.isnan(value)), name
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_a_window_that_ends_within_a_run_has_what_is_before_its_end(engine: str) -> None:
+    """What jumps there is in the next window, also where the run was paused there, saved and resumed."""
+    diagram = jumping()
+    against = {"peak": -0.5, "total_variation": 0.0, "steady_state_error": 0.0, "zero_crossings": -1.5}
+    for kind, value in against.items():
+        diagram.measure(f"{kind}_before", kind, "step.y", value, stop=1.0)
+        diagram.measure(f"{kind}_after", kind, "step.y", value, start=1.0)
+    wanted = {"peak_before": 0.5, "peak_after": 2.5, "total_variation_before": 0.0, "total_variation_after": 3.0,
+              "steady_state_error_before": 0.0, "steady_state_error_after": 3.0, "zero_crossings_before": 0.0,
+              "zero_crossings_after": 1.0}  # fmt: skip
+    assert diagram.run(stop=2.0, engine=engine).measures == wanted
+    run = diagram.start(stop=2.0, engine=engine)
+    run.advance_to(1.0)
+    assert diagram.run(stop=2.0, engine=engine, resume=run.snapshot()).measures == wanted
+    ended = diagram.run(stop=1.0, engine=engine).measures
+    assert (ended["total_variation_before"], ended["zero_crossings_before"]) == (3.0, 1.0)  # as without an end
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_a_jump_at_a_common_border_is_in_one_window_of_a_master_too(engine: str) -> None:
+    diagram = Diagram("coupled")
+    diagram.wire(diagram.add("gain", Gain(k=2.0)).u, diagram.add("step", Step(at=1.0)).y)
+    windows = {"whole": {}, "shut": {"stop": 2.0}, "first": {"stop": 1.0}, "second": {"start": 1.0, "stop": 2.0}}
+    for name, window in windows.items():
+        diagram.measure(name, "total_variation", "gain.y", **window)
+    for stop, wanted in ((2.0, (2.0, 2.0, 0.0, 2.0)), (2.5, (2.0, 2.0, 0.0, 2.0))):
+        results = diagram.run(stop=stop, engine=engine, master={"couple": "each", "step": 0.25})
+        assert tuple(results.measures.values()) == wanted
+
+
+@pytest.mark.usefixtures("native")
+def test_rows_and_lanes_measure_windows_as_runs_do() -> None:
+    diagram, borders = Diagram("rows"), [0.0, 0.25, 0.6, 1.0, 1.5, 2.0]
+    lag, held = diagram.add("lag", FirstOrder(T=0.3, y_start=1.0)), diagram.add("held", ZeroOrderHold(period=0.25))
+    diagram.wire(held.u, lag.y)
+    diagram.wire(lag.u, diagram.add("step", Step(at=1.0)).y)
+    for k, (start, stop) in enumerate(pairwise(borders)):
+        for kind in ("total_variation", "peak", "steady_state_error", "zero_crossings", "overshoot"):
+            diagram.measure(f"{kind}_{k}", kind, "held.y", 0.4, start=start, stop=stop)
+    wanted = diagram.run(stop=2.0, engine="native").measures
+    for lanes in ("exact", "fast"):
+        rows = diagram.batch(["lag.T"], engine="native", lanes=lanes, stop=2.0)([[0.3]] * 9).measures
+        for name, value in wanted.items():
+            assert rows[name].tolist() == pytest.approx([value] * 9, rel=1e-9, nan_ok=True), (lanes, name)
 
 
 # --- step responses --------------------------------------------------------------------------------------------

@@ -68,7 +68,7 @@ class Course:
         made = []
         for k, (t0, t1) in enumerate(pairwise(self.t)):
             if self.instants[k]:
-                made.append(self.instant(measures, t0, float(self.pieces[k](t0)), self.against[k]))
+                made.append(self.instant(measures, k, float(self.pieces[k](t0)), self.against[k]))
             step = []
             ranges = {(max(lo, t0), min(hi, t1)) for lo, hi in zip(measures.low, measures.high, strict=True)}
             for low, high in self.rng.permutation(sorted(ranges)):
@@ -87,14 +87,17 @@ class Course:
             if step:
                 made.append(np.array(step))
         if self.instants[-1]:
-            made.append(self.instant(measures, self.t[-1], *self.end))
+            made.append(self.instant(measures, len(self.pieces), *self.end))
         return made
 
-    def instant(self, measures: Measures, t: float, of: float, against: float) -> Array:
-        """The unused part of a record may hold anything."""
-        record = np.full((1, 5 + 10 * measures.count), math.nan)
-        record[0, :2] = 1.0, t
-        record[0, 5 : 5 + 2 * measures.count] = np.tile([of, against], measures.count)
+    def instant(self, measures: Measures, k: int, of: float, against: float) -> Array:
+        """What is after an instant and what was before it; the unused part of a record may hold anything."""
+        record, width = np.full((1, 5 + 10 * measures.count), math.nan), 2 * measures.count
+        record[0, :2] = 1.0, self.t[k]
+        record[0, 5 : 5 + width] = np.tile([of, against], measures.count)
+        if k > 0:
+            before = [float(self.pieces[k - 1](self.t[k])), self.against[k - 1]]
+            record[0, 5 + width : 5 + 2 * width] = np.tile(before, measures.count)
         return record
 
     def expected(self, kind: str, low: float, high: float) -> float:
@@ -111,7 +114,10 @@ class Course:
         jumps = [(e(a), e(b)) for e, _, a, b in parts]
         values = [float(of(t)) for _, of, a, b in parts for t in (a, b, *turns(of, a, b))]
         sizes = [abs(float(e(t))) for e, _, a, b in parts for t in (a, b, *turns(e, a, b))]
-        if self.instants[-1] and low <= self.t[-1] < high:
+        for k, t in [*enumerate(self.t)][1:-1]:
+            if t == low and self.instants[k]:
+                jumps = [(math.nan, float(self.pieces[k - 1](t)) - self.against[k - 1]), *jumps]
+        if self.instants[-1] and low <= self.t[-1] <= high:
             end, target = self.end
             jumps, values, sizes = [*jumps, (end - target,) * 2], [*values, end], [*sizes, abs(end - target)]
         if kind == "peak":

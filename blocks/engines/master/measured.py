@@ -54,6 +54,8 @@ def _records(measures: Measures, points: Array, *, is_first: bool) -> Array:
     steps = np.concatenate([spans, nodes.reshape(len(low), 5 * columns)], axis=1)
     jumps = np.zeros((len(t), 5 + 10 * measures.count))
     jumps[:, 0], jumps[:, 1], jumps[:, 5 : 5 + columns] = 1.0, t, values
+    jumps[:, 5 + columns : 5 + 2 * columns] = np.nan
+    jumps[1:, 5 + columns : 5 + 2 * columns][t[1:] == t[:-1]] = values[:-1][t[1:] == t[:-1]]
     # A step comes before what happens at its end.
     both = np.concatenate([jumps[:1], np.stack([steps, jumps[1:]], axis=1).reshape(-1, jumps.shape[1])])
     wanted = np.concatenate([[is_first], np.stack([is_seen, kinds[1:] > 0], axis=1).ravel()])

@@ -9,7 +9,7 @@ An engine hands over records in the order of time: rows of 5 + 10 m doubles for 
 
 Kind 0 is a part of a step: it begins at t and is h long. low ... high is what the window of some measure leaves of the
 step; a step has parts for each such range. Kind 1 holds the values after an instant at t in the place of the first
-node; its other values mean nothing.
+node, and in that of the second those before it (NaN where nothing looked at them); its other values mean nothing.
 """
 
 from __future__ import annotations
@@ -61,8 +61,9 @@ Parts = Callable[[float, float, "Array | None"], Iterable[tuple[float, float, Ar
 class Measures:
     """The measures of one run up to some time. They are replaced step by step, never changed.
 
-    A window holds its beginning, and its end if the run ends there. It costs little more to take in many records than
-    one; those of single steps wait in `pending`.
+    A window holds what happens at its beginning, and what happens at its end if the run ends there: this is no part of
+    the state, but of results. It costs little more to take in many records than one; those of single steps wait in
+    `pending`.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -100,6 +101,8 @@ class Measures:
         record = np.zeros(_VALUES + 10 * self.count)
         record[:2] = 1.0, t
         record[_VALUES : _VALUES + len(row)] = row
+        before = self.known[1] if self.known is not None and self.known[0] == t else math.nan
+        record[_VALUES + len(row) : _VALUES + 2 * len(row)] = before
         return self._later([record])
 
     def after_step(self, t0: float, t1: float, parts: Parts) -> Measures:
@@ -117,7 +120,12 @@ class Measures:
             for begin, end, table in parts(low, high, first):
                 records.append(np.concatenate([(0.0, begin, end - begin, low, high), table.ravel()]))
             known = _known(records[-1])
-        return self._later(records)
+        measures = self._later(records)
+        if self.windowed and t1 in self.low and (measures.known is None or measures.known[0] != t1):
+            *_, (_, _, table) = parts(t0, t1, None)
+            measures = copy(measures)
+            measures.known = t1, table[-1].copy()  # a jump there is the first thing in that window
+        return measures
 
     def after_records(self, records: Array) -> Measures:
         """The measures with the instants and steps in records (n, 5 + 10 m): bit for bit as with one after the other.
@@ -232,6 +240,7 @@ class Measures:
         instant = records[:, 0] == 1.0
         t, h = records[:, 1], np.where(instant, 0.0, records[:, 2])
         table = records[:, _VALUES:].reshape(len(records), 5, 2 * self.count).transpose(2, 1, 0).copy()
+        before = table[0::2, 1] - table[1::2, 1]
         table[:, 1:, instant] = table[:, :1, instant]
         of, against = table[0::2], table[1::2]  # (m, 5, n)
         self._integrals(of - against, t, h, picked)
@@ -242,6 +251,8 @@ class Measures:
         for i in self.others:
             rows = picked[i]
             if rows.any():
+                if self.first[i] is None and instant[k := int(rows.argmax())]:
+                    self._begin_before(i, float(before[i, k]))
                 self._other(i, t[rows], h[rows], of[i][:, rows], against[i][:, rows])
             if i in self.paths:
                 rows = rows & ~instant
@@ -271,11 +282,19 @@ class Measures:
             self.total[i], self.target[i] = self.total[i] + square, self.target[i] + mean
             self.extremes[i] = (self.extremes[i][0] + cosine, self.extremes[i][1] + sine)
 
+    def _begin_before(self, i: int, e: float) -> None:
+        """A window begins at an instant: what changes there is in it, and is counted from the value before."""
+        if self.specs[i].type == "total_variation":
+            self.last[i] = e
+        elif self.specs[i].type == "zero_crossings" and abs(e) > self.atol:
+            self.extremes[i] = (self.extremes[i][0], math.copysign(1.0, e))
+
     def _other(self, i: int, t: Array, h: Array, of: Array, against: Array) -> None:
         """Take in the values of one measure, shape (5, n)."""
         kind, e = self.specs[i].type, of - against
         if self.first[i] is None:
-            self.first[i], self.begin[i], self.last[i] = float(t[0]), float(of[0, 0]), float(e[0, 0])
+            self.first[i], self.begin[i] = float(t[0]), float(of[0, 0])
+            self.last[i] = float(e[0, 0]) if math.isnan(self.last[i]) else self.last[i]
             if kind == "THD":
                 self.target[i], self.extremes[i] = 0.0, (0.0, 0.0)
         if kind == "THD":
@@ -306,6 +325,8 @@ class Measures:
         """
         if self.pending:
             return self._settled().results(t)
+        if self.known is not None and self.known[0] == t and t in self.high:
+            return self._ended(t, self.known[1]).results(t)
         values, faults = {}, []
         for i, spec in enumerate(self.specs):
             value = float(self.total[i])
@@ -334,6 +355,15 @@ class Measures:
                 faults.append(Fault("W301", f"measures.{spec.name}", f"has no value: {why}.", cure))
             values[spec.name] = value
         return values, tuple(faults)
+
+    def _ended(self, t: float, row: Array) -> Measures:
+        """The measures of a run that ends at t: what happens there is in the windows that end there."""
+        record = np.full((1, _VALUES + 10 * self.count), math.nan)
+        record[0, :2], record[0, _VALUES : _VALUES + len(row)] = (1.0, t), row
+        measures = self._copy()
+        measures._take(record, (self.high == t)[:, None])
+        measures.known = None
+        return measures
 
     def _distortion(self, i: int) -> float:
         """The RMS value of all but the mean and the fundamental, by that of the fundamental."""

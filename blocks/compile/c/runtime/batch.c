@@ -46,6 +46,7 @@ void blocks_row_keep(BlocksBatch *b, BlocksSim *s, int64_t row, int status, cons
     int n = s->setup->nmeasures;
     int64_t width = 1 + s->rows.columns, made = 0;
     double *measured = b->measured + row * n * BLOCKS_KEPT;
+    if (status == BLOCKS_DONE && s->setup->has_windows) blocks_measure_end(s);
     for (int i = 0; i < n; i++) memcpy(measured + i * BLOCKS_KEPT, &s->measured[i], BLOCKS_KEPT * sizeof(double));
     if (b->ngrid && !is_over(b, s)) {
         made = s->rows.nchunks ? b->ngrid : (s->rows.next - room) / width;

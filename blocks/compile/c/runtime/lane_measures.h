@@ -207,7 +207,7 @@ static M to_measure(const Lanes *z, const Step *step, M *quiet)
     for (int i = 0; i < N / 2 && setup->has_windows; i++) {
         const double low = setup->measures[i].low, high = setup->measures[i].high;
         M touched = (low < step->t1) & (high > z->t);
-        in_part |= touched & ((low > z->t) | (high < step->t1));
+        in_part |= (touched & ((low > z->t) | (high < step->t1))) | (low == step->t1);
         any |= touched;
     }
     if (setup->has_windows) *quiet &= ~(wanted & in_part), wanted &= any & ~in_part;

@@ -970,7 +970,8 @@ HOT static void take(BlocksSim *s, int i, double t, double h, const double *valu
     values += 2 * i;
     _Pragma("GCC unroll 5") for (int k = 0; k < 5; k++) e[k] = values[k * n] - values[k * n + 1];
     if (isnan(made->first)) {
-        made->first = t, made->begin = values[0], made->last = e[0];
+        made->first = t, made->begin = values[0];
+        if (isnan(made->last)) made->last = e[0];
         if (kind == BLOCKS_HARMONIC) made->target = made->low = made->high = 0.0;
     }
     made->span += h;
@@ -1047,6 +1048,14 @@ static int measure(BlocksSim *s, double low, double high, double t1, double h_de
     return 0;
 }
 
+/* Whether a window begins at t. */
+HOT int blocks_window_begins(const BlocksSim *s, double t)
+{
+    int any = 0;
+    for (int i = 0; i < s->setup->nmeasures; i++) any |= s->setup->measures[i].low == t;
+    return any;
+}
+
 static int measure_step(BlocksSim *s, double t1, double h_dense)
 {
     const BlocksSetup *setup = s->setup;
@@ -1060,14 +1069,21 @@ static int measure_step(BlocksSim *s, double t1, double h_dense)
             if (is_of_range(s, j, low, high, s->t, t1)) is_new = 0;
         if (is_new && measure(s, low, high, t1, h_dense)) return BLOCKS_FAILED;
     }
+    if (setup->has_windows && s->known[0] != t1 && blocks_window_begins(s, t1)) {
+        if (s->moving) blocks_outside(s, t1);
+        evaluate(s, s->model->measured, t1, s->x1, s->nodes);
+        s->known[0] = all_finite(s->nodes, s->model->nmeasured) ? t1 : NAN;
+    }
     return path_room(s, s->parts.used / (4 + 5 * s->model->nmeasured));
 }
 
-/* The values after an instant; they are taken in when nothing can fail any more. */
+/* The values before an instant, where the step before has them, and those after it; they are taken in when nothing can
+   fail any more. */
 static int measure_instant(BlocksSim *s)
 {
     int m = s->model->nmeasured;
     if (!m) return 0;
+    for (int k = 0; k < m; k++) s->nodes[5 * m + k] = s->known[0] == s->t ? s->nodes[k] : NAN;
     evaluate(s, s->model->measured, s->t, s->memory.x, s->nodes);
     if (!all_finite(s->nodes, m)) return blocks_fail(s, BLOCKS_NOT_FINITE, 0, NAN);
     for (int k = 1; k < 5; k++) memcpy(s->nodes + k * m, s->nodes, (size_t)m * sizeof(double));
@@ -1075,10 +1091,32 @@ static int measure_instant(BlocksSim *s)
     return 0;
 }
 
+/* A window begins at an instant: what changes there is in it, and is counted from `e` on, the value before. */
+static void begin_before(BlocksSim *s, int i, double e)
+{
+    const int kind = s->setup->measures[i].kind;
+    if (kind == BLOCKS_VARIATION) s->measured[i].last = e;
+    if (kind == BLOCKS_SIGNS && fabs(e) > s->setup->plain_atol) s->measured[i].high = e > 0.0 ? 1.0 : -1.0;
+}
+
 static void take_instant(BlocksSim *s)
 {
+    for (int i = 0; i < s->setup->nmeasures; i++) {
+        const double *before = s->nodes + 5 * s->model->nmeasured + 2 * i;
+        if (!(s->setup->measures[i].low <= s->t && s->t < s->setup->measures[i].high)) continue;
+        if (isnan(s->measured[i].first)) begin_before(s, i, before[0] - before[1]);
+        take(s, i, s->t, 0.0, s->nodes);
+    }
+}
+
+/* A run ends: what happens there is in the windows that end there, as in those without an end. */
+void blocks_measure_end(BlocksSim *s)
+{
+    const int m = s->model->nmeasured;
+    if (s->known[0] != s->t) return;
+    for (int k = 1; k < 5; k++) memcpy(s->nodes + k * m, s->nodes, (size_t)m * sizeof(double));
     for (int i = 0; i < s->setup->nmeasures; i++)
-        if (s->setup->measures[i].low <= s->t && s->t < s->setup->measures[i].high) take(s, i, s->t, 0.0, s->nodes);
+        if (s->setup->measures[i].high == s->t) take(s, i, s->t, 0.0, s->nodes);
 }
 
 /* Whether the polynomials through `nodes`, of a step as one part, miss what was given at the first check. */
@@ -2402,7 +2440,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         {&s->memory.h, nh}, {&s->memory.z, nz}, {&s->memory.k, nr}, {&s->memory.q, nq}, {&s->memory.v, nv},
         {&s->memory.w, (size_t)model->nw},
         {&s->events, ne}, {&s->own, ne}, {&s->located, ns}, {&s->sides, ns}, {&s->fired, nc}, {&s->crossed, ns ? CROWD : 0},
-        {&s->left, nl}, {&s->before, nx + ns + nm}, {&s->latched, ns}, {&s->x1, nx}, {&s->known, 1 + 5 * nm}, {&s->base, nu}, {&s->aim, nu},
+        {&s->left, nl}, {&s->before, nx + ns + nm}, {&s->latched, ns}, {&s->x1, nx}, {&s->known, 1 + 6 * nm}, {&s->base, nu}, {&s->aim, nu},
         {&s->begin, nu}, {&s->finish, nu}, {&s->xs, nx}, {&s->x2, nx + ns},
         {&s->weights, nx * BLOCKS_MOST_DEGREE}, {&s->crossing_values, ns}, {&s->first_values, 5 * ns},
         {&s->part_values, 6 * looked}, {&s->part_phases, 3 * turning},

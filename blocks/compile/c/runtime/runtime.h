@@ -283,7 +283,7 @@ struct BlocksSim {
     BlocksList parts;         /* of the step or instant at hand, for measures: rows of low, high, t, h and values */
     BlocksMeasured *measured; /* (nmeasures) */
     double *known;            /* (1 + nmeasured) time and values of the last node */
-    double *nodes;            /* (5, nmeasured) those values, and others of a step that is one part */
+    double *nodes;            /* (6, nmeasured) those values, others of a step that is one part, and those before an instant */
     BlocksPast past;
     int64_t target_count;
     int32_t target_exact;
@@ -355,6 +355,8 @@ double blocks_first_step(BlocksSim *s, double most);
 int blocks_chatters(BlocksSim *s, double step);
 int blocks_misses(BlocksSim *s, double *given);
 int blocks_measures_in(const BlocksSim *s, double t0, double t1);
+int blocks_window_begins(const BlocksSim *s, double t);
+void blocks_measure_end(BlocksSim *s);
 int blocks_measure_one(BlocksSim *s, int i, double t0, double t1);
 int blocks_measure_whole(BlocksSim *s, double t0, double t1);
 

@@ -522,6 +522,7 @@ static inline __attribute__((always_inline)) int measured_inside(BlocksSim *s, c
     if (!(t < t1)) return 1;
     if (setup->has_windows) {
         int in = blocks_measures_in(s, t, t1);
+        if (in > 0 && blocks_window_begins(s, t1)) return -1; /* which takes what jumps there from here on */
         if (in) return in;
     }
     if (s->known[0] != t) {
