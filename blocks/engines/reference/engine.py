@@ -38,7 +38,7 @@ from .chattering import CrossingWatch, ProgressWatch
 from .event_update import Instants
 from .failures import Failures
 from .inside_step import InsideStep, in_time
-from .methods import Trial, error_norm, first_step, trial, worst
+from .methods import Flow, StepRefused, Trial, error_norm, first_step, retaking, trial, worst
 from .python_code import CompiledPrograms, Evaluator
 from .rows import Row, RunRows
 
@@ -421,10 +421,10 @@ class ReferenceEngine:
             raise self.failures.not_finite(self._memory(now.t, now.x), "is")
         return first
 
-    def _flow(self, tableau: Tableau, first: Array) -> Callable[[float], Array]:
-        """The states after a step of any size from here."""
+    def _flow(self, tableau: Tableau, first: Array) -> Flow:
+        """Steps of any size from here."""
         now = self.now
-        return lambda h: trial(tableau, self._rates, now.t, now.x, first, h).x1
+        return retaking(tableau, self._rates, now.t, now.x, first, self.atol, self.settings.rtol)
 
     def _fixed_step(self, grid: Grid, target: float, exact: Fraction | None) -> None:
         """To the next point of the grid start + k step, or to the target where that comes first."""
@@ -460,14 +460,29 @@ class ReferenceEngine:
             attempt = trial(tableau, self._rates, now.t, now.x, first, step)
             error = error_norm(attempt.error, now.x, attempt.x1, self.atol, rtol)
             if error <= 1.0:
-                break
+                try:
+                    self._accept_adaptive(attempt, t1, h, error, grow, target, exact)
+                    return
+                except StepRefused as refused:  # of the part before a crossing, or up to where projections follow
+                    step, error, culprit = refused.step.h, refused.step.error, refused.step.culprit
+            else:
+                culprit = worst(attempt.error, now.x, attempt.x1, self.atol, rtol)
             if h <= least or step <= least:
                 raise self.failures.too_small(attempt, self._weights())
             self.rejected += 1
-            self.blamed[worst(attempt.error, now.x, attempt.x1, self.atol, rtol)] += 1
+            self.blamed[culprit] += 1
             grow = 1.0
             factor = max(_LEAST, _SAFETY * error ** (-1 / tableau.order)) if math.isfinite(error) else 0.1
             h = max(step * factor, least)
+
+    def _accept_adaptive(
+        self, attempt: Trial, t1: float, h: float, error: float, grow: float, target: float, exact: Fraction | None
+    ) -> None:
+        """Take a step to t1 whose error fits. h: the size that was proposed; grow: by how much the next may be larger.
+
+        Raises StepRefused where it is retaken, and the error does not fit then.
+        """
+        now, tableau, step = self.now, attempt.tableau, attempt.h
         factor = _SAFETY * now.memory.error**_BETA * max(error, 1e-10) ** -(1 / tableau.order - 0.75 * _BETA)
         proposed = step * min(grow, max(_LEAST, factor))
         if step < h:  # cut short by the target: the proposal before it still counts
@@ -475,9 +490,14 @@ class ReferenceEngine:
         memory = MethodMemory(proposed, max(error, 1e-4), attempt.last)
         if self.settings.method == "auto":
             memory = replace(memory, stiffness=self._stiffness(attempt))
+        pace, first = self.pace.kept(), np.asarray(attempt.k[0])
         self.pace.step(self.steps + 1, now.t, t1, now.x, first, self._rates, self._weights(), self.rows.end)
         flow = self._flow(tableau, first)
-        self._accept(attempt.interpolant(), t1, attempt.x1, memory, flow, target, exact, now.fixed)
+        try:
+            self._accept(attempt.interpolant(), t1, attempt.x1, memory, flow, target, exact, now.fixed)
+        except StepRefused:
+            self.pace.go_back(pace)
+            raise
 
     def _stiffness(self, step: Trial) -> tuple[float, float, float]:
         """How many steps say that the run is stiff, and since when it is, after another one.
@@ -517,23 +537,28 @@ class ReferenceEngine:
         first, carried = self._first(), stiff.Carried.nothing(n)
         if now.memory.first is not None and now.memory.carried is not None:
             carried = stiff.Carried.of_row(now.memory.carried, n, values)
-        try:
-            made = method.step(now.t, now.x, first, carried, now.memory.h, target, self.longest, self.atol, rtol)
-        except SimulationError:
-            raise
-        except ArithmeticError as error:
-            raise self.failures.stiff_failed(now.t, now.x, first, self._weights(), str(error)) from None
-        finally:
-            self.rejected += method.rejected
-            self.blamed += method.blamed
-            method.rejected, method.blamed[:] = 0, 0
-        stiffness = now.memory.stiffness
-        memory = MethodMemory(made.proposed, made.error, frozen(made.last), made.carried.row(values), stiffness)
-
-        def flow(h: float) -> Array:
-            return method.flow(now.t, now.x, h, self.atol, rtol)
-
-        self._accept(made.dense, made.t1, made.x1, memory, flow, target, exact, now.fixed)
+        flow = method.flow(now.t, now.x, first, self.atol, rtol)
+        is_taken, refused = False, None
+        while not is_taken:
+            try:
+                made = method.step(
+                    now.t, now.x, first, carried, now.memory.h, target, self.longest, self.atol, rtol, refused=refused
+                )
+            except SimulationError:
+                raise
+            except ArithmeticError as error:
+                raise self.failures.stiff_failed(now.t, now.x, first, self._weights(), str(error)) from None
+            finally:
+                self.rejected += method.rejected
+                self.blamed += method.blamed
+                method.rejected, method.blamed[:] = 0, 0
+            stiffness = now.memory.stiffness
+            memory = MethodMemory(made.proposed, made.error, frozen(made.last), made.carried.row(values), stiffness)
+            try:
+                self._accept(made.dense, made.t1, made.x1, memory, flow, target, exact, now.fixed)
+                is_taken = True
+            except StepRefused as again:
+                refused = again.step
 
     def _accept(
         self,
@@ -541,17 +566,20 @@ class ReferenceEngine:
         t1: float,
         x1: Array,
         memory: MethodMemory,
-        flow: Callable[[float], Array],
+        flow: Flow,
         target: float,
         exact: Fraction | None,
         fixed: int,
     ) -> None:
-        """Take an accepted step to (t1, x1), or the part of it before the first change of a side."""
+        """Take an accepted step to (t1, x1), or the part of it before the first change of a side.
+
+        Raises StepRefused where such a part is retaken, and its error is too large.
+        """
         now, end, changed = self.now, t1, False
         if self.plan.projections and self.fixed is None:
             shorter = self._followed(dense, t1)
             if shorter < t1:
-                t1, x1, memory = shorter, flow(shorter - now.t), replace(memory, first=None, carried=None)
+                t1, x1, memory = shorter, flow.retake(shorter - now.t), replace(memory, first=None, carried=None)
         if self.plan.crossings:
             t1, x1, changed = self._up_to_crossing(dense, t1, x1, flow, target)
             if t1 < end:
@@ -657,7 +685,7 @@ class ReferenceEngine:
         return values
 
     def _up_to_crossing(
-        self, dense: Interpolant, t1: float, x1: Array, flow: Callable[[float], Array], target: float
+        self, dense: Interpolant, t1: float, x1: Array, flow: Flow, target: float
     ) -> tuple[float, Array, bool]:
         """The end of the step, or the first time in it at which a side has changed; the states; whether it has."""
         now, h = self.now, t1 - self.now.t
@@ -677,11 +705,11 @@ class ReferenceEngine:
                 break
         after = part.table[4].copy() if part.end == 1.0 else self._crossing_values(t1, x1)
         if bracket is not None:
-            size = self._located(dense, flow, bracket, h, sides)
+            size = self._located(dense, flow.after, bracket, h, sides)
             if now.t + size < t1 and not within_ulps(now.t + size, target):
                 # A time of its own after t, or the run would stand still.
                 t1 = max(now.t + size, math.nextafter(now.t, math.inf))
-                x1 = flow(t1 - now.t)
+                x1 = flow.retake(t1 - now.t)
                 after = self._crossing_values(t1, x1)
                 self.located = (t1, np.where((after >= 0) != sides, np.abs(after), -1.0))
         changed = bool(np.any((after >= 0) != sides))
