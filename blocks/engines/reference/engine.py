@@ -58,8 +58,8 @@ _ENDS = np.array([1 / 1024, 1 / 256, 1 / 64, 1 / 16])
 _ON_THE_WAY = np.array([*_ENDS, 0.25, 0.5, 0.75, *(1.0 - _ENDS[::-1]), 1.0])
 _UNKNOWN: tuple[float, Array] = (math.nan, np.empty(0))
 _KEPT = (
-    "now", "segment", "inputs", "broken", "outstanding", "crossing", "changed", "left", "sides", "located", "steps",
-    "rejected", "blamed", "evaluations", "instant_count", "events",
+    "now", "segment", "inputs", "broken", "outstanding", "crossing", "unprojected", "changed", "left", "sides", "located",
+    "steps", "rejected", "blamed", "evaluations", "instant_count", "events",
 )  # fmt: skip
 
 
@@ -117,6 +117,7 @@ class ReferenceEngine:
         self.broken = t  # the last input breakpoint passed; it may lie some ulp after its instant
         self.outstanding = True  # whether the instant at the current time is still to come
         self.crossing = False  # whether a side has changed at the end of the last step
+        self.unprojected: Snapshot | None = None  # the end of that step before projections: crossings fire by it
         self.changed = True  # whether an input or a parameter was set since the last instant
         self.recourses = False  # whether inputs did not jump since, but go on by another extrapolation
         self.left: Row | None = None  # the row before an input or a parameter was set
@@ -176,9 +177,17 @@ class ReferenceEngine:
         self.rows.go_on(now.t)
         self._keep_in_delays()
 
-    def stand(self, *, outstanding: bool, crossing: bool, changed: bool, tries: int) -> None:
-        """Go on for some steps as another engine would. Raises SimulationError where this one fails."""
+    def stand(
+        self, *, outstanding: bool, crossing: bool, changed: bool, unprojected: tuple[Array, tuple[float, ...]] | None,
+        tries: int,
+    ) -> None:  # fmt: skip
+        """Go on for some steps as another engine would. Raises SimulationError where this one fails.
+
+        unprojected: states and discretes before the projections of a step in which a side has changed.
+        """
         self.outstanding, self.crossing, self.changed = outstanding, crossing, changed
+        if unprojected is not None:
+            self.unprojected = replace(self.now, x=unprojected[0], d=unprojected[1])
         end = self.settings.stop if self.settings.stop is not None else Fraction(self.now.t) + 1
         with np.errstate(all="ignore"):
             for _ in range(tries):
@@ -300,11 +309,6 @@ class ReferenceEngine:
         events = self.due_events
         has_left = self.settings.records_jumps and not is_start and not self.is_silent
         left = self.left or self._row() if has_left else None
-        crossed: list[Event] = []
-        if self.crossing and self.plan.projections:
-            # Crossings in the step fire by the values seen in it, before its end is taken over.
-            self.instants.inputs_later = self.segment.at(now.t + self.instants.later)
-            now, crossed = self.instants.step_end(now, self.segment.at(now.t))
         past = now.past
         if past is not None:
             now = replace(now, past=past.after_breaks(now.t, self.scale))
@@ -316,11 +320,17 @@ class ReferenceEngine:
             segment, changed = self.inputs.segment(max(now.t, broken)), True
         self.instants.inputs_later = segment.at(now.t + self.instants.later)
         after, fired = self.instants.instant(
-            now, segment.at(now.t), events, self.due_rates, changed=changed or now.past is not past
+            now,
+            segment.at(now.t),
+            events,
+            self.due_rates,
+            changed=changed or now.past is not past,
+            seen=self.unprojected,
         )
-        was = self.now  # also before the crossings in the step fired
-        same = np.array_equal(after.x, was.x) and (after.d, after.s, after.ticks) == (was.d, was.s, was.ticks)
-        happened = not same or bool(events or crossed or fired) or self.instants.foreign.events != hidden
+        same = np.array_equal(after.x, now.x) and (after.d, after.s, after.ticks) == (now.d, now.s, now.ticks)
+        # The sides that are known are those before projections, where these moved.
+        happened = not same or bool(events or fired) or self.unprojected is not None
+        happened = happened or self.instants.foreign.events != hidden
         fresh = changed or happened
         if after.past is not None:
             jumps = happened or (changed and not self.recourses)
@@ -338,10 +348,10 @@ class ReferenceEngine:
         self._record(left, memory)
         # An interrupt comes before all of this or after it.
         self.segment, self.broken, self.now, self.measures, self.sides = segment, broken, after, measures, sides
-        self.outstanding, self.changed, self.left, self.crossing = False, False, None, False
+        self.outstanding, self.changed, self.left, self.crossing, self.unprojected = False, False, None, False, None
         self.instants.later = 0.0
         self.instant_count += 1
-        self.events += crossed + fired
+        self.events += fired
 
     def _memory(self, t: float, x: Array) -> tuple[Any, ...]:
         """The arguments of programs at another time and other states, with all else as it is."""
@@ -592,16 +602,19 @@ class ReferenceEngine:
         )
         after = self.instants.with_solutions(after, self.segment.at(t1))
         measures = self.measures.after_step(now.t, t1, self._measured_parts(dense, t1, x1))
-        outstanding = changed or t1 == target
-        if self.plan.projections and not changed:
-            after, moved = self._projected(after)
+        outstanding, unprojected = changed or t1 == target, None
+        if self.plan.projections:
+            before, (after, moved) = after, self._projected(after, changed=changed)
             outstanding = outstanding or moved
+            if changed and after is not before:
+                unprojected = before
         if self.instants.foreign and self.instants.completed(after, self.segment.at(t1)):
             outstanding = True
         if not outstanding and self.settings.every is None:
             self._record(None, self.instants.memory(after, self.segment.at(t1)))
         # An interrupt comes before all of this or after it.
         self.outstanding, self.crossing, self.now, self.measures = outstanding, changed, after, measures
+        self.unprojected = unprojected
         self.steps += 1
 
     def _measured_parts(self, dense: Interpolant, t1: float, x1: Array) -> Any:
@@ -665,11 +678,14 @@ class ReferenceEngine:
     def _projected_at(self, before: Snapshot, t: float, x: Array) -> Snapshot:
         return self.instants.projected(replace(before, t=t, x=frozen(x)), self.segment.at(t))
 
-    def _projected(self, accepted: Snapshot) -> tuple[Snapshot, bool]:
-        """The end of a step after the projections there, and whether these changed a side."""
+    def _projected(self, accepted: Snapshot, *, changed: bool) -> tuple[Snapshot, bool]:
+        """The end of a step after the projections there, and whether these changed a side.
+
+        changed: whether a side has changed in the step. It fires by the values seen there.
+        """
         u = self.segment.at(accepted.t)
         after = self.instants.projected(accepted, u)
-        if after is accepted:
+        if after is accepted or changed:
             return after, False
         values = np.array(self.instants.crossing_values(after, u))
         self.sides = (after.t, values)
