@@ -1,6 +1,6 @@
 """An instant: what happens at one time, always in this order.
 
-    1. every island has reached t; left values are recorded
+    1. every island has reached t, and what is replaced after each step is replaced; left values are recorded
     2. crossings and events that fire: all resets at once from the values before, sides latched again; until quiet
     3. the ticks that are due, once: sampled outputs in dependency order (with step 2 before an output that sees others
        through a side or through what events reset), step 2, then all discrete updates together

@@ -1790,6 +1790,7 @@ int blocks_chatters(BlocksSim *s, double step)
     double t1 = s->t + step, stop = isnan(setup->end) ? t1 : setup->end;
     double span = fmax(fmax(stop - setup->start, 1e-3 * fabs(t1)), 1e-12);
     int is_slow = (t1 - s->paced) * MANY < BLOCKS_PACE * span, culprit = -1;
+    s->paced_before = s->paced, s->chattered_before = s->chatters;
     s->paced = t1;
     if (!is_slow || m->hooks) {
         s->chatters = 0;

@@ -271,8 +271,8 @@ struct BlocksSim {
     double *fired;                /* (ncauses) when each crossing fired last; -inf: never */
     double *crossed;              /* ring of the last crossings */
     int64_t crossed_first, crossed_count;
-    double paced;     /* when the steps were looked at last, for chattering */
-    int32_t chatters; /* how many looks in a row have found it */
+    double paced, paced_before; /* when the steps were looked at last, for chattering; the same before that look */
+    int32_t chatters, chattered_before; /* how many looks in a row have found it */
     double *left;                 /* (nlogged) */
     double *last_row;             /* time and values of the last row; null: there is none */
     double next_row;              /* the time of row number `timed` of the recording grid; inf: there is none */

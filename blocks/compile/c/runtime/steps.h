@@ -684,9 +684,7 @@ static int run(BlocksSim *s, double target)
 #if BLOCKS_METHOD_AUTO
         const int32_t hits = s->hits, calm = s->calm;
 #endif
-        const double paced = s->paced;
-        const int32_t chatters = s->chatters;
-    again:
+    again: /* a retaken step was refused, and a shorter one is tried from the same place */
         for (;;) {
             /* The last step before the target is stretched a little rather than followed by a tiny one. */
             t1 = h >= left / 1.01 ? target : t + h;
@@ -768,7 +766,7 @@ static int run(BlocksSim *s, double target)
 #if BLOCKS_METHOD_AUTO
                 s->hits = hits, s->calm = calm;
 #endif
-                s->paced = paced, s->chatters = chatters;
+                if (!((steps + 1) % BLOCKS_PACE)) s->paced = s->paced_before, s->chatters = s->chattered_before;
                 h = blocks_larger(s->refused * blocks_reduction(s->refused_error), least);
                 grow = 1.0;
                 TAKE;
