@@ -4,7 +4,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from scipy.integrate import RK45
 
@@ -20,7 +19,7 @@ TOLERANCES: dict[str, Any] = {"rtol": 1e-9, "atol": 1e-11}
 
 
 def pulse(width: float) -> Diagram:
-    """x is the integral of a pulse of area 1; an event time begins a step at 1 s, and a state that is t passes 1.01 s."""
+    """x integrates a pulse of area 1. An event time begins a step at 1 s; a state that is equal to t passes 1.01 s."""
     d = Diagram("pulse")
     g = d.add("g", Expression(expression="exp(-((t-k3)/k1)**2)/(k1*k2)", k=[width, math.sqrt(math.pi), AT]))
     x, clock = d.add("x", Integrator()), d.add("clock", Integrator())

@@ -10,7 +10,6 @@ from blocks import (
     Block,
     Diagram,
     Discrete,
-    Expression,
     Input,
     Parameter,
     Pulse,
@@ -122,6 +121,40 @@ def test_what_a_step_has_crossed_fires_before_it_is_projected_away() -> None:
     results = d.run(stop=1.75)
     assert results["catch.hits"][-1] == 3.0
     assert [event.t for event in results.events] == pytest.approx([0.5, 1.0, 1.5], abs=1e-14)
+
+
+class Caught(Block):
+    """x meets a bound that moves on after the step, and the reset that counts it reads the bound."""
+
+    x = State(output=True)
+    bound = Discrete(0.5)
+    sum = Discrete(output=True)
+
+    @x.derivative
+    def dx():  # type: ignore[no-untyped-def]
+        return 1.0
+
+    @crossing(direction="up")
+    def meets(x, bound):  # type: ignore[no-untyped-def]
+        return x - bound
+
+    @meets.reset(sum)
+    def adds(sum, bound):  # type: ignore[no-untyped-def]
+        return sum + 1.0 / (2.0 - bound)
+
+    @bound.next(every="step")
+    def moves_on(x, bound):  # type: ignore[no-untyped-def]
+        return np.where(x >= bound, bound + 0.5, bound)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_resets_see_what_the_end_of_the_step_was_replaced_by(engine: str) -> None:
+    """As at a tick or an event time: 1/(2 - 1) at 0.5 s, 1/(2 - 1.5) at 1 s, and a division by 0 at 1.5 s."""
+    d = Diagram("caught")
+    d.add("caught", Caught())
+    assert d.run(stop=1.25, engine=engine)["caught.sum"][-1] == 3.0
+    with pytest.raises(SimulationError, match=r"E303 caught\.sum: is reset to inf at t = 1\.5"):
+        d.run(stop=1.75, engine=engine)
 
 
 class Broken(Block):
@@ -241,7 +274,7 @@ def test_a_step_that_ends_at_a_crossing_of_another_block_is_projected_before_tha
 
 
 def switched(kind: str) -> tuple[Diagram, dict[str, Any]]:
-    """A RateLimiter follows what jumps from 0 to 2 at 1 s and back at 4 s, where steps end for a reason of this kind."""
+    """A RateLimiter follows what jumps from 0 to 2 at 1 s and back at 4 s, where steps end for this reason."""
     d = Diagram("switched")
     q = d.add("q", RateLimiter(rising=0.2))
     if kind == "crossing":
@@ -256,8 +289,8 @@ def switched(kind: str) -> tuple[Diagram, dict[str, Any]]:
         d.wire(hold.u, source.y)
         d.wire(q.u, hold.y)
     elif kind == "delay":
-        source, delay = d.add("source", Pulse(on=0.25, off=3.25, height=2.0)), d.add("delay", TransportDelay(delay=0.75))
-        d.wire(delay.u, source.y)
+        delay = d.add("delay", TransportDelay(delay=0.75))
+        d.wire(delay.u, d.add("source", Pulse(on=0.25, off=3.25, height=2.0)).y)
         d.wire(q.u, delay.y)
     else:
         d.wire(q.u, d.input("u"))

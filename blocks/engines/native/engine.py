@@ -384,7 +384,7 @@ class NativeEngine:
         """The end of the last step before projections, where crossings still fire by it."""
         if self.sim.crossing != 2:
             return None
-        values = array(self.sim.unprojected, self._nx + self._nd)
+        values = array(self.sim.unprojected, self._nx + len(self._d))
         return frozen(values[: self._nx][self.model.place]), tuple(values[self._nx :].tolist())
 
     def _snapshot(self) -> Snapshot:

@@ -58,8 +58,8 @@ _ENDS = np.array([1 / 1024, 1 / 256, 1 / 64, 1 / 16])
 _ON_THE_WAY = np.array([*_ENDS, 0.25, 0.5, 0.75, *(1.0 - _ENDS[::-1]), 1.0])
 _UNKNOWN: tuple[float, Array] = (math.nan, np.empty(0))
 _KEPT = (
-    "now", "segment", "inputs", "broken", "outstanding", "crossing", "unprojected", "changed", "left", "sides", "located",
-    "steps", "rejected", "blamed", "evaluations", "instant_count", "events",
+    "now", "segment", "inputs", "broken", "outstanding", "crossing", "unprojected", "changed", "left", "sides",
+    "located", "steps", "rejected", "blamed", "evaluations", "instant_count", "events",
 )  # fmt: skip
 
 
