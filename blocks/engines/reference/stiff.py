@@ -235,6 +235,7 @@ class Radau:
                 z, rate, theta, count = solved
                 carried = replace(carried, rate=max(rate, _EPS), factored=step)
                 x1 = x + z[2]
+                assert carried.slopes is not None
                 factors, again = self._factors(step, carried.slopes), rejected or carried.length == 0.0
                 error, culprit = self._error(t, x, first, step, z, factors, atol, rtol, again=again)
                 if error <= 1.0:
