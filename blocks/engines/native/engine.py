@@ -381,7 +381,7 @@ class NativeEngine:
     # --- snapshots -------------------------------------------------------------------------------------------------
 
     def _unprojected(self) -> tuple[Array, tuple[float, ...]] | None:
-        """The end of the last step before projections, where crossings still fire by it."""
+        """Return the end of the last step before projections, if crossings are still to fire by it."""
         if self.sim.crossing != 2:
             return None
         values = array(self.sim.unprojected, self._nx + len(self._d))

@@ -107,7 +107,7 @@ class ProgressWatch:
         self.many, self.window, self.last, self.count = 0.0, 1, t, TO_AND_FRO - 1
 
     def kept(self) -> tuple[float, int]:
-        """What a step changes, to go back to."""
+        """Return what a step changes, to go back to it."""
         return self.last, self.count
 
     def go_back(self, kept: tuple[float, int]) -> None:

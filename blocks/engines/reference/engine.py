@@ -432,7 +432,7 @@ class ReferenceEngine:
         return first
 
     def _flow(self, tableau: Tableau, first: Array) -> Flow:
-        """Steps of any size from here."""
+        """Return the flow from here."""
         now = self.now
         return retaking(tableau, self._rates, now.t, now.x, first, self.atol, self.settings.rtol)
 

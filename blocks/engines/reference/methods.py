@@ -74,8 +74,8 @@ def combined(weights: Array, rows: Array) -> Array:
 
 @dataclass(frozen=True)
 class Retaken:
-    """A step that was shortened and is taken once more: its size, its end, its error (1: as large as it may be) and the
-    state with that error."""
+    """A shortened step that was taken once more: its size, its end, its error (up to 1 is accepted) and the state with
+    that error."""
 
     h: float
     x1: Array
@@ -84,7 +84,7 @@ class Retaken:
 
 
 class StepRefused(Exception):
-    """A retaken step whose error is too large: the run stands where it stood, and a shorter step is due."""
+    """A retaken step with too large an error. The run is still at the begin of the step; a shorter step is due."""
 
     def __init__(self, step: Retaken) -> None:
         super().__init__(step)
@@ -93,13 +93,13 @@ class StepRefused(Exception):
 
 @dataclass(frozen=True)
 class Flow:
-    """Steps of any size from where a run stands: the states after them, and a step as it may be accepted."""
+    """Steps of any size from the present state: `after` gives their ends, `retaken` their errors too."""
 
     after: Callable[[float], Array]
     retaken: Callable[[float], Retaken]
 
     def retake(self, h: float) -> Array:
-        """The states after a step of size h that is to be accepted. Raises StepRefused where its error is too large."""
+        """Return the end of a step of size h that is to be accepted. Raises StepRefused if its error is too large."""
         step = self.retaken(h)
         if not step.error <= 1.0:
             raise StepRefused(step)
@@ -107,7 +107,7 @@ class Flow:
 
 
 def retaking(tableau: Tableau, rates: Rates, t: float, x: Array, first: Array, atol: Array, rtol: float) -> Flow:
-    """Steps from (t, x), where the rates are `first`; by a method without an error estimate, all are as good."""
+    """Return the flow from (t, x), where the rates are `first`. Without an error estimate, no step is refused."""
 
     def after(h: float) -> Array:
         return trial(tableau, rates, t, x, first, h).x1

@@ -269,8 +269,8 @@ class Radau:
         return Step(Polynomial(t, step, x, polynomial), t1, x1, last, proposed, max(error, 1e-4), carried)
 
     def flow(self, t: float, x: Array, first: Array, atol: Array, rtol: float) -> Flow:
-        """Steps from (t, x), where the rates are `first`, to rounding: for those who look for a crossing on steps. In
-        parts where that does not converge as a whole."""
+        """Return the flow from (t, x), where the rates are `first`, to rounding: a crossing is looked for on its steps.
+        A step is divided into parts if it does not converge as a whole."""
         weights = 1.0 / (atol + rtol * np.abs(x))
 
         def after(h: float) -> Array:
@@ -294,7 +294,7 @@ class Radau:
         return Flow(after, retaken)
 
     def _in_parts(self, t: float, x: Array, h: float, weights: Array, rtol: float) -> list[tuple[Array, Array]]:
-        """The stages and the ends of as few equal parts of a step as converge; none where no parts do."""
+        """Return the stages and the ends of as few equal parts of a step as converge; nothing if no parts do."""
         needed, parts = 10.0 * _EPS / rtol, 1
         while parts <= _TRIALS:
             made: list[tuple[Array, Array]] = []
