@@ -366,7 +366,11 @@ class NativeEngine:
                 witness.pace.look_closely(sim.t)
             tries = _TRIED * (TO_AND_FRO if sim.chatters == TO_AND_FRO else 1)  # not every step holds a jump
             witness.stand(
-                outstanding=bool(sim.outstanding), crossing=bool(sim.crossing), changed=bool(sim.changed), tries=tries
+                outstanding=bool(sim.outstanding),
+                crossing=bool(sim.crossing),
+                changed=bool(sim.changed),
+                unprojected=self._unprojected(),
+                tries=tries,
             )
         except SimulationError as error:
             return error
@@ -375,6 +379,13 @@ class NativeEngine:
         return None
 
     # --- snapshots -------------------------------------------------------------------------------------------------
+
+    def _unprojected(self) -> tuple[Array, tuple[float, ...]] | None:
+        """Return the end of the last step before projections, if crossings are still to fire by it."""
+        if self.sim.crossing != 2:
+            return None
+        values = array(self.sim.unprojected, self._nx + len(self._d))
+        return frozen(values[: self._nx][self.model.place]), tuple(values[self._nx :].tolist())
 
     def _snapshot(self) -> Snapshot:
         sim = self.sim

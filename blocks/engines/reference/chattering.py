@@ -106,6 +106,13 @@ class ProgressWatch:
         """Look at each step from t on: another engine, which looks at one of many, met a jump there."""
         self.many, self.window, self.last, self.count = 0.0, 1, t, TO_AND_FRO - 1
 
+    def kept(self) -> tuple[float, int]:
+        """Return what a step changes, to go back to it."""
+        return self.last, self.count
+
+    def go_back(self, kept: tuple[float, int]) -> None:
+        self.last, self.count = kept
+
     def step(
         self,
         number: int,

@@ -38,7 +38,7 @@ from .chattering import CrossingWatch, ProgressWatch
 from .event_update import Instants
 from .failures import Failures
 from .inside_step import InsideStep, in_time
-from .methods import Trial, error_norm, first_step, trial, worst
+from .methods import Flow, StepRefused, Trial, error_norm, first_step, retaking, trial, worst
 from .python_code import CompiledPrograms, Evaluator
 from .rows import Row, RunRows
 
@@ -58,8 +58,8 @@ _ENDS = np.array([1 / 1024, 1 / 256, 1 / 64, 1 / 16])
 _ON_THE_WAY = np.array([*_ENDS, 0.25, 0.5, 0.75, *(1.0 - _ENDS[::-1]), 1.0])
 _UNKNOWN: tuple[float, Array] = (math.nan, np.empty(0))
 _KEPT = (
-    "now", "segment", "inputs", "broken", "outstanding", "crossing", "changed", "left", "sides", "located", "steps",
-    "rejected", "blamed", "evaluations", "instant_count", "events",
+    "now", "segment", "inputs", "broken", "outstanding", "crossing", "unprojected", "changed", "left", "sides",
+    "located", "steps", "rejected", "blamed", "evaluations", "instant_count", "events",
 )  # fmt: skip
 
 
@@ -117,6 +117,7 @@ class ReferenceEngine:
         self.broken = t  # the last input breakpoint passed; it may lie some ulp after its instant
         self.outstanding = True  # whether the instant at the current time is still to come
         self.crossing = False  # whether a side has changed at the end of the last step
+        self.unprojected: Snapshot | None = None  # the end of that step before projections: crossings fire by it
         self.changed = True  # whether an input or a parameter was set since the last instant
         self.recourses = False  # whether inputs did not jump since, but go on by another extrapolation
         self.left: Row | None = None  # the row before an input or a parameter was set
@@ -176,9 +177,17 @@ class ReferenceEngine:
         self.rows.go_on(now.t)
         self._keep_in_delays()
 
-    def stand(self, *, outstanding: bool, crossing: bool, changed: bool, tries: int) -> None:
-        """Go on for some steps as another engine would. Raises SimulationError where this one fails."""
+    def stand(
+        self, *, outstanding: bool, crossing: bool, changed: bool, unprojected: tuple[Array, tuple[float, ...]] | None,
+        tries: int,
+    ) -> None:  # fmt: skip
+        """Go on for some steps as another engine would. Raises SimulationError where this one fails.
+
+        unprojected: states and discretes before the projections of a step in which a side has changed.
+        """
         self.outstanding, self.crossing, self.changed = outstanding, crossing, changed
+        if unprojected is not None:
+            self.unprojected = replace(self.now, x=unprojected[0], d=unprojected[1])
         end = self.settings.stop if self.settings.stop is not None else Fraction(self.now.t) + 1
         with np.errstate(all="ignore"):
             for _ in range(tries):
@@ -300,11 +309,6 @@ class ReferenceEngine:
         events = self.due_events
         has_left = self.settings.records_jumps and not is_start and not self.is_silent
         left = self.left or self._row() if has_left else None
-        crossed: list[Event] = []
-        if self.crossing and self.plan.projections:
-            # Crossings in the step fire by the values seen in it, before its end is taken over.
-            self.instants.inputs_later = self.segment.at(now.t + self.instants.later)
-            now, crossed = self.instants.step_end(now, self.segment.at(now.t))
         past = now.past
         if past is not None:
             now = replace(now, past=past.after_breaks(now.t, self.scale))
@@ -316,11 +320,17 @@ class ReferenceEngine:
             segment, changed = self.inputs.segment(max(now.t, broken)), True
         self.instants.inputs_later = segment.at(now.t + self.instants.later)
         after, fired = self.instants.instant(
-            now, segment.at(now.t), events, self.due_rates, changed=changed or now.past is not past
+            now,
+            segment.at(now.t),
+            events,
+            self.due_rates,
+            changed=changed or now.past is not past,
+            seen=self.unprojected,
         )
-        was = self.now  # also before the crossings in the step fired
-        same = np.array_equal(after.x, was.x) and (after.d, after.s, after.ticks) == (was.d, was.s, was.ticks)
-        happened = not same or bool(events or crossed or fired) or self.instants.foreign.events != hidden
+        same = np.array_equal(after.x, now.x) and (after.d, after.s, after.ticks) == (now.d, now.s, now.ticks)
+        # The sides that are known are those before projections, where these moved.
+        happened = not same or bool(events or fired) or self.unprojected is not None
+        happened = happened or self.instants.foreign.events != hidden
         fresh = changed or happened
         if after.past is not None:
             jumps = happened or (changed and not self.recourses)
@@ -338,10 +348,10 @@ class ReferenceEngine:
         self._record(left, memory)
         # An interrupt comes before all of this or after it.
         self.segment, self.broken, self.now, self.measures, self.sides = segment, broken, after, measures, sides
-        self.outstanding, self.changed, self.left, self.crossing = False, False, None, False
+        self.outstanding, self.changed, self.left, self.crossing, self.unprojected = False, False, None, False, None
         self.instants.later = 0.0
         self.instant_count += 1
-        self.events += crossed + fired
+        self.events += fired
 
     def _memory(self, t: float, x: Array) -> tuple[Any, ...]:
         """The arguments of programs at another time and other states, with all else as it is."""
@@ -421,10 +431,10 @@ class ReferenceEngine:
             raise self.failures.not_finite(self._memory(now.t, now.x), "is")
         return first
 
-    def _flow(self, tableau: Tableau, first: Array) -> Callable[[float], Array]:
-        """The states after a step of any size from here."""
+    def _flow(self, tableau: Tableau, first: Array) -> Flow:
+        """Return the flow from here."""
         now = self.now
-        return lambda h: trial(tableau, self._rates, now.t, now.x, first, h).x1
+        return retaking(tableau, self._rates, now.t, now.x, first, self.atol, self.settings.rtol)
 
     def _fixed_step(self, grid: Grid, target: float, exact: Fraction | None) -> None:
         """To the next point of the grid start + k step, or to the target where that comes first."""
@@ -460,14 +470,29 @@ class ReferenceEngine:
             attempt = trial(tableau, self._rates, now.t, now.x, first, step)
             error = error_norm(attempt.error, now.x, attempt.x1, self.atol, rtol)
             if error <= 1.0:
-                break
+                try:
+                    self._accept_adaptive(attempt, t1, h, error, grow, target, exact)
+                    return
+                except StepRefused as refused:  # of the part before a crossing, or up to where projections follow
+                    step, error, culprit = refused.step.h, refused.step.error, refused.step.culprit
+            else:
+                culprit = worst(attempt.error, now.x, attempt.x1, self.atol, rtol)
             if h <= least or step <= least:
                 raise self.failures.too_small(attempt, self._weights())
             self.rejected += 1
-            self.blamed[worst(attempt.error, now.x, attempt.x1, self.atol, rtol)] += 1
+            self.blamed[culprit] += 1
             grow = 1.0
             factor = max(_LEAST, _SAFETY * error ** (-1 / tableau.order)) if math.isfinite(error) else 0.1
             h = max(step * factor, least)
+
+    def _accept_adaptive(
+        self, attempt: Trial, t1: float, h: float, error: float, grow: float, target: float, exact: Fraction | None
+    ) -> None:
+        """Take a step to t1 whose error fits. h: the size that was proposed; grow: by how much the next may be larger.
+
+        Raises StepRefused where it is retaken, and the error does not fit then.
+        """
+        now, tableau, step = self.now, attempt.tableau, attempt.h
         factor = _SAFETY * now.memory.error**_BETA * max(error, 1e-10) ** -(1 / tableau.order - 0.75 * _BETA)
         proposed = step * min(grow, max(_LEAST, factor))
         if step < h:  # cut short by the target: the proposal before it still counts
@@ -475,9 +500,14 @@ class ReferenceEngine:
         memory = MethodMemory(proposed, max(error, 1e-4), attempt.last)
         if self.settings.method == "auto":
             memory = replace(memory, stiffness=self._stiffness(attempt))
+        pace, first = self.pace.kept(), np.asarray(attempt.k[0])
         self.pace.step(self.steps + 1, now.t, t1, now.x, first, self._rates, self._weights(), self.rows.end)
         flow = self._flow(tableau, first)
-        self._accept(attempt.interpolant(), t1, attempt.x1, memory, flow, target, exact, now.fixed)
+        try:
+            self._accept(attempt.interpolant(), t1, attempt.x1, memory, flow, target, exact, now.fixed)
+        except StepRefused:
+            self.pace.go_back(pace)
+            raise
 
     def _stiffness(self, step: Trial) -> tuple[float, float, float]:
         """How many steps say that the run is stiff, and since when it is, after another one.
@@ -517,23 +547,28 @@ class ReferenceEngine:
         first, carried = self._first(), stiff.Carried.nothing(n)
         if now.memory.first is not None and now.memory.carried is not None:
             carried = stiff.Carried.of_row(now.memory.carried, n, values)
-        try:
-            made = method.step(now.t, now.x, first, carried, now.memory.h, target, self.longest, self.atol, rtol)
-        except SimulationError:
-            raise
-        except ArithmeticError as error:
-            raise self.failures.stiff_failed(now.t, now.x, first, self._weights(), str(error)) from None
-        finally:
-            self.rejected += method.rejected
-            self.blamed += method.blamed
-            method.rejected, method.blamed[:] = 0, 0
-        stiffness = now.memory.stiffness
-        memory = MethodMemory(made.proposed, made.error, frozen(made.last), made.carried.row(values), stiffness)
-
-        def flow(h: float) -> Array:
-            return method.flow(now.t, now.x, h, self.atol, rtol)
-
-        self._accept(made.dense, made.t1, made.x1, memory, flow, target, exact, now.fixed)
+        flow = method.flow(now.t, now.x, first, self.atol, rtol)
+        is_taken, refused = False, None
+        while not is_taken:
+            try:
+                made = method.step(
+                    now.t, now.x, first, carried, now.memory.h, target, self.longest, self.atol, rtol, refused=refused
+                )
+            except SimulationError:
+                raise
+            except ArithmeticError as error:
+                raise self.failures.stiff_failed(now.t, now.x, first, self._weights(), str(error)) from None
+            finally:
+                self.rejected += method.rejected
+                self.blamed += method.blamed
+                method.rejected, method.blamed[:] = 0, 0
+            stiffness = now.memory.stiffness
+            memory = MethodMemory(made.proposed, made.error, frozen(made.last), made.carried.row(values), stiffness)
+            try:
+                self._accept(made.dense, made.t1, made.x1, memory, flow, target, exact, now.fixed)
+                is_taken = True
+            except StepRefused as again:
+                refused = again.step
 
     def _accept(
         self,
@@ -541,17 +576,20 @@ class ReferenceEngine:
         t1: float,
         x1: Array,
         memory: MethodMemory,
-        flow: Callable[[float], Array],
+        flow: Flow,
         target: float,
         exact: Fraction | None,
         fixed: int,
     ) -> None:
-        """Take an accepted step to (t1, x1), or the part of it before the first change of a side."""
+        """Take an accepted step to (t1, x1), or the part of it before the first change of a side.
+
+        Raises StepRefused where such a part is retaken, and its error is too large.
+        """
         now, end, changed = self.now, t1, False
         if self.plan.projections and self.fixed is None:
             shorter = self._followed(dense, t1)
             if shorter < t1:
-                t1, x1, memory = shorter, flow(shorter - now.t), replace(memory, first=None, carried=None)
+                t1, x1, memory = shorter, flow.retake(shorter - now.t), replace(memory, first=None, carried=None)
         if self.plan.crossings:
             t1, x1, changed = self._up_to_crossing(dense, t1, x1, flow, target)
             if t1 < end:
@@ -564,16 +602,19 @@ class ReferenceEngine:
         )
         after = self.instants.with_solutions(after, self.segment.at(t1))
         measures = self.measures.after_step(now.t, t1, self._measured_parts(dense, t1, x1))
-        outstanding = changed or t1 == target
-        if self.plan.projections and not changed:
-            after, moved = self._projected(after)
+        outstanding, unprojected = changed or t1 == target, None
+        if self.plan.projections:
+            before, (after, moved) = after, self._projected(after, changed=changed)
             outstanding = outstanding or moved
+            if changed and after is not before:
+                unprojected = before
         if self.instants.foreign and self.instants.completed(after, self.segment.at(t1)):
             outstanding = True
         if not outstanding and self.settings.every is None:
             self._record(None, self.instants.memory(after, self.segment.at(t1)))
         # An interrupt comes before all of this or after it.
         self.outstanding, self.crossing, self.now, self.measures = outstanding, changed, after, measures
+        self.unprojected = unprojected
         self.steps += 1
 
     def _measured_parts(self, dense: Interpolant, t1: float, x1: Array) -> Any:
@@ -637,11 +678,14 @@ class ReferenceEngine:
     def _projected_at(self, before: Snapshot, t: float, x: Array) -> Snapshot:
         return self.instants.projected(replace(before, t=t, x=frozen(x)), self.segment.at(t))
 
-    def _projected(self, accepted: Snapshot) -> tuple[Snapshot, bool]:
-        """The end of a step after the projections there, and whether these changed a side."""
+    def _projected(self, accepted: Snapshot, *, changed: bool) -> tuple[Snapshot, bool]:
+        """The end of a step after the projections there, and whether these changed a side.
+
+        changed: whether a side has changed in the step. It fires by the values seen there.
+        """
         u = self.segment.at(accepted.t)
         after = self.instants.projected(accepted, u)
-        if after is accepted:
+        if after is accepted or changed:
             return after, False
         values = np.array(self.instants.crossing_values(after, u))
         self.sides = (after.t, values)
@@ -657,7 +701,7 @@ class ReferenceEngine:
         return values
 
     def _up_to_crossing(
-        self, dense: Interpolant, t1: float, x1: Array, flow: Callable[[float], Array], target: float
+        self, dense: Interpolant, t1: float, x1: Array, flow: Flow, target: float
     ) -> tuple[float, Array, bool]:
         """The end of the step, or the first time in it at which a side has changed; the states; whether it has."""
         now, h = self.now, t1 - self.now.t
@@ -677,11 +721,11 @@ class ReferenceEngine:
                 break
         after = part.table[4].copy() if part.end == 1.0 else self._crossing_values(t1, x1)
         if bracket is not None:
-            size = self._located(dense, flow, bracket, h, sides)
+            size = self._located(dense, flow.after, bracket, h, sides)
             if now.t + size < t1 and not within_ulps(now.t + size, target):
                 # A time of its own after t, or the run would stand still.
                 t1 = max(now.t + size, math.nextafter(now.t, math.inf))
-                x1 = flow(t1 - now.t)
+                x1 = flow.retake(t1 - now.t)
                 after = self._crossing_values(t1, x1)
                 self.located = (t1, np.where((after >= 0) != sides, np.abs(after), -1.0))
         changed = bool(np.any((after >= 0) != sides))

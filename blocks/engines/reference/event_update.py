@@ -1,6 +1,6 @@
 """An instant: what happens at one time, always in this order.
 
-    1. every island has reached t; left values are recorded
+    1. every island has reached t, and what is replaced after each step is replaced; left values are recorded
     2. crossings and events that fire: all resets at once from the values before, sides latched again; until quiet
     3. the ticks that are due, once: sampled outputs in dependency order (with step 2 before an output that sees others
        through a side or through what events reset), step 2, then all discrete updates together
@@ -255,15 +255,16 @@ class Instants:
         due_rates: frozenset[int],
         *,
         changed: bool = False,
+        seen: Snapshot | None = None,
     ) -> tuple[Snapshot, list[Event]]:
         """Steps 2 to 5 at before.t: `before` itself where nothing changes.
 
         due_events: indices of events whose time has come. due_rates: rates that tick. changed: inputs or parameters
-        are other ones now.
+        are other ones now. seen: the end of the step before its projections, where a side has changed in that step.
         """
         fired: list[Event] = []
         first = {len(self.plan.crossings) + i: before.events[i] for i in due_events}
-        after = self.quiet(before, u, first, fired)
+        after = self.quiet(before, u, first, fired, seen)
         if due_rates:
             after = self.tick(after, u, due_rates, fired)
             after = self.quiet(after, u, {}, fired)
@@ -274,13 +275,15 @@ class Instants:
             after = self.with_event_times(self.with_solutions(after, u), u)
         return after, fired
 
-    def step_end(self, before: Snapshot, u: Sequence[float]) -> tuple[Snapshot, list[Event]]:
-        """What a step does at its end where a side has changed in it: crossings fire, then projections follow."""
-        fired: list[Event] = []
-        return self.projected(self.quiet(before, u, {}, fired), u), fired
-
-    def quiet(self, snapshot: Snapshot, u: Sequence[float], due: dict[int, float], fired: list[Event]) -> Snapshot:
-        """Fire events and crossings until no side changes any more."""
+    def quiet(
+        self,
+        snapshot: Snapshot,
+        u: Sequence[float],
+        due: dict[int, float],
+        fired: list[Event],
+        seen: Snapshot | None = None,
+    ) -> Snapshot:
+        """Fire events and crossings until no side changes any more. seen: what crossings fire by at first."""
         plan = self.plan
         own = list(snapshot.own)
         for index, time in due.items():
@@ -289,7 +292,7 @@ class Instants:
             snapshot = replace(snapshot, own=tuple(own))
         history: list[str] = []  # what changed, pass by pass
         for _ in range(MOST_PASSES):
-            values = self._sides_now(snapshot, u)
+            values = self._sides_now(snapshot if seen is None else seen, u)
             sides = tuple(float(value >= 0) for value in values)
             firing = dict(due)
             changed = []
@@ -301,8 +304,9 @@ class Instants:
                     if plan.crossings[j].direction in ("both", "up" if sides[j] else "down"):
                         firing[j] = snapshot.t + self.later
             asked = self.asked(snapshot, u, firing, changed) if plan.foreign else {}
-            if not firing and not changed and not asked:
+            if not firing and not changed and not asked and seen is None:
                 return snapshot
+            seen = None
             history += [self.name(index) for index in self.order if index in firing or index in changed]
             history += [plan.foreign[k].path for k in asked] if not firing and not changed else []
             due = {}

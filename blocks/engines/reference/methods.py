@@ -14,7 +14,7 @@ import numpy as np
 
 from ...compile.tableaus import Tableau
 
-__all__ = ["Trial", "error_norm", "first_step", "trial", "worst"]
+__all__ = ["Flow", "Retaken", "StepRefused", "Trial", "error_norm", "first_step", "retaking", "trial", "worst"]
 
 Array = np.ndarray[Any, Any]
 Rates = Callable[[float, Array], Array]
@@ -70,6 +70,56 @@ def combined(weights: Array, rows: Array) -> Array:
     for weight, row in zip(weights[1:], rows[1:], strict=True):
         total = total + weight * row
     return np.asarray(total)
+
+
+@dataclass(frozen=True)
+class Retaken:
+    """A shortened step that was taken once more: its size, its end, its error (up to 1 is accepted) and the state with
+    that error."""
+
+    h: float
+    x1: Array
+    error: float
+    culprit: int
+
+
+class StepRefused(Exception):
+    """A retaken step with too large an error. The run is still at the begin of the step; a shorter step is due."""
+
+    def __init__(self, step: Retaken) -> None:
+        super().__init__(step)
+        self.step = step
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Steps of any size from the present state: `after` gives their ends, `retaken` their errors too."""
+
+    after: Callable[[float], Array]
+    retaken: Callable[[float], Retaken]
+
+    def retake(self, h: float) -> Array:
+        """Return the end of a step of size h that is to be accepted. Raises StepRefused if its error is too large."""
+        step = self.retaken(h)
+        if not step.error <= 1.0:
+            raise StepRefused(step)
+        return step.x1
+
+
+def retaking(tableau: Tableau, rates: Rates, t: float, x: Array, first: Array, atol: Array, rtol: float) -> Flow:
+    """Return the flow from (t, x), where the rates are `first`. Without an error estimate, no step is refused."""
+
+    def after(h: float) -> Array:
+        return trial(tableau, rates, t, x, first, h).x1
+
+    def retaken(h: float) -> Retaken:
+        made = trial(tableau, rates, t, x, first, h)
+        if tableau.e is None or not len(x):
+            return Retaken(h, made.x1, 0.0, 0)
+        error = error_norm(made.error, x, made.x1, atol, rtol)
+        return Retaken(h, made.x1, error, worst(made.error, x, made.x1, atol, rtol))
+
+    return Flow(after, retaken)
 
 
 def trial(tableau: Tableau, rates: Rates, t: float, x: Array, first: Array, h: float) -> Trial:

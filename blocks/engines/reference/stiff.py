@@ -31,7 +31,7 @@ import numpy as np
 from ...compile.jacobian import PlanJacobian
 from ...compile.plan import Plan
 from ..run.snapshot import frozen
-from .methods import Polynomial, Rates, first_step, worst
+from .methods import Flow, Polynomial, Rates, Retaken, first_step, worst
 from .python_code import CompiledPrograms
 
 __all__ = ["Carried", "Radau", "Slopes", "Step"]
@@ -205,9 +205,10 @@ class Radau:
 
     def step(
         self, t: float, x: Array, first: Array, carried: Carried, h: float, target: float, longest: float,
-        atol: Array, rtol: float,
+        atol: Array, rtol: float, *, refused: Retaken | None = None,
     ) -> Step:  # fmt: skip
         """A step from (t, x), where the rates are `first`, towards the target. h: the proposed one (0: there is none).
+        refused: a retaken step from here whose error was too large.
 
         Raises ArithmeticError where no step is short enough.
         """
@@ -215,6 +216,13 @@ class Radau:
         if h <= 0:
             h = first_step(self.rates, t, x, first, 3, atol, rtol, left)
         h, is_fresh, rejected = max(min(h, longest), least), False, False
+        if refused is not None:
+            self.rejected, rejected = self.rejected + 1, True
+            self.blamed[refused.culprit] += 1
+            if refused.h <= least:
+                raise ArithmeticError(f"the step became too small to reach rtol {rtol}")
+            factor = max(_LEAST, _SAFETY * refused.error**-0.25) if math.isfinite(refused.error) else 0.5
+            h = max(refused.h * factor, least)
         while True:
             # The last step before the target is stretched a little rather than followed by a tiny one.
             t1 = target if h >= left / 1.01 else t + h
@@ -227,7 +235,9 @@ class Radau:
                 z, rate, theta, count = solved
                 carried = replace(carried, rate=max(rate, _EPS), factored=step)
                 x1 = x + z[2]
-                error, culprit = self._error(t, x, first, step, z, carried, atol, rtol, again=rejected)
+                assert carried.slopes is not None
+                factors, again = self._factors(step, carried.slopes), rejected or carried.length == 0.0
+                error, culprit = self._error(t, x, first, step, z, factors, atol, rtol, again=again)
                 if error <= 1.0:
                     last = self.rates(t1, x1)
                     if np.isfinite(last).all():
@@ -258,23 +268,46 @@ class Radau:
             carried = replace(carried, slopes=None)
         return Step(Polynomial(t, step, x, polynomial), t1, x1, last, proposed, max(error, 1e-4), carried)
 
-    def flow(self, t: float, x: Array, h: float, atol: Array, rtol: float) -> Array:
-        """The states after h from (t, x), to rounding: for those who look for a crossing on steps. In parts where that
-        does not converge as a whole."""
-        needed = 10.0 * _EPS / rtol
+    def flow(self, t: float, x: Array, first: Array, atol: Array, rtol: float) -> Flow:
+        """Return the flow from (t, x), where the rates are `first`, to rounding: a crossing is looked for on its steps.
+        A step is divided into parts if it does not converge as a whole."""
         weights = 1.0 / (atol + rtol * np.abs(x))
-        parts = 1
+
+        def after(h: float) -> Array:
+            made = self._in_parts(t, x, h, weights, rtol)
+            return made[-1][1] if made else np.full(len(x), np.nan)
+
+        def retaken(h: float) -> Retaken:
+            made = self._in_parts(t, x, h, weights, rtol)
+            if not made:
+                return Retaken(h, np.full(len(x), np.nan), math.inf, 0)
+            begin, rates, errors = x, first, []
+            for k, (z, end) in enumerate(made):
+                part = h / len(made)
+                then = t + k * part
+                rates = first if k == 0 else self.rates(then, begin)
+                factors = self._factors(part, self.slopes(then, begin))
+                errors.append(self._error(then, begin, rates, part, z, factors, atol, rtol, again=True))
+                begin = end
+            return Retaken(h, begin, *max(errors))
+
+        return Flow(after, retaken)
+
+    def _in_parts(self, t: float, x: Array, h: float, weights: Array, rtol: float) -> list[tuple[Array, Array]]:
+        """Return the stages and the ends of as few equal parts of a step as converge; nothing if no parts do."""
+        needed, parts = 10.0 * _EPS / rtol, 1
         while parts <= _TRIALS:
-            made: Array | None = x
+            made: list[tuple[Array, Array]] = []
             for part in range(parts):
-                assert made is not None
-                made = self._settled(t + part * (h / parts), made, h / parts, weights, needed)
-                if made is None:
+                begin = made[-1][1] if made else x
+                z = self._settled(t + part * (h / parts), begin, h / parts, weights, needed)
+                if z is None:
                     break
-            if made is not None:
+                made.append((z, begin + z[2]))
+            if len(made) == parts:
                 return made
             parts *= 2
-        return np.full(len(x), np.nan)
+        return []
 
     def _settled(self, t: float, x: Array, h: float, weights: Array, needed: float) -> Array | None:
         factors = self._factors(h, self.slopes(t, x))
@@ -286,7 +319,7 @@ class Radau:
             z, w, change = self._iterate(t, x, h, z, w, factors, weights)
             if not change > needed or (k > 2 and change >= before):
                 break
-        return x + z[2] if change <= 1e-3 else None
+        return z if change <= 1e-3 else None
 
     def _factors(self, h: float, slopes: Array) -> _Factors | None:
         """The factors for a step of length h; None where there are none."""
@@ -348,19 +381,18 @@ class Radau:
         return _T @ w, w, float(np.max(np.abs(moved) * weights, initial=0.0)) if is_finite else math.nan
 
     def _error(
-        self, t: float, x: Array, first: Array, h: float, z: Array, carried: Carried, atol: Array, rtol: float,
+        self, t: float, x: Array, first: Array, h: float, z: Array, factors: _Factors | None, atol: Array, rtol: float,
         *, again: bool,
     ) -> tuple[float, int]:  # fmt: skip
         """The largest error over the states, each by its own tolerance, and that state.
 
-        It is filtered once more in a first step and in one that is tried again: in a transient it is far too large.
+        again: whether it is filtered once more, as in a first step and in one that is tried again: in a transient it is
+        far too large.
         """
-        assert carried.slopes is not None
-        factors = self._factors(h, carried.slopes)
         assert factors is not None
         x1, embedded, scale = x + z[2], _E @ z / h, atol + rtol * np.maximum(np.abs(x), np.abs(x + z[2]))
         error = factors.solvers[0](first + embedded)
-        for is_last in (not (again or carried.length == 0.0), True):
+        for is_last in (not again, True):
             if not (np.isfinite(error).all() and np.isfinite(x1).all()):
                 return math.inf, worst(error, x, x1, atol, rtol)
             size = float(np.max(np.abs(error) / scale, initial=0.0))

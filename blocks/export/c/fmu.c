@@ -226,7 +226,7 @@ static int failed_state(Fmu *f, double h, int *is_bad)
     double most = -1.0;
     *is_bad = 1;
     if (worst >= 0) return worst;
-    m->trial(s, s->t, x, h, s->x2);
+    m->trial(s, s->t, x, h, s->x2, 0);
     for (int j = 1; j < m->stages; j++)
         for (int i = 0; i < m->nx; i++)
             if (!isfinite(s->k[j][i])) return i;
@@ -804,7 +804,7 @@ int fmu_enter_event_mode(Fmu *f)
     f->live.mode = FMU_EVENT;
     if (f->live.kind == FMU_ME) {
         stand_at(f, f->sim->t);
-        f->sim->crossing = 1;
+        if (blocks_end_step(f->sim)) return failed(f); /* now, by the inputs from before the event */
         overdue(f);
     }
     f->sim->outstanding = 1;
@@ -817,6 +817,7 @@ int fmu_update_discrete_states(Fmu *f, FmuEvents *events)
     BlocksSim *s = f->sim;
     size_t n = (size_t)fmu_model.nstates, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns;
     double *x = f->moved, *d = x + n, *sides = d + nd;
+    int has_moved = s->crossing == 2; /* as event mode was entered */
     memset(events, 0, sizeof *events);
     if (take_in(f)) return FMU_ERROR;
     memcpy(x, s->memory.x, n * sizeof(double));
@@ -828,7 +829,7 @@ int fmu_update_discrete_states(Fmu *f, FmuEvents *events)
     events->states_changed = memcmp(x, s->memory.x, n * sizeof(double)) != 0;
     /* Importers begin their integration anew where this is said and nowhere else, and rates jump with discretes and
        sides as well: their right-hand side is another one from here on. */
-    if (f->live.kind == FMU_ME && n && (memcmp(d, s->memory.d, nd * sizeof(double))
+    if (f->live.kind == FMU_ME && n && (has_moved || memcmp(d, s->memory.d, nd * sizeof(double))
                                         || memcmp(sides, s->memory.s, ns * sizeof(double))))
         events->states_changed = 1;
     events->next = blocks_next(s);
@@ -1157,6 +1158,7 @@ static void walk_all(Fmu *f, Walk *w)
     WALK_ROW(s->memory.p, m->np), WALK_ROW(s->memory.u, m->nu), WALK_ROW(s->memory.h, m->nh);
     WALK_ROW(s->memory.z, m->nz), WALK_ROW(s->ticks, m->nrates), WALK_ROW(s->events, m->nevents);
     WALK_ROW(s->own, m->nevents), WALK_ROW(s->located, m->ns), WALK_ROW(s->sides, m->ns);
+    WALK_ROW(s->unprojected, m->nprojections ? m->nx + m->nd : 0);
     WALK_ROW(s->fired, f->setup.ncauses), WALK_ROW(s->crossed, m->ns ? CROWD : 0);
     if (m->stages) WALK_ROW(s->k[0], m->nx + m->ns);
     WALK_ROW(s->carried, s->ncarried), WALK(s->hits), WALK(s->calm), WALK(s->stiff_from);

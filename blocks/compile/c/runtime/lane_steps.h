@@ -176,7 +176,16 @@ static void hand_over(Lanes *z, int l, Step *step)
     int stopped = blocks_accept(lane->s, step->t1[l], step->size[l], step->proposed[l], step->error[l], z->target[l]);
     if (stopped == BLOCKS_DONE) lane->state = DUE;
     else if (stopped > 0) end_row(lane, stopped);
-    step->handed[l] = stopped < 0 ? -1 : 0;
+    step->handed[l] = stopped == BLOCKS_REFUSED || stopped >= 0 ? 0 : -1;
+#if BLOCKS_METHOD_DOPRI5
+    if (stopped != BLOCKS_REFUSED) return;
+    const double least = 16.0 * blocks_ulp(z->t[l]);
+    z->h[l] = blocks_larger(lane->s->refused * blocks_reduction(lane->s->refused_error), least);
+    z->grow[l] = 1.0;
+    if (!(lane->s->refused <= least)) return;
+    blocks_fail(lane->s, BLOCKS_TOO_SMALL, 0, lane->s->refused);
+    end_row(lane, BLOCKS_FAILED);
+#endif
 }
 
 /* Each lane's part in an accepted step. */

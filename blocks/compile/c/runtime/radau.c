@@ -39,7 +39,7 @@ typedef struct {
     BlocksFactors *factors;
     double *polynomial; /* (3, nx) of the last step, in `carried`; as are slopes and, of sparse matrices, pivots */
     double *slopes, *pivots;
-    double *z[3], *w[3], *f[3], *at, *weights, *moved, *groups, *from, *room, *arena;
+    double *z[3], *w[3], *f[3], *at, *weights, *moved, *groups, *from, *to, *room, *arena;
     double theta; /* how the last iteration converged */
     int32_t iterations, is_fresh; /* whether the slopes are those of the begin of this step */
 } Radau;
@@ -68,7 +68,7 @@ int blocks_stiff_open(BlocksSim *s)
     r->polynomial = place + NUMBERS, r->slopes = r->polynomial + 3 * (n - 1), r->pivots = r->slopes + values;
     place += s->ncarried;
     for (int i = 0; i < 3; i++) r->z[i] = place, r->w[i] = place + n, place += 2 * n;
-    r->weights = place, r->from = place + n, place += 3 * n;
+    r->weights = place, r->from = place + n, r->to = place + 2 * n, place += 3 * n;
     for (int i = 0; i < 3; i++) r->f[i] = place, place += wide;
     r->at = place, r->moved = place + wide, r->groups = place + 2 * wide, r->room = place + 3 * wide;
     return 0;
@@ -255,14 +255,15 @@ static int converges(BlocksSim *s, double t, const double *x, double h)
     return 1;
 }
 
-/* The largest error over the states, each by its own tolerance; infinite where one is not finite. again: whether it is
-   filtered once more, as the error of a first step in a transient is far too large. */
-static double error_of(BlocksSim *s, double t, const double *x, double h, int again, int32_t *worst)
+/* The largest error over the states of a step from x, where the rates are `first`, to x1, each by its own tolerance; infinite
+   where one is not finite. again: whether it is filtered once more, as the error of a first step in a transient is far too
+   large. */
+static double error_of(BlocksSim *s, double t, const double *x, const double *first, const double *x1, double h, int again,
+                       int32_t *worst)
 {
     Radau *r = s->implicit;
     const BlocksSetup *setup = s->setup;
     const int n = s->model->nx;
-    const double *first = s->k[0];
     double *error = r->f[0], *embedded = r->f[1], most = 0.0;
     for (int i = 0; i < n; i++) {
         embedded[i] = (EMBEDDED[0] * r->z[0][i] + EMBEDDED[1] * r->z[1][i] + EMBEDDED[2] * r->z[2][i]) / h;
@@ -273,7 +274,7 @@ static double error_of(BlocksSim *s, double t, const double *x, double h, int ag
         most = 0.0;
         *worst = 0;
         for (int i = 0; i < n; i++) {
-            double a = fabs(x[i]), b = fabs(s->x1[i]), part = fabs(error[i]) / (setup->atol[i] + setup->rtol * (a > b ? a : b));
+            double a = fabs(x[i]), b = fabs(x1[i]), part = fabs(error[i]) / (setup->atol[i] + setup->rtol * (a > b ? a : b));
             if (!isfinite(part + b)) {
                 *worst = i;
                 return INFINITY;
@@ -317,7 +318,7 @@ static double tried(BlocksSim *s, double t1, double h, int again, int32_t *worst
     begin_stages(s, h);
     if (converges(s, t, x, h)) return NAN;
     for (int i = 0; i < n; i++) s->x1[i] = x[i] + r->z[2][i];
-    double error = error_of(s, t, x, h, again, worst), bad = 0.0;
+    double error = error_of(s, t, x, s->k[0], s->x1, h, again, worst), bad = 0.0;
     if (error > 1.0) return error;
     blocks_rates(s, t1, s->x1, s->k[4]);
     for (int i = 0; i < n; i++) bad += s->k[4][i] * 0.0;
@@ -338,7 +339,7 @@ static int take_step(BlocksSim *s, double t1, double h, double error, double mos
         for (int i = 0; i < n; i++)
             s->k[1 + j][i] = (P[0][j] * r->z[0][i] + P[1][j] * r->z[1][i] + P[2][j] * r->z[2][i]) / h;
     int stopped = blocks_accept(s, t1, h, proposed, fmax(error, 1e-4), target);
-    if (stopped == BLOCKS_FAILED || !s->has_first) return stopped;
+    if (stopped == BLOCKS_FAILED || stopped == BLOCKS_REFUSED || !s->has_first) return stopped;
     for (int j = 0; j < 3; j++)
         for (int i = 0; i < n; i++) r->polynomial[j * n + i] = s->k[1 + j][i] * h;
     s->carried[LENGTH] = h;
@@ -358,6 +359,7 @@ static int step_to(BlocksSim *s, double target)
     int32_t worst = 0;
     h = fmax(fmin(h, s->setup->longest), least);
     r->is_fresh = 0;
+again:
     weigh(s, x);
     for (;;) {
         /* The last step before the target is stretched a little rather than followed by a tiny one. */
@@ -379,7 +381,13 @@ static int step_to(BlocksSim *s, double target)
         s->rejected++;
         rejected = 1;
     }
-    return take_step(s, t1, step, error, rejected ? 1.0 : MOST, h, target);
+    int stopped = take_step(s, t1, step, error, rejected ? 1.0 : MOST, h, target);
+    if (stopped != BLOCKS_REFUSED) return stopped;
+    if (s->refused <= least) return fails(s, s->refused);
+    h = fmax(s->refused * (isfinite(s->refused_error) ? fmax(LEAST, SAFETY * pow(s->refused_error, -0.25)) : 0.5), least);
+    rejected = 1;
+    if (!r->is_fresh) s->carried[HAS_SLOPES] = 0.0; /* those of a part of the step that was retaken */
+    goto again;
 }
 
 /* The rates here; what is kept from steps before counts as long as they are known. */
@@ -410,15 +418,16 @@ int blocks_stiff_run(BlocksSim *s, double target)
 }
 
 /* The states after h from (t, x), to rounding: for those who look for a crossing on steps. In parts where that does not
-   converge as a whole. The slopes are those of the begin. */
-void blocks_stiff_trial(BlocksSim *s, double t, const double *x, double h, double *x1)
+   converge as a whole. The slopes are those of the begin. is_judged: and the largest error of a part. */
+double blocks_stiff_trial(BlocksSim *s, double t, const double *x, double h, double *x1, int is_judged)
 {
     Radau *r = s->implicit;
     const int n = s->model->nx;
+    int32_t worst = 0;
     const double needed = 10.0 * EPS / s->setup->rtol;
     weigh(s, x);
     for (int parts = 1, part; parts <= TRIALS; parts *= 2) {
-        double step = h / parts;
+        double step = h / parts, most = 0.0;
         memcpy(r->from, x, (size_t)n * sizeof(double));
         for (part = 0; part < parts; part++) {
             double change = INFINITY, before;
@@ -434,13 +443,23 @@ void blocks_stiff_trial(BlocksSim *s, double t, const double *x, double h, doubl
                 if (!(change > needed) || (k > 2 && change >= before)) break;
             }
             if (!(change <= 1e-3)) break;
+            if (is_judged) {
+                const double *first = s->k[0];
+                int32_t culprit = 0;
+                if (part) blocks_rates(s, then, r->from, r->moved), first = r->moved;
+                for (int i = 0; i < n; i++) r->to[i] = r->from[i] + r->z[2][i];
+                double error = error_of(s, then, r->from, first, r->to, step, 1, &culprit);
+                if (error > most) most = error, worst = culprit;
+            }
             for (int i = 0; i < n; i++) r->from[i] += r->z[2][i];
         }
         if (part == parts) {
             memcpy(x1, r->from, (size_t)n * sizeof(double));
-            return;
+            if (most > 1.0) s->blamed[worst]++;
+            return most;
         }
         r->is_fresh = 0;
     }
     for (int i = 0; i < n; i++) x1[i] = NAN;
+    return INFINITY;
 }

@@ -1172,8 +1172,23 @@ HOT static int crossing_values(BlocksSim *s, double t, const double *x, double *
 static const double *flow(BlocksSim *s, double h)
 {
     s->flowed = 1;
-    s->model->trial(s, s->t, s->memory.x, h, s->x2);
+    s->model->trial(s, s->t, s->memory.x, h, s->x2, 0);
     return s->x2;
+}
+
+/* Take a part of an accepted step once more, up to t1, as a step whose error counts: 0, or REFUSED where it is too large. */
+static int retake(BlocksSim *s, double t1)
+{
+    const double h = t1 - s->t, error = s->model->trial(s, s->t, s->memory.x, h, s->x2, 1);
+    s->flowed = 1;
+    if (error <= 1.0) {
+        memcpy(s->x1, s->x2, (size_t)s->model->nx * sizeof(double));
+        return 0;
+    }
+    s->refused = h;
+    s->refused_error = isnan(error) ? INFINITY : error;
+    s->rejected++;
+    return BLOCKS_REFUSED;
 }
 
 typedef struct {
@@ -1450,7 +1465,7 @@ static int joins(BlocksSim *s, double t1, double length, const double *values, d
     return 1;
 }
 
-/* The end of the step, or the first time in it at which a side has changed. */
+/* The end of the step, or the first time in it at which a side has changed. REFUSED: the step to there is too inaccurate. */
 static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double target, int *changed, int *shortened)
 {
     int n = s->model->ns, found = 0, is_first = 1, was_first = 0, got;
@@ -1483,8 +1498,7 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
         if (s->t + size < *t1 && !blocks_within_ulps(s->t + size, target, 0.0)) {
             /* A time of its own after t, or the run would stand still. */
             *t1 = fmax(s->t + size, nextafter(s->t, INFINITY));
-            const double *x = flow(s, *t1 - s->t);
-            memcpy(s->x1, x, (size_t)s->model->nx * sizeof(double));
+            if (retake(s, *t1)) return BLOCKS_REFUSED;
             if (crossing_values(s, *t1, s->x1, after)) return BLOCKS_FAILED;
             *shortened = 1;
         }
@@ -1551,6 +1565,14 @@ static int project(BlocksSim *s, double t, double *x, double *d, int *moved)
     return 0;
 }
 
+/* Keep the end of a step, before projections, for crossings that have changed their side in it. */
+static void keep_unprojected(BlocksSim *s, const double *x)
+{
+    const size_t nx = (size_t)s->model->nx;
+    memcpy(s->unprojected, x, nx * sizeof(double));
+    memcpy(s->unprojected + nx, s->memory.d, (size_t)s->model->nd * sizeof(double));
+}
+
 /* The end of a step, or an earlier time up to which projections follow it as closely as the tolerance asks. */
 static int followed(BlocksSim *s, double *t1, double h_dense)
 {
@@ -1598,12 +1620,13 @@ HOT static int solve(BlocksSim *s, double t, const double *x, double *z)
     return 0;
 }
 
-/* Take an accepted step to (t1, x1), or the part of it before the first change of a side. -1: and go on. */
+/* Take an accepted step to (t1, x1), or the part of it before the first change of a side. -1: and go on. BLOCKS_REFUSED: such
+   a part was retaken, and its error is too large: the run stands where it stood, with the rates there alone. */
 int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double error, double target)
 {
     const BlocksModel *model = s->model;
     const BlocksSetup *setup = s->setup;
-    int changed = 0, moved = 0;
+    int changed = 0, moved = 0, failed = BLOCKS_FAILED;
     int64_t remembered = s->past.known;
     double known = s->known[0];
     size_t nx = (size_t)model->nx;
@@ -1616,23 +1639,26 @@ int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double err
             if (followed(s, &shorter, h)) goto end;
             if (shorter < t1) {
                 t1 = shorter;
-                memcpy(s->x1, flow(s, t1 - s->t), nx * sizeof(double));
+                if ((failed = retake(s, t1))) goto end;
+                failed = BLOCKS_FAILED;
             }
         }
     }
     if (model->ns && model->moving_sides) {
         int cut = 0;
-        if (up_to_crossing(s, &t1, h, target, &changed, &cut)) goto end;
+        if ((failed = up_to_crossing(s, &t1, h, target, &changed, &cut))) goto end;
+        failed = BLOCKS_FAILED;
     }
     if (blocks_rows_inside(s, t1, h, changed || t1 == target)) goto end;
     if (model->nh && remember(s, t1, h)) goto end;
     if (solve(s, t1, s->x1, s->z1)) goto end;
     s->parts.used = 0;
     if (measure_step(s, t1, h)) goto end;
-    if (model->nprojections && !changed) {
+    if (model->nprojections) {
         memcpy(s->d1, s->memory.d, (size_t)model->nd * sizeof(double));
+        if (changed) keep_unprojected(s, s->x1);
         if (project(s, t1, s->x1, s->d1, &moved)) goto end;
-        if (moved && model->ns) {
+        if (moved && model->ns && !changed) { /* what has changed in the step fires by the values that were seen there */
             double *d = s->memory.d;
             s->memory.d = s->d1;
             s->model->refresh(&s->memory);
@@ -1666,7 +1692,7 @@ int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double err
     s->error = error;
     s->exact = 0;
     s->steps++;
-    s->crossing = changed;
+    s->crossing = changed ? 1 + moved : 0;
     s->outstanding = changed || t1 == target || (moved && model->ns && any_changed(s, s->sides));
     if (t1 == target) {
         s->exact = s->target_exact;
@@ -1685,7 +1711,7 @@ end:
     s->past.known = remembered;
     if (s->known[0] != known) s->known[0] = NAN;
     s->weighed = 0;
-    return BLOCKS_FAILED;
+    return failed;
 }
 
 /* A first step by Hairer's rule, with the largest error over the states as the norm. */
@@ -1764,6 +1790,7 @@ int blocks_chatters(BlocksSim *s, double step)
     double t1 = s->t + step, stop = isnan(setup->end) ? t1 : setup->end;
     double span = fmax(fmax(stop - setup->start, 1e-3 * fabs(t1)), 1e-12);
     int is_slow = (t1 - s->paced) * MANY < BLOCKS_PACE * span, culprit = -1;
+    s->paced_before = s->paced, s->chattered_before = s->chatters;
     s->paced = t1;
     if (!is_slow || m->hooks) {
         s->chatters = 0;
@@ -1890,8 +1917,22 @@ HOT static int sides_now(BlocksSim *s, double *out)
     return 0;
 }
 
-/* Fire events and crossings until no side changes any more. nevents: of s->due_events; touched: whether anything was. */
-HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
+/* The same by the end of the step before its projections. */
+static int sides_seen(BlocksSim *s, double *out)
+{
+    BlocksMemory *m = &s->memory;
+    double *x = m->x, *d = m->d;
+    m->x = s->unprojected, m->d = s->unprojected + s->model->nx;
+    s->model->refresh(m);
+    int failed = sides_now(s, out);
+    m->x = x, m->d = d;
+    s->model->refresh(m);
+    return failed;
+}
+
+/* Fire events and crossings until no side changes any more. seen: whether crossings fire by what the step has seen at first;
+   touched: whether anything was. */
+HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int seen, int *touched)
 {
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
@@ -1908,7 +1949,7 @@ HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
         int any = pass == 0 ? ndue : 0, changed = 0;
         if (pass > 0) memset(s->firing, 0, (size_t)setup->ncauses);
         if (ns) {
-            if (sides_now(s, values)) return BLOCKS_FAILED;
+            if (seen && pass == 0 ? sides_seen(s, values) : sides_now(s, values)) return BLOCKS_FAILED;
             for (int j = 0; j < ns; j++) {
                 sides[j] = values[j] >= 0;
                 s->changed_sides[j] = sides[j] != s->memory.s[j];
@@ -1922,7 +1963,10 @@ HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int *touched)
             }
         }
         int asked = model->hooks ? model->hooks->asked(s, s->firing, s->changed_sides, first) : 0;
-        if (!any && !changed && !asked) return 0;
+        if (!any && !changed && !asked) {
+            if (seen && pass == 0) continue;
+            return 0;
+        }
         *touched = 1;
         /* Of what fires the order is told; what turns on comes before. */
         uint8_t *told = s->firing + setup->ncauses;
@@ -1999,7 +2043,7 @@ HOT static int tick(BlocksSim *s, int *touched)
         for (int i = 0; i < part->nsteppers; i++)
             has = has || s->due[setup->steppers[setup->stage_steppers[part->first_stepper + i]].rate];
         if (!has) continue;
-        if (begun && !is_calm(s) && quiet(s, NULL, 0, touched)) return BLOCKS_FAILED;
+        if (begun && !is_calm(s) && quiet(s, NULL, 0, 0, touched)) return BLOCKS_FAILED;
         begun = 1;
         copy(s->d1, m->d, nd);
         if (has_slots) {
@@ -2022,7 +2066,7 @@ HOT static int tick(BlocksSim *s, int *touched)
         model->refresh(m);
     }
     if (any_due(s, setup->nexts, setup->nnexts)) {
-        if (begun && !is_calm(s) && quiet(s, NULL, 0, touched)) return BLOCKS_FAILED;
+        if (begun && !is_calm(s) && quiet(s, NULL, 0, 0, touched)) return BLOCKS_FAILED;
         copy(s->d1, m->d, nd);
         if (s->moving) blocks_outside(s, s->t);
         model->nexts(m, s->t, m->x, s->due, s->d1);
@@ -2076,6 +2120,18 @@ static int projected(BlocksSim *s, int *moved)
     return 0;
 }
 
+/* What a step does at its end that others have made: projections are taken over, crossings fire by the values before. */
+int blocks_end_step(BlocksSim *s)
+{
+    int moved = 0;
+    if (s->model->nprojections) {
+        keep_unprojected(s, s->memory.x);
+        if (projected(s, &moved)) return BLOCKS_FAILED;
+    }
+    s->crossing = 1 + moved;
+    return 0;
+}
+
 /* The instant at the current time, where everything that stands within 4 ulp happens. */
 HOT static int instant(BlocksSim *s, int is_start)
 {
@@ -2088,7 +2144,8 @@ HOT static int instant(BlocksSim *s, int is_start)
     int64_t told = s->fired_events.used, broken_count = s->past.broken;
     int32_t seen = s->past.seen, open = s->past.open;
     double broken0 = s->broken, known0 = s->known[0];
-    int touched = 0, changed = s->changed, crossed_any = 0, broke = 0, failed = BLOCKS_FAILED, measured = 0;
+    int touched = 0, changed = s->changed, broke = 0, failed = BLOCKS_FAILED, measured = 0;
+    const int by_seen = s->crossing == 2; /* projections have moved the end of a step in which a side has changed */
     int64_t hidden = model->hooks ? model->hooks->epoch(s) : 0;
     const double *left = NULL;
     if (!is_start && !setup->is_silent && setup->has_jumps) {
@@ -2111,12 +2168,6 @@ HOT static int instant(BlocksSim *s, int is_start)
     int ndue = 0;
     for (int i = 0; i < model->nevents; i++)
         if (blocks_within_ulps(s->events[i], s->t, setup->scale)) due_events[ndue++] = i;
-    if (s->crossing && model->nprojections) {
-        /* What was crossed in the step fires by what the step has seen, before its end is taken over. */
-        int moved = 0;
-        if ((!is_calm(s) && quiet(s, NULL, 0, &crossed_any)) || projected(s, &moved)) goto restore;
-        crossed_any = crossed_any || moved;
-    }
     if (model->nh) broke = pass_breaks(s, s->t);
     double edge, broken = s->broken;
     while (setup->ntracks && ((edge = next_input_break(s, broken)) <= s->t || blocks_within_ulps(edge, s->t, setup->scale))) broken = edge;
@@ -2131,13 +2182,13 @@ HOT static int instant(BlocksSim *s, int is_start)
         s->due[r] = s->exact == 1 && tick_count(s, r) == s->count;
         any_tick |= s->due[r];
     }
-    if ((ndue || !is_calm(s)) && quiet(s, due_events, ndue, &touched)) goto restore;
-    if (any_tick && (tick(s, &touched) || (!is_calm(s) && quiet(s, NULL, 0, &touched)))) goto restore;
+    if ((ndue || !is_calm(s)) && quiet(s, due_events, ndue, by_seen, &touched)) goto restore;
+    if (any_tick && (tick(s, &touched) || (!is_calm(s) && quiet(s, NULL, 0, 0, &touched)))) goto restore;
     int moved = 0;
     if (model->nprojections && projected(s, &moved)) goto restore;
     if (moved) {
         touched = 1;
-        if (!is_calm(s) && quiet(s, NULL, 0, &touched)) goto restore;
+        if (!is_calm(s) && quiet(s, NULL, 0, 0, &touched)) goto restore;
     }
     if (changed || broke || touched) {
         if (model->nz && solve(s, s->t, m->x, s->stage_values)) goto restore;
@@ -2145,7 +2196,7 @@ HOT static int instant(BlocksSim *s, int is_start)
         if (model->nevents && event_times(s)) goto restore;
     }
     int same = !any_tick && is_same(x0, m->x, nx) && is_same(d0, m->d, nd) && is_same(s0, m->s, ns);
-    int happened = !same || crossed_any || s->fired_events.used > told || ndue;
+    int happened = !same || by_seen || s->fired_events.used > told || ndue;
     if (model->hooks && model->hooks->epoch(s) != hidden) happened = 1;
     int fresh = changed || happened, jumps = happened || (changed && !s->recourses);
     if (model->nh && s->recourses == 2 && !jumps && add_course(s, s->t)) goto restore;
@@ -2447,7 +2498,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         {&s->reset_values, (size_t)setup->nresets + (size_t)setup->nenabled}, {&s->d1, nd},
         {&s->backup, 2 * (nx + nd + ns) + 2 * ne + nz}, {&s->row_values, nl}, {&s->stage_values, values},
         {&s->z1, nz}, {&s->distances, 2 * ns}, {&s->projected_once, nx + nd},
-        {&s->projected_often, nx + nd}, {&s->firing_time, nc},
+        {&s->projected_often, nx + nd}, {&s->unprojected, model->nprojections ? nx + nd : 0}, {&s->firing_time, nc},
     };
     int count = (int)(sizeof pieces / sizeof pieces[0]);
     for (int i = 0; i < count; i++) doubles += room(pieces[i].n) + 8;

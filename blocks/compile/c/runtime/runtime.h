@@ -19,6 +19,7 @@
 
 /* Why a run stands. */
 enum { BLOCKS_DONE = 0, BLOCKS_PAUSED = 1, BLOCKS_FAILED = 2, BLOCKS_NO_MEMORY = 3 };
+#define BLOCKS_REFUSED (-2) /* a step: it is to be tried again, shorter */
 
 /* What failed. `culprit` is an index: of a state, a cause, a place in d, a stepper. */
 enum {
@@ -76,7 +77,7 @@ struct BlocksModel {
     void (*stepper_inputs)(const BlocksMemory *, double, const double *, int, double *);
     void (*outputs)(const BlocksMemory *, double, const double *, int, int, const uint8_t *, double *);
     void (*nexts)(const BlocksMemory *, double, const double *, const uint8_t *, double *);
-    void (*trial)(BlocksSim *, double t, const double *x, double h, double *x1);
+    double (*trial)(BlocksSim *, double t, const double *x, double h, double *x1, int is_judged);
     int (*run)(BlocksSim *, double target);
     const BlocksHooks *hooks; /* null: there are no such units */
     BlocksProgram foreign_inputs;
@@ -251,7 +252,8 @@ struct BlocksSim {
     int64_t row;       /* number of the next row of the recording grid */
     int32_t recourses; /* set by a master: inputs go on by another extrapolation, without a jump; 2: delays remember them */
     double broken;     /* the last input breakpoint passed */
-    int32_t outstanding, crossing, changed, has_left;
+    int32_t outstanding, changed, has_left;
+    int32_t crossing; /* whether a side has changed in the last step; 2: and projections have moved its end since */
     int32_t moving;    /* whether inputs or histories change with time now */
     int32_t is_constant;
     double located_t, sides_t;
@@ -265,11 +267,12 @@ struct BlocksSim {
     int64_t *blamed;              /* (nx) rejected steps in which the error of a state was the largest */
     double *events, *own;         /* (nevents) */
     double *located, *sides;      /* (ns) distances beyond, and values at sides_t */
+    double *unprojected;          /* (nx + nd) the end of a step in which a side has changed, before projections */
     double *fired;                /* (ncauses) when each crossing fired last; -inf: never */
     double *crossed;              /* ring of the last crossings */
     int64_t crossed_first, crossed_count;
-    double paced;     /* when the steps were looked at last, for chattering */
-    int32_t chatters; /* how many looks in a row have found it */
+    double paced, paced_before; /* when the steps were looked at last, for chattering; the same before that look */
+    int32_t chatters, chattered_before; /* how many looks in a row have found it */
     double *left;                 /* (nlogged) */
     double *last_row;             /* time and values of the last row; null: there is none */
     double next_row;              /* the time of row number `timed` of the recording grid; inf: there is none */
@@ -287,6 +290,7 @@ struct BlocksSim {
     BlocksPast past;
     int64_t target_count;
     int32_t target_exact;
+    double refused, refused_error; /* the size and the error of a retaken step that was not accepted */
     int32_t flowed;  /* whether other steps were tried from where the run stands */
     int32_t weighed; /* whether the weights of the step's dense output are all known */
     double later;    /* by how much the states stand after an instant that crossings have joined */
@@ -342,6 +346,7 @@ BLOCKS_API int blocks_list_room(BlocksList *list, int64_t more);
 
 /* For the stepping loops. */
 void blocks_outside(BlocksSim *s, double t);
+int blocks_end_step(BlocksSim *s);
 int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double error, double target);
 int blocks_rows_inside(BlocksSim *s, double t1, double h, int outstanding);
 void blocks_look_at_rows(BlocksSim *s, double t1, double h);
@@ -418,6 +423,13 @@ BLOCKS_INLINE double blocks_next_row(BlocksSim *s)
 {
     if (s->timed != s->row) s->next_row = blocks_grid(&s->setup->every, s->row), s->timed = s->row;
     return s->next_row;
+}
+
+/* How much shorter a step of order 5 with this error, above 1, is tried again. */
+BLOCKS_INLINE double blocks_reduction(double error)
+{
+    double factor = 0.9 * pow(error, -1.0 / 5);
+    return !isfinite(error) ? 0.1 : factor > 0.2 ? factor : 0.2;
 }
 
 /* The distance to the next larger double; x is finite. */

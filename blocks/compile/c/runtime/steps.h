@@ -121,20 +121,6 @@ static inline __attribute__((always_inline)) void step_of(BlocksSim *s, const Bl
     stages_of(s, m, moving, 1, t, x, h, k, x1, xs);
 }
 
-/* The states after a step from where the run stands, for those who look for a crossing in it. */
-static void trial(BlocksSim *s, double t, const double *x, double h, double *x1)
-{
-    SCRATCH;
-#if SMALL
-    Stages k;
-    for (int i = 0; i < BLOCKS_NX; i++) k[0][i] = s->k[0][i];
-    stages_of(s, &s->memory, s->moving, 0, t, x, h, k, x1, xs);
-#else
-    stages_of(s, &s->memory, s->moving, 0, t, x, h, s->k, x1, xs);
-#endif
-    s->evaluations += LAST - 1;
-}
-
 static int first_rates(BlocksSim *s)
 {
     if (s->has_first) return BLOCKS_FINE;
@@ -197,6 +183,38 @@ static __attribute__((noinline)) void blame(BlocksSim *s, double h)
     s->blamed[worst]++;
 }
 #endif
+
+/* The states after a step from where the run stands, for those who look for a crossing in it; is_judged: and its error, by
+   which it may be accepted. */
+static double trial(BlocksSim *s, double t, const double *x, double h, double *x1, int is_judged)
+{
+    SCRATCH;
+#if SMALL
+    Stages k;
+    for (int i = 0; i < BLOCKS_NX; i++) k[0][i] = s->k[0][i];
+    stages_of(s, &s->memory, s->moving, 0, t, x, h, k, x1, xs);
+#else
+    double **const k = s->k;
+    stages_of(s, &s->memory, s->moving, 0, t, x, h, k, x1, xs);
+#endif
+    s->evaluations += LAST - 1;
+#if BLOCKS_METHOD_DOPRI5
+    if (is_judged) {
+        blocks_rates(s, t + h, x1, k[LAST]);
+        double error = error_norm(s->setup, h, k, x, x1);
+        if (!(error <= 1.0)) {
+            for (int i = 0; i < BLOCKS_NX; i++) {
+                s->x1[i] = x1[i];
+                for (int n = 1; n < STAGES; n++) s->k[n][i] = k[n][i];
+            }
+            blame(s, h);
+        }
+        return error;
+    }
+#endif
+    (void)is_judged;
+    return 0.0;
+}
 
 #if BLOCKS_METHOD_AUTO
 /* Whether an accepted step says that stability limits it: h |df/dx|, as the last two stages have it, which both stand at
@@ -663,6 +681,10 @@ static int run(BlocksSim *s, double target)
         }
         h = h < setup->longest ? h : setup->longest;
         h = h > least ? h : least;
+#if BLOCKS_METHOD_AUTO
+        const int32_t hits = s->hits, calm = s->calm;
+#endif
+    again: /* a retaken step was refused, and a shorter one is tried from the same place */
         for (;;) {
             /* The last step before the target is stretched a little rather than followed by a tiny one. */
             t1 = h >= left / 1.01 ? target : t + h;
@@ -680,8 +702,7 @@ static int run(BlocksSim *s, double target)
             GIVE_STEP;
             blame(s, step);
             grow = 1.0;
-            double factor = isfinite(error) ? blocks_larger(0.2, 0.9 * pow(error, -1.0 / 5)) : 0.1;
-            h = blocks_larger(step * factor, least);
+            h = blocks_larger(step * blocks_reduction(error), least);
         }
         double factor = 0.9 * pow(s->error, 0.04) * pow(blocks_larger(error, 1e-10), -(1.0 / 5 - 0.75 * 0.04));
         proposed = step * blocks_smaller(grow, blocks_larger(0.2, factor));
@@ -739,6 +760,19 @@ static int run(BlocksSim *s, double target)
 #endif
             int stopped = blocks_accept(s, t1, step, proposed, error, target);
             if (stopped >= 0) return stopped;
+#if BLOCKS_METHOD_DOPRI5
+            if (stopped == BLOCKS_REFUSED) {
+                if (s->refused <= least) return blocks_fail(s, BLOCKS_TOO_SMALL, 0, s->refused);
+#if BLOCKS_METHOD_AUTO
+                s->hits = hits, s->calm = calm;
+#endif
+                if (!((steps + 1) % BLOCKS_PACE)) s->paced = s->paced_before, s->chatters = s->chattered_before;
+                h = blocks_larger(s->refused * blocks_reduction(s->refused_error), least);
+                grow = 1.0;
+                TAKE;
+                goto again;
+            }
+#endif
             s->has_before = 0;
             if (first_rates(s)) return BLOCKS_FAILED;
             if (has_grid) blocks_next_row(s);
@@ -791,9 +825,10 @@ static int run(BlocksSim *s, double target)
 }
 
 #elif !BLOCKS_METHOD_RADAU
-static void trial(BlocksSim *s, double t, const double *x, double h, double *x1)
+static double trial(BlocksSim *s, double t, const double *x, double h, double *x1, int is_judged)
 {
-    (void)s, (void)t, (void)x, (void)h, (void)x1;
+    (void)s, (void)t, (void)x, (void)h, (void)x1, (void)is_judged;
+    return 0.0;
 }
 static int run(BlocksSim *s, double target)
 {

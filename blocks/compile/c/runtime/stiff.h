@@ -18,7 +18,7 @@ extern const double blocks_stiff_dense[BLOCKS_STIFF_STAGES * BLOCKS_STIFF_DEGREE
 int blocks_stiff_open(BlocksSim *s);
 void blocks_stiff_close(BlocksSim *s);
 int blocks_stiff_run(BlocksSim *s, double target);
-void blocks_stiff_trial(BlocksSim *s, double t, const double *x, double h, double *x1);
+double blocks_stiff_trial(BlocksSim *s, double t, const double *x, double h, double *x1, int is_judged);
 
 /* --- linear algebra ------------------------------------------------------------------------------------------------- */
 

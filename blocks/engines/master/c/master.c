@@ -286,7 +286,9 @@ static int64_t native_copy(MasterUnit *u, unsigned char *begin, int writes)
     ONE(s->crossed_first); ONE(s->crossed_count); ONE(s->polynomials); ONE(s->fired_events.used); ONE(s->flowed);
     ROW(s->memory.x, model->nx); ROW(s->memory.d, model->nd); ROW(s->memory.s, model->ns); ROW(s->memory.u, model->nu);
     ROW(s->memory.z, model->nz); ROW(s->ticks, model->nrates); ROW(s->events, model->nevents); ROW(s->own, model->nevents);
-    ROW(s->located, model->ns); ROW(s->sides, model->ns); ROW(s->fired, s->setup->ncauses); ROW(s->crossed, model->ns ? 1000 : 0);
+    ROW(s->located, model->ns); ROW(s->sides, model->ns);
+    ROW(s->unprojected, model->nprojections ? model->nx + model->nd : 0);
+    ROW(s->fired, s->setup->ncauses); ROW(s->crossed, model->ns ? 1000 : 0);
     if (model->stages) ROW(s->k[0], model->nx + model->ns);
     ROW(s->carried, s->ncarried); ONE(s->hits); ONE(s->calm); ONE(s->stiff_from);
     ROW(s->before, model->nx + model->ns); ROW(s->base, model->nu); ROW(s->aim, model->nu); ROW(s->begin, model->nu);
