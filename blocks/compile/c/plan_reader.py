@@ -17,6 +17,7 @@ from ..folding import At, Folded
 from ..motion import Motions
 from ..plan import AlgebraicLoop, Node, Plan, Program, Reference
 from ..scheduler import schedule
+from ..tearing import slopes
 from .calls import Tables
 from .fmu_requests import request_text
 from .functions import Function, function_text, is_costly, needed_from
@@ -388,11 +389,12 @@ class PlanReader:
         plan = self.plan
         number_of = {reference: k for k, reference in enumerate(loop.unknowns)}
         known: list[Value] = []
-        form: list[object] = [len(loop.unknowns)]
         lines: list[str] = []
-        n = len(loop.unknowns)
-        residuals, matrix = [""] * n, [[[] for _ in range(n)] for _ in range(n)]  # type: ignore[var-annotated]
-        nodes_of: list[Node | None] = [None] * n
+        n, solved = len(loop.torn), loop.solved
+        place = {row: k for k, row in enumerate(solved)}
+        texts = {row: f"unknowns[{place[row]}]" if place[row] < n else f"x{row}" for row in solved}
+        residuals, nodes_of = [""] * len(solved), dict[int, Node]()
+        chained = slopes(plan, loop, texts, "fabs")
         weight = 0
         for number, part in enumerate(loop.parts):
             block = plan.instances[part.instance]
@@ -411,7 +413,7 @@ class PlanReader:
             for k in inputs:
                 reference = self.ticked(block.arguments[k], first)
                 if reference in number_of:
-                    given.append(f"unknowns[{number_of[reference]}]")
+                    given.append(texts[number_of[reference]])
                     continue
                 text = f"known[{len(known)}]"
                 value = self.value(reference, scope, (part.instance, k))
@@ -425,38 +427,34 @@ class PlanReader:
             else:
                 lines.append(f"double {', '.join(names)};")
                 lines.append(f"{function.name}({', '.join((*given, *(f'&{a}' for a in names)))});")
-            for k, (row, (key, element)) in enumerate(zip(part.rows, part.results, strict=True)):
-                nodes_of[row] = Node(part.instance, key, element)
-                is_residual = block.tape.results[key].role == "residual"
-                residuals[row] = names[k] if is_residual else f"{names[k]} - unknowns[{row}]"
-                for j, column in enumerate(part.columns):
-                    matrix[row][column].append(names[count + k * len(part.columns) + j])
-                if not is_residual:
-                    matrix[row][row].append("-1.0")
-        for row in range(n):
-            lines.append(f"residuals[{row}] = {residuals[row]};")
-            for column in range(n):
-                lines.append(f"matrix[{row * n + column}] = {' + '.join(matrix[row][column]) or '0.0'};")
-        form += lines
+            for k, (row, result) in enumerate(zip(part.rows, part.results, strict=True)):
+                nodes_of[row] = Node(part.instance, *result)
+                if place[row] >= n:
+                    lines.append(f"const double {texts[row]} = {names[k]};")
+                    residuals[place[row]] = texts[row]
+                else:
+                    is_residual = loop.is_residual(plan, number, k)
+                    residuals[place[row]] = names[k] if is_residual else f"{names[k]} - {texts[row]}"
+            lines += [f"const double {name} = {text};" for name, text in chained.made[number]]
+        lines += [f"residuals[{k}] = {text};" for k, text in enumerate((*residuals, *chained.rounding))]
+        lines += [f"matrix[{row * n + k}] = {text};" for row, by in enumerate(chained.matrix) for k, text in enumerate(by)]
         guesses: list[Value] = []
-        for reference in loop.unknowns:
+        for reference in (loop.unknowns[row] for row in loop.torn):
             if reference in plan.unknowns_at:
                 guesses.append(("z", plan.unknowns_at[reference]))
             elif reference.row == "d" and not scope.is_start:
                 guesses.append(reference)
             else:
                 guesses.append(("n", (("guess", reference), plan.guesses.get(reference, 0.0))))
-        solver = self.solver(tuple(form), len(known), n, lines, weight)
-        values = [self.new_value() for _ in range(n)]
-        for solved, number in zip(nodes_of, values, strict=True):
-            assert solved is not None
-            scope.made[solved] = number
+        solver = self.solver(len(known), n, len(solved) - n, lines, weight)
+        values = [self.new_value() for _ in solved]
+        scope.made.update((nodes_of[row], value) for row, value in zip(solved, values, strict=True))
         path = plan.instances[loop.parts[0].instance].path
-        return Call(solver, path, loop.parts[0].instance, [*known, *guesses], values, [[] for _ in range(n)])
+        return Call(solver, path, loop.parts[0].instance, [*known, *guesses], values, [[] for _ in solved])
 
-    def solver(self, form: tuple[object, ...], known: int, n: int, lines: list[str], weight: int) -> Function:
-        """The function that solves loops of one form."""
-        key = ("loop", form, known)
+    def solver(self, known: int, n: int, others: int, lines: list[str], weight: int) -> Function:
+        """The function that solves loops of one form, for n torn unknowns and the others."""
+        key = ("loop", n, others, *lines, known)
         if key in self.functions:
             return self.functions[key]
         name = f"f{len(self.functions)}"
@@ -464,18 +462,18 @@ class PlanReader:
         body = "\n".join(f"    {line}" for line in lines)
         system = f"static void {name}_system({head})\n{{\n    (void)m, (void)known, (void)unknowns;\n{body}\n}}\n"
         taken = [*(f"double a{k}" for k in range(known)), *(f"double z{k}" for k in range(n))]
-        taken += [f"double *r{k}" for k in range(n)]
+        taken += [f"double *r{k}" for k in range(n + others)]
         inside = ", ".join(f"a{k}" for k in range(known)) or "0.0"
         text = (
             f"{system}\nstatic void {name}(const BlocksMemory *m, {', '.join(taken)})\n{{\n"
             f"    const double known[] = {{{inside}}};\n"
-            f"    double unknowns[] = {{{', '.join(f'z{k}' for k in range(n))}}};\n"
-            f"    blocks_newton({name}_system, m, known, {n}, unknowns);\n"
-            + "".join(f"    *r{k} = unknowns[{k}];\n" for k in range(n))
+            f"    double unknowns[{n + others}] = {{{', '.join(f'z{k}' for k in range(n))}}};\n"
+            f"    blocks_newton({name}_system, m, known, {n}, {others}, unknowns);\n"
+            + "".join(f"    *r{k} = unknowns[{k}];\n" for k in range(n + others))
             + "}\n"
         )
         self.texts.append(text)
-        function = Function(name, (), (), n, 4 * weight, True, True)
+        function = Function(name, (), (), n + others, 4 * weight, True, True)
         self.functions[key] = function
         return function
 

@@ -17,6 +17,7 @@ import numpy as np
 from ...compile.fmu_tape import FmuTape, Request
 from ...compile.plan import AlgebraicLoop, Node, Plan, Program, Reference
 from ...compile.scheduler import schedule
+from ...compile.tearing import slopes
 from ...contract.scalars import COSTLY, LOGICAL, OPERATIONS
 from ...contract.tape import Tape
 from ...text.errors import NOT_FINITE, OVERFLOW
@@ -146,11 +147,12 @@ class CompiledPrograms:
     def _loop(
         self, loop: AlgebraicLoop, held: dict[Reference, str], known: dict[Node, str], *, is_start: bool
     ) -> list[str]:
-        """A loop as a system of equations for Newton's method: its residuals, and their matrix row by row."""
-        plan, n = self.plan, len(loop.unknowns)
+        """A loop as a system of equations for Newton's method: residuals, matrix, other unknowns, rounding."""
+        plan = self.plan
         names = [f"{row}{index}" for row, index in loop.unknowns]
-        residuals, matrix = [""] * n, [[[] for _ in range(n)] for _ in range(n)]  # type: ignore[var-annotated]
-        lines = [f"    def _loop({', '.join(names)}):"]
+        chained = slopes(plan, loop, dict(enumerate(names)), "abs")
+        residuals = dict.fromkeys(loop.torn, "")
+        lines = [f"    def _loop({', '.join(names[row] for row in loop.torn)}):"]
         for number, part in enumerate(loop.parts):
             instance = plan.instances[part.instance]
             count = len(part.results)
@@ -168,23 +170,27 @@ class CompiledPrograms:
             targets = [f"a{number}_{k}" for k in range(len(asked))]
             begin = f"{function}, " if isinstance(part.tape, FmuTape) else f"{function}("
             lines.append(f"        {', '.join(targets)}, = {begin}{', '.join(values)})  # {instance.path}")
-            for k, (row_, (key, _)) in enumerate(zip(part.rows, part.results, strict=True)):
-                is_residual = instance.tape.results[key].role == "residual"
-                residuals[row_] = targets[k] if is_residual else f"{targets[k]} - {names[row_]}"
-                for j, column in enumerate(part.columns):
-                    matrix[row_][column].append(targets[count + k * len(part.columns) + j])
-                if not is_residual:
-                    matrix[row_][row_].append("-1.0")
-        rows = [", ".join(" + ".join(entry) or "0.0" for entry in row) for row in matrix]
-        lines.append(f"        return ({', '.join(residuals)},), ({', '.join(f'({row},)' for row in rows)},)")
+            for k, unknown in enumerate(part.rows):
+                if unknown in residuals:
+                    is_residual = loop.is_residual(plan, number, k)
+                    residuals[unknown] = targets[k] if is_residual else f"{targets[k]} - {names[unknown]}"
+                else:
+                    lines.append(f"        {names[unknown]} = {targets[k]}")
+            lines += [f"        {name} = {text}" for name, text in chained.made[number]]
+        solved = [names[row] for row in loop.solved]
+        rows = ", ".join(f"({', '.join(row)},)" for row in chained.matrix)
+        others = "".join(f"{name}, " for name in solved[len(loop.torn) :])
+        rounding = f"({', '.join(chained.rounding)},)"
+        lines.append(f"        return ({', '.join(residuals.values())},), ({rows},), ({others}), {rounding}")
         guesses = []
-        for reference in loop.unknowns:
+        for row in loop.torn:
+            reference = loop.unknowns[row]
             if reference in plan.unknowns_at:
                 guesses.append(f"z[{plan.unknowns_at[reference]}]")
             else:
                 is_held = reference.row == "d" and not is_start  # at the start nothing is held yet
                 guesses.append(f"d[{reference.index}]" if is_held else repr(plan.guesses.get(reference, 0.0)))
-        lines.append(f"    {', '.join(names)}, = _newton(_loop, ({', '.join(guesses)},))")
+        lines.append(f"    {', '.join(solved)}, = _newton(_loop, ({', '.join(guesses)},))")
         return lines
 
     def _request(
