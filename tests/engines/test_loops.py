@@ -242,7 +242,7 @@ def test_a_direct_matrix_that_is_partly_zero_makes_no_false_loop() -> None:
 
 
 def system(residuals: Any, matrix: Any) -> Any:
-    return lambda *x: (tuple(residuals(*x)), tuple(map(tuple, matrix(*x))))
+    return lambda *x: (tuple(residuals(*x)), tuple(map(tuple, matrix(*x))), (), (0.0,) * len(x))
 
 
 def test_newton_finds_roots_to_the_last_bits() -> None:

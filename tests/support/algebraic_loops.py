@@ -225,7 +225,7 @@ LOOPS = (
     Loop("ill_scaled", "p = 1e9*q + 5 + t; q = 0.5e-9*p + 1e-9", "q", lambda t: 7e-9 + 0.5e-9 * 2 * t),
     Loop("nearly_singular", "y = 0.999999*y + 1 + t", "y", lambda t: 1e6 * (1 + t)),
     Loop("duopoly", "p = (10 + t - q)/2; q = (8 - p)/2", "q", lambda t: (2 * 8 - 10 - t) / 3),
-    Loop("far_from_zero", "e = 1e6 + q - 1e6 - t; q = -e/2", "q", lambda t: t / 3),
+    Loop("far_from_zero", "s = 1e3 + q; e = s - 1e3 - t; q = -e/2", "q", lambda t: t / 3),
     Loop("poisson", tridiagonal(40, "({l} + {r} + 1 + t)/2"), "x20", lambda t: (1 + t) * 20 * 21 / 2),
 )  # fmt: skip
 

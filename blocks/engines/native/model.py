@@ -20,7 +20,7 @@ from ...compile.c.lane_code import LANE_FILES, Machine, why_no_gain
 from ...compile.c.model_code import Emitted, emit
 from ...compile.c.runtime_grid import grid_of
 from ...compile.c.runtime_tables import RuntimeTables
-from ...compile.c.runtime_texts import RUNTIME, packaged, stiff_units
+from ...compile.c.runtime_texts import RUNTIME, loop_units, packaged, stiff_units
 from ...compile.plan import Node, Plan, Reference
 from ...compile.tableaus import STIFF
 from ...compile.toolchain.compiler import TranslationUnit, build, load
@@ -75,10 +75,11 @@ class Model(RuntimeTables):
         other, *more = ("fmu_bridge.c", "fmu_bridge.h", "fmu_types.h") if plan.foreign else ("batch.c", "batch.h")
         beside = headers | packaged(*more)
         stiff = ("jacobian.c", *stiff_units(method)) if method in STIFF else ()
+        more_units = (*stiff, *loop_units(self.emitted.source))
         units = [
             TranslationUnit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True),
             TranslationUnit(other, packaged(other)[other], beside, is_shared=True),
-            *(TranslationUnit(name, text, headers, is_shared=True) for name, text in packaged(*stiff).items()),
+            *(TranslationUnit(name, text, headers, is_shared=True) for name, text in packaged(*more_units).items()),
             TranslationUnit("model.c", self.emitted.source, beside if plan.foreign else headers),
         ]
         self.why_no_lanes = why_no_gain(made.sizes) if lanes is not None else ""

@@ -164,7 +164,8 @@ def _enclosed(system: System, point: Point) -> Point | None:
     while away < _LAST_DISTANCE:
         for sign, last in sides.items():
             sides[sign] = here = _at(system, np.array([begin + sign * away]))
-            if last.residuals[0] * here.residuals[0] <= 0.0:
+            before, now = float(last.residuals[0]), float(here.residuals[0])
+            if before * now < 0.0 or (now == 0.0 and before != 0.0):
                 found = _halved(system, last, here)
                 if found is not None:
                     return found
@@ -175,10 +176,10 @@ def _enclosed(system: System, point: Point) -> Point | None:
 def _halved(system: System, a: Point, b: Point) -> Point | None:
     """The solution between two points whose residuals have opposite signs."""
     while True:
-        middle = a.x + (b.x - a.x) / 2
-        if middle in (a.x, b.x):
+        middle = float(a.x[0]) + float(b.x[0] - a.x[0]) / 2
+        if middle in (a.x[0], b.x[0]):
             break
-        point = _at(system, middle)
+        point = _at(system, np.array([middle]))
         if math.isnan(point.residuals[0]):
             return None
         if (point.residuals[0] > 0.0) == (a.residuals[0] > 0.0):
