@@ -10,9 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from .plan import AlgebraicLoop, Node, Plan
+from ..contract.tape import Tape
+from ..contract.tracing import jacobian
+from .fmu_tape import FmuTape
+from .plan import AlgebraicLoop, LoopPart, Node, Plan
 
-__all__ = ["Slopes", "slopes", "stages"]
+__all__ = ["Sensitivities", "Slopes", "bounds", "sensitivities", "slopes", "stages"]
 
 
 def stages(needs: Mapping[Node, Sequence[Node]], torn: frozenset[Node]) -> dict[Node, int]:
@@ -61,48 +64,89 @@ def stages(needs: Mapping[Node, Sequence[Node]], torn: frozenset[Node]) -> dict[
 class Slopes(NamedTuple):
     """Texts of slopes by the torn unknowns, in terms of `a{part}_{k}`: the values of a part, then its partials.
 
-    made: for each part, names and texts of what is computed of its unknowns. matrix: of the residuals. rounding: of the
-    residuals, in units of 2^-52: a bound on what the rounding of all values on the way adds up to.
+    made: for each part, names and texts of the slopes of its unknowns. matrix: of the residuals.
     """
 
     made: tuple[tuple[tuple[str, str], ...], ...]
     matrix: tuple[tuple[str, ...], ...]
-    rounding: tuple[str, ...]
 
 
-def slopes(plan: Plan, loop: AlgebraicLoop, names: Mapping[int, str], absolute: str) -> Slopes:
-    """Return the slopes of a loop by the chain rule, from the torn unknowns to the residuals.
-
-    names: of the unknowns. absolute: the function of absolute values.
-    """
+def slopes(plan: Plan, loop: AlgebraicLoop) -> Slopes:
+    """Return the slopes of a loop by the chain rule, from the torn unknowns to the residuals."""
     place = {row: k for k, row in enumerate(loop.torn)}
     factors: dict[int, dict[int, str]] = {row: {k: ""} for row, k in place.items()}
-    # What each unknown adds to the rounding of a value of slope 1: its own rounding, and that of an operation on it.
-    sizes = {row: f"{absolute}({names[row]})" for row in place}
     matrix: dict[int, dict[int, str]] = {}
-    rounding: dict[int, str] = {}
     made = []
     for number, part in enumerate(loop.parts):
         texts: list[tuple[str, str]] = []
         for i, row in enumerate(part.rows):
             terms: dict[int, list[str]] = {}
-            read = [f"{absolute}(a{number}_{i})"]
             for j, column in enumerate(part.columns, len(part.results) + i * len(part.columns)):
                 for k, factor in factors[column].items():
                     terms.setdefault(k, []).append(f"a{number}_{j}*{factor}" if factor else f"a{number}_{j}")
-                read.append(f"{absolute}(a{number}_{j})*{sizes[column]}")
             if row in place:
                 if not loop.is_residual(plan, number, i):
                     terms.setdefault(place[row], []).append("-1.0")
-                    read.append(sizes[row])
-                matrix[place[row]] = {k: " + ".join(sum_) for k, sum_ in terms.items()}
-                rounding[place[row]] = " + ".join(read)
+                matrix[place[row]] = {k: " + ".join(summed) for k, summed in terms.items()}
                 continue
             factors[row] = {k: f"d{row}_{k}" for k in terms}
-            texts += [(factors[row][k], " + ".join(sum_)) for k, sum_ in terms.items()]
-            sizes[row] = f"g{row}"
-            texts.append((sizes[row], " + ".join([f"{absolute}(a{number}_{i})", *read])))
+            texts += [(factors[row][k], " + ".join(summed)) for k, summed in terms.items()]
         made.append(tuple(texts))
     order = range(len(loop.torn))
-    rows = tuple(tuple(matrix[k].get(j, "0.0") for j in order) for k in order)
-    return Slopes(tuple(made), rows, tuple(rounding[k] for k in order))
+    return Slopes(tuple(made), tuple(tuple(matrix[k].get(j, "0.0") for j in order) for k in order))
+
+
+class Sensitivities(NamedTuple):
+    """The values of a part, and their partials by all real arguments that they read, known and unknown."""
+
+    tape: Tape
+    arguments: tuple[int, ...]
+
+
+_REAL = frozenset(
+    ("time", "parameter", "input", "state", "discrete", "algebraic", "history", "output", "held", "local")
+)
+
+
+def sensitivities(plan: Plan, loop: AlgebraicLoop, part: LoopPart) -> Sensitivities:
+    """Return the tape by which the rounding of a part is bounded. Of an FMU only the unknowns count."""
+    instance = plan.instances[part.instance]
+    results = instance.tape.results
+    read = {k for key, e in part.results for k in instance.tape.arguments_of(results[key].nodes[e])}
+    if isinstance(part.tape, FmuTape):
+        unknowns = frozenset(loop.unknowns)
+        return Sensitivities(part.tape, tuple(k for k in sorted(read) if instance.arguments[k] in unknowns))
+    arguments = tuple(k for k in sorted(read) if instance.tape.arguments[k].kind in _REAL)
+    return Sensitivities(jacobian(instance.tape, part.results, arguments), arguments)
+
+
+def bounds(
+    plan: Plan, loop: AlgebraicLoop, given: Sequence[tuple[tuple[int, ...], Mapping[int, str]]], absolute: str
+) -> Slopes:
+    """Return texts of what the rounding of all values on the way adds up to, in units of 2^-52.
+
+    They are in terms of `a{part}_{k}`, of the tapes of `sensitivities`. given: for each part the arguments of its
+    partials, and the texts of all that it reads. absolute: the function of absolute values. made: for each part, names
+    and texts of the bounds of its unknowns, where each counts with its own rounding and with that of an operation on it.
+    matrix: a row of the bounds of the residuals.
+    """
+    row_of = {reference: row for row, reference in enumerate(loop.unknowns)}
+    torn: dict[int, str] = {}
+    made = []
+    for number, (part, (arguments, texts)) in enumerate(zip(loop.parts, given, strict=True)):
+        instance, count = plan.instances[part.instance], len(part.results)
+        lines: list[tuple[str, str]] = []
+        for i, row in enumerate(part.rows):
+            terms = [f"{absolute}(a{number}_{i})"]
+            for j, k in enumerate(arguments, count + i * len(arguments)):
+                if k in texts:
+                    unknown = row_of.get(instance.arguments[k])
+                    is_bound = unknown is not None and unknown not in loop.torn
+                    size = f"g{unknown}" if is_bound else f"{absolute}({texts[k]})"
+                    terms.append(f"{absolute}(a{number}_{j})*{size}")
+            if row in loop.torn:
+                torn[row] = " + ".join(terms)
+            else:
+                lines.append((f"g{row}", " + ".join([terms[0], *terms])))
+        made.append(tuple(lines))
+    return Slopes(tuple(made), (tuple(torn[row] for row in loop.torn),))

@@ -75,7 +75,11 @@ def test_the_minimum_of_rosenbrocks_function_is_found(method: str, budget: int, 
 @pytest.mark.parametrize("method", ["cma", "de"])
 def test_a_budget_is_spent_to_the_candidate_in_every_scenario(method: str, calls: list[tuple[int, Any]]) -> None:
     tuning = rosenbrock().tune(
-        minimize="a.f + b.f", over={"x": BOX["x"]}, scenarios={"a": {}, "b": {"y": 2}}, method=method, budget=37,
+        minimize="a.f + b.f",
+        over={"x": BOX["x"]},
+        scenarios={"a": {}, "b": {"y": 2}},
+        method=method,
+        budget=37,
         **SHORT,
     )
     assert len(tuning.history.objective) == 37
@@ -136,8 +140,10 @@ def test_a_tuning_that_noise_and_effort_do_not_hold_back_is_told(given: dict[str
         ({"minimize": "late"}, "noisy.late: can have no number: has no value: its window"),
         ({"minimize": "IAE", "subject_to": ["noisy.late <= 1"]}, "noisy.late: can have no number"),
         ({"minimize": "IAE", "subject_to": ["variation == 3"]}, 'subject_to[0]: "variation == 3" is no comparison'),
-        ({"minimize": "IAE", "subject_to": ["variation <= 2 rad/s"]},
-         'subject_to[0]: "2 rad/s" is a number with a unit. A limit is a bare number in the unit of the measure: 2.'),
+        (
+            {"minimize": "IAE", "subject_to": ["variation <= 2 rad/s"]},
+            'subject_to[0]: "2 rad/s" is a number with a unit. A limit is a bare number in the unit of the measure: 2.',
+        ),
         ({"minimize": "IAE", "subject_to": ["1 <= 2"]}, 'subject_to[0]: "1 <= 2" reads no measure'),
         ({"minimize": "2 IAE"}, "A product is written with *."),
         ({"minimize": "IAE", "over": {"k": (5, 1)}}, "k: has no two bounds"),
@@ -160,7 +166,7 @@ def test_what_can_have_no_number_is_refused_before_the_first_candidate(
 
 def test_a_missing_package_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(UsageError, match=r'E504 .*cma is needed and not installed.*blocks-cosim\[tune\]'):
+    with pytest.raises(UsageError, match=r"E504 .*cma is needed and not installed.*blocks-cosim\[tune\]"):
         rosenbrock().tune(minimize="f", over=BOX, **SHORT)
 
 

@@ -55,7 +55,9 @@ def tridiagonal(n: int, equation: str) -> str:
     def name(k: int) -> str:
         return f"x{k}" if 1 <= k <= n else "0.0"
 
-    return "; ".join(f"x{k} = " + equation.format(k=k, x=f"x{k}", l=name(k - 1), r=name(k + 1)) for k in range(1, n + 1))
+    return "; ".join(
+        f"x{k} = " + equation.format(k=k, x=f"x{k}", l=name(k - 1), r=name(k + 1)) for k in range(1, n + 1)
+    )
 
 
 def by_newton(n: int, system: Callable[[Any, float], Any], k: int, guess: float = 0.0) -> Callable[[float], float]:
@@ -104,9 +106,7 @@ def _integral_equations(n: int) -> str:
     h, lines = 1.0 / (n + 1), []
     for i in range(1, n + 1):
         si = i * h
-        terms = [
-            f"{h / 2.0 * ((1.0 - si) * j * h if j <= i else si * (1.0 - j * h))!r}*c{j}" for j in range(1, n + 1)
-        ]
+        terms = [f"{h / 2.0 * ((1.0 - si) * j * h if j <= i else si * (1.0 - j * h))!r}*c{j}" for j in range(1, n + 1)]
         lines += [f"x{i} = -({' + '.join(terms)})", f"c{i} = (x{i} + {1.0 + si!r} + t)**3"]
     return "; ".join(lines)
 
@@ -153,7 +153,10 @@ def _two_link(t: float) -> float:
 
 
 def _cubic(t: float) -> float:
-    return float(np.cbrt(500 + t / 2 + np.sqrt((500 + t / 2) ** 2 + 1 / 27)) + np.cbrt(500 + t / 2 - np.sqrt((500 + t / 2) ** 2 + 1 / 27)))
+    return float(
+        np.cbrt(500 + t / 2 + np.sqrt((500 + t / 2) ** 2 + 1 / 27))
+        + np.cbrt(500 + t / 2 - np.sqrt((500 + t / 2) ** 2 + 1 / 27))
+    )
 
 
 def _lambert(x: float) -> float:

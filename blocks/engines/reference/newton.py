@@ -31,8 +31,9 @@ _FIRST_PART, _LEAST_PART = 0.125, 1e-6  # of the way from the guess
 _FIRST_DISTANCE, _LAST_DISTANCE = 1e-6, 1e20  # between which a change of sign is searched for
 
 System = Callable[..., tuple[tuple[float, ...], ...]]
-"""From the torn unknowns to the residuals, their partial derivatives row by row, the other unknowns, and the rounding of
-the residuals in units of 2^-52."""
+"""From the torn unknowns to the residuals, their partial derivatives row by row, and the other unknowns."""
+Rounding = Callable[..., tuple[float, ...]]
+"""From the torn unknowns to bounds on the rounding of the residuals, in units of 2^-52."""
 Array = Any
 
 
@@ -43,30 +44,39 @@ class Point(NamedTuple):
     residuals: Array
     matrix: Array
     others: Array
-    rounding: Array
 
     @property
     def is_finite(self) -> bool:
         return bool(np.isfinite(self.residuals).all() and np.isfinite(self.matrix).all())
 
-    @property
-    def is_rounding(self) -> bool:
-        """Whether the residuals are no more than what rounding leaves of 0."""
-        return bool(np.all(np.abs(self.residuals) <= _ROUNDING * self.rounding))
+
+class Loop(NamedTuple):
+    """The equations of a loop."""
+
+    system: System
+    rounding: Rounding
+
+    def at(self, x: Array) -> Point:
+        return Point(x, *(np.array(part, dtype=float) for part in self.system(*x.tolist())))
+
+    def is_rounding(self, point: Point) -> bool:
+        """Return whether the residuals are no more than what rounding leaves of 0."""
+        return bool(np.all(np.abs(point.residuals) <= _ROUNDING * np.array(self.rounding(*point.x.tolist()))))
 
 
-def newton(system: System, guess: tuple[float, ...]) -> tuple[float, ...]:
+def newton(system: System, guess: tuple[float, ...], rounding: Rounding) -> tuple[float, ...]:
     """Return all unknowns where the residuals are 0, the torn ones first, from a guess of these; NaN if none is found."""
-    first = _at(system, np.array(guess, dtype=float))
-    found = _descended(system, first)
+    loop = Loop(system, rounding)
+    first = loop.at(np.array(guess, dtype=float))
+    found = _descended(loop, first)
     if found is None:
-        found = next((point for point in _others(system, first) if point is not None), None)
+        found = next((point for point in _others(loop, first) if point is not None), None)
     if found is None:
         return (math.nan,) * (len(guess) + len(first.others))
     return (*found.x.tolist(), *found.others.tolist())
 
 
-def _descended(system: System, point: Point) -> Point | None:
+def _descended(loop: Loop, point: Point) -> Point | None:
     """The solution from a point, by steps that lower the largest residual."""
     size = _size(point.residuals)
     for _ in range(MOST_STEPS):
@@ -78,12 +88,12 @@ def _descended(system: System, point: Point) -> Point | None:
         x = np.abs(point.x)
         is_near = bool(np.all(np.abs(step) <= _NEAR * x))
         share = 1.0
-        for _ in range(FEW_HALVINGS if is_near else MOST_HALVINGS):
-            tried = _at(system, point.x + share * step)
+        for k in range(FEW_HALVINGS if is_near else MOST_HALVINGS):
+            tried = loop.at(point.x + share * step)
             size_tried = _size(tried.residuals)
             if size_tried < size or size_tried == 0.0:
                 break
-            if np.all(np.abs(step) <= _CLOSE * (x + 1e-3)) or point.is_rounding:
+            if np.all(np.abs(step) <= _CLOSE * (x + 1e-3)) or (k == 0 and loop.is_rounding(point)):
                 return point  # rounding decides from here on
             share /= 2
         else:
@@ -95,26 +105,26 @@ def _descended(system: System, point: Point) -> Point | None:
     return None
 
 
-def _others(system: System, first: Point) -> Iterator[Point | None]:
+def _others(loop: Loop, first: Point) -> Iterator[Point | None]:
     """Further searches, from the guess, from what the blocks give there, and from 1."""
     begins = [first]
     for x in (first.x + first.residuals, np.ones(len(first.x))):
-        point = _at(system, x)
+        point = loop.at(x)
         if point.is_finite:
-            yield _settled(system, _moved(system, point, 0.0, MOST_STEPS))
+            yield _settled(loop, _moved(loop, point, 0.0, MOST_STEPS))
             begins.append(point)
     for point in begins:
         if len(point.x) == 1:
-            yield _enclosed(system, point)
+            yield _enclosed(loop, point)
         elif point.is_finite:
-            yield _followed(system, point)
+            yield _followed(loop, point)
 
 
-def _settled(system: System, point: Point | None) -> Point | None:
-    return None if point is None else _descended(system, point)
+def _settled(loop: Loop, point: Point | None) -> Point | None:
+    return None if point is None else _descended(loop, point)
 
 
-def _moved(system: System, point: Point, left: Array | float, most: int) -> Point | None:
+def _moved(loop: Loop, point: Point, left: Array | float, most: int) -> Point | None:
     """A point near that where the residuals are `left`: each step lowers them, or the step that they ask for."""
     for _ in range(most):
         wanted = point.residuals - left
@@ -124,7 +134,7 @@ def _moved(system: System, point: Point, left: Array | float, most: int) -> Poin
         scale = np.abs(point.x) + np.abs(step) + 5e-324
         share = 1.0
         for _ in range(MOST_HALVINGS):
-            tried = _at(system, point.x + share * step)
+            tried = loop.at(point.x + share * step)
             if tried.is_finite:
                 if _size(tried.residuals - left) < _size(wanted):
                     break
@@ -142,55 +152,51 @@ def _moved(system: System, point: Point, left: Array | float, most: int) -> Poin
     return None
 
 
-def _followed(system: System, point: Point) -> Point | None:
+def _followed(loop: Loop, point: Point) -> Point | None:
     """The solution at the end of the way on which the residuals are a part of those at a point that falls to 0."""
     begin = point.residuals
     left, part = 1.0, _FIRST_PART
     while left > 0.0 and part > _LEAST_PART:
         then = max(left - part, 0.0)
-        found = _moved(system, point, then * begin, FEW_STEPS)
+        found = _moved(loop, point, then * begin, FEW_STEPS)
         if found is None:
             part /= 4
         else:
             point, left, part = found, then, 2 * part
-    return _descended(system, point) if left == 0.0 else None
+    return _descended(loop, point) if left == 0.0 else None
 
 
-def _enclosed(system: System, point: Point) -> Point | None:
+def _enclosed(loop: Loop, point: Point) -> Point | None:
     """The solution between two values of a single unknown, the nearest where residuals have opposite signs."""
     begin = float(point.x[0])
     sides = {1.0: point, -1.0: point}
     away = _FIRST_DISTANCE * max(abs(begin), 1e-3)
     while away < _LAST_DISTANCE:
         for sign, last in sides.items():
-            sides[sign] = here = _at(system, np.array([begin + sign * away]))
+            sides[sign] = here = loop.at(np.array([begin + sign * away]))
             before, now = float(last.residuals[0]), float(here.residuals[0])
             if before * now < 0.0 or (now == 0.0 and before != 0.0):
-                found = _halved(system, last, here)
+                found = _halved(loop, last, here)
                 if found is not None:
                     return found
         away *= 4
     return None
 
 
-def _halved(system: System, a: Point, b: Point) -> Point | None:
+def _halved(loop: Loop, a: Point, b: Point) -> Point | None:
     """The solution between two points whose residuals have opposite signs."""
     while True:
         middle = float(a.x[0]) + float(b.x[0] - a.x[0]) / 2
         if middle in (a.x[0], b.x[0]):
             break
-        point = _at(system, np.array([middle]))
+        point = loop.at(np.array([middle]))
         if math.isnan(point.residuals[0]):
             return None
         if (point.residuals[0] > 0.0) == (a.residuals[0] > 0.0):
             a = point
         else:
             b = point
-    return _descended(system, a) or _descended(system, b)
-
-
-def _at(system: System, x: Array) -> Point:
-    return Point(x, *(np.array(part, dtype=float) for part in system(*x.tolist())))
+    return _descended(loop, a) or _descended(loop, b)
 
 
 def _size(residuals: Array) -> float:

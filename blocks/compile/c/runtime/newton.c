@@ -11,6 +11,7 @@ static const double FIRST_PART = 0.125, LEAST_PART = 1e-6, FIRST_DISTANCE = 1e-6
 /* A system, and room for a step, for what residuals are to become, and for a matrix that is solved. */
 typedef struct {
     BlocksSystem system;
+    BlocksRounding rounding;
     const BlocksMemory *m;
     const double *known;
     int n, others;
@@ -25,7 +26,7 @@ typedef struct {
 static size_t point_size(const Loop *l)
 {
     size_t n = (size_t)l->n;
-    return n + (2 * n + (size_t)l->others) + n * n;
+    return n + (n + (size_t)l->others) + n * n;
 }
 
 static size_t work_size(const Loop *l)
@@ -42,7 +43,7 @@ static double *with_work(Loop *l, double *room)
 
 static Point point_in(const Loop *l, double *room)
 {
-    return (Point){room, room + l->n, room + l->n + 2 * l->n + l->others};
+    return (Point){room, room + l->n, room + 2 * l->n + l->others};
 }
 
 static void copy(const Loop *l, Point *to, const Point *from) { memcpy(to->x, from->x, point_size(l) * sizeof(double)); }
@@ -73,8 +74,9 @@ static int is_finite(const Loop *l, const Point *p)
 /* Whether the residuals are no more than what rounding leaves of 0. */
 static int is_rounding(const Loop *l, const Point *p)
 {
+    l->rounding(l->m, l->known, p->x, l->again);
     for (int i = 0; i < l->n; i++)
-        if (!(fabs(p->residuals[i]) <= ROUNDING * p->residuals[l->n + l->others + i])) return 0;
+        if (!(fabs(p->residuals[i]) <= ROUNDING * l->again[i])) return 0;
     return 1;
 }
 
@@ -155,7 +157,7 @@ static int descended(const Loop *l, Point *p, Point *tried)
             evaluate(l, tried);
             then = largest(tried->residuals, n);
             if (then < size || then == 0.0) break;
-            if (is_small(l, p->x, CLOSE, 1e-3) || is_rounding(l, p)) return 1; /* rounding decides from here on */
+            if (is_small(l, p->x, CLOSE, 1e-3) || (!halvings && is_rounding(l, p))) return 1; /* rounding decides from here on */
             share /= 2;
         }
         if (halvings == most) return is_near;
@@ -298,9 +300,10 @@ static int searched(Loop l, const double *guess, double *unknowns)
     return found;
 }
 
-void blocks_newton(BlocksSystem system, const BlocksMemory *m, const double *known, int n, int others, double *unknowns)
+void blocks_newton(BlocksSystem system, BlocksRounding rounding, const BlocksMemory *m, const double *known, int n,
+                   int others, double *unknowns)
 {
-    Loop l = {system, m, known, n, others, NULL, NULL, NULL, NULL};
+    Loop l = {system, rounding, m, known, n, others, NULL, NULL, NULL, NULL};
     size_t size = point_size(&l), doubles = 2 * size + work_size(&l);
     double few[ROOM], *memory = doubles <= ROOM ? few : malloc(doubles * sizeof(double));
     int found = 0;
