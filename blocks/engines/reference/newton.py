@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["newton"]
+__all__ = ["Nearest", "newton"]
 
 MOST_STEPS, MOST_HALVINGS = 60, 30
 FEW_STEPS, FEW_HALVINGS = 10, 4
@@ -30,7 +30,7 @@ _ROUNDING = 4 * 2.0**-52
 _FIRST_PART, _LEAST_PART = 0.125, 1e-6  # of the way from the guess
 _FIRST_DISTANCE, _LAST_DISTANCE = 1e-6, 1e20  # between which a change of sign is searched for
 
-System = Callable[..., tuple[tuple[float, ...], ...]]
+System = Callable[..., tuple[Any, Any, tuple[float, ...]]]
 """From the torn unknowns to the residuals, their partial derivatives row by row, and the other unknowns."""
 Rounding = Callable[..., tuple[float, ...]]
 """From the torn unknowns to bounds on the rounding of the residuals, in units of 2^-52."""
@@ -43,7 +43,7 @@ class Point(NamedTuple):
     x: Array
     residuals: Array
     matrix: Array
-    others: Array
+    others: tuple[float, ...]
 
     @property
     def is_finite(self) -> bool:
@@ -57,7 +57,8 @@ class Loop(NamedTuple):
     rounding: Rounding
 
     def at(self, x: Array) -> Point:
-        return Point(x, *(np.array(part, dtype=float) for part in self.system(*x.tolist())))
+        residuals, matrix, others = self.system(*x.tolist())
+        return Point(x, np.array(residuals, dtype=float), np.array(matrix, dtype=float), others)
 
     def is_rounding(self, point: Point) -> bool:
         """Return whether the residuals are no more than what rounding leaves of 0."""
@@ -73,32 +74,55 @@ def newton(system: System, guess: tuple[float, ...], rounding: Rounding) -> tupl
         found = next((point for point in _others(loop, first) if point is not None), None)
     if found is None:
         return (math.nan,) * (len(guess) + len(first.others))
-    return (*found.x.tolist(), *found.others.tolist())
+    return (*found.x.tolist(), *found.others)
+
+
+class Nearest:
+    """How near the first search comes to a solution: the torn unknown of the largest residual where that is least.
+
+    number, x: of this unknown, its number and value. residual: there; inf where none is finite.
+    """
+
+    def __init__(self, system: System, guess: tuple[float, ...], rounding: Rounding) -> None:
+        self.system, self.guess = system, guess
+        self.number, self.x, self.residual = 0, guess[0], math.inf
+        loop = Loop(self._watched, rounding)
+        _descended(loop, loop.at(np.array(guess, dtype=float)))
+
+    def _watched(self, *x: float) -> tuple[Any, Any, tuple[float, ...]]:
+        parts = self.system(*x)
+        sizes = [abs(residual) for residual in parts[0]]
+        if max(sizes) < self.residual and all(map(math.isfinite, sizes)):
+            self.number = sizes.index(max(sizes))
+            self.x, self.residual = x[self.number], max(sizes)
+        return parts
 
 
 def _descended(loop: Loop, point: Point) -> Point | None:
     """The solution from a point, by steps that lower the largest residual."""
     size = _size(point.residuals)
     for _ in range(MOST_STEPS):
-        if not point.is_finite:
+        if not math.isfinite(size) or not np.isfinite(point.matrix).all():
             return None
         step = _solved(point.matrix, -point.residuals)
         if step is None:
             return None
-        x = np.abs(point.x)
-        is_near = bool(np.all(np.abs(step) <= _NEAR * x))
         share = 1.0
-        for k in range(FEW_HALVINGS if is_near else MOST_HALVINGS):
+        for halvings in range(MOST_HALVINGS):
             tried = loop.at(point.x + share * step)
             size_tried = _size(tried.residuals)
             if size_tried < size or size_tried == 0.0:
                 break
-            if np.all(np.abs(step) <= _CLOSE * (x + 1e-3)) or (k == 0 and loop.is_rounding(point)):
-                return point  # rounding decides from here on
+            if halvings == 0:
+                is_least = np.all(np.abs(step) <= _CLOSE * (np.abs(point.x) + 1e-3))
+                if is_least or loop.is_rounding(point):
+                    return point  # rounding decides from here on
+            elif halvings == FEW_HALVINGS and np.all(np.abs(step) <= _NEAR * np.abs(point.x)):
+                return point
             share /= 2
         else:
-            return point if is_near else None
-        is_last = share == 1.0 and bool(np.all(np.abs(step) <= _CLOSE * x))
+            return None
+        is_last = share == 1.0 and np.all(np.abs(step) <= _CLOSE * np.abs(point.x))
         point, size = tried, size_tried
         if size == 0.0 or is_last:
             return point

@@ -21,7 +21,7 @@ from ...compile.tearing import bounds, sensitivities, slopes
 from ...contract.scalars import COSTLY, LOGICAL, OPERATIONS
 from ...contract.tape import Tape
 from ...text.errors import NOT_FINITE, OVERFLOW
-from .newton import newton
+from .newton import Nearest, newton
 
 __all__ = ["CompiledPrograms", "Evaluator"]
 
@@ -103,6 +103,26 @@ class CompiledPrograms:
         except (ArithmeticError, ValueError):
             return NOT_FINITE
         return OVERFLOW
+
+    def nearest(self, reference: Reference, memory: Sequence[Any]) -> tuple[Reference, Nearest] | None:
+        """Return how near the search for an unknown came, and the unknown that kept it from there."""
+        program = schedule(self.plan, [reference])
+        loops = [step for step in program.steps if isinstance(step, AlgebraicLoop)]
+        tried: list[Nearest] = []
+
+        def watched(*how: Any) -> tuple[float, ...]:
+            tried.append(Nearest(*how))
+            return newton(*how)
+
+        with self.lock, np.errstate(all="ignore"):
+            body = self._program("nearest", program, is_start=False)
+            names = {**self.names[True], "_newton": watched}
+            exec(compile(body, f"<{self.plan.name}>", "exec"), names)
+            names["nearest"](*memory)
+        for loop, search in zip(loops, tried, strict=True):
+            if reference in loop.unknowns:
+                return loop.unknowns[loop.torn[search.number]], search
+        return None
 
     def _execute(self, source: str, safe: bool) -> None:
         if not safe:

@@ -149,21 +149,23 @@ static int descended(const Loop *l, Point *p, Point *tried)
     double size = largest(p->residuals, n);
     for (int k = 0; k < MOST_STEPS; k++) {
         if (!is_finite(l, p) || solved(n, p->matrix, p->residuals, l->step, l->work)) return 0;
-        int is_near = is_small(l, p->x, NEAR, 0.0), is_last = is_small(l, p->x, CLOSE, 0.0), halvings = 0;
-        int most = is_near ? FEW_HALVINGS : MOST_HALVINGS;
         double share = 1.0, then = NAN;
-        for (; halvings < most; halvings++) {
+        int halvings = 0;
+        for (; halvings < MOST_HALVINGS; halvings++) {
             for (int i = 0; i < n; i++) tried->x[i] = p->x[i] + share * l->step[i];
             evaluate(l, tried);
             then = largest(tried->residuals, n);
             if (then < size || then == 0.0) break;
-            if (is_small(l, p->x, CLOSE, 1e-3) || (!halvings && is_rounding(l, p))) return 1; /* rounding decides from here on */
+            /* Rounding decides from here on. */
+            if (!halvings && (is_small(l, p->x, CLOSE, 1e-3) || is_rounding(l, p))) return 1;
+            if (halvings == FEW_HALVINGS && is_small(l, p->x, NEAR, 0.0)) return 1;
             share /= 2;
         }
-        if (halvings == most) return is_near;
+        if (halvings == MOST_HALVINGS) return 0;
+        int is_last = share == 1.0 && is_small(l, p->x, CLOSE, 0.0);
         swap(p, tried);
         size = then;
-        if (size == 0.0 || (share == 1.0 && is_last)) return 1;
+        if (size == 0.0 || is_last) return 1;
     }
     return 0;
 }
