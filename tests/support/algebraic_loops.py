@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import brentq, root
 from scipy.special import lambertw
 
 from blocks import (
@@ -33,6 +33,9 @@ from blocks import (
 )
 
 __all__ = ["LOOPS", "Loop", "as_blocks", "as_expressions"]
+
+
+VT = 0.02585  # V; the thermal voltage
 
 
 class Loop(NamedTuple):
@@ -64,8 +67,6 @@ def by_newton(n: int, system: Callable[[Any, float], Any], k: int, guess: float 
     """Element k of the root of a system, by the Levenberg-Marquardt method of MINPACK and three steps of Newton."""
 
     def solution(t: float) -> float:
-        from scipy.optimize import root
-
         found = root(system, np.full(n, guess), args=(t,), method="lm", tol=1e-15)
         x = np.asarray(found.x, dtype=float)
         for _ in range(3):
@@ -82,6 +83,14 @@ def _ladder(v: Any, t: float) -> Any:
     """Five resistors in series from a source, a diode from each node to ground."""
     left, right = np.concatenate([[8.0 + t], v[:-1]]), np.concatenate([v[1:], v[-1:]])
     return (left - v) / 100.0 - (v - right) / 100.0 - 1e-12 * (np.exp(v / 0.02585) - 1.0)
+
+
+def _ladder_equations(n: int) -> str:
+    lines = []
+    for k in range(1, n + 1):
+        left, right = "8 + t" if k == 1 else f"v{k - 1}", f" + v{k + 1}" if k < n else ""
+        lines += [f"v{k} = ({left}{right} - 100*i{k})/{2 if right else 1}", f"i{k} = 1e-12*(exp(v{k}/0.02585) - 1)"]
+    return "; ".join(lines)
 
 
 def _boundary(x: Any, t: float) -> Any:
@@ -109,6 +118,42 @@ def _integral_equations(n: int) -> str:
         terms = [f"{h / 2.0 * ((1.0 - si) * j * h if j <= i else si * (1.0 - j * h))!r}*c{j}" for j in range(1, n + 1)]
         lines += [f"x{i} = -({' + '.join(terms)})", f"c{i} = (x{i} + {1.0 + si!r} + t)**3"]
     return "; ".join(lines)
+
+
+def _middle(t: float) -> float:
+    """The voltage between two diodes in series."""
+    drops = between(1e-9, 1, lambda i, t: 5 + t - 470 * i - VT * (np.log1p(i / 1e-12) + np.log1p(i / 1e-14)))
+    return float(VT * np.log1p(drops(t) / 1e-14))
+
+
+def _collector(t: float) -> float:
+    """The first current of two transistors with one resistor at their emitters."""
+    emitter = between(-2, 0, lambda e, t: 5e-11 * (np.exp((0.1 * t - e) / VT) + np.exp((-e - 0.01) / VT)) - 12 - e)
+    return float(1e-14 * np.exp((0.1 * t - emitter(t)) / VT))
+
+
+def _bridge(t: float) -> float:
+    matrix = [[1 / 120 + 1 / 270 + 1 / 50, -1 / 50], [-1 / 50, 1 / 330 + 1 / 100 + 1 / 50]]
+    return float(np.linalg.solve(matrix, [10 / 120, 10 * (1 + t) / 330])[1])
+
+
+def _colebrook(s: float, t: float) -> float:
+    return float(s + 2 * np.log10(1e-3 / 3.7 + 2.51 * s / (1e5 * (1 + t))))
+
+
+def _small_root(t: float) -> float:
+    u = 0.001 + t / 10
+    return float((-u + np.sqrt(u * u + 16 * np.sin(u / 2) ** 2 / u)) / 2)
+
+
+def _reactor(T: float, t: float) -> float:
+    k = 1e6 * np.exp(-5000 / T)
+    return float(300 + 40 * t + 20 * k / (1 + k) - T)
+
+
+def _solar_cell(i: float, t: float) -> float:
+    w = 1.6 * t + 0.1 * i
+    return float(7.34 - 16e-10 * (np.exp(w * 14.82) - 1) - w / 620 - i)
 
 
 def _pipes(x: Any, t: float) -> Any:
@@ -153,84 +198,209 @@ def _two_link(t: float) -> float:
 
 
 def _cubic(t: float) -> float:
-    return float(
-        np.cbrt(500 + t / 2 + np.sqrt((500 + t / 2) ** 2 + 1 / 27))
-        + np.cbrt(500 + t / 2 - np.sqrt((500 + t / 2) ** 2 + 1 / 27))
-    )
+    """By Cardano's formula, without its difference of large numbers."""
+    a = np.cbrt(500 + t / 2 + np.sqrt((500 + t / 2) ** 2 + 1 / 27))
+    return float(a - 1 / (3 * a))
 
 
 def _lambert(x: float) -> float:
     return float(lambertw(x).real)
 
 
-VT = 0.02585
 LOOPS = (
     # --- circuits
-    Loop("diode", "v = 5 + t - 1000*i; i = 1e-12*(exp(v/0.02585) - 1)", "v",
-         between(0, 1, lambda v, t: 5 + t - 1e-9 * (np.exp(v / VT) - 1) - v)),
-    Loop("diode_of_200_volt", "v = 200 + t - 1000*i; i = 1e-12*(exp(v/0.02585) - 1)", "v",
-         between(0, 1, lambda v, t: 200 + t - 1e-9 * (np.exp(v / VT) - 1) - v)),
-    Loop("diode_by_its_current", "i = (5 + t - v)/1000; v = 0.02585*log(i/1e-12 + 1)", "v",
-         between(0, 1, lambda v, t: 5 + t - 1e-9 * (np.exp(v / VT) - 1) - v)),
-    Loop("two_diodes", "i = 1e-12*(exp((a - m)/0.02585) - 1); m = 0.02585*log(i/1e-14 + 1); a = 5 + t - 470*i", "m",
-         lambda t: VT * np.log1p(between(1e-9, 1, lambda i, t: 5 + t - 470 * i - VT * (np.log1p(i / 1e-12) + np.log1p(i / 1e-14)))(t) / 1e-14)),
-    Loop("solar_cell", "w = 1.6*t + 0.1*i; d = exp(w*14.82) - 1; i = 7.34 - 16e-10*d - w/620", "i",
-         between(-400, 10, lambda i, t: 7.34 - 16e-10 * (np.exp((1.6 * t + 0.1 * i) * 14.82) - 1) - (1.6 * t + 0.1 * i) / 620 - i)),
-    Loop("transistor", "vb = (12*10 - ib*40e3*10)/50 + t; ic = 1e-14*exp((vb - ve)/0.02585); ib = ic/100; ve = 1000*(ic + ib)", "ic",
-         between(1e-9, 1, lambda c, t: VT * np.log(c / 1e-14) + 1010 * c - 2.4 - t + 80 * c)),
-    Loop("differential_pair", "a = 1e-14*exp((0.1*t - e)/0.02585); b = 1e-14*exp((-e - 0.01)/0.02585); e = 5000*(a + b) - 12", "a",
-         lambda t: 1e-14 * np.exp((0.1 * t - between(-2, 0, lambda e, t: 5e-11 * (np.exp((0.1 * t - e) / VT) + np.exp((-e - 0.01) / VT)) - 12 - e)(t)) / VT)),
-    Loop("amplifier", "v = 10*tanh(1e5*(0.5*t - 0.1*v))", "v", between(-10, 10, lambda v, t: 10 * np.tanh(1e5 * (0.5 * t - 0.1 * v)) - v)),
+    Loop(
+        "diode",
+        "v = 5 + t - 1000*i; i = 1e-12*(exp(v/0.02585) - 1)",
+        "v",
+        between(0, 1, lambda v, t: 5 + t - 1e-9 * (np.exp(v / VT) - 1) - v),
+    ),
+    Loop(
+        "diode_of_200_volt",
+        "v = 200 + t - 1000*i; i = 1e-12*(exp(v/0.02585) - 1)",
+        "v",
+        between(0, 1, lambda v, t: 200 + t - 1e-9 * (np.exp(v / VT) - 1) - v),
+    ),
+    Loop(
+        "diode_by_its_current",
+        "i = (5 + t - v)/1000; v = 0.02585*log(i/1e-12 + 1)",
+        "v",
+        between(0, 1, lambda v, t: 5 + t - 1e-9 * (np.exp(v / VT) - 1) - v),
+    ),
+    Loop(
+        "two_diodes",
+        "i = 1e-12*(exp((a - m)/0.02585) - 1); m = 0.02585*log(i/1e-14 + 1); a = 5 + t - 470*i",
+        "m",
+        _middle,
+    ),
+    Loop(
+        "solar_cell",
+        "w = 1.6*t + 0.1*i; d = exp(w*14.82) - 1; i = 7.34 - 16e-10*d - w/620",
+        "i",
+        between(-400, 10, _solar_cell),
+    ),
+    Loop(
+        "transistor",
+        "vb = (12*10 - ib*40e3*10)/50 + t; ic = 1e-14*exp((vb - ve)/0.02585); ib = ic/100; ve = 1000*(ic + ib)",
+        "ic",
+        between(1e-9, 1, lambda c, t: VT * np.log(c / 1e-14) + 1010 * c - 2.4 - t + 80 * c),
+    ),
+    Loop(
+        "differential_pair",
+        "a = 1e-14*exp((0.1*t - e)/0.02585); b = 1e-14*exp((-e - 0.01)/0.02585); e = 5000*(a + b) - 12",
+        "a",
+        _collector,
+    ),
+    Loop(
+        "amplifier",
+        "v = 10*tanh(1e5*(0.5*t - 0.1*v))",
+        "v",
+        between(-10, 10, lambda v, t: 10 * np.tanh(1e5 * (0.5 * t - 0.1 * v)) - v),
+    ),
     Loop("linear_amplifier", "v = 1e6*(0.5 + t - w); w = v/1000", "v", lambda t: 1e6 * (0.5 + t) / 1001),
-    Loop("wheatstone", "a = (10/120 + b/50)/(1/120 + 1/270 + 1/50); b = (10*(1 + t)/330 + a/50)/(1/330 + 1/100 + 1/50)", "b",
-         lambda t: float(np.linalg.solve([[1 / 120 + 1 / 270 + 1 / 50, -1 / 50], [-1 / 50, 1 / 330 + 1 / 100 + 1 / 50]], [10 / 120, 10 * (1 + t) / 330])[1])),
-    Loop("source_follower", "i = 0.001*max(2 + t - v, 0)**2; v = 1000*i", "v", lambda t: (5 + 2 * t - np.sqrt((5 + 2 * t) ** 2 - 4 * (2 + t) ** 2)) / 2),
-    Loop("diode_ladder", "; ".join(
-        f"v{k} = ({'8 + t' if k == 1 else f'v{k - 1}'}{f' + v{k + 1}' if k < 5 else ''} - 100*i{k})/{2 if k < 5 else 1}; i{k} = 1e-12*(exp(v{k}/0.02585) - 1)"
-        for k in range(1, 6)), "v3", by_newton(5, _ladder, 2, 0.7)),
+    Loop(
+        "wheatstone",
+        "a = (10/120 + b/50)/(1/120 + 1/270 + 1/50); b = (10*(1 + t)/330 + a/50)/(1/330 + 1/100 + 1/50)",
+        "b",
+        _bridge,
+    ),
+    Loop(
+        "source_follower",
+        "i = 0.001*max(2 + t - v, 0)**2; v = 1000*i",
+        "v",
+        lambda t: (5 + 2 * t - np.sqrt((5 + 2 * t) ** 2 - 4 * (2 + t) ** 2)) / 2,
+    ),
+    Loop("diode_ladder", _ladder_equations(5), "v3", by_newton(5, _ladder, 2, 0.7)),
     # --- kinematics and mechanics
     Loop("kepler", "E = 0.1 + 3*t + 0.9*sin(E)", "E", between(0, 5, lambda E, t: E - 0.9 * np.sin(E) - 0.1 - 3 * t)),
-    Loop("kepler_of_a_hyperbola", "z = (2 + 10*t + H)/1.5; H = log(z + sqrt(z**2 + 1))", "H", between(0, 9, lambda H, t: 1.5 * np.sinh(H) - H - 2 - 10 * t)),
-    Loop("four_bar", "b = asin((3*sin(c) - sin(0.5 + t))/3.5); c = acos((cos(0.5 + t) + 3.5*cos(b) - 4)/3)", "c", _four_bar),
+    Loop(
+        "kepler_of_a_hyperbola",
+        "z = (2 + 10*t + H)/1.5; H = log(z + sqrt(z**2 + 1))",
+        "H",
+        between(0, 9, lambda H, t: 1.5 * np.sinh(H) - H - 2 - 10 * t),
+    ),
+    Loop(
+        "four_bar",
+        "b = asin((3*sin(c) - sin(0.5 + t))/3.5); c = acos((cos(0.5 + t) + 3.5*cos(b) - 4)/3)",
+        "c",
+        _four_bar,
+    ),
     Loop("arm", "p = asin((0.6 - 0.8*sin(p + q))/1); q = acos((1.2 - 0.3*t - cos(p))/0.8) - p", "q", _two_link),
-    Loop("two_circles", "y = sqrt((5 + t)**2 - x**2); x = 6 - sqrt(max(36 - y**2, 0))", "x", lambda t: (5 + t) ** 2 / 12),
-    Loop("hanging_cable", "z = 1 + 2/a; a = 10/(2*log(z + sqrt(z**2 - 1))) + 0*t", "a", between(1, 100, lambda a, t: a * (np.cosh(5 / a) - 1) - 2)),
-    Loop("falling_sphere", "re = 1000*v*(1e-3 + 1e-3*t)/1e-3; cd = 24/re + 6/(1 + sqrt(re)) + 0.4; v = sqrt(4*9.81*(1e-3 + 1e-3*t)*1.65/(3*cd))", "v", between(1e-3, 5, _falling)),
+    Loop(
+        "two_circles", "y = sqrt((5 + t)**2 - x**2); x = 6 - sqrt(max(36 - y**2, 0))", "x", lambda t: (5 + t) ** 2 / 12
+    ),
+    Loop(
+        "hanging_cable",
+        "z = 1 + 2/a; a = 10/(2*log(z + sqrt(z**2 - 1))) + 0*t",
+        "a",
+        between(1, 100, lambda a, t: a * (np.cosh(5 / a) - 1) - 2),
+    ),
+    Loop(
+        "falling_sphere",
+        "re = 1000*v*(1e-3 + 1e-3*t)/1e-3; "
+        "cd = 24/re + 6/(1 + sqrt(re)) + 0.4; "
+        "v = sqrt(4*9.81*(1e-3 + 1e-3*t)*1.65/(3*cd))",
+        "v",
+        between(1e-3, 5, _falling),
+    ),
     # --- flows, heat, chemistry
-    Loop("colebrook", "s = -2*log(1e-3/3.7 + 2.51*s/(1e5*(1 + t)))/log(10)", "s", between(1, 20, lambda s, t: s + 2 * np.log10(1e-3 / 3.7 + 2.51 * s / (1e5 * (1 + t))))),
-    Loop("colebrook_of_f", "s = -2*log(1e-3/3.7 + 2.51/(1e5*(1 + t)*sqrt(f)))/log(10); f = 1/s**2", "f", between(1e-3, 1, lambda f, t: f**-0.5 + 2 * np.log10(1e-3 / 3.7 + 2.51 / (1e5 * (1 + t) * np.sqrt(f))))),
+    Loop("colebrook", "s = -2*log(1e-3/3.7 + 2.51*s/(1e5*(1 + t)))/log(10)", "s", between(1, 20, _colebrook)),
+    Loop(
+        "colebrook_of_f",
+        "s = -2*log(1e-3/3.7 + 2.51/(1e5*(1 + t)*sqrt(f)))/log(10); f = 1/s**2",
+        "f",
+        lambda t: between(1, 20, _colebrook)(t) ** -2,
+    ),
     Loop("valves", "q = 2*sqrt(p); p = 10 + t - (q/3)**2", "p", lambda t: (10 + t) * 9 / 13),
-    Loop("pipes", "a = (f1 - f2)/0.2; b = (f2 - 2*f3)/0.1; f1 = (10 + t - a)/((10 + t - a)**2 + 1e-4)**0.25; f2 = (a - b)/((a - b)**2 + 1e-4)**0.25; f3 = (b - 1)/((b - 1)**2 + 1e-4)**0.25",
-         "a", by_newton(2, _pipes, 0, 5.0)),
-    Loop("normal_depth", "y = (12*0.013/sqrt(0.001 + t/1000))**0.6*(5 + 2*y)**0.4/5", "y", between(0.1, 9, lambda y, t: (5 * y) ** (5 / 3) * np.sqrt(0.001 + t / 1000) - 12 * 0.013 * (5 + 2 * y) ** (2 / 3))),
-    Loop("radiating_plate", "T = 300 + (1000*t + 500 - 5.67e-8*T**4)/5", "T", between(200, 500, lambda T, t: 5 * (T - 300) + 5.67e-8 * T**4 - 1000 * t - 500)),
-    Loop("van_der_waals", "V = 8.314*(350 + 100*t)/(1e6 + 0.3658/V**2) + 4.29e-5", "V", between(1e-4, 1, lambda V, t: (1e6 + 0.3658 / V**2) * (V - 4.29e-5) - 8.314 * (350 + 100 * t))),
+    Loop(
+        "pipes",
+        "a = (f1 - f2)/0.2; "
+        "b = (f2 - 2*f3)/0.1; f1 = (10 + t - a)/((10 + t - a)**2 + 1e-4)**0.25; "
+        "f2 = (a - b)/((a - b)**2 + 1e-4)**0.25; "
+        "f3 = (b - 1)/((b - 1)**2 + 1e-4)**0.25",
+        "a",
+        by_newton(2, _pipes, 0, 5.0),
+    ),
+    Loop(
+        "normal_depth",
+        "y = (12*0.013/sqrt(0.001 + t/1000))**0.6*(5 + 2*y)**0.4/5",
+        "y",
+        between(
+            0.1, 9, lambda y, t: (5 * y) ** (5 / 3) * np.sqrt(0.001 + t / 1000) - 12 * 0.013 * (5 + 2 * y) ** (2 / 3)
+        ),
+    ),
+    Loop(
+        "radiating_plate",
+        "T = 300 + (1000*t + 500 - 5.67e-8*T**4)/5",
+        "T",
+        between(200, 500, lambda T, t: 5 * (T - 300) + 5.67e-8 * T**4 - 1000 * t - 500),
+    ),
+    Loop(
+        "van_der_waals",
+        "V = 8.314*(350 + 100*t)/(1e6 + 0.3658/V**2) + 4.29e-5",
+        "V",
+        between(1e-4, 1, lambda V, t: (1e6 + 0.3658 / V**2) * (V - 4.29e-5) - 8.314 * (350 + 100 * t)),
+    ),
     Loop("weak_acid", "a = 1.8e-5*(0.1 + t)/(1.8e-5 + h); h = a + 1e-14/h", "h", between(1e-7, 1, _buffer)),
-    Loop("dissociation", "x = sqrt(0.02*(1 + t)*(1 - x))", "x", lambda t: (-0.02 * (1 + t) + np.sqrt((0.02 * (1 + t)) ** 2 + 0.08 * (1 + t))) / 2),
-    Loop("stirred_reactor", "k = 1e6*exp(-5000/T); c = k/(1 + k); T = 300 + 40*t + 20*c", "T", between(290, 400, lambda T, t: 300 + 40 * t + 20 * (1e6 * np.exp(-5000 / T)) / (1 + 1e6 * np.exp(-5000 / T)) - T)),
-    Loop("charges", "n = 1e16*(1 + t) + 1e10*exp(-f); f = log(n/1e10)", "f", lambda t: float(np.arcsinh(1e6 * (1 + t) / 2))),
-    Loop("power_flow", "a = asin(0.5 + 0.2*t - 0.8*sin(a - b)); b = asin((0.4 + 0.8*sin(a - b))/1.2)", "a", by_newton(2, _power_flow, 0)),
+    Loop(
+        "dissociation",
+        "x = sqrt(0.02*(1 + t)*(1 - x))",
+        "x",
+        lambda t: (-0.02 * (1 + t) + np.sqrt((0.02 * (1 + t)) ** 2 + 0.08 * (1 + t))) / 2,
+    ),
+    Loop(
+        "stirred_reactor",
+        "k = 1e6*exp(-5000/T); c = k/(1 + k); T = 300 + 40*t + 20*c",
+        "T",
+        between(290, 400, _reactor),
+    ),
+    Loop(
+        "charges",
+        "n = 1e16*(1 + t) + 1e10*exp(-f); f = log(n/1e10)",
+        "f",
+        lambda t: float(np.arcsinh(1e6 * (1 + t) / 2)),
+    ),
+    Loop(
+        "power_flow",
+        "a = asin(0.5 + 0.2*t - 0.8*sin(a - b)); b = asin((0.4 + 0.8*sin(a - b))/1.2)",
+        "a",
+        by_newton(2, _power_flow, 0),
+    ),
     # --- textbooks
     Loop("cosine", "x = cos(x + t)", "x", between(-2, 2, lambda x, t: np.cos(x + t) - x)),
     Loop("lambert", "w = (1 + 5*t)*exp(-w)", "w", lambda t: _lambert(1 + 5 * t)),
     Loop("lambert_by_a_logarithm", "w = log((1 + 5*t)/w)", "w", lambda t: _lambert(1 + 5 * t)),
-    Loop("large_exponential", "x = 30 + t - 1000*exp(x)", "x", lambda t: between(-90, 30, lambda x, t: 30 + t - 1000 * np.exp(x) - x)(t)),
+    Loop(
+        "large_exponential",
+        "x = 30 + t - 1000*exp(x)",
+        "x",
+        between(-90, 30, lambda x, t: 30 + t - 1000 * np.exp(x) - x),
+    ),
     Loop("golden", "x = sqrt(1 + t + x)", "x", lambda t: (1 + np.sqrt(5 + 4 * t)) / 2),
     Loop("cubic", "x = 1000 + t - x**3", "x", _cubic),
     Loop("steep", "x = 5*t - 1 - 1000*tanh(x)", "x", between(-5, 5, lambda x, t: 5 * t - 1 - 1000 * np.tanh(x) - x)),
-    Loop("freudenstein_roth", "x = 13 - ((5 - y)*y - 2)*y + t; y = y + (29 + t - x - ((y + 1)*y - 14)*y)/10", "y", lambda t: 4.0),
-    Loop("root_of_small_times", "r = sqrt((2 - u**2*r - 2*cos(u))/u); u = 0.001 + t/10", "r",
-         lambda t: (-(0.001 + t / 10) + np.sqrt((0.001 + t / 10) ** 2 + 8 * np.sin((0.001 + t / 10) / 2) ** 2 * 2 / (0.001 + t / 10))) / 2),
-    Loop("more_28", tridiagonal(8, f"({{l}} + {{r}} - ({{x}} + {{k}}/9 + 1 + t)**3/162)/2"), "x4", by_newton(8, _boundary, 3)),
+    Loop(
+        "freudenstein_roth",
+        "x = 13 - ((5 - y)*y - 2)*y + t; y = y + (29 + t - x - ((y + 1)*y - 14)*y)/10",
+        "y",
+        lambda t: 4.0,
+    ),
+    Loop("root_of_small_times", "r = sqrt((2 - u**2*r - 2*cos(u))/u); u = 0.001 + t/10", "r", _small_root),
+    Loop("more_28", tridiagonal(8, "({l} + {r} - ({x} + {k}/9 + 1 + t)**3/162)/2"), "x4", by_newton(8, _boundary, 3)),
     Loop("more_29", _integral_equations(6), "x3", by_newton(6, _integral, 2)),
     # --- linear
-    Loop("cancellation", "q = 510*e - n; e = sin(3*t) - q; n = 10*g - q; g = 0.1*q", "q", lambda t: 510 * np.sin(3 * t) / 511),
+    Loop(
+        "cancellation",
+        "q = 510*e - n; e = sin(3*t) - q; n = 10*g - q; g = 0.1*q",
+        "q",
+        lambda t: 510 * np.sin(3 * t) / 511,
+    ),
     Loop("ill_scaled", "p = 1e9*q + 5 + t; q = 0.5e-9*p + 1e-9", "q", lambda t: 7e-9 + 0.5e-9 * 2 * t),
     Loop("nearly_singular", "y = 0.999999*y + 1 + t", "y", lambda t: 1e6 * (1 + t)),
     Loop("duopoly", "p = (10 + t - q)/2; q = (8 - p)/2", "q", lambda t: (2 * 8 - 10 - t) / 3),
     Loop("far_from_zero", "s = 1e3 + q; e = s - 1e3 - t; q = -e/2", "q", lambda t: t / 3),
     Loop("poisson", tridiagonal(40, "({l} + {r} + 1 + t)/2"), "x20", lambda t: (1 + t) * 20 * 21 / 2),
-)  # fmt: skip
+)
 
 
 # --- diagrams of loops -------------------------------------------------------------------------------------------
@@ -251,9 +421,6 @@ def as_expressions(*loops: Loop) -> Diagram:
     for loop in loops:
         for name, expression in _named(loop.name, loop.equations):
             read: dict[str, str] = {}
-            for node in ast.walk(expression):
-                if isinstance(node, ast.Name) and node.id != "t" and f"{loop.name}_{node.id}" != name:
-                    pass
             tree = _Inputs(loop.name, read).visit(expression)
             d.add(name, Expression(expression=ast.unparse(tree)))
             wires += [(f"{name}.{port}", f"{source}.y") for source, port in read.items()]

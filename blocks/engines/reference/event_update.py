@@ -211,9 +211,13 @@ class Instants:
             if search.residual == 0.0:
                 message += f" The residual is 0 at {its} = {search.x!r}, but singular there."
             elif math.isfinite(search.residual):
-                message += f" The search came nearest at {its} = {search.x!r}, where the residual is {search.residual:g}."
+                message += (
+                    f" The search came nearest at {its} = {search.x!r}, where the residual is {search.residual:g}."
+                )
             else:
-                message += f" The residual is not finite where the search begins, at {its} = {search.guess[search.number]!r}."
+                message += (
+                    f" The residual is not finite where the search begins, at {its} = {search.guess[search.number]!r}."
+                )
         return SimulationError(Fault("E307", name, message, cure))
 
     def memory(self, snapshot: Snapshot, u: Sequence[float], t: float | None = None) -> tuple[Any, ...]:
