@@ -233,8 +233,8 @@ class AlgebraicLoop:
     parts: the tapes of values and exact partial derivatives, of one instance each. An unknown is the value of its node,
     or, where the node is a residual, what makes it 0.
 
-    torn: the unknowns that are searched for, by their numbers. Where they are known, the others follow from the equations
-    of their nodes in the order of `parts`; the torn ones come last, and give the residuals.
+    torn: the unknowns that are searched for, by their numbers. Where they are known, the others follow from the
+    equations of their nodes in the order of `parts`; the torn ones come last, and give the residuals.
     """
 
     unknowns: tuple[Reference, ...]

@@ -127,8 +127,8 @@ def bounds(
 
     They are in terms of `a{part}_{k}`, of the tapes of `sensitivities`. given: for each part the arguments of its
     partials, and the texts of all that it reads. absolute: the function of absolute values. made: for each part, names
-    and texts of the bounds of its unknowns, where each counts with its own rounding and with that of an operation on it.
-    matrix: a row of the bounds of the residuals.
+    and texts of the bounds of its unknowns, each with its own rounding and that of an operation on it. matrix: a row of
+    the bounds of the residuals.
     """
     row_of = {reference: row for row, reference in enumerate(loop.unknowns)}
     torn: dict[int, str] = {}

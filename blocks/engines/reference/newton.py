@@ -66,7 +66,10 @@ class Loop(NamedTuple):
 
 
 def newton(system: System, guess: tuple[float, ...], rounding: Rounding) -> tuple[float, ...]:
-    """Return all unknowns where the residuals are 0, the torn ones first, from a guess of these; NaN if none is found."""
+    """Return all unknowns where the residuals are 0, the torn ones first, or NaN if none is found.
+
+    guess: of the torn ones.
+    """
     loop = Loop(system, rounding)
     first = loop.at(np.array(guess, dtype=float))
     found = _descended(loop, first)
@@ -101,7 +104,9 @@ class Nearest:
 def _descended(loop: Loop, point: Point) -> Point | None:
     """The solution from a point, by steps that lower the largest residual."""
     size = _size(point.residuals)
-    for _ in range(MOST_STEPS):
+    for steps in range(MOST_STEPS):
+        if steps >= FEW_STEPS and loop.is_rounding(point):
+            return point  # an unknown that is 0 but for rounding goes on to fall
         if not math.isfinite(size) or not np.isfinite(point.matrix).all():
             return None
         step = _solved(point.matrix, -point.residuals)

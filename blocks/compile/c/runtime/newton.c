@@ -148,6 +148,7 @@ static int descended(const Loop *l, Point *p, Point *tried)
     int n = l->n;
     double size = largest(p->residuals, n);
     for (int k = 0; k < MOST_STEPS; k++) {
+        if (k >= FEW_STEPS && is_rounding(l, p)) return 1; /* an unknown that is 0 but for rounding goes on to fall */
         if (!is_finite(l, p) || solved(n, p->matrix, p->residuals, l->step, l->work)) return 0;
         double share = 1.0, then = NAN;
         int halvings = 0;
