@@ -22,8 +22,8 @@ STAMP := .venv/.installed
 unexport PYTHONPATH PYTHONHOME
 
 # The tests that say what happens in a run, which the native engine must pass as well.
-BY_BOTH := events hybrid steps instants instant_order enabled loops sampled stepper saved_state random_diagrams \
-	no_silent_answers
+BY_BOTH := events hybrid steps instants instant_order enabled loops loops_of_textbooks sampled stepper saved_state \
+	random_diagrams no_silent_answers
 
 # A worker for each core; one that has nothing left takes tests from another.
 SIDE_BY_SIDE := -n auto --dist worksteal

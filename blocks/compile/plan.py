@@ -242,10 +242,14 @@ class AlgebraicLoop:
 
     parts: the tapes of values and exact partial derivatives, of one instance each. An unknown is the value of its node,
     or, where the node is a residual, what makes it 0.
+
+    torn: the unknowns that are searched for, by their numbers. Where they are known, the others follow from the
+    equations of their nodes in the order of `parts`; the torn ones come last, and give the residuals.
     """
 
     unknowns: tuple[Reference, ...]
     parts: tuple[LoopPart, ...]
+    torn: tuple[int, ...]
 
     @property
     def steps(self) -> tuple[ProgramStep, ...]:
@@ -255,6 +259,17 @@ class AlgebraicLoop:
     def nodes(self) -> list[Node]:
         """The results of all parts as nodes."""
         return [node for step in self.steps for node in step.nodes]
+
+    @property
+    def solved(self) -> tuple[int, ...]:
+        """The numbers of all unknowns in the order in which the solution gives them: the torn ones, then the others."""
+        others = (row for part in self.parts for row in part.rows if row not in self.torn)
+        return (*self.torn, *others)
+
+    def is_residual(self, plan: Plan, part: int, k: int) -> bool:
+        """Whether result k of a part is a residual; the others are values of unknowns."""
+        of = self.parts[part]
+        return plan.instances[of.instance].tape.results[of.results[k][0]].role == "residual"
 
 
 @dataclass(frozen=True, slots=True)

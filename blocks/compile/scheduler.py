@@ -16,6 +16,7 @@ from ..contract.tracing import jacobian
 from ..text.errors import Fault, ModelError
 from .fmu_tape import FmuTape, asked
 from .plan import AlgebraicLoop, LoopPart, Node, Plan, Program, ProgramStep, Reference
+from .tearing import stages
 
 __all__ = ["components", "schedule"]
 
@@ -200,7 +201,10 @@ class _Scheduler:
             raise self.loop(inside)
         unknowns = {memory_of[node]: k for k, node in enumerate(nodes)}
         parts = []
-        by_instance = [list(same) for _, same in groupby(nodes, key=lambda node: node.instance)]
+        stage = stages(inside, frozenset(node for node in nodes if self.result(node).role == "residual"))
+        last = max(stage.values())
+        ordered = sorted(nodes, key=lambda node: (stage[node], node))
+        by_instance = [list(same) for _, same in groupby(ordered, key=lambda node: (stage[node], node.instance))]
         for step in (step for same in by_instance for step in self.grouped(same)):
             instance = plan.instances[step.instance]
             results = instance.tape.results
@@ -215,7 +219,8 @@ class _Scheduler:
                     tuple(unknowns[instance.arguments[k]] for k in arguments),
                 )
             )
-        return AlgebraicLoop(tuple(unknowns), tuple(parts))
+        torn = tuple(k for k, node in enumerate(nodes) if stage[node] == last)
+        return AlgebraicLoop(tuple(unknowns), tuple(parts), torn)
 
     def loop(self, needs: Mapping[Node, list[Node]], why: str = "") -> ModelError:
         """The error that shows a loop edge by edge."""

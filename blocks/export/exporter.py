@@ -25,7 +25,7 @@ from ..compile.bindings import bindings
 from ..compile.c.model_code import emit
 from ..compile.c.runtime_grid import why_not
 from ..compile.c.runtime_tables import RuntimeTables
-from ..compile.c.runtime_texts import RUNTIME, packaged, stiff_units
+from ..compile.c.runtime_texts import RUNTIME, loop_units, packaged, stiff_units
 from ..compile.inputs import read_inputs
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan
@@ -226,6 +226,7 @@ class _Made:
         )  # fmt: skip
         self.sources = {"model.c": emitted.source, **_c_files("fmu.c", f"fmi{fmi}.c")}
         self.sources |= packaged("runtime.c", "jacobian.c", *stiff_units(plan.settings.method))
+        self.sources |= packaged(*loop_units(emitted.source))
         self.headers = {**packaged(*RUNTIME), **_c_files("fmu.h", "fmu_model.h", "standard.h"), **standard_headers(fmi)}
         # A part of the library: nothing but the functions of the standard is seen from outside.
         self.headers["runtime.h"] = "#define BLOCKS_INSIDE 1\n" + self.headers["runtime.h"]

@@ -95,11 +95,12 @@ __attribute__((visibility("default"))) const struct {
 """
 SOLVER = """
 #include "model.h"
-typedef void (*Solver)(BlocksSystem, const BlocksMemory *, const double *, int, double *);
+typedef void (*Solver)(BlocksSystem, BlocksRounding, const BlocksMemory *, const double *, int, int, double *);
 __attribute__((visibility("default"))) Solver solver;
-void blocks_newton(BlocksSystem system, const BlocksMemory *m, const double *known, int n, double *unknowns)
+void blocks_newton(BlocksSystem system, BlocksRounding rounding, const BlocksMemory *m, const double *known, int n,
+                   int others, double *unknowns)
 {
-    solver(system, m, known, n, unknowns);
+    solver(system, rounding, m, known, n, others, unknowns);
 }
 """
 ROWS = ("x", "d", "s", "p", "u", "h", "z", "k", "q", "v", "w", "n", "c")
@@ -110,7 +111,8 @@ PROGRAMS = (
 )  # fmt: skip
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 SYSTEM = ctypes.CFUNCTYPE(None, ctypes.c_void_p, DOUBLES, DOUBLES, DOUBLES, DOUBLES)
-NEWTON = ctypes.CFUNCTYPE(None, SYSTEM, ctypes.c_void_p, DOUBLES, ctypes.c_int, DOUBLES)
+ROUNDING = ctypes.CFUNCTYPE(None, ctypes.c_void_p, DOUBLES, DOUBLES, DOUBLES)
+NEWTON = ctypes.CFUNCTYPE(None, SYSTEM, ROUNDING, ctypes.c_void_p, DOUBLES, ctypes.c_int, ctypes.c_int, DOUBLES)
 
 
 class CMemory(ctypes.Structure):
@@ -126,15 +128,21 @@ class CModel(ctypes.Structure):
 
 
 @NEWTON
-def solve(system: Any, m: Any, known: Any, n: int, unknowns: Any) -> None:
+def solve(system: Any, rounding: Any, m: Any, known: Any, n: int, others: int, unknowns: Any) -> None:
     """The reference engine's Newton over equations in C."""
 
-    def evaluated(*x: float) -> tuple[Any, Any]:
-        residuals, matrix = doubles([0.0] * n), doubles([0.0] * n * n)
+    def evaluated(*x: float) -> tuple[tuple[Any, ...], ...]:
+        residuals, matrix = doubles([0.0] * (n + others)), doubles([0.0] * n * n)
         system(m, known, doubles(x), residuals, matrix)
-        return tuple(residuals), tuple(tuple(matrix[i * n : i * n + n]) for i in range(n))
+        rows = tuple(tuple(matrix[i * n : i * n + n]) for i in range(n))
+        return tuple(residuals[:n]), rows, tuple(residuals[n:])
 
-    for i, value in enumerate(newton(evaluated, tuple(unknowns[i] for i in range(n)))):
+    def bounded(*x: float) -> tuple[float, ...]:
+        bounds = doubles([0.0] * n)
+        rounding(m, known, doubles(x), bounds)
+        return tuple(bounds)
+
+    for i, value in enumerate(newton(evaluated, tuple(unknowns[i] for i in range(n)), bounded)):
         unknowns[i] = value
 
 

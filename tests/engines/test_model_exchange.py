@@ -195,8 +195,6 @@ def nothing_stays() -> Iterator[None]:
     assert live() == before
 
 
-
-
 # --- against the block that the FMU was made of -----------------------------------------------------------------
 
 

@@ -15,8 +15,9 @@ from ...contract.tape import Tape
 from ..fmu_tape import FmuTape, Request
 from ..folding import At, Folded
 from ..motion import Motions
-from ..plan import AlgebraicLoop, Node, Plan, Program, Reference
+from ..plan import AlgebraicLoop, LoopPart, Node, Plan, Program, Reference
 from ..scheduler import schedule
+from ..tearing import bounds, sensitivities, slopes
 from .calls import Tables
 from .fmu_requests import request_text
 from .functions import Function, function_text, is_costly, needed_from
@@ -384,95 +385,122 @@ class PlanReader:
         """A call that solves an algebraic loop: it takes what the loop needs from outside, and the guesses."""
         plan = self.plan
         number_of = {reference: k for k, reference in enumerate(loop.unknowns)}
-        known: list[Value] = []
-        form: list[object] = [len(loop.unknowns)]
-        lines: list[str] = []
-        n = len(loop.unknowns)
-        residuals, matrix = [""] * n, [[[] for _ in range(n)] for _ in range(n)]  # type: ignore[var-annotated]
-        nodes_of: list[Node | None] = [None] * n
-        weight = 0
-        for number, part in enumerate(loop.parts):
-            block = plan.instances[part.instance]
-            count, first = len(part.results), Node(part.instance, *part.results[0])
-            asked = (*part.tape.results["value"].nodes, *part.tape.results["partial"].nodes)
+        known: dict[tuple[int, int], tuple[Value, str]] = {}
+        n, solved = len(loop.torn), loop.solved
+        place = {row: k for k, row in enumerate(solved)}
+        texts = {row: f"unknowns[{place[row]}]" if place[row] < n else f"x{row}" for row in solved}
+        chained = slopes(plan, loop)
+
+        def evaluated(number: int, part: LoopPart, tape: Tape) -> tuple[list[str], dict[int, str], int]:
+            """The lines that compute values and partials of a part, the texts of its arguments, and their weight."""
+            block, first = plan.instances[part.instance], Node(part.instance, *part.results[0])
+            asked = (*tape.results["value"].nodes, *tape.results["partial"].nodes)
             given: list[str] = []
-            if not isinstance(part.tape, FmuTape):
-                function = self.function(part.tape, asked, None, f"{block.tape.name} value partial")
-                inputs = [int(part.tape.nodes[node].value) for node in function.inputs]
+            if not isinstance(tape, FmuTape):
+                function = self.function(tape, asked, None, f"{block.tape.name} value partial")
+                inputs = [int(tape.nodes[node].value) for node in function.inputs]
             else:
-                results = [(key, e) for key in ("value", "partial") for e in range(len(part.tape.results[key].nodes))]
-                function, read = self.requested(part.tape, results)
+                results = [(key, e) for key in ("value", "partial") for e in range(len(tape.results[key].nodes))]
+                function, read = self.requested(tape, results)
                 inputs = list(read)
                 given += ["m", str(plan.foreign_of[part.instance])]
-            weight += function.weight
+            taken: dict[int, str] = {}
             for k in inputs:
                 reference = self.ticked(block.arguments[k], first)
                 if reference in number_of:
-                    given.append(f"unknowns[{number_of[reference]}]")
+                    taken[k] = texts[number_of[reference]]
                     continue
-                text = f"known[{len(known)}]"
-                value = self.value(reference, scope, (part.instance, k))
-                if value[0] == "c":
-                    value, text = ("offset", value[1]), f"m->c + (int){text}"
-                known.append(value)
-                given.append(text)
+                if (part.instance, k) not in known:
+                    value, text = self.value(reference, scope, (part.instance, k)), f"known[{len(known)}]"
+                    if value[0] == "c":
+                        value, text = ("offset", value[1]), f"m->c + (int){text}"
+                    known[part.instance, k] = value, text
+                taken[k] = known[part.instance, k][1]
+            given += taken.values()
             names = [f"a{number}_{k}" for k in range(len(asked))]
-            if len(asked) == 1 and not isinstance(part.tape, FmuTape):
-                lines.append(f"const double {names[0]} = {function.name}({', '.join(given)});")
-            else:
-                lines.append(f"double {', '.join(names)};")
-                lines.append(f"{function.name}({', '.join((*given, *(f'&{a}' for a in names)))});")
-            for k, (row, (key, element)) in enumerate(zip(part.rows, part.results, strict=True)):
-                nodes_of[row] = Node(part.instance, key, element)
-                is_residual = block.tape.results[key].role == "residual"
-                residuals[row] = names[k] if is_residual else f"{names[k]} - unknowns[{row}]"
-                for j, column in enumerate(part.columns):
-                    matrix[row][column].append(names[count + k * len(part.columns) + j])
-                if not is_residual:
-                    matrix[row][row].append("-1.0")
-        for row in range(n):
-            lines.append(f"residuals[{row}] = {residuals[row]};")
-            for column in range(n):
-                lines.append(f"matrix[{row * n + column}] = {' + '.join(matrix[row][column]) or '0.0'};")
-        form += lines
+            lines = [
+                f"double {', '.join(names)};",
+                f"{function.name}({', '.join((*given, *(f'&{a}' for a in names)))});",
+            ]
+            if len(asked) == 1 and not isinstance(tape, FmuTape):
+                lines = [f"const double {names[0]} = {function.name}({', '.join(given)});"]
+            made = ((row, name) for row, name in zip(part.rows, names, strict=False) if place[row] >= n)
+            lines += [f"const double {texts[row]} = {name};" for row, name in made]
+            return lines, taken, function.weight
+
+        lines, rounding, weight, all_given = list[str](), list[str](), 0, []
+        residuals, nodes_of = [""] * len(solved), dict[int, Node]()
+        for number, part in enumerate(loop.parts):
+            printed, _, its = evaluated(number, part, part.tape)
+            weight += its
+            lines += [*printed, *(f"const double {name} = {text};" for name, text in chained.made[number])]
+            for k, (row, result) in enumerate(zip(part.rows, part.results, strict=True)):
+                nodes_of[row] = Node(part.instance, *result)
+                is_value = place[row] < n and not loop.is_residual(plan, number, k)
+                residuals[place[row]] = f"a{number}_{k} - {texts[row]}" if is_value else f"a{number}_{k}"
+            whole = sensitivities(plan, loop, part)
+            printed, taken, _ = evaluated(number, part, whole.tape)
+            rounding.append("\n    ".join(printed))
+            all_given.append((whole.arguments, taken))
+        lines += [f"residuals[{k}] = {text};" for k, text in enumerate(residuals)]
+        lines += [
+            f"matrix[{i * n + k}] = {text};" for i, row in enumerate(chained.matrix) for k, text in enumerate(row)
+        ]
+        bounded = bounds(plan, loop, all_given, "fabs")
+        rounding = [
+            "\n    ".join([printed, *(f"const double {name} = {text};" for name, text in bounded.made[number])])
+            for number, printed in enumerate(rounding)
+        ]
+        rounding += [f"bounds[{k}] = {text};" for k, text in enumerate(bounded.matrix[0])]
         guesses: list[Value] = []
-        for reference in loop.unknowns:
+        for reference in (loop.unknowns[row] for row in loop.torn):
             if reference in plan.unknowns_at:
                 guesses.append(("z", plan.unknowns_at[reference]))
             elif reference.row == "d" and not scope.is_start:
                 guesses.append(reference)
             else:
                 guesses.append(("n", (("guess", reference), plan.guesses.get(reference, 0.0))))
-        solver = self.solver(tuple(form), len(known), n, lines, weight)
-        values = [self.new_value() for _ in range(n)]
-        for solved, number in zip(nodes_of, values, strict=True):
-            assert solved is not None
-            scope.made[solved] = number
+        solver = self.solver(len(known), n, len(solved) - n, lines, rounding, weight)
+        values = [self.new_value() for _ in solved]
+        scope.made.update((nodes_of[row], value) for row, value in zip(solved, values, strict=True))
         path = plan.instances[loop.parts[0].instance].path
-        return Call(solver, path, loop.parts[0].instance, [*known, *guesses], values, [[] for _ in range(n)])
+        return Call(
+            solver,
+            path,
+            loop.parts[0].instance,
+            [*(value for value, _ in known.values()), *guesses],
+            values,
+            [[] for _ in solved],
+        )
 
-    def solver(self, form: tuple[object, ...], known: int, n: int, lines: list[str], weight: int) -> Function:
-        """The function that solves loops of one form."""
-        key = ("loop", form, known)
+    def solver(self, known: int, n: int, others: int, lines: list[str], rounding: list[str], weight: int) -> Function:
+        """The function that solves loops of one form, for n torn unknowns and the others."""
+        key = ("loop", n, others, *lines, *rounding, known)
         if key in self.functions:
             return self.functions[key]
         name = f"f{len(self.functions)}"
-        head = "const BlocksMemory *m, const double *known, const double *unknowns, double *residuals, double *matrix"
-        body = "\n".join(f"    {line}" for line in lines)
-        system = f"static void {name}_system({head})\n{{\n    (void)m, (void)known, (void)unknowns;\n{body}\n}}\n"
+        system = ""
+        for what, printed, out in (
+            ("system", lines, "double *residuals, double *matrix"), ("rounding", rounding, "double *bounds")
+        ):  # fmt: skip
+            head = (
+                f"static void {name}_{what}(const BlocksMemory *m, const double *known, const double *unknowns, {out})"
+            )
+            body = "\n".join(f"    {line}" for line in printed)
+            system += f"{head}\n{{\n    (void)m, (void)known, (void)unknowns;\n{body}\n}}\n"
         taken = [*(f"double a{k}" for k in range(known)), *(f"double z{k}" for k in range(n))]
-        taken += [f"double *r{k}" for k in range(n)]
+        taken += [f"double *r{k}" for k in range(n + others)]
         inside = ", ".join(f"a{k}" for k in range(known)) or "0.0"
         text = (
             f"{system}\nstatic void {name}(const BlocksMemory *m, {', '.join(taken)})\n{{\n"
             f"    const double known[] = {{{inside}}};\n"
-            f"    double unknowns[] = {{{', '.join(f'z{k}' for k in range(n))}}};\n"
-            f"    blocks_newton({name}_system, m, known, {n}, unknowns);\n"
-            + "".join(f"    *r{k} = unknowns[{k}];\n" for k in range(n))
+            f"    double unknowns[{n + others}] = {{{', '.join(f'z{k}' for k in range(n))}}};\n"
+            f"    blocks_newton({name}_system, {name}_rounding, m, known, {n}, {others}, unknowns);\n"
+            + "".join(f"    *r{k} = unknowns[{k}];\n" for k in range(n + others))
             + "}\n"
         )
         self.texts.append(text)
-        function = Function(name, (), (), n, 4 * weight, True, True)
+        function = Function(name, (), (), n + others, 4 * weight, True, True)
         self.functions[key] = function
         return function
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..tableaus import STIFF, c_header
 
-__all__ = ["RUNTIME", "packaged", "stiff_units"]
+__all__ = ["RUNTIME", "loop_units", "packaged", "stiff_units"]
 
 RUNTIME = ("runtime.h", "model.h", "methods.h", "steps.h", "jacobian.h", "stiff.h")
 
@@ -20,6 +20,11 @@ def packaged(*names: str) -> dict[str, str]:
 def stiff_units(method: str) -> tuple[str, ...]:
     """The files, beside the Jacobian's, that runs by this method need."""
     return ("factors.c", "radau.c") if method in STIFF else ()
+
+
+def loop_units(source: str) -> tuple[str, ...]:
+    """The files that a model needs by its own text: those of algebraic loops."""
+    return ("newton.c",) if "blocks_newton(" in source else ()
 
 
 @functools.cache

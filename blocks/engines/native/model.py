@@ -20,7 +20,7 @@ from ...compile.c.lane_code import LANE_FILES, Machine, why_no_gain
 from ...compile.c.model_code import Emitted, emit
 from ...compile.c.runtime_grid import grid_of
 from ...compile.c.runtime_tables import RuntimeTables
-from ...compile.c.runtime_texts import RUNTIME, packaged, stiff_units
+from ...compile.c.runtime_texts import RUNTIME, loop_units, packaged, stiff_units
 from ...compile.plan import Node, Plan, Reference
 from ...compile.tableaus import STIFF
 from ...compile.toolchain.compiler import TranslationUnit, build, load
@@ -75,10 +75,11 @@ class Model(RuntimeTables):
         other, *more = ("fmu_bridge.c", "fmu_bridge.h", "fmu_types.h") if plan.foreign else ("batch.c", "batch.h")
         beside = headers | packaged(*more)
         stiff = ("jacobian.c", *stiff_units(method)) if method in STIFF else ()
+        more_units = (*stiff, *loop_units(self.emitted.source))
         units = [
             TranslationUnit("runtime.c", packaged("runtime.c")["runtime.c"], headers, is_shared=True),
             TranslationUnit(other, packaged(other)[other], beside, is_shared=True),
-            *(TranslationUnit(name, text, headers, is_shared=True) for name, text in packaged(*stiff).items()),
+            *(TranslationUnit(name, text, headers, is_shared=True) for name, text in packaged(*more_units).items()),
             TranslationUnit("model.c", self.emitted.source, beside if plan.foreign else headers),
         ]
         self.why_no_lanes = why_no_gain(made.sizes) if lanes is not None else ""
@@ -209,11 +210,15 @@ def _prepared(library: ctypes.CDLL, *, has_batch: bool, has_lanes: bool) -> ctyp
         ("blocks_list_room", c.c_int, [sim, c.c_int64]),
         ("blocks_past_room", c.c_int, [sim, c.c_int64, c.c_int64]),
         *([("blocks_batch", c.c_int64, [sim, sim, sim])] if has_batch else []),
-        *([
-            ("blocks_lanes_new", sim, [sim, sim, c.c_int64]),
-            ("blocks_lanes", c.c_int64, [sim, sim, sim]),
-            ("blocks_lanes_free", None, [sim]),
-        ] if has_lanes else []),
+        *(
+            [
+                ("blocks_lanes_new", sim, [sim, sim, c.c_int64]),
+                ("blocks_lanes", c.c_int64, [sim, sim, sim]),
+                ("blocks_lanes_free", None, [sim]),
+            ]
+            if has_lanes
+            else []
+        ),
     ):
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments

@@ -189,22 +189,40 @@ class Instants:
         """The same with the solutions of the algebraic loops now. Raises SimulationError (E307) where one has none."""
         if not self.plan.unknowns:
             return snapshot
-        z = self.solutions(*self.memory(snapshot, u))
+        memory = self.memory(snapshot, u)
+        z = self.solutions(*memory)
         for reference, value in zip(self.plan.unknowns, z, strict=True):
             if not math.isfinite(value):
-                raise self.unsolved(reference, snapshot.t)
+                raise self.unsolved(reference, memory)
         return snapshot if z == snapshot.z else replace(snapshot, z=z)
 
-    def unsolved(self, reference: Reference, t: float) -> SimulationError:
-        """The error of a loop that Newton's method finds no solution for."""
-        name = self.plan.node_name(self.plan.outputs[reference.index])
+    def unsolved(self, reference: Reference, memory: tuple[Any, ...]) -> SimulationError:
+        """The error of a loop for which no solution was found: how near the search came, and what may help."""
         node = self.plan.outputs[reference.index]
+        name = self.plan.node_name(node)
         if node.key.startswith("residual"):
-            message = f"at t = {t} s no value was found at which its residual is 0."
+            message = f"at t = {memory[0]} s no value was found at which its residual is 0."
             cure = f"There may be none; or begin nearer: set {name.partition('[')[0]}_start."
         else:
-            message = f"at t = {t} s no solution was found for its algebraic loop."
-            cure = "It may have none, or no single one (y = y). A state or a UnitDelay in the loop breaks it."
+            message = f"at t = {memory[0]} s no solution was found for its algebraic loop."
+            cure = (
+                "It may have none, or no single one (y = y). If it has one, begin nearer: a block with an Algebraic "
+                "variable in the loop has a start value. A state or a UnitDelay in the loop breaks it."
+            )
+        found = self.compiled.nearest(reference, memory)
+        if found is not None:
+            torn, search = found
+            its = self.plan.node_name(self.plan.outputs[torn.index])
+            if search.residual == 0.0:
+                message += f" The residual is 0 at {its} = {search.x!r}, but singular there."
+            elif math.isfinite(search.residual):
+                message += (
+                    f" The search came nearest at {its} = {search.x!r}, where the residual is {search.residual:g}."
+                )
+            else:
+                message += (
+                    f" The residual is not finite where the search begins, at {its} = {search.guess[search.number]!r}."
+                )
         return SimulationError(Fault("E307", name, message, cure))
 
     def memory(self, snapshot: Snapshot, u: Sequence[float], t: float | None = None) -> tuple[Any, ...]:

@@ -36,7 +36,7 @@ class Failures:
         """E303: the first value that is not finite."""
         for reference, value in zip(self.plan.unknowns, self.instants.solutions(*memory), strict=True):
             if not math.isfinite(value):
-                return self.instants.unsolved(reference, memory[0])
+                return self.instants.unsolved(reference, memory)
         name, what, value, more = self._culprit(memory) or (self.plan.name, "a value ", math.nan, NOT_FINITE)
         message = f"{what}{verb} {value} at t = {memory[0]} s."
         return SimulationError(Fault("E303", name, message, f"{cure} {more}".lstrip()))

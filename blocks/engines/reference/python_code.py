@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 
 from ...compile.fmu_tape import FmuTape, Request
-from ...compile.plan import AlgebraicLoop, Node, Plan, Program, Reference
+from ...compile.plan import AlgebraicLoop, LoopPart, Node, Plan, Program, Reference
 from ...compile.scheduler import schedule
+from ...compile.tearing import bounds, sensitivities, slopes
 from ...contract.scalars import COSTLY, LOGICAL, OPERATIONS
 from ...contract.tape import Tape
 from ...text.errors import NOT_FINITE, OVERFLOW
-from .newton import newton
+from .newton import Nearest, newton
 
 __all__ = ["CompiledPrograms", "Evaluator"]
 
@@ -103,6 +104,26 @@ class CompiledPrograms:
             return NOT_FINITE
         return OVERFLOW
 
+    def nearest(self, reference: Reference, memory: Sequence[Any]) -> tuple[Reference, Nearest] | None:
+        """Return how near the search for an unknown came, and the unknown that kept it from there."""
+        program = schedule(self.plan, [reference])
+        loops = [step for step in program.steps if isinstance(step, AlgebraicLoop)]
+        tried: list[Nearest] = []
+
+        def watched(*how: Any) -> tuple[float, ...]:
+            tried.append(Nearest(*how))
+            return newton(*how)
+
+        with self.lock, np.errstate(all="ignore"):
+            body = self._program("nearest", program, is_start=False)
+            names = {**self.names[True], "_newton": watched}
+            exec(compile(body, f"<{self.plan.name}>", "exec"), names)
+            names["nearest"](*memory)
+        for loop, search in zip(loops, tried, strict=True):
+            if reference in loop.unknowns:
+                return loop.unknowns[loop.torn[search.number]], search
+        return None
+
     def _execute(self, source: str, safe: bool) -> None:
         if not safe:
             self.source += source + "\n\n"
@@ -146,46 +167,67 @@ class CompiledPrograms:
     def _loop(
         self, loop: AlgebraicLoop, held: dict[Reference, str], known: dict[Node, str], *, is_start: bool
     ) -> list[str]:
-        """A loop as a system of equations for Newton's method: its residuals, and their matrix row by row."""
-        plan, n = self.plan, len(loop.unknowns)
+        """A loop as a system of equations for Newton's method: residuals, matrix, other unknowns; and rounding."""
+        plan = self.plan
         names = [f"{row}{index}" for row, index in loop.unknowns]
-        residuals, matrix = [""] * n, [[[] for _ in range(n)] for _ in range(n)]  # type: ignore[var-annotated]
-        lines = [f"    def _loop({', '.join(names)}):"]
+        torn = ", ".join(names[row] for row in loop.torn)
+        chained = slopes(plan, loop)
+        residuals = dict.fromkeys(loop.torn, "")
+        lines = [f"    def _loop({torn}):"]
         for number, part in enumerate(loop.parts):
-            instance = plan.instances[part.instance]
-            count = len(part.results)
-            asked = (*(("value", e) for e in range(count)), *(("partial", e) for e in range(count * len(part.columns))))
-            if isinstance(part.tape, FmuTape):
-                function, arguments = self._request(part.instance, asked, part.tape)
-            else:
-                function, arguments = self._function(part.tape, asked)
-            values = []
-            for argument in arguments:
-                row, index = instance.arguments[argument]
-                if row == "tick":
-                    index = plan.rate_of[Node(part.instance, *part.results[0])]
-                values.append(_read(held, Reference(row, index)))
-            targets = [f"a{number}_{k}" for k in range(len(asked))]
-            begin = f"{function}, " if isinstance(part.tape, FmuTape) else f"{function}("
-            lines.append(f"        {', '.join(targets)}, = {begin}{', '.join(values)})  # {instance.path}")
-            for k, (row_, (key, _)) in enumerate(zip(part.rows, part.results, strict=True)):
-                is_residual = instance.tape.results[key].role == "residual"
-                residuals[row_] = targets[k] if is_residual else f"{targets[k]} - {names[row_]}"
-                for j, column in enumerate(part.columns):
-                    matrix[row_][column].append(targets[count + k * len(part.columns) + j])
-                if not is_residual:
-                    matrix[row_][row_].append("-1.0")
-        rows = [", ".join(" + ".join(entry) or "0.0" for entry in row) for row in matrix]
-        lines.append(f"        return ({', '.join(residuals)},), ({', '.join(f'({row},)' for row in rows)},)")
+            lines += self._part(number, part, part.tape, held)[0]
+            for k, row in enumerate(part.rows):
+                if row in residuals:
+                    is_residual = loop.is_residual(plan, number, k)
+                    residuals[row] = f"a{number}_{k}" if is_residual else f"a{number}_{k} - {names[row]}"
+                else:
+                    lines.append(f"        {names[row]} = a{number}_{k}")
+            lines += [f"        {name} = {text}" for name, text in chained.made[number]]
+        solved = [names[row] for row in loop.solved]
+        rows = ", ".join(f"({', '.join(row)},)" for row in chained.matrix)
+        others = "".join(f"{name}, " for name in solved[len(loop.torn) :])
+        lines.append(f"        return ({', '.join(residuals.values())},), ({rows},), ({others})")
+        lines += [f"    def _rounding({torn}):"]
+        wholes = [sensitivities(plan, loop, part) for part in loop.parts]
+        parts = [self._part(k, part, wholes[k].tape, held) for k, part in enumerate(loop.parts)]
+        bounded = bounds(
+            plan, loop, [(whole.arguments, part[1]) for whole, part in zip(wholes, parts, strict=True)], "abs"
+        )
+        for number, part in enumerate(loop.parts):
+            lines += parts[number][0]
+            lines += [
+                f"        {names[row]} = a{number}_{k}" for k, row in enumerate(part.rows) if row not in residuals
+            ]
+            lines += [f"        {name} = {text}" for name, text in bounded.made[number]]
+        lines.append(f"        return ({', '.join(bounded.matrix[0])},)")
         guesses = []
-        for reference in loop.unknowns:
+        for row in loop.torn:
+            reference = loop.unknowns[row]
             if reference in plan.unknowns_at:
                 guesses.append(f"z[{plan.unknowns_at[reference]}]")
             else:
                 is_held = reference.row == "d" and not is_start  # at the start nothing is held yet
                 guesses.append(f"d[{reference.index}]" if is_held else repr(plan.guesses.get(reference, 0.0)))
-        lines.append(f"    {', '.join(names)}, = _newton(_loop, ({', '.join(guesses)},))")
+        lines.append(f"    {', '.join(solved)}, = _newton(_loop, ({', '.join(guesses)},), _rounding)")
         return lines
+
+    def _part(
+        self, number: int, part: LoopPart, tape: Tape, held: dict[Reference, str]
+    ) -> tuple[list[str], dict[int, str]]:
+        """The lines that compute values and partials of a part, and the texts of its arguments."""
+        instance = self.plan.instances[part.instance]
+        asked = tuple((key, e) for key in ("value", "partial") for e in range(len(tape.results[key].nodes)))
+        is_foreign = isinstance(tape, FmuTape)
+        function, arguments = self._request(part.instance, asked, tape) if is_foreign else self._function(tape, asked)
+        texts = {}
+        for argument in arguments:
+            row, index = instance.arguments[argument]
+            if row == "tick":
+                index = self.plan.rate_of[Node(part.instance, *part.results[0])]
+            texts[argument] = _read(held, Reference(row, index))
+        targets = ", ".join(f"a{number}_{k}" for k in range(len(asked)))
+        call = f"{function}{', ' if is_foreign else '('}{', '.join(texts.values())})"
+        return [f"        {targets}, = {call}  # {instance.path}"], texts
 
     def _request(
         self, instance: int, results: tuple[tuple[str, int], ...], tape: Tape | None = None

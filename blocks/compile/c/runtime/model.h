@@ -51,13 +51,17 @@ typedef struct {
     int32_t checks;
 } BlocksLook;
 
-/* The equations of an algebraic loop: residuals (n), and their partial derivatives (n, n) row by row. `known` holds what
-   the loop takes from outside. */
+/* The equations of an algebraic loop by its n torn unknowns: residuals (n), then the other unknowns; and the residuals'
+   partial derivatives (n, n) row by row. `known` holds what the loop takes from outside. */
 typedef void (*BlocksSystem)(const BlocksMemory *m, const double *known, const double *unknowns, double *residuals,
                              double *matrix);
 
-/* Newton's method from the guess in `unknowns`, which become the solution, or NaN where none is found. */
-void blocks_newton(BlocksSystem system, const BlocksMemory *m, const double *known, int n, double *unknowns);
+/* Bounds on the rounding of the residuals (n), in units of 2^-52. */
+typedef void (*BlocksRounding)(const BlocksMemory *m, const double *known, const double *unknowns, double *bounds);
+
+/* Newton's method from the guess in the first n `unknowns`. All become the solution, or NaN where none is found. */
+void blocks_newton(BlocksSystem system, BlocksRounding rounding, const BlocksMemory *m, const double *known, int n,
+                   int others, double *unknowns);
 
 /* How many of the n increasing points are at most x; NaN counts as above all. */
 static inline double blocks_search(double x, const double *points, int n)
