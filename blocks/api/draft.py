@@ -104,13 +104,7 @@ class Draft:
     # --- blocks ------------------------------------------------------------------------------------------------
 
     def block(
-        self,
-        name: str,
-        block: object,
-        *,
-        doc: str,
-        control: Mapping[str, Any] | None = None,
-        stream: str = "",
+        self, name: str, block: object, *, doc: str, control: Mapping[str, Any] | None = None, stream: str = "",
         copies: Any = None,
     ) -> BlockEntry:
         """The entry of a Block, checked as a file's is. Raises UsageError (E501) for what is none."""

@@ -72,4 +72,4 @@ class Lanes:
 
 def no_lanes(rows: str, why: str) -> Fault:
     """The warning that lanes were asked for, and are not there."""
-    return Fault("W504", "lanes", f"there are none for {rows}: {why}.", 'The rows are those of lanes="exact".')
+    return Fault("W504", "lanes", f"there are none for {rows}: {why}.", "The rows are those of lanes=\"exact\".")

@@ -53,7 +53,6 @@ def origin_of(
     run_settings = _settings(settings)
     if interpolation != "linear":
         run_settings["interpolation"] = interpolation
-
     def told(name: str) -> Callable[[], str]:
         return lambda: getattr(equations(), name, "") if equations is not None else ""
 

@@ -1,8 +1,8 @@
 """A prepared model: a diagram made ready once, of which runs are made at the price of the run alone.
 
-model = diagram.prepare(stop=10)
-for kp in (1, 2, 5):
-    results = model.run(parameters={"pid.kp": kp})
+    model = diagram.prepare(stop=10)
+    for kp in (1, 2, 5):
+        results = model.run(parameters={"pid.kp": kp})
 """
 
 from __future__ import annotations

@@ -144,3 +144,4 @@ def part_to_resume(
         part.close()
         raise UsageError(Fault("E506", place, "says no settings of its run.", "Begin the run anew.")) from None
     return part, Path(target), {**recorded, **{key: value for key, value in settings.items() if value is not None}}
+

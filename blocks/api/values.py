@@ -41,11 +41,8 @@ def at_rest(value: DiagramValue, flat: Flat) -> dict[str, Any]:
     """Zeros for the inputs that a diagram gives no value: where it is looked at around a point, they rest."""
     known = {*value.run.get("inputs", {}), *(name for name, entry in value.inputs.items() if "default" in entry)}
     return {
-        entry.name: np.full(entry.shape, resting(entry.type))
-        if entry.shape
-        else False
-        if entry.type == "bool"
-        else resting(entry.type)
+        entry.name: np.full(entry.shape, resting(entry.type)) if entry.shape
+        else False if entry.type == "bool" else resting(entry.type)
         for entry in flat.inputs
         if entry.name not in known
     }

@@ -1,9 +1,9 @@
 """What a column of a batch sets: parameters by their paths, by patterns, or elements of them.
 
-"motor.Ra"              a parameter
-"control_*.eso.Ka"      one value for all parameters that the pattern names; * stands for a part of one name
-"control.nlsef.k1[0]"   an element of a vector; M[0,1] of a matrix
-"cells[3].motor.Ra"     in one copy; "cells[*].motor.Ra" and "cells.motor.Ra" in all
+    "motor.Ra"              a parameter
+    "control_*.eso.Ka"      one value for all parameters that the pattern names; * stands for a part of one name
+    "control.nlsef.k1[0]"   an element of a vector; M[0,1] of a matrix
+    "cells[3].motor.Ra"     in one copy; "cells[*].motor.Ra" and "cells.motor.Ra" in all
 """
 
 from __future__ import annotations

@@ -283,7 +283,9 @@ class _Progress:
         self.shown.clear()
 
 
-def _report(options: argparse.Namespace, run: Run, results: Results, seconds: float, written: Sequence[str]) -> None:
+def _report(
+    options: argparse.Namespace, run: Run, results: Results, seconds: float, written: Sequence[str]
+) -> None:
     statistics, settings = results.statistics, run.settings
     t = results.span[1] if results.rows else float(settings.start)
     if options.json:

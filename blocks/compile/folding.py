@@ -314,7 +314,9 @@ def folded(flat: Flat, plan_of: Any) -> Plan | None:
     memory, count = builder.memory, len(folding.entries)
     roots = (*folding.roots, *(fleet for fleet, _ in folding.gathers))
     segments = dict(_segments(memory, folding.roots))
-    gathers = {count + k: tuple(map(memory.reference, sources)) for k, (_, sources) in enumerate(folding.gathers)}
+    gathers = {
+        count + k: tuple(map(memory.reference, sources)) for k, (_, sources) in enumerate(folding.gathers)
+    }
     return _whole(flat, Folded(plan, roots, segments, gathers), builder, folding)
 
 

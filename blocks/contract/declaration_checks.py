@@ -179,7 +179,9 @@ def _check_equations(declaration: Declaration) -> None:
             )
 
 
-def _check_read(declaration: Declaration, readable: Mapping[str, Variable], equation: Equation, read: str) -> None:
+def _check_read(
+    declaration: Declaration, readable: Mapping[str, Variable], equation: Equation, read: str
+) -> None:
     place = f"{declaration.name}.{equation.name}"
     kinds = {role.kind for role in equation.roles}
     unsampled = {role.kind for role in equation.roles if not role.ticks}

@@ -345,7 +345,9 @@ class _Lifted:
                 raise UsageError(self.spot.fault("E501", self.name, what))
             if f"{self.name}.{inner}" in wires:
                 self.into[inner] = wires[f"{self.name}.{inner}"]
-        self.out = {output: self.source(source) for output, source in tree.table_at(self.diagram, ("outputs",)).items()}
+        self.out = {
+            output: self.source(source) for output, source in tree.table_at(self.diagram, ("outputs",)).items()
+        }
 
     def source(self, text: str) -> str:
         """A source in the subdiagram as the diagram around it says it."""

@@ -447,7 +447,9 @@ def _check_meanings(
         raise _refuse(old, edit.document.file, "some names would mean nothing then.")
 
 
-def _check_flat(edit: _Edited, before: str, old: str, new: str, prefix: str, target: Target, library: Any) -> None:
+def _check_flat(
+    edit: _Edited, before: str, old: str, new: str, prefix: str, target: Target, library: Any
+) -> None:
     """Refuse where the faults, or the flat diagram, would not be the same under the new name."""
     file = edit.document.file
     was, now = flat_of(before, file, library), flat_of(edit.after.text, file, library)
@@ -545,7 +547,10 @@ def _summary(
         return "" if index is None else labels[index]
 
     def placed(sources: Iterable[Any]) -> list[Any]:
-        return [(label(source.block), source[1:]) if isinstance(source, BlockSource) else source for source in sources]
+        return [
+            (label(source.block), source[1:]) if isinstance(source, BlockSource) else source
+            for source in sources
+        ]
 
     def told(text: Any) -> Any:
         """A signal by its name, or by what it is."""

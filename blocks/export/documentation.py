@@ -70,6 +70,6 @@ def _rows(variables: list[ExportedVariable]) -> list[str]:
     for v in variables:
         shown = ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in v.start[:4])
         shown += ", ..." if len(v.start) > 4 else ""
-        cells = f"<td>{escape(v.name)}</td><td>{escape(shown)}</td><td>{escape(v.unit)}</td>"
+        cells = f'<td>{escape(v.name)}</td><td>{escape(shown)}</td><td>{escape(v.unit)}</td>'
         rows.append(f"<tr>{cells}<td>{escape(v.doc)}</td></tr>")
     return rows

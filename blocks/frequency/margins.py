@@ -399,7 +399,9 @@ def _eigenvalues_with_doubt(a: Array) -> tuple[Array, Array]:
     return np.asarray(values, dtype=complex), doubt
 
 
-def _judged(p: Array, doubt: Array, at: Callable[[Array], Array], beside: Array, scale: float, dt: float) -> _Closed:
+def _judged(
+    p: Array, doubt: Array, at: Callable[[Array], Array], beside: Array, scale: float, dt: float
+) -> _Closed:
     shift = 1.0 if dt > 0 else 0.0
     # Growth per unit of p: that of z = 1 + p goes by the period.
     rate = growth(p, dt) * (dt if dt > 0 else 1.0)

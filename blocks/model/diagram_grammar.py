@@ -105,7 +105,9 @@ EXPRESSION = Text(name="expression", pattern="^=", refers="expression", doc=(
 WORDS = Text(refers="expression")  # an expression, or a text that a type knows
 ELEMENT = AnyOf(NUMBER, WORDS, Ref(lambda: _ELEMENTS, list), what="a number", name="element")
 _ELEMENTS: Kind = ListOf(ELEMENT)
-LIST = AnyOf(ListOf(FLAG, is_even=True), _ELEMENTS, name="list", doc="Numbers or expressions, maybe in rows, or bools.")
+LIST = AnyOf(
+    ListOf(FLAG, is_even=True), _ELEMENTS, name="list", doc="Numbers or expressions, maybe in rows, or bools."
+)
 PLAIN = AnyOf(NUMBER, FLAG, WORDS, LIST, what="a number, a text, a list, true or false", name="plain")
 
 
@@ -412,7 +414,9 @@ _STREAM = Text(pattern="^" + streams.NAME.pattern.replace(r"\Z", "$"), refusal=R
     "E111", "is not the name of a stream.", 'It is a name, or a path such as "robot.noise", maybe with / in front.'
 ))  # fmt: skip
 _OFF = Choice(("held", "reset"))
-_TIMEOUT = Scalar(what=f"a number of seconds above 0, at most {LONGEST_TIMEOUT:,.0f}", above=0, high=LONGEST_TIMEOUT)
+_TIMEOUT = Scalar(
+    what=f"a number of seconds above 0, at most {LONGEST_TIMEOUT:,.0f}", above=0, high=LONGEST_TIMEOUT
+)
 KINDS = ("type", "diagram", "fmu")
 CONTROLS = ("enable", "trigger")
 OPTIONS = ("kind", "isolate", "timeout")

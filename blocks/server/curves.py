@@ -70,14 +70,10 @@ def row_at(source: Source, t: float) -> list[float | None] | None:
 def values_at(source: Source, t: float) -> dict[str, Any]:
     """The value of each signal at a time, as `row_at` has it; of vectors and matrices a flat list."""
     told = row_at(source, t)
-    return (
-        {}
-        if told is None
-        else {
-            name: told[first : first + math.prod(shape)] if shape else told[first]
-            for name, (first, shape, _) in source.columns.items()
-        }
-    )
+    return {} if told is None else {
+        name: told[first : first + math.prod(shape)] if shape else told[first]
+        for name, (first, shape, _) in source.columns.items()
+    }
 
 
 def extremes(t: Array, columns: Sequence[Array], step: float, origin: float = 0.0) -> tuple[Array, Array, Array]:

@@ -90,7 +90,8 @@ def sweep(
     names = list(rows.columns)
     of_rows = {**asked, "measures": measures, "log": log, "lanes": lanes}
     batches = [
-        diagram.batch(names, **{**of_rows, "parameters": {**(parameters or {}), **on_top}}) for on_top in given.values()
+        diagram.batch(names, **{**of_rows, "parameters": {**(parameters or {}), **on_top}})
+        for on_top in given.values()
     ]
     wanted = margins_of(margins or {})
     linear = {key: value for key, value in asked.items() if key not in ("parameters", "engine")}

@@ -79,7 +79,9 @@ def _exact(number: Any) -> Fraction:
     return number.exact if isinstance(number, Number) else Fraction(repr(number))
 
 
-def edited(document: Document, value: Any, *, lines: Callable[[Any], Lines]) -> tuple[str, tuple[Splice, ...]]:
+def edited(
+    document: Document, value: Any, *, lines: Callable[[Any], Lines]
+) -> tuple[str, tuple[Splice, ...]]:
     """The text of a document after its value is another one, and the changes, in the order of the text.
 
     lines: for a whole value, where its canonical text has a line for each entry (`json_writer.write`). Raises
@@ -117,7 +119,9 @@ class _Editor:
             return self.replaced(start, end, self.written(new, path, margin))
         return self.container(start, end, old, new, was, path)
 
-    def is_written_anew(self, start: int, end: int, old: Any, new: Any, was: Path, path: Path, margin: str) -> bool:
+    def is_written_anew(
+        self, start: int, end: int, old: Any, new: Any, was: Path, path: Path, margin: str
+    ) -> bool:
         """Whether the canonical form needs other line breaks now, and the text has them as it needed them before."""
         if not margin or self.before(was, old) == self.after(path, new):
             return False
@@ -204,7 +208,9 @@ class _Editor:
                 text = self.text[slice(*item.key)]
                 text = text if old_key == key else self.replaced(*item.key, self.string(*item.key, key))
                 text += self.text[item.key[1] : item.start]
-            text += self.value(item.start, item.end, old[old_key], new[key], (*was, old_key), (*path, key), margin)
+            text += self.value(
+                item.start, item.end, old[old_key], new[key], (*was, old_key), (*path, key), margin
+            )
             last = item.end
             put(text + (self.text[item.end : item.after] if item is not items[-1] else ""), own)
         tail = self.text[items[-1].end : end]

@@ -41,7 +41,9 @@ def write(value: Any, *, one_per_line: Callable[[Path, Any], bool]) -> str:
     return text
 
 
-def piece(value: Any, path: Path, margin: str, unit: str = " ", *, one_per_line: Callable[[Path, Any], bool]) -> str:
+def piece(
+    value: Any, path: Path, margin: str, unit: str = " ", *, one_per_line: Callable[[Path, Any], bool]
+) -> str:
     """The text of a value that stands at a path. margin: the line break before its closing bracket, with the
     indentation there; "" for a value that stands on one line. unit: the indentation of one more level.
     """

@@ -73,10 +73,8 @@ def rows_of(results: Results) -> bytes:
     long_but(
         itertools.product(SETTINGS, ("native", "reference")),
         # radau runs in Python by both engines, as the reference engine does all.
-        lambda settings, engine: (
-            settings.get("method") != "radau"
-            and (engine == "native" or settings.get("every") is None or "jumps" in settings)
-        ),
+        lambda settings, engine: settings.get("method") != "radau"
+        and (engine == "native" or settings.get("every") is None or "jumps" in settings),
     ),
     ids=str,
 )

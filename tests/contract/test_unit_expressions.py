@@ -32,7 +32,9 @@ class Written(Block):
     area = Parameter(1.0, unit="m" * unit * "m")
     area_ = Parameter(1.0, unit=lambda unit: units.product(units.product("m", unit), "m"))
     long = Parameter(1.0, unit=(unit_u / unit / "s") ** -2)
-    long_ = Parameter(1.0, unit=lambda unit, unit_u: units.power(units.quotient(units.quotient(unit_u, unit), "s"), -2))
+    long_ = Parameter(
+        1.0, unit=lambda unit, unit_u: units.power(units.quotient(units.quotient(unit_u, unit), "s"), -2)
+    )
     same = Parameter(1.0, unit=unit / unit)
     same_ = Parameter(1.0, unit=lambda unit: units.quotient(unit, unit))
     u = Input(unit=unit_u)
@@ -121,7 +123,7 @@ REFUSED = {
         'T = Parameter(1.0, unit="s")\nk = Parameter(2 * T)',
         "E405 T: is no unit",
     ),
-    "a power of a number": ("T = Parameter(1.0)\nk = Parameter(T**2)", "E405 T: is no unit"),
+    "a power of a number": ('T = Parameter(1.0)\nk = Parameter(T**2)', "E405 T: is no unit"),
     "a unit that does not exist": (
         'unit = Parameter("", structural=True, type="string")\nk = Parameter(1.0, unit=unit / "metre")',
         "E405 the unit 'metre' cannot be read",

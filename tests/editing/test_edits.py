@@ -446,7 +446,7 @@ def test_entries_that_move_up_in_a_list_are_not_told_as_changed(tmp_path: Path) 
         ({"set": "blocks.gain.parameters.k", "to": "=q"}, "E108"),
         ({"wire": "lag.u", "to": "gain.y"}, "E112"),
         ({"add": "run.log", "value": "error.z"}, "E105"),
-        ({"remove": 'wires["lag.u"]'}, "E101"),
+        ({"remove": "wires[\"lag.u\"]"}, "E101"),
         ({"move": "gain", "to": [1, 2]}, ""),
     ],
 )
@@ -580,10 +580,7 @@ def test_what_ungrouping_would_lose_is_told(lost: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"wires": {"a.u": 5}},
-        {"wires": {"a.u": {}}},
-        {"layout": {"a": 5}},
-        {"layout": {"a": ["x", 1]}},
+        {"wires": {"a.u": 5}}, {"wires": {"a.u": {}}}, {"layout": {"a": 5}}, {"layout": {"a": ["x", 1]}},
         {"blocks": {"a": 5}},
     ],
 )
@@ -706,7 +703,7 @@ def any_operation(value: Any, chance: random.Random) -> dict[str, Any]:
     wires = list(value.get("wires", {}))
     choices: list[dict[str, Any]] = [
         {"add": ["blocks", name], "value": {"type": "Gain", "parameters": {"k": number}}},
-        {"set": ["blocks", chance.choice(blocks), "doc"], "to": chance.choice(["", 'a "text"', ["é", "\\"]])},
+        {"set": ["blocks", chance.choice(blocks), "doc"], "to": chance.choice(["", "a \"text\"", ["é", "\\"]])},
         {"set": ["run", "stop"], "to": number},
         {"add": ["parameters", name], "value": {"value": number, "unit": "V"}},
         {"add": ["measures", name], "value": {"type": "ISE", "of": f"{chance.choice(blocks)}.y"}},
@@ -766,11 +763,9 @@ def test_after_removing_any_entries_nothing_names_them(path: Path, chance: rando
     if section == "blocks":
         for other in ("wires", "outputs"):
             table = new.get(other, {})
-            assert not [
-                entry
-                for entry in (*table, *table.values())
-                if entry.split(".")[0].split("[")[0] == name and (other == "wires" or entry in table.values())
-            ]
+            assert not [entry for entry in (*table, *table.values()) if entry.split(".")[0].split("[")[0] == name and (
+                other == "wires" or entry in table.values()
+            )]
 
 
 # --- the command -----------------------------------------------------------------------------------------------

@@ -178,7 +178,6 @@ KINDS = {
                                         gear__u="wave.y", sum__u1="gear.y"), wires={"robots.u": "wave.y"}),
 }  # fmt: skip
 
-
 @pytest.mark.parametrize("engine", ["reference", "native"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_copies_of_every_kind_are_those_written_out(kind: str, engine: str) -> None:

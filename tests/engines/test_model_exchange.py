@@ -195,6 +195,8 @@ def nothing_stays() -> Iterator[None]:
     assert live() == before
 
 
+
+
 # --- against the block that the FMU was made of -----------------------------------------------------------------
 
 

@@ -397,7 +397,9 @@ exec {shutil.which("cc")} "$@"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="the compiler is a script")
-def test_equations_that_are_too_large_for_a_compiler_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_equations_that_are_too_large_for_a_compiler_are_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """A compiler that breaks down over models as gcc does over 100,000 operations in one equation."""
 
     class Long(Block):

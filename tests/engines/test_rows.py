@@ -257,7 +257,7 @@ def test_ten_million_ticks_recorded_in_ten_rows_take_no_memory() -> None:
     ("given", "message"),
     [
         ({"every": 0.1, "jumps": 1}, "must be true or false, not 1"),
-        ({"every": 0.1, "jumps": "yes"}, 'must be true or false, not "yes"'),
+        ({"every": 0.1, "jumps": "yes"}, "must be true or false, not \"yes\""),
         ({"jumps": False}, "cannot be false without a recording grid"),
     ],
 )

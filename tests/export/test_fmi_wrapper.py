@@ -42,7 +42,18 @@ pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc")
 # --- the drivers
 
 
+
+
+
+
+
+
 # --- the tables of the standard: in which modes a function may be called
+
+
+
+
+
 
 
 @pytest.fixture(scope="module", params=[2, 3])
@@ -72,15 +83,11 @@ def test_the_driver_calls_every_function_in_every_mode_of_its_kind(driven: tuple
         if line.function.startswith("fmi") and line.mode not in {"-", "end"}:
             called.setdefault((line.kind, line.mode), set()).add(line.function)
     modes = {
-        2: {
-            "ME": "instantiated initialization event continuous terminated failed",
-            "CS": "instantiated initialization step terminated failed",
-        },
-        3: {
-            "ME": "instantiated initialization event continuous terminated failed",
+        2: {"ME": "instantiated initialization event continuous terminated failed",
+            "CS": "instantiated initialization step terminated failed"},
+        3: {"ME": "instantiated initialization event continuous terminated failed",
             "CS": "instantiated initialization step intermediate terminated failed",
-            "CS+events": "instantiated initialization step event intermediate terminated failed",
-        },
+            "CS+events": "instantiated initialization step event intermediate terminated failed"},
     }[version]
     assert set(called) == {(kind, mode) for kind, all_modes in modes.items() for mode in all_modes.split()}
     names = {name for name in standard(version) if "Instantiate" not in name and "FreeInstance" not in name}
@@ -496,14 +503,8 @@ def test_an_intermediate_update_reads_and_sets_continuous_variables(folder3: Pat
     instances: list[Any] = []
 
     def update(
-        environment: Any,
-        t: float,
-        set_requested: bool,
-        get_allowed: bool,
-        finished: bool,
-        can_return: bool,
-        asked: Any,
-        until: Any,
+        environment: Any, t: float, set_requested: bool, get_allowed: bool, finished: bool, can_return: bool,
+        asked: Any, until: Any,
     ) -> None:
         seen.append((round(t, 12), set_requested, get_allowed, finished, can_return))
         fmu = instances[0]
@@ -521,10 +522,6 @@ def test_an_intermediate_update_reads_and_sets_continuous_variables(folder3: Pat
     for k in range(4):
         x, u = x + 0.1 * (u - x), 0.1 * (k + 1)
     assert list(fmu.getFloat64([2])) == pytest.approx([x], abs=1e-15)
-    assert seen == [
-        (0.1, True, True, True, False),
-        (0.2, True, True, True, False),
-        (0.3, True, True, True, False),
-        (0.4, False, True, True, False),
-    ]
+    assert seen == [(0.1, True, True, True, False), (0.2, True, True, True, False), (0.3, True, True, True, False),
+                    (0.4, False, True, True, False)]
     fmu.freeInstance()

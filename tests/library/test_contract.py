@@ -35,6 +35,10 @@ variants = pytest.mark.parametrize(
 )
 
 
+
+
+
+
 # --- the contract ----------------------------------------------------------------------------------------------
 
 _OPERATIONS = {
@@ -412,6 +416,8 @@ def test_a_transfer_function_is_num_over_den(num: list[float], den: list[float])
     for s in (1.7j, 20.0 + 3.0j):
         expected = np.polyval(num, s) / np.polyval(den, s)
         assert C @ np.linalg.solve(s * np.eye(n) - A, B.astype(complex)) + D == pytest.approx(expected, 1e-9, 1e-12)
+
+
 
 
 def test_only_what_passes_through_at_once_is_feedthrough() -> None:

@@ -79,7 +79,7 @@ def test_a_start_that_moves_is_refused_with_the_states_their_rates_and_the_cure(
 
 @pytest.mark.parametrize("x", [0.0, 1.0])
 def test_at_rest_the_oscillator_of_van_der_pol_has_the_one_cycle_of_the_closed_form(x: float) -> None:
-    (cycle,) = limit_cycles(van_der_pol(x), at=find_operating_point(van_der_pol(x)))
+    cycle, = limit_cycles(van_der_pol(x), at=find_operating_point(van_der_pol(x)))
     assert cycle.omega == pytest.approx(1.0, rel=1e-9)
     assert cycle.amplitudes == pytest.approx({"law.u1": 2.0, "law.u2": 2.0}, rel=1e-9)
     assert cycle.stable
@@ -96,7 +96,7 @@ def test_at_rest_the_oscillator_of_van_der_pol_has_the_one_cycle_of_the_closed_f
 )
 def test_a_jump_of_a_law_is_no_motion(law: Block, amplitude: float | None) -> None:
     """1/(s + 1)^3 turns by 180 degrees at sqrt(3) rad/s, where it is 1/8: A = 4/(8 pi). Hysteresis makes it slower."""
-    (cycle,) = limit_cycles(relay_loop(law))
+    cycle, = limit_cycles(relay_loop(law))
     assert cycle.stable
     if amplitude is None:
         assert cycle.omega < math.sqrt(3.0)
@@ -158,7 +158,7 @@ def test_what_moves_beside_the_loop_does_not_matter() -> None:
     made = relay_loop(Sign())
     made.wire(made.add("clock", Integrator()).u, made.add("one", Constant()).y)
     made.wire(made.add("sum", Integrator()).u, "plant.y")
-    (cycle,) = limit_cycles(made)
+    cycle, = limit_cycles(made)
     assert cycle.omega == pytest.approx(math.sqrt(3.0), rel=1e-6)
 
 

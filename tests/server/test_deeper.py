@@ -203,7 +203,9 @@ def test_blocks_are_colored_by_the_steps_that_were_rejected_for_them(asking: Any
         asking(DIAGRAMS / "motor_pid.json")[0]("color", by="rejected")
 
 
-def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_band_holds_the_quantiles_of_a_sweep(
+    asking: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made = Diagram("lag")
     plant = made.add("plant", TransferFunction(num=[1.0], den=[1.0, 1.0]))
     gain = made.add("gain", Gain(k=1.0))

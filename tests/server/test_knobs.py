@@ -176,7 +176,9 @@ def test_keep_refuses_a_file_that_changed_and_one_that_would_say_something_else(
         asking(opened(Diagram.load(path)))("keep")
 
 
-def test_values_of_a_file_inside_go_there_and_are_read_again(tmp_path: Path, opened: Callable[[Any], Session]) -> None:
+def test_values_of_a_file_inside_go_there_and_are_read_again(
+    tmp_path: Path, opened: Callable[[Any], Session]
+) -> None:
     shutil.copytree(ROOT / "diagrams" / "paper", tmp_path / "paper")
     path, inner = tmp_path / "paper" / "wheel_iadrc.json", tmp_path / "paper" / "control_iadrc.json"
     old, before = inner.read_text(), path.read_bytes()

@@ -177,18 +177,8 @@ def test_every_key_has_a_valid_form(tmp_path: Path) -> None:
 
     known = {key for kind in (g.DIAGRAM, g.BLOCK, g.VARIANT, g.INPUT, g.RUN, g.MEASURE) for key in kind.keys}
     assert {*known, *g.TABLE} - {"fmu", *g.OPTIONS} <= set(keys(CONTROLLED))
-    of_study = (
-        s.STUDY,
-        s.ONE_RUN,
-        s.CLAIM,
-        s.FIGURE,
-        s.PANEL,
-        s.MARKER,
-        s.ONE_SWEEP,
-        s.ONE_TUNING,
-        s.MARGIN,
-        s.SWEEP_FIGURE,
-    )
+    of_study = (s.STUDY, s.ONE_RUN, s.CLAIM, s.FIGURE, s.PANEL, s.MARKER, s.ONE_SWEEP, s.ONE_TUNING, s.MARGIN,
+                s.SWEEP_FIGURE)
     assert {key for kind in of_study for key in kind.keys} <= set(keys(STUDY))
 
 

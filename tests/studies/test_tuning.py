@@ -75,11 +75,7 @@ def test_the_minimum_of_rosenbrocks_function_is_found(method: str, budget: int, 
 @pytest.mark.parametrize("method", ["cma", "de"])
 def test_a_budget_is_spent_to_the_candidate_in_every_scenario(method: str, calls: list[tuple[int, Any]]) -> None:
     tuning = rosenbrock().tune(
-        minimize="a.f + b.f",
-        over={"x": BOX["x"]},
-        scenarios={"a": {}, "b": {"y": 2}},
-        method=method,
-        budget=37,
+        minimize="a.f + b.f", over={"x": BOX["x"]}, scenarios={"a": {}, "b": {"y": 2}}, method=method, budget=37,
         **SHORT,
     )
     assert len(tuning.history.objective) == 37
@@ -163,7 +159,7 @@ def test_what_can_have_no_number_is_refused_before_the_first_candidate(
 
 def test_a_missing_package_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(UsageError, match=r"E504 .*cma is needed and not installed.*blocks-cosim\[tune\]"):
+    with pytest.raises(UsageError, match=r'E504 .*cma is needed and not installed.*blocks-cosim\[tune\]'):
         rosenbrock().tune(minimize="f", over=BOX, **SHORT)
 
 

@@ -22,6 +22,16 @@ from tests.support.places import ROOT
 # --- examples --------------------------------------------------------------------------------------------------
 
 
+
+
+
+
+
+
+
+
+
+
 def says(lines: list[str], said: str) -> bool:
     """Whether one of the lines is `said`, in which "..." stands for anything."""
     pattern = ".*".join(re.escape(part) for part in said.split("..."))
@@ -312,6 +322,8 @@ def test_a_code_that_is_not_there_is_refused_by_the_command_as_well() -> None:
 
 
 # --- the sources -----------------------------------------------------------------------------------------------
+
+
 
 
 def written_codes() -> dict[str, set[str]]:

@@ -14,7 +14,6 @@ __all__ = ["KINDS", "request_text"]
 
 KINDS = ("state", "derivative", "indicator", "value", "event_time", "given", "number", "partial")
 
-
 def request_text(name: str, tape: FmuTape, request: Request) -> str:
     """A function of the FMU's number, time and the needed values."""
     first, total = dict[int, int](), 0

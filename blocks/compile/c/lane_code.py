@@ -160,6 +160,6 @@ class LaneCode:
     def source(self, name: str, macros: Mapping[str, object], tables: str) -> str:
         """All of it. macros: by their names without BLOCKS_."""
         defined = "".join(f"#define BLOCKS_{key} {value}\n" for key, value in macros.items())
-        head = f"/* {comment(name)}: several runs side by side */\n{defined}#define LANES_NW {self.scratch}\n"
+        head = f'/* {comment(name)}: several runs side by side */\n{defined}#define LANES_NW {self.scratch}\n'
         programs = "\n".join(self.texts)
         return f'{head}\n#include "lanes.h"\n\n{tables}\n{programs}\n#include "lane_steps.h"\n'

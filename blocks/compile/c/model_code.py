@@ -210,7 +210,9 @@ class _Emitter(PlanReader):
         )  # fmt: skip
         self.scratch = max(self.scratch, printed.scratch)
         if self.lanes is not None and (name in LANE_PROGRAMS or (name == "crossings" and self.is_long)):
-            wide = print_program(name, calls, copies, self.place, self.tables, loops=self.loops, numbers=LANES)
+            wide = print_program(
+                name, calls, copies, self.place, self.tables, loops=self.loops, numbers=LANES
+            )
             self.lanes.add(name, wide, calls)
         if not printed.same:
             functions = printed.functions

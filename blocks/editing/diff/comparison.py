@@ -375,7 +375,9 @@ def _unmatched(a: Iterable[Any], b: Iterable[Any]) -> tuple[list[Any], list[Any]
     return gone, [y for y in b if not any(same(x, y, "s") for x in a)]
 
 
-def _one_sided(group: str, a: Mapping[str, Any], b: Mapping[str, Any], shown: Callable[[Any], str]) -> Iterator[Change]:
+def _one_sided(
+    group: str, a: Mapping[str, Any], b: Mapping[str, Any], shown: Callable[[Any], str]
+) -> Iterator[Change]:
     """What only one of two sections has."""
     for name in only(a, b):
         yield removed(group, name, a[name], shown(a[name]))

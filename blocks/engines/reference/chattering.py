@@ -144,7 +144,9 @@ class ProgressWatch:
         raise SimulationError(Fault("E301", self.plan.states[culprit], message, cure))
 
 
-def _to_and_fro(rates: Callable[[float, Array], Array], x: Array, first: Array, h: float, weights: Array) -> int | None:
+def _to_and_fro(
+    rates: Callable[[float, Array], Array], x: Array, first: Array, h: float, weights: Array
+) -> int | None:
     """The state whose rate jumps on the way along the rates from x, and jumps back on the way that follows.
 
     rates: after s seconds. None where no rate jumps within h, or where what follows leads on.

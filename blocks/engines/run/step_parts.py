@@ -143,7 +143,9 @@ class Look:
         """Whether anything that the signals depend on has a phase."""
         return bool(self.motion.phases or self.motion.histories)
 
-    def parts(self, t0: float, t1: float, values: Values, phases: Values, first: Array | None = None) -> Iterator[Part]:
+    def parts(
+        self, t0: float, t1: float, values: Values, phases: Values, first: Array | None = None
+    ) -> Iterator[Part]:
         """The parts of the piece from t0 to t1, from left to right. first: the values at its begin, where known."""
         k = level = tried = split = 0
         begun: Array | None = None  # the phases at the begin of the part
