@@ -10,7 +10,7 @@ Memory is rows of numbers:
 | p | parameters | place |
 | u | inputs of the diagram | element |
 | h | histories: inputs of blocks as they were a delay ago | history |
-| z | the last solutions of algebraic loops, where the next search begins | place; no `Reference` names it |
+| z | the last solutions of algebraic loops, where the next search begins | place; read where unknowns are given |
 | w | unsampled outputs: shown by `Plan.outputs`, computed when they are read | place |
 | c | tables, which never change | table |
 
@@ -347,6 +347,10 @@ class Plan(Shown):
     continuous: Program = field(default=NOTHING, compare=False, repr=False)  # all but what is computed at ticks
     unknowns: tuple[Reference, ...] = field(default=(), compare=False, repr=False)
     """What is solved for at all times, in the order of z; each search begins at their last values."""
+    corners: tuple[int, ...] = field(default=(), compare=False, repr=False)
+    """Crossings of what a loop solves for, whose sides or resets that loop reads."""
+    guessed: tuple[int, ...] = field(default=(), compare=False, repr=False)
+    """Places in d that are guessed at the start, as sides are: steps of what a loop solves for, which reads them."""
     folded: Any = field(default=None, compare=False, repr=False)
     """Of a diagram with copies: the plan of one copy, by which it is printed (`compile.folding`); else None."""
     written_out: Callable[[], Plan] | None = field(default=None, compare=False, repr=False)

@@ -21,6 +21,7 @@ from .fmu_tape import FmuTape
 from .folding import At, folded
 from .memory_layout import ROWS, Footprint, Start, names_of
 from .plan import (
+    NOTHING,
     TICK,
     TIME,
     AlgebraicLoop,
@@ -34,6 +35,7 @@ from .plan import (
     PlanInput,
     PlanSignal,
     Program,
+    ProgramStep,
     Rate,
     Reference,
     StepperPart,
@@ -396,13 +398,50 @@ def _settled(plan: Plan) -> Plan:
     continuous = schedule(plan, _continuous(plan))
     for part in plan.enabled:
         schedule(plan, part.resets, start=frozenset(part.resets))
-    starting, start = _start(plan)
+    starting, start, guessed = _start(plan)
     _check_ticks(plan)
     unknowns: tuple[Reference, ...] = ()
+    corners: tuple[int, ...] = ()
     if any(isinstance(step, AlgebraicLoop) for step in continuous.steps):
         steps = schedule(plan, [Reference("w", i) for i in range(len(plan.outputs))]).steps
-        unknowns = tuple(reference for step in steps if isinstance(step, AlgebraicLoop) for reference in step.unknowns)
-    return replace(plan, starting=starting, start=start, continuous=continuous, unknowns=unknowns)
+        loops = [step for step in steps if isinstance(step, AlgebraicLoop)]
+        unknowns = tuple(reference for loop in loops for reference in loop.unknowns)
+        corners = _corners(plan, loops)
+    return replace(
+        plan,
+        starting=starting,
+        start=start,
+        continuous=continuous,
+        unknowns=unknowns,
+        corners=corners,
+        guessed=guessed,
+    )
+
+
+def _corners(plan: Plan, loops: Iterable[AlgebraicLoop]) -> tuple[int, ...]:
+    """The crossings that depend on a loop which depends on their side, or on what they reset."""
+    own = [_reached(plan, [cause.node]) for cause in plan.crossings]
+    found: set[int] = set()
+    for loop in loops:
+        read = _reached(plan, loop.nodes)
+        for j, cause in enumerate(plan.crossings):
+            moves = {Reference("s", j), *(place for _, place in cause.resets)}
+            if not read.isdisjoint(moves) and not own[j].isdisjoint(loop.unknowns):
+                found.add(j)
+    return tuple(sorted(found))
+
+
+def _reached(plan: Plan, nodes: Iterable[Node]) -> set[Reference]:
+    """What nodes depend on at one time: unsampled outputs, and memory."""
+    reached: set[Reference] = set()
+    stack = [reference for node in nodes for reference in plan.bind(node)]
+    while stack:
+        reference = stack.pop()
+        if reference not in reached:
+            reached.add(reference)
+            if reference.row == "w":
+                stack += plan.bind(plan.outputs[reference.index])
+    return reached
 
 
 def _continuous(plan: Plan) -> list[Node | Reference]:
@@ -418,15 +457,40 @@ def _continuous(plan: Plan) -> list[Node | Reference]:
     ]
 
 
-def _start(plan: Plan) -> tuple[bool | frozenset[Reference], Program]:
-    """What is computed at the start, and how. Raises ModelError (E120) where a start value needs itself."""
+def _start(plan: Plan) -> tuple[bool | frozenset[Reference], Program, tuple[int, ...]]:
+    """What is computed at the start, how, and the places in d that are guessed like sides. Raises ModelError (E120)
+    where a start value needs itself."""
     rows = (("x", len(plan.states)), ("d", len(plan.discretes)))
     memory = [Reference(row, i) for row, size in rows for i in range(size)]
+    known, start = frozenset(memory), NOTHING
     try:
-        return True, schedule(plan, [*memory, *plan.s_start], start=True)
+        start = schedule(plan, [*memory, *plan.s_start], start=True)
     except ModelError:
-        known = frozenset(memory)
-        return known, schedule(plan, [*memory, *plan.s_start], start=known)
+        start = schedule(plan, [*memory, *plan.s_start], start=known)
+        starting: bool | frozenset[Reference] = known
+    else:
+        starting = True
+    guessed = tuple(sorted(place for step in start.steps for place in _stepped(plan, start, step)))
+    if guessed:
+        starting = known.difference(Reference("d", place) for place in guessed)
+        begins = [plan.d_start[i] if i in guessed else Reference("d", i) for i in range(len(plan.discretes))]
+        start = schedule(plan, [*memory[: len(plan.states)], *begins, *plan.s_start], start=starting)
+    return starting, start, guessed
+
+
+def _stepped(plan: Plan, program: Program, step: ProgramStep | AlgebraicLoop) -> Iterable[int]:
+    """The places in d that a loop at the start would solve for, though they are steps of its unknowns: numbers of
+    cells, of levels. Newton's method finds no way along steps."""
+    for part in step.parts if isinstance(step, AlgebraicLoop) else ():
+        if isinstance(part.tape, FmuTape):
+            continue
+        partials = [part.tape.nodes[n] for n in part.tape.results["partial"].nodes]
+        for k, result in enumerate(part.results):
+            own = partials[k * len(part.columns) : (k + 1) * len(part.columns)]
+            reference = program.made.get(Node(part.instance, *result))
+            is_flat = all(node.op == "constant" and node.value == 0.0 for node in own)
+            if reference is not None and reference.row == "d" and is_flat:
+                yield reference.index
 
 
 def _check_ticks(plan: Plan) -> None:

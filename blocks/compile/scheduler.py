@@ -27,27 +27,30 @@ def schedule(
     *,
     start: bool | frozenset[Reference] = False,
     due: frozenset[int] = frozenset(),
+    given: bool = False,
 ) -> Program:
     """The program that computes `results`.
 
     start: states, discretes and sides are not memory yet but computed too, all or these. due: the places in d of the
-    sampled outputs that are computed now. Programs that the plan has already are not ordered again. Raises ModelError
-    (E102, E120) where something needs itself.
+    sampled outputs that are computed now. given: unknowns of loops are read from z, not solved for. Programs that the
+    plan has already are not ordered again. Raises ModelError (E102, E120) where something needs itself.
     """
     wanted = tuple(results)
     plan = plan.written_out() if plan.written_out is not None else plan
-    if not due and start in (False, plan.starting):
+    if not due and not given and start in (False, plan.starting):
         ordered = plan.start if start else plan.continuous
         if ordered.results == wanted:
             return ordered
-    return _Scheduler(plan, start, due).program(wanted)
+    return _Scheduler(plan, start, due, plan.unknowns_at if given else {}).program(wanted)
 
 
 class _Scheduler:
     """Orders nodes so that each comes after what it needs, with results of one instance together where possible."""
 
-    def __init__(self, plan: Plan, start: bool | frozenset[Reference], due: frozenset[int]) -> None:
-        self.plan, self.start, self.due = plan, start, due
+    def __init__(
+        self, plan: Plan, start: bool | frozenset[Reference], due: frozenset[int], given: Mapping[Reference, int]
+    ) -> None:
+        self.plan, self.start, self.due, self.given = plan, start, due, given
         self.begun = {"x": plan.x_start, "d": plan.d_start, "s": plan.s_start} if start else {}
 
     def begins(self, reference: Reference) -> Node | Reference | None:
@@ -68,6 +71,9 @@ class _Scheduler:
 
         def ask(reference: Reference) -> None:
             """Put the node that computes a place of memory on the stack, unless memory has its value."""
+            if reference in self.given:
+                moved[reference] = Reference("z", self.given[reference])
+                return
             source = outputs[reference.index] if reference.row == "w" else self.begins(reference)
             if isinstance(source, Node):
                 memory_of[source] = reference

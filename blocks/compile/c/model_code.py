@@ -27,7 +27,7 @@ import numpy as np
 from ...text.gc_pause import paused
 from ..jacobian import PlanJacobian
 from ..motion import looked_at
-from ..plan import Node, Plan, Program, Reference
+from ..plan import Cause, Node, Plan, Program, Reference
 from ..scheduler import schedule
 from ..tableaus import METHODS, STIFF
 from ..tick_stages import rate_sets, stages_of, tick_program
@@ -100,6 +100,7 @@ def emit(
 _SIGNATURES = {
     "prepare": "BlocksMemory *m",
     "refresh": "BlocksMemory *m",
+    "resets_given": "const BlocksMemory *m, double t, const double *x, int which, double *out",
     "resets": "const BlocksMemory *m, double t, const double *x, int which, double *out",
     "anew": "const BlocksMemory *m, double t, const double *x, int which, double *out",
     "outputs": "const BlocksMemory *m, double t, const double *x, int clique, int stage, const uint8_t *due, "
@@ -372,13 +373,14 @@ class _Emitter(PlanReader):
         self.nexts(sink)
         taken = [[r for _, references, _ in part.inputs for r in references] for part in plan.steppers]
         self.selected("stepper_inputs", [self.part("stepper_inputs", references) for references in taken])
+        corners = self.corners(sink) if plan.corners or plan.guessed else ""
         self.start()
         self.selected("anew", [self.beginning(part.resets) for part in plan.enabled])
         cliques = self.outputs(sink)
         slopes = self.slopes() if method in STIFF else ""
         self.prepare()
         self.compare_lanes()
-        return self.finished(method, cliques, moving, slopes, end, quick)
+        return self.finished(method, cliques, moving, corners + slopes, end, quick)
 
     def side_by_side(self, asked: Sequence[Node | Reference]) -> list[range | int]:
         """Places for nodes or references, those of the lanes of each side by side."""
@@ -493,11 +495,41 @@ class _Emitter(PlanReader):
         copies = self.attach(name, calls, program.results, sinks, scope)
         return self.printed(name, calls, copies)
 
+    def corners(self, sink: MakeSink) -> str:
+        """The programs of corners of loops, and their table."""
+        plan = self.plan
+        nodes = [cause.node for cause in plan.crossings]
+        sinks = [sink(k, node, "side") for k, node in enumerate(nodes)]
+        program = schedule(plan, nodes, given=True)
+        self.define("crossings_given", self.own("crossings_given", program, sinks, is_start=False))
+        scope = ProgramScope({}, {}, {}, is_rounding=True)
+        self.seen_states = {}
+        calls = self.calls_of(schedule(plan, plan.unknowns), scope)
+        nodes = [plan.outputs[reference.index] for reference in plan.unknowns]
+        copies = self.attach("rounding", calls, nodes, list(map(Sink, range(len(nodes)))), scope)
+        self.define("rounding", self.printed("rounding", calls, copies))
+        resets = [self.given(cause if j in plan.corners else None) for j, cause in enumerate(plan.crossings)]
+        self.selected("resets_given", resets)
+        numbers = ints("corner_numbers", plan.corners or (0,)) + ints("corner_guessed", plan.guessed or (0,))
+        rows = "crossings_given, rounding, start_given, start_solved, resets_given, corner_numbers, corner_guessed"
+        sizes = f"{len(plan.corners)}, {len(plan.guessed)}"
+        return f'\n#include "runtime.h"\n{numbers}static const BlocksCorners corners = {{{rows}, {sizes}}};\n'
+
+    def given(self, cause: Cause | None) -> tuple[list[Call], list[Copy]]:
+        """The resets of a crossing where the solutions of loops are those in z."""
+        if cause is None or not cause.resets:
+            return [], []
+        program = schedule(self.plan, [node for node, _ in cause.resets], given=True)
+        scope = ProgramScope({}, {}, program.moved)
+        self.seen_states = {}
+        calls, sinks = self.calls_of(program, scope), [Sink(k) for k in range(len(program.results))]
+        return calls, self.attach(("given", self.new_value()), calls, program.results, sinks, scope, is_local=True)
+
     def start(self) -> None:
         plan = self.plan
         nx, nd = len(self.whole.states), len(self.whole.discretes)
         asked: list[Node | Reference] = [Reference("x", i) for i in range(len(plan.states))]
-        asked += [Reference("d", i) for i in range(len(plan.discretes))]
+        asked += [plan.d_start[i] if i in plan.guessed else Reference("d", i) for i in range(len(plan.discretes))]
         asked += [*plan.s_start, *(reference for part in plan.foreign for reference in part.inputs)]
         program = schedule(plan, asked, start=plan.starting)
         places: list[range | int] = [self.x_range(i) for i in range(len(plan.states))]
@@ -506,6 +538,12 @@ class _Emitter(PlanReader):
         taken = len(asked) - len(places)
         places += range(nx + nd + len(self.whole.crossings), nx + nd + len(self.whole.crossings) + taken)
         self.define("start", self.own("start", program, list(map(Sink, places))))
+        if plan.corners or plan.guessed:
+            given = schedule(plan, asked, start=plan.starting, given=True)
+            self.define("start_given", self.own("start_given", given, list(map(Sink, places))))
+            solved = schedule(plan, [*asked, *plan.unknowns], start=plan.starting)
+            places += range(len(asked), len(asked) + len(plan.unknowns))
+            self.define("start_solved", self.own("start_solved", solved, list(map(Sink, places))))
 
     def outputs(self, sink: MakeSink) -> tuple[Clique, ...]:
         plan = self.plan
@@ -718,6 +756,7 @@ class _Emitter(PlanReader):
             "NLOGGED": len(self.watched["logged"]), "NMEASURED": len(self.watched["measured"]),
             "NREMEMBERED": len(plan.histories), "NPROJECTIONS": len(plan.projections), "MOVING_SIDES": int(moving),
             "BENT_SIDES": int(any(self.is_bent(cause.node) for cause in own.crossings)),
+            "HAS_CORNERS": int(bool(plan.corners or plan.guessed)),
             "TURNING_ROWS": int(bool(self.motions["logged"].phases)),
         }  # fmt: skip
         sizes |= quick

@@ -41,6 +41,7 @@ class ProgramScope:
     is_quick: bool = False  # whether what is fixed inside functions is taken from q
     is_start: bool = False
     is_hot: bool = False  # whether divisions by parameters become products
+    is_rounding: bool = False  # whether loops give how far rounding may move their unknowns, which z holds
 
 
 _GATHER = Function("gather", (), (), 1, 1, True)
@@ -460,7 +461,9 @@ class PlanReader:
                 guesses.append(reference)
             else:
                 guesses.append(("n", (("guess", reference), plan.guesses.get(reference, 0.0))))
-        solver = self.solver(len(known), n, len(solved) - n, lines, rounding, weight)
+        if scope.is_rounding:
+            rounding += [f"bounds[{n + k}] = g{row};" for k, row in enumerate(solved[n:])]
+        solver = self.solver(len(known), n, len(solved) - n, lines, rounding, weight, finds=not scope.is_rounding)
         values = [self.new_value() for _ in solved]
         scope.made.update((nodes_of[row], value) for row, value in zip(solved, values, strict=True))
         path = plan.instances[loop.parts[0].instance].path
@@ -473,9 +476,11 @@ class PlanReader:
             [[] for _ in solved],
         )
 
-    def solver(self, known: int, n: int, others: int, lines: list[str], rounding: list[str], weight: int) -> Function:
-        """The function that solves loops of one form, for n torn unknowns and the others."""
-        key = ("loop", n, others, *lines, *rounding, known)
+    def solver(
+        self, known: int, n: int, others: int, lines: list[str], rounding: list[str], weight: int, *, finds: bool
+    ) -> Function:
+        """The function that solves loops of one form, for n torn unknowns and the others, or gives their rounding."""
+        key = ("loop", n, others, *lines, *rounding, known, finds)
         if key in self.functions:
             return self.functions[key]
         name = f"f{len(self.functions)}"
@@ -495,7 +500,8 @@ class PlanReader:
             f"{system}\nstatic void {name}(const BlocksMemory *m, {', '.join(taken)})\n{{\n"
             f"    const double known[] = {{{inside}}};\n"
             f"    double unknowns[{n + others}] = {{{', '.join(f'z{k}' for k in range(n))}}};\n"
-            f"    blocks_newton({name}_system, {name}_rounding, m, known, {n}, {others}, unknowns);\n"
+            f"    blocks_{'newton' if finds else 'spread'}"
+            f"({name}_system, {name}_rounding, m, known, {n}, {others}, unknowns);\n"
             + "".join(f"    *r{k} = unknowns[{k}];\n" for k in range(n + others))
             + "}\n"
         )
@@ -578,6 +584,8 @@ class PlanReader:
                 calls.append(self.call(step.instance, step.nodes, scope))
             for node in step.nodes:
                 reference = program.made.get(node)
-                if reference is not None:
+                if reference is not None and scope.is_rounding and reference in self.plan.unknowns_at:
+                    scope.held[reference] = ("z", self.plan.unknowns_at[reference])
+                elif reference is not None:
                     scope.held[reference] = ("ge" if reference.row == "s" else "r", scope.made[node])
         return calls

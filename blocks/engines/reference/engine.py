@@ -112,6 +112,7 @@ class ReferenceEngine:
         self.has_begun = False
         self.instants.programs.clear()
         self.instants.later = 0.0
+        self.instants.slack, self.instants.looseness = (), 1.0
         self.now = Snapshot(t, settings.start, np.empty(0), (), (), (), (), (), MethodMemory())
         self.segment = self.inputs.segment(t)
         self.broken = t  # the last input breakpoint passed; it may lie some ulp after its instant
@@ -307,6 +308,9 @@ class ReferenceEngine:
         """The instant at the current time, where everything that stands within 4 ulp happens."""
         now = self.now
         events = self.due_events
+        if not self.crossing:
+            self.instants.loosen(now, self.segment.at(now.t))
+        self.instants.looseness = 1.0
         has_left = self.settings.records_jumps and not is_start and not self.is_silent
         left = self.left or self._row() if has_left else None
         past = now.past
@@ -705,6 +709,8 @@ class ReferenceEngine:
     ) -> tuple[float, Array, bool]:
         """The end of the step, or the first time in it at which a side has changed; the states; whether it has."""
         now, h = self.now, t1 - self.now.t
+        self.instants.loosen(now, self.segment.at(now.t))
+        self.instants.looseness = 2.0
 
         def evaluate(theta: float) -> Array:
             return self._crossing_values(now.t + theta * h, dense(np.array([theta * h / dense.h]))[0])

@@ -35,6 +35,7 @@ from ...text.errors import NOT_FINITE, Fault, SimulationError, UsageError
 from ..run.history import Past
 from ..run.model_exchange import Foreigns
 from ..run.snapshot import MethodMemory, Snapshot, frozen
+from .corners import MOST_CORNERS, Corners, at, first_change
 from .python_code import CompiledPrograms, Evaluator
 
 __all__ = ["MOST_PASSES", "Instants"]
@@ -71,6 +72,8 @@ class Instants:
     foreign: Foreigns = field(default_factory=Foreigns)  # FMUs, which own theirs
     later: float = 0.0  # s; by how much states and crossings stand after an instant that crossings have joined
     inputs_later: Sequence[float] = ()  # the inputs there
+    slack: tuple[float, ...] = ()  # of crossings that are corners of loops: how far they may be off by rounding
+    looseness: float = 1.0  # in steps it is 2: where a corner is located there, it is beyond its slack at the instant
 
     def __post_init__(self) -> None:
         plan, program = self.plan, self.compiled.program
@@ -88,6 +91,7 @@ class Instants:
         self.state_sides = np.array([-1 if side is None else side for side in of_states], dtype=int)
         self.projections = program("projections", [node for node, _ in plan.projections])
         self.solutions = program("solutions", plan.unknowns)
+        self.corners = Corners(plan, self.compiled) if plan.corners else None
         self.event_times = program("event_times", [cause.node for cause in plan.events])
         self.taken = [reference for part in plan.foreign for reference in part.inputs]  # by FMUs
         self.foreign_inputs = program("foreign_inputs", self.taken)
@@ -110,7 +114,7 @@ class Instants:
         """Values at the start: start values, initial equations and sides in one dependency order. Nothing fires."""
         plan = self.plan
         asked: list[Node | Reference] = [Reference("x", i) for i in range(len(plan.states))]
-        asked += [Reference("d", i) for i in range(len(plan.discretes))]
+        asked += [plan.d_start[i] if i in plan.guessed else Reference("d", i) for i in range(len(plan.discretes))]
         asked += plan.s_start  # the crossings themselves: what is asked for as ("s", i) is a side already
         asked += self.taken
         past = Past.at_start(plan, t)
@@ -120,27 +124,30 @@ class Instants:
         program = self.compiled.program("start", asked, start=plan.starting)
         # Where a side and what it is of need each other at the start, sides are guessed until they hold.
         s = tuple(0.0 if isinstance(begin, Node) else float(begin.index) for begin in plan.s_start)
-        ns = len(plan.s_start)
+        d = (0.0,) * nd if plan.guessed else ()
         self.foreign.begin(plan, t)
-        moved = False
+        moved, is_settled = False, False
         last: tuple[float, ...] | None = None
         for _ in range(MOST_PASSES):
-            values = program(t, (), (), s, plan.parameters, u, ticks, h, z, self.foreign)
-            guess = s
-            s = tuple(
-                float(v if isinstance(begin, Reference) else v >= 0)
-                for v, begin in zip(values[nx + nd : nx + nd + ns], plan.s_start, strict=True)
-            )
+            values = program(t, (), d, s, plan.parameters, u, ticks, h, z, self.foreign)
+            guess = s, d
+            s, d = self._shown(values)
             # What FMUs begin with may depend on inputs that were not known when it was read.
             if plan.foreign:
-                self.foreign.initialized(values[nx + nd + ns :])
+                self.foreign.initialized(values[nx + nd + len(s) :])
                 moved, last = last is None or not np.allclose(values, last, rtol=1e-13, atol=0.0), values
-            if not moved and (s == guess or plan.starting is True):
+            is_settled = not moved and ((s, d) == guess or plan.starting is True)
+            if is_settled:
                 break
-        else:
+        is_free = plan.starting is not True and self.corners is not None and not plan.foreign
+        if is_free and (not is_settled or any(map(math.isnan, values))):
+            begun = self._start_along(asked, t, u, ticks, h)
+            if begun is not None:
+                (values, s, z), is_settled = begun, True
+        if not is_settled:
             if moved:
                 raise self.foreign.unsettled(t)
-            j = next(j for j, (side, other) in enumerate(zip(s, guess, strict=True)) if side != other)
+            j = next((j for j, (side, other) in enumerate(zip(s, guess[0], strict=True)) if side != other), 0)
             cure = "Say from which side it starts: @crossing(start=False)."
             raise SimulationError(Fault("E305", self.name(j), "finds no side on which it could start.", cure))
         x = frozen(np.array(values[:nx], dtype=float))
@@ -160,6 +167,74 @@ class Instants:
                 latched[j] = float(sides[j] >= 0)
             snapshot = replace(snapshot, s=tuple(latched))
         return self.with_event_times(self.with_solutions(snapshot, u), u)
+
+    def _shown(self, values: Sequence[float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """The sides, and what else is guessed, that the values at the start show."""
+        plan = self.plan
+        nx, nd, ns = len(plan.states), len(plan.discretes), len(plan.s_start)
+        s = tuple(
+            float(v if isinstance(begin, Reference) else v >= 0)
+            for v, begin in zip(values[nx + nd : nx + nd + ns], plan.s_start, strict=True)
+        )
+        return s, tuple(values[nx + i] if i in plan.guessed else 0.0 for i in range(nd)) if plan.guessed else ()
+
+    def _start_along(
+        self,
+        asked: Sequence[Node | Reference],
+        t: float,
+        u: Sequence[float],
+        ticks: tuple[int, ...],
+        h: Sequence[float],
+    ) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]] | None:
+        """The values and sides at the start, found from corner to corner, and the unknowns at the last one; None where
+        there is no way to them.
+
+        It begins where searches begin, with the sides that are shown there.
+        """
+        plan, corners = self.plan, self.corners
+        assert corners is not None
+        nx, nd, nz = len(plan.states), len(plan.discretes), len(plan.unknowns)
+        solved = self.compiled.program("start_along", [*asked, *plan.unknowns], start=plan.starting)
+        given = self.compiled.program("start_given", asked, start=plan.starting, given=True)
+        guess = tuple(0.0 if isinstance(begin, Node) else float(begin.index) for begin in plan.s_start), (0.0,) * nd
+        z = tuple(plan.guesses.get(reference, 0.0) for reference in plan.unknowns)
+
+        def shown(z: Sequence[float], guess: tuple[tuple[float, ...], tuple[float, ...]]) -> Any:
+            s, d = guess
+            return self._shown(given(t, (), d, s, plan.parameters, u, ticks, h, z, self.foreign))
+
+        def solution(s: tuple[float, ...]) -> tuple[float, ...] | None:
+            values = solved(t, (), guess[1], s, plan.parameters, u, ticks, h, z, self.foreign)
+            return None if any(map(math.isnan, values)) else values
+
+        for _ in range(MOST_PASSES):
+            begin, guess = guess, shown(z, guess)
+            if guess == begin:
+                break
+        for _ in range(MOST_CORNERS):
+            values = solution(guess[0])
+            if values is None:
+                others = (self._turned(guess[0], j) for j in corners.numbers)
+                other = next((s for s in others if solution(s) is not None), None)
+                if other is None:
+                    return None
+                guess = other, guess[1]
+                continue
+            end = values[-nz:]
+            if self._shown(values) == guess:
+                return values, guess[0], z
+            d = tuple(guess[1][i] if i in plan.guessed else values[nx + i] for i in range(nd))
+            memory = (t, values[:nx], d, guess[0], plan.parameters, u, ticks, h, end, self.foreign)
+            if corners.is_near(z, end, memory):
+                return (*values[:nx], *d, *values[nx + nd :]), guess[0], z
+            z = first_change(lambda z: shown(z, guess) != guess, z, end)  # noqa: B023
+            guess = shown(z, guess)
+        return None
+
+    @staticmethod
+    def _turned(s: tuple[float, ...], j: int) -> tuple[float, ...]:
+        """The sides with that of one crossing turned."""
+        return (*s[:j], 1.0 - s[j], *s[j + 1 :])
 
     def with_event_times(self, snapshot: Snapshot, u: Sequence[float]) -> Snapshot:
         """The same with the next time of every event. Raises SimulationError (E306) where it is not in the future."""
@@ -239,13 +314,11 @@ class Instants:
         """The crossings at an instant; where the step before was taken a little further, as they are there."""
         if not self.plan.crossings:
             return ()
-        if not self.later:
-            return self.sides(*self.memory(snapshot, u))
-        return self.sides(*self.memory(snapshot, self.inputs_later, snapshot.t + self.later))
+        return self.sides(*self._memory_now(snapshot, u))
 
     def sides(self, *memory: Any) -> tuple[float, ...]:
         """The values of all crossings; of those that are off, one on the latched side."""
-        values = self._sides(*memory)
+        values = self._beyond(self._sides(*memory), memory[3])
         if not self.gated:
             return values
         s, crossings = memory[3], list(values)
@@ -253,6 +326,13 @@ class Instants:
             if not s[side]:
                 crossings[j] = 1.0 if s[j] else -1.0
         return tuple(crossings)
+
+    def _beyond(self, values: tuple[float, ...], s: Sequence[float]) -> tuple[float, ...]:
+        """Crossings, those that are corners less the slack by which they leave their side."""
+        if not any(self.slack):
+            return values
+        pairs = zip(values, s, self.slack, strict=True)
+        return tuple(value + self.looseness * (slack if side else -slack) for value, side, slack in pairs)
 
     def _told(self, t: float, index: int) -> Iterable[Event]:
         """The event of a cause that fired. Hidden causes are no events, but turning a subdiagram on or off is one."""
@@ -302,25 +382,39 @@ class Instants:
         seen: Snapshot | None = None,
     ) -> Snapshot:
         """Fire events and crossings until no side changes any more. seen: what crossings fire by at first."""
+        if self.corners is None or self.plan.foreign:
+            return self._quiet(snapshot, u, due, fired, seen)
+        told, slack = len(fired), self.slack
+        try:
+            return self._quiet(snapshot, u, due, fired, seen)
+        except SimulationError as error:
+            # The sides that are shown are those of no solution: the way to it goes from corner to corner.
+            del fired[told:]
+            self.slack = slack
+            try:
+                after = self._quiet_along(snapshot, u, due, fired)
+            except SimulationError:
+                after = None
+            if after is None:
+                raise error
+            return after
+
+    def _quiet(
+        self,
+        snapshot: Snapshot,
+        u: Sequence[float],
+        due: dict[int, float],
+        fired: list[Event],
+        seen: Snapshot | None,
+    ) -> Snapshot:
+        """The same, where all that changes fires at once."""
         plan = self.plan
-        own = list(snapshot.own)
-        for index, time in due.items():
-            own[index - len(plan.crossings)] = time
-        if due:
-            snapshot = replace(snapshot, own=tuple(own))
+        snapshot = self._with_own(snapshot, due)
         history: list[str] = []  # what changed, pass by pass
+        known = set()
         for _ in range(MOST_PASSES):
             values = self._sides_now(snapshot if seen is None else seen, u)
-            sides = tuple(float(value >= 0) for value in values)
-            firing = dict(due)
-            changed = []
-            for j, value in enumerate(values):
-                if math.isnan(value):
-                    raise self.not_a_number(j, snapshot.t)
-                if sides[j] != snapshot.s[j]:
-                    changed.append(j)
-                    if plan.crossings[j].direction in ("both", "up" if sides[j] else "down"):
-                        firing[j] = snapshot.t + self.later
+            sides, firing, changed = self._changes(values, snapshot, due)
             asked = self.asked(snapshot, u, firing, changed) if plan.foreign else {}
             if not firing and not changed and not asked and seen is None:
                 return snapshot
@@ -328,13 +422,16 @@ class Instants:
             history += [self.name(index) for index in self.order if index in firing or index in changed]
             history += [plan.foreign[k].path for k in asked] if not firing and not changed else []
             due = {}
-            turned_on = [part for part in plan.enabled if sides[part.side] > snapshot.s[part.side]]
-            since = [snapshot.d[part.time] for part in turned_on]
-            snapshot = self.reset(snapshot, u, sides, firing, asked)
-            for part, begin in zip(turned_on, since, strict=True):
-                snapshot = self.turned_on(part, snapshot, u, begin, fired)
-            for index in self.order:
-                fired += self._told(snapshot.t, index) if index in firing else ()
+            before, snapshot = snapshot, self._fire(snapshot, u, sides, firing, asked, fired)
+            if self.corners is not None:
+                if any(j in firing for j in self.corners.resets):
+                    z = self.solutions(*self._memory_now(before, u))
+                    snapshot = self._latched_at(z, snapshot, u, firing)
+                self._widen(self.with_solutions(snapshot, u), u)
+                now = snapshot.x.tobytes(), snapshot.d, snapshot.s, self.slack
+                if now in known:
+                    break
+                known.add(now)
         raise SimulationError(
             Fault(
                 "E305",
@@ -343,6 +440,155 @@ class Instants:
                 "Give the crossing a hysteresis, or let the reset leave its other side.",
             )
         )
+
+    def _with_own(self, snapshot: Snapshot, due: dict[int, float]) -> Snapshot:
+        """The same with the times of the events that are due."""
+        if not due:
+            return snapshot
+        own = list(snapshot.own)
+        for index, time in due.items():
+            own[index - len(self.plan.crossings)] = time
+        return replace(snapshot, own=tuple(own))
+
+    def _changes(
+        self, values: Sequence[float], snapshot: Snapshot, due: dict[int, float]
+    ) -> tuple[tuple[float, ...], dict[int, float], list[int]]:
+        """The sides that crossings show, what fires with what is due, and which sides have changed."""
+        sides = tuple(float(value >= 0) for value in values)
+        firing = dict(due)
+        changed = []
+        for j, value in enumerate(values):
+            if math.isnan(value):
+                raise self.not_a_number(j, snapshot.t)
+            if sides[j] != snapshot.s[j]:
+                changed.append(j)
+                if self.plan.crossings[j].direction in ("both", "up" if sides[j] else "down"):
+                    firing[j] = snapshot.t + self.later
+        return sides, firing, changed
+
+    def _fire(
+        self,
+        snapshot: Snapshot,
+        u: Sequence[float],
+        sides: tuple[float, ...],
+        firing: dict[int, float],
+        asked: Mapping[int, tuple[float, tuple[float, ...]]],
+        fired: list[Event],
+        *,
+        given: bool = False,
+    ) -> Snapshot:
+        """The same after what fires. given: resets read the solutions of loops that the snapshot has."""
+        turned_on = [part for part in self.plan.enabled if sides[part.side] > snapshot.s[part.side]]
+        since = [snapshot.d[part.time] for part in turned_on]
+        snapshot = self.reset(snapshot, u, sides, firing, asked, given=given)
+        for part, begin in zip(turned_on, since, strict=True):
+            snapshot = self.turned_on(part, snapshot, u, begin, fired)
+        for index in self.order:
+            fired += self._told(snapshot.t, index) if index in firing else ()
+        return snapshot
+
+    def _latched_at(self, z: Sequence[float], after: Snapshot, u: Sequence[float], fired: Iterable[int]) -> Snapshot:
+        """The same with the sides of corners that fired as they are after their resets, before loops are solved again.
+
+        A table that has passed a point looks at the next one from before it, also where the solution moves beyond it.
+        """
+        assert self.corners is not None
+        values = self.corners.crossings(*at(self._memory_now(after, u), z))
+        sides = list(after.s)
+        for j in fired:
+            other = "down" if values[j] >= 0 else "up"  # the direction that does not fire again
+            is_other = j in self.corners.resets and (values[j] >= 0) != (sides[j] > 0)
+            if is_other and self.plan.crossings[j].direction == other:
+                sides[j] = 1.0 - sides[j]
+        return after if tuple(sides) == after.s else replace(after, s=tuple(sides))
+
+    def _widen(self, solved: Snapshot, u: Sequence[float]) -> None:
+        """The slack within an instant grows with the solutions that are tried."""
+        assert self.corners is not None
+        self.slack = tuple(map(max, self.slack, self.corners.slack(self.memory(solved, u))))
+
+    def loosen(self, snapshot: Snapshot, u: Sequence[float]) -> None:
+        """The slack of corners from here on, in a step."""
+        if self.corners is not None:
+            self.slack = self.corners.slack(self.memory(snapshot, u))
+
+    def _quiet_along(
+        self, snapshot: Snapshot, u: Sequence[float], due: dict[int, float], fired: list[Event]
+    ) -> Snapshot | None:
+        """The same, where corners fire one after the other, on the way from the last solution of the loops to the next.
+
+        None where there is no way.
+        """
+        corners = self.corners
+        assert corners is not None
+        snapshot = self._with_own(snapshot, due)
+        for _ in range(MOST_CORNERS):
+            memory = self._memory_now(snapshot, u)
+            end = self.solutions(*memory)
+            if not all(map(math.isfinite, end)):
+                other = self._other_side(snapshot, memory)
+                if other is None:
+                    return None
+                j, sides = other
+                snapshot = self._fire(snapshot, u, sides, self._firing(snapshot, sides, [j]), {}, fired, given=True)
+                continue
+            self.slack = tuple(map(max, self.slack, corners.slack(at(memory, end))))
+            sides, firing, changed = self._changes(self.sides(*at(memory, end)), snapshot, due)
+            own = [j for j in changed if j in corners.numbers]
+            if due or not own:
+                if not firing and not changed:
+                    return snapshot
+                # Corners wait until the loop is solved with what else has changed.
+                sides = tuple(
+                    old if j in own else new for j, (old, new) in enumerate(zip(snapshot.s, sides, strict=True))
+                )
+                firing = {index: time for index, time in firing.items() if index not in own}
+                snapshot = self._fire(snapshot, u, sides, firing, {}, fired)
+                due = {}
+                continue
+
+            def turned_at(z: Sequence[float], memory: Any = memory) -> list[int]:
+                values = self._beyond(corners.crossings(*at(memory, z)), memory[3])
+                return [
+                    j
+                    for j in corners.numbers
+                    if not self._is_gated(j, memory[3]) and (values[j] >= 0) != (memory[3][j] > 0)
+                ]
+
+            z = first_change(lambda z: bool(turned_at(z)), snapshot.z, end)
+            turned = turned_at(z) or own
+            sides = snapshot.s
+            for j in turned:
+                sides = self._turned(sides, j)
+            firing = self._firing(snapshot, sides, turned)
+            snapshot = self._fire(replace(snapshot, z=z), u, sides, firing, {}, fired, given=True)
+            snapshot = self._latched_at(z, snapshot, u, firing)
+        return None
+
+    def _is_gated(self, j: int, s: Sequence[float]) -> bool:
+        return any(j == other and not s[side] for other, side in self.gated)
+
+    def _firing(self, snapshot: Snapshot, sides: Sequence[float], changed: Sequence[int]) -> dict[int, float]:
+        """Those of changed crossings that fire in this direction, with their time."""
+        directions = {j: ("both", "up" if sides[j] else "down") for j in changed}
+        return {j: snapshot.t + self.later for j in changed if self.plan.crossings[j].direction in directions[j]}
+
+    def _other_side(self, snapshot: Snapshot, memory: Any) -> tuple[int, tuple[float, ...]] | None:
+        """The first corner with whose other side the loops have a solution, and the sides then."""
+        assert self.corners is not None
+        for j in self.corners.numbers:
+            sides = self._turned(snapshot.s, j)
+            if not self._is_gated(j, snapshot.s) and all(
+                map(math.isfinite, self.solutions(*memory[:3], sides, *memory[4:]))
+            ):
+                return j, sides
+        return None
+
+    def _memory_now(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[Any, ...]:
+        """The arguments of a program that looks at crossings at an instant."""
+        if not self.later:
+            return self.memory(snapshot, u)
+        return self.memory(snapshot, self.inputs_later, snapshot.t + self.later)
 
     def asked(
         self, snapshot: Snapshot, u: Sequence[float], firing: Mapping[int, float], changed: Sequence[int]
@@ -417,14 +663,19 @@ class Instants:
         sides: tuple[float, ...],
         firing: dict[int, float],
         asked: Mapping[int, tuple[float, tuple[float, ...]]] = MappingProxyType({}),
+        *,
+        given: bool = False,
     ) -> Snapshot:
         """All resets at once from the values before; then the sides are latched.
 
-        asked: the FMUs that have an event, with its time and their inputs.
+        asked: the FMUs that have an event, with its time and their inputs. given: the solutions of loops are those that
+        the snapshot has.
         """
         resets: list[tuple[tuple[int, int], Reference, float]] = []
         for index in firing:
             evaluate = self.resets[index]
+            if given and self.corners is not None:
+                evaluate = self.corners.resets.get(index)
             if evaluate is None:
                 continue
             # What joined an instant some ulp away sees its own time: an event, and a crossing where it was seen.

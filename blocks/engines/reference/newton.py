@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["Nearest", "newton"]
+__all__ = ["Nearest", "newton", "spread"]
 
 MOST_STEPS, MOST_HALVINGS = 60, 30
 FEW_STEPS, FEW_HALVINGS = 10, 4
@@ -27,6 +27,7 @@ _CLOSE = 1e-13  # relative size of a last step: the next one would be rounding
 _NEAR = 1e-9  # the same where no part of a step lowers the residual, in spite of exact slopes
 _SINGULAR = 1e13  # condition beyond which a matrix says nothing
 _ROUNDING = 4 * 2.0**-52
+_WIDE = 2.0**20  # how many times their rounding torn unknowns are moved, so that the others do not round much
 _FIRST_PART, _LEAST_PART = 0.125, 1e-6  # of the way from the guess
 _FIRST_DISTANCE, _LAST_DISTANCE = 1e-6, 1e20  # between which a change of sign is searched for
 
@@ -101,6 +102,29 @@ class Nearest:
         return parts
 
 
+def spread(
+    system: System, solution: tuple[float, ...], bounds: Callable[..., tuple[tuple[float, ...], ...]]
+) -> tuple[float, ...]:
+    """Return how far rounding may move all unknowns, the torn ones first, from a solution of these; 0 if it is unknown.
+
+    bounds: those on the rounding of the residuals, and of the other unknowns where the torn ones are exact.
+    """
+    point = Loop(system, lambda: ()).at(np.array(solution, dtype=float))
+    of_residuals, of_others = (2.0**-52 * np.array(part) for part in bounds(*solution))
+    try:
+        torn = np.abs(np.linalg.inv(point.matrix)) @ of_residuals
+    except np.linalg.LinAlgError:
+        torn = np.zeros(len(solution))
+    others = of_others
+    for k, off in enumerate(torn):
+        x = point.x.copy()
+        x[k] += _WIDE * off
+        moved = np.array(system(*x.tolist())[2], dtype=float)
+        others = others + np.abs(moved - point.others) / _WIDE
+    unknowns = np.concatenate([torn, others])
+    return tuple(np.where(np.isfinite(unknowns), unknowns, 0.0).tolist())
+
+
 def _descended(loop: Loop, point: Point) -> Point | None:
     """The solution from a point, by steps that lower the largest residual."""
     size = _size(point.residuals)
@@ -131,7 +155,7 @@ def _descended(loop: Loop, point: Point) -> Point | None:
         point, size = tried, size_tried
         if size == 0.0 or is_last:
             return point
-    return None
+    return point if loop.is_rounding(point) else None
 
 
 def _others(loop: Loop, first: Point) -> Iterator[Point | None]:

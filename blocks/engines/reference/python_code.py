@@ -21,7 +21,7 @@ from ...compile.tearing import bounds, sensitivities, slopes
 from ...contract.scalars import COSTLY, LOGICAL, OPERATIONS
 from ...contract.tape import Tape
 from ...text.errors import NOT_FINITE, OVERFLOW
-from .newton import Nearest, newton
+from .newton import Nearest, newton, spread
 
 __all__ = ["CompiledPrograms", "Evaluator"]
 
@@ -52,7 +52,10 @@ class CompiledPrograms:
         self.made: dict[Any, Evaluator] = {}
 
     def program(self, name: str, results: Sequence[Node | Reference], **how: Any) -> Evaluator:
-        """A function that computes `results`, printed when it is first called; `how` is passed to `schedule`."""
+        """A function that computes `results`, printed when it is first called; `how` is passed to `schedule`.
+
+        Named "rounding", it gives how far rounding may move each unknown, at the solutions in z.
+        """
         key = (name, tuple(results), *sorted(how.items()))
         if key not in self.made:
             self.made[key] = self._later(name, results, how)
@@ -141,7 +144,7 @@ class CompiledPrograms:
             known.setdefault(node, f"r{len(known)}")
         for step in program.steps:
             if isinstance(step, AlgebraicLoop):
-                lines += self._loop(step, held, known, is_start=is_start)
+                lines += self._loop(step, held, known, is_start=is_start, is_rounding=name == "rounding")
                 continue
             instance = plan.instances[step.instance]
             if isinstance(instance.tape, FmuTape):
@@ -161,11 +164,19 @@ class CompiledPrograms:
             call = f"{begin}{', '.join(values)})"
             lines.append(f"    {targets}{comma} = {call}  # {instance.path}")
         values = [known[item] if isinstance(item, Node) else _read(held, item) for item in program.results]
+        if name == "rounding":
+            values = [f"e{value}" for value in values]
         lines.append(f"    return ({', '.join(values)}{',' if len(values) == 1 else ''})")
         return "\n".join(lines)
 
     def _loop(
-        self, loop: AlgebraicLoop, held: dict[Reference, str], known: dict[Node, str], *, is_start: bool
+        self,
+        loop: AlgebraicLoop,
+        held: dict[Reference, str],
+        known: dict[Node, str],
+        *,
+        is_start: bool,
+        is_rounding: bool,
     ) -> list[str]:
         """A loop as a system of equations for Newton's method: residuals, matrix, other unknowns; and rounding."""
         plan = self.plan
@@ -199,7 +210,10 @@ class CompiledPrograms:
                 f"        {names[row]} = a{number}_{k}" for k, row in enumerate(part.rows) if row not in residuals
             ]
             lines += [f"        {name} = {text}" for name, text in bounded.made[number]]
-        lines.append(f"        return ({', '.join(bounded.matrix[0])},)")
+        made = f"({', '.join(bounded.matrix[0])},)"
+        if is_rounding:
+            made += f", ({''.join(f'g{row}, ' for row in loop.solved[len(loop.torn) :])})"
+        lines.append(f"        return {made}")
         guesses = []
         for row in loop.torn:
             reference = loop.unknowns[row]
@@ -208,7 +222,13 @@ class CompiledPrograms:
             else:
                 is_held = reference.row == "d" and not is_start  # at the start nothing is held yet
                 guesses.append(f"d[{reference.index}]" if is_held else repr(plan.guesses.get(reference, 0.0)))
-        lines.append(f"    {', '.join(solved)}, = _newton(_loop, ({', '.join(guesses)},), _rounding)")
+        if is_rounding:
+            places = (f"z[{plan.unknowns_at[reference]}]" for reference in loop.unknowns)
+            lines.append(f"    {', '.join(names)}, = {', '.join(places)},")
+            targets = ", ".join(f"e{name}" for name in solved)
+            lines.append(f"    {targets}, = _spread(_loop, ({', '.join(guesses)},), _rounding)")
+        else:
+            lines.append(f"    {', '.join(solved)}, = _newton(_loop, ({', '.join(guesses)},), _rounding)")
         return lines
 
     def _part(
@@ -352,6 +372,7 @@ _FAST: dict[str, Any] = {
     **{f"_{op}": operation.value for op, operation in OPERATIONS.items()},
     "_hypot": math.hypot,  # which rounds better than that of C
     "_newton": newton,
+    "_spread": spread,
     "_inf": math.inf,
     "_nan": math.nan,
 }

@@ -553,7 +553,11 @@ static int rates(Fmu *f)
 
 static int indicators(Fmu *f)
 {
-    return evaluated(f, INDICATORS_KNOWN, f->setup.model->crossings, f->indicators, f->setup.model->ns, FMU_ROW_INDICATOR);
+    if (f->live.known & INDICATORS_KNOWN) return FMU_OK;
+    blocks_loosen(f->sim);
+    int status = evaluated(f, INDICATORS_KNOWN, f->setup.model->crossings, f->indicators, f->setup.model->ns, FMU_ROW_INDICATOR);
+    if (status == FMU_OK) blocks_beyond(f->sim, f->indicators);
+    return status;
 }
 
 /* --- variables ---------------------------------------------------------------------------------------------------- */
@@ -804,6 +808,7 @@ int fmu_enter_event_mode(Fmu *f)
     f->live.mode = FMU_EVENT;
     if (f->live.kind == FMU_ME) {
         stand_at(f, f->sim->t);
+        blocks_loosen(f->sim);
         if (blocks_end_step(f->sim)) return failed(f); /* now, by the inputs from before the event */
         overdue(f);
     }

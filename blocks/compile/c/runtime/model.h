@@ -63,6 +63,11 @@ typedef void (*BlocksRounding)(const BlocksMemory *m, const double *known, const
 void blocks_newton(BlocksSystem system, BlocksRounding rounding, const BlocksMemory *m, const double *known, int n,
                    int others, double *unknowns);
 
+/* How far rounding may move all unknowns from a solution, whose torn ones stand in `unknowns`; 0 where that is not known. bounds:
+   those of the residuals, and behind them of the other unknowns where the torn ones are exact. */
+void blocks_spread(BlocksSystem system, BlocksRounding bounds, const BlocksMemory *m, const double *known, int n, int others,
+                   double *unknowns);
+
 /* How many of the n increasing points are at most x; NaN counts as above all. */
 static inline double blocks_search(double x, const double *points, int n)
 {

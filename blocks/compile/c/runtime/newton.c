@@ -168,7 +168,7 @@ static int descended(const Loop *l, Point *p, Point *tried)
         size = then;
         if (size == 0.0 || is_last) return 1;
     }
-    return 0;
+    return is_rounding(l, p);
 }
 
 static double scaled(const Loop *l, const Point *p, const double *step)
@@ -324,4 +324,58 @@ void blocks_newton(BlocksSystem system, BlocksRounding rounding, const BlocksMem
     }
     if (!found && !searched(l, unknowns, unknowns))
         for (int i = 0; i < n + others; i++) unknowns[i] = NAN;
+}
+
+void blocks_spread(BlocksSystem system, BlocksRounding bounds, const BlocksMemory *m, const double *known, int n, int others,
+                   double *unknowns)
+{
+    const double wide = 1048576.0, ulp = 2.220446049250313e-16;
+    size_t size = (size_t)n, all = size + (size_t)others;
+    double *work = malloc((2 * size * size + 4 * all + size) * sizeof(double));
+    for (size_t i = 0; !work && i < all; i++) unknowns[i] = 0.0;
+    if (work) {
+        double *matrix = work, *inverse = matrix + n * n, *base = inverse + n * n, *moved = base + all, *sizes = moved + all,
+               *made = sizes + all, *x = made + all;
+        memcpy(x, unknowns, size * sizeof(double));
+        system(m, known, x, base, matrix);
+        bounds(m, known, x, sizes);
+        int found = 1;
+        for (int i = 0; i < n * n; i++) {
+            inverse[i] = i % (n + 1) == 0;
+            found = found && isfinite(matrix[i]);
+        }
+        for (int k = 0; k < n && found; k++) { /* Gauss and Jordan */
+            int pivot = k;
+            for (int i = k + 1; i < n; i++)
+                if (fabs(matrix[i * n + k]) > fabs(matrix[pivot * n + k])) pivot = i;
+            double by = matrix[pivot * n + k];
+            found = by != 0.0;
+            for (int j = 0; j < n && found; j++) {
+                double a = matrix[k * n + j], b = inverse[k * n + j];
+                matrix[k * n + j] = matrix[pivot * n + j] / by, inverse[k * n + j] = inverse[pivot * n + j] / by;
+                if (pivot != k) matrix[pivot * n + j] = a, inverse[pivot * n + j] = b;
+            }
+            for (int i = 0; i < n && found; i++) {
+                double share = matrix[i * n + k];
+                if (i == k || share == 0.0) continue;
+                for (int j = 0; j < n; j++) {
+                    matrix[i * n + j] -= share * matrix[k * n + j];
+                    inverse[i * n + j] -= share * inverse[k * n + j];
+                }
+            }
+        }
+        for (int i = 0; i < n; i++) {
+            made[i] = 0.0;
+            for (int j = 0; j < n && found; j++) made[i] += fabs(inverse[i * n + j]) * (ulp * sizes[j]);
+        }
+        for (int i = n; i < n + others; i++) made[i] = ulp * sizes[i];
+        for (int k = 0; k < n; k++) {
+            x[k] = unknowns[k] + wide * made[k];
+            system(m, known, x, moved, matrix);
+            x[k] = unknowns[k];
+            for (int i = n; i < n + others; i++) made[i] += fabs(moved[i] - base[i]) / wide;
+        }
+        for (size_t i = 0; i < all; i++) unknowns[i] = isfinite(made[i]) ? made[i] : 0.0;
+    }
+    free(work);
 }

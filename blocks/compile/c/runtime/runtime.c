@@ -460,6 +460,8 @@ static double part_time(const Parts *p, double theta)
     return theta == 0.0 ? p->t0 : theta == 1.0 ? p->t1 : p->t0 + theta * p->h;
 }
 
+static void take_slack(const BlocksSim *s, double *crossings);
+
 static double part_at(Parts *p, double theta, BlocksProgram program, double *out)
 {
     BlocksSim *s = p->s;
@@ -479,6 +481,7 @@ static int values_at(Parts *p, double theta, double *out)
         return all_finite(out, p->look->n) ? 0 : blocks_fail(p->s, BLOCKS_NOT_FINITE, 0, NAN);
     for (int j = 0; j < p->look->n; j++)
         if (isnan(out[j])) return blocks_fail(p->s, BLOCKS_NOT_A_NUMBER, j, t);
+    take_slack(p->s, out);
     return 0;
 }
 
@@ -1165,7 +1168,84 @@ HOT static int crossing_values(BlocksSim *s, double t, const double *x, double *
     evaluate(s, s->model->crossings, t, x, out);
     for (int j = 0; j < s->model->ns; j++)
         if (isnan(out[j])) return blocks_fail(s, BLOCKS_NOT_A_NUMBER, j, NAN);
+    take_slack(s, out);
     return 0;
+}
+
+/* --- corners of loops; corners.py of the reference engine says what they are ------------------------------------- */
+
+enum { MOST_CORNERS = 1000 };
+static const double SLACK = 8.0, WIDE = 1048576.0;
+
+/* Crossings less the slack by which they leave their side. */
+HOT static void take_slack(const BlocksSim *s, double *crossings)
+{
+    if (!s->is_loose) return;
+    for (int j = 0; j < s->model->ns; j++) crossings[j] += s->looseness * (s->memory.s[j] > 0.0 ? s->slack[j] : -s->slack[j]);
+}
+
+void blocks_beyond(const BlocksSim *s, double *crossings) { take_slack(s, crossings); }
+
+static int has_corners(const BlocksSim *s) { return s->model->corners && s->model->corners->n; }
+
+/* The slack of corners where z holds the solutions at (t, x), and what the slack was at least if it only grows. */
+static void loosen(BlocksSim *s, double t, const double *x, const double *z, int only_grows)
+{
+    const BlocksCorners *c = s->model->corners;
+    int ns = s->model->ns, nz = s->model->nz;
+    double *values = s->corner, *others = values + ns, *sums = others + ns, *moved = sums + ns, *kept = moved + nz,
+           *base = kept + nz, *at = s->memory.z;
+    for (int j = 0; j < ns; j++) sums[j] = 0.0;
+    if (all_finite(z, nz)) {
+        memcpy(base, z, (size_t)nz * sizeof(double)); /* z may be memory's own */
+        memcpy(kept, at, (size_t)nz * sizeof(double));
+        memcpy(at, base, (size_t)nz * sizeof(double));
+        evaluate(s, c->crossings, t, x, values);
+        evaluate(s, c->rounding, t, x, moved);
+        for (int k = 0; k < nz; k++) {
+            if (moved[k] == 0.0) continue;
+            at[k] = base[k] + WIDE * moved[k];
+            evaluate(s, c->crossings, t, x, others);
+            at[k] = base[k];
+            for (int i = 0; i < c->n; i++) {
+                int j = c->numbers[i];
+                double off = fabs(others[j] - values[j]);
+                if (isfinite(off)) sums[j] += SLACK * off / WIDE;
+            }
+        }
+        memcpy(at, kept, (size_t)nz * sizeof(double));
+    }
+    s->is_loose = 0;
+    for (int j = 0; j < ns; j++) {
+        if (!only_grows || sums[j] > s->slack[j]) s->slack[j] = sums[j];
+        if (s->slack[j] != 0.0) s->is_loose = 1;
+    }
+}
+
+void blocks_loosen(BlocksSim *s)
+{
+    if (!has_corners(s)) return;
+    evaluate(s, s->model->solutions, s->t, s->memory.x, s->stage_values);
+    loosen(s, s->t, s->memory.x, s->stage_values, 0);
+    s->looseness = 2.0;
+}
+
+/* The first point on the line from z0, which memory's z becomes, to z1 that has changed, to the last bit; z1 has.
+   `changed` looks at memory's z. */
+static void first_corner(BlocksSim *s, int (*changed)(BlocksSim *s), const double *z0, const double *z1)
+{
+    int nz = s->model->nz;
+    double low = 0.0, high = 1.0, *z = s->memory.z;
+    for (int k = 0; k < nz; k++) z[k] = 1.0 * z0[k] + 0.0 * z1[k];
+    if (changed(s)) return;
+    for (;;) {
+        double middle = (low + high) / 2;
+        if (!(low < middle && middle < high) || high - low < ldexp(1.0, -60)) break;
+        for (int k = 0; k < nz; k++) z[k] = (1.0 - middle) * z0[k] + middle * z1[k];
+        if (changed(s)) high = middle;
+        else low = middle;
+    }
+    for (int k = 0; k < nz; k++) z[k] = high == 1.0 ? z1[k] : (1.0 - high) * z0[k] + high * z1[k];
 }
 
 /* The states after a step of any size from here. The stages of the step before are lost: weigh first. */
@@ -1470,6 +1550,7 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
 {
     int n = s->model->ns, found = 0, is_first = 1, was_first = 0, got;
     double h = *t1 - s->t, low = 0.0, high = 0.0, was = s->located_t;
+    if (has_corners(s)) loosen(s, s->t, s->memory.x, s->memory.z, 0), s->looseness = 2.0;
     Parts p = parts_of(s, BLOCKS_CROSSINGS, s->t, *t1, h_dense);
     p.x1 = s->x1, p.nodes = QUARTERS, p.spans = 1e-3, p.sizes = 1.0, p.ignores_far = 1;
     p.checks = CHECKS, p.count = p.look->bent ? p.look->checks : 0;
@@ -1815,8 +1896,9 @@ static int tell(BlocksSim *s, int cause)
     return 0;
 }
 
-/* All resets of what fires at once, from the values before; `sides` are latched then. */
-HOT static int reset(BlocksSim *s, const double *sides, int asked)
+/* All resets of what fires at once, from the values before; `sides` are latched then. is_given: the solutions of loops are
+   those in memory. */
+HOT static int reset(BlocksSim *s, const double *sides, int asked, int is_given)
 {
     const BlocksSetup *setup = s->setup;
     BlocksMemory *m = &s->memory;
@@ -1830,7 +1912,7 @@ HOT static int reset(BlocksSim *s, const double *sides, int asked)
         /* What joined an instant some ulp away sees its own time: an event, and a crossing where it was seen. */
         for (int i = 0; i < s->model->nh; i++) m->h[i] = delayed(s, i, then);
         if (is_outside) blocks_outside(s, then);
-        s->model->resets(m, then, m->x, a, values);
+        (is_given ? s->model->corners->resets : s->model->resets)(m, then, m->x, a, values);
         if (is_outside) blocks_outside(s, s->t);
         for (int i = 0; i < setup->causes[a].nresets; i++)
             if (!isfinite(values[i])) return blocks_fail(s, BLOCKS_NOT_FINITE, a, values[i]);
@@ -1895,7 +1977,7 @@ static int turn_on(BlocksSim *s, const BlocksEnabled *part, double since)
                 s->firing_time[first + e] = since;
             }
         }
-        if (reset(s, NULL, 0)) return BLOCKS_FAILED;
+        if (reset(s, NULL, 0, 0)) return BLOCKS_FAILED;
         for (int i = 0; i < part->nevents; i++) {
             int e = first + setup->inside_events[part->first_event + i];
             if (!s->firing[e]) continue;
@@ -1914,6 +1996,7 @@ HOT static int sides_now(BlocksSim *s, double *out)
     if (s->moving && s->later != 0.0) blocks_outside(s, s->t);
     for (int j = 0; j < s->model->ns; j++)
         if (isnan(out[j])) return blocks_fail(s, BLOCKS_NOT_A_NUMBER, j, NAN);
+    take_slack(s, out);
     return 0;
 }
 
@@ -1930,13 +2013,91 @@ static int sides_seen(BlocksSim *s, double *out)
     return failed;
 }
 
-/* Fire events and crossings until no side changes any more. seen: whether crossings fire by what the step has seen at first;
-   touched: whether anything was. */
-HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int seen, int *touched)
+/* All that fires, in s->firing, at once; then `sides` are latched. */
+HOT static int fire(BlocksSim *s, const double *sides, int asked, int is_given)
+{
+    const BlocksSetup *setup = s->setup;
+    /* Of what fires the order is told; what turns on comes before. */
+    uint8_t *told = s->firing + setup->ncauses;
+    memcpy(told, s->firing, (size_t)setup->ncauses);
+    double *since = s->reset_values + setup->nresets;
+    for (int i = 0; i < setup->nenabled; i++) {
+        const BlocksEnabled *part = &setup->enabled[i];
+        since[i] = sides[part->side] > s->memory.s[part->side] ? s->memory.d[part->time] : NAN;
+    }
+    double *latched = s->backup + s->model->nx + s->model->nd;
+    memcpy(latched, sides, (size_t)s->model->ns * sizeof(double));
+    if (reset(s, latched, asked, is_given)) return BLOCKS_FAILED;
+    for (int i = 0; i < setup->nenabled; i++)
+        if (!isnan(since[i]) && turn_on(s, &setup->enabled[i], since[i])) return BLOCKS_FAILED;
+    for (int i = 0; i < setup->ncauses; i++)
+        if (told[setup->order[i]] && tell(s, setup->order[i])) return BLOCKS_FAILED;
+    return 0;
+}
+
+/* A program at an instant, where crossings are looked at. */
+static void evaluate_now(BlocksSim *s, BlocksProgram program, double *out)
+{
+    evaluate(s, program, s->t + s->later, s->memory.x, out);
+    if (s->moving && s->later != 0.0) blocks_outside(s, s->t);
+}
+
+/* The sides of corners that fired, as they are after their resets, before loops are solved again: with the solutions z. A
+   table that has passed a point looks at the next one from before it, also where the solution moves beyond it. */
+static void latch_at(BlocksSim *s, const double *z, const uint8_t *fired)
+{
+    const BlocksCorners *c = s->model->corners;
+    const BlocksSetup *setup = s->setup;
+    int nz = s->model->nz;
+    double *values = s->corner, *kept = values + 3 * s->model->ns, *at = s->memory.z;
+    memcpy(kept, at, (size_t)nz * sizeof(double));
+    memmove(at, z, (size_t)nz * sizeof(double));
+    evaluate_now(s, c->crossings, values);
+    memcpy(at, kept, (size_t)nz * sizeof(double));
+    for (int i = 0; i < c->n; i++) {
+        int j = c->numbers[i], up = values[j] >= 0;
+        if (!fired[j] || !setup->causes[j].nresets || up == (s->memory.s[j] > 0.0)) continue;
+        if (setup->causes[j].direction == (up ? 2 : 1)) s->memory.s[j] = up;
+    }
+    s->model->refresh(&s->memory);
+}
+
+/* Behind the scratch of corners: what an instant may go back to, and what it was some passes ago. */
+static double *corner_backup(const BlocksSim *s) { return s->corner + 3 * s->model->ns + 7 * s->model->nz; }
+
+static double *some_passes_ago(const BlocksSim *s)
+{
+    return corner_backup(s) + s->model->nx + s->model->nd + 2 * s->model->ns + s->model->nevents;
+}
+
+static int is_as_before(const BlocksSim *s)
+{
+    const BlocksMemory *m = &s->memory;
+    size_t nx = (size_t)s->model->nx, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns;
+    const double *x = some_passes_ago(s), *d = x + nx, *sides = d + nd, *slack = sides + ns;
+    return !memcmp(x, m->x, nx * sizeof(double)) && !memcmp(d, m->d, nd * sizeof(double)) &&
+           !memcmp(sides, m->s, ns * sizeof(double)) && !memcmp(slack, s->slack, ns * sizeof(double));
+}
+
+static void keep_before(const BlocksSim *s)
+{
+    const BlocksMemory *m = &s->memory;
+    size_t nx = (size_t)s->model->nx, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns;
+    double *x = some_passes_ago(s), *d = x + nx, *sides = d + nd, *slack = sides + ns;
+    memcpy(x, m->x, nx * sizeof(double));
+    memcpy(d, m->d, nd * sizeof(double));
+    memcpy(sides, m->s, ns * sizeof(double));
+    memcpy(slack, s->slack, ns * sizeof(double));
+}
+
+/* Fire events and crossings until no side changes any more, all that changes at once. seen: whether crossings fire by what the
+   step has seen at first. */
+HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int seen, int *touched)
 {
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
     int ns = model->ns, first = setup->ncauses - model->nevents;
+    const BlocksCorners *corners = has_corners(s) ? model->corners : NULL;
     double *values = s->crossing_values, *sides = s->distances;
     memset(s->firing, 0, (size_t)setup->ncauses);
     for (int i = 0; i < ndue; i++) {
@@ -1968,23 +2129,168 @@ HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int seen, int *
             return 0;
         }
         *touched = 1;
-        /* Of what fires the order is told; what turns on comes before. */
-        uint8_t *told = s->firing + setup->ncauses;
-        memcpy(told, s->firing, (size_t)setup->ncauses);
-        double *since = s->reset_values + setup->nresets;
-        for (int i = 0; i < setup->nenabled; i++) {
-            const BlocksEnabled *part = &setup->enabled[i];
-            since[i] = sides[part->side] > s->memory.s[part->side] ? s->memory.d[part->time] : NAN;
+        if (!corners) {
+            if (fire(s, sides, asked, 0)) return BLOCKS_FAILED;
+            continue;
         }
-        double *latched = s->backup + model->nx + model->nd;
-        memcpy(latched, sides, (size_t)ns * sizeof(double));
-        if (reset(s, latched, asked)) return BLOCKS_FAILED;
-        for (int i = 0; i < setup->nenabled; i++)
-            if (!isnan(since[i]) && turn_on(s, &setup->enabled[i], since[i])) return BLOCKS_FAILED;
-        for (int i = 0; i < setup->ncauses; i++)
-            if (told[setup->order[i]] && tell(s, setup->order[i])) return BLOCKS_FAILED;
+        int is_reset = 0;
+        double *z = s->corner + 3 * ns + 3 * model->nz;
+        for (int i = 0; i < corners->n; i++) is_reset |= s->firing[corners->numbers[i]] && setup->causes[corners->numbers[i]].nresets;
+        if (is_reset) evaluate_now(s, model->solutions, z);
+        if (fire(s, sides, asked, 0)) return BLOCKS_FAILED;
+        if (is_reset) latch_at(s, z, s->firing + setup->ncauses);
+        if (solve(s, s->t, s->memory.x, z)) return BLOCKS_FAILED;
+        loosen(s, s->t, s->memory.x, z, 1);
+        /* Where all is as it was before, it goes on without end (Brent's search for a cycle). */
+        if (pass && is_as_before(s)) break;
+        if (!(pass & (pass + 1))) keep_before(s);
     }
     return blocks_fail(s, BLOCKS_ENDLESS, 0, s->t);
+}
+
+/* Whether a corner shows its other side, the solutions of loops being those in memory; those go to s->firing. */
+static int turned(BlocksSim *s)
+{
+    const BlocksCorners *c = s->model->corners;
+    double *values = s->corner;
+    int any = 0;
+    evaluate_now(s, c->crossings, values);
+    take_slack(s, values);
+    memset(s->firing, 0, (size_t)s->setup->ncauses);
+    for (int i = 0; i < c->n; i++) {
+        int j = c->numbers[i];
+        s->firing[j] = (values[j] >= 0) != (s->memory.s[j] > 0.0);
+        any |= s->firing[j];
+    }
+    return any;
+}
+
+/* Fire the corners in s->firing, which change their side here: those for which it counts. */
+static int fire_corners(BlocksSim *s)
+{
+    const BlocksCorners *c = s->model->corners;
+    double *sides = s->distances;
+    memcpy(sides, s->memory.s, (size_t)s->model->ns * sizeof(double));
+    for (int i = 0; i < c->n; i++) {
+        int j = c->numbers[i];
+        if (!s->firing[j]) continue;
+        sides[j] = 1.0 - sides[j];
+        s->firing[j] = (s->setup->causes[j].direction & (sides[j] > 0 ? 1 : 2)) != 0;
+        s->firing_time[j] = s->t + s->later;
+    }
+    return fire(s, sides, 0, 1);
+}
+
+/* The same, where corners fire one after the other, on the way from the last solution of the loops to the next. */
+static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
+{
+    const BlocksSetup *setup = s->setup;
+    const BlocksModel *model = s->model;
+    const BlocksCorners *c = model->corners;
+    BlocksMemory *m = &s->memory;
+    int ns = model->ns, nz = model->nz, first = setup->ncauses - model->nevents;
+    double *values = s->crossing_values, *sides = s->distances, *end = s->corner + 3 * ns + 3 * nz, *begin = end + nz;
+    uint8_t *fired = s->firing + setup->ncauses;
+    for (int i = 0; i < ndue; i++) s->own[due[i]] = s->events[due[i]];
+    for (int step = 0; step < MOST_CORNERS; step++) {
+        evaluate_now(s, model->solutions, end);
+        if (!all_finite(end, nz)) {
+            /* The first corner with whose other side the loops have a solution. */
+            int found = 0;
+            for (int i = 0; i < c->n && !found; i++) {
+                int j = c->numbers[i], off = setup->causes[j].condition;
+                if (off >= 0 && m->s[off] == 0.0) continue;
+                double side = m->s[j];
+                m->s[j] = 1.0 - side;
+                model->refresh(m);
+                evaluate_now(s, model->solutions, end);
+                found = all_finite(end, nz);
+                m->s[j] = side;
+                model->refresh(m);
+                if (!found) continue;
+                memset(s->firing, 0, (size_t)setup->ncauses);
+                s->firing[j] = 1;
+                if (fire_corners(s)) return BLOCKS_FAILED;
+            }
+            if (!found) return BLOCKS_FAILED;
+            *touched = 1;
+            continue;
+        }
+        loosen(s, s->t + s->later, m->x, end, 1);
+        if (s->moving && s->later != 0.0) blocks_outside(s, s->t);
+        memcpy(begin, m->z, (size_t)nz * sizeof(double));
+        memcpy(m->z, end, (size_t)nz * sizeof(double));
+        int failed = sides_now(s, values);
+        memcpy(m->z, begin, (size_t)nz * sizeof(double));
+        if (failed) return BLOCKS_FAILED;
+        int own = 0, any = ndue > 0;
+        memset(s->firing, 0, (size_t)setup->ncauses);
+        for (int j = 0; j < ns; j++) {
+            sides[j] = values[j] >= 0;
+            s->changed_sides[j] = sides[j] != m->s[j];
+            any |= s->changed_sides[j];
+        }
+        for (int i = 0; i < c->n; i++) own |= s->changed_sides[c->numbers[i]];
+        if (!any) return 0;
+        *touched = 1;
+        if (ndue || !own) {
+            /* Corners wait until the loop is solved with what else has changed. */
+            for (int i = 0; i < c->n; i++) sides[c->numbers[i]] = m->s[c->numbers[i]], s->changed_sides[c->numbers[i]] = 0;
+            for (int j = 0; j < ns; j++) {
+                if (!s->changed_sides[j] || !(setup->causes[j].direction & (sides[j] > 0 ? 1 : 2))) continue;
+                s->firing[j] = 1;
+                s->firing_time[j] = s->t + s->later;
+            }
+            for (int i = 0; i < ndue; i++) {
+                s->firing[first + due[i]] = 1;
+                s->firing_time[first + due[i]] = s->events[due[i]];
+            }
+            ndue = 0;
+            if (fire(s, sides, 0, 0)) return BLOCKS_FAILED;
+            continue;
+        }
+        uint8_t *at_end = s->changed_sides;
+        first_corner(s, turned, begin, end);
+        if (!turned(s))
+            for (int i = 0; i < c->n; i++) s->firing[c->numbers[i]] = at_end[c->numbers[i]];
+        if (fire_corners(s)) return BLOCKS_FAILED;
+        latch_at(s, m->z, fired);
+    }
+    return BLOCKS_FAILED;
+}
+
+/* Fire events and crossings until no side changes any more. seen: whether crossings fire by what the step has seen at first;
+   touched: whether anything was. */
+HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int seen, int *touched)
+{
+    if (!has_corners(s) || s->model->hooks) return quiet_at_once(s, due, ndue, seen, touched);
+    BlocksMemory *m = &s->memory;
+    size_t nx = (size_t)s->model->nx, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns, ne = (size_t)s->model->nevents;
+    double *x = corner_backup(s), *d = x + nx, *sides = d + nd, *slack = sides + ns, *own = slack + ns;
+    int64_t told = s->fired_events.used;
+    int before = *touched, was_loose = s->is_loose;
+    memcpy(x, m->x, nx * sizeof(double));
+    memcpy(d, m->d, nd * sizeof(double));
+    memcpy(sides, m->s, ns * sizeof(double));
+    memcpy(slack, s->slack, ns * sizeof(double));
+    memcpy(own, s->own, ne * sizeof(double));
+    if (!quiet_at_once(s, due, ndue, seen, touched)) return 0;
+    int failure = s->failure, culprit = s->culprit;
+    double value = s->value;
+    if (failure == -1) return BLOCKS_FAILED;
+    /* The sides that are shown are those of no solution: the way to it goes from corner to corner. */
+    memcpy(m->x, x, nx * sizeof(double));
+    memcpy(m->d, d, nd * sizeof(double));
+    memcpy(m->s, sides, ns * sizeof(double));
+    memcpy(s->slack, slack, ns * sizeof(double));
+    memcpy(s->own, own, ne * sizeof(double));
+    s->is_loose = was_loose;
+    s->fired_events.used = told;
+    s->model->refresh(m);
+    *touched = before;
+    s->failure = BLOCKS_FINE;
+    if (!quiet_along(s, due, ndue, touched)) return 0;
+    return blocks_fail(s, failure, culprit, value);
 }
 
 /* Rows are short, and most of them empty. */
@@ -2148,6 +2454,8 @@ HOT static int instant(BlocksSim *s, int is_start)
     const int by_seen = s->crossing == 2; /* projections have moved the end of a step in which a side has changed */
     int64_t hidden = model->hooks ? model->hooks->epoch(s) : 0;
     const double *left = NULL;
+    if (has_corners(s) && !s->crossing) loosen(s, s->t, m->x, m->z, 0);
+    s->looseness = 1.0;
     if (!is_start && !setup->is_silent && setup->has_jumps) {
         if (!s->has_left) {
             if (blocks_logged(s, s->left)) return BLOCKS_FAILED;
@@ -2267,6 +2575,90 @@ int blocks_keep_left(BlocksSim *s)
     return 0;
 }
 
+static int all_numbers(const double *values, int n)
+{
+    for (int i = 0; i < n; i++)
+        if (isnan(values[i])) return 0;
+    return 1;
+}
+
+/* Whether values at the start show other sides, or others of what else is guessed; these are taken over if so asked. */
+static int shows_others(BlocksSim *s, const double *values, int is_taken)
+{
+    const BlocksCorners *c = s->model->corners;
+    int nx = s->model->nx, nd = s->model->nd, others = 0;
+    for (int j = 0; j < s->model->ns; j++) {
+        double side = s->located[j] ? values[nx + nd + j] : values[nx + nd + j] >= 0; /* located: given at the start */
+        if (side != s->memory.s[j]) others = 1;
+        if (is_taken) s->memory.s[j] = side;
+    }
+    for (int i = 0; c && i < c->nguessed; i++) {
+        double *place = s->memory.d + c->guessed[i], shown = values[nx + c->guessed[i]];
+        if (shown != *place) others = 1;
+        if (is_taken) *place = shown;
+    }
+    return others;
+}
+
+/* Whether the start shows other sides where the solutions of loops are those in memory. */
+static int starts_otherwise(BlocksSim *s)
+{
+    s->model->corners->start_given(&s->memory, s->t, s->memory.x, s->stage_values);
+    return shows_others(s, s->stage_values, 0);
+}
+
+/* The values at the start, found from corner to corner, from where searches begin and the sides that are shown there. */
+static int start_along(BlocksSim *s, double *out)
+{
+    const BlocksModel *model = s->model;
+    const BlocksCorners *c = model->corners;
+    BlocksMemory *m = &s->memory;
+    int nx = model->nx, nd = model->nd, ns = model->ns, nz = model->nz, behind = nx + nd + ns + model->ntaken;
+    double *moved = s->corner, *begin = moved + 3 * ns + 4 * nz, *end = out + behind;
+    for (int j = 0; j < ns; j++) m->s[j] = s->located[j] ? m->s[j] : 0.0;
+    for (int i = 0; i < c->nguessed; i++) m->d[c->guessed[i]] = 0.0;
+    for (int pass = 0; pass < MOST_PASSES; pass++) {
+        c->start_given(m, s->t, m->x, out);
+        if (!shows_others(s, out, 1)) break;
+    }
+    for (int step = 0; step < MOST_CORNERS; step++) {
+        c->start_solved(m, s->t, m->x, out);
+        if (!all_numbers(out, behind + nz)) {
+            int found = 0;
+            for (int i = 0; i < c->n && !found; i++) {
+                m->s[c->numbers[i]] = 1.0 - m->s[c->numbers[i]];
+                c->start_solved(m, s->t, m->x, out);
+                found = all_numbers(out, behind + nz);
+                if (!found) m->s[c->numbers[i]] = 1.0 - m->s[c->numbers[i]];
+            }
+            if (!found) return 1;
+            continue;
+        }
+        if (!shows_others(s, out, 0)) return 0;
+        for (int i = 0; i < nd; i++) {
+            int is_guessed = 0;
+            for (int k = 0; k < c->nguessed; k++) is_guessed |= c->guessed[k] == i;
+            if (!is_guessed) m->d[i] = out[nx + i];
+        }
+        model->refresh(m);
+        memcpy(begin, m->z, (size_t)nz * sizeof(double));
+        memcpy(begin + nz, end, (size_t)nz * sizeof(double));
+        memcpy(m->z, end, (size_t)nz * sizeof(double));
+        evaluate(s, c->rounding, s->t, out, moved);
+        memcpy(m->z, begin, (size_t)nz * sizeof(double));
+        int is_near = 1;
+        for (int k = 0; k < nz; k++) is_near = is_near && fabs(begin[k] - end[k]) <= SLACK * moved[k];
+        if (is_near) { /* it is the solution but for rounding */
+            memcpy(out + nx, m->d, (size_t)nd * sizeof(double));
+            return 0;
+        }
+        first_corner(s, starts_otherwise, begin, begin + nz);
+        c->start_given(m, s->t, m->x, out);
+        shows_others(s, out, 1);
+    }
+    return 1;
+}
+
 /* Values at the start. Nothing fires. The caller has set t, p, s and z (guesses), located (sides that are given), ticks. */
 int blocks_begin(BlocksSim *s)
 {
@@ -2283,14 +2675,12 @@ int blocks_begin(BlocksSim *s)
         s->past.broken = s->past.open = 1;
     }
     if (s->moving) blocks_outside(s, s->t);
-    for (int pass = 0;; pass++) {
-        int same = 1;
+    const BlocksCorners *c = model->corners;
+    int settled = 0, pass = 0;
+    for (int i = 0; c && i < c->nguessed; i++) s->memory.d[c->guessed[i]] = 0.0;
+    for (;; pass++) {
         model->start(&s->memory, s->t, s->memory.x, out);
-        for (int j = 0; j < ns; j++) {
-            double side = s->located[j] ? out[nx + nd + j] : out[nx + nd + j] >= 0; /* located: given at the start */
-            if (side != s->memory.s[j]) same = 0;
-            s->memory.s[j] = side;
-        }
+        int same = !shows_others(s, out, 1);
         int moved = 0;
         if (model->hooks) {
             /* What they begin with may depend on inputs that were not known when it was read. */
@@ -2302,9 +2692,12 @@ int blocks_begin(BlocksSim *s)
                 last[i] = out[i];
             }
         }
-        if (!moved && (same || s->crossing)) break; /* crossing: nothing was guessed */
-        if (pass == MOST_PASSES - 1) return blocks_fail(s, BLOCKS_ENDLESS, 0, s->t);
+        settled = !moved && (same || s->crossing); /* crossing: nothing was guessed */
+        if (settled || pass == MOST_PASSES - 1) break;
     }
+    if (has_corners(s) && !model->hooks && !s->crossing && (!settled || !all_numbers(out, nx + nd + ns)))
+        settled |= !start_along(s, out);
+    if (!settled) return blocks_fail(s, BLOCKS_ENDLESS, 0, s->t);
     s->crossing = 0;
     for (int j = 0; j < ns; j++) s->located[j] = -1.0;
     memcpy(s->memory.x, out, (size_t)nx * sizeof(double));
@@ -2453,6 +2846,9 @@ void blocks_reset(BlocksSim *s)
     s->crossed_first = s->crossed_count = 0;
     s->between = 0;
     s->later = 0.0;
+    s->is_loose = 0;
+    s->looseness = 1.0;
+    for (int i = 0; i < model->ns; i++) s->slack[i] = 0.0;
     for (int i = 0; i < BLOCKS_LOOKS; i++) s->unseen[i] = (BlocksUnseen){NAN, 0, 0};
     s->paced = -INFINITY;
     s->chatters = 0;
@@ -2499,6 +2895,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         {&s->backup, 2 * (nx + nd + ns) + 2 * ne + nz}, {&s->row_values, nl}, {&s->stage_values, values},
         {&s->z1, nz}, {&s->distances, 2 * ns}, {&s->projected_once, nx + nd},
         {&s->projected_often, nx + nd}, {&s->unprojected, model->nprojections ? nx + nd : 0}, {&s->firing_time, nc},
+        {&s->slack, ns}, {&s->corner, model->corners ? 3 * ns + 7 * nz + 2 * (nx + nd + 2 * ns) + ne : 0},
     };
     int count = (int)(sizeof pieces / sizeof pieces[0]);
     for (int i = 0; i < count; i++) doubles += room(pieces[i].n) + 8;

@@ -64,6 +64,16 @@ typedef struct {
     int32_t rows; /* of a recording: BLOCKS_LEFT_OUT or BLOCKS_BETWEEN_ROWS */
 } BlocksUnseen;
 
+/* Crossings of what a loop solves for, whose sides or resets that loop reads: corners. Programs of given unknowns read these
+   from z; rounding: how far it may move each of them there. start_solved gives the unknowns behind all else. guessed: places
+   in d that are guessed at the start, as sides are. */
+typedef struct {
+    BlocksProgram crossings, rounding, start_given, start_solved;
+    void (*resets)(const BlocksMemory *, double, const double *, int, double *);
+    const int32_t *numbers, *guessed;
+    int32_t n, nguessed;
+} BlocksCorners;
+
 struct BlocksModel {
     int32_t nx, nd, ns, np, nu, nh, nz, nrates, nq, nv, nw, nevents, nlogged, nmeasured, nprojections;
     int32_t moving_sides, stages, degree, order;
@@ -82,6 +92,7 @@ struct BlocksModel {
     const BlocksHooks *hooks; /* null: there are no such units */
     BlocksProgram foreign_inputs;
     int32_t ntaken; /* how many values it gives */
+    const BlocksCorners *corners; /* null: there are none */
     const BlocksImplicit *implicit; /* of a stiff method; null: none. See stiff.h */
     const BlocksModel *stiff;       /* the same by radau, for runs that are found to be stiff; null: they are not asked */
 };
@@ -299,6 +310,10 @@ struct BlocksSim {
     /* scratch */
     double *base, *aim, *begin, *finish; /* (nu) the segment of inputs */
     double *xs, *x2, *weights, *part_values, *part_phases, *first_values, *crossing_values, *reset_values, *d1, *backup, *row_values, *stage_values;
+    double *slack;  /* (ns) of corners: by how much they may be off by rounding */
+    double *corner; /* scratch of them */
+    double looseness; /* times the slack: 2 in steps, so that a corner that is located there is beyond its slack at the instant */
+    int32_t is_loose; /* whether any has a slack */
     double *distances, *projected_once, *projected_often, *z1;
     uint8_t *due, *firing, *changed_sides;
     double *firing_time;
@@ -339,6 +354,8 @@ BLOCKS_API int blocks_logged(BlocksSim *s, double *out); /* recorded signals now
 BLOCKS_API int blocks_record(BlocksSim *s);              /* a row now */
 BLOCKS_API void blocks_take_rows(BlocksSim *s, const double *first, int64_t count, double *to, double *next, int64_t room);
 BLOCKS_API void blocks_evaluate(BlocksSim *s, BlocksProgram program, double t, const double *x, double *out);
+BLOCKS_API void blocks_beyond(const BlocksSim *s, double *crossings); /* less the slack by which corners leave their side */
+BLOCKS_API void blocks_loosen(BlocksSim *s); /* that slack as it is now */
 BLOCKS_API void blocks_rates(BlocksSim *s, double t, const double *x, double *out);
 BLOCKS_API int64_t blocks_size(int32_t what);            /* of the structures, for those who mirror them */
 BLOCKS_API int blocks_past_room(BlocksSim *s, int64_t parts, int64_t breaks);

@@ -853,6 +853,11 @@ static void prepare_all(BlocksMemory *m)
 #else
 #define FOREIGN
 #endif
+#if BLOCKS_HAS_CORNERS
+#define CORNERS .corners = &corners,
+#else
+#define CORNERS
+#endif
 #define PROGRAMS                                                                                                     \
     .nx = BLOCKS_NX, .nd = BLOCKS_ND, .ns = BLOCKS_NS, .np = BLOCKS_NP, .nu = BLOCKS_NU, .nh = BLOCKS_NH,            \
     .nz = BLOCKS_NZ, .nrates = BLOCKS_NRATES, .nq = BLOCKS_NQ, .nv = BLOCKS_NV, .nw = BLOCKS_NW,                     \
@@ -862,7 +867,7 @@ static void prepare_all(BlocksMemory *m)
     .rates = rates_program, .crossings = crossings, .event_times = event_times, .projections = projections,          \
     .solutions = solutions, .logged = logged, .measured = measured, .start = start,                                  \
     .resets = resets, .anew = anew, .stepper_inputs = stepper_inputs, .outputs = outputs, .nexts = nexts,            \
-    FOREIGN
+    FOREIGN CORNERS
 
 #if BLOCKS_METHOD_AUTO
 static const BlocksModel stiff_model = {
