@@ -17,7 +17,7 @@ from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from ..contract.expressions import exact_decimal
+from ..contract.expressions import exact_time
 from ..model.flatten import (
     BlockSource,
     Flat,
@@ -632,7 +632,7 @@ def _moved(index: int | None, renumbered: Mapping[int, int]) -> int | None:
 def _told_step(foreign: Foreign) -> Fraction | None:
     """The communication step that an FMU asks for."""
     step = foreign.interface.fixed_step or foreign.description.experiment.step
-    return exact_decimal(step) if step and math.isfinite(step) and step > 0 else None
+    return exact_time(step) if step and math.isfinite(step) and step > 0 else None
 
 
 def _closure(island_plan: Plan, begin: Reference) -> set[Reference]:

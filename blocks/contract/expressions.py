@@ -33,6 +33,7 @@ __all__ = [
     "Scalar",
     "evaluate",
     "exact_decimal",
+    "exact_time",
     "names_at",
     "parse",
 ]
@@ -110,6 +111,29 @@ def exact_decimal(x: float) -> Fraction:
     if not math.isfinite(x):
         raise ValueError(f"is {x}, which is no finite number.")
     return Fraction(repr(float(x)))
+
+
+LARGEST_DENOMINATOR = 10**6
+
+
+def exact_time(written: float | Fraction) -> Fraction:
+    """Return the fraction that a time means, from a float or from the decimal that stands for one.
+
+    A number that is the double of a fraction with a denominator up to 1e6 is this fraction: 0.00014285714285714287 is
+    1/7000. All others are themselves, among them decimals with fewer digits than the fraction. The double stays.
+    """
+    exact = exact_decimal(written) if isinstance(written, float) else written
+    denominator = exact.denominator
+    if denominator <= LARGEST_DENOMINATOR or pow(10, denominator.bit_length(), denominator):  # or it is no decimal
+        return exact
+    digits = exact.numerator
+    while digits % denominator:
+        digits *= 10
+    digits //= denominator  # the decimal without its point
+    time = float(exact)
+    simple = Fraction(time).limit_denominator(LARGEST_DENOMINATOR)
+    is_shorter = abs(simple.numerator) * simple.denominator < abs(digits)
+    return simple if is_shorter and float(simple) == time else exact
 
 
 def _exact_power(a: Fraction, b: Fraction) -> Fraction | None:

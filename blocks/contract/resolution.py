@@ -23,7 +23,7 @@ from ..text.units import parse as parse_unit
 from ..text.units import si_text, to_si
 from .declaration import Declaration
 from .equations import Output
-from .expressions import exact_decimal
+from .expressions import exact_decimal, exact_time
 from .interface import LARGEST, Array, Interface, Value
 from .outside import outside
 from .reads import arguments
@@ -633,12 +633,12 @@ def _time(source: Any, values: Mapping[str, Value], structural: Mapping[str, Any
             time = None
         if isinstance(time, (Fraction, int)):
             return Fraction(time)
-        return exact_decimal(float(source(*(known[name].value for name in names))))
-    return exact_decimal(float(source))
+        return exact_time(float(source(*(known[name].value for name in names))))
+    return exact_time(float(source))
 
 
 def _fraction(value: Value) -> Fraction:
-    return exact_decimal(float(value.value)) if value.exact is None else value.exact
+    return exact_time(float(value.value) if value.exact is None else value.exact)
 
 
 def _start(

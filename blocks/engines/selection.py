@@ -53,12 +53,14 @@ def simulation(
     CompilerError (E60x) where it cannot be compiled, and what the run raises.
     """
     try:
-        name, why = _chosen(engine), _why_not(what)
+        name, why = _chosen(engine), why_not(what)
         begin = what.settings.start if state is None else max(what.settings.start, Fraction(state.snapshot.t))
         check_room(what, begin, is_native=name != "reference" and not why, is_streamed=is_streamed)
         if name == "native" and why:
             message = f"the native engine cannot run this: {why}."
             raise UsageError(Fault("E501", "engine", message, 'Use engine="auto".'))
+        if name == "auto" and why:
+            _tell(f"{why}: the reference engine runs, which is slower.")
         has_no_compiler = name == "auto" and not why and find_compiler() is None
         if has_no_compiler:
             why = "no C compiler was found"
@@ -87,7 +89,7 @@ def compiled_model(what: Plan | Coupling, *, engine: str | None = None, lanes: A
     name = _chosen(engine)
     if not isinstance(what, Plan):
         return None
-    if name == "reference" or _why_not(what) or find_compiler() is None:
+    if name == "reference" or why_not(what) or find_compiler() is None:
         return None  # a run says why, if it must
     from .native.model import model_of
 
@@ -128,16 +130,6 @@ def _foreigns(plan: Plan) -> Foreigns | None:
     return Foreigns.of(plan, of_user(), compiled)
 
 
-def _why_not(what: Plan | Coupling) -> str:
-    """Why compiled code cannot run this, in words; "" where it can."""
-    if isinstance(what, Plan):
-        return why_not(what, what.settings.every)
-    for unit in what.units:
-        if unit.plan is not None and (why := why_not(unit.plan, what.settings.every)):
-            return why
-    return ""
-
-
 def _chosen(engine: str | None) -> str:
     """The name of an engine. Raises UsageError (E501) where there is none of that name."""
     name = engine if engine is not None else os.environ.get(VARIABLE, "") or "auto"
@@ -175,7 +167,7 @@ def check_room(
     """Raise UsageError (E311) where a run, as far as that is known before it begins, cannot fit into memory."""
     settings = what.settings
     if isinstance(what, Plan):
-        is_native = not why_not(what, settings.every) if is_native is None else is_native
+        is_native = not why_not(what) if is_native is None else is_native
         check_plan(what, settings.start if begin is None else begin, is_native=is_native, is_streamed=is_streamed)
         return
     points = 0  # at least so many communication points; not known where steps are controlled, or there is no end

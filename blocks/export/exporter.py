@@ -165,7 +165,7 @@ def _allowed(plan: Plan, kinds: Sequence[str] | None) -> tuple[tuple[str, ...], 
         )
         for part in plan.foreign
     ]  # fmt: skip
-    why = why_not(plan, plan.settings.every)
+    why = why_not(plan)
     if why:
         cure = "Use periods and steps that are rounder."
         faults.append(Fault("E606", plan.name, f"cannot be exported: {why}.", cure))

@@ -24,7 +24,6 @@ __all__ = ["tables_text"]
 _TYPES = {"real": 0, "int": 1, "bool": 2, "enum": 3, "text": 4}
 _ROWS = ("time", "state", "rate", "input", "setting", "output", "local", "indicator", "text")
 _CONSTANT, _FIXED, _TUNABLE, _CALCULATED, _VARYING = range(5)
-_HORIZON = 10**9  # s: until then, times of the grid of steps are divided as plain doubles
 
 
 def tables_text(
@@ -142,7 +141,7 @@ def _setup(runtime: RuntimeTables, plan: Plan, settings: RunSettings) -> tuple[s
     fields["is_silent"] = 1
     fields["most_bytes"] = "0.0"
     if settings.is_fixed_step:
-        grid = grid_of(settings.start, settings.step, settings.start + _HORIZON)
+        grid = grid_of(settings.start, settings.step, None)
         fields["fixed"] = f"{{{grid.start}, {grid.step}, {grid.unit}, {grid.is_plain}, 1}}"
     return "".join(text), "{" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "}"
 

@@ -16,7 +16,7 @@ from itertools import islice
 from typing import Any
 
 from ..contract.block import Block
-from ..contract.expressions import exact_decimal
+from ..contract.expressions import exact_time
 from ..contract.interface import Interface, Value
 from ..contract.resolution import resolve
 from ..text import units
@@ -223,7 +223,7 @@ class _Flattener:
         if not isinstance(value.value, float):
             self.tell(self.root, "E115", place, f"must be a time in s, which {quoted(_shown(raw))} is not.", "", spot)
             return None
-        return exact_decimal(value.value) if value.exact is None else value.exact
+        return exact_time(value.value if value.exact is None else value.exact)
 
     def flat(self) -> Flat:
         blocks = []

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..contract.expressions import exact_decimal
+from ..contract.expressions import exact_time
 from ..text import units
 from ..text.errors import ModelError, did_you_mean
 from ..text.grammar import Choice, Object, Scalar
@@ -114,7 +114,8 @@ class MeasureSpec:
 
 
 def seconds(raw: Any) -> Fraction:
-    """A time as an exact fraction: a decimal as written, a float by its shortest decimal, or a quantity.
+    """A time as an exact fraction: a decimal as written, a float by its shortest decimal or as the fraction that it is
+    the double of (see `exact_time`), or a quantity.
 
     Raises ValueError with a sentence.
     """
@@ -133,9 +134,9 @@ def seconds(raw: Any) -> Fraction:
     if isinstance(raw, float) and not math.isfinite(raw):
         raise ValueError(f"must be a finite time, not {raw}.")
     if isinstance(raw, Number):
-        time = raw.exact
+        time = exact_time(raw.exact)
     else:
-        time = exact_decimal(raw) if isinstance(raw, float) else Fraction(raw)
+        time = exact_time(raw) if isinstance(raw, float) else Fraction(raw)
     if unit:
         if not units.same_quantity(unit, "s"):
             raise ValueError(f"must be a time, not a number of {unit}.")

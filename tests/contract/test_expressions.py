@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from blocks.contract.expressions import FUNCTIONS, Scalar, evaluate, exact_decimal, parse
+from blocks.contract.expressions import FUNCTIONS, Scalar, evaluate, exact_decimal, exact_time, parse
 from blocks.text.errors import ModelError
 
 NAMES = {"a": 0.75, "b": -1.5, "kt": 0.0274, "_x1": 12.0}
@@ -131,6 +131,30 @@ def test_a_fraction_that_is_0_where_its_float_is_not_ends_there() -> None:
 def test_the_exact_decimal_of_a_float_is_its_shortest(x: float) -> None:
     assert exact_decimal(x) == Fraction(repr(x))
     assert float(exact_decimal(x)) == x
+
+
+@given(st.integers(1, 10**6), st.integers(1, 10**6))
+def test_the_double_of_a_fraction_is_a_time_of_this_fraction(p: int, q: int) -> None:
+    assert exact_time(p / q) == Fraction(p, q)
+    assert exact_time(-p / q) == -Fraction(p, q)
+    assert exact_time(Fraction(repr(p / q))) == Fraction(p, q)  # as a file has it
+
+
+@given(st.integers(0, 10**10), st.integers(0, 12))
+def test_a_decimal_of_few_digits_is_the_time_that_it_says(digits: int, places: int) -> None:
+    decimal = Fraction(digits, 10**places)
+    assert exact_time(decimal) == decimal
+    assert exact_time(float(decimal)) == decimal
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_the_double_of_a_time_stays(x: float) -> None:
+    assert float(exact_time(x)) == x
+
+
+def test_a_fraction_that_is_no_decimal_is_a_time_as_it_stands() -> None:
+    assert exact_time(Fraction(10**12 + 1, 3 * 10**7 + 1)) == Fraction(10**12 + 1, 3 * 10**7 + 1)
+    assert exact_time(0.1 + 0.2) == Fraction("0.30000000000000004")
 
 
 @pytest.mark.parametrize("x", [math.inf, -math.inf, math.nan])

@@ -45,14 +45,17 @@ from blocks import (
     SimulationError,
     Sine,
     State,
+    Step,
     Sum,
     TransportDelay,
     UsageError,
     ZeroOrderHold,
+    fmu,
     output,
 )
 from blocks.compile.c.emit_cache import emitted, plan_key
 from blocks.compile.c.model_code import Emitted, emit
+from blocks.compile.c.runtime_grid import grid_of
 from blocks.compile.plan import Plan, Reference
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.contract.interface import Value
@@ -455,14 +458,62 @@ print("interrupted", r.interrupted, len(r.t), r.t[-1] > 0, time.time(), flush=Tr
     assert float(told[4]) - sent < 10.0
 
 
-def test_what_only_the_reference_engine_can_run_is_run_by_it_without_a_word() -> None:
-    """Times whose numerators have more than 62 bits. Warnings are errors in tests."""
+FINE = Fraction(2**58, 2**63 + 1)  # 1/32 s and a little less
+GRIDS = [{"every": FINE}, {"method": "rk4", "step": FINE}, {"master": {"couple": "each", "step": FINE}}]
+
+
+@pytest.mark.parametrize("settings", GRIDS, ids=str)
+def test_times_that_compiled_code_cannot_count_are_those_of_the_reference_engine(
+    settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Times whose numerators have more than 62 bits, in each grid of a run; it is said once in a process."""
     d = Diagram("fine")
-    d.add("wave", Sine())
-    results = d.run(stop=1, every=Fraction(2**58, 2**63 + 1), engine="auto")
+    d.wire(d.add("gain", Gain()).u, d.add("wave", Sine()).y)
+    monkeypatch.setattr(engines, "_told", set())
+    with pytest.warns(RuntimeWarning, match="more than 62 bits: the reference engine runs"):
+        results = d.run(stop=1, engine="auto", **settings)
     assert results.statistics.engine == "reference"
+    assert (results.t[1:33] == [float(k * FINE) for k in range(1, 33)]).all()
+    assert (d.run(stop=1, engine="auto", **settings).values == results.values).all()  # warnings are errors in tests
     with pytest.raises(UsageError, match="fractions of more than 62 bits"):
-        d.run(stop=1, every=Fraction(2**58, 2**63 + 1), engine="native")
+        d.run(stop=1, engine="native", **settings)
+
+
+def test_a_grid_that_does_not_fit_is_not_made() -> None:
+    with pytest.raises(OverflowError, match="62 bits"):
+        grid_of(Fraction(0), FINE, Fraction(1))
+    assert grid_of(Fraction(0), Fraction(2**58, 2**62 - 1), Fraction(1)).unit == 2**62 - 1
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_floats_of_fractions_are_grids_of_exact_times(engine: str) -> None:
+    """1/7000 s as a double: steps of masters, of methods, rows and ticks are at k/7000, each rounded once."""
+    d = Diagram("floats")
+    d.wire(d.add("hold", ZeroOrderHold(period=1 / 3000)).u, d.add("wave", Sine()).y)
+    times = [k / 7000 for k in range(701)]
+    coupled = d.run(stop=0.1, engine=engine, master={"couple": "each", "step": 1 / 7000})
+    assert [*dict.fromkeys(coupled.t.tolist())] == sorted({*times, *(k / 3000 for k in range(301))})
+    assert d.run(stop=0.1, engine=engine, every=1 / 7000).t.tolist() == times
+    stepped = d.run(stop=0.1, engine=engine, method="rk4", step=1 / 7000)
+    assert {*times} <= {*stepped.t.tolist()}
+    assert d.plan().base == Fraction(1, 3000)
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_a_step_that_an_fmu_asks_for_is_the_fraction_that_its_decimal_stands_for(tmp_path: Path, engine: str) -> None:
+    """The closed loop of a lag with T = 0.05 s and a gain of 20, in steps of 1/7000 s: its end is known."""
+    lag = Diagram.alone(FirstOrder(T=0.05))
+    lag.export(tmp_path / "lag.fmu", kinds=("CS",), method="rk4", step=1 / 7000)
+    d = Diagram("loop")
+    p, e = d.add("p", fmu(tmp_path / "lag.fmu", kind="CS")), d.add("e", Sum(signs="+-"))
+    s, g = d.add("s", Step()), d.add("g", Gain(k=20.0))
+    d.wire(e.u1, s.y)
+    d.wire(e.u2, p.y)
+    d.wire(g.u, e.y)
+    d.wire(p.u, g.y)
+    results = d.run(stop=0.1, engine=engine, log=["p.y"])
+    assert results.t.tolist() == [k / 7000 for k in range(701)]
+    assert results["p.y"][-1] == pytest.approx(20 / 21, rel=1e-9)
 
 
 @pytest.mark.parametrize("master", [{}, {"couple": "each", "step": 0.1}])
@@ -558,6 +609,46 @@ def test_sanitizers_find_nothing_in_a_thousand_runs() -> None:
     assert "blocks_" not in done.stderr, done.stderr[-3000:]  # no leak has a frame of the runtime
     leaking = sanitized(0, [str(ROOT / "diagrams" / "bouncing_ball.json")])
     assert "blocks_new" in leaking.stderr
+
+
+TIMED = """
+import sys
+from fractions import Fraction as F
+from unittest import mock
+from blocks import Diagram, FirstOrder, Sine, ZeroOrderHold
+from blocks.compile.toolchain import compiler
+from blocks.engines.master import native_master
+from blocks.engines.native import model
+FLAGS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-g")
+model.EXTRA_FLAGS = FLAGS
+native_master.build = lambda units: compiler.build(units, extra_flags=FLAGS)
+for start in (F(0), F(-1, 3), F(10**6)):
+    for step in (F(1, 70), F(2**57, 2**62 - 1), F(2**56 + 1, 2**61)):
+        for period in (F(1, 7), F(2**49, 2**53 - 1)):
+            d = Diagram("times")
+            hold, lag = d.add("hold", ZeroOrderHold(period=period)), d.add("lag", FirstOrder())
+            d.wire(hold.u, d.add("wave", Sine()).y)
+            d.wire(lag.u, hold.y)
+            coupled = {"master": {"couple": "each", "step": step}}
+            for settings in ({"method": "rk4", "step": step}, {"every": step}, coupled):
+                for stop in (start + 1, None):
+                    try:
+                        run = d.start(engine="native", start=start, stop=stop, **settings)
+                    except Exception as error:
+                        assert "62 bits" in str(error) or "E119" in str(error) or "E115" in str(error), error
+                        continue
+                    run.advance_to(start + 1)
+print("done")
+"""
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("cc") is None or sys.platform != "linux", reason="needs cc on Linux")
+def test_no_integer_overflows_where_times_are_as_fine_as_they_can_be() -> None:
+    done = sanitized(0, [], TIMED)
+    assert "done" in done.stdout, done.stderr[-3000:]
+    assert "runtime error" not in done.stderr, done.stderr[-3000:]
+    assert "ERROR: AddressSanitizer" not in done.stderr, done.stderr[-3000:]
 
 
 def test_equal_loops_run_as_they_do_alone_also_where_parameters_differ() -> None:

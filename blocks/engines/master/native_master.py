@@ -251,10 +251,9 @@ class NativeMaster(ReferenceMaster):
         segment = self.segment
         m.base, m.aim, m.begin, m.finish = map(self._array, (segment.base, segment.aim, segment.begin, segment.end))
         m.t, m.start, m.broken, m.end = self.t, self.t, self.broken, self.end
-        stop = settings.stop if settings.stop is not None else settings.start
         if _SPARE:
             m.rows.data, m.rows.capacity = _SPARE.pop()
-        m.every, m.row, m.fresh = grid_of(settings.start, settings.every, stop), 1, self.fresh
+        m.every, m.row, m.fresh = grid_of(settings.start, settings.every, settings.stop), 1, self.fresh
         m.has_jumps = int(settings.records_jumps)
         e = m.nexchanged
         m.inverse = self._array(np.zeros(e * e)) if 0 < e <= MOST_LEARNT else None
@@ -361,8 +360,7 @@ class NativeMaster(ReferenceMaster):
         c_unit.outputs = self._array(unit.outputs, np.int32)
         c_unit.inputs, c_unit.courses = self._array(np.zeros(n)), self._array(np.zeros(3 * n))
         c_unit.known = self._array(running.u)
-        stop = self.settings.stop if self.settings.stop is not None else self.settings.start + 1000
-        c_unit.grid, c_unit.next = grid_of(self.settings.start, unit.step, stop), 0
+        c_unit.grid, c_unit.next = grid_of(self.settings.start, unit.step, self.settings.stop), 0
         c_unit.t = c_unit.next_t = self.t
         if isinstance(running, CoreUnit):
             self._c_native(c_unit, running, self.plan.seen[k])

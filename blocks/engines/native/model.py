@@ -146,9 +146,8 @@ class Model(RuntimeTables):
         setup.end = math.nan if settings.stop is None else float(settings.stop)
         setup.start = float(start)
         setup.base_numerator, setup.base_denominator = plan.base.as_integer_ratio()
-        stop = settings.stop if settings.stop is not None else start
-        setup.fixed = grid_of(start, settings.step, stop)
-        setup.every = grid_of(start, settings.every, stop)
+        setup.fixed = grid_of(start, settings.step, settings.stop)
+        setup.every = grid_of(start, settings.every, settings.stop)
         setup.has_jumps = int(settings.records_jumps)
         rows: Fraction | int = 256
         if settings.every is not None and settings.stop is not None:
