@@ -37,9 +37,9 @@ class Upstream:
             side = Reference("s", part.side)
             for reference in (*part.resets, Reference("d", part.time)):
                 self._reads(reference, [side])
-        for part in plan.steppers:
-            read = [reference for _, references, _ in part.inputs for reference in references]
-            for _, places, _ in part.outputs:
+        for stepper in plan.steppers:
+            read = [reference for _, references, _ in stepper.inputs for reference in references]
+            for _, places, _ in stepper.outputs:
                 for place in places:
                     self._reads(Reference("d", place), read)
         self.foreign = {  # an FMU's outputs depend on all that it knows

@@ -433,10 +433,10 @@ class ReferenceMaster(Exchange):
         # Elements that jump, or follow what happened in their unit or an input that jumps, take a new course.
         renewed = jumps | (bent & set(here))
         jumped = {Reference("y", g) for g in jumps}
-        for k, unit in enumerate(coupling.units):
+        for k, coupled in enumerate(coupling.units):
             if self.at[k] == t:
-                new = [i for i, link in enumerate(unit.links) if link in jumped or (is_set and link.row == "u")]
-                renewed.update(unit.following(new))
+                new = [i for i, link in enumerate(coupled.links) if link in jumped or (is_set and link.row == "u")]
+                renewed.update(coupled.following(new))
         self._wait(behind, renewed, jumps, at_break=is_set)
         is_new = is_late = False
         for g in here:

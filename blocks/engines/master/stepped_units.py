@@ -63,6 +63,7 @@ class Running(Protocol):
 
     def arrive(self) -> None:
         """Stand at a communication point, before anything happens there."""
+        return
 
     def bent(self, has_acted: bool) -> Collection[int]:
         """Return the places of the outputs that take a new course since `arrive`. has_acted: whether `instant` did."""
