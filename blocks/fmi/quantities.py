@@ -1,7 +1,7 @@
 """The units of an FMU in the spelling of `blocks.text.units`.
 
 A file gives a unit a name, and mostly base units with a factor and an offset. The name is taken where it means the
-same; else the SI unit of the base units, with the factor and the origin of the unit: 6894.757*Pa, 100000.0*Pa@1.01325. Tools
+same; else the SI unit of the base units, with the factor and the origin of the unit: 6894.757*Pa, 100000*Pa@1.01325. Tools
 differ: OpenModelica leaves rad out of the base units (rad/s is s-1), others write factors with a few digits, others no
 base units at all; a name that `blocks.text.units` can read then says more than they do.
 
@@ -47,10 +47,14 @@ def _same_offset(known: units.Unit, offset: float) -> bool:
 
 def _affine(si: str, factor: float, offset: float) -> str:
     """Return the text of a unit by its factor and its offset in SI; "" where there is none."""
-    scaled = "" if factor == 1 else f"{factor!r}*"
-    origin = "" if not offset else f"@{offset / factor!r}"
+    scaled = "" if factor == 1 else f"{_decimal(factor)}*"
+    origin = "" if not offset else f"@{_decimal(offset / factor)}"
     text = f"{scaled}{si}{origin}" if si and factor > 0 else ""
     return text if text == si or _known(text) else ""
+
+
+def _decimal(number: float) -> str:
+    return repr(float(number)).removesuffix(".0")
 
 
 @lru_cache(maxsize=4096)

@@ -326,7 +326,7 @@ def _text(factors: Iterable[tuple[str, int]]) -> str:
     return parse(text).text
 
 
-_NUMBER = r"[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?"
+_NUMBER = r"[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?"
 _AFFINE = re.compile(rf"(?:(?P<factor>{_NUMBER}|5/9)\*)?(?P<product>[^@*]+)(?:@(?P<origin>-?{_NUMBER}))?")
 _ALONE = {"degC": "K@273.15", "degF": "5/9*K@459.67"}
 """Units that stand alone, and what they are."""
@@ -334,7 +334,7 @@ _ALONE = {"degC": "K@273.15", "degF": "5/9*K@459.67"}
 
 def _split(text: str) -> tuple[Fraction | None, str, Fraction]:
     """Return the number before a product, the product, and the origin; None and 0 where they are not given."""
-    if "@" not in text and "*" not in text and text not in _ALONE:
+    if ("@" not in text and "*" not in text and text not in _ALONE) or len(text) > _LENGTH:
         return None, text, Fraction(0)
     match = _AFFINE.fullmatch(_ALONE.get(text, text))
     if match is None:
@@ -352,7 +352,10 @@ def _offset(text: str) -> Fraction:
     if not origin:
         return Fraction(0)
     rational, pi = _magnitude(text)
-    return origin * rational * _PI**pi
+    offset = origin * rational * _PI**pi
+    if abs(offset) > _LARGEST:
+        raise ModelError(Fault("E114", "", f"the origin of the unit {text!r} lies beyond 1e100 in SI."))
+    return offset
 
 
 def _plain(text: str) -> Factors:
@@ -447,14 +450,19 @@ _OTHER_WORDS = {
     "volt": "V", "ohm": "Ohm", "farad": "F", "henry": "H", "hertz": "Hz", "pascal": "Pa", "tesla": "T", "liter": "l",
     "radian": "rad", "degree": "deg", "cycle": "rev", "turn": "rev", "rps": "rev/s", "percent": "%",
 }  # fmt: skip
-_OFFSETS = {"degC", "°C", "℃", "celsius", "degF", "°F", "℉", "fahrenheit"}
+_OFFSETS = {
+    **dict.fromkeys(("degC", "°C", "℃", "celsius", "Celsius"), "degC"),
+    **dict.fromkeys(("degF", "°F", "℉", "fahrenheit", "Fahrenheit"), "degF"),
+}
 
 
 def _cure(text: str) -> str:
     """What to write instead."""
     if not text or len(text) > _LENGTH:
         return "A unit is a product such as 'kg.m2/s3'; '1' is dimensionless."
-    if any(word in _OFFSETS or word.lower() in _OFFSETS for word in _LETTERS.findall(text)):
+    if text.strip() in _OFFSETS:
+        return f"Did you mean '{_OFFSETS[text.strip()]}'?"
+    if any(word in _OFFSETS for word in _LETTERS.findall(text)):
         return "Temperatures are in degC or degF, which stand alone; in products, differences are in K."
     plain = text.strip().replace("**", "^").translate(_SPELLINGS)
     plain = re.sub(r"\s+", ".", re.sub(r"\s*([./()])\s*", r"\1", plain))
