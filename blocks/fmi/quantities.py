@@ -1,9 +1,9 @@
 """The units of an FMU in the spelling of `blocks.text.units`.
 
 A file gives a unit a name, and mostly base units with a factor and an offset. The name is taken where it means the
-same; else the SI unit of the base units, with the factor and the origin of the unit: 6894.757*Pa, 100000*Pa@1.01325. Tools
-differ: OpenModelica leaves rad out of the base units (rad/s is s-1), others write factors with a few digits, others no
-base units at all; a name that `blocks.text.units` can read then says more than they do.
+same; else the SI unit of the base units with the factor and the origin: 6894.757*Pa, 100000*Pa@1.01325. Tools differ:
+OpenModelica leaves rad out of the base units (rad/s is s-1), others write factors with a few digits, others no base
+units at all; a name that `blocks.text.units` can read then says more than they do.
 
 Reference: FMI 3.0.2, 2.4.4.
 """

@@ -60,7 +60,7 @@ def test_declared_temperatures_are_converted_once(
 
 
 def test_limits_are_in_the_unit_and_faults_name_it() -> None:
-    with pytest.raises(ModelError, match="E107 body.cold: must be at least -273.15 degC"):
+    with pytest.raises(ModelError, match=r"E107 body.cold: must be at least -273.15 degC"):
         body().run(parameters={"body.cold": -300})
 
 
@@ -82,7 +82,7 @@ def test_a_value_in_degrees_is_taken_where_kelvin_are_declared() -> None:
 ])  # fmt: skip
 def test_a_block_is_in_kelvin_as_its_amplitudes_and_slopes_are_differences(block: Block) -> None:
     diagram = Diagram("refused")
-    with pytest.raises(ModelError, match="E114 .*degC"):
+    with pytest.raises(ModelError, match=r"E114 .*degC"):
         diagram.add("one", block)
 
 
@@ -109,7 +109,7 @@ def test_a_limit_of_a_measure_is_a_difference(tmp_path: Path) -> None:
     diagram = body()
     diagram.measure("far", "peak", of="body.T", against=20)
     options: dict[str, Any] = {"minimize": "far", "over": {"body.tau": (5, 20)}, "budget": 3, "method": "de", "seed": 1}
-    with pytest.raises(UsageError, match="E501 .*degC has an offset, and measures are differences. Write K"):
+    with pytest.raises(UsageError, match=r"E501 .*degC has an offset, and measures are differences. Write K"):
         diagram.tune(subject_to=["far <= 40 degC"], **options)
     assert diagram.tune(subject_to=["far <= 40 K"], **options).is_feasible
 
