@@ -113,7 +113,7 @@ def observer_report(
     rows = []
     try:
         declared = places(graph, signal)[0].declared if signal else ""
-        given = [float(in_si(a, declared, "amplitudes")) for a in amplitudes]
+        given = [float(in_si(a, declared, "amplitudes", is_difference=True)) for a in amplitudes]
     except (TypeError, ValueError):
         message = f"{str(amplitudes)[:80]} are no numbers."
         raise UsageError(Fault("E501", "amplitudes", message, "Give a list of numbers.")) from None

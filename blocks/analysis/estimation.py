@@ -378,7 +378,8 @@ class _Estimation:
 
     def _amplitude(self, signal: Excitation) -> Array:
         """The amplitude in SI: one, or one for each frequency."""
-        amplitudes = np.asarray(in_si(signal.amplitude, self.where.declared, type(signal).__name__), dtype=float)
+        own = in_si(signal.amplitude, self.where.declared, type(signal).__name__, is_difference=True)
+        amplitudes = np.asarray(own, dtype=float)
         count = np.size(signal.frequencies) if isinstance(signal, SineStream) else 1
         if (
             amplitudes.ndim > 1

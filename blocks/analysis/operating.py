@@ -71,7 +71,8 @@ def find_operating_point(
         if not isinstance(table, Mapping):
             return table
         unit_of = {name: declared_unit(point.plan, str(name)) for name in table}
-        unit_of = {name: units.quotient(unit, of_time) if of_time else unit for name, unit in unit_of.items()}
+        if of_time:
+            unit_of = {name: units.quotient(units.difference(unit), of_time) for name, unit in unit_of.items()}
         return {name: _in_si(str(name), raw, unit_of[name]) for name, raw in table.items()}
 
     return search(

@@ -73,7 +73,7 @@ def input_like(port: Port) -> dict[str, Any]:
     kind: str | Enumeration = enumeration_of(port.type) or port.type
     default: Any = None
     if port.default is not None:
-        values = [item != 0.0 if kind == "bool" else item / units.to_si(1.0, unit) for item in port.default]
+        values = [item != 0.0 if kind == "bool" else units.from_si(item, unit) for item in port.default]
         default = np.reshape(values, port.shape) if len(set(values)) > 1 else values[0]
     size = (port.shape[0] if len(port.shape) == 1 else port.shape) if port.shape else None
     return {"unit": unit, "size": size, "type": kind, "default": default}

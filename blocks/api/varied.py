@@ -26,7 +26,7 @@ from ..text.element_names import element_names
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible
 from ..text.quantity_text import read_quantity
-from ..text.units import si_text, to_si
+from ..text.units import from_si, si_text, to_si
 
 __all__ = ["Column", "Target", "columns_of", "each_of", "raw_values"]
 
@@ -235,7 +235,7 @@ def _target(path: str, name: str, element: str, parameters: _Parameters) -> Targ
 def _in_unit(value: Any, unit: str) -> float:
     """A number in SI in another unit; nan where it is none."""
     array = np.asarray(value)
-    return float(array) / to_si(1.0, unit) if array.dtype.kind in "iuf" and array.ndim == 0 else math.nan
+    return from_si(float(array), unit) if array.dtype.kind in "iuf" and array.ndim == 0 else math.nan
 
 
 def _of_blocks(flat: Flat) -> Iterator[tuple[str, _Known]]:

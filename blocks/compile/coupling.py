@@ -64,13 +64,17 @@ PARTS = 500
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A variable of an FMU, and the elements of a port that it stands for: `first` ... `first + size`."""
+    """A variable of an FMU, and the elements of a port that it stands for: `first` ... `first + size`.
+
+    In SI it is scale * number of the FMU + offset.
+    """
 
     name: str
     variable: ModelVariable
     first: int
     size: int
     scale: float
+    offset: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -422,7 +426,7 @@ class _Coupler:
         places: dict[str, tuple[int, int]] = {}
         for name, variable in declaration.inputs.items():
             inner, size = foreign.variables[name], math.prod(interface.shape(variable))
-            slots.append(Slot(name, inner, len(links), size, foreign.scales.get(name, 1.0)))
+            slots.append(Slot(name, inner, len(links), size, *foreign.affine(name)))
             places[inner.name] = (len(links), size)
             sources = [self.link(source) for source in block.sources[name]]
             links += sources
@@ -441,7 +445,7 @@ class _Coupler:
             if name not in order:
                 order[name] = sum(slot.size for slot in out)
                 size = math.prod(interface.shape(given))
-                out.append(Slot(name, inner, order[name], size, foreign.scales.get(name, 1.0)))
+                out.append(Slot(name, inner, order[name], size, *foreign.affine(name)))
             picks.append(order[name] + source.element)
             known = dependencies.get(inner.name) if inner.causality == "output" else ()
             if known is None:

@@ -31,8 +31,8 @@ class OpaqueItem:
     """One number that an FMU gives.
 
     kind: "state", "derivative" and "indicator" by their index, "value" (an element of a variable), "event_time";
-    "given": an argument itself; "number"; "partial": the derivative of another item by an argument. scale: its unit
-    in SI.
+    "given": an argument itself; "number"; "partial": the derivative of another item by an argument. scale, offset: in
+    SI it is scale * number of the FMU + offset.
     """
 
     kind: str
@@ -40,6 +40,11 @@ class OpaqueItem:
     variable: ModelVariable | None = None
     scale: float = 1.0
     of: OpaqueItem | None = None
+    offset: float = 0.0
+
+    def si(self, number: float) -> float:
+        """Return a number of the FMU in SI."""
+        return number * self.scale + self.offset if self.offset else number * self.scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +53,7 @@ class Opaque:
 
     items: what each `foreign` node is, by its value. states: in the order of the FMU, the argument of each and its
     scale. inputs: for each, the argument, the variable and its element, and the scale. indicators: their number.
+    origins, offsets: of the states and of the inputs, what 0 of the FMU is in SI.
     """
 
     fmi: int
@@ -55,6 +61,8 @@ class Opaque:
     states: tuple[tuple[int, float], ...]
     inputs: tuple[tuple[int, ModelVariable, int, float], ...]
     indicators: int
+    origins: tuple[float, ...] = ()
+    offsets: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -124,21 +132,25 @@ class _FmuTapeBuilder:
             results[key] = Result(key, role, target, "", "", tuple(places))
 
         first = 0
-        scales = foreign.scales
+        scales, offsets = foreign.scales, foreign.offsets
         for number, (_, name) in enumerate(states_of):
             size, scale = self.size(d.states[name]), scales.get(name, 1.0)
             unknown = structure.derivatives[number] if number < len(structure.derivatives) else None
-            add(f"initial:{name}", name, (OpaqueItem("state", first + e, scale=scale) for e in range(size)), ())
+            origin = offsets.get(name, 0.0)
+            new_items = (OpaqueItem("state", first + e, scale=scale, offset=origin) for e in range(size))
+            add(f"initial:{name}", name, new_items, ())
             new_items = (OpaqueItem("derivative", first + e, scale=scale) for e in range(size))
             add(f"derivative:{name}", name, new_items, needs(unknown))
             first += size
         for name, given in d.given.items():
             variable, size, scale = foreign.variables[name], self.size(given), scales.get(name, 1.0)
             same, at_same = at.get((variable.reference, variable.type), ("", range(0)))
-            if same in d.states and scales.get(same, 1.0) == scale:  # another name of a state
+            offset = offsets.get(name, 0.0)
+            is_alike = scales.get(same, 1.0) == scale and offsets.get(same, 0.0) == offset
+            if same in d.states and is_alike:  # another name of a state
                 add(f"output:{name}", name, at_same, ())
                 continue
-            new_items = (OpaqueItem("value", e, variable, scale) for e in range(size))
+            new_items = (OpaqueItem("value", e, variable, scale, offset=offset) for e in range(size))
             unknown = known.get(variable.name) or known.get(foreign.description.aliases.get(variable.name, ""))
             add(f"output:{name}", name, new_items, needs(unknown))
         indicators = self.indicators()
@@ -153,7 +165,11 @@ class _FmuTapeBuilder:
         states = tuple(
             (place[name] + e, scales.get(name, 1.0)) for _, name in states_of for e in range(self.size(d.states[name]))
         )
-        known_as = Opaque(foreign.description.fmi, tuple(items), states, inputs, len(indicators))
+        moved = [
+            tuple(offsets.get(name, 0.0) for name in names for _ in range(self.size({**d.states, **d.inputs}[name])))
+            for names in ([name for _, name in states_of], d.inputs)
+        ]
+        known_as = Opaque(foreign.description.fmi, tuple(items), states, inputs, len(indicators), *moved)
         return FmuTape(self.interface, tuple(arguments), tuple(nodes), results, opaque=known_as)
 
     def size(self, variable: object) -> int:

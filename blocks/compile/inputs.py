@@ -177,10 +177,11 @@ def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bo
         if given and not units.same_quantity(given, unit):
             raise ValueError(f"[{given}] is given where [{unit}] is needed: they are different quantities.")
         unit, raw = given or unit, raw.get("value")
-    factor = units.parse(unit).factor if unit else 1.0  # a bare number is in the unit that the input declares
+    # A bare number is in the unit that the input declares.
+    factor, offset = (units.parse(unit).factor, units.parse(unit).offset) if unit else (1.0, 0.0)
     members = enumeration_of(type_)
     if members is None and type_ != "bool" and isinstance(raw, (str, list, tuple)) and _holds_quantities(raw):
-        raw, factor = in_si(raw, unit, ""), 1.0
+        raw, factor, offset = in_si(raw, unit, ""), 1.0, 0.0
     if members is not None:
         if given:
             raise ValueError(f"has no unit. Give the number of a member, or its name: {', '.join(members.members)}.")
@@ -204,6 +205,8 @@ def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bo
         raise ValueError(f"must be {shown}{each}.")
     values = np.broadcast_to(array, (len(array) if rows else 1, size)) if array.ndim == 0 else array.reshape(-1, size)
     values = values.astype(float) * factor
+    if offset:
+        values = values + offset
     if not np.all(np.isfinite(values)):
         raise ValueError("must be finite.")
     return values
@@ -291,7 +294,8 @@ def _columns(
         values: Any = data[:, picked]
         if len(set(own)) > 1:
             try:
-                values, own = values * [units.scale(each, unit) for each in own], [unit]
+                factors, offsets = np.transpose([units.affine(each, unit) for each in own])
+                values, own = values * factors + offsets, [unit]
             except ModelError as error:
                 raise refuse(f"the columns of '{name}': {error.faults[0].message}") from None
         values = values.reshape(-1, *shape) if shape else values[:, 0]

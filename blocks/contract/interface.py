@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from ..text.errors import Fault, ModelError
-from ..text.units import si_text, to_si
+from ..text.units import difference, has_offset, si_text, to_si
 from .declaration import Declaration
 from .reads import arguments
 from .variables import Discrete, Parameter, State, Variable
 
-__all__ = ["LARGEST", "Array", "Interface", "Port", "Value"]
+__all__ = ["LARGEST", "Array", "Interface", "Port", "Value", "check_differences"]
 
 Array = np.ndarray[Any, Any]
 # Every element of a state, and every port, is looked at by itself; a matrix is not.
@@ -66,6 +66,15 @@ class Port:
 @lru_cache(maxsize=1024)
 def _alike(type_: str, size: int) -> tuple[str, ...]:
     return (type_,) * size
+
+
+def check_differences(units: Iterable[str], place: str) -> None:
+    """Refuse a unit with an offset that a block is given: its amplitudes and slopes are differences (E114)."""
+    for unit in dict.fromkeys(units):
+        if unit and has_offset(unit):
+            message = f"the unit {unit!r} has an offset, and differences in it have none."
+            cure = f"Use {difference(unit)!r}; a value may be given in {unit} all the same."
+            raise ModelError(Fault("E114", place, message, cure))
 
 
 class Interface:
@@ -138,6 +147,7 @@ class Interface:
         unit: Any = variable.unit
         if callable(unit):
             unit = self._computed(unit, variable, "the unit")
+            check_differences((unit,) if isinstance(unit, str) else unit, f"{self.name}.{variable.name}")
         if isinstance(unit, str):
             return (unit,) * size
         if len(unit) != size:

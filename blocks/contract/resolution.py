@@ -570,12 +570,13 @@ def default_value(parameter: Parameter, unit: str) -> Value:
     raw = parameter.default
     if isinstance(raw, (bool, str)) or parameter.type in ("bool", "string", "int") or parameter.members:
         return Value(raw)
-    scaled = bool(unit) and parse_unit(unit).factor != 1.0
+    scaled = bool(unit) and (parse_unit(unit).factor != 1.0 or parse_unit(unit).offset != 0.0)
     if isinstance(raw, float) or np.ndim(raw) == 0:
         exact: Fraction | None = exact_decimal(float(raw))
         if scaled:
             factor = parse_unit(unit).exact
-            exact_si = None if factor is None or exact is None else exact * factor
+            is_plain = factor is not None and exact is not None and not parse_unit(unit).offset
+            exact_si = exact * factor if is_plain else None  # type: ignore[operator]
             return Value(to_si(float(raw), unit), exact_si)
         return Value(float(raw), exact)
     return Value(np.vectorize(lambda x: to_si(float(x), unit))(raw) if scaled else raw)

@@ -198,15 +198,18 @@ def _interfaces(model: Model, fmi: int) -> Iterator[_Element]:
 
 def _unit_definitions(variables: Iterable[ExportedVariable]) -> Iterator[_Element]:
     """Each unit once, with the units in which its variables are shown."""
-    displays: dict[str, dict[str, float]] = {}
+    displays: dict[str, dict[str, tuple[float, float]]] = {}
     for variable in variables:
         if variable.type == "real" and variable.unit:
             factors = displays.setdefault(variable.unit, {})
             if display := _display(variable):
-                # In FMI, too, a value in display is the factor times the value in the unit.
-                factors[display] = units.scale(variable.unit, display)
+                # In FMI, too, a value in display is factor * value in the unit + offset.
+                factors[display] = units.affine(variable.unit, display)
     for name, factors in displays.items():
-        children = [_Element("DisplayUnit", {"name": key, "factor": _number(x)}) for key, x in factors.items()]
+        children = [
+            _Element("DisplayUnit", {"name": key, "factor": _number(x), "offset": _number(y) if y else None})
+            for key, (x, y) in factors.items()
+        ]
         if base := _base(name):
             children.insert(0, base)
         yield _Element("Unit", {"name": name}, tuple(children))
@@ -218,7 +221,11 @@ def _base(unit: str) -> _Element | None:
         return None
     parsed = units.parse(unit)
     exponents = {base: str(n) for base, n in zip(units.BASE, parsed.dimension, strict=True) if n}
-    return _Element("BaseUnit", {**exponents, "factor": None if parsed.factor == 1 else _number(parsed.factor)})
+    return _Element("BaseUnit", {
+        **exponents,
+        "factor": None if parsed.factor == 1 else _number(parsed.factor),
+        "offset": _number(parsed.offset) if parsed.offset else None,
+    })  # fmt: skip
 
 
 def _display(variable: ExportedVariable) -> str | None:

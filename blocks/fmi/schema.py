@@ -93,7 +93,7 @@ class Display:
 class UnitDefinition:
     """A unit of an FMU: a value in SI is factor * value + offset.
 
-    text: the same unit as `blocks.text.units` writes it; "" where it has none (a unit with an offset, an unknown one).
+    text: the same unit as `blocks.text.units` writes it; "" where it has none (the quantity is not known).
     si: the SI unit of the quantity as `blocks.text.units` writes it; "" where the quantity is not known.
     exponents: of the base units in the order of `blocks.text.units.BASE`, as the file has them; None where it has none.
     """

@@ -326,4 +326,4 @@ class Linearizer(Linearization, Shown):
         (a law that moves the mean), E706 (no solution).
         """
         balance = Balance(self, input, outputs, openings=openings)
-        return balance.at(in_si(amplitude, balance.input.declared, "amplitude"), omega)
+        return balance.at(in_si(amplitude, balance.input.declared, "amplitude", is_difference=True), omega)

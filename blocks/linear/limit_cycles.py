@@ -142,7 +142,7 @@ def _limits_of(amplitude: Any, declared: str) -> tuple[float, float]:
     """Return the limits of an amplitude in SI. declared: the unit of plain numbers. Raises UsageError (E501)."""
     if amplitude is None:
         return _AMPLITUDES
-    low, *high = in_si(tuple(amplitude), declared, "amplitude")
+    low, *high = in_si(tuple(amplitude), declared, "amplitude", is_difference=True)
     _check_limits("amplitude", (low, *high))
     return low, high[0]
 

@@ -57,7 +57,7 @@ class ReplacedSlopes:
         graph = self.graph
         spots = places(graph, name)
         word = "sigma" if is_random else "amplitude"
-        numbers = in_si(values, tuple(spot.declared for spot in spots), f"{word} of {name}")
+        numbers = in_si(values, tuple(spot.declared for spot in spots), f"{word} of {name}", is_difference=True)
         try:
             sizes = np.broadcast_to(np.asarray(numbers, dtype=float), (len(spots),)).tolist()
         except (TypeError, ValueError):

@@ -51,9 +51,10 @@ class Foreign:
     """The FMU behind a block class.
 
     path: of the archive. isolate: whether it runs in a process of its own; timeout: how many seconds a call of it may
-    take then. variables: those of the FMU by the name of the block's variable or parameter. scales: what a value in SI
-    is of the FMU's own number, where that is not 1. sizes: the values of structural parameters that the class was made
-    for, where they differ from the description's; changed: these, and the arrays that they size, which are always set.
+    take then. variables: those of the FMU by the name of the block's variable or parameter. scales, offsets: a value in
+    SI is scale * number of the FMU + offset; those that are not 1 and not 0. sizes: the values of structural parameters
+    that the class was made for, where they differ from the description's; changed: these, and the arrays that they
+    size, which are always set.
     """
 
     kind: str
@@ -64,8 +65,22 @@ class Foreign:
     timeout: float
     variables: Mapping[str, ModelVariable]
     scales: Mapping[str, float]
+    offsets: Mapping[str, float]
     sizes: Mapping[str, int]
     changed: frozenset[str]
+
+    def affine(self, name: str) -> tuple[float, float]:
+        """Return the scale and the offset of a variable."""
+        return self.scales.get(name, 1.0), self.offsets.get(name, 0.0)
+
+    def own(self, name: str, value: float) -> float:
+        """Return a value in SI as a number of the FMU."""
+        return (value - self.offsets.get(name, 0.0)) / self.scales.get(name, 1.0)
+
+    def si(self, name: str, number: float) -> float:
+        """Return a number of the FMU in SI."""
+        value, offset = number * self.scales.get(name, 1.0), self.offsets.get(name, 0.0)
+        return value + offset if offset else value
 
     def resized(self, values: Mapping[str, Value]) -> type[Block] | None:
         """The block class for given values of structural parameters; None where it is this one.
@@ -198,7 +213,8 @@ class _FmuBlockBuilder:
         self.body: dict[str, Variable] = {}
         self.variables: dict[str, ModelVariable] = {}
         self.scales: dict[str, float] = {}
-        self.units: dict[str, tuple[str, float]] = {}  # those that `unit` has returned, by the FMU's names
+        self.offsets: dict[str, float] = {}
+        self.units: dict[tuple[str, bool], tuple[str, float]] = {}  # those that `unit` has returned, by the FMU's names
 
     def made(self) -> type[Block]:
         # Inputs and outputs keep their names; whatever else has one of them gets another.
@@ -211,7 +227,8 @@ class _FmuBlockBuilder:
                 self.alias(alias, variable)
         foreign = Foreign(
             self.kind, self.path, self.description, self.described, self.isolate, self.timeout,
-            MappingProxyType(self.variables), MappingProxyType(self.scales), MappingProxyType(self.sizes), self.changed,
+            MappingProxyType(self.variables), MappingProxyType(self.scales), MappingProxyType(self.offsets),
+            MappingProxyType(self.sizes), self.changed,
         )  # fmt: skip
         body = {**self.body, "__doc__": self.description.doc, "__module__": __name__}
         return _FmuMeta(self.description.name or self.path.stem, (Block,), body, foreign)  # type: ignore[return-value]
@@ -287,18 +304,26 @@ class _FmuBlockBuilder:
         self.body[name], self.variables[name] = declared, variable
         if scale != 1.0:
             self.scales[name] = scale
+        offset = units.to_si(0.0, self.unit(variable)[0])
+        if offset:
+            self.offsets[name] = offset
 
     def unit(self, variable: ModelVariable) -> tuple[str, float]:
-        """The unit as blocks writes it, and what 1 of the FMU is in SI; where it is not known, the bare number."""
+        """The unit as blocks writes it, and its factor to SI; where it is not known, the bare number.
+
+        A relative quantity is a difference, which an offset does not move.
+        """
         if variable.type not in FLOATS:
             return "", 1.0
-        if variable.unit not in self.units:
+        key = variable.unit, variable.relative
+        if key not in self.units:
             definition = self.description.units.get(variable.unit)
-            self.units[variable.unit] = ("", 1.0)
+            self.units[key] = ("", 1.0)
             if definition is not None and definition.text:
                 with contextlib.suppress(ModelError):
-                    self.units[variable.unit] = definition.text, units.to_si(1.0, definition.text)
-        return self.units[variable.unit]
+                    text = units.difference(definition.text) if variable.relative else definition.text
+                    self.units[key] = text, units.parse(text).factor
+        return self.units[key]
 
     def type(self, variable: ModelVariable) -> Any:
         """The type of a port: reals, whole numbers, truth, or the members of an enumeration."""

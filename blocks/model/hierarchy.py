@@ -13,7 +13,7 @@ from fractions import Fraction
 from typing import Any, Protocol
 
 from ..contract.declaration import Declaration
-from ..contract.interface import LARGEST, Interface, Value
+from ..contract.interface import LARGEST, Interface, Value, check_differences
 from ..contract.reads import arguments
 from ..contract.resolution import Resolved, loose, resolve, with_numbers
 from ..contract.variables import Parameter
@@ -468,6 +468,7 @@ class Hierarchy:
             for text in dict.fromkeys((declared,) if isinstance(declared, str) else declared):
                 if text:
                     units.parse(text)
+            check_differences((declared,) if isinstance(declared, str) else declared, name)
         except ModelError as error:
             fault = error.faults[0]
             self.tell(scope, fault.code, name, fault.message, fault.cure, ("blocks", name))

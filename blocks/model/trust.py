@@ -132,12 +132,12 @@ def _resolved(trust: Paths) -> Iterator[Path]:
 @dataclass(frozen=True, slots=True)
 class Found:
     """An FMU of a diagram. faults: why it would not run here, and warnings. scalings: of ports in other units than SI:
-    name, the FMU's unit, the unit inside, and what the FMU's number is multiplied with."""
+    name, the FMU's unit, the unit inside, what the FMU's number is multiplied with, and what is added then."""
 
     path: str
     foreign: Foreign
     faults: tuple[Fault, ...]
-    scalings: tuple[tuple[str, str, str, float], ...]
+    scalings: tuple[tuple[str, str, str, float, float], ...]
 
     def lines(self) -> Iterator[str]:
         from .fmu_block import KINDS
@@ -146,8 +146,9 @@ class Found:
         runs = "cannot run here" if any(not fault.is_warning for fault in self.faults) else "should run here"
         own = f", in a process of its own (timeout {f.timeout:g} s)" if f.isolate else ""
         yield f"{self.path}: {f.path.name}, FMI {f.description.version}, {KINDS[f.kind]}, {runs}{own}"
-        for name, unit, si, scale in self.scalings:
-            yield f"  {name} is in {unit} in the FMU, in {si} here: scaled by {scale:g}"
+        for name, unit, si, scale, offset in self.scalings:
+            moved = f" and moved by {offset:g}" if offset else ""
+            yield f"  {name} is in {unit} in the FMU, in {si} here: scaled by {scale:g}{moved}"
 
     def entry(self) -> dict[str, Any]:
         f = self.foreign
@@ -160,7 +161,9 @@ class Found:
             "kind": f.kind,
             "isolate": f.isolate,
             "runs": not any(not fault.is_warning for fault in self.faults),
-            "scaled": [dict(zip(names, row, strict=True)) for row in self.scalings],
+            "scaled": [
+                dict(zip(names, row, strict=False)) | ({"offset": row[-1]} if row[-1] else {}) for row in self.scalings
+            ],
         }
 
 
@@ -177,9 +180,9 @@ def found(flat: Flat) -> list[Found]:
             seen[key] = _faults(foreign)
         ports = [*block.interface.inputs.values(), *block.interface.outputs.values()]
         scalings = tuple(
-            (port.name, port.declared[0], port.unit, foreign.scales[port.variable])
+            (port.name, port.declared[0], port.unit, *foreign.affine(port.variable))
             for port in ports
-            if foreign.scales.get(port.variable, 1.0) != 1.0 and port.declared
+            if foreign.affine(port.variable) != (1.0, 0.0) and port.declared
         )
         told = tuple(Fault(f.code, f"{block.path}: {f.place}", f.message, f.cure) for f in seen[key])
         fmus.append(Found(block.path, foreign, told, scalings))

@@ -131,21 +131,27 @@ def value_of(raw: Any, declared: Unit, known: Known) -> Value:
     return _number(raw, _single(declared))
 
 
-def in_si(raw: Any, declared: Unit, place: str) -> Any:
+def in_si(raw: Any, declared: Unit, place: str, *, is_difference: bool = False) -> Any:
     """Return a number, or a list of numbers, that a user gave for something with a declared unit, in SI.
 
     A plain number is in the declared unit. A quantity, {"value": 2, "unit": "rpm"} or "2 rpm", is in its own unit,
-    which must be of the same quantity. What is no finite number comes back as it is. place: what an error names. Raises
-    UsageError (E501).
+    which must be of the same quantity. What is no finite number comes back as it is. place: what an error names.
+    is_difference: of an amplitude, say, for which an offset of the unit does not count. Raises UsageError (E501).
     """
     if isinstance(raw, (list, tuple, np.ndarray)) and np.ndim(raw):
         own = declared if isinstance(declared, tuple) and len(declared) == len(raw) else (declared,) * len(raw)
-        return [in_si(item, unit, place) for item, unit in zip(raw, own, strict=True)]
+        each = zip(raw, own, strict=True)
+        return [in_si(item, unit, place, is_difference=is_difference) for item, unit in each]
     raw = raw.item() if isinstance(raw, (np.ndarray, np.generic)) else float(raw) if isinstance(raw, Fraction) else raw
     if isinstance(raw, float) and not math.isfinite(raw):
         return raw
     try:
-        value = value_of(read_quantity(raw), declared, {}).value
+        raw = read_quantity(raw)
+        if is_difference:
+            declared = units.difference(_single(declared))
+            if isinstance(raw, Mapping) and isinstance(raw.get("unit"), str):
+                raw = {**raw, "unit": units.difference(raw["unit"])}
+        value = value_of(raw, declared, {}).value
     except ModelError as error:
         raise UsageError(*(Fault("E501", place, fault.message, fault.cure) for fault in error.faults)) from None
     return value if isinstance(value, (float, list)) else raw
@@ -166,6 +172,8 @@ def in_unit(raw: Any, declared: str, place: str) -> Any:
     try:
         if not declared:
             return units.to_si(float(value), unit)
+        if units.has_offset(unit) or units.has_offset(declared):
+            return units.converted(float(value), unit, declared)
         exact, scale = units.scale_exact(unit, declared), units.scale(unit, declared)
     except ModelError as error:
         raise ModelError(*(replace(fault, place=place) for fault in error.faults)) from None
@@ -298,7 +306,8 @@ def _number(raw: Any, unit: str) -> Value:
     si = units.to_si(number, unit, exact=exact)
     if not math.isfinite(si):
         _refuse(f"{number} {unit} is too large.")
-    return Value(si, None if scale is None else exact * scale, units.si_text(unit))
+    is_exact = scale is not None and not units.has_offset(unit)
+    return Value(si, exact * scale if is_exact else None, units.si_text(unit))  # type: ignore[operator]
 
 
 def _is_number(value: Any) -> bool:

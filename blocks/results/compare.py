@@ -124,7 +124,7 @@ def compare(
     for name in common:
         column, unit = left[name]
         values, others = a.values[:, column], b.values[:, right[name][0]]
-        far, relative, t = pair.difference(values, others * factors[name] if factors[name] != 1.0 else others)
+        far, relative, t = pair.difference(values, _moved(others, *factors[name]))
         is_within = relative <= tolerance or far <= absolute
         differences.append(Difference(name, unit or right[name][1], far, relative, t, is_within))
     return Comparison(
@@ -157,16 +157,25 @@ def _span(a: Results, b: Results, common: list[str]) -> tuple[float, float]:
     return start, stop
 
 
-def _factors(pairs: Mapping[str, tuple[str, str]]) -> dict[str, float]:
-    """What B's values are multiplied with. Raises UsageError (E505) for all signals that are different quantities."""
-    factors, faults = {}, []
+def _moved(values: Array, factor: float, offset: float) -> Array:
+    values = values * factor if factor != 1.0 else values
+    return values + offset if offset else values
+
+
+def _factors(pairs: Mapping[str, tuple[str, str]]) -> dict[str, tuple[float, float]]:
+    """What B's values are multiplied with, and what is added then.
+
+    Raises UsageError (E505) for all signals that are different quantities.
+    """
+    factors: dict[str, tuple[float, float]] = {}
+    faults = []
     for name, (ours, theirs) in pairs.items():
         if ours == theirs:
-            factors[name] = 1.0
+            factors[name] = (1.0, 0.0)
             continue
         try:
             if units.same_quantity(ours, theirs):
-                factors[name] = units.scale(theirs, ours)
+                factors[name] = units.affine(theirs, ours)
             else:
                 message = f"is in {ours} in A and in {theirs} in B, which are different quantities."
                 faults.append(Fault("E505", name, message))

@@ -416,7 +416,8 @@ class Results(Shown):
                     message = f"is in {unit} in {first} and in {own} in {label}, which are different quantities."
                     raise UsageError(Fault("E505", name, message))
                 values = each._block(column, 1)[:, 0]
-                scaled = units.scale(own, unit) * values if own and own != unit else values
+                factor, offset = units.affine(own, unit)
+                scaled = factor * values + offset if own and own != unit else values
                 lines.append(plots.Line(each.t, scaled, label, style))
             parts.append(plots.Panel(tuple(lines), f"{name} [{unit}]" if unit else name))
         return plots.panels(parts, xlabel="time [s]")

@@ -66,6 +66,12 @@ class Measured:
                 faults += [Fault("E503", f"{name}: {column}", f.message, f.cure) for f in error.faults]
         if faults:
             raise UsageError(*faults)
+        for k, name_ in enumerate(names):  # values that count from an origin, such as degC, become SI
+            for table_ in (given, told):
+                if k and name_ in table_ and units.has_offset(table_[name_]):
+                    factor, offset = units.affine(table_[name_], si := units.si_text(table_[name_]))
+                    table[:, k], table_[name_] = table[:, k] * factor + offset, si
+                    break
         t = table[:, 0] * units.scale(given.get(names[0], "s"), "s")
         wrong = np.flatnonzero(~np.isfinite(t) | (np.diff(t, prepend=-np.inf) < 0))
         if len(wrong):

@@ -21,7 +21,7 @@ from ..model.resolver import resolver_of
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.printable import legible
 from ..text.shown import Shown
-from ..text.units import to_si
+from ..text.units import converted
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
@@ -174,7 +174,7 @@ def _new(entry: Any, place: tuple[str | int, ...], given: Value) -> tuple[tuple[
         there = str(entry.get("unit", given.unit))
         entry, place = entry.get("value"), (*place, "value")
         if given.unit is not None and there != given.unit:
-            value = _scaled(value, to_si(1.0, given.unit) / to_si(1.0, there))
+            value = _in_unit(value, given.unit, there)
     elif isinstance(entry, Mapping) or (isinstance(raw, Mapping) and not given.element):
         return place, whole
     for index in given.element:
@@ -184,11 +184,11 @@ def _new(entry: Any, place: tuple[str | int, ...], given: Value) -> tuple[tuple[
     return place, value
 
 
-def _scaled(value: Any, scale: float) -> Any:
+def _in_unit(value: Any, unit: str, wanted: str) -> Any:
     """Numbers in another unit."""
     if isinstance(value, (list, tuple)):
-        return [_scaled(item, scale) for item in value]
-    number = float(f"{value * scale:.13g}")
+        return [_in_unit(item, unit, wanted) for item in value]
+    number = float(f"{converted(value, unit, wanted):.13g}")
     return int(number) if number.is_integer() and abs(number) < 1e13 else number
 
 

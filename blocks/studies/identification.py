@@ -298,7 +298,8 @@ def _in_si(column: Array, unit: str, flat: Flat, name: str) -> Array:
     signal = element_of(name, flat.signals)
     declared = "" if signal is None else signal.declared_unit
     try:
-        return column * (units.scale(unit or declared, units.si_text(declared or unit)))
+        factor, offset = units.affine(unit or declared, units.si_text(declared or unit))
+        return column * factor + offset if offset else column * factor
     except ModelError as error:
         raise UsageError(*(Fault("E501", legible(name), fault.message, fault.cure) for fault in error.faults)) from None
 

@@ -153,6 +153,10 @@ def _parsed(place: str, text: str) -> Expression:
         return parse(text.strip(), has_parts=True)
     except ModelError as error:
         if (quantity := _quantity(text)) is not None:
+            if units.has_offset(quantity[1]):
+                message = f"{quantity[1]} has an offset, and measures are differences."
+                fault = Fault("E501", place, message, f"Write {units.difference(quantity[1])}.")
+                raise UsageError(fault) from None
             return parse(repr(units.to_si(*quantity)))  # measures are in SI
         raise UsageError(*(Fault("E501", place, fault.message, fault.cure) for fault in error.faults)) from None
 

@@ -406,6 +406,9 @@ def _factor(claim: Claim, measured: _Units) -> float:
     """
     known = measured.get(claim.many or next(iter(claim.runs), ""), {})
     measure = claim.measure.rpartition(".")[2] if claim.tuning else claim.measure  # of a scenario
+    if units.has_offset(claim.unit):
+        message = f"{claim.unit} has an offset, and measures are differences."
+        raise ModelError(Fault("E104", "", message, f"Write {units.difference(claim.unit)}."))
     return units.scale("%" if claim.change else known.get(measure, ""), claim.unit)
 
 

@@ -1,8 +1,12 @@
-"""Units: a text such as `kg.m2/s3`, its dimension, and its factor to SI.
+"""Units: a text such as `kg.m2/s3`, its dimension, its factor to SI, and the offset of units such as degC.
 
-    unit    = factor { ("." | "/") factor }      from left to right: "/" takes the next factor only
-    factor  = symbol [power] | "(" unit ")" [power] | "1"
+    unit    = product | [number "*"] product ["@" origin] | "degC" | "degF"
+    product = factor { ("." | "/") factor }      from left to right: "/" takes the next factor only
+    factor  = symbol [power] | "(" product ")" [power] | "1"
     power   = ["+" | "-"] digits                 kg.m2/s3, s-1, 1/s, V.s/rad, N.m/(rad/s)
+
+A value in a unit with an origin counts from there: `bar@1.01325` is the pressure above 1.01325 bar, degC is K@273.15.
+Such a unit is one of values, not of differences, and stands alone: a product with it is refused (E114).
 
 `1` is dimensionless; the empty text (UNKNOWN) says that nothing is known about the unit, and fits every other.
 The radian is a dimension of its own, so rad/s and 1/s (Hz) are different quantities. Factors are kept as a rational
@@ -27,6 +31,11 @@ __all__ = [
     "BASE",
     "UNKNOWN",
     "Unit",
+    "affine",
+    "converted",
+    "difference",
+    "from_si",
+    "has_offset",
     "parse",
     "power",
     "product",
@@ -58,13 +67,14 @@ Factors = tuple[tuple[str, int], ...]
 class Unit:
     """A unit: `factor` times the SI unit of `dimension` (exponents in the order of BASE).
 
-    `exact` is the factor as a fraction, or None where pi is in it.
+    `exact` is the factor as a fraction, or None where pi is in it. offset: what 0 of the unit is in SI.
     """
 
     text: str
     dimension: tuple[int, ...]
     factor: float
     exact: Fraction | None
+    offset: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +158,7 @@ def parse(text: str) -> Unit:
     factors = _factors(text)
     rational, pi = _magnitude(text)
     dimension = _sum((_SYMBOLS[symbol].dimension, exponent) for symbol, exponent in factors)
-    return Unit(text, dimension, float(rational * _PI**pi), None if pi else rational)
+    return Unit(text, dimension, float(rational * _PI**pi), None if pi else rational, float(_offset(text)))
 
 
 def same_quantity(a: str, b: str) -> bool:
@@ -157,7 +167,7 @@ def same_quantity(a: str, b: str) -> bool:
 
 
 def scale(a: str, b: str) -> float:
-    """The number x in 1 a = x b; 1.0 where either unit is unknown.
+    """The number x in 1 a = x b, for differences where a unit has an offset; 1.0 where either unit is unknown.
 
     Raises:
         ModelError: E104 where a and b are different quantities, E114 where one cannot be read.
@@ -181,15 +191,63 @@ def to_si(value: float, unit: str, *, exact: Fraction | None = None) -> float:
     if not unit or not math.isfinite(value):
         return value
     rational, pi = _magnitude(unit)
-    if rational == 1 and not pi:
+    offset = _offset(unit)
+    if rational == 1 and not pi and not offset:
         return value
     written = Fraction(repr(float(value))) if exact is None else exact
-    if not written:
+    if not written and not offset:
         return value
     try:
-        return float(written * rational * _PI**pi)
+        return float(written * rational * _PI**pi + offset)
     except OverflowError:
         return math.copysign(math.inf, value)
+
+
+def converted(value: float, a: str, b: str) -> float:
+    """Return a value in a as a value in b, by factor and offset; as it is if either unit is unknown.
+
+    Raises:
+        ModelError: E104 where a and b are different quantities, E114 where one cannot be read.
+    """
+    if a == b or not a or not b or not math.isfinite(value):
+        return value
+    rational, pi = _ratio(a, b)
+    (own, own_pi), offset = _magnitude(b), _offset(a) - _offset(b)
+    try:
+        return float(Fraction(repr(float(value))) * rational * _PI**pi + offset / (own * _PI**own_pi))
+    except OverflowError:
+        return math.copysign(math.inf, value)
+
+
+def from_si(value: float, unit: str) -> float:
+    """Return a value in SI as a value in a unit."""
+    return converted(value, si_text(unit), unit) if unit else value
+
+
+def affine(a: str, b: str) -> tuple[float, float]:
+    """Return the numbers with which a value x in a is factor * x + offset in b; (1, 0) if either unit is unknown.
+
+    Raises as `converted`.
+    """
+    return scale(a, b), converted(0.0, a, b)
+
+
+def has_offset(unit: str) -> bool:
+    """Return whether 0 of the unit is not 0 in SI, as with degC."""
+    return bool(unit) and bool(_offset(unit))
+
+
+def difference(unit: str) -> str:
+    """Return the unit of differences of values in a unit: K of degC. A unit without an offset is its own."""
+    if not has_offset(unit):
+        return unit
+    (rational, pi), si = _magnitude(unit), si_text(unit)
+    if rational == 1 and not pi:
+        return si
+    plain = _AFFINE.fullmatch(_ALONE.get(unit, unit))
+    assert plain is not None
+    factor = "" if plain["factor"] is None else f"{plain['factor']}*"
+    return factor + plain["product"]
 
 
 @lru_cache(maxsize=4096)
@@ -198,7 +256,7 @@ def si_text(unit: str) -> str:
 
     A unit with factor 1 is its own.
     """
-    if not unit or _magnitude(unit) == (Fraction(1), 0):
+    if not unit or (_magnitude(unit) == (Fraction(1), 0) and not _offset(unit)):
         return unit
     coherent = [(base, n * m) for symbol, n in _factors(unit) for base, m in _SYMBOLS[symbol].coherent]
     try:
@@ -210,17 +268,17 @@ def si_text(unit: str) -> str:
 
 def product(a: str, b: str) -> str:
     """The unit of a value in a times a value in b; '' where either is unknown. Raises ModelError as `parse`."""
-    return _text(_factors(a) + _factors(b)) if a and b else UNKNOWN
+    return _text(_plain(a) + _plain(b)) if a and b else UNKNOWN
 
 
 def quotient(a: str, b: str) -> str:
     """The unit of a value in a over a value in b; '' where either is unknown. Raises ModelError as `parse`."""
-    return _text(_factors(a) + tuple((symbol, -n) for symbol, n in _factors(b))) if a and b else UNKNOWN
+    return _text(_plain(a) + tuple((symbol, -n) for symbol, n in _plain(b))) if a and b else UNKNOWN
 
 
 def power(a: str, n: int) -> str:
     """The unit of a value in a to the power n; '' where it is unknown. Raises ModelError as `parse`."""
-    return _text((symbol, n * exponent) for symbol, exponent in _factors(a)) if a else UNKNOWN
+    return _text((symbol, n * exponent) for symbol, exponent in _plain(a)) if a else UNKNOWN
 
 
 def _ratio(a: str, b: str) -> tuple[Fraction, int]:
@@ -241,6 +299,8 @@ def _magnitude(text: str) -> tuple[Fraction, int]:
         symbol = _SYMBOLS[name]
         rational *= symbol.rational**exponent
         pi += symbol.pi * exponent
+    if (factor := _split(text)[0]) is not None:
+        rational *= factor
     if not 1 / _LARGEST <= rational * _PI**pi <= _LARGEST:
         message = f"the unit {text!r} is larger than 1e100 or smaller than 1e-100 in SI."
         raise ModelError(Fault("E114", "", message, "Use smaller prefixes or powers."))
@@ -266,11 +326,52 @@ def _text(factors: Iterable[tuple[str, int]]) -> str:
     return parse(text).text
 
 
+_NUMBER = r"[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?"
+_AFFINE = re.compile(rf"(?:(?P<factor>{_NUMBER}|5/9)\*)?(?P<product>[^@*]+)(?:@(?P<origin>-?{_NUMBER}))?")
+_ALONE = {"degC": "K@273.15", "degF": "5/9*K@459.67"}
+"""Units that stand alone, and what they are."""
+
+
+def _split(text: str) -> tuple[Fraction | None, str, Fraction]:
+    """Return the number before a product, the product, and the origin; None and 0 where they are not given."""
+    if ("@" not in text and "*" not in text and text not in _ALONE) or len(text) > _LENGTH:
+        return None, text, Fraction(0)
+    match = _AFFINE.fullmatch(_ALONE.get(text, text))
+    if match is None:
+        return None, text, Fraction(0)
+    factor = None if match["factor"] is None else Fraction(match["factor"])
+    if factor == 0:
+        raise ModelError(Fault("E114", "", f"the unit {text!r} is 0."))
+    return factor, match["product"], Fraction(match["origin"] or 0)
+
+
+@lru_cache(maxsize=4096)
+def _offset(text: str) -> Fraction:
+    """Return what 0 of the unit is in SI."""
+    origin = _split(text)[2]
+    if not origin:
+        return Fraction(0)
+    rational, pi = _magnitude(text)
+    offset = origin * rational * _PI**pi
+    if abs(offset) > _LARGEST:
+        raise ModelError(Fault("E114", "", f"the origin of the unit {text!r} lies beyond 1e100 in SI."))
+    return offset
+
+
+def _plain(text: str) -> Factors:
+    """Return the symbols of a unit that can be a part of others. Raises ModelError (E114)."""
+    factor, _, origin = _split(text)
+    if factor is not None or origin:
+        message = f"{text!r} stands alone: it cannot be a part of another unit."
+        raise ModelError(Fault("E114", "", message, f"Use {si_text(text)}, which differences are in."))
+    return _factors(text)
+
+
 @lru_cache(maxsize=4096)
 def _factors(text: str) -> Factors:
     """The symbols of a text with their exponents; a fault says where the text is wrong, and offers a better one."""
     try:
-        return _read(text)
+        return _read(_split(text)[1])
     except ModelError as error:
         (fault,) = error.faults
         raise ModelError(replace(fault, cure=_cure(text))) from None
@@ -282,6 +383,8 @@ _EXPONENT = re.compile(r"[+-]?[0-9]+")
 
 def _read(text: str) -> Factors:
     """The symbols of a text with their exponents, each symbol once."""
+    if text in _ALONE:
+        raise ModelError(Fault("E114", "", f"the unit {text!r} stands alone."))
     if not text:
         raise ModelError(Fault("E114", "", "the unit is empty."))
     if len(text) > _LENGTH:
@@ -347,15 +450,20 @@ _OTHER_WORDS = {
     "volt": "V", "ohm": "Ohm", "farad": "F", "henry": "H", "hertz": "Hz", "pascal": "Pa", "tesla": "T", "liter": "l",
     "radian": "rad", "degree": "deg", "cycle": "rev", "turn": "rev", "rps": "rev/s", "percent": "%",
 }  # fmt: skip
-_OFFSETS = {"degC", "°C", "℃", "celsius", "degF", "°F", "℉", "fahrenheit"}
+_OFFSETS = {
+    **dict.fromkeys(("degC", "°C", "℃", "celsius", "Celsius"), "degC"),
+    **dict.fromkeys(("degF", "°F", "℉", "fahrenheit", "Fahrenheit"), "degF"),
+}
 
 
 def _cure(text: str) -> str:
     """What to write instead."""
     if not text or len(text) > _LENGTH:
         return "A unit is a product such as 'kg.m2/s3'; '1' is dimensionless."
-    if any(word in _OFFSETS or word.lower() in _OFFSETS for word in _LETTERS.findall(text)):
-        return "Temperatures with an offset are not units: convert to K (degC + 273.15)."
+    if text.strip() in _OFFSETS:
+        return f"Did you mean '{_OFFSETS[text.strip()]}'?"
+    if any(word in _OFFSETS for word in _LETTERS.findall(text)):
+        return "Temperatures are in degC or degF, which stand alone; in products, differences are in K."
     plain = text.strip().replace("**", "^").translate(_SPELLINGS)
     plain = re.sub(r"\s+", ".", re.sub(r"\s*([./()])\s*", r"\1", plain))
     better = _LETTERS.sub(_respelled, plain)

@@ -493,6 +493,7 @@ class UnitsDirective(Reference):
         scaled = {name: takes for name, (*_, takes) in units._SCALED.items()}
         rows.append(("other units", code(" ".join(name for name, takes in scaled.items() if takes)), "with prefixes"))
         rows.append(("", code(" ".join(name for name, takes in scaled.items() if not takes)), "without prefixes"))
+        rows.append(("with an offset", code(" ".join(units._ALONE)), "alone, without prefixes"))
         rows.append(("prefixes", code(" ".join(units._PREFIXES)), ""))
         return [table(("what", "symbols", ""), rows, (20, 55, 25))]
 

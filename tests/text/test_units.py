@@ -266,6 +266,56 @@ def test_messages_name_the_place_and_what_is_wrong() -> None:
     assert "the unit is empty" in message("")
 
 
-@pytest.mark.parametrize("text", ["degC", "°C", "J/degC", "degF"])
-def test_a_temperature_with_an_offset_is_refused_with_a_cure(text: str) -> None:
-    assert "convert to K" in message(text)
+# --- offsets ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "si", "difference"),
+    [
+        ("degC", 20.0, 293.15, "K"),
+        ("degC", -273.15, 0.0, "K"),
+        ("degF", 212.0, 373.15, "5/9*K"),
+        ("K@273.15", 36.6, 309.75, "K"),
+        ("bar@1.01325", 1.0, 201325.0, "bar"),
+        ("100000*Pa@1.01325", 0.0, 101325.0, "100000*Pa"),
+        ("6894.757*Pa", 2.0, 13789.514, "6894.757*Pa"),
+    ],
+)
+def test_a_value_in_a_unit_with_an_offset_counts_from_there(
+    text: str, value: float, si: float, difference: str
+) -> None:
+    assert units.to_si(value, text) == si
+    assert units.from_si(si, text) == pytest.approx(value, abs=1e-12)
+    assert units.difference(text) == difference
+    assert units.difference(difference) == difference
+    assert units.has_offset(text) == (difference != text)
+    factor, offset = units.affine(text, units.si_text(text))
+    assert factor * value + offset == pytest.approx(si, abs=1e-12)
+
+
+def test_values_are_converted_between_units_with_offsets_exactly() -> None:
+    assert units.converted(212.0, "degF", "degC") == 100.0
+    assert units.converted(-40.0, "degC", "degF") == -40.0
+    assert units.converted(0.5, "bar@1.01325", "kPa") == 151.325
+    assert units.converted(3.0, "", "degC") == units.converted(3.0, "degC", "") == 3.0
+    assert units.same_quantity("degC", "K")
+    assert not units.same_quantity("degC", "rad")
+    with pytest.raises(ModelError, match="E104 degC and Pa are different quantities"):
+        units.converted(1.0, "degC", "Pa")
+
+
+@pytest.mark.parametrize("text", ["J/degC", "degC.m", "degC2", "2*degC", "m/(degC)"])
+def test_a_unit_with_an_offset_stands_alone(text: str) -> None:
+    assert "which stand alone" in message(text)
+    with pytest.raises(ModelError, match="E114 'degC' stands alone"):
+        units.quotient("V", "degC")
+
+
+@pytest.mark.parametrize("text", ["°C", "℃", "celsius"])
+def test_other_spellings_of_a_temperature_are_offered_one(text: str) -> None:
+    assert "Did you mean 'degC'?" in message(text)
+
+
+@pytest.mark.parametrize("text", ["K@", "@3", "K@x", "0*m", "-2*m", "2*", "1e999*m", "K@1@2"])
+def test_a_number_in_a_unit_that_cannot_be_read_is_refused(text: str) -> None:
+    assert message(text)

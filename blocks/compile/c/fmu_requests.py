@@ -35,7 +35,7 @@ def request_text(name: str, tape: FmuTape, request: Request) -> str:
         if item.of is not None:  # the item that is derived, and the input
             index = request.items.index(item.of)
             by = next(k for k, (argument, *_) in enumerate(tape.opaque.inputs) if argument == item.index)
-        items.append((KINDS.index(item.kind), index, by, number(item.scale)))
+        items.append((KINDS.index(item.kind), index, by, number(item.scale), number(item.offset)))
     kinds = sum(1 << kind for kind in {kind for kind, *_ in items})
     states = [n for place, k in request.states for n in (place - 1, k)]
     inputs = [n for place, k in request.inputs for n in (place - 1, k)]
@@ -46,7 +46,7 @@ def request_text(name: str, tape: FmuTape, request: Request) -> str:
     lines = [
         f"static const int {name}_states[] = {_list(states)}, {name}_inputs[] = {_list(inputs)};",
         f"static const BlocksVariable {name}_variables[] = {_rows(variables, '{0, 0, 0, 0, 0}')};",
-        f"static const BlocksItem {name}_items[] = {_rows(items, '{0, 0, 0, 0.0}')};",
+        f"static const BlocksItem {name}_items[] = {_rows(items, '{0, 0, 0, 0.0, 0.0}')};",
         f"static const BlocksRequest {name}_request = {{{', '.join(map(str, sizes))}, {places}}};",
         f"static void {name}(const BlocksMemory *m, int unit, {', '.join(taken)})",
         "{",

@@ -55,7 +55,7 @@ def same_unit(a: Any, b: Any) -> bool:
         unit_a, unit_b = units.parse(a), units.parse(b)
     except ModelError:
         return False
-    return unit_a.dimension == unit_b.dimension and unit_a.factor == unit_b.factor
+    return (unit_a.dimension, unit_a.factor, unit_a.offset) == (unit_b.dimension, unit_b.factor, unit_b.offset)
 
 
 def _alike(a: Any, b: Any) -> bool:
@@ -120,7 +120,7 @@ def _number(raw: float, declared: Unit) -> _Quantity:
         read = units.parse(unit)
     except ModelError:
         return _Quantity(value, exact, unit)
-    scaled = None if read.exact is None else exact * read.exact
+    scaled = None if read.exact is None or read.offset else exact * read.exact
     return _Quantity(units.to_si(value, unit, exact=exact), scaled, read.dimension)
 
 

@@ -291,12 +291,14 @@ class NativeMaster(ReferenceMaster):
             rows = {links[place].row for place in places} if is_set else {"y"}
             if rows == {"k"}:  # set once: they stay
                 scales = array(group.scales, len(places)) if group.scales else 1.0
-                array(group.buffer, len(places))[:] = np.array([links[place].index for place in places]) / scales
+                constants = np.array([links[place].index for place in places])
+                constants = constants - (array(group.offsets, len(places)) if group.offsets else 0.0)
+                array(group.buffer, len(places))[:] = constants / scales
                 begin = group.buffer
             else:
                 places = [links[place].index for place in places] if is_set else places
                 is_together = places == [*range(places[0], places[0] + len(places))] and places[0] >= 0
-                if rows != {"y"} or group.scales or not is_together:
+                if rows != {"y"} or group.scales or group.offsets or not is_together:
                     return None
                 begin = m.y + 8 * places[0]
             kind = "set" if is_set else "get"
@@ -444,12 +446,14 @@ class NativeMaster(ReferenceMaster):
     def _group(self, running: FmuUnit, way: str, name: str, group: Sequence[Slot], places: Sequence[int]) -> Any:
         fmi = running.one.fmi
         scales = [slot.scale for slot in group for _ in range(slot.size)]
+        offsets = [slot.offset for slot in group for _ in range(slot.size)]
         c_group = MasterGroup(type=code_of(group[0].variable.type, fmi), nreferences=len(group), nvalues=len(places))
         c_group.references = self._array([slot.variable.reference for slot in group], np.uint32)
         # The orders of derivatives follow the values of reals.
         c_group.buffer = self._array(np.zeros(2 * len(places) + 2))
         c_group.places = self._array(places, np.int32)
         c_group.scales = self._array(scales) if any(scale != 1.0 for scale in scales) else None
+        c_group.offsets = self._array(offsets) if any(offsets) else None
         c_group.move, c_group.number = running.one.address(way + name), len(self.moves)
         self.moves.append((full_name(way + name, fmi), some([slot.variable for slot in group])))
         return c_group

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from fractions import Fraction
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -296,12 +297,15 @@ def set_up(one: Instance, unit: CoupledUnit) -> None:
         if variable is None or value is None:
             continue
         flat = _elements(value)
-        scale = foreign.scales.get(name, 1.0)
-        own = [item if isinstance(item, (str, bool)) else item / scale for item in flat]
+        own = [item if isinstance(item, (str, bool)) else foreign.own(name, item) for item in flat]
         told = [default] if isinstance(default, (str, bool)) else np.ravel(default).tolist()
         told = told * len(own) if len(told) == 1 else told
         is_own = default is not None and variable.name not in foreign.changed
-        if is_own and all(_same(a, b) for a, b in zip(own, told, strict=True)):
+        if name in foreign.offsets:
+            is_told = all(_same(a, foreign.si(name, b)) for a, b in zip(flat, told, strict=True)) if is_own else False
+        else:
+            is_told = is_own and all(_same(a, b) for a, b in zip(own, told, strict=True))
+        if is_told:
             continue
         target = sizes if variable.causality == "structuralParameter" else given
         target.append((variable, [_typed(item, variable.type) for item in own]))
@@ -354,7 +358,9 @@ class FmuUnit(Running):
         self.calls: dict[tuple[int, ...], list[tuple[list[Slot], tuple[ModelVariable, ...]]]] = {}
         self.can_save = self.interface.saves
         self.asked = tuple(slot.variable for slot in unit.slots_out)
-        self.scales = [slot.scale for slot in unit.slots_out for _ in range(slot.size)]
+        self.scales, self.offsets = (
+            [getattr(slot, part) for slot in unit.slots_out for _ in range(slot.size)] for part in ("scale", "offset")
+        )
 
     def start(self, t: float, stop: float | None) -> None:
         experiment = t, stop, self.coupling.tolerance_of(self.unit)
@@ -409,13 +415,18 @@ class FmuUnit(Running):
     @staticmethod
     def _own(slot: Slot, value: float) -> Any:
         type_ = slot.variable.type
-        return value / slot.scale if type_ in ("Float64", "Float32") else _typed(value, type_)
+        is_real = type_ in ("Float64", "Float32")
+        return (value - slot.offset) / slot.scale if is_real else _typed(value, type_)
 
     def outputs(self) -> list[float]:
         if not self.asked:
             return []
         values = self.one.get(self.asked)
-        return [float(values[place]) * self.scales[place] for place in self.unit.picks]
+        picked = [float(values[place]) * self.scales[place] for place in self.unit.picks]
+        if not any(self.offsets):
+            return picked
+        moves = (self.offsets[place] for place in self.unit.picks)
+        return [value + move if move else value for value, move in zip(picked, moves, strict=True)]
 
     def _put_courses(self, slots: Sequence[Slot], s: float, *, mean: float = 0.0) -> None:
         """Inputs as they are s seconds later, or on the mean over some seconds."""
@@ -529,8 +540,8 @@ class FmuUnit(Running):
         assert unit.foreign is not None
         for name, value in unit.values.items():
             if not np.array_equal(self.unit.values[name], value):
-                variable, scale = unit.foreign.variables[name], unit.foreign.scales.get(name, 1.0)
-                self.one.set((variable,), [_typed(item / scale, variable.type) for item in _elements(value)])
+                variable, own = unit.foreign.variables[name], partial(unit.foreign.own, name)
+                self.one.set((variable,), [_typed(own(item), variable.type) for item in _elements(value)])
         self.unit = unit
 
     def warnings(self) -> Sequence[Fault]:

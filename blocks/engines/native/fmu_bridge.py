@@ -41,7 +41,7 @@ class FmuArrays:
     def __init__(self, unit: ModelExchangeUnit, plan: Plan, place: Array) -> None:
         opaque, part = unit.opaque, unit.part
         fmi, foreign = opaque.fmi, unit.foreign
-        scales = [scale for *_, scale in opaque.inputs]
+        scales, offsets = [scale for *_, scale in opaque.inputs], list(opaque.offsets)
         variables = [
             (variable.reference, code_of(variable.type, fmi), first, size, int(held))
             for (variable, first, size), held in zip(unit.variables, unit.is_held, strict=True)
@@ -53,6 +53,7 @@ class FmuArrays:
             variables.append((variable.reference, code_of(variable.type, fmi), len(scales), size, 1))
             self.used.append(variable)
             scales += [scale] * size
+            offsets += [foreign.offsets.get(name, 0.0)] * size
             tunables += range(first, first + size)
         asked = [item.variable for item in opaque.items if item.variable is not None]
         self.used += asked
@@ -62,6 +63,7 @@ class FmuArrays:
         self.raw, self.values = np.zeros(room), np.zeros(room)
         self.factors, self.scales = np.ones(max(nx, 1)), np.array([*scales, 1.0])
         self.factors[:nx] = unit.factors
+        self.origins, self.offsets = np.array([*opaque.origins, 0.0]), np.array([*offsets, 0.0])
         self.variables = np.array(variables, dtype=_VARIABLE)
         self.tunables = np.array(tunables or [0], dtype=np.int32)
         self.crossings = np.array(part.crossings or (0,), dtype=np.int32)
@@ -117,7 +119,8 @@ class NativeForeigns:
         for name, value in rows.sizes.items():
             setattr(table, name, value)
         for name in (
-            "x", "factors", "u", "had", "seen", "given", "raw", "values", "scales", "variables", "tunables",
+            "x", "factors", "origins", "u", "had", "seen", "given", "raw", "values", "scales", "offsets", "variables",
+            "tunables",
             "crossings", "states", "watched", "followed", "lags",
         ):  # fmt: skip
             setattr(table, name, getattr(rows, name).ctypes.data)

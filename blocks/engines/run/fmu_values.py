@@ -1,7 +1,7 @@
 """An FMU for Model Exchange between instants: a function of time, states and inputs, which are set where they changed.
 
-All numbers here are in SI; those of the FMU differ by a factor. FMI has z > 0 for the upper side of an indicator, and
-the engines value >= 0, so that a 0 is reported as the smallest number below.
+Numbers are in SI; those of the FMU differ by a factor and an offset. FMI has z > 0 for the upper side of an indicator,
+and the engines value >= 0, so that a 0 is reported as the smallest number below.
 
 References: FMI 2.0.4, 3 (Model Exchange); FMI 3.0.2, 3.
 """
@@ -39,6 +39,7 @@ class FmuValues(ABC):
         opaque = tape.opaque
         n = len(opaque.states)
         self.factors = np.array([scale for _, scale in opaque.states], dtype=float)
+        self.origins = np.array(opaque.origins, dtype=float)
         self.x_c, self.z_c = (ctypes.c_double * n)(), (ctypes.c_double * opaque.indicators)()
         self.n, self.nz = n, opaque.indicators
         # Inputs as the FMU has them: the elements of a variable side by side.
@@ -117,7 +118,7 @@ class FmuValues(ABC):
         return fine
 
     def _put_states(self) -> bool:
-        self.x_c[:] = (np.array(self.x) / self.factors).tolist()
+        self.x_c[:] = ((np.array(self.x) - self.origins) / self.factors).tolist()
         self.has_rates = False
         self.is_stale = self.n > 0 and not self.one.tried("SetContinuousStates", self.x_c, self.n)
         return not self.is_stale
@@ -132,7 +133,9 @@ class FmuValues(ABC):
             if self.is_held[number] and self.mode == "continuous":
                 continue
             scales = [self.opaque.inputs[first + e][3] for e in range(size)]
-            one.set_numbers(self.single[number], [v / s for v, s in zip(values, scales, strict=True)])
+            offsets = self.opaque.offsets[first : first + size]
+            own = [(v - o) / s for v, s, o in zip(values, scales, offsets, strict=True)]
+            one.set_numbers(self.single[number], own)
             self.had[number], self.has_rates = values, False
 
     def _ask_for_rates(self) -> bool:
@@ -191,7 +194,7 @@ class FmuValues(ABC):
                     z = indicators[item.index]
                     readings.append(z if z != 0.0 else -LEAST)
                 case "state":
-                    readings.append(states[item.index] * item.scale)
+                    readings.append(item.si(states[item.index]))
                 case "event_time":
                     readings.append(self.next_event)
                 case "given":
@@ -201,5 +204,5 @@ class FmuValues(ABC):
                 case "partial":
                     readings.append(partials[item])
                 case _:
-                    readings.append(values[first[id(item.variable)] + item.index] * item.scale)
+                    readings.append(item.si(values[first[id(item.variable)] + item.index]))
         return tuple(readings)

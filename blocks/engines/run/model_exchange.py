@@ -109,17 +109,16 @@ class ModelExchangeUnit(FmuDerivatives):
         others: list[tuple[ModelVariable, list[float]]] = []
         for name, first, size in self.part.parameters if is_first else self.tunable:
             variable = self.foreign.variables[name]
-            scale = self.foreign.scales.get(name, 1.0)
             values = list(now[first : first + size])
             if known is None:
                 start = [float(v) for v in variable.start]
                 start = start * size if len(start) == 1 else start
-                is_told = [v * scale for v in start] == values or (not start and not any(values))
+                is_told = [self.foreign.si(name, v) for v in start] == values or (not start and not any(values))
                 if is_told and variable.name not in self.foreign.changed:
                     continue
             elif list(known[first : first + size]) == values:
                 continue
-            numbers = [v / scale for v in values]
+            numbers = [self.foreign.own(name, v) for v in values]
             if variable.causality == "structuralParameter":
                 sizes.append((variable, numbers))
             else:
@@ -133,13 +132,17 @@ class ModelExchangeUnit(FmuDerivatives):
             one.set_numbers((variable,), numbers)
         if is_first:
             for name, given in self.part.optional:
-                scale = self.foreign.scales.get(name, 1.0)
-                one.set_numbers((self.foreign.variables[name],), [v / scale for v in given])
+                one.set_numbers((self.foreign.variables[name],), [self.foreign.own(name, v) for v in given])
             for name, text in self.part.texts:
                 variable = self.foreign.variables[name]
                 if not variable.start or variable.start[0] != text:
                     one.set((variable,), (text,))
         self.parameters = now
+
+    def _take_states(self) -> None:
+        """Take over the states that were read into x_c."""
+        x = np.array(self.x_c) * self.factors
+        self.x = (x + self.origins if self.origins.any() else x).tolist()
 
     def started(self) -> list[float]:
         """The end of the initialization: events, then continuous time. Returns the states."""
@@ -250,7 +253,7 @@ class ModelExchangeUnit(FmuDerivatives):
         self.epoch += 1
         if self.n:
             one.call("GetContinuousStates", self.x_c, self.n)
-            self.x = (np.array(self.x_c) * self.factors).tolist()
+            self._take_states()
         bad = next((value for value in self.x if not math.isfinite(value)), None)
         if bad is not None:
             message = f"a state of {self.foreign.path.name} is {bad} after an event at t = {t} s."
@@ -313,7 +316,7 @@ class ModelExchangeUnit(FmuDerivatives):
         self.mode, self.t, self.is_stale = "continuous", math.nan, True
         if self.n:
             one.call("GetContinuousStates", self.x_c, self.n)
-            self.x = (np.array(self.x_c) * self.factors).tolist()
+            self._take_states()
         self.u = list(seen)
         self.had = [None] * len(self.variables)
         for number, (_, first, size) in enumerate(self.variables):

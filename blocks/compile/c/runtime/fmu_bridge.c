@@ -76,6 +76,13 @@ static int vector(BlocksForeign *f, int call, int n)
     return ((Vector)f->calls[call])(f->component, f->raw, (size_t)n);
 }
 
+/* A number of the FMU in SI. Without an offset, -0.0 stays -0.0. */
+static double in_si(double number, double scale, double offset)
+{
+    double value = number * scale;
+    return offset != 0.0 ? value + offset : value;
+}
+
 /* Inputs that were given and that the FMU has not yet; held ones wait for its next event. */
 static int put_inputs(BlocksForeign *f)
 {
@@ -89,7 +96,7 @@ static int put_inputs(BlocksForeign *f)
         }
         if (!differs || !known) continue;
         double *own = f->values;
-        for (int i = 0; i < v->size; i++) own[i] = f->u[v->first + i] / f->scales[v->first + i];
+        for (int i = 0; i < v->size; i++) own[i] = (f->u[v->first + i] - f->offsets[v->first + i]) / f->scales[v->first + i];
         f->has_rates = 0;
         if (judged(f, set_one(f, v, own), BLOCKS_SET + v->type, v->reference)) return 1;
         for (int i = v->first; i < v->first + v->size; i++) f->had[i] = f->u[i];
@@ -111,7 +118,7 @@ static int put(BlocksForeign *f, double t, int changed)
         }
         if (changed || f->stale) {
             f->stale = f->has_rates = 0;
-            for (int i = 0; i < f->nx; i++) f->raw[i] = f->x[i] / f->factors[i];
+            for (int i = 0; i < f->nx; i++) f->raw[i] = (f->x[i] - f->origins[i]) / f->factors[i];
             status = vector(f, BLOCKS_SET_STATES, f->nx);
             if (status == DISCARD) {
                 discarded = -1;
@@ -145,7 +152,7 @@ static int read(BlocksForeign *f, const BlocksRequest *q, const double *given, d
             const BlocksItem *item = &q->items[k];
             if (item->kind != kinds[j]) continue;
             double value = f->raw[item->index];
-            made[k] = kinds[j] == BLOCKS_INDICATOR ? value != 0.0 ? value : -LEAST : value * item->scale;
+            made[k] = kinds[j] == BLOCKS_INDICATOR ? value != 0.0 ? value : -LEAST : in_si(value, item->scale, item->offset);
         }
     }
     for (int k = 0; k < q->nvariables; k++) {
@@ -155,7 +162,7 @@ static int read(BlocksForeign *f, const BlocksRequest *q, const double *given, d
     }
     for (int k = 0; k < q->nitems; k++) {
         const BlocksItem *item = &q->items[k];
-        if (item->kind == BLOCKS_VALUE) made[k] = f->values[item->index] * item->scale;
+        if (item->kind == BLOCKS_VALUE) made[k] = in_si(f->values[item->index], item->scale, item->offset);
         else if (item->kind == BLOCKS_EVENT_TIME) made[k] = f->next_event;
         else if (item->kind == BLOCKS_GIVEN) made[k] = given[item->index];
         else if (item->kind == BLOCKS_NUMBER) made[k] = item->scale;
@@ -273,7 +280,7 @@ static int updated(BlocksForeign *f, double *x)
     f->epoch++;
     if (judged(f, vector(f, BLOCKS_GET_STATES, f->nx), BLOCKS_GET_STATES, 0)) return 1;
     for (int i = 0; i < f->nx; i++) {
-        f->x[i] = f->raw[i] * f->factors[i];
+        f->x[i] = in_si(f->raw[i], f->factors[i], f->origins[i]);
         if (!isfinite(f->x[i])) return fault(f, BLOCKS_BAD_STATE);
         x[f->states[i]] = f->x[i];
     }

@@ -28,7 +28,7 @@ typedef struct {
 
 typedef struct {
     int32_t kind, index, by; /* by: of a partial derivative of item `index`, the input */
-    double scale;
+    double scale, offset;    /* in SI it is scale * number of the FMU + offset */
 } BlocksItem;
 
 /* Some results. states, inputs: pairs of a place among the values that are given and one of the FMU. variables: those
@@ -51,9 +51,10 @@ typedef struct {
     int32_t status, call, reference; /* of what failed first */
     int64_t epoch;
     double t, next_event, due_time;
-    double *x, *factors, *u, *had, *seen, *given; /* (nx), (nx), (nu) inputs, then tunable parameters */
+    double *x, *factors, *origins;                /* (nx) states in SI: factor * number of the FMU + origin */
+    double *u, *had, *seen, *given;               /* (nu) inputs, then tunable parameters */
     double *raw, *values;                         /* scratch */
-    const double *scales;                         /* (nu) */
+    const double *scales, *offsets;               /* (nu) */
     const BlocksVariable *variables;
     const int32_t *tunables, *crossings, *states; /* places in p, crossings, places in the model's x */
     const BlocksVariable *watched;

@@ -84,7 +84,9 @@ static void pack(const MasterGroup *g, const double *from)
 #define PACK(name, type)                                                                                               \
     case BLOCKS_##name: {                                                                                              \
         type *own = g->buffer;                                                                                         \
-        if (g->scales)                                                                                                 \
+        if (g->offsets)                                                                                                \
+            EACH((type)((from[g->places[i]] - g->offsets[i]) / (g->scales ? g->scales[i] : 1.0)));                     \
+        else if (g->scales)                                                                                            \
             EACH((type)(from[g->places[i]] / g->scales[i]));                                                           \
         else                                                                                                           \
             EACH((type)from[g->places[i]]);                                                                            \
@@ -104,7 +106,9 @@ static void unpack(const MasterGroup *g, double *to)
     case BLOCKS_##name:                                                                                                \
         for (int64_t i = 0; i < g->nvalues; i++) {                                                                     \
             double v = (double)((const type *)g->buffer)[i];                                                           \
-            if (g->places[i] >= 0) to[g->places[i]] = g->scales ? v * g->scales[i] : v;                                \
+            if (g->places[i] < 0) continue;                                                                            \
+            if (g->scales) v *= g->scales[i];                                                                          \
+            to[g->places[i]] = g->offsets && g->offsets[i] != 0.0 ? v + g->offsets[i] : v;                             \
         }                                                                                                              \
         break;
     switch (g->type) {

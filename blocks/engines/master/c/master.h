@@ -52,6 +52,7 @@ typedef struct {
     void *buffer;
     const int32_t *places; /* of a set: among the unit's inputs; of a get: elements, -1: nobody asks */
     const double *scales;  /* what 1 of the FMU is in SI; null: all 1 */
+    const double *offsets; /* what 0 of the FMU is in SI; null: all 0 */
     void *move;
 } MasterGroup;
 
