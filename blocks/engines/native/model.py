@@ -209,15 +209,11 @@ def _prepared(library: ctypes.CDLL, *, has_batch: bool, has_lanes: bool) -> ctyp
         ("blocks_list_room", c.c_int, [sim, c.c_int64]),
         ("blocks_past_room", c.c_int, [sim, c.c_int64, c.c_int64]),
         *([("blocks_batch", c.c_int64, [sim, sim, sim])] if has_batch else []),
-        *(
-            [
-                ("blocks_lanes_new", sim, [sim, sim, c.c_int64]),
-                ("blocks_lanes", c.c_int64, [sim, sim, sim]),
-                ("blocks_lanes_free", None, [sim]),
-            ]
-            if has_lanes
-            else []
-        ),
+        *([
+            ("blocks_lanes_new", sim, [sim, sim, c.c_int64]),
+            ("blocks_lanes", c.c_int64, [sim, sim, sim]),
+            ("blocks_lanes_free", None, [sim]),
+        ] if has_lanes else []),
     ):
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
