@@ -172,7 +172,7 @@ class CoupledUnit:
     def can_go_back(self) -> bool:
         """Whether its state can be saved and restored, as far as that is known before it runs."""
         if self.plan is not None:
-            return not (self.plan.steppers or self.plan.histories or self.plan.foreign)
+            return not (self.plan.steppers or self.plan.foreign)
         return self.foreign is not None and self.foreign.interface.saves
 
 

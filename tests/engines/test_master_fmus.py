@@ -816,3 +816,22 @@ def test_communication_points_do_not_come_back_out_of_a_delay(engine: str) -> No
     T, w = 0.3, 4.0
     exact = 1.5 / (1 + (w * T) ** 2) * (np.sin(w * t) - w * T * np.cos(w * t) + w * T * np.exp(-t / T))
     assert np.abs(results["late.y"] - exact).max() < 3e-3  # in the first step the sine is held
+
+
+@pytest.mark.parametrize(("algorithm", "order"), [("iterated", 0), ("jacobi", 2)])
+def test_blocks_with_a_delay_go_back_as_others_do(algorithm: str, order: int) -> None:
+    """Steps are repeated in both engines, and a delay that nobody reads leaves the FMU's output as it is."""
+
+    def made(engine: str, *, delayed: bool) -> Results:
+        d = Diagram("lagging")
+        d.wire(d.add("lag", fmu(lag_fmu(2), "CS")).u, d.add("sine", Sine(omega=4.0, amplitude=1.5)).y)
+        if delayed:
+            d.wire(d.add("late", TransportDelay(delay=0.13)).u, "lag.y")
+        log = ["lag.y", "late.y"] if delayed else ["lag.y"]
+        master = {"step": 0.01, "algorithm": algorithm, "order": order}
+        return d.run(stop=1.5, every=0.05, log=log, engine=engine, master=master)
+
+    reference, native, alone = made("reference", delayed=True), made("native", delayed=True), made("native", delayed=False)
+    assert native.values == pytest.approx(reference.values, abs=1e-12)
+    assert native.statistics.steps == reference.statistics.steps
+    assert native["lag.y"] == pytest.approx(alone["lag.y"], abs=0.0)

@@ -105,7 +105,8 @@ class CoreUnit(Running):
         self.engine = NativeEngine(self.plan, InputTable(tracks), foreign=foreigns(self.plan), is_silent=True)
         self.row = self.engine.tracks[1] if n else np.zeros((1, 1))
         self.given = np.zeros(max(len(unit.references), 1))
-        self.can_save = not (self.plan.steppers or self.plan.histories or self.plan.foreign)
+        self.can_save = not (self.plan.steppers or self.plan.foreign)
+        self.engine.sim.keeps_past = 1
 
     def start(self, t: float, stop: float | None) -> None:
         self.engine.stand_at_start()

@@ -664,10 +664,17 @@ static int remember(BlocksSim *s, double t1, double h_dense)
 static void settle_past(BlocksSim *s, int64_t first, double t)
 {
     BlocksPast *past = &s->past;
-    int n = s->model->nh;
     if (past->open) past->orders[past->broken - 1] = order_of_break(s, first);
     past->open = 0;
     past->seen = SMOOTH + 1;
+    if (!s->keeps_past) blocks_forget(s, t);
+}
+
+void blocks_forget(BlocksSim *s, double t)
+{
+    BlocksPast *past = &s->past;
+    int n = s->model->nh;
+    if (!n) return;
     double longest = 0.0;
     int64_t done = past->passed[0];
     for (int i = 0; i < n; i++) {

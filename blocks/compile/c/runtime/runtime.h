@@ -261,6 +261,7 @@ struct BlocksSim {
     double h, error;   /* proposed step (0: none), last error */
     int64_t fixed;     /* number of the next point of the fixed-step grid */
     int64_t row;       /* number of the next row of the recording grid */
+    int32_t keeps_past; /* set by a master, which goes back in time, and calls blocks_forget itself */
     int32_t recourses; /* set by a master: inputs go on by another extrapolation, without a jump; 2: delays remember them */
     double broken;     /* the last input breakpoint passed */
     int32_t outstanding, changed, has_left;
@@ -360,6 +361,9 @@ BLOCKS_API void blocks_rates(BlocksSim *s, double t, const double *x, double *ou
 BLOCKS_API int64_t blocks_size(int32_t what);            /* of the structures, for those who mirror them */
 BLOCKS_API int blocks_past_room(BlocksSim *s, int64_t parts, int64_t breaks);
 BLOCKS_API int blocks_list_room(BlocksList *list, int64_t more);
+
+/* Forgets what no history sees any more from t on. */
+BLOCKS_API void blocks_forget(BlocksSim *s, double t);
 
 /* For the stepping loops. */
 void blocks_outside(BlocksSim *s, double t);

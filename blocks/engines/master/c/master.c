@@ -298,6 +298,9 @@ static int64_t native_copy(MasterUnit *u, unsigned char *begin, int writes)
     ROW(s->before, model->nx + model->ns); ROW(s->base, model->nu); ROW(s->aim, model->nu); ROW(s->begin, model->nu);
     ROW(s->finish, model->nu); ROW(u->inputs, u->ninputs); ROW(u->terms, 4 * u->ninputs); ONE(u->polynomials.t0);
     if (u->ninputs) ROW(u->track, u->ninputs);
+    /* The past itself only grows meanwhile. */
+    ONE(s->past.known); ONE(s->past.broken); ONE(s->past.open); ONE(s->past.seen);
+    ROW(s->past.passed, model->nh); ROW(s->memory.h, model->nh);
 #undef ONE
 #undef ROW
     return at - begin;
@@ -310,6 +313,7 @@ static int save(Master *m, MasterUnit *u, int whose)
     u->has_saved = 1;
     u->begin = u->t;
     if (u->kind == MASTER_NATIVE) {
+        if (whose == MASTER_OF_CONTROL) blocks_forget(u->component, u->t);
         native_copy(u, u->saved[whose], 0);
         return 0;
     }
@@ -398,6 +402,7 @@ static void arrive(Master *m, MasterUnit *u)
     const BlocksSim *s = u->component;
     const BlocksModel *model = s->model;
     double *to = u->stood;
+    if (!m->is_controlled) blocks_forget(u->component, m->t);
     take_inputs(m, u, m->t);
     if (u->ninputs) memcpy(u->given + u->noutputs, u->inputs, (size_t)u->ninputs * sizeof(double));
     if (!u->follows) return;
