@@ -76,17 +76,23 @@ class CrossingWatch:
                 raise SimulationError(Fault("E304", name, message, cure))
         self.times.append(t)
 
-    def check_missed(self, t: float, values: Array, sides: Array, beyond: Array) -> None:
+    def check_missed(
+        self, t: float, values: Array, sides: Array, beyond: Array, slopes_by_rates: Callable[[], Array]
+    ) -> None:
         """Refuse a flight too short to be seen.
 
         A located instant lies beyond its crossing by a rounding error. Where its resets turn the motion back, the
-        crossing must be passed again at once; if it is not, it was passed twice within that rounding error.
+        crossing must be passed again at once; if it is not, it was passed twice within that rounding error. Polynomials
+        of a method may begin with a slope that is not that of the rates: both must lead back.
         """
         slopes, unsure = event_location.slope(values)
         size = 1e-12 * np.abs(values).max(axis=0) + unsure
         # A crossing through infinity leaves the other side far away: nothing was missed there.
         error = np.minimum(2 * beyond, 1e3 * size)
         missed = (np.where(sides, -slopes, slopes) > size) & (np.abs(values[0]) <= error) & self.resetting
+        if missed.any():
+            slopes = slopes_by_rates()
+            missed &= np.where(sides, -slopes, slopes) > size
         if missed.any():
             message = f"at t = {t} s it is crossed again sooner than numbers can tell: Zeno."
             cure = "Give the block a state of rest."

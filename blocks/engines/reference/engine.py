@@ -41,6 +41,7 @@ from .inside_step import InsideStep, in_time
 from .methods import Flow, StepRefused, Trial, error_norm, first_step, retaking, trial, worst
 from .python_code import CompiledPrograms, Evaluator
 from .rows import Row, RunRows
+from .touches import Touches
 
 __all__ = ["ReferenceEngine"]
 
@@ -59,7 +60,7 @@ _ON_THE_WAY = np.array([*_ENDS, 0.25, 0.5, 0.75, *(1.0 - _ENDS[::-1]), 1.0])
 _UNKNOWN: tuple[float, Array] = (math.nan, np.empty(0))
 _KEPT = (
     "now", "segment", "inputs", "broken", "outstanding", "crossing", "unprojected", "changed", "left", "sides",
-    "located", "steps", "rejected", "blamed", "evaluations", "instant_count", "events",
+    "located", "touched", "steps", "rejected", "blamed", "evaluations", "instant_count", "events",
 )  # fmt: skip
 
 
@@ -125,6 +126,7 @@ class ReferenceEngine:
         self.sides = _UNKNOWN  # a time, and the values of all crossings at it
         self.sloped: tuple[Snapshot | None, Array] = (None, np.empty(0))  # where the Jacobian is known, and what it is
         self.located = _UNKNOWN  # a located crossing: its time, and how far beyond it each changed crossing then was
+        self.touched = _UNKNOWN  # a time, and the values of crossings that touch 0 there; NaN of all others
         self.stiff: stiff.Radau | None = None  # the stiff method, and the factors that it has
         self.crossed, self.pace, self.measures = CrossingWatch(plan, self.instants), ProgressWatch(plan), Measures(plan)
         self.inside = InsideStep(plan, self.compiled, list(self.measures.references), self.logged, self._memory)
@@ -311,6 +313,7 @@ class ReferenceEngine:
         if not self.crossing:
             self.instants.loosen(now, self.segment.at(now.t))
         self.instants.looseness = 1.0
+        self.instants.touched = self.touched
         has_left = self.settings.records_jumps and not is_start and not self.is_silent
         left = self.left or self._row() if has_left else None
         past = now.past
@@ -693,7 +696,7 @@ class ReferenceEngine:
             return after, False
         values = np.array(self.instants.crossing_values(after, u))
         self.sides = (after.t, values)
-        changed = bool(np.any((values >= 0) != (np.array(after.s) > 0)))
+        changed = self.instants.latched(after, values) != after.s
         return replace(after, memory=replace(after.memory, first=None, carried=None)), changed
 
     # --- crossings ---------------------------------------------------------------------------------------------
@@ -715,61 +718,93 @@ class ReferenceEngine:
         def evaluate(theta: float) -> Array:
             return self._crossing_values(now.t + theta * h, dense(np.array([theta * h / dense.h]))[0])
 
+        def on_trial(theta: float) -> Array:
+            x = dense(np.array([theta * h / dense.h]))[0]
+            return np.array(self.instants.sides(*self._memory(now.t + theta * h, x)))
+
         before = self.sides[1] if self.sides[0] == now.t else None
         sides, located = np.array(now.s) > 0, self.located
-        bracket: tuple[float, float] | None = None
-        first, was_first, is_whole = None, False, True
+        usual = now.memory.h if self.settings.step is None else float(self.settings.step)
+        resolution = 4 * math.ulp(max(abs(now.t), abs(t1))) / h
+        touches = Touches(sides, on_trial, resolution, usual / h, is_closed=bool(self.plan.foreign))
+        change: event_location.Found | None = None
+        first, first_length, was_first, is_whole = None, 1.0, False, True
         for part in self.inside.parts("crossings", now, dense, now.t, t1, self._crossing_values, x1=x1, first=before):
-            bracket = event_location.first_change(part.table, sides, evaluate, part.begin, part.end)
+            table, length = part.table, part.end - part.begin
+            touches.enter(table, length)
+            while True:
+                change = event_location.first_change(table, sides, evaluate, touches.changed, part.begin, part.end)
+                if change is None or not touches.found(change):
+                    break
             if first is None:
-                first, was_first, is_whole = part.table.copy(), bracket is not None, part.end == 1.0
-            if bracket is not None:
+                first, first_length = table.copy(), length
+                was_first, is_whole = change is not None, part.end == 1.0
+            if change is not None:
                 break
         after = part.table[4].copy() if part.end == 1.0 else self._crossing_values(t1, x1)
-        if bracket is not None:
-            size = self._located(dense, flow.after, bracket, h, sides)
-            if now.t + size < t1 and not within_ulps(now.t + size, target):
-                # A time of its own after t, or the run would stand still.
-                t1 = max(now.t + size, math.nextafter(now.t, math.inf))
-                x1 = flow.retake(t1 - now.t)
-                after = self._crossing_values(t1, x1)
-                self.located = (t1, np.where((after >= 0) != sides, np.abs(after), -1.0))
-        changed = bool(np.any((after >= 0) != sides))
+        place = 1.0
+        while change is not None:
+            size = self._located(dense, flow.after, change, h, touches)
+            is_cut = now.t + size < t1 and not within_ulps(now.t + size, target)
+            # A time of its own after t, or the run would stand still.
+            end = max(now.t + size, math.nextafter(now.t, math.inf)) if is_cut else t1
+            x, place = (flow.retake(end - now.t), (end - now.t) / h) if is_cut else (x1, 1.0)
+            after = self._crossing_values(end, x)
+            if touches.judge(place, after, change) and is_cut and not np.any(touches.changed(place, after)):
+                continue
+            if is_cut:
+                t1, x1 = end, x
+                self.located = (t1, np.where(touches.changed(place, after), np.abs(after), -1.0))
+            break
+        fires = touches.changed(place, after)
+        changed = bool(np.any(fires))
         if not (changed and (was_first or is_whole)) and located[0] == now.t:
             assert first is not None
-            self.crossed.check_missed(now.t, first, sides, located[1])
+            self.crossed.check_missed(now.t, first, sides, located[1], self._slopes_by_rates(first_length * h))
         self.instants.later = 0.0
         if not changed and t1 == target:
-            joined = self._joined(t1, x1, part.table, (part.end - part.begin) * h, sides)
+            joined = self._joined(t1, x1, part.table, length, h, touches)
             if joined is not None:
                 x1, after, changed = *joined, True
                 self.instants.later = 4 * math.ulp(t1)
-        self.sides = (t1, after)
+        self.sides, self.touched = (t1, after), (t1, touches.kept(place, after))
         # A crossing that joined an instant fires only if that does not turn it back: it counts when it passes again.
-        for j in np.nonzero((after >= 0) != sides)[0] if not self.instants.later else ():
+        for j in np.nonzero(fires)[0] if not self.instants.later else ():
             self.crossed.add(t1, int(j), up=bool(after[j] >= 0))
         return t1, x1, changed
 
-    def _joined(self, t1: float, x1: Array, values: Array, length: float, sides: Array) -> tuple[Array, Array] | None:
+    def _slopes_by_rates(self, h: float) -> Callable[[], Array]:
+        """How crossings begin to move from here, by the length h: along the rates, not along a polynomial of a step."""
+
+        def slopes() -> Array:
+            now, rates, size = self.now, self._first(), h / 1024
+            near, far = (self._crossing_values(now.t + s, now.x + s * rates) for s in (size, 2 * size))
+            return np.asarray(512 * (4 * near - far - 3 * self._crossing_values(now.t, now.x)))
+
+        return slopes
+
+    def _joined(
+        self, t1: float, x1: Array, values: Array, length: float, h: float, touches: Touches
+    ) -> tuple[Array, Array] | None:
         """Where a crossing comes within 4 ulp after an instant at t1, to which it then belongs: states and crossings.
 
-        values: those of the last part of the step, which is `length` long.
+        values: those of the last part of the step, which is `length` of the step's h long.
         """
-        since = 8 * math.ulp(t1)
-        slopes, after = POWERS[1:].T @ np.arange(1, 5) @ values / length, values[4]
+        since, sides = 8 * math.ulp(t1), touches.sides
+        slopes, after = POWERS[1:].T @ np.arange(1, 5) @ values / (length * h), values[4]
         if self.plan.foreign or not np.any(np.where(sides, after <= -slopes * since, -after <= slopes * since)):
             return None
         x = frozen(x1 + 0.5 * since * self._rates(t1, x1))
         crossings = self._crossing_values(t1 + 0.5 * since, x)
-        return (x, crossings) if np.any((crossings >= 0) != sides) else None
+        return (x, crossings) if np.any(touches.joined(crossings)) else None
 
     def _located(
         self,
         dense: Interpolant,
         flow: Callable[[float], Array],
-        bracket: tuple[float, float],
+        change: event_location.Found,
         h: float,
-        sides: Array,
+        touches: Touches,
     ) -> float:
         """The size of the step to the first change of a side, to 4 ulp of t, its right end.
 
@@ -778,7 +813,8 @@ class ReferenceEngine:
         t0 = self.now.t
 
         def beyond(t: float, x: Array) -> float:
-            return float(np.max(self.instants.distance(self._crossing_values(t, x), sides)))
+            distances = self.instants.distance(self._crossing_values(t, x), touches.sides)
+            return float(np.max(np.where((t - t0) / h <= touches.until, -math.inf, distances)))
 
         def on_dense(size: float) -> float:
             return beyond(t0 + size, dense(np.array([size / dense.h]))[0])
@@ -788,8 +824,8 @@ class ReferenceEngine:
             return beyond(t, flow(t - t0)) if t > t0 else -1.0
 
         resolution = 4 * math.ulp(max(abs(t0), abs(t0 + h)))
-        last = bracket[1] * h
-        low = high = event_location.narrowed(on_dense, bracket[0] * h, last, resolution)
+        last = change.high * h
+        low = high = event_location.narrowed(on_dense, change.low * h, last, resolution)
         reach = max(1e-9 * h, resolution)
         if on_steps(low) >= 0:
             while low > 0 and on_steps(low) >= 0:

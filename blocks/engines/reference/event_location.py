@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..run.history import NODES, POWERS
 
-__all__ = ["first_change", "narrowed", "slope"]
+__all__ = ["Array", "Found", "first_change", "narrowed", "slope"]
 
 Array = np.ndarray[Any, Any]
 # Coefficients of powers -> Bernstein coefficients: b_i = sum_k C(i, k) / C(4, k) a_k.
@@ -24,13 +24,27 @@ _BERNSTEIN = (
 )
 
 
+class Found(NamedTuple):
+    """An interval (low, high] of a step in which a side changes, and the crossing values at its end."""
+
+    low: float
+    high: float
+    values: Array
+
+
 def first_change(
-    values: Array, sides: Array, evaluate: Callable[[float], Array], begin: float = 0.0, end: float = 1.0
-) -> tuple[float, float] | None:
-    """An interval (low, high] of a step in which the first change of a side in a part lies, or None.
+    values: Array,
+    sides: Array,
+    evaluate: Callable[[float], Array],
+    changed: Callable[[float, Array], Array],
+    begin: float = 0.0,
+    end: float = 1.0,
+) -> Found | None:
+    """The interval of a step in which the first change of a side in a part lies, or None.
 
     values: (5, m) crossing values at NODES of the part. sides: (m,) latched sides. evaluate: values (m,) at another
-    place of the step. begin, end: of the part, where the step goes from 0 to 1.
+    place of the step. changed: which sides have changed at a place with values. begin, end: of the part, where the step
+    goes from 0 to 1.
     """
     bounds = _BERNSTEIN @ values
     safe = np.where(sides, bounds.min(axis=0) >= 0, bounds.max(axis=0) < 0)  # false where a value is not finite
@@ -51,8 +65,8 @@ def first_change(
     low = begin
     for theta in sorted(points):
         place = begin + theta * (end - begin)
-        if np.any((points[theta] >= 0) != sides) and theta > 0.0:
-            return low, place
+        if theta > 0.0 and np.any(changed(place, points[theta])):
+            return Found(low, place, points[theta])
         low = place
     return None
 

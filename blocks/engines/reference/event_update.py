@@ -74,6 +74,7 @@ class Instants:
     inputs_later: Sequence[float] = ()  # the inputs there
     slack: tuple[float, ...] = ()  # of crossings that are corners of loops: how far they may be off by rounding
     looseness: float = 1.0  # in steps it is 2: where a corner is located there, it is beyond its slack at the instant
+    touched: tuple[float, Array] = (math.nan, np.empty(0))  # a time, and the values of crossings that touch 0 there
 
     def __post_init__(self) -> None:
         plan, program = self.plan, self.compiled.program
@@ -316,6 +317,14 @@ class Instants:
             return ()
         return self.sides(*self._memory_now(snapshot, u))
 
+    def latched(self, snapshot: Snapshot, values: Iterable[float]) -> tuple[float, ...]:
+        """The sides that go with crossing values. Where a signal touched 0 and has not jumped since, its side stays."""
+        sides = tuple(float(value >= 0) for value in values)
+        if self.touched[0] != snapshot.t:
+            return sides
+        kept = zip(sides, snapshot.s, values, self.touched[1], strict=True)
+        return tuple(latched if value == touched else side for side, latched, value, touched in kept)
+
     def sides(self, *memory: Any) -> tuple[float, ...]:
         """The values of all crossings; of those that are off, one on the latched side."""
         values = self._beyond(self._sides(*memory), memory[3])
@@ -454,7 +463,7 @@ class Instants:
         self, values: Sequence[float], snapshot: Snapshot, due: dict[int, float]
     ) -> tuple[tuple[float, ...], dict[int, float], list[int]]:
         """The sides that crossings show, what fires with what is due, and which sides have changed."""
-        sides = tuple(float(value >= 0) for value in values)
+        sides = self.latched(snapshot, values)
         firing = dict(due)
         changed = []
         for j, value in enumerate(values):

@@ -28,7 +28,8 @@ struct Fmu {
     BlocksSetup setup;
     BlocksTrack track;
     BlocksPolynomials polynomials;
-    double *atol, *input, *terms, *settings, *outputs, *locals, *rates, *indicators;
+    double *atol, *input, *terms, *settings, *outputs, *locals, *rates, *indicators, *largest;
+    /* largest: (ns) how far each indicator was away from 0 */
     /* terms: (5, nu) values and derivatives of inputs, and when derivatives were set last */
     BlocksPolynomials curves; /* of inputs within a communication step with intermediate updates; see `ask` */
     double *bends, *samples, *slack, until;
@@ -82,11 +83,11 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
         size_t nx = (size_t)model->nstates, nu = (size_t)model->setup->model->nu, ns = (size_t)model->setup->model->ns;
         size_t nrates = nx + ns, nboth = nrates + (size_t)model->noutputs; /* rates may come with crossings behind them */
         size_t sizes[] = {nx, nu, 5 * nu, 4 * nu, 4 * nu, nu,
-                          (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nrates, ns,
+                          (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nrates, ns, ns,
                           blocks_jacobian_room(jacobian), (size_t)jacobian->first[jacobian->ncolumns],
                           nx + (size_t)model->setup->model->nd + ns, nboth, nboth};
         double **places[] = {&f->atol, &f->input, &f->terms, &f->bends, &f->samples, &f->slack,
-                             &f->settings, &f->outputs, &f->locals, &f->rates, &f->indicators,
+                             &f->settings, &f->outputs, &f->locals, &f->rates, &f->indicators, &f->largest,
                              &f->room, &f->data,
                              &f->moved, &f->above, &f->below};
         size_t total = 0, count = sizeof sizes / sizeof *sizes;
@@ -175,6 +176,7 @@ int fmu_reset(Fmu *f)
     memcpy(f->input, model->inputs, (size_t)f->setup.model->nu * sizeof(double));
     for (int i = 0; i < 5 * f->setup.model->nu; i++) f->terms[i] = i < 4 * f->setup.model->nu ? 0.0 : NAN;
     memcpy(f->sim->memory.p, model->parameters, (size_t)f->setup.model->np * sizeof(double));
+    for (int j = 0; j < f->setup.model->ns; j++) f->largest[j] = 0.0;
     f->sim->polynomials = NULL;
     configure(f);
     blocks_reset(f->sim);
@@ -551,13 +553,60 @@ static int rates(Fmu *f)
     return FMU_OK;
 }
 
+/* Whether a crossing is so near to 0 that its sign may be one of rounding; `rates` are then known. */
+static int is_near(Fmu *f, int j, double value)
+{
+    BlocksSim *s = f->sim;
+    if (f->live.kind != FMU_ME || f->setup.model->hooks || !(fabs(value) < 1e-9 * f->largest[j])) return 0;
+    if (!(f->live.known & RATES_KNOWN)) blocks_evaluate(s, f->setup.model->rates, s->t, s->memory.x, f->rates);
+    return all_finite(f->rates, fmu_model.nstates) < 0;
+}
+
+/* How far an indicator may be off by rounding, where 0 is in reach: by that of its own, and by an ulp of each input. */
+static double band_of(Fmu *f, int j)
+{
+    BlocksSim *s = f->sim;
+    const BlocksModel *model = f->setup.model;
+    double band = blocks_rounding(s, j, f->rates, f->setup.longest), *out = s->crossing_values;
+    for (int i = 0; i < model->nu; i++) {
+        double was = s->memory.u[i];
+        s->memory.u[i] = nextafter(was, INFINITY);
+        model->crossings(&s->memory, s->t, s->memory.x, out);
+        blocks_beyond(s, out);
+        s->memory.u[i] = was;
+        band = fmax(band, 4 * fabs(out[j] - f->indicators[j]));
+    }
+    return fmin(band, 1e-9 * f->largest[j]);
+}
+
+/* The indicators. One that comes so near to 0 that its sign may be one of rounding keeps the sign of its side within a band:
+   an importer would else find an event at each change of it. */
 static int indicators(Fmu *f)
 {
+    const int ns = f->setup.model->ns;
+    BlocksSim *s = f->sim;
     if (f->live.known & INDICATORS_KNOWN) return FMU_OK;
-    blocks_loosen(f->sim);
-    int status = evaluated(f, INDICATORS_KNOWN, f->setup.model->crossings, f->indicators, f->setup.model->ns, FMU_ROW_INDICATOR);
-    if (status == FMU_OK) blocks_beyond(f->sim, f->indicators);
-    return status;
+    blocks_loosen(s);
+    int status = evaluated(f, INDICATORS_KNOWN, f->setup.model->crossings, f->indicators, ns, FMU_ROW_INDICATOR);
+    if (status) return status;
+    blocks_beyond(s, f->indicators);
+    for (int j = 0; j < ns; j++) {
+        f->largest[j] = fmax(fabs(f->indicators[j]), f->largest[j]);
+        if (is_near(f, j, f->indicators[j]))
+            f->indicators[j] += s->memory.s[j] > 0.0 ? band_of(f, j) : -band_of(f, j);
+    }
+    return FMU_OK;
+}
+
+/* Let crossings that only touch 0 now keep their sides at the instant that follows. */
+static void note_touches(Fmu *f)
+{
+    BlocksSim *s = f->sim;
+    const BlocksModel *model = f->setup.model;
+    if (model->ns) blocks_evaluate(s, model->crossings, s->t, s->memory.x, s->touched), blocks_beyond(s, s->touched);
+    for (int j = 0; j < model->ns; j++)
+        if (!is_near(f, j, s->touched[j]) || !blocks_touches(s, j, f->rates, f->setup.longest)) s->touched[j] = NAN;
+    s->touched_t = s->t;
 }
 
 /* --- variables ---------------------------------------------------------------------------------------------------- */
@@ -809,6 +858,7 @@ int fmu_enter_event_mode(Fmu *f)
     if (f->live.kind == FMU_ME) {
         stand_at(f, f->sim->t);
         blocks_loosen(f->sim);
+        note_touches(f);
         if (blocks_end_step(f->sim)) return failed(f); /* now, by the inputs from before the event */
         overdue(f);
     }
@@ -1170,6 +1220,7 @@ static void walk_all(Fmu *f, Walk *w)
     WALK_ROW(s->before, m->nx + m->ns), WALK_ROW(s->base, m->nu), WALK_ROW(s->aim, m->nu);
     WALK_ROW(s->begin, m->nu), WALK_ROW(s->finish, m->nu);
     WALK_ROW(f->input, m->nu), WALK_ROW(f->terms, 5 * m->nu), WALK_ROW(f->settings, fmu_model.nsettings);
+    WALK_ROW(f->largest, m->ns), WALK(s->touched_t), WALK_ROW(s->touched, m->ns);
     if (m->nh) {
         int64_t known = past->known, broken = past->broken;
         WALK(known), WALK(broken), WALK(past->open), WALK(past->seen);

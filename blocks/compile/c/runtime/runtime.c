@@ -1278,11 +1278,38 @@ static int retake(BlocksSim *s, double t1)
     return BLOCKS_REFUSED;
 }
 
+/* One crossing near a place: of a step, which goes from 0 to 1, or some time from here along the rates. unit: the distance of
+   places that can be told apart. begin, end: of where it is looked at. widest: of rows of values. */
+typedef struct {
+    BlocksSim *s;
+    Parts *p; /* null: along the rates */
+    const double *rates;
+    int j;
+    double unit, begin, end, widest;
+} Course;
+
+static double value_at(const Course *c, double place)
+{
+    BlocksSim *s = c->s;
+    double *out = c->p ? c->p->values + 5 * s->model->ns : s->crossing_values;
+    if (c->p) {
+        part_at(c->p, place, s->model->crossings, out);
+    } else {
+        for (int i = 0; i < s->model->nx; i++) s->x2[i] = s->memory.x[i] + place * c->rates[i];
+        evaluate(s, s->model->crossings, s->t + place, s->x2, out);
+    }
+    take_slack(s, out);
+    return out[c->j];
+}
+
 typedef struct {
     BlocksSim *s;
     double h, h_dense; /* of the step, and of its dense output */
     int on_steps, failed;
+    const Course *course; /* where one crossing alone is searched for, at its places */
 } Search;
+
+BLOCKS_INLINE double distance(const BlocksSim *s, int j, double v) { return s->memory.s[j] > 0.0 ? (v == 0.0 ? -5e-324 : -v) : v; }
 
 /* How far crossings are beyond their latched sides: negative before the first change. */
 HOT static double beyond(Search *search, double size)
@@ -1290,6 +1317,7 @@ HOT static double beyond(Search *search, double size)
     BlocksSim *s = search->s;
     double t = s->t + size, most = -INFINITY;
     if (search->failed) return 0.0;
+    if (search->course) return distance(s, search->course->j, value_at(search->course, size));
     if (search->on_steps) {
         if (!(t > s->t)) return -1.0;
         if (crossing_values(s, t, flow(s, t - s->t), s->distances)) search->failed = 1;
@@ -1299,8 +1327,8 @@ HOT static double beyond(Search *search, double size)
         if (crossing_values(s, t, s->xs, s->distances)) search->failed = 1;
     }
     for (int j = 0; j < s->model->ns; j++) {
-        double v = s->distances[j], d = s->memory.s[j] > 0.0 ? (v == 0.0 ? -5e-324 : -v) : v;
-        if (d > most) most = d;
+        double d = distance(s, j, s->distances[j]);
+        if (d > most && !(size / search->h <= s->until[j])) most = d;
     }
     return most;
 }
@@ -1335,7 +1363,7 @@ static double narrowed(Search *search, double low, double high, double f_low, do
 
 static double located(BlocksSim *s, double low_theta, double high_theta, double h, double h_dense, int *failed)
 {
-    Search search = {s, h, h_dense, 0, 0};
+    Search search = {.s = s, .h = h, .h_dense = h_dense};
     double resolution = 4 * blocks_ulp(fmax(fabs(s->t), fabs(s->t + h))), first = low_theta * h;
     double last = high_theta * h, f_low = beyond(&search, first), f_high = beyond(&search, last);
     double low = narrowed(&search, first, last, f_low, f_high, resolution), high = low;
@@ -1409,15 +1437,34 @@ static int compare_doubles(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
+/* The side that goes with a value. Where a signal touched 0 and has not jumped since, it stays. */
+BLOCKS_INLINE double latched_side(const BlocksSim *s, int j, double value)
+{
+    return s->touched_t == s->t && value == s->touched[j] ? s->memory.s[j] : value >= 0;
+}
+
 HOT static int any_changed(const BlocksSim *s, const double *values)
 {
     for (int j = 0; j < s->model->ns; j++)
-        if ((values[j] >= 0) != (s->memory.s[j] > 0.0)) return 1;
+        if (latched_side(s, j, values[j]) != s->memory.s[j]) return 1;
+    return 0;
+}
+
+/* Whether a side has changed at a place of the step: one that is touched there has not. */
+BLOCKS_INLINE int has_changed(const BlocksSim *s, int j, double value, double theta)
+{
+    return (value >= 0) != (s->memory.s[j] > 0.0) && !(theta <= s->until[j]);
+}
+
+HOT static int any_changed_at(const BlocksSim *s, const double *values, double theta)
+{
+    for (int j = 0; j < s->model->ns; j++)
+        if (has_changed(s, j, values[j], theta)) return 1;
     return 0;
 }
 
 /* An interval (low, high] of a step, from 0 to 1, in which the first change of a side in a part lies: 1 where there is
-   one. */
+   one; the crossings at its end are then in `distances`. */
 HOT static int first_change(Parts *p, double *low, double *high)
 {
     BlocksSim *s = p->s;
@@ -1466,8 +1513,9 @@ HOT static int first_change(Parts *p, double *low, double *high)
             }
             at = p->values + 5 * n;
         }
-        if (theta > 0.0 && any_changed(s, at)) {
+        if (theta > 0.0 && any_changed_at(s, at, p->begin + theta * width)) {
             *high = p->begin + theta * width;
+            memcpy(s->distances, at, (size_t)n * sizeof(double));
             found = 1;
         } else {
             *low = p->begin + theta * width;
@@ -1477,8 +1525,143 @@ HOT static int first_change(Parts *p, double *low, double *high)
     return found;
 }
 
-/* A flight too short to be seen: a located crossing that must be passed again at once, and is not. */
-static int missed(BlocksSim *s, const double *values)
+/* --- signals that touch a threshold; twin, which says more about the why: engines/reference/touches.py -------------- */
+
+static const double SMALL_REACH = 1e-6, UNSMOOTH = 0.25, LEVELS = 1024, SHORT = 1e-3, SPREAD = 37.0, BAND = 4.0, MOST_BAND = 64.0;
+
+static double largest_of(const Parts *p, int j)
+{
+    double most = 0.0;
+    for (int k = 0; k < 5; k++) most = fmax(most, fabs(p->values[k * p->look->n + j]));
+    return most;
+}
+
+/* The rounding error of a crossing near a place: the largest third difference of values in a row, which stand before it or behind
+   it, as it may jump there. */
+static double rounding_of(const Course *c, double at)
+{
+    double most = 0.0, spacing = c->unit;
+    for (int window = 0; window == 0 || 8 * spacing <= c->widest; spacing *= SPREAD) {
+        for (int side = 0; side < 2; side++) {
+            double first = side ? at + spacing : at - 9 * spacing, v[9];
+            if (first < c->begin || first + 8 * spacing > c->end) continue;
+            for (int k = 0; k < 9; k++) v[k] = value_at(c, first + k * spacing);
+            for (int k = 0; k < 6; k++) most = fmax(most, fabs((v[k + 3] - v[k]) - 3 * (v[k + 2] - v[k + 1])));
+        }
+        if (++window >= 3 && most > 0.0) break;
+    }
+    return most;
+}
+
+/* Whether a crossing comes back on its way to `end`, or stays in the band of its rounding errors there, but for one that rests on
+   0 exactly. most: how wide the band may be. until: where it is back. */
+static int comes_back(const Course *c, double at, double end, double most, double *until)
+{
+    double band = fmin(BAND * rounding_of(c, at), most);
+    int rests = 1;
+    *until = end;
+    for (double reach = c->unit, place; (place = at + reach) <= end; reach *= 2) {
+        double d = distance(c->s, c->j, value_at(c, place));
+        if (!(d <= band)) return 0; /* what is not a number too */
+        rests &= d == 0.0;
+        if (d < -band) {
+            *until = place;
+            break;
+        }
+    }
+    return !rests;
+}
+
+/* The length of a usual step. */
+static double usual_step(const BlocksSim *s)
+{
+    const BlocksGrid *fixed = &s->setup->fixed;
+    return fixed->is_given ? (double)fixed->step / (double)fixed->unit : s->h;
+}
+
+/* Whether a crossing, whose side changes within (low, high] of a step, only touches 0: up to where it has come back, its side is
+   as before. */
+static int is_touch(Parts *p, int j, double low, double high)
+{
+    BlocksSim *s = p->s;
+    const double usual = usual_step(s) / p->h, unit = 4 * blocks_ulp(fmax(fabs(p->t0), fabs(p->t1))) / p->h;
+    const double end = s->model->hooks ? 1.0 : 1.0 + SHORT * fmax(1.0, usual);
+    const Course course = {s, p, NULL, j, unit, 0.0, end, SHORT * (1.0 < SHORT * usual ? usual : p->end - p->begin)};
+    Search search = {.s = s, .h = p->h, .course = &course};
+    double at = high, most = largest_of(p, j), until;
+    low = fmax(low, s->until[j]);
+    if (low < high) at = narrowed(&search, low, high, beyond(&search, low), beyond(&search, high), course.unit);
+    if (!comes_back(&course, at, fmin(end, 2.0), most > 0.0 ? MOST_BAND * most : INFINITY, &until)) return 0;
+    s->until[j] = fmax(until, high);
+    return 1;
+}
+
+static Course course_of(BlocksSim *s, int j, const double *rates, double length)
+{
+    return (Course){s, NULL, rates, j, 4 * fmax(blocks_ulp(s->t), 1e-16 * length), -length, length, SHORT * length};
+}
+
+double blocks_rounding(BlocksSim *s, int j, const double *rates, double length)
+{
+    const Course course = course_of(s, j, rates, length);
+    double made = BAND * rounding_of(&course, 0.0);
+    if (s->moving) blocks_outside(s, s->t);
+    return made;
+}
+
+int blocks_touches(BlocksSim *s, int j, const double *rates, double length)
+{
+    const Course course = course_of(s, j, rates, length);
+    double until;
+    int made = comes_back(&course, 0.0, SHORT * length, INFINITY, &until);
+    if (s->moving) blocks_outside(s, s->t);
+    return made;
+}
+
+/* Whether the values of a crossing in a part may be rounding alone: they are not smooth, or whole multiples of one difference. */
+static int is_rough(const double *v, int n, double most)
+{
+    double d[4], least = INFINITY, third = 0.0;
+    for (int k = 0; k < 4; k++) {
+        d[k] = v[(k + 1) * n] - v[k * n];
+        if (d[k] != 0.0) least = fmin(least, fabs(d[k]));
+    }
+    for (int k = 0; k < 2; k++) third = fmax(third, fabs((d[k + 2] - d[k + 1]) - (d[k + 1] - d[k])));
+    if (fmax(third, fabs((d[3] - d[0]) - 3 * (d[2] - d[1]))) >= UNSMOOTH * most) return 1;
+    if (isinf(least)) return 1;
+    for (int k = 0; k < 5; k++)
+        if (fmod(v[k * n], least) != 0.0) return 0;
+    return most <= LEVELS * least;
+}
+
+/* Whether a change that was found in a part is a touch of some crossing, whose values at `high` are in `distances`. */
+static int finds_touch(Parts *p, double low, double high)
+{
+    BlocksSim *s = p->s;
+    int n = s->model->ns, any = 0, is_short = (p->end - p->begin) * p->h < SHORT * usual_step(s);
+    for (int j = 0; j < n; j++) {
+        if (!has_changed(s, j, s->distances[j], high)) {
+            /* It begins beyond its side, where a step before has left it as a touch. */
+            if (low == 0.0 && has_changed(s, j, p->values[j], 0.0)) any |= is_touch(p, j, 0.0, 0.0);
+            continue;
+        }
+        double most = largest_of(p, j);
+        if (is_short || fabs(s->distances[j]) <= SMALL_REACH * most || is_rough(p->values + j, n, most))
+            any |= is_touch(p, j, low, high);
+    }
+    return any;
+}
+
+/* How a crossing begins to move from here, by the length h: along the rates, not along a polynomial of a step. */
+static double slope_by_rates(BlocksSim *s, int j, double h)
+{
+    const Course course = course_of(s, j, s->k[0], h);
+    return 512 * (4 * value_at(&course, h / 1024) - value_at(&course, h / 512) - 3 * value_at(&course, 0.0));
+}
+
+/* A flight too short to be seen: a located crossing that must be passed again at once, and is not. values: those of the first
+   part of the step, which is h long. */
+static int missed(BlocksSim *s, const double *values, double h)
 {
     int n = s->model->ns;
     for (int j = 0; j < n; j++) {
@@ -1488,7 +1671,10 @@ static int missed(BlocksSim *s, const double *values)
         for (int k = 0; k < 5; k++) most = fmax(most, fabs(values[k * n + j]));
         double size = 1e-12 * most + fabs(a[4]), slope = s->memory.s[j] > 0.0 ? -a[1] : a[1];
         double error = fmin(2 * s->located[j], 1e3 * size);
-        if (slope > size && fabs(values[j]) <= error) return blocks_fail(s, BLOCKS_ZENO, j, s->t);
+        if (!(slope > size && fabs(values[j]) <= error)) continue;
+        /* Polynomials of a method may begin with a slope that is not that of the rates: both must lead back. */
+        slope = slope_by_rates(s, j, h);
+        if ((s->memory.s[j] > 0.0 ? -slope : slope) > size) return blocks_fail(s, BLOCKS_ZENO, j, s->t);
     }
     return 0;
 }
@@ -1529,11 +1715,13 @@ static void note_crossing(BlocksSim *s, double t, int j, int up)
 }
 
 /* Whether a crossing comes within 4 ulp after an instant at t1, to which it then belongs: the states and the crossings
-   there are taken at once. values: those of the last part of the step, which is `length` long. */
-static int joins(BlocksSim *s, double t1, double length, const double *values, double *after)
+   there are taken at once. p: the last part of the step. */
+static int joins(Parts *p, double t1, double *after)
 {
-    int n = s->model->ns, is_near = 0;
-    double since = 8 * blocks_ulp(t1);
+    BlocksSim *s = p->s;
+    int n = s->model->ns, is_near = 0, any = 0;
+    double since = 8 * blocks_ulp(t1), length = (p->end - p->begin) * p->h;
+    const double *values = p->values;
     for (int j = 0; j < n && !is_near; j++) {
         double a[5];
         powers(values + j, n, a);
@@ -1546,7 +1734,9 @@ static int joins(BlocksSim *s, double t1, double length, const double *values, d
     s->flowed = 1;
     for (int i = 0; i < s->model->nx; i++) s->x2[i] = s->x1[i] + 0.5 * since * s->x2[i];
     if (crossing_values(s, t1 + 0.5 * since, s->x2, near)) return -1;
-    if (!any_changed(s, near)) return 0;
+    for (int j = 0; j < n; j++)
+        if (has_changed(s, j, near[j], 1.0)) any |= !is_touch(p, j, 1.0, 1.0);
+    if (!any) return 0;
     memcpy(s->x1, s->x2, (size_t)s->model->nx * sizeof(double));
     memcpy(after, near, (size_t)n * sizeof(double));
     return 1;
@@ -1556,17 +1746,19 @@ static int joins(BlocksSim *s, double t1, double length, const double *values, d
 static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double target, int *changed, int *shortened)
 {
     int n = s->model->ns, found = 0, is_first = 1, was_first = 0, got;
-    double h = *t1 - s->t, low = 0.0, high = 0.0, was = s->located_t;
+    double h = *t1 - s->t, low = 0.0, high = 0.0, was = s->located_t, first_length = h, place = 1.0;
     if (has_corners(s)) loosen(s, s->t, s->memory.x, s->memory.z, 0), s->looseness = 2.0;
     Parts p = parts_of(s, BLOCKS_CROSSINGS, s->t, *t1, h_dense);
     p.x1 = s->x1, p.nodes = QUARTERS, p.spans = 1e-3, p.sizes = 1.0, p.ignores_far = 1;
     p.checks = CHECKS, p.count = p.look->bent ? p.look->checks : 0;
     if (s->sides_t == s->t) memcpy(p.values, s->sides, (size_t)n * sizeof(double)), p.knows_begin = 1;
+    for (int j = 0; j < n; j++) s->until[j] = -INFINITY;
     while (!found && (got = next_part(&p)) > 0) {
-        found = first_change(&p, &low, &high);
+        do found = first_change(&p, &low, &high);
+        while (found == 1 && finds_touch(&p, low, high));
         if (found == -1) return no_memory(s);
         if (found == -2) return BLOCKS_FAILED;
-        if (is_first) memcpy(s->first_values, p.values, (size_t)(5 * n) * sizeof(double)), was_first = found;
+        if (is_first) memcpy(s->first_values, p.values, (size_t)(5 * n) * sizeof(double)), was_first = found, first_length = (p.end - p.begin) * h;
         is_first = 0;
     }
     if (!found && got < 0) return BLOCKS_FAILED;
@@ -1574,44 +1766,56 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
     if (p.end == 1.0) memcpy(after, p.values + 4 * n, (size_t)n * sizeof(double));
     else if (crossing_values(s, *t1, s->x1, after)) return BLOCKS_FAILED;
     if (found) {
+        for (int j = 0; j < n; j++) s->changed_sides[j] = has_changed(s, j, s->distances[j], high) != 0;
         if (!s->weighed) {
             /* The stages of this step are lost with the next one. */
             for (int k = BLOCKS_CROSSINGS + 1; k < BLOCKS_LOOKS; k++)
                 weigh(s, h_dense, s->model->looks[k].states, s->model->looks[k].nstates);
             s->weighed = 1;
         }
-        int failed;
-        double size = located(s, low, high, h, h_dense, &failed);
-        if (failed) return BLOCKS_FAILED;
-        if (s->t + size < *t1 && !blocks_within_ulps(s->t + size, target, 0.0)) {
+        int failed, touches;
+        do {
+            const double t = s->t + located(s, low, high, h, h_dense, &failed);
+            if (failed) return BLOCKS_FAILED;
+            *shortened = t < *t1 && !blocks_within_ulps(t, target, 0.0);
             /* A time of its own after t, or the run would stand still. */
-            *t1 = fmax(s->t + size, nextafter(s->t, INFINITY));
-            if (retake(s, *t1)) return BLOCKS_REFUSED;
-            if (crossing_values(s, *t1, s->x1, after)) return BLOCKS_FAILED;
-            *shortened = 1;
-        }
+            double end = *shortened ? fmax(t, nextafter(s->t, INFINITY)) : *t1;
+            if (*shortened && retake(s, end)) return BLOCKS_REFUSED;
+            if (!*shortened && !p.x1) memcpy(s->x1, flow(s, end - s->t), (size_t)s->model->nx * sizeof(double));
+            place = *shortened ? (end - s->t) / h : 1.0;
+            p.x1 = *shortened ? NULL : s->x1;
+            if (crossing_values(s, end, s->x1, after)) return BLOCKS_FAILED;
+            /* What has changed here and not where the search began has not been judged yet. */
+            touches = 0;
+            for (int j = 0; j < n; j++)
+                if (!s->changed_sides[j] && has_changed(s, j, after[j], place)) touches |= is_touch(&p, j, place, place);
+            if (touches && *shortened && !any_changed_at(s, after, place)) continue;
+            *t1 = end;
+            touches = 0;
+        } while (touches);
     }
-    *changed = any_changed(s, after);
+    *changed = any_changed_at(s, after, place);
     s->later = 0.0;
-    if (!(*changed && (was_first || p.level == 0)) && was == s->t && missed(s, s->first_values)) return BLOCKS_FAILED;
+    if (!(*changed && (was_first || p.level == 0)) && was == s->t && missed(s, s->first_values, first_length)) return BLOCKS_FAILED;
     if (!*changed && *t1 == target) {
-        *changed = joins(s, *t1, (p.end - p.begin) * h, p.values, after);
+        *changed = joins(&p, *t1, after);
         if (*changed < 0) return BLOCKS_FAILED;
         if (*changed) s->later = 4 * blocks_ulp(*t1);
     }
     /* What has joined an instant fires there only if that does not turn it back: it counts when it passes again. */
     for (int j = 0; j < n && s->later == 0.0; j++)
-        if ((after[j] >= 0) != (s->memory.s[j] > 0.0) && crowded(s, *t1, j, after[j] >= 0)) return BLOCKS_FAILED;
+        if (has_changed(s, j, after[j], place) && crowded(s, *t1, j, after[j] >= 0)) return BLOCKS_FAILED;
     /* What tells Zeno from a run is as before where this step fails. */
     for (int j = 0; j < n && s->later == 0.0; j++)
-        if ((after[j] >= 0) != (s->memory.s[j] > 0.0)) note_crossing(s, *t1, j, after[j] >= 0);
+        if (has_changed(s, j, after[j], place)) note_crossing(s, *t1, j, after[j] >= 0);
     if (*shortened) {
         s->located_t = *t1;
         for (int j = 0; j < n; j++)
-            s->located[j] = (after[j] >= 0) != (s->memory.s[j] > 0.0) ? fabs(after[j]) : -1.0;
+            s->located[j] = has_changed(s, j, after[j], place) ? fabs(after[j]) : -1.0;
     }
     memcpy(s->sides, after, (size_t)n * sizeof(double));
-    s->sides_t = *t1;
+    s->sides_t = s->touched_t = *t1;
+    for (int j = 0; j < n; j++) s->touched[j] = place <= s->until[j] ? after[j] : NAN;
     return 0;
 }
 
@@ -2119,7 +2323,7 @@ HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int see
         if (ns) {
             if (seen && pass == 0 ? sides_seen(s, values) : sides_now(s, values)) return BLOCKS_FAILED;
             for (int j = 0; j < ns; j++) {
-                sides[j] = values[j] >= 0;
+                sides[j] = latched_side(s, j, values[j]);
                 s->changed_sides[j] = sides[j] != s->memory.s[j];
                 if (!s->changed_sides[j]) continue;
                 changed = 1;
@@ -2233,7 +2437,7 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
         int own = 0, any = ndue > 0;
         memset(s->firing, 0, (size_t)setup->ncauses);
         for (int j = 0; j < ns; j++) {
-            sides[j] = values[j] >= 0;
+            sides[j] = latched_side(s, j, values[j]);
             s->changed_sides[j] = sides[j] != m->s[j];
             any |= s->changed_sides[j];
         }
@@ -2825,7 +3029,7 @@ void blocks_reset(BlocksSim *s)
     s->rows.columns = model->nlogged;
     s->rows.capacity = 1024;
     s->last_row = NULL;
-    s->t = s->located_t = s->sides_t = s->known[0] = NAN;
+    s->t = s->located_t = s->sides_t = s->touched_t = s->known[0] = NAN;
     s->h = 0.0;
     s->error = 1e-4;
     s->fixed = 1;
@@ -2893,7 +3097,8 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         {&s->memory.x, nx}, {&s->memory.d, nd}, {&s->memory.s, ns}, {&s->memory.p, np}, {&s->memory.u, nu},
         {&s->memory.h, nh}, {&s->memory.z, nz}, {&s->memory.k, nr}, {&s->memory.q, nq}, {&s->memory.v, nv},
         {&s->memory.w, (size_t)model->nw},
-        {&s->events, ne}, {&s->own, ne}, {&s->located, ns}, {&s->sides, ns}, {&s->fired, nc}, {&s->crossed, ns ? CROWD : 0},
+        {&s->events, ne}, {&s->own, ne}, {&s->located, ns}, {&s->sides, ns}, {&s->touched, ns}, {&s->until, ns},
+        {&s->fired, nc}, {&s->crossed, ns ? CROWD : 0},
         {&s->left, nl}, {&s->before, nx + ns + nm}, {&s->latched, ns}, {&s->x1, nx}, {&s->known, 1 + 6 * nm}, {&s->base, nu}, {&s->aim, nu},
         {&s->begin, nu}, {&s->finish, nu}, {&s->xs, nx}, {&s->x2, nx + ns},
         {&s->weights, nx * BLOCKS_MOST_DEGREE}, {&s->crossing_values, ns}, {&s->first_values, 5 * ns},

@@ -280,6 +280,8 @@ struct BlocksSim {
     double *events, *own;         /* (nevents) */
     double *located, *sides;      /* (ns) distances beyond, and values at sides_t */
     double *unprojected;          /* (nx + nd) the end of a step in which a side has changed, before projections */
+    double *touched, *until;      /* (ns) values at touched_t of what touches 0 there, else NaN; up to where it does, of a step */
+    double touched_t;
     double *fired;                /* (ncauses) when each crossing fired last; -inf: never */
     double *crossed;              /* ring of the last crossings */
     int64_t crossed_first, crossed_count;
@@ -348,6 +350,10 @@ BLOCKS_API int blocks_proceed(BlocksSim *s, double end, int64_t count, int32_t e
 BLOCKS_API int blocks_is_due(const BlocksSim *s);        /* whether anything happens at an instant now */
 BLOCKS_API double blocks_next(BlocksSim *s);             /* the time of the next tick or edge; inf: there is none */
 BLOCKS_API void blocks_inputs(BlocksSim *s, double t);   /* the inputs that hold from t on */
+/* Of a crossing, from here along the rates: how far from 0 its sign may be one of rounding, and whether it only touches 0.
+   length: of a usual step. */
+BLOCKS_API double blocks_rounding(BlocksSim *s, int j, const double *rates, double length);
+BLOCKS_API int blocks_touches(BlocksSim *s, int j, const double *rates, double length);
 BLOCKS_API int blocks_keep_left(BlocksSim *s);           /* before something is set: what was to be seen */
 BLOCKS_API void blocks_reload(BlocksSim *s);             /* after memory was written from outside */
 BLOCKS_API void blocks_rows(BlocksSim *s);               /* the same, where inputs and histories are set by hand */
