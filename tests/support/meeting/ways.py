@@ -335,10 +335,6 @@ def unread(case: Case, base: Outcome) -> Iterator[Disagreement]:
     more = {**document, "blocks": {**document["blocks"], **blocks}, "wires": {**document["wires"], **wires}}
     other = run({**case, "diagram": more})
     kept = tuple(event for event in other.events if not event[0].startswith("unread_"))
-    if case["row"].get("fmu", "none").startswith("cs"):
-        # Each jump of the diagram is a communication point, which clears the past of what a master extrapolates.
-        signals = {name: value for name, value in other.signals.items() if "f" not in ancestors(case, name)}
-        other = Outcome(signals, kept, other.error)
     is_cut = document["run"]["method"] not in ADAPTIVE and not other.error
     # A step that is cut by a tick or a crossing has another error of the method, unless no state is integrated.
     tolerance = 0.05 if is_cut else max(tolerance_of(case), TOLERANCE)
