@@ -22,7 +22,7 @@ from fmpy.fmi1 import FMICallException
 from blocks import Diagram, Results
 from blocks.text.errors import BlocksError
 
-from .features import ADAPTIVE, EVERY, STOP, Case, ancestors
+from .features import ADAPTIVE, EVERY, STOP, Case
 from .own_blocks import OWN
 
 Array = np.ndarray[Any, Any]
