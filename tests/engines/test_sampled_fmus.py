@@ -245,3 +245,20 @@ def test_fmpy_sees_a_jump_at_a_tick_as_we_do(tmp_path: Path, fmi: int) -> None:
     for t in (0.75, 1.25, 1.75):
         at = np.argmin(np.abs(theirs["time"] - t))
         assert ours["hold.y"][np.argmin(np.abs(ours.t - t))] == theirs["y"][at] == (1.0 if t < 1.0 else 2.0)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_cascade_goes_on_from_a_tick_as_a_whole_run_does(tmp_path: Path, engine: str) -> None:
+    """Saved at ticks, and with the same events in the same order by both engines."""
+    unit = exported(DiscretePID(period=0.1, kp=2.0, ki=4.0), tmp_path / "inner.fmu", 3)
+    d, stops = cascade(unit), [0.5, 0.85, 1.2]
+    given: dict[str, Any] = {"stop": 1.5, "stops": stops, "every": 0.05, "log": ["slow.y", "inner.u", "seen.y"]}
+    whole = d.run(engine=engine, method="rk4", step=0.05, **given)
+    run = d.start(engine=engine, method="rk4", step=0.05, **given)
+    for stop in stops:
+        run.advance_to(stop)
+        run = d.start(engine=engine, method="rk4", step=0.05, resume=run.snapshot(), **given)
+    rest = run.finish()
+    assert [rest[name][-1] for name in given["log"]] == [whole[name][-1] for name in given["log"]]
+    other = d.run(engine="native", method="rk4", step=0.05, **given)
+    assert [(e.t, e.block, e.what) for e in whole.events] == [(e.t, e.block, e.what) for e in other.events]
