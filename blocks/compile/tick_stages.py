@@ -1,19 +1,21 @@
 """The order of computation at ticks that coincide: which rates may tick together, and the stages of their outputs.
 
-Both engines take their stages from here: `rate_sets` and `stages_of`.
+Both engines take their stages from here: `rate_sets` and `sequence_of`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 from ..text.errors import Fault, ModelError
-from .plan import AlgebraicLoop, Node, Plan, Program, Rate, Reference
+from .fmu_tape import FmuTape
+from .plan import AlgebraicLoop, ForeignPart, Node, Plan, Program, Rate, Reference
 from .scheduler import components, schedule
 
-__all__ = ["coinciding", "rate_sets", "stages_at", "stages_of", "tick_program"]
+__all__ = ["UnitPlace", "coinciding", "rate_sets", "sequence_at", "sequence_of", "stages_of", "tick_program"]
 
 
 def tick_program(plan: Plan, slots: Sequence[int]) -> Program:
@@ -59,12 +61,13 @@ class _Needs:
     resets, and through the sides that enable a part. groups: keys in a circle, each group after the ones it needs.
     """
 
-    def __init__(self, plan: Plan, rates: frozenset[int]) -> None:
+    def __init__(self, plan: Plan, rates: frozenset[int], *, has_units: bool = False) -> None:
         self.plan = plan
         self.due = frozenset(slot for k in rates for _, slot in plan.rates[k].outputs)
         self.steppers = {-1 - n: part for n, part in enumerate(plan.steppers) if part.rate in rates}
         self.given_by = {s: key for key, part in self.steppers.items() for _, slots, _ in part.outputs for s in slots}
         self.units = {part.instance: part for part in plan.foreign}
+        self.unit_keys = {part.instance: unit_key(plan, k) for k, part in enumerate(plan.foreign) if has_units}
         self.changed_by: dict[Reference, list[Node | Reference]] = {}
         for cause in (*plan.crossings, *plan.events):
             for node, reference in cause.resets:
@@ -74,7 +77,8 @@ class _Needs:
         for part in plan.enabled:
             for reference in part.resets:
                 self.changed_by.setdefault(reference, []).append(Reference("s", part.side))
-        self.is_flat = not self.steppers and (len(self.due) < 2 or not (self.changed_by or plan.foreign))
+        is_alone = len(self.due) < 2 or not (self.changed_by or plan.foreign)
+        self.is_flat = is_alone and not (self.steppers or self.unit_keys)
         self.of: dict[int, tuple[set[int], set[int]]] = {}
         if self.is_flat:
             return
@@ -111,7 +115,9 @@ class _Needs:
                 read = [(item, True) for item in self.changed_by.get(reference, ())]
             for item, flag in read:
                 reached = [(other, flag) for other in (self.plan.bind(item) if isinstance(item, Node) else (item,))]
-                if isinstance(item, Node) and item.instance in self.units:
+                if isinstance(item, Node) and item.instance in self.unit_keys:
+                    dependencies[True].add(self.unit_keys[item.instance])
+                elif isinstance(item, Node) and item.instance in self.units:
                     # Its inputs at an instant may change all its outputs by an event.
                     reached += [(other, True) for other in self.units[item.instance].inputs]
                 for pair in reached:
@@ -148,12 +154,96 @@ class _Needs:
         raise ModelError(Fault("E102", path, message, "Put a UnitDelay or a state in between."))
 
 
-def stages_at(plan: Plan, due: frozenset[int], sets: Sequence[frozenset[int]]) -> tuple[frozenset[int], ...]:
+def unit_key(plan: Plan, number: int) -> int:
+    """Return the key of an FMU for Model Exchange among those of sampled outputs and steppers."""
+    return -1 - len(plan.steppers) - number
+
+
+@dataclass(frozen=True, slots=True)
+class UnitPlace:
+    """The place of the time event of an FMU for Model Exchange in a sequence of stages.
+
+    rates, units: what of a circle it comes before, though its inputs depend on it: rates, and other FMUs.
+    """
+
+    unit: int
+    rates: frozenset[int] = frozenset()
+    units: frozenset[int] = frozenset()
+
+
+def sequence_of(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int] | UnitPlace, ...]:
+    """Return `stages_of` these rates with the time events of all FMUs for Model Exchange in between.
+
+    An event comes after what the inputs of the FMU depend on, and before what reads its outputs. In a circle it comes
+    first. Inputs of which an FMU takes nothing but rates, by its declared dependencies, do not count in a circle.
+    """
+    stages = stages_of(plan, rates)
+    if not plan.foreign:
+        return stages
+    needs = _Needs(plan, rates, has_units=True)
+    stage = {key: n for n, members in enumerate(stages) for key in members}
+    of: dict[int, set[int]] = {key: direct | late for key, (direct, late) in needs.of.items()}
+    units = {unit_key(plan, k): part for k, part in enumerate(plan.foreign)}
+    sampled: dict[int, set[int]] = {}
+    for key, part in units.items():
+        by_input = [set().union(*needs.seen([reference])) for reference in part.inputs]
+        sampled[key] = set().union(*(by_input[k] for k in _sampled_inputs(plan, part)))
+        of[key] = set().union(*by_input)
+
+    def circles() -> dict[int, set[int]]:
+        groups = components({key: sorted(needed) for key, needed in of.items()})
+        return {key: set(group) for group in groups for key in group}
+
+    circle = circles()
+    for key in units:
+        of[key] -= circle[key] - sampled[key]
+    before, circle = {key: set(of[key]) for key in units}, circles()
+    for key in units:  # first in its circle; then what is left of it are FMUs alone
+        of[key] -= {other for other in circle[key] if other not in units}
+    circle = circles()
+    for key in units:
+        of[key] -= circle[key]
+    after: dict[int, int] = {}
+    order = [key for group in components({key: sorted(needed) for key, needed in of.items()}) for key in group]
+    for key in (key for key in order if key in units):
+        after[key] = max((after[other] if other in units else stage[other] + 1 for other in of[key]), default=0)
+    numbers = {unit_key(plan, k): k for k in range(len(plan.foreign))}
+    sequence: list[frozenset[int] | UnitPlace] = []
+    for n in range(len(stages) + 1):
+        for key in (key for key in after if after[key] == n):
+            late = before[key] - of[key]
+            others = frozenset(numbers[other] for other in late if other in units)
+            rates_after = frozenset(needs.rate(other) for other in late if other not in units)
+            sequence.append(UnitPlace(numbers[key], rates_after, others))
+        sequence += stages[n : n + 1]
+    return tuple(sequence)
+
+
+def _sampled_inputs(plan: Plan, part: ForeignPart) -> set[int]:
+    """The inputs of an FMU on which an output depends, or nothing: they are taken at its events."""
+    tape = plan.instances[part.instance].tape
+    variables = part.foreign.variables
+    read: dict[bool, set[int]] = {True: set(), False: set()}
+    for key, result in tape.results.items():
+        is_output = result.role == "output" and variables[result.target].causality == "output"
+        if is_output or result.role == "derivative":
+            read[is_output].update(argument for arguments in tape.read_by[key] for argument in arguments)
+    arguments = [argument for argument, *_ in tape.opaque.inputs] if isinstance(tape, FmuTape) else []
+    return {k for k, argument in enumerate(arguments) if argument in read[True] or argument not in read[False]}
+
+
+def sequence_at(
+    plan: Plan, due: frozenset[int], sets: Sequence[frozenset[int]]
+) -> tuple[frozenset[int] | UnitPlace, ...]:
     """Return what is computed where these rates are due, in order. sets: `rate_sets` of the plan."""
-    rates = next(rates for rates in sets if due <= rates)
     keys = {slot for k in due for _, slot in plan.rates[k].outputs}
     keys.update(-1 - n for n, part in enumerate(plan.steppers) if part.rate in due)
-    return tuple(filter(None, (stage & keys for stage in stages_of(plan, rates))))
+    sequence = sequence_of(plan, next(rates for rates in sets if due <= rates))
+    return tuple(item for item in (_restricted(item, keys) for item in sequence) if item)
+
+
+def _restricted(item: frozenset[int] | UnitPlace, keys: set[int]) -> frozenset[int] | UnitPlace:
+    return item if isinstance(item, UnitPlace) else item & keys
 
 
 def rate_sets(plan: Plan) -> list[frozenset[int]]:
@@ -172,7 +262,7 @@ def rate_sets(plan: Plan) -> list[frozenset[int]]:
             continue
         own = [largest]
         for rates in _subsets(plan, largest):
-            if _has_loop(plan, largest) or stages_at(plan, rates, own[::-1]) != stages_of(plan, rates):
+            if _has_loop(plan, largest) or sequence_at(plan, rates, own[::-1]) != sequence_of(plan, rates):
                 own.append(rates)
         found.update(own)
     return sorted(found, key=lambda rates: (len(rates), sorted(rates)))

@@ -127,7 +127,7 @@ def _own_digest() -> str:
 
 def _text(model: Emitted) -> str:
     cliques = [
-        [sorted(clique.rates), [[list(stage.slots), list(stage.steppers)] for stage in clique.stages]]
+        [sorted(clique.rates), [[list(stage.slots), list(stage.steppers), stage.unit] for stage in clique.stages]]
         for clique in model.cliques
     ]
     numbers = [number.hex() for number in model.numbers]  # JSON has no infinities
@@ -141,7 +141,10 @@ def _read(path: Path) -> Emitted:
     typed_cliques = tuple(
         Clique(
             frozenset(rates),
-            tuple(Stage(tuple((slot, rate) for slot, rate in slots), tuple(steppers)) for slots, steppers in stages),
+            tuple(
+                Stage(tuple((slot, rate) for slot, rate in slots), tuple(steppers), unit)
+                for slots, steppers, unit in stages
+            ),
         )
         for rates, stages in cliques
     )

@@ -30,7 +30,7 @@ from ..motion import looked_at
 from ..plan import Cause, Node, Plan, Program, Reference
 from ..scheduler import schedule
 from ..tableaus import METHODS, STIFF
-from ..tick_stages import rate_sets, stages_of, tick_program
+from ..tick_stages import UnitPlace, rate_sets, sequence_of, tick_program
 from .c_text import Filled, ints
 from .calls import SAME, print_program, print_selected
 from .functions import LANES, comment, function_text
@@ -547,14 +547,18 @@ class _Emitter(PlanReader):
 
     def outputs(self, sink: MakeSink) -> tuple[Clique, ...]:
         plan = self.plan
-        if not plan.rates:
+        if not (plan.rates or plan.foreign):
             self.define("outputs", "    (void)clique, (void)stage, (void)due;")
             return ()
         tick_cliques: list[Clique] = []
         cases: list[str] = []
         for rates in rate_sets(plan):
             stages = []
-            for number, members in enumerate(stages_of(plan, rates)):
+            for number, members in enumerate(sequence_of(plan, rates)):
+                if isinstance(members, UnitPlace):
+                    late = (*sorted(members.rates), *(-1 - k for k in sorted(members.units)))
+                    stages.append(Stage((), late, members.unit))
+                    continue
                 slots = tuple((slot, plan.held_nodes[slot][1]) for slot in sorted(members) if slot >= 0)
                 all_slots = sorted((k, rate) for slot, rate in slots for k in _listed(self.all_places("d", slot)))
                 stages.append(Stage(tuple(all_slots), tuple(sorted(-1 - key for key in members if key < 0))))

@@ -191,7 +191,7 @@ class RuntimeTables:
             cliques.append((len(stages), len(clique.stages), mask.ctypes.data))
             for stage in clique.stages:
                 outputs, numbers = stage.slots, stage.steppers
-                stages.append((len(slots), len(outputs), len(steppers), len(numbers)))
+                stages.append((len(slots), len(outputs), len(steppers), len(numbers), stage.unit))
                 slots += [(slot, rate, of_slot.get(slot, -1)) for slot, rate in outputs]
                 steppers += numbers
         self.cliques = _table(cliques, runtime_layout.CLIQUE)

@@ -21,7 +21,8 @@ from ..run.model_exchange import Foreigns, ModelExchangeUnit
 __all__ = ["NativeForeigns"]
 
 Array = np.ndarray[Any, Any]
-_INITIALIZES, _CONTINUOUS = 0, 1
+_INITIALIZES, _CONTINUOUS, _AT_EVENT = 0, 1, 2
+_MODES = ("initialization", "continuous", "event")
 _CALLS = (
     "SetTime", "SetContinuousStates", "GetContinuousStates", "GetContinuousStateDerivatives", "GetEventIndicators",
     "CompletedIntegratorStep", "EnterEventMode", "UpdateDiscreteStates", "EnterContinuousTimeMode",
@@ -150,9 +151,10 @@ class NativeForeigns:
     def adopt(self) -> Foreigns:
         """The units for the reference engine, which no longer knows what is set."""
         for unit, rows, table in zip(self.foreign, self.rows, self.units, strict=False):
-            if unit.instance is None or table.mode != _CONTINUOUS:
+            if unit.instance is None or table.mode == _INITIALIZES:
                 continue
-            unit.mode, unit.t, unit.x, unit.is_stale = "continuous", math.nan, rows.x[: unit.n].tolist(), True
+            unit.mode, unit.x, unit.is_stale = _MODES[table.mode], rows.x[: unit.n].tolist(), True
+            unit.t = table.t if unit.mode == "event" else math.nan
             unit.u = rows.seen[: rows.ninputs].tolist()
             unit.seen, unit.next_event, unit.asks = tuple(unit.u), table.next_event, bool(table.asks)
             unit.had = [
@@ -170,7 +172,8 @@ class NativeForeigns:
         """After the reference engine, or after a state was restored: C no longer knows what is set."""
         for unit, rows, table in zip(self.foreign, self.rows, self.units, strict=False):
             self._connect(unit, rows, table)
-            table.mode, table.t, table.next_event, table.asks = _CONTINUOUS, math.nan, unit.next_event, int(unit.asks)
+            table.mode, table.t = (_AT_EVENT, unit.t) if unit.mode == "event" else (_CONTINUOUS, math.nan)
+            table.next_event, table.asks = unit.next_event, int(unit.asks)
             n, table.stale, table.over = rows.ninputs, 1, int(unit.over is not None)
             rows.x[: unit.n] = unit.x
             rows.u[:n] = rows.seen[:n] = unit.u if unit.seen is None else unit.seen
@@ -195,8 +198,9 @@ class NativeForeigns:
     @property
     def warnings(self) -> tuple[Fault, ...]:
         """Their warnings."""
-        for unit, rows in zip(self.foreign, self.rows, strict=False):
+        for unit, rows, table in zip(self.foreign, self.rows, self.units, strict=False):
             unit.lags = [int(lag) for lag in rows.lags[: len(unit.watched)]]
+            unit.is_late |= bool(table.late)
         return self.foreign.warnings
 
     def failure(self) -> SimulationError | FMUError | None:

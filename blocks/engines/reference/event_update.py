@@ -2,8 +2,8 @@
 
     1. every island has reached t, and what is replaced after each step is replaced; left values are recorded
     2. crossings and events that fire: all resets at once from the values before, sides latched again; until quiet
-    3. the ticks that are due, once: sampled outputs in dependency order (with step 2 before an output that sees others
-       through a side or through what events reset), step 2, then all discrete updates together
+    3. the ticks that are due, once: sampled outputs and time events of FMUs in dependency order (with step 2 before an
+       output that sees others through a side or through what events reset), step 2, then all discrete updates together
     4. step 2 again; ticks never repeat
     5. what is replaced after each step (every="step") is replaced, all at once; where that changed anything, step 2
        again
@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from ...compile.plan import Cause, EnabledPart, Node, Plan, Reference, StepperPart
-from ...compile.tick_stages import rate_sets, stages_at
+from ...compile.tick_stages import UnitPlace, rate_sets, sequence_at
 from ...results.results import Event
 from ...text.errors import NOT_FINITE, Fault, SimulationError, UsageError
 from ..run.history import Past
@@ -42,6 +42,7 @@ __all__ = ["MOST_PASSES", "Instants"]
 
 Array = np.ndarray[Any, Any]
 _Update = tuple[Evaluator, list[int]]  # a program, and the places in d of what it gives
+_Item = UnitPlace | tuple[_Update, list[int]]  # the time event of an FMU, or sampled outputs and programs
 MOST_PASSES = 100
 _TINY = 5e-324
 
@@ -67,7 +68,7 @@ class Instants:
     compiled: CompiledPrograms
     _inputs: dict[int, Evaluator] = field(default_factory=dict)
     _anew: dict[EnabledPart, Evaluator] = field(default_factory=dict)
-    _due: dict[frozenset[int], tuple[list[tuple[_Update, list[int]]], _Update]] = field(default_factory=dict)
+    _due: dict[frozenset[int], tuple[list[_Item], _Update]] = field(default_factory=dict)
     programs: dict[int, Any] = field(default_factory=dict)  # of steppers: what owns their state
     foreign: Foreigns = field(default_factory=Foreigns)  # FMUs, which own theirs
     later: float = 0.0  # s; by how much states and crossings stand after an instant that crossings have joined
@@ -161,12 +162,7 @@ class Instants:
             x = frozen(self.foreign.started(x))
         snapshot = Snapshot(t, None, x, d, s, ticks, (), (math.nan,) * len(plan.events), MethodMemory(), fixed, past, z)
         if plan.foreign:
-            sides, latched = self.crossing_values(snapshot, u), [*s]
-            for j in (j for part in plan.foreign for j in part.crossings):
-                if math.isnan(sides[j]):
-                    raise self.not_a_number(j, t)
-                latched[j] = float(sides[j] >= 0)
-            snapshot = replace(snapshot, s=tuple(latched))
+            snapshot = self._with_foreign_sides(snapshot, u, range(len(plan.foreign)))
         return self.with_event_times(self.with_solutions(snapshot, u), u)
 
     def _shown(self, values: Sequence[float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -371,8 +367,9 @@ class Instants:
         """
         fired: list[Event] = []
         first = {len(self.plan.crossings) + i: before.events[i] for i in due_events}
+        waiting = self._postponed(first)
         after = self.quiet(before, u, first, fired, seen)
-        if due_rates:
+        if due_rates or waiting:
             after = self.tick(after, u, due_rates, fired)
             after = self.quiet(after, u, {}, fired)
         projected = self.projected(after, u)
@@ -381,6 +378,17 @@ class Instants:
         if changed or after is not before:
             after = self.with_event_times(self.with_solutions(after, u), u)
         return after, fired
+
+    def _postponed(self, due: dict[int, float]) -> bool:
+        """Let the FMUs that have a time event at this instant wait for their turn; whether there are any.
+
+        due: the event times of the instant; those of FMUs are taken out.
+        """
+        for unit, part in zip(self.foreign, self.plan.foreign, strict=True):
+            index = len(self.plan.crossings) + part.event
+            unit.waits = index in due or unit.mode == "event"
+            due.pop(index, None)
+        return any(unit.waits for unit in self.foreign)
 
     def quiet(
         self,
@@ -695,16 +703,27 @@ class Instants:
                     message = f"is reset to {value} at t = {before.t} s."
                     raise SimulationError(Fault("E303", self.plan.node_name(node), message, NOT_FINITE))
                 resets.append((rank, place, float(value)))
-        x, d = before.x.copy(), list(before.d)
+        x, d, begins = before.x.copy(), list(before.d), False
         for k, (time, inputs) in asked.items():
             places = list(self.plan.foreign[k].states)
+            begins = begins or self.foreign[k].mode == "event"
             x[places] = self.foreign[k].event(time, before.x[places].tolist(), inputs, self.plan)
         for _, (row, place), value in sorted(resets):
             if row == "x":
                 x[place] = value
             else:
                 d[place] = self.whole(place, value, before.t)
-        return replace(before, x=frozen(x), d=tuple(d), s=sides)
+        after = replace(before, x=frozen(x), d=tuple(d), s=sides)
+        return self._with_foreign_sides(after, u, asked) if begins else after
+
+    def _with_foreign_sides(self, snapshot: Snapshot, u: Sequence[float], units: Iterable[int]) -> Snapshot:
+        """The same with the sides from which FMUs start: nothing has fired."""
+        values, sides = self.crossing_values(snapshot, u), [*snapshot.s]
+        for j in (j for k in units for j in self.plan.foreign[k].crossings):
+            if math.isnan(values[j]):
+                raise self.not_a_number(j, snapshot.t)
+            sides[j] = float(values[j] >= 0)
+        return replace(snapshot, s=tuple(sides))
 
     def projected(self, before: Snapshot, u: Sequence[float]) -> Snapshot:
         """What is replaced after each step, all at once, from the values before; `before` itself where nothing is.
@@ -736,31 +755,49 @@ class Instants:
         """
         if due not in self._due:
             label = "_".join(map(str, sorted(due)))
-            stages = stages_at(self.plan, due, self.rate_sets)
+            sequence = sequence_at(self.plan, due, self.rate_sets)
             nexts = [pair for k in sorted(due) for pair in self.plan.rates[k].nexts]
             self._due[due] = (
                 [
-                    (
-                        self._outputs(f"outputs_{label}_{n}", frozenset(key for key in stage if key >= 0)),
-                        sorted(-1 - key for key in stage if key < 0),
+                    item
+                    if isinstance(item, UnitPlace)
+                    else (
+                        self._outputs(f"outputs_{label}_{n}", frozenset(key for key in item if key >= 0)),
+                        sorted(-1 - key for key in item if key < 0),
                     )
-                    for n, stage in enumerate(stages)
+                    for n, item in enumerate(sequence)
                 ],
                 (self.compiled.program(f"nexts_{label}", [node for node, _ in nexts]), [slot for _, slot in nexts]),
             )
-        outputs, update = self._due[due]
-        after = before
-        for n, (stage, steppers) in enumerate(outputs):
-            if n > 0:
+        sequence_now, update = self._due[due]
+        after, is_settled = before, True
+        for item in sequence_now:
+            if isinstance(item, UnitPlace) and not self.foreign[item.unit].waits:
+                continue
+            if not is_settled:
                 after = self.quiet(after, u, {}, fired)
-            before_stage = after
+            if isinstance(item, UnitPlace):
+                after = self.quiet(after, u, self._turn(item, after, due), fired)
+                is_settled = True
+                continue
+            (stage, steppers), before_stage, is_settled = item, after, False
             after = self.updated(after, u, stage)
             for number in steppers:
                 after = self.stepped(number, before_stage, after, u)
-        if update[1] and outputs:
+        if update[1] and not is_settled:
             after = self.quiet(after, u, {}, fired)
         after = self.updated(after, u, update)
         return replace(after, ticks=tuple(n + 1 if k in due else n for k, n in enumerate(before.ticks)))
+
+    def _turn(self, place: UnitPlace, now: Snapshot, due: frozenset[int]) -> dict[int, float]:
+        """End the wait of an FMU: the time event that it has now; none at the start, where it asks for its first."""
+        unit, part = self.foreign[place.unit], self.plan.foreign[place.unit]
+        unit.waits = False
+        if unit.mode == "event":
+            unit.asks = True
+            return {}
+        unit.is_late |= bool(place.rates & due) or any(self.foreign[k].waits for k in place.units)
+        return {len(self.plan.crossings) + part.event: now.events[part.event]}
 
     def stepped(self, number: int, before: Snapshot, after: Snapshot, u: Sequence[float]) -> Snapshot:
         """What the program of a stepper gives now. Raises SimulationError (E310) where it fails."""

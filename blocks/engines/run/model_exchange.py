@@ -69,6 +69,8 @@ class ModelExchangeUnit(FmuDerivatives):
         self.parameters: tuple[float, ...] | None = None  # as they were set
         self.asks = False
         self.over: Fault | None = None  # the warning that it ended the run (W206)
+        self.waits = False  # for the turn of its time event in an instant
+        self.is_late = False  # whether that came before something that its inputs depend on
         self.looks = 0
         self.followed = [math.nan] * len(self.watched)  # as they were when the last step was completed
         self.lags = [0] * len(self.watched)  # how often one changed only by that
@@ -148,8 +150,8 @@ class ModelExchangeUnit(FmuDerivatives):
         """The end of the initialization: events, then continuous time. Returns the states."""
         self.one.exit_initialization()
         self.seen = tuple(self.u)
-        self.mode = "event"
-        return self._updated()
+        self.mode = "event"  # until its turn in the first instant
+        return self._states()
 
     # --- steps and events -------------------------------------------------------------------------------------------
 
@@ -204,10 +206,19 @@ class ModelExchangeUnit(FmuDerivatives):
         cure = "Use fixed steps that meet the rows (--method rk4 --step H), or no grid (every), or ask its maker."
         return Fault("W208", self.part.path, message, cure)
 
+    @property
+    def late(self) -> Fault | None:
+        """The warning that it ticked before something that its inputs depend on (W210)."""
+        if not self.is_late:
+            return None
+        message = f"{self.foreign.path.name} is in a circle with what ticks at the time of its events, and comes first."
+        cure = "If it samples its inputs, it is one sample late: take the block, or let it tick at other times."
+        return Fault("W210", self.part.path, message, cure)
+
     def has_event(self, inputs: tuple[float, ...], plan: Plan) -> bool:
         """Whether it asked for an event, or was given other inputs or parameters at an instant."""
         known = self.parameters
-        if self.over is not None:
+        if self.over is not None or self.waits:
             return False
         if self.asks or inputs != self.seen:
             return True
@@ -221,9 +232,10 @@ class ModelExchangeUnit(FmuDerivatives):
 
     def event(self, t: float, x: Sequence[float], inputs: Sequence[float], plan: Plan) -> list[float]:
         """Event mode, and back. Returns the states. Raises SimulationError (E305, E306), FMUError (E213), Ended."""
-        self.stand(t, x, self.seen if self.seen is not None else inputs)
-        self.one.enter_event_mode()
-        self.mode = "event"
+        if self.mode != "event":
+            self.stand(t, x, self.seen if self.seen is not None else inputs)
+            self.one.enter_event_mode()
+            self.mode = "event"
         for k, value in enumerate(inputs):
             self.u[k] = value
         self._put_inputs()
@@ -251,12 +263,16 @@ class ModelExchangeUnit(FmuDerivatives):
             one.enter_continuous_mode()
             self.mode = "continuous"
         self.epoch += 1
+        return self._states()
+
+    def _states(self) -> list[float]:
+        """The states as the FMU has them."""
         if self.n:
-            one.call("GetContinuousStates", self.x_c, self.n)
+            self.one.call("GetContinuousStates", self.x_c, self.n)
             self._take_states()
         bad = next((value for value in self.x if not math.isfinite(value)), None)
         if bad is not None:
-            message = f"a state of {self.foreign.path.name} is {bad} after an event at t = {t} s."
+            message = f"a state of {self.foreign.path.name} is {bad} after an event at t = {self.t} s."
             raise SimulationError(Fault("E303", self.part.path, message, "Tell its maker; other inputs may help."))
         return list(self.x)
 
@@ -272,15 +288,16 @@ class ModelExchangeUnit(FmuDerivatives):
     def keep(self) -> Any:
         """All that is hidden, to go back to in this run. Raises FMUError (E215) where the FMU cannot."""
         own = (self.mode, self.x, self.u, self.had, self.seen, self.parameters, self.asks, self.next_event, self.epoch)
-        return self.one.save(), *map(_copied, own)
+        return self.one.save(), self.t, *map(_copied, own)
 
     def go_back(self, kept: Any) -> None:
-        saved, *own = kept
+        saved, t, *own = kept
         self.one.restore(saved)
         self.mode, self.x, self.u, self.had, self.seen, self.parameters, self.asks, self.next_event, self.epoch = map(
             _copied, own
         )
-        self.t, self.is_stale = math.nan, True  # so that all is set again
+        # All is set again; in event mode the time is that of the state.
+        self.t, self.is_stale = t if self.mode == "event" else math.nan, True
 
     def drop(self, kept: Any) -> None:
         saved: Saved = kept[0]
@@ -351,7 +368,8 @@ class Foreigns:
     def warnings(self) -> tuple[Fault, ...]:
         """Their warnings."""
         told = [w for unit in self.units if unit.instance is not None for w in unit.instance.warnings]
-        return (*told, *(fault for unit in self.units if (fault := unit.lagging) is not None))
+        own = (fault for unit in self.units for fault in (unit.lagging, unit.late))
+        return (*told, *(fault for fault in own if fault is not None))
 
     @property
     def over(self) -> Fault | None:

@@ -247,6 +247,18 @@ typedef int (*Update3)(void *, _Bool *, _Bool *, _Bool *, _Bool *, _Bool *, doub
 typedef int (*Completed2)(void *, int, int *, int *);
 typedef int (*Completed3)(void *, _Bool, _Bool *, _Bool *);
 
+/* The states as the FMU has them. */
+static int states_of(BlocksForeign *f, double *x)
+{
+    if (judged(f, vector(f, BLOCKS_GET_STATES, f->nx), BLOCKS_GET_STATES, 0)) return 1;
+    for (int i = 0; i < f->nx; i++) {
+        f->x[i] = in_si(f->raw[i], f->factors[i], f->origins[i]);
+        if (!isfinite(f->x[i])) return fault(f, BLOCKS_BAD_STATE);
+        x[f->states[i]] = f->x[i];
+    }
+    return 0;
+}
+
 /* New discrete states until nothing is new; then continuous time, with the states as they are now. */
 static int updated(BlocksForeign *f, double *x)
 {
@@ -278,13 +290,7 @@ static int updated(BlocksForeign *f, double *x)
     }
     f->asks = f->has_rates = 0;
     f->epoch++;
-    if (judged(f, vector(f, BLOCKS_GET_STATES, f->nx), BLOCKS_GET_STATES, 0)) return 1;
-    for (int i = 0; i < f->nx; i++) {
-        f->x[i] = in_si(f->raw[i], f->factors[i], f->origins[i]);
-        if (!isfinite(f->x[i])) return fault(f, BLOCKS_BAD_STATE);
-        x[f->states[i]] = f->x[i];
-    }
-    return 0;
+    return states_of(f, x);
 }
 
 /* One ended the run: C comes back after this instant. Inside of another run that is not possible, and fails. */
@@ -325,8 +331,8 @@ static int started(BlocksSim *s)
         int status = ((Plain)f->calls[BLOCKS_EXIT_INITIALIZATION])(f->component);
         if (f->status || judged(f, status, BLOCKS_EXIT_INITIALIZATION, 0)) return failed(s, k);
         for (int i = 0; i < f->nu; i++) f->seen[i] = f->u[i];
-        f->mode = BLOCKS_AT_EVENT;
-        if (updated(f, s->memory.x)) return failed(s, k);
+        f->mode = BLOCKS_AT_EVENT; /* until its turn in the first instant */
+        if (states_of(f, s->memory.x)) return failed(s, k);
     }
     return 0;
 }
@@ -346,7 +352,7 @@ static int asked(BlocksSim *s, const uint8_t *due, const uint8_t *changed, int f
         f->due_time = due[first + f->event] && s->firing_time[first + f->event] > s->t ? s->firing_time[first + f->event] : s->t;
         for (int i = 0; i < f->ncrossings; i++) f->due |= changed[f->crossings[i]];
         for (int i = 0; i < f->nu; i++) f->due |= !(f->given[i] == f->seen[i]);
-        if (f->over) f->due = 0;
+        if (f->over || f->waits) f->due = 0;
         any |= f->due;
     }
     return any;
@@ -360,14 +366,53 @@ static int events(BlocksSim *s)
         BlocksForeign *f = &all->units[k];
         if (!f->due) continue;
         f->due = 0;
-        if (stand(f, f->due_time, s->memory.x, f->seen)) return failed(s, k);
-        if (judged(f, ((Plain)f->calls[BLOCKS_ENTER_EVENT])(f->component), BLOCKS_ENTER_EVENT, 0)) return failed(s, k);
-        f->mode = BLOCKS_AT_EVENT;
+        int begins = f->mode == BLOCKS_AT_EVENT;
+        if (!begins) {
+            if (stand(f, f->due_time, s->memory.x, f->seen)) return failed(s, k);
+            if (judged(f, ((Plain)f->calls[BLOCKS_ENTER_EVENT])(f->component), BLOCKS_ENTER_EVENT, 0)) return failed(s, k);
+            f->mode = BLOCKS_AT_EVENT;
+        }
         for (int i = 0; i < f->nu; i++) f->u[i] = f->seen[i] = f->given[i];
         if (put_inputs(f) || updated(f, s->memory.x)) return failed(s, k);
         if (f->over && comes_back(s, f)) return failed(s, k);
+        if (begins && f->ncrossings) { /* the sides from which it starts; nothing has fired */
+            s->model->refresh(&s->memory);
+            blocks_evaluate(s, s->model->crossings, s->t, s->memory.x, s->stage_values);
+            for (int i = 0; i < f->ncrossings; i++) s->memory.s[f->crossings[i]] = s->stage_values[f->crossings[i]] >= 0;
+        }
     }
     return 0;
+}
+
+static int postponed(BlocksSim *s, int32_t *due, int n, int *waiting)
+{
+    BlocksForeigns *all = units_of(s);
+    for (int k = 0; k < all->n; k++) {
+        BlocksForeign *f = &all->units[k];
+        f->waits = f->mode == BLOCKS_AT_EVENT;
+        for (int i = 0; i < n; i++) {
+            if (due[i] != f->event) continue;
+            f->waits = 1;
+            due[i--] = due[--n];
+        }
+        *waiting += f->waits;
+    }
+    return n;
+}
+
+static int waits(const BlocksSim *s, int unit) { return units_of(s)->units[unit].waits; }
+
+static int turn(BlocksSim *s, int unit, const int32_t *late, int nlate)
+{
+    BlocksForeigns *all = units_of(s);
+    BlocksForeign *f = &all->units[unit];
+    f->waits = 0;
+    if (f->mode == BLOCKS_AT_EVENT) {
+        f->asks = 1;
+        return -1;
+    }
+    for (int i = 0; i < nlate; i++) f->late |= late[i] >= 0 ? s->due[late[i]] : all->units[-1 - late[i]].waits;
+    return f->event;
 }
 
 /* An accepted step: 1 where an event is asked for, -1 where one failed. */
@@ -448,4 +493,4 @@ static int64_t epoch(const BlocksSim *s)
     return sum;
 }
 
-const BlocksHooks blocks_hooks = {initialized, started, asked, events, completed, epoch};
+const BlocksHooks blocks_hooks = {initialized, started, asked, events, postponed, waits, turn, completed, epoch};

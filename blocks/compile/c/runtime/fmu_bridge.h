@@ -44,6 +44,7 @@ typedef struct {
     void *component;
     int32_t fmi, nx, nz, nu, nvariables, ntunables;
     int32_t ncrossings, event, completes;
+    int32_t waits, late; /* for the turn of its time event; it came before something that its inputs depend on */
     int32_t mode, asks, due, stale; /* stale: the FMU has not the states that x says */
     int32_t has_rates;              /* its derivatives were asked for since something was set */
     int32_t over;                   /* it ended the run, at t */

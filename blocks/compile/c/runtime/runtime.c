@@ -2141,8 +2141,8 @@ HOT static int reset(BlocksSim *s, const double *sides, int asked, int is_given)
             }
         }
     }
-    if (asked && s->model->hooks->events(s)) return BLOCKS_FAILED;
     if (sides) memcpy(m->s, sides, (size_t)s->model->ns * sizeof(double));
+    if (asked && s->model->hooks->events(s)) return BLOCKS_FAILED;
     s->model->refresh(m);
     return 0;
 }
@@ -2554,6 +2554,14 @@ HOT static int tick(BlocksSim *s, int *touched)
     int begun = 0;
     for (int stage = 0; stage < c->nstages; stage++) {
         const BlocksStage *part = &setup->stages[c->first_stage + stage];
+        if (part->unit >= 0) {
+            if (!model->hooks->waits(s, part->unit)) continue;
+            if (begun && quiet(s, NULL, 0, 0, touched)) return BLOCKS_FAILED;
+            int32_t event = model->hooks->turn(s, part->unit, setup->stage_steppers + part->first_stepper, part->nsteppers);
+            if (quiet(s, &event, event >= 0, 0, touched)) return BLOCKS_FAILED;
+            begun = 0;
+            continue;
+        }
         const BlocksSlot *slots = setup->slots + part->first_slot;
         const int has_slots = any_due(s, slots, part->nslots);
         int has = has_slots;
@@ -2687,6 +2695,8 @@ HOT static int instant(BlocksSim *s, int is_start)
     int ndue = 0;
     for (int i = 0; i < model->nevents; i++)
         if (blocks_within_ulps(s->events[i], s->t, setup->scale)) due_events[ndue++] = i;
+    int waiting = 0;
+    if (model->hooks) ndue = model->hooks->postponed(s, due_events, ndue, &waiting);
     if (model->nh) broke = pass_breaks(s, s->t);
     double edge, broken = s->broken;
     while (setup->ntracks && ((edge = next_input_break(s, broken)) <= s->t || blocks_within_ulps(edge, s->t, setup->scale))) broken = edge;
@@ -2702,7 +2712,7 @@ HOT static int instant(BlocksSim *s, int is_start)
         any_tick |= s->due[r];
     }
     if ((ndue || !is_calm(s)) && quiet(s, due_events, ndue, by_seen, &touched)) goto restore;
-    if (any_tick && (tick(s, &touched) || (!is_calm(s) && quiet(s, NULL, 0, 0, &touched)))) goto restore;
+    if ((any_tick || waiting) && (tick(s, &touched) || (!is_calm(s) && quiet(s, NULL, 0, 0, &touched)))) goto restore;
     int moved = 0;
     if (model->nprojections && projected(s, &moved)) goto restore;
     if (moved) {

@@ -51,6 +51,13 @@ typedef struct {
     int (*started)(BlocksSim *);
     int (*asked)(BlocksSim *, const uint8_t *firing, const uint8_t *changed, int first_event); /* whether any has an event */
     int (*events)(BlocksSim *);
+    /* Those with a time event at this instant wait for their turn. due: what of n event times is left for others, whose
+       number is returned; waiting: how many wait. */
+    int (*postponed)(BlocksSim *, int32_t *due, int n, int *waiting);
+    int (*waits)(const BlocksSim *, int unit);
+    /* Ends the wait of a unit: its event time, or -1 where the run begins. late: rates, and -1 - units, which it comes
+       before though its inputs depend on them. */
+    int (*turn)(BlocksSim *, int unit, const int32_t *late, int nlate);
     int (*completed)(BlocksSim *); /* whether any asks for an event */
     int64_t (*epoch)(const BlocksSim *); /* how many events there were */
 } BlocksHooks;
@@ -135,9 +142,10 @@ typedef struct {
     int32_t slot, rate, condition;
 } BlocksSlot;
 
-/* One stage of a clique of rates: slots [first_slot, first_slot + nslots) and steppers likewise. */
+/* One stage of a clique of rates: slots [first_slot, first_slot + nslots) and steppers likewise. Or the time event of a
+   unit, if that is not -1: then in place of steppers stands what it comes before though its inputs depend on it. */
 typedef struct {
-    int32_t first_slot, nslots, first_stepper, nsteppers;
+    int32_t first_slot, nslots, first_stepper, nsteppers, unit;
 } BlocksStage;
 
 typedef struct {
