@@ -2353,7 +2353,7 @@ HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int see
         if (solve(s, s->t, s->memory.x, z)) return BLOCKS_FAILED;
         loosen(s, s->t, s->memory.x, z, 1);
         /* Where all is as it was before, it goes on without end (Brent's search for a cycle). */
-        if (pass && is_as_before(s)) break;
+        if (pass && !model->hooks && is_as_before(s)) break; /* an FMU hides what it has come to */
         if (!(pass & (pass + 1))) keep_before(s);
     }
     return blocks_fail(s, BLOCKS_ENDLESS, 0, s->t);
@@ -2442,8 +2442,8 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
             any |= s->changed_sides[j];
         }
         for (int i = 0; i < c->n; i++) own |= s->changed_sides[c->numbers[i]];
-        if (!any) return 0;
-        *touched = 1;
+        if (!any && !model->hooks) return 0;
+        *touched |= any;
         if (ndue || !own) {
             /* Corners wait until the loop is solved with what else has changed. */
             for (int i = 0; i < c->n; i++) sides[c->numbers[i]] = m->s[c->numbers[i]], s->changed_sides[c->numbers[i]] = 0;
@@ -2457,7 +2457,10 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
                 s->firing_time[first + due[i]] = s->events[due[i]];
             }
             ndue = 0;
-            if (fire(s, sides, 0, 0)) return BLOCKS_FAILED;
+            int asked = model->hooks ? model->hooks->asked(s, s->firing, s->changed_sides, first) : 0;
+            if (!any && !asked) return 0;
+            *touched = 1;
+            if (fire(s, sides, asked, 0)) return BLOCKS_FAILED;
             continue;
         }
         uint8_t *at_end = s->changed_sides;
@@ -2474,7 +2477,9 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
    touched: whether anything was. */
 HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int seen, int *touched)
 {
-    if (!has_corners(s) || s->model->hooks) return quiet_at_once(s, due, ndue, seen, touched);
+    if (!has_corners(s)) return quiet_at_once(s, due, ndue, seen, touched);
+    const BlocksHooks *hooks = s->model->hooks;
+    const int64_t hidden = hooks ? hooks->epoch(s) : 0;
     BlocksMemory *m = &s->memory;
     size_t nx = (size_t)s->model->nx, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns, ne = (size_t)s->model->nevents;
     double *x = corner_backup(s), *d = x + nx, *sides = d + nd, *slack = sides + ns, *own = slack + ns;
@@ -2488,7 +2493,8 @@ HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int seen, int *
     if (!quiet_at_once(s, due, ndue, seen, touched)) return 0;
     int failure = s->failure, culprit = s->culprit;
     double value = s->value;
-    if (failure == -1) return BLOCKS_FAILED;
+    /* FMUs that have had an event meanwhile do not go back. */
+    if (failure == -1 || (hooks && (failure != BLOCKS_ENDLESS || hooks->epoch(s) != hidden))) return BLOCKS_FAILED;
     /* The sides that are shown are those of no solution: the way to it goes from corner to corner. */
     memcpy(m->x, x, nx * sizeof(double));
     memcpy(m->d, d, nd * sizeof(double));
