@@ -75,7 +75,9 @@ class Upstream:
 
 def changed_by(plan: Plan) -> list[frozenset[Reference]]:
     """Return the memory that each rate, crossing, event time and break of a delay changes, in this order."""
-    rates = ([Reference("d", place) for _, place in (*rate.outputs, *rate.nexts)] for rate in plan.rates)
+    rates = [[Reference("d", place) for _, place in (*rate.outputs, *rate.nexts)] for rate in plan.rates]
+    for stepper in plan.steppers:
+        rates[stepper.rate] += [Reference("d", place) for _, places, _ in stepper.outputs for place in places]
     crossings = ([Reference("s", j), *(r for _, r in cause.resets)] for j, cause in enumerate(plan.crossings))
     events = ([r for _, r in cause.resets] for cause in plan.events)
     histories = ([Reference("h", i)] for i in range(len(plan.histories)))

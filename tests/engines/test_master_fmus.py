@@ -36,10 +36,12 @@ from blocks import (
     Sine,
     State,
     Step,
+    Stepped,
     TransportDelay,
     ZeroOrderHold,
     fmu,
     output,
+    stepper,
 )
 from blocks.results.results import Results
 from blocks.text.errors import ModelError
@@ -835,3 +837,37 @@ def test_blocks_with_a_delay_go_back_as_others_do(algorithm: str, order: int) ->
     assert native.values == pytest.approx(reference.values, abs=1e-12)
     assert native.statistics.steps == reference.statistics.steps
     assert native["lag.y"] == pytest.approx(made("native", delayed=False)["lag.y"], abs=1e-12)
+
+
+class Counts:
+    """A program that counts its ticks."""
+
+    n = 0
+
+    def step(self, t: float, u: float) -> float:
+        self.n += 1
+        return float(self.n)
+
+
+class Counting(Block):
+    """The number of ticks, every 0.07 s."""
+
+    u = Input()
+    n = Stepped(0.0)
+
+    @stepper(every=0.07)
+    def program():  # type: ignore[no-untyped-def]
+        return Counts()
+
+
+@each_engine
+def test_ticks_of_a_program_are_communication_points(engine: str) -> None:
+    """Between its ticks the count is constant, and a lag follows it exactly."""
+    d = Diagram("counted")
+    d.wire(d.add("counts", Counting()).u, d.add("zero", Constant(value=0.0)).y)
+    d.wire(d.add("lag", fmu(lag_fmu(2), "CS")).u, "counts.n")
+    results = d.run(stop=0.7, every=0.35, log=["lag.y"], engine=engine, master={"step": 0.05, "order": 0})
+    y = 0.0
+    for count in range(1, 11):
+        y = count - (count - y) * math.exp(-0.07 / 0.3)
+    assert results["lag.y"][-1] == pytest.approx(y, rel=1e-5)

@@ -7,7 +7,20 @@ from typing import Any
 
 import pytest
 
-from blocks import Constant, Diagram, Integrator, Quantizer, Relay, Results, Saturation, SecondOrder, Sum, ZeroOrderHold
+from blocks import (
+    CompareToConstant,
+    Constant,
+    Diagram,
+    Expression,
+    Integrator,
+    Quantizer,
+    Relay,
+    Results,
+    Saturation,
+    SecondOrder,
+    Sum,
+    ZeroOrderHold,
+)
 
 STOP = 12.0
 METHODS: list[dict[str, Any]] = [{"method": "rk4", "step": 0.02}, {"method": "dopri5", "rtol": 1e-8, "atol": 1e-10}]
@@ -90,3 +103,16 @@ def test_both_engines_see_the_same_crossings(count: int) -> None:
         assert len(native) > 3
         assert [block for _, block in native] == [block for _, block in reference]
         assert [t for t, _ in native] == pytest.approx([t for t, _ in reference], abs=1e-9)
+
+
+@pytest.mark.parametrize("engine", ["native", "reference"])
+def test_two_sides_that_change_at_a_tick_and_just_behind_it_change_in_one_instant(engine: str) -> None:
+    """At t = 1 one comparison turns, the other is 0 and turns as t goes on; the tick there sees both."""
+    d = Diagram("two")
+    d.wire(d.add("first", CompareToConstant(operator="<", constant=1.0)).u, d.add("t", Expression(expression="t")).y)
+    hill = d.add("hill", Expression(expression="(t-0.6)*(1-t)"))
+    d.wire(d.add("second", CompareToConstant(constant=0.0)).u, hill.y)
+    d.wire(d.add("held", ZeroOrderHold(period=0.1)).u, "second.y")
+    results = d.run(stop=1.5, every=0.05, method="rk4", step=0.01, engine=engine)
+    assert [(event.t, event.block) for event in results.events if event.t > 0.9] == [(1.0, "first"), (1.0, "second")]
+    assert results["held.y"][results.t == 1.0].tolist() == [0.0]

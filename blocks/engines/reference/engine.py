@@ -356,7 +356,8 @@ class ReferenceEngine:
         # An interrupt comes before all of this or after it.
         self.segment, self.broken, self.now, self.measures, self.sides = segment, broken, after, measures, sides
         self.outstanding, self.changed, self.left, self.crossing, self.unprojected = False, False, None, False, None
-        self.instants.later = 0.0
+        if not self.is_silent:  # an island may have the rest of the instant still before it
+            self.instants.later = 0.0
         self.instant_count += 1
         self.events += fired
 
@@ -762,8 +763,8 @@ class ReferenceEngine:
             assert first is not None
             self.crossed.check_missed(now.t, first, sides, located[1], self._slopes_by_rates(first_length * h))
         self.instants.later = 0.0
-        if not changed and t1 == target:
-            joined = self._joined(t1, x1, part.table, length, h, touches)
+        if t1 == target and (part.end == 1.0 or not changed):
+            joined = self._joined(t1, x1, part.table, length, h, touches, ~fires)
             if joined is not None:
                 x1, after, changed = *joined, True
                 self.instants.later = 4 * math.ulp(t1)
@@ -784,19 +785,21 @@ class ReferenceEngine:
         return slopes
 
     def _joined(
-        self, t1: float, x1: Array, values: Array, length: float, h: float, touches: Touches
+        self, t1: float, x1: Array, values: Array, length: float, h: float, touches: Touches, quiet: Array
     ) -> tuple[Array, Array] | None:
         """Where a crossing comes within 4 ulp after an instant at t1, to which it then belongs: states and crossings.
 
-        values: those of the last part of the step, which is `length` of the step's h long.
+        values: those of the last part of the step, which is `length` of the step's h long. quiet: the crossings that
+        have not changed their side up to t1.
         """
         since, sides = 8 * math.ulp(t1), touches.sides
         slopes, after = POWERS[1:].T @ np.arange(1, 5) @ values / (length * h), values[4]
-        if self.plan.foreign or not np.any(np.where(sides, after <= -slopes * since, -after <= slopes * since)):
+        is_near = np.where(sides, after <= -slopes * since, -after <= slopes * since)
+        if self.plan.foreign or not np.any(quiet & is_near):
             return None
         x = frozen(x1 + 0.5 * since * self._rates(t1, x1))
         crossings = self._crossing_values(t1 + 0.5 * since, x)
-        return (x, crossings) if np.any(touches.joined(crossings)) else None
+        return (x, crossings) if np.any(quiet & touches.joined(crossings)) else None
 
     def _located(
         self,

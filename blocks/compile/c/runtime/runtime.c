@@ -1715,7 +1715,7 @@ static void note_crossing(BlocksSim *s, double t, int j, int up)
 }
 
 /* Whether a crossing comes within 4 ulp after an instant at t1, to which it then belongs: the states and the crossings
-   there are taken at once. p: the last part of the step. */
+   there are taken at once. p: the last part of the step. Crossings that have changed their side up to t1 do not count. */
 static int joins(Parts *p, double t1, double *after)
 {
     BlocksSim *s = p->s;
@@ -1724,6 +1724,7 @@ static int joins(Parts *p, double t1, double *after)
     const double *values = p->values;
     for (int j = 0; j < n && !is_near; j++) {
         double a[5];
+        if (has_changed(s, j, after[j], 1.0)) continue;
         powers(values + j, n, a);
         double slope = (a[1] + 2 * a[2] + 3 * a[3] + 4 * a[4]) / length;
         is_near = s->memory.s[j] > 0.0 ? after[j] <= -slope * since : -after[j] <= slope * since;
@@ -1735,7 +1736,7 @@ static int joins(Parts *p, double t1, double *after)
     for (int i = 0; i < s->model->nx; i++) s->x2[i] = s->x1[i] + 0.5 * since * s->x2[i];
     if (crossing_values(s, t1 + 0.5 * since, s->x2, near)) return -1;
     for (int j = 0; j < n; j++)
-        if (has_changed(s, j, near[j], 1.0)) any |= !is_touch(p, j, 1.0, 1.0);
+        if (has_changed(s, j, near[j], 1.0) && !has_changed(s, j, after[j], 1.0)) any |= !is_touch(p, j, 1.0, 1.0);
     if (!any) return 0;
     memcpy(s->x1, s->x2, (size_t)s->model->nx * sizeof(double));
     memcpy(after, near, (size_t)n * sizeof(double));
@@ -1797,10 +1798,10 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
     *changed = any_changed_at(s, after, place);
     s->later = 0.0;
     if (!(*changed && (was_first || p.level == 0)) && was == s->t && missed(s, s->first_values, first_length)) return BLOCKS_FAILED;
-    if (!*changed && *t1 == target) {
-        *changed = joins(&p, *t1, after);
-        if (*changed < 0) return BLOCKS_FAILED;
-        if (*changed) s->later = 4 * blocks_ulp(*t1);
+    if (*t1 == target && (p.end >= 1.0 || !*changed)) {
+        int joined = joins(&p, *t1, after);
+        if (joined < 0) return BLOCKS_FAILED;
+        if (joined) *changed = 1, s->later = 4 * blocks_ulp(*t1);
     }
     /* What has joined an instant fires there only if that does not turn it back: it counts when it passes again. */
     for (int j = 0; j < n && s->later == 0.0; j++)
@@ -2746,7 +2747,7 @@ HOT static int instant(BlocksSim *s, int is_start)
     if (!setup->is_silent && (setup->has_jumps ? record(s, left) : record_on_grid(s))) goto restore;
     if (measured) take_instant(s);
     s->outstanding = s->changed = s->has_left = s->crossing = 0;
-    s->later = 0.0;
+    if (!setup->is_silent) s->later = 0.0; /* an island may have the rest of the instant still before it */
     s->instants++;
     return 0;
 restore:
