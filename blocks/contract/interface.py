@@ -72,7 +72,7 @@ def check_differences(units: Iterable[str], place: str) -> None:
     """Refuse a unit with an offset that a block is given: its amplitudes and slopes are differences (E114)."""
     for unit in dict.fromkeys(units):
         if unit and has_offset(unit):
-            message = f"the unit {unit!r} has an offset, and differences in it have none."
+            message = f"the unit {unit!r} has an offset, but the values of this block are differences, which have none."
             cure = f"Use {difference(unit)!r}; a value may be given in {unit} all the same."
             raise ModelError(Fault("E114", place, message, cure))
 

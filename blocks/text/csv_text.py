@@ -48,6 +48,9 @@ def read_columns(
                 header = [name.strip() for name in cells]
                 if len(header) == 1 and ";" in header[0]:
                     raise ValueError("separates its columns by ';', where commas are needed.")
+                if units and not any(column.partition("[")[0] in units or column in units for column in header):
+                    names = ", ".join(name[:40] for name in units)
+                    raise ValueError(f'"# units" names no column: {names}. Columns: {", ".join(header[:20])}.')
                 continue
             if len(cells) != len(header):
                 raise ValueError(f"line {reader.line_num}: {len(cells)} cells for {len(header)} columns.")
@@ -85,7 +88,11 @@ def _noting_units(lines: Iterable[str], found: dict[str, str]) -> Iterator[str]:
             except (ValueError, RecursionError):  # a comment of another program
                 units = None
             if isinstance(units, dict):
-                found.update((name, unit) for name, unit in units.items() if isinstance(unit, str))
+                if bad := next((name for name, unit in units.items() if not isinstance(unit, str)), None):
+                    raise ValueError(f'"# units" gives {bad[:40]!r} a unit that is no text.')
+                found.update(units)
+            elif match[1].lstrip().startswith("{"):
+                raise ValueError('"# units" is no JSON object. Write # units: {"omega": "rpm"}.')
         yield line
 
 

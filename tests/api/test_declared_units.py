@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +134,21 @@ def test_a_csv_file_gives_units_to_times_and_elements_and_may_not_give_others(tm
         path.write_text(f"# units: {units}\ntime,u[0],u[1]\n0,0,0\n1,2,12\n", encoding="utf-8")
         with pytest.raises(UsageError, match=r"E502 .*different quantities"):
             diagram.run(stop=0.5, inputs=path)
+
+
+@pytest.mark.parametrize(
+    ("units", "said"),
+    [
+        ('{"v": "deg/s"}', '"# units" names no column: v. Columns: time, u.'),
+        ('{"u": 3}', "\"# units\" gives 'u' a unit that is no text."),
+        ("{u: deg/s}", '"# units" is no JSON object.'),
+    ],
+)
+def test_units_of_a_csv_file_that_cannot_be_meant_are_refused(units: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "u.csv"
+    path.write_text(f"# units: {units}\ntime,u\n0,12\n1,12\n", encoding="utf-8")
+    with pytest.raises(UsageError, match=re.escape(said)):
+        saturated().run(stop=1, inputs=path)
 
 
 def test_what_a_run_records_of_an_input_drives_another_run_alike(tmp_path: Path) -> None:

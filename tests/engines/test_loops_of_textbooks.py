@@ -142,7 +142,7 @@ def test_a_loop_without_solution_is_refused_with_how_near_the_search_came() -> N
     message = refused("y = x**2 + 1 + t; x = y")
     assert "E307 a_y.y: at t = 0.0 s no solution was found for its algebraic loop." in message
     assert "The search came nearest at a_y.y = 0.5, where the residual is 0.75." in message
-    assert "begin nearer: a block with an Algebraic variable in the loop has a start value" in message
+    assert "let the search begin near it: a block with an Algebraic variable in the loop has a start value" in message
 
 
 def test_a_loop_that_begins_where_it_has_no_value_is_refused_with_that_value() -> None:
@@ -150,7 +150,7 @@ def test_a_loop_that_begins_where_it_has_no_value_is_refused_with_that_value() -
 
 
 def test_a_loop_without_a_single_solution_is_refused_as_singular() -> None:
-    assert "The residual is 0 at a_y.y = 0.0, but singular there." in refused("y = x; x = y")
+    assert "The residual is 0 at a_y.y = 0.0, but its derivative is singular there." in refused("y = x; x = y")
 
 
 # --- resumed runs --------------------------------------------------------------------------------------------------

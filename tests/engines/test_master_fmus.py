@@ -871,3 +871,33 @@ def test_ticks_of_a_program_are_communication_points(engine: str) -> None:
     for count in range(1, 11):
         y = count - (count - y) * math.exp(-0.07 / 0.3)
     assert results["lag.y"][-1] == pytest.approx(y, rel=1e-5)
+
+
+@each_engine
+def test_a_rigid_fmu_with_event_mode_is_not_stopped_by_its_ticks(tmp_path: Path, engine: str) -> None:
+    """Its steps of 7 ms pass its ticks of 10 ms; a Step beside it that nobody reads changes nothing."""
+    path = exported(Diagram.alone(ZeroOrderHold(period=0.01)), fmi=3, kinds=("CS",)).path
+    rigid = tmp_path / "rigid.fmu"
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(rigid, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "modelDescription.xml":
+                assert b'canHandleVariableCommunicationStepSize="true"' in data
+                data = data.replace(b'StepSize="true"', b'StepSize="false"')
+            new.writestr(name, data)
+    d = Diagram("beside")
+    d.wire(d.add("held", fmu(rigid, "CS")).u, d.add("one", Constant(value=1.0)).y)
+    d.add("step", Step(at=0.0123))
+    results = d.run(stop=0.07, every=0.007, engine=engine, log=["held.y"], master={"step": 0.007})
+    assert results["held.y"].tolist() == [1.0] * 11
+
+
+@each_engine
+def test_an_fmu_with_event_mode_begins_with_what_ticks_at_the_start_give(engine: str) -> None:
+    """A hold of a hold: at t = 0 the FMU ticks after the block that feeds it."""
+    path = exported(Diagram.alone(ZeroOrderHold(period=0.5)), fmi=3, kinds=("CS",)).path
+    d = Diagram("start")
+    d.wire(d.add("first", ZeroOrderHold(period=0.5)).u, d.add("one", Constant(value=1.0)).y)
+    d.wire(d.add("second", fmu(path, "CS")).u, "first.y")
+    results = d.run(stop=1.0, every=0.5, engine=engine, log=["second.y"], master={"step": 0.1})
+    assert results["second.y"].tolist() == [1.0, 1.0, 1.0]

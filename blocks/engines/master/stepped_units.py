@@ -333,6 +333,7 @@ class FmuUnit(Running):
     """
 
     over: Fault | None = None  # nothing is set in it once it has ended the run
+    begins = False  # it has left initialization, and is in event mode until its turn in the instant at the start
 
     def __init__(self, unit: CoupledUnit, loaded: Loaded, coupling: Coupling, *, update: int = 0) -> None:
         assert unit.foreign is not None
@@ -349,7 +350,8 @@ class FmuUnit(Running):
         intermediate = self._intermediate if is_asked and not update else None
         self.moving = unit.moving
         self.one = Instance(
-            loaded, unit.path, event_mode=self.interface.event_mode, early_return=self.interface.event_mode,
+            loaded, unit.path, event_mode=self.interface.event_mode,
+            early_return=self.interface.event_mode and self.interface.any_step,  # else no step of it is cut
             intermediate=intermediate, intermediate_variables=[slot.variable for slot in self.moving],
             update=update if is_asked else 0,
         )  # fmt: skip
@@ -372,8 +374,7 @@ class FmuUnit(Running):
     def finish_start(self) -> None:
         self.one.exit_initialization()
         self.held = [value for value, moves in zip(self.u, self.unit.continuous, strict=True) if not moves]
-        if self.interface.event_mode and self._iterate():
-            self.one.enter_step_mode()
+        self.begins = self.interface.event_mode
         if self.can_save and self.over is None:  # some say that they can, and cannot
             try:
                 saved = self.one.save()
@@ -512,10 +513,12 @@ class FmuUnit(Running):
         if not self.interface.event_mode or self.over is not None:
             return False
         held = [value for value, moves in zip(self.u, self.unit.continuous, strict=True) if not moves]
-        if is_due and not self.is_asked and held == self.held:
+        if is_due and not self.is_asked and held == self.held and not self.begins:
             return False  # it neither asks for event mode nor has received a jump
         self.is_asked, self.held = False, held
-        self.one.enter_event_mode()
+        if not self.begins:
+            self.one.enter_event_mode()
+        self.begins = False
         self._set(self.unit.slots_in)
         if self._iterate():
             self.one.enter_step_mode()
@@ -590,7 +593,7 @@ def acts_later(unit: CoupledUnit, t: float) -> Fault:
     """Return the warning that a jump at t reaches a unit, whose steps must not differ, at its next point."""
     step = f"{float(unit.step):g}"
     message = f"takes steps of {step} s only: the jump of its input at t = {t:.10g} s acts at the next step."
-    return Fault("W209", unit.path, message, "Later ones do too. Choose a step that has its points at the jumps.")
+    return Fault("W209", unit.path, message, "So do later jumps. Choose a step that has its points at the jumps.")
 
 
 def unconverged(coupling: Coupling, t: float, t1: float) -> SimulationError:

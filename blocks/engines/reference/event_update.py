@@ -274,19 +274,19 @@ class Instants:
         name = self.plan.node_name(node)
         if node.key.startswith("residual"):
             message = f"at t = {memory[0]} s no value was found at which its residual is 0."
-            cure = f"There may be none; or begin nearer: set {name.partition('[')[0]}_start."
+            cure = f"There may be none, or the search begins too far from it: set {name.partition('[')[0]}_start."
         else:
             message = f"at t = {memory[0]} s no solution was found for its algebraic loop."
             cure = (
-                "It may have none, or no single one (y = y). If it has one, begin nearer: a block with an Algebraic "
-                "variable in the loop has a start value. A state or a UnitDelay in the loop breaks it."
+                "It may have none, or no single one (y = y). If it has one, let the search begin near it: a block with "
+                "an Algebraic variable in the loop has a start value. A state or a UnitDelay in the loop breaks it."
             )
         found = self.compiled.nearest(reference, memory)
         if found is not None:
             torn, search = found
             its = self.plan.node_name(self.plan.outputs[torn.index])
             if search.residual == 0.0:
-                message += f" The residual is 0 at {its} = {search.x!r}, but singular there."
+                message += f" The residual is 0 at {its} = {search.x!r}, but its derivative is singular there."
             elif math.isfinite(search.residual):
                 message += (
                     f" The search came nearest at {its} = {search.x!r}, where the residual is {search.residual:g}."
