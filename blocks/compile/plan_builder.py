@@ -419,16 +419,9 @@ def _settled(plan: Plan) -> Plan:
 
 
 def _corners(plan: Plan, loops: Iterable[AlgebraicLoop]) -> tuple[int, ...]:
-    """The crossings that depend on a loop which depends on their side, or on what they reset."""
-    own = [_reached(plan, [cause.node]) for cause in plan.crossings]
-    found: set[int] = set()
-    for loop in loops:
-        read = _reached(plan, loop.nodes)
-        for j, cause in enumerate(plan.crossings):
-            moves = {Reference("s", j), *(place for _, place in cause.resets)}
-            if not read.isdisjoint(moves) and not own[j].isdisjoint(loop.unknowns):
-                found.add(j)
-    return tuple(sorted(found))
+    """The crossings that depend on a loop: its solution rounds in another way at each search."""
+    unknowns = {reference for loop in loops for reference in loop.unknowns}
+    return tuple(j for j, cause in enumerate(plan.crossings) if not unknowns.isdisjoint(_reached(plan, [cause.node])))
 
 
 def _reached(plan: Plan, nodes: Iterable[Node]) -> set[Reference]:

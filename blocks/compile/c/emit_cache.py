@@ -118,7 +118,7 @@ def _own_digest() -> str:
     """Of the Python files that emit."""
     digest = hashlib.sha256()
     here = Path(__file__).parent
-    names = ("folding", "jacobian", "motion", "plan", "scheduler", "tick_stages")
+    names = ("folding", "jacobian", "motion", "plan", "plan_builder", "scheduler", "tearing", "tick_stages")
     others = (here.parent / f"{name}.py" for name in names)
     for path in (*sorted(here.glob("*.py")), *others):
         digest.update(path.read_bytes())

@@ -136,6 +136,8 @@ def _descended(loop: Loop, point: Point) -> Point | None:
         step = _solved(point.matrix, -point.residuals)
         if step is None:
             return None
+        if steps == 0 and np.all(np.abs(step) <= _CLOSE * np.abs(point.x)) and loop.is_rounding(point):
+            return point  # a solution stays as it is: at one instant all see the same bits
         share = 1.0
         for halvings in range(MOST_HALVINGS):
             tried = loop.at(point.x + share * step)

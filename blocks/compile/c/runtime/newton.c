@@ -150,6 +150,8 @@ static int descended(const Loop *l, Point *p, Point *tried)
     for (int k = 0; k < MOST_STEPS; k++) {
         if (k >= FEW_STEPS && is_rounding(l, p)) return 1; /* an unknown that is 0 but for rounding goes on to fall */
         if (!is_finite(l, p) || solved(n, p->matrix, p->residuals, l->step, l->work)) return 0;
+        /* A solution stays as it is: at one instant all see the same bits. */
+        if (!k && is_small(l, p->x, CLOSE, 0.0) && is_rounding(l, p)) return 1;
         double share = 1.0, then = NAN;
         int halvings = 0;
         for (; halvings < MOST_HALVINGS; halvings++) {

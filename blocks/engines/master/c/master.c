@@ -1581,7 +1581,8 @@ int master_changed(Master *m, int is_input)
     if (evaluate(m, m->t) || instants(m, m->left_y)) return MASTER_FAILED;
     memset(m->renewed, 1, (size_t)m->nelements);
     keep_waiting(m, is_input);
-    for (int g = 0; g < m->nelements; g++) begin_anew(&m->past[g], m->t, m->y[g]);
+    for (int g = 0; g < m->nelements; g++)
+        if (m->units[m->elements[g].unit].t == m->t) begin_anew(&m->past[g], m->t, m->y[g]);
     m->fresh = 0;
     return measure(m, 1.0) || record(m, m->left_row) ? MASTER_FAILED : MASTER_DONE;
 }
