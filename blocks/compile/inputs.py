@@ -304,5 +304,5 @@ def _columns(
     if unused:
         known = [name for name, *_ in plan.inputs]
         cure = did_you_mean(unused[0], known) or f"Inputs: {', '.join(known) or 'none'}."
-        raise refuse(f"the column '{unused[0]}' is no input of the diagram.", cure)
+        raise refuse(f"the column {unused[0]!r} is no input of the diagram.", cure)
     return inputs

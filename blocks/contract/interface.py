@@ -156,6 +156,11 @@ class Interface:
             )
         return tuple(unit)
 
+    def memory_units(self, name: str) -> tuple[str, ...]:
+        """Return the declared unit of each element of a state or a discrete; nothing if there is none of this name."""
+        memory: dict[str, Variable] = {**self.declaration.states, **self.declaration.discretes}
+        return self.declared_units(memory[name]) if name in memory else ()
+
     def _ports(self, variable: Any) -> Iterable[Port]:
         shape, declared = self.shape(variable), self.declared_units(variable)
         try:

@@ -507,9 +507,8 @@ def declared_unit(plan: Plan, name: str) -> str:
         return declared[index] if index is not None and index < len(declared) else ""
     path, _, variable = base.rpartition(".")  # a state that is no output
     for instance in plan.instances:
-        d = instance.tape.interface.declaration
-        if instance.path == path and variable in {**d.states, **d.discretes}:
-            return instance.tape.interface.declared_units({**d.states, **d.discretes}[variable])[index or 0]
+        if instance.path == path and (units := instance.tape.interface.memory_units(variable)):
+            return units[index or 0]
     return ""
 
 

@@ -105,9 +105,10 @@ def test_ticks_are_rounded_once_wherever_they_lie(period: str) -> None:
         assert plan.tick_time(rate.offset + k * rate.period) == float(k * exact)
 
 
-def test_a_third_written_as_a_float_is_no_period_that_can_be_counted() -> None:
-    with pytest.raises(ModelError, match=r"E119 c0: ticks of 0\.3333333333333333 s .* \"=1/3\""):
-        clocks((1 / 3, 0.0), stop=1.0)
+def test_a_third_written_as_a_float_is_a_third_and_other_floats_cannot_be_counted() -> None:
+    assert [t for t, _ in ticks(clocks((1 / 3, 0.0), stop=1.0), "c0")] == [0.0, 1 / 3, 2 / 3, 1.0]
+    with pytest.raises(ModelError, match=r"E119 c0: ticks of 0\.3141592653589793 s .* \"=1/3\""):
+        clocks((0.3141592653589793, 0.0), stop=1.0)
 
 
 def test_periods_of_1_and_3_tenths_coincide_each_third_time() -> None:

@@ -337,7 +337,7 @@ def test_a_subdiagram_takes_the_place_of_a_block_and_back() -> None:
 
 def test_a_variant_of_a_block_in_a_subdiagram_goes_by_its_path(tmp_path: Path) -> None:
     inner = loop()
-    inner.swap("motor", Motor(), variant="own")
+    inner.swap("motor", Motor(Ra=300.0), variant="own")
     inner.save(tmp_path / "inner.json")
     outer = Diagram("outer", folder=tmp_path, library=Motor)
     for name in ("a", "b"):

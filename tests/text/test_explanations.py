@@ -100,7 +100,7 @@ MENDED: dict[str, list[tuple[str, str]]] = {
     "E115": [("ode45", "dopri5")],
     "E116": [('"of": "ball.h"', '"of": "ball.h", "against": 0')],
     "E118": [('"each", "step": 0.01', '"together"')],
-    "E119": [("0.3333333333333333", '"=1/3"')],
+    "E119": [("0.3141592653589793", '"=1/3"')],
     "E121": [('"trigger": {"every": 0.1}', '"enable": {}'), ("\n }\n}", '\n },\n "inputs": {"on": {"type": "bool"}},\n'
              ' "wires": {"part.enable": "on"}\n}')],
     "E123": [("[[1, 0]]", "[[1, 4]]")],

@@ -1922,7 +1922,6 @@ int blocks_accept(BlocksSim *s, double t1, double h, double proposed, double err
     int changed = 0, moved = 0, failed = BLOCKS_FAILED;
     int64_t remembered = s->past.known;
     double known = s->known[0];
-    size_t nx = (size_t)model->nx;
     s->weighed = s->flowed = 0;
     if (model->nprojections) {
         weigh(s, h, NULL, model->nx);
