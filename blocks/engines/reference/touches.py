@@ -68,6 +68,7 @@ class Touches:
         doubtful = (np.abs(change.values) <= _SMALL * size) | (self.length < _SHORT * self.usual)
         for j in np.nonzero(~doubtful)[0]:
             doubtful[j] = _is_rough(table[:, j], float(size[j]))
+        doubtful &= np.isfinite(size)  # else it is a pole
         suspects = np.nonzero(doubtful & self.changed(change.high, change.values))[0]
         touches = [self._is_touch(int(j), change.low, change.high) for j in suspects]
         if change.low == 0.0:

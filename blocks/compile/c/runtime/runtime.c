@@ -1646,6 +1646,7 @@ static int finds_touch(Parts *p, double low, double high)
             continue;
         }
         double most = largest_of(p, j);
+        if (isinf(most)) continue; /* a pole */
         if (is_short || fabs(s->distances[j]) <= SMALL_REACH * most || is_rough(p->values + j, n, most))
             any |= is_touch(p, j, low, high);
     }
