@@ -348,7 +348,7 @@ class Plan(Shown):
     unknowns: tuple[Reference, ...] = field(default=(), compare=False, repr=False)
     """What is solved for at all times, in the order of z; each search begins at their last values."""
     corners: tuple[int, ...] = field(default=(), compare=False, repr=False)
-    """Crossings of what a loop solves for, whose sides or resets that loop reads."""
+    """Crossings that depend on what a loop solves for, whether that loop reads their sides or not."""
     guessed: tuple[int, ...] = field(default=(), compare=False, repr=False)
     """Places in d that are guessed at the start, as sides are: steps of what a loop solves for, which reads them."""
     folded: Any = field(default=None, compare=False, repr=False)

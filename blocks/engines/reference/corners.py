@@ -1,7 +1,7 @@
-"""Corners: crossings of what an algebraic loop solves for, whose sides that loop reads.
+"""Corners: crossings of what an algebraic loop solves for.
 
-The sides and the solution belong together. With the present sides the loop has one solution, at which a crossing may
-show its other side; with that side it has another solution. Two things follow.
+If the loop reads their sides, these and the solution belong together. With the present sides the loop has one
+solution, at which a crossing may show its other side; with that side it has another solution. Two things follow.
 
 If both solutions lie at the corner itself, rounding decides which side each of them shows, and both may show the other
 one. So a side is left only if the crossing is beyond the rounding of the solution, its slack.
