@@ -84,7 +84,9 @@ def print_selected(
     forms: dict[object, list[int]] = {}
     for k, (calls, copies) in enumerate(programs):
         if calls or copies:
-            forms.setdefault(_form(calls, copies) if len(numbers[k]) == 1 else k, []).append(k)
+            # A lane has one value of each call: a program that reads all copies of a block is a function of its own.
+            is_lane = len(numbers[k]) == 1 and all(call.lanes == 1 and not call.gathers for call in calls)
+            forms.setdefault(_form(calls, copies) if is_lane else k, []).append(k)
     functions, cases = [], []
     size = sum(map(len, numbers))
     form_of, lane_of = [-1] * size, [0] * size
