@@ -76,6 +76,16 @@ class CrossingWatch:
                 raise SimulationError(Fault("E304", name, message, cure))
         self.times.append(t)
 
+    def withdraw(self, t: float, moved: Array) -> None:
+        """Forget when the crossings fired that were found at t and that inputs, which jump there, have moved since.
+
+        Where a master extrapolates an input, it finds a crossing anew after each jump back to the true input, ever
+        nearer to the last: the master is in haste there, and not the model.
+        """
+        for crossing in np.nonzero(moved)[0]:
+            if self.fired.get(int(crossing)) == t:
+                del self.fired[int(crossing)]
+
     def check_missed(
         self, t: float, values: Array, sides: Array, beyond: Array, slopes_by_rates: Callable[[], Array]
     ) -> None:

@@ -326,6 +326,9 @@ class ReferenceEngine:
         if broken != self.broken:
             segment, changed = self.inputs.segment(max(now.t, broken)), True
         self.instants.inputs_later = segment.at(now.t + self.instants.later)
+        if changed and self.crossing and self.sides[0] == now.t:
+            values = self.instants.sides_now(self.unprojected or now, segment.at(now.t))
+            self.crossed.withdraw(now.t, np.not_equal(values, self.sides[1]))
         after, fired = self.instants.instant(
             now,
             segment.at(now.t),

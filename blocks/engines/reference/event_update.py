@@ -307,7 +307,7 @@ class Instants:
     def crossing_values(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[float, ...]:
         return self.sides(*self.memory(snapshot, u)) if self.plan.crossings else ()
 
-    def _sides_now(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[float, ...]:
+    def sides_now(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[float, ...]:
         """The crossings at an instant; where the step before was taken a little further, as they are there."""
         if not self.plan.crossings:
             return ()
@@ -432,7 +432,7 @@ class Instants:
         history: list[str] = []  # what changed, pass by pass
         known = set()
         for _ in range(MOST_PASSES):
-            values = self._sides_now(snapshot if seen is None else seen, u)
+            values = self.sides_now(snapshot if seen is None else seen, u)
             sides, firing, changed = self._changes(values, snapshot, due)
             asked = self.asked(snapshot, u, firing, changed) if plan.foreign else {}
             if not firing and not changed and not asked and seen is None:

@@ -2652,6 +2652,18 @@ static int projected(BlocksSim *s, int *moved)
     return 0;
 }
 
+/* Forget when the crossings fired that the step found at its end and that inputs, which jump there, have moved since. Where a
+   master extrapolates an input, it finds a crossing anew after each jump back to the true input, ever nearer to the last: the
+   master is in haste there, and not the model. */
+static int withdraw(BlocksSim *s, int by_seen)
+{
+    int n = s->model->ns;
+    if (by_seen ? sides_seen(s, s->crossing_values) : sides_now(s, s->crossing_values)) return BLOCKS_FAILED;
+    for (int j = 0; j < n; j++)
+        if (s->fired[j] == s->t && s->crossing_values[j] != s->sides[j]) s->fired[j] = -INFINITY;
+    return 0;
+}
+
 /* What a step does at its end that others have made: projections are taken over, crossings fire by the values before. */
 int blocks_end_step(BlocksSim *s)
 {
@@ -2718,6 +2730,7 @@ HOT static int instant(BlocksSim *s, int is_start)
         s->due[r] = s->exact == 1 && tick_count(s, r) == s->count;
         any_tick |= s->due[r];
     }
+    if (changed && s->crossing && withdraw(s, by_seen)) goto restore;
     if ((ndue || !is_calm(s)) && quiet(s, due_events, ndue, by_seen, &touched)) goto restore;
     if ((any_tick || waiting) && (tick(s, &touched) || (!is_calm(s) && quiet(s, NULL, 0, 0, &touched)))) goto restore;
     int moved = 0;
