@@ -24,6 +24,7 @@ from scipy.linalg import expm
 from blocks import (
     PID,
     Block,
+    BouncingBall,
     Constant,
     Counter,
     Diagram,
@@ -32,11 +33,13 @@ from blocks import (
     Parameter,
     PMDCMotor,
     Ramp,
+    RateLimiter,
     Relay,
     Sine,
     State,
     Step,
     Stepped,
+    Sum,
     TransportDelay,
     ZeroOrderHold,
     fmu,
@@ -44,7 +47,7 @@ from blocks import (
     stepper,
 )
 from blocks.results.results import Results
-from blocks.text.errors import ModelError
+from blocks.text.errors import FMUError, ModelError
 from tests.support.coupled_systems import (
     ALGORITHMS,
     AT_1,
@@ -901,3 +904,48 @@ def test_an_fmu_with_event_mode_begins_with_what_ticks_at_the_start_give(engine:
     d.wire(d.add("second", fmu(path, "CS")).u, "first.y")
     results = d.run(stop=1.0, every=0.5, engine=engine, log=["second.y"], master={"step": 0.1})
     assert results["second.y"].tolist() == [1.0, 1.0, 1.0]
+
+
+# --- crossings of inputs that are extrapolated: found anew after each jump back to the true input ----
+
+
+def driven(part: Block | Any) -> Diagram:
+    d = Diagram("driven")
+    wave, inner = d.add("wave", Sine(omega=5.550123, amplitude=1.025951, phase=1.558297)), d.add("part", part)
+    d.wire(inner.u, wave.y)
+    d.wire(d.add("lag", FirstOrder(T=0.25)).u, inner.y)
+    return d
+
+
+@each_engine
+@pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel"])
+@pytest.mark.parametrize("part", [Relay(on_at=0.4, off_at=-0.2), RateLimiter(rising=2.0, falling=2.0)], ids=repr)
+def test_an_fmu_that_switches_by_an_extrapolated_input_switches_as_a_block(
+    part: Block, algorithm: str, engine: str, tmp_path: Path
+) -> None:
+    alone = Diagram("alone")
+    inner = alone.add("part", part)
+    alone.wire(inner.u, alone.input("u", default=0.0))
+    alone.output("y", inner.y)
+    alone.export(tmp_path / "part.fmu", fmi=3)
+    settings: dict[str, Any] = {"stop": 3.0, "every": 0.01, "engine": engine, "method": "radau"}
+    truth = driven(part).run(**settings)["part.y"]
+    made = driven(fmu(tmp_path / "part.fmu", "CS")).run(
+        **settings, master={"step": 0.01, "algorithm": algorithm, "order": 1}
+    )["part.y"]
+    # It switches at a time that is off by less than a step.
+    assert np.mean(np.abs(made - truth)) < 1e-2
+
+
+@each_engine
+def test_an_fmu_whose_input_jumps_still_finds_what_fires_ever_faster(tmp_path: Path, engine: str) -> None:
+    inner = Diagram("bounces")
+    ball, total = inner.add("ball", BouncingBall(v_rest=0.0)), inner.add("total", Sum())
+    inner.wire(total.u1, inner.input("u", default=0.0))
+    inner.wire(total.u2, ball.h)
+    inner.output("y", total.y)
+    inner.export(tmp_path / "bounces.fmu", fmi=3)
+    with pytest.raises(FMUError, match=r"ball\.impact fires ever faster") as caught:
+        driven(fmu(tmp_path / "bounces.fmu", "CS")).run(stop=5.0, every=0.1, engine=engine, master={"step": 0.01})
+    # It would rest at sqrt(2 h/g) (1 + e)/(1 - e).
+    assert caught.value.results.t[-1] == pytest.approx(math.sqrt(2 / 9.81) * 1.7 / 0.3, abs=0.1)
