@@ -49,6 +49,7 @@ class Touches:
         self.sides, self.evaluate, self.resolution, self.usual = sides, evaluate, resolution, usual
         self.end = 1.0 if is_closed else 1.0 + _SHORT * max(1.0, usual)
         self.until = np.full(len(sides), -math.inf)  # up to where a change of each side is a touch
+        self.judged = np.zeros(len(sides), dtype=bool)  # at the end of a step that a crossing has cut
 
     def enter(self, table: Array, length: float) -> None:
         """Go on to a part of the step, which has the values (5, m) and is `length` long."""
@@ -80,9 +81,11 @@ class Touches:
     def judge(self, place: float, values: Array, change: Found) -> bool:
         """Judge the sides that have changed at a place, but not at the end of the interval in which it was found.
 
-        Whether any of them is a touch.
+        Whether any of them is a touch. Each is judged once: where the polynomials of a bad step contradict the step to
+        the place, each judgement would lead to the next.
         """
-        others = np.nonzero(self.changed(place, values) & ~self.changed(change.high, change.values))[0]
+        others = np.nonzero(self.changed(place, values) & ~self.changed(change.high, change.values) & ~self.judged)[0]
+        self.judged[others] = True
         touches = [self._is_touch(int(j), place, place) for j in others]
         return any(touches)
 

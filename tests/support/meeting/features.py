@@ -33,6 +33,7 @@ FACTORS: dict[str, list[str]] = {
 """Copies are `kept` where nothing beside them has the whole diagram written out, as "Copies" of docs/semantics.md lists
 it: then the code loops over them."""
 ADAPTIVE = ("dopri5", "radau", "auto")
+IMPLICIT = ("radau", "auto")
 
 
 def allowed(row: Row) -> bool:
@@ -360,6 +361,11 @@ def _part(b: _Builder) -> None:
     if level == "none":
         return
     times, u = _times(b), b.source()
+    if level == "triggered":
+        # An event time triggers before the ticks of its instant, and a tick triggers among them: they see the same
+        # inputs where these do not tick.
+        known: Case = {"diagram": {"wires": b.wires}}
+        u = b.rng.choice([s for s in b.signals if not any("period" in str(b.blocks[a]) for a in ancestors(known, s))])
     inner, inside = _inside_triggered(b) if level == "triggered" else _inside_enabled(b)
     copies, last = ({"copies": 2}, "[1]") if b.rng.random() < 0.25 else ({}, "")
     for name, switch in (("a", b.row["switch"]), ("b", "event")):

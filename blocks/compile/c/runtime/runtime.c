@@ -1787,10 +1787,14 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
             place = *shortened ? (end - s->t) / h : 1.0;
             p.x1 = *shortened ? NULL : s->x1;
             if (crossing_values(s, end, s->x1, after)) return BLOCKS_FAILED;
-            /* What has changed here and not where the search began has not been judged yet. */
+            /* What has changed here and not where the search began has not been judged yet. It is judged once: where the
+               polynomials of a bad step contradict the step to here, each judgement would lead to the next. */
             touches = 0;
             for (int j = 0; j < n; j++)
-                if (!s->changed_sides[j] && has_changed(s, j, after[j], place)) touches |= is_touch(&p, j, place, place);
+                if (!s->changed_sides[j] && has_changed(s, j, after[j], place)) {
+                    touches |= is_touch(&p, j, place, place);
+                    s->changed_sides[j] = 1;
+                }
             if (touches && *shortened && !any_changed_at(s, after, place)) continue;
             *t1 = end;
             touches = 0;
