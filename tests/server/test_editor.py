@@ -651,13 +651,16 @@ def test_a_motor_under_control_is_drawn_by_hand_run_and_undone(chromium: Any, tm
                 page.type(text[1:])
                 page.press("Enter")
                 settled(f"[data-path={name}]")
+            page.still("#stage")
             x, y = box("pmdc_motor")
             page.drag(x, y, x + 200, y - 60)
             page.until("document.querySelector('#stage svg').dataset.origin")
             for source, sink in (("step.y", "pid.r"), ("pid.u", "pmdc_motor.v"), ("pmdc_motor.omega", "pid.y")):
+                page.still("#stage")  # it is drawn anew, and wires begin where a port is by then
                 page.drag(*port(source.split(".")[0], "out", source.split(".")[1]),
                           *port(sink.split(".")[0], "in", sink.split(".")[1]))  # fmt: skip
                 settled(f'[data-sink="{sink}"]')
+            page.still("#stage")
             page.drag(*port("step", "out", "y"), *port("pmdc_motor", "in", "tau"))
             page.until("document.querySelector('#edits .refusal').innerText.includes('different quantities')")
             page.click_at(*box("pid"))

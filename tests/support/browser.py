@@ -228,6 +228,13 @@ class Browser:
                 )
             time.sleep(0.02)
 
+    def still(self, selector: str) -> None:
+        """Wait until an element changes no more: places that are measured in it then hold until it is touched."""
+        place = f"document.querySelector({json.dumps(selector)})"
+        look = f"{place}.outerHTML + JSON.stringify({place}.getBoundingClientRect())"
+        wait = "await new Promise(done => setTimeout(done, 300))"
+        self.until(f"(async () => {{ const was = {look}; {wait}; return was === {look}; }})()")
+
     def text(self, selector: str = "body") -> str:
         """The text of the first element that matches, as it is seen."""
         return str(self.evaluate(f"document.querySelector({json.dumps(selector)}).innerText"))
