@@ -1,4 +1,5 @@
 # The environment lives in .venv. It is made once, and brought up to date when pyproject.toml changes.
+# STAMP stands for blocks and what it needs, TOOLS for what tests, checks and documentation need as well.
 # Programs run as "python -m ...": the scripts that pip writes hold an absolute path in their first line, and that line
 # breaks where a folder's name is long or has a space.
 
@@ -17,6 +18,7 @@ endif
 
 SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))
 STAMP := .venv/.installed
+TOOLS := .venv/.tools
 
 # Modules of another Python, as other tools put them on these paths, must not leak into the environment.
 unexport PYTHONPATH PYTHONHOME
@@ -62,7 +64,7 @@ test: lint pytest native
 test-long: long native-long
 
 # As root, or where sudo asks for no password, on Debian and Ubuntu; else it says what to install.
-browser: $(STAMP)
+browser: $(TOOLS)
 	@if found=$$($(PY) -c "from tests.support.browser import found; print(found() or '')") && [ -n "$$found" ]; then \
 	    echo "== browser: $$found"; exit 0; \
 	fi; \
@@ -75,46 +77,46 @@ browser: $(STAMP)
 	$$root apt-get update -qq && $$root apt-get install -y -qq --no-install-recommends chromium || { \
 	    echo "It could not be installed. As root: apt-get install chromium. Or name one by BLOCKS_CHROMIUM."; exit 1; }
 
-ruff: $(STAMP)
+ruff: $(TOOLS)
 	@echo "== ruff: style and likely mistakes"
 	@$(PY) -m ruff check .
 
-mypy: $(STAMP)
+mypy: $(TOOLS)
 	@echo "== mypy: types"
 	@$(PY) -m mypy
 
-layers: $(STAMP)
+layers: $(TOOLS)
 	@echo "== import-linter: layers"
 	@$(PY) -X utf8 -c "from importlinter.cli import lint_imports_command as lint; lint()" --no-logo
 
-pytest: $(STAMP)
+pytest: $(TOOLS)
 	@echo "== pytest: tests"
 	@$(PY) -m pytest $(SIDE_BY_SIDE)
 
-native: $(STAMP)
+native: $(TOOLS)
 	@echo "== pytest: tests of runs, by the native engine"
 	@BLOCKS_ENGINE=native $(PY) -m pytest -q $(SIDE_BY_SIDE) $(BY_BOTH:%=tests/engines/test_%.py)
 
-long: $(STAMP)
+long: $(TOOLS)
 	@echo "== pytest: tests that take long"
 	@$(PY) -m pytest -m long $(SIDE_BY_SIDE)
 
-native-long: $(STAMP)
+native-long: $(TOOLS)
 	@echo "== pytest: tests of runs that take long, by the native engine"
 	@BLOCKS_ENGINE=native $(PY) -m pytest -q -m long $(SIDE_BY_SIDE) $(BY_BOTH:%=tests/engines/test_%.py)
 
-bench: $(STAMP)
+bench: $(TOOLS)
 	@echo "== benchmarks"
 	@$(PY) -m benchmarks
 
 # Each peer gets an environment of its own; together they need about 4 GB and some minutes.
-bench-peers: $(STAMP)
+bench-peers: $(TOOLS)
 	@echo "== other tools: build/bench-peers"
 	@$(PY) -m benchmarks.peers
 	@echo "== other masters on the same FMUs"
 	@$(PY) -m benchmarks.peers_master
 
-docs: $(STAMP)
+docs: $(TOOLS)
 	@echo "== documentation"
 	@$(PY) -m sphinx -q -W --keep-going -b html -d build/docs-trees docs build/docs
 	@echo "Open build/docs/index.html."
@@ -150,7 +152,13 @@ $(STAMP): pyproject.toml
 	fi; \
 	echo "== environment: .venv, with $$("$$found" --version)"; \
 	"$$found" -m venv --clear .venv
-	@echo "== installing blocks and its tools into .venv (a minute or two the first time)"
-	@$(PY) -m pip install --quiet --disable-pip-version-check --editable ".[dev]" || { \
+	@echo "== installing blocks into .venv (480 MB: half a minute or some minutes, as the network is fast)"
+	@$(PY) -m pip install --quiet --disable-pip-version-check --editable . || { \
 	    echo "The installation failed; pip says why above. Run make again when the cause is gone."; exit 1; }
 	@touch $(STAMP)
+
+$(TOOLS): $(STAMP)
+	@echo "== installing the tools for tests and documentation into .venv (900 MB more: a minute or some more)"
+	@$(PY) -m pip install --quiet --disable-pip-version-check --editable ".[dev]" || { \
+	    echo "The installation failed; pip says why above. Run make again when the cause is gone."; exit 1; }
+	@touch $(TOOLS)
