@@ -497,3 +497,18 @@ def test_equal_blocks_beside_copies_are_the_same_in_runs_rows_lanes_and_fmus(whe
         for row in (0, 1):
             np.testing.assert_array_equal(exact.signals[name][row], wanted[1 + row][name], err_msg=name)
             np.testing.assert_allclose(fast.signals[name][row], wanted[1 + row][name], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_a_reset_by_radau_to_the_output_of_one_copy_is_that_of_blocks_written_out(count: int) -> None:
+    lag = {"type": "LeadLag", "copies": count, "parameters": {"T1": 0.4, "T2": [0.8 - 0.1 * k for k in range(count)]}}
+    blocks = {
+        "wave": {"type": "Sine", "parameters": {"omega": 5.0, "phase": 1.6}}, "c": lag,
+        "again": {"type": "ResettableIntegrator", "parameters": {"direction": "both", "threshold": 0.24}},
+    }  # fmt: skip
+    wires = {"c.u": "wave.y", "again.u": "wave.y", "again.trigger": "wave.y", "again.y0": "c.y[1]"}
+    document = {**HEAD, "blocks": blocks, "wires": wires}
+    run: dict[str, Any] = {"stop": 2.0, "every": 0.05, "method": "radau", "rtol": 1e-8}
+    made, by_hand = (Diagram.from_json(one).run(engine="native", **run) for one in (document, written_out(document)))
+    assert len(made.events) > 2
+    assert np.array_equal(made["again.y"], by_hand["again.y"])
