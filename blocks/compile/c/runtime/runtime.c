@@ -1541,7 +1541,8 @@ static double largest_of(const Parts *p, int j)
 static double rounding_of(const Course *c, double at)
 {
     double most = 0.0, spacing = c->unit;
-    for (int window = 0; window == 0 || 8 * spacing <= c->widest; spacing *= SPREAD) {
+    /* Without a stop time nothing bounds the width. */
+    for (int window = 0; isfinite(spacing) && (window == 0 || 8 * spacing <= c->widest); spacing *= SPREAD) {
         for (int side = 0; side < 2; side++) {
             double first = side ? at + spacing : at - 9 * spacing, v[9];
             if (first < c->begin || first + 8 * spacing > c->end) continue;
