@@ -1,5 +1,5 @@
 # The environment lives in .venv. It is made once, and brought up to date when pyproject.toml changes.
-# STAMP stands for blocks and what it needs, TOOLS for what tests, checks and documentation need as well.
+# STAMP marks an environment that runs blocks; TOOLS marks one that also has the tools for tests and documentation.
 # Programs run as "python -m ...": the scripts that pip writes hold an absolute path in their first line, and that line
 # breaks where a folder's name is long or has a space.
 
@@ -19,6 +19,8 @@ endif
 SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))
 STAMP := .venv/.installed
 TOOLS := .venv/.tools
+INSTALL = $(PY) -m pip install --quiet --disable-pip-version-check --editable $(1) || { \
+	echo "The installation failed; pip says why above. Run make again when the cause is gone."; exit 1; }
 
 # Modules of another Python, as other tools put them on these paths, must not leak into the environment.
 unexport PYTHONPATH PYTHONHOME
@@ -152,13 +154,11 @@ $(STAMP): pyproject.toml
 	fi; \
 	echo "== environment: .venv, with $$("$$found" --version)"; \
 	"$$found" -m venv --clear .venv
-	@echo "== installing blocks into .venv (480 MB: half a minute or some minutes, as the network is fast)"
-	@$(PY) -m pip install --quiet --disable-pip-version-check --editable . || { \
-	    echo "The installation failed; pip says why above. Run make again when the cause is gone."; exit 1; }
+	@echo "== installing blocks into .venv (480 MB: half a minute on a fast network)"
+	@$(call INSTALL,.)
 	@touch $(STAMP)
 
 $(TOOLS): $(STAMP)
-	@echo "== installing the tools for tests and documentation into .venv (900 MB more: a minute or some more)"
-	@$(PY) -m pip install --quiet --disable-pip-version-check --editable ".[dev]" || { \
-	    echo "The installation failed; pip says why above. Run make again when the cause is gone."; exit 1; }
+	@echo "== installing the tools for tests and documentation into .venv (900 MB more: a minute on a fast network)"
+	@$(call INSTALL,".[dev]")
 	@touch $(TOOLS)
