@@ -906,7 +906,7 @@ def test_an_fmu_with_event_mode_begins_with_what_ticks_at_the_start_give(engine:
     assert results["second.y"].tolist() == [1.0, 1.0, 1.0]
 
 
-# --- crossings of inputs that are extrapolated: found anew after each jump back to the true input ----
+# --- crossings that a master finds again after each jump from an extrapolated input to the true one ----
 
 
 def driven(part: Block | Any) -> Diagram:

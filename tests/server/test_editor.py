@@ -656,7 +656,7 @@ def test_a_motor_under_control_is_drawn_by_hand_run_and_undone(chromium: Any, tm
             page.drag(x, y, x + 200, y - 60)
             page.until("document.querySelector('#stage svg').dataset.origin")
             for source, sink in (("step.y", "pid.r"), ("pid.u", "pmdc_motor.v"), ("pmdc_motor.omega", "pid.y")):
-                page.still("#stage")  # it is drawn anew, and wires begin where a port is by then
+                page.still("#stage")  # the page redraws, and a wire begins at the final place of its port
                 page.drag(*port(source.split(".")[0], "out", source.split(".")[1]),
                           *port(sink.split(".")[0], "in", sink.split(".")[1]))  # fmt: skip
                 settled(f'[data-sink="{sink}"]')

@@ -229,7 +229,7 @@ class Browser:
             time.sleep(0.02)
 
     def still(self, selector: str) -> None:
-        """Wait until an element changes no more: places that are measured in it then hold until it is touched."""
+        """Wait until an element no longer changes, so that places measured in it stay valid."""
         place = f"document.querySelector({json.dumps(selector)})"
         look = f"{place}.outerHTML + JSON.stringify({place}.getBoundingClientRect())"
         wait = "await new Promise(done => setTimeout(done, 300))"

@@ -77,10 +77,12 @@ class CrossingWatch:
         self.times.append(t)
 
     def withdraw(self, t: float, moved: Array) -> None:
-        """Forget when the crossings fired that were found at t and that inputs, which jump there, have moved since.
+        """Forget the firing times of crossings that were found at t, if inputs have jumped there and moved them.
 
-        Where a master extrapolates an input, it finds a crossing anew after each jump back to the true input, ever
-        nearer to the last: the master is in haste there, and not the model.
+        If a master extrapolates an input, the run finds the crossing again after each jump back to the true input,
+        closer and closer to the last time. That is the error of the extrapolation, not Zeno behavior of the model.
+
+        moved: whether the value of each crossing has changed since the run found it.
         """
         for crossing in np.nonzero(moved)[0]:
             if self.fired.get(int(crossing)) == t:

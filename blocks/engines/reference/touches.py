@@ -81,8 +81,8 @@ class Touches:
     def judge(self, place: float, values: Array, change: Found) -> bool:
         """Judge the sides that have changed at a place, but not at the end of the interval in which it was found.
 
-        Whether any of them is a touch. Each is judged once: where the polynomials of a bad step contradict the step to
-        the place, each judgement would lead to the next.
+        Return whether any of them is a touch. Judge each side once: if the polynomials of a bad step contradict the
+        step to the place, judging would never end.
         """
         others = np.nonzero(self.changed(place, values) & ~self.changed(change.high, change.values) & ~self.judged)[0]
         self.judged[others] = True

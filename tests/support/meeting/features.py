@@ -362,8 +362,8 @@ def _part(b: _Builder) -> None:
         return
     times, u = _times(b), b.source()
     if level == "triggered":
-        # An event time triggers before the ticks of its instant, and a tick triggers among them: they see the same
-        # inputs where these do not tick.
+        # An event time triggers before the ticks of its instant, and a tick triggers among them. Both triggers see the
+        # same input if the input does not tick.
         known: Case = {"diagram": {"wires": b.wires}}
         u = b.rng.choice([s for s in b.signals if not any("period" in str(b.blocks[a]) for a in ancestors(known, s))])
     inner, inside = _inside_triggered(b) if level == "triggered" else _inside_enabled(b)

@@ -140,8 +140,8 @@ def differences(
 def _other_events(way: str, ours: Outcome, theirs: Outcome, tolerance: float) -> list[Disagreement]:
     """Compare what fired: in order, or block by block where times are known to a tolerance only.
 
-    The blocks that are replaced after each step turn back at the end of a step, so that their events follow the steps;
-    and an input that a reset moves by its rounding error meets a Backlash that it pushes, or does not.
+    A block whose values are replaced after each step turns back at the end of a step, so its events follow the steps.
+    If a reset moves an input by its rounding error, the input meets a Backlash that it pushes, or misses it, by chance.
     """
     fired, other = list(ours.events), list(theirs.events)
     if tolerance:
@@ -164,9 +164,9 @@ def within(case: Case, outcome: Outcome, way: str) -> list[Disagreement]:
         ours, theirs = _signal(outcome, a), _signal(outcome, b)
         if ours is None or theirs is None:
             continue
-        # LAPACK solves equal equations to rounding.
-        is_exact = how == "exact" and not (way == "same, reference" and case["diagram"]["run"]["method"] in IMPLICIT)
-        tolerance = 0.0 if is_exact else ROUNDING if how == "exact" else tolerance_of(case)
+        tolerance = tolerance_of(case)
+        if how == "exact":  # LAPACK, in the reference engine, solves equal equations to rounding
+            tolerance = ROUNDING if way == "same, reference" and case["diagram"]["run"]["method"] in IMPLICIT else 0.0
         found = _apart(f"{a} = {b}", ours, theirs, outcome.signals["t"], tolerance)
         if found:
             apart.append(Disagreement(way, *found))
@@ -329,7 +329,7 @@ def _exported(case: Case, base: Outcome, fmi: int) -> Iterator[Disagreement]:
 
 @way
 def unread(case: Case, base: Outcome) -> Iterator[Disagreement]:
-    """Add a part that nobody reads: it changes nothing but the steps, and of fixed steps nothing at all."""
+    """Add a part that nobody reads: it changes signals within the tolerance, and those of fixed steps not at all."""
     document = case["diagram"]
     kinds = {"FirstOrder": {"T": 0.05}}
     if document["run"]["method"] in ADAPTIVE:  # a fixed step that is cut has another error
