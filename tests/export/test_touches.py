@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from fmpy import simulate_fmu
 
-from blocks import Counter, Diagram, FirstOrder, Multisine, Sine, ZeroOrderHold
+from blocks import Counter, Diagram, FirstOrder, Integrator, Multisine, Relay, Sine, ZeroOrderHold
+from tests.support.fmus import exported
 
 
 @pytest.mark.parametrize("tick", [None, 0.25])
@@ -31,3 +32,25 @@ def test_an_importer_counts_no_touches(tmp_path: Path, tick: float | None) -> No
         )
         assert [rows["sines"][-1], rows["sine"][-1]] == [6.0, 0.0]
         assert [rows["sines"][-1], rows["sine"][-1]] == [own["sines_counter.y"][-1], own["sine_counter.y"][-1]]
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("beyond", [-1e-6, -1e-13, 1e-13])
+def test_indicators_near_0_return_without_a_stop_time(beyond: float, fmi: int) -> None:
+    d = Diagram("endless")
+    x, relay = d.add("x", Integrator()), d.add("relay", Relay(on_at=1.0, off_at=-1.0))
+    d.wire(x.u, d.input("u", default=1.0))
+    d.wire(relay.u, x.y)
+    with exported(d, fmi).instance("ME") as importer:
+        importer.begin()
+        importer.events()
+        importer.raw.enterContinuousTimeMode()
+        importer.raw.setTime(0.7)
+        importer.set_states([0.5])
+        far = importer.indicators()
+        importer.set_states([1.0 + beyond])
+        near = importer.indicators()
+        importer.raw.enterEventMode()
+    assert far == [-0.5]
+    # Near 0 an indicator is off by a few ulp of u, so that its sign is that of its side within its rounding.
+    assert near == [pytest.approx(beyond, abs=1e-14)]

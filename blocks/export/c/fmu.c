@@ -562,12 +562,16 @@ static int is_near(Fmu *f, int j, double value)
     return all_finite(f->rates, fmu_model.nstates) < 0;
 }
 
+/* The length, in s, of the way on which the rounding of a crossing is measured: the longest step, which is infinite without a
+   stop time. */
+static double reach_of(const Fmu *f) { return isfinite(f->setup.longest) ? f->setup.longest : 1.0; }
+
 /* How far an indicator may be off by rounding, where 0 is in reach: by that of its own, and by an ulp of each input. */
 static double band_of(Fmu *f, int j)
 {
     BlocksSim *s = f->sim;
     const BlocksModel *model = f->setup.model;
-    double band = blocks_rounding(s, j, f->rates, f->setup.longest), *out = s->crossing_values;
+    double band = blocks_rounding(s, j, f->rates, reach_of(f)), *out = s->crossing_values;
     for (int i = 0; i < model->nu; i++) {
         double was = s->memory.u[i];
         s->memory.u[i] = nextafter(was, INFINITY);
@@ -605,7 +609,7 @@ static void note_touches(Fmu *f)
     const BlocksModel *model = f->setup.model;
     if (model->ns) blocks_evaluate(s, model->crossings, s->t, s->memory.x, s->touched), blocks_beyond(s, s->touched);
     for (int j = 0; j < model->ns; j++)
-        if (!is_near(f, j, s->touched[j]) || !blocks_touches(s, j, f->rates, f->setup.longest)) s->touched[j] = NAN;
+        if (!is_near(f, j, s->touched[j]) || !blocks_touches(s, j, f->rates, reach_of(f))) s->touched[j] = NAN;
     s->touched_t = s->t;
 }
 

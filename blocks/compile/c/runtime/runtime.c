@@ -1541,8 +1541,7 @@ static double largest_of(const Parts *p, int j)
 static double rounding_of(const Course *c, double at)
 {
     double most = 0.0, spacing = c->unit;
-    /* Without a stop time nothing bounds the width. */
-    for (int window = 0; isfinite(spacing) && (window == 0 || 8 * spacing <= c->widest); spacing *= SPREAD) {
+    for (int window = 0; window == 0 || 8 * spacing <= c->widest; spacing *= SPREAD) {
         for (int side = 0; side < 2; side++) {
             double first = side ? at + spacing : at - 9 * spacing, v[9];
             if (first < c->begin || first + 8 * spacing > c->end) continue;
@@ -1788,8 +1787,8 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
             place = *shortened ? (end - s->t) / h : 1.0;
             p.x1 = *shortened ? NULL : s->x1;
             if (crossing_values(s, end, s->x1, after)) return BLOCKS_FAILED;
-            /* What has changed here and not where the search began has not been judged yet. It is judged once: where the
-               polynomials of a bad step contradict the step to here, each judgement would lead to the next. */
+            /* A side that has changed here, and not where the search began, has not been judged yet. Judge each side once: if
+               the polynomials of a bad step contradict the step to here, judging would never end. */
             touches = 0;
             for (int j = 0; j < n; j++)
                 if (!s->changed_sides[j] && has_changed(s, j, after[j], place)) {
@@ -2657,9 +2656,9 @@ static int projected(BlocksSim *s, int *moved)
     return 0;
 }
 
-/* Forget when the crossings fired that the step found at its end and that inputs, which jump there, have moved since. Where a
-   master extrapolates an input, it finds a crossing anew after each jump back to the true input, ever nearer to the last: the
-   master is in haste there, and not the model. */
+/* Forget the firing times of crossings that the step found at its end if inputs have jumped there and moved them. If a master
+   extrapolates an input, the run finds the crossing again after each jump back to the true input, closer and closer to the last
+   time. That is the error of the extrapolation, not Zeno behavior of the model. */
 static int withdraw(BlocksSim *s, int by_seen)
 {
     int n = s->model->ns;
