@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from zipfile import is_zipfile
@@ -383,10 +384,10 @@ def _free_place(standing: Mapping[str, Sequence[int]], copies: Sequence[Sequence
 
 
 @handles
-def put(session: Session, *, name: str, text: str | list[str], level: str = "") -> Answer:
+def put(session: Session, *, name: str, text: str | list[str | None], level: str = "") -> Answer:
     """Write a parameter of a block ("pid.kp"), or a parameter or an input of the level, as typed; "": its default.
 
-    text: of a vector also those of its elements, each as typed.
+    text: of a vector also those of its elements, each as typed; null: it stays as the file has it.
 
     A run that goes on takes it at once where it can, as it does with what any gesture changes; the answer says where it
     does not (`later`).
@@ -398,7 +399,7 @@ def put(session: Session, *, name: str, text: str | list[str], level: str = "") 
     def fact() -> Fact | None:  # asked for where it is needed: of many blocks that takes long
         return editor.facts.get(f"{level}.{name}".lstrip("."))
 
-    is_empty = not "".join(text).strip()
+    is_empty = all(each is not None and not each.strip() for each in text)
     if block:
         if block not in body.get("blocks", {}):
             cure = did_you_mean(block, body.get("blocks", {}))
@@ -423,36 +424,59 @@ def put(session: Session, *, name: str, text: str | list[str], level: str = "") 
         elif is_empty:
             raise UsageError(Fault("E501", legible(name[:200]), "has no default: it needs a value.", "As in 20 V."))
         elif isinstance(entry, Mapping) and "value" in entry:
-            raw = _value(text, name, "", fact)
+            raw = _value(text, name, "", fact, entry)
             more: Mapping[str, Any] = raw if _is_quantity(raw) else {"value": raw}
             operations = [{"set": [*steps, key], "to": one} for key, one in more.items()]
             return _set(session, name, level, operations)
     if is_empty:
         operations = [{"remove": steps}] if is_there else []
         return _set(session, name, level, operations)
-    raw = _value(text, name, type_, fact)
-    if _is_quantity(raw) and (block or steps[0] == "inputs"):
+    was = there.get("parameters", {}).get(own) if block else entry.get("default") if section == "inputs" else entry
+    raw = _value(text, name, type_, fact, was)
+    if isinstance(text, str) and _is_quantity(raw) and (block or steps[0] == "inputs"):
         known_fact = fact()
         if known_fact is not None and raw["unit"] == known_fact.unit:
             raw = raw["value"]  # a bare number is meant in it
     return _set(session, name, level, [{"set": steps, "to": raw}])
 
 
-def _value(text: str | list[str], name: str, type_: str, of: Callable[[], Fact | None]) -> Any:
-    """A typed value; that of elements in the unit of their parameter, where they have units."""
+def _value(
+    text: str | list[str | None], name: str, type_: str, of: Callable[[], Fact | None], was: Any
+) -> Any:  # fmt: skip
+    """Read a typed value; that of elements is in the unit of their parameter, where they have units.
+
+    was: the value of the file. Elements that were not typed (null) are taken from it, and its unit stays.
+    """
     if isinstance(text, str):
         return _raw(text, name, type_)
-    if not all(each.strip() for each in text):
+    if not all(each is None or each.strip() for each in text):
         raise UsageError(Fault("E501", legible(name[:200]), "has no value for one of its elements.", "As in 2 mH."))
-    fact, elements = of(), [_raw(each, name, type_) for each in text]
-    given = [each["unit"] for each in elements if _is_quantity(each)]
+    fact, typed = of(), {k: _raw(each, name, type_) for k, each in enumerate(text) if each is not None}
+    given = [each["unit"] for each in typed.values() if _is_quantity(each)]
+    kept: Any = [] if len(typed) == len(text) else was
+    unit = str(kept["unit"]) if isinstance(kept, Mapping) and "unit" in kept else None
+    kept = kept.get("value") if isinstance(kept, Mapping) else kept
     if fact is not None:
-        elements = [fact.number(each) if _is_quantity(each) else each for each in elements]
-    if given and (fact is None or None in elements):
-        unit = "numbers are needed while the diagram has faults" if fact is None else f"[{fact.unit}] is needed"
-        message = f"is given in {legible(', '.join(given)[:80])} where {unit}."
+        if not isinstance(kept, list):  # one value for all elements, or the default
+            kept, unit = fact.nominal, None
+        own = fact if unit is None else replace(fact, unit=unit)
+        bare = fact.unit if own.unit != fact.unit else None
+        typed = {k: own.number(_with_unit(each, bare)) if _is_quantity(_with_unit(each, bare)) else each
+                 for k, each in typed.items()}  # fmt: skip
+    if given and (fact is None or None in typed.values()):
+        needed = "numbers are needed while the diagram has faults" if fact is None else f"[{fact.unit}] is needed"
+        message = f"is given in {legible(', '.join(given)[:80])} where {needed}."
         raise UsageError(Fault("E501", legible(name[:200]), message))
-    return elements
+    if len(typed) < len(text) and (fact is None or not isinstance(kept, list) or len(kept) != len(text)):
+        raise UsageError(Fault("E501", legible(name[:200]), "has other elements now.", "Write all of them."))
+    elements = [typed[k] if k in typed else kept[k] for k in range(len(text))]
+    return elements if unit is None else {"value": elements, "unit": unit}
+
+
+def _with_unit(raw: Any, unit: str | None) -> Any:
+    """A number with its unit, where there is one to write."""
+    is_number = isinstance(raw, (int, float)) and not isinstance(raw, bool)
+    return raw if unit is None or not is_number else {"value": raw, "unit": unit}
 
 
 def _set(session: Session, name: str, level: str, operations: Operations) -> Answer:
@@ -471,8 +495,10 @@ def define(session: Session, *, kind: str, text: str, level: str = "", source: s
     editor = _begun(session)
     said, _, value = (part.strip() for part in text.partition("="))
     if kind == "measure" and (typed := re.match(r"(?:(\w+)\s*=\s*)?(\w+)\s+(?=\w+\s*=)", text.strip())):
-        measured = {"type": typed[2], **dict(_typed(text.strip()[typed.end() :], {}))}
-        name = typed[1] or _free({"blocks": editor.body(level).get("measures", {})}, typed[2])
+        measures = editor.body(level).get("measures", {})
+        name = typed[1] or _free({"blocks": measures}, typed[2])
+        doc = {key: one for key, one in measures.get(name, {}).items() if key == "doc"}  # it is not in what is typed
+        measured = {"type": typed[2], **dict(_typed(text.strip()[typed.end() :], {})), **doc}
         return _done(session, f"measure {name}", [_in(level, {"set": ["measures", name], "to": measured})])
     raw: Any = _raw(value, said, "") if value else None
     if kind == "entry":

@@ -538,6 +538,48 @@ def test_what_is_typed_into_fields_stays_and_a_fault_stands_beside_its_field(chr
         page.assert_clean()
 
 
+def test_a_value_that_nobody_typed_stays_as_it_is_spelled(chromium: Any, tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    raw = json.loads(MOTOR.read_text())
+    raw["blocks"]["speed"]["parameters"] |= {"at": 1, "after": {"value": 200, "unit": "rpm"}}
+    raw["blocks"]["free"] = {"type": "TransferFunction", "parameters": {"num": [1], "den": [1.0, 2.50, 1]}}
+    raw["wires"]["free.u"] = "speed.y"
+    path.write_text(json.dumps(raw))
+    with edited_page(chromium, path) as hands:
+        page, elsewhere = hands.page, Page()
+        hands.server._open.connected(elsewhere)
+
+        def blocks_in_file() -> Any:
+            return json.loads(path.read_text())["blocks"]
+
+        def wire_of_the_motor(operation: dict[str, str]) -> None:  # from another window
+            revision = hands.editor.revision
+            hands.server._open.received(elsewhere, {"do": "edit", "id": 0, "operations": [operation]})
+            page.until(f"document.body.dataset.revision > {revision}")
+
+        page.click('#lists [data-path="speed"]')
+        for name in ("at", "after"):  # a knob becomes a field while there is a fault, and the field a knob again
+            page.until(f"document.querySelector('#panel .knob [aria-label=\"speed.{name}\"]')")
+            page.click(f'#panel .knob [aria-label="speed.{name}"]')
+            for operation, kind in (
+                ({"unwire": "motor.v"}, "field"), ({"wire": "control.u", "to": "motor.v"}, "knob"),
+            ):  # fmt: skip
+                wire_of_the_motor(operation)
+                page.until(f"document.querySelector('#panel .{kind} [aria-label=\"speed.{name}\"]')")
+                page.until(f"document.activeElement.ariaLabel === 'speed.{name}'")
+                page.press("Tab", "Shift+Tab")
+                time.sleep(0.8)  # longer than a typed value waits
+        assert blocks_in_file()["speed"]["parameters"] == raw["blocks"]["speed"]["parameters"]
+        steps = len(hands.editor.done)
+        page.click('#lists [data-path="free"]')
+        page.click('#panel [aria-label="free.den[2]"]', count=3)
+        page.type("4")
+        hands.done(lambda: page.press("Tab"))
+        assert '[1.0, 2.5, 4]' in path.read_text()
+        assert len(hands.editor.done) == steps + 1
+        page.assert_clean()
+
+
 def test_what_is_selected_is_shown_and_what_is_free_is_offered(chromium: Any, tmp_path: Path) -> None:
     path = tmp_path / "motor.json"
     path.write_bytes(MOTOR.read_bytes())

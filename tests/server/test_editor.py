@@ -331,6 +331,48 @@ def test_elements_of_a_vector_are_typed_as_numbers_quantities_and_expressions(tm
                 ask("put", name=name, text=text)
 
 
+def test_elements_that_nobody_typed_stay_as_the_file_spells_them(tmp_path: Path) -> None:
+    path = tmp_path / "vector.json"
+    path.write_text(json.dumps({
+        "format": "blocks-diagram", "version": 3, "name": "vector", "inputs": {"u": {"default": 1}},
+        "parameters": {"g": {"value": [3.5, 4], "unit": "V", "doc": "gains"}},
+        "blocks": {
+            "lag": {"type": "ZeroPoleGain", "parameters": {"poles": {"value": [-0.2, -0.301], "unit": "1/ms"}}},
+            "same": {"type": "TransferFunction", "parameters": {"num": [1], "den": [1.5, 2]}},
+        },
+        "wires": {"lag.u": "u", "same.u": "u"},
+    }).replace("1.5,", "1.50,"))  # fmt: skip
+    with edited(path) as (ask, editor):
+        assert not editor.faults, editor.faults
+
+        def now(block: str) -> Any:
+            return json.loads(path.read_text())["blocks"][block]["parameters"]
+
+        ask("put", name="lag.poles", text=[None, "-400"])  # in 1/s, as the page shows it
+        assert now("lag")["poles"] == {"value": [-0.2, -0.4], "unit": "1/ms"}
+        ask("put", name="lag.poles", text=[None, "-0.5 1/ms"])
+        assert now("lag")["poles"] == {"value": [-0.2, -0.5], "unit": "1/ms"}
+        ask("put", name="same.den", text=[None, "3"])
+        assert "[1.50, 3]" in path.read_text()
+        ask("put", name="g", text=["5 mV", None])
+        assert json.loads(path.read_text())["parameters"]["g"] == {"value": [0.005, 4], "unit": "V", "doc": "gains"}
+        for text, why in (([None, "2 s"], r"given in s where \[1/s\]"), ([None, None, "3"], "has other elements")):
+            with pytest.raises(UsageError, match=why):
+                ask("put", name="lag.poles", text=text)
+
+
+def test_a_measure_that_is_changed_keeps_its_doc(tmp_path: Path) -> None:
+    path = tmp_path / "measured.json"
+    with edited(path) as (ask, _):
+        ask("insert", entry={"type": "Step"})
+        ask("define", kind="measure", text="top=peak of=step.y")
+        ask("edit", operations=[{"set": "measures.top.doc", "to": "the largest"}])
+        ask("define", kind="measure", text="top=peak of=step.y from=2")
+        assert json.loads(path.read_text())["measures"]["top"] == {
+            "type": "peak", "of": "step.y", "from": 2, "doc": "the largest",
+        }  # fmt: skip
+
+
 def test_long_texts_of_spaces_are_read_at_once(tmp_path: Path) -> None:
     spaces = " " * 90_000
     with edited(tmp_path / "long.json") as (ask, _):

@@ -1,6 +1,6 @@
 /** Editing: commands and keys, forms in the panel, cures beside faults. Each gesture is one message and one step of undo. */
 import { choose, prompted } from "./chooser.js";
-import { element } from "./elements.js";
+import { element, give, isTyped, settle } from "./elements.js";
 import * as hand from "./hand.js";
 
 const TYPED = 700; // ms after which a value that is typed counts, without Return
@@ -255,7 +255,7 @@ export function start(app) {
     const row = !text && [...told.rows.Parameters ?? [], ...told.rows.Inputs ?? []].find((one) => one.name === name);
     const doc = text || row ? row?.doc : (name ? await app.ask("panel", { path: app.drawing.full(name) }) : told)?.own;
     const said = text || (await prompted(`What is ${name || app.state.document.name} for?`, doc ?? "", 5));
-    if (typeof said === "string") await act("describe", { of: name, text: said });
+    if (typeof said === "string" && (text || said !== (doc ?? "").trim())) await act("describe", { of: name, text: said });
   }
   async function group() {
     const names = blocks();
@@ -378,7 +378,7 @@ export function start(app) {
 
   /** Write a parameter as typed. made: what shows it, and what is refused. */
   async function put(path, value, made) {
-    const text = Array.isArray(value) ? value.map(String) : String(value);
+    const text = Array.isArray(value) ? value.map((one) => one && String(one)) : String(value);
     const steps = path.split(".");
     const at = steps.slice(0, -2).join(".");
     try {
@@ -400,17 +400,17 @@ export function start(app) {
     const now = text === "not wired" ? "" : text.replace(/^not wired: /, "");
     if (fields.has(full)) return fields.get(full)(now);
     const made = element("input", { type: "text", "aria-label": full, autocomplete: "off", spellcheck: "false" });
-    made.value = now;
+    give(made, now);
     const error = element("span", { class: "error", role: "alert" });
     made.refuse = (...words) => {
       error.replaceChildren(...words);
       made.ariaInvalid = words.length ? "true" : null;
     };
-    let [timer, taken] = [0, made.value];
+    let timer = 0;
     const take = () => {
       clearTimeout(timer);
-      if (made.value === taken) return;
-      taken = made.value;
+      if (!isTyped(made)) return;
+      settle(made);
       put(full, made.value, made);
     };
     made.oninput = () => {
@@ -420,7 +420,7 @@ export function start(app) {
     made.onchange = take;
     const root = element("span", { class: "field" }, made, error);
     fields.set(full, (shown) => {
-      if (made.value === taken && !made.ariaInvalid) made.value = taken = shown; // what is typed stays
+      if (!isTyped(made) && !made.ariaInvalid) give(made, shown); // what is typed stays
       return root;
     });
     return root;
@@ -470,7 +470,7 @@ export function start(app) {
     const gone = (place, what, was) => element("button", { class: "link", "aria-label": `Delete ${what}`, onclick: () => edit([{ remove: place, ...was }], `delete ${what}`) }, "Delete");
     const change = (place, what, text) => element("button", { class: "link", "aria-label": `Change ${what}`, onclick: async () => {
       const said = await prompted(what, text);
-      if (said) await act("define", place === "measure" ? { kind: place, text: said } : { kind: "entry", text: `${place}=${said}` });
+      if (said && said !== text) await act("define", place === "measure" ? { kind: place, text: said } : { kind: "entry", text: `${place}=${said}` });
     } }, "Change");
     const log = panel.run.log.map((name, index) => line(name, "logged", gone(["run", "log", index], name, { was: name })));
     return element("details", { class: "doc", open: areRunsOpen, ontoggle: ({ target }) => (areRunsOpen = target.open) }, element("summary", {}, element("h3", {}, "Runs, log and measures")),

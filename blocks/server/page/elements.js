@@ -32,6 +32,19 @@ export function keeper() {
   return keep;
 }
 
+/** By control, the value that it was given, or that was taken from it: a person typed what differs from it. */
+const given = new WeakMap();
+export const valueOf = (control) => (control.type === "checkbox" ? control.checked : control.value);
+export const isTyped = (control) => given.has(control) && valueOf(control) !== given.get(control);
+/** Count the value of a control as no longer typed. */
+export const settle = (control) => void given.set(control, valueOf(control));
+/** Let a control show a value. */
+export function give(control, value) {
+  if (control.type === "checkbox") control.checked = value === true;
+  else control.value = value;
+  settle(control);
+}
+
 let isPressed = false;
 const waiting = new Map();
 const lifted = ({ type, buttons }) => {

@@ -1,5 +1,5 @@
 /** Knobs: fields and sliders of parameters and inputs, the board of those that are pinned, what was changed and turned. */
-import { anew, dialog, element, shown, table } from "./elements.js";
+import { anew, dialog, element, give, isTyped, settle, shown, table, valueOf } from "./elements.js";
 
 const TYPED = 500; // ms after which a value that is typed counts, without Return
 const PAUSE = 100; // ms between two looks at what is changed
@@ -93,13 +93,17 @@ export function start(app) {
     const more = [note, side, slider?.input ?? null, ...(isOnBoard ? [] : [changed, reset]), error];
     const root = element("div", { class: "knob", role: "group", "aria-label": name, "data-kind": kind }, ...parts, ...more);
     const isBox = field.type === "checkbox";
-    const read = () => (isBox ? field.checked : count ? fields.map((one) => one.value) : field.value);
-    let [timer, taken, isOpen] = [0, "", false]; // isOpen: what was taken waits for an answer, or was refused
+    let [timer, isOpen] = [0, false]; // isOpen: what was taken waits for an answer, or was refused
+    const sent = new Set(); // fields whose values were taken since they were filled
     const take = () => {
       clearTimeout(timer);
-      if (JSON.stringify(read()) === taken) return;
-      [taken, isOpen] = [JSON.stringify(read()), true];
-      (app.put ?? turn)(name, read(), root);
+      const typed = fields.filter(isTyped);
+      if (!typed.length) return;
+      isOpen = true;
+      typed.forEach((one) => (sent.add(one), settle(one)));
+      // Elements that nobody typed stay as the file has them.
+      const values = fields.map((one) => (sent.has(one) || !app.put ? valueOf(one) : null));
+      (app.put ?? turn)(name, count ? values : values[0], root);
     };
     if (slider && app.put)
       slider.input.onchange = () => {
@@ -107,10 +111,11 @@ export function start(app) {
         app.put(name, slider.value(), root);
       };
     const fill = () => {
-      if (isBox) field.checked = root.fact.value === true;
-      else fields.forEach((one, k) => (one.value = count ? String(root.fact.value[k]) : root.fact.text));
-      taken = JSON.stringify(read());
+      sent.clear();
+      fields.forEach((one, k) => give(one, isBox ? root.fact.value : count ? String(root.fact.value[k]) : root.fact.text));
+      isFilled = true;
     };
+    let isFilled = false;
     if (slider) slider.input.onblur = () => root.show(root.fact);
     for (const one of fields) {
       one.oninput = () => {
@@ -140,7 +145,7 @@ export function start(app) {
       note.textContent = now.bound && now.value !== null ? `${shown(now.value)} ${now.unit}` : count ? now.unit : "";
       slider?.show(now);
       // What is typed stays.
-      if (!taken || (!isOpen && !fields.includes(document.activeElement) && JSON.stringify(read()) === taken)) fill();
+      if (!isFilled || (!isOpen && !fields.includes(document.activeElement) && !fields.some(isTyped))) fill();
     };
     return root;
   }

@@ -1,5 +1,5 @@
 /** The panel: what the selected block is, its parameters, its ports; without one, the open diagram. */
-import { anew, element, fault, fill, keeper, shown, trusted } from "./elements.js";
+import { anew, element, fault, fill, isTyped, keeper, shown, trusted } from "./elements.js";
 
 export function start(app) {
   const place = document.getElementById("panel");
@@ -72,6 +72,7 @@ export function start(app) {
   const keep = keeper();
   const put = (selected, path, panel, header) => {
     const focused = place.contains(document.activeElement) ? document.activeElement : null;
+    const typed = focused && (isTyped(focused) || focused.ariaInvalid) ? focused.value : null; // a browser takes it when its field goes
     const here = [path, app.state.level, selected];
     const known = (name) => app.state.document.signals.find((one) => one.name === name);
     const rows = ([title, entries]) => {
@@ -94,16 +95,16 @@ export function start(app) {
       panel.more ? keep([panel.more], () => element("details", { class: "doc" }, element("summary", {}, element("h3", {}, "More")), ...trusted(panel.more))) : null,
     ].filter(Boolean));
     keep.round();
-    if (focused && document.activeElement !== focused) again(focused).focus();
+    if (focused && document.activeElement !== focused) again(focused, typed).focus();
     app.state.panel = selected;
     app.emit("panel", panel);
   };
   /** What stands for an element that had the focus: itself, or its like, with what was typed and is not taken yet. */
-  function again(focused) {
+  function again(focused, typed) {
     if (focused.isConnected) return focused;
     const like = focused.ariaLabel ? [...place.querySelectorAll(focused.localName)].find((one) => one.ariaLabel === focused.ariaLabel) : null;
-    if (like?.type === "text" && like.value !== focused.value) {
-      like.value = focused.value;
+    if (like?.type === "text" && typed !== null) {
+      like.value = typed;
       like.dispatchEvent(new Event("input"));
     }
     return like ?? place;
