@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
+import queue
 import sys
 import threading
-import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,9 @@ from .signals import INTERRUPTED, end_now
 from .values import assignments, variants_of
 
 __all__ = ["add"]
+
+LOOK = 0.5
+"""Seconds between two looks at whether Ctrl-C was pressed, which Windows does not tell who waits for a question."""
 
 
 def add(verbs: Any) -> None:
@@ -80,6 +85,11 @@ def _live(options: argparse.Namespace) -> int:
         Diagram.load(options.diagram)
     from ..server.live_server import LiveServer
 
+    questions: queue.SimpleQueue[tuple[str, Callable[[bool], None]]] = queue.SimpleQueue()
+
+    def asks(question: str, answer: Callable[[bool], None]) -> None:
+        questions.put((question, answer))
+
     server = LiveServer(
         options.diagram,
         library=options.library,
@@ -88,6 +98,7 @@ def _live(options: argparse.Namespace) -> int:
         inputs=assignments("--input", options.input, "r=1.5 rad/s"),
         engine=options.engine,
         trust=options.trust,
+        asks=asks if sys.stdin.isatty() and sys.stdout.isatty() and not options.json else None,
         port=options.port,
         edit=options.edit,
     )
@@ -102,7 +113,9 @@ def _live(options: argparse.Namespace) -> int:
         if not options.no_browser and not options.json and _has_screen():
             threading.Thread(target=_open, args=(server.ticket,), daemon=True).start()
         while True:
-            time.sleep(3600.0)
+            with contextlib.suppress(queue.Empty):
+                question, answer = questions.get(timeout=LOOK)
+                answer(_says_yes(question))
     except KeyboardInterrupt:  # as other signals come here, too
         return INTERRUPTED
     finally:
@@ -110,6 +123,20 @@ def _live(options: argparse.Namespace) -> int:
             server.stop()
         except KeyboardInterrupt:
             end_now()
+
+
+def _says_yes(question: str) -> bool:
+    """Whether the user at the terminal answers yes to a question, after what was typed before it was asked is gone."""
+    if sys.platform != "win32":
+        import termios
+
+        with contextlib.suppress(termios.error):
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
+    try:
+        return input(printable(f"{question} [y/N] ")).strip().lower() in ("y", "yes")
+    except EOFError:
+        print(flush=True)
+        return False
 
 
 def _newest() -> str:

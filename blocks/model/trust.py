@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..fmi.library import Notes
     from .fmu_block import Foreign
 
-__all__ = ["Found", "Paths", "check_trust", "found", "new_folders", "to_be_refused"]
+__all__ = ["Found", "Paths", "check_trust", "found", "is_trusted", "new_folders", "to_be_refused"]
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 """Files, or folders with all that is in them."""
@@ -40,6 +40,11 @@ def check_trust(value: DiagramValue, trust: Paths = ()) -> None:
     wrong = _untrusted(value, trust)
     if wrong:
         raise FMUError(*wrong)
+
+
+def is_trusted(path: Path, trust: Paths) -> bool:
+    """Whether somebody trusts a file, or a folder above it. Raises UsageError (E501) for what is no path."""
+    return any(path.is_relative_to(folder) for folder in _resolved(trust))
 
 
 def to_be_refused(value: DiagramValue) -> tuple[Fault, ...]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import hashlib
 import io
 import os
 import re
@@ -23,6 +24,7 @@ from ..model.block_ports import port_units
 from ..model.diagram import BASE
 from ..model.diagram_grammar import BODY, MEASURES
 from ..model.document import entries
+from ..model.trust import is_trusted
 from ..model.values import is_expression
 from ..text import json_text, json_writer, units
 from ..text.atomic_write import write_atomically
@@ -584,7 +586,9 @@ def tab(session: Session, *, file: str) -> Answer:
 def upload(session: Session, *, name: str, text: str) -> Answer:
     """Write an FMU that was dropped on the page into the folder of the diagram. text: its bytes in base64.
 
-    Answers its path as a block of the diagram names it. A file of this name that holds something else stays.
+    Answers its path as a block of the diagram names it. A file of this name that holds something else stays. Running an
+    FMU runs its code: one that nobody trusts is not written before somebody says yes at the terminal. Then the answer
+    says that it waits, and all pages hear of the decision ("permitted", why: why it was not written).
     """
     editor = _editor(session)
     target = inside(editor.folder, name)
@@ -597,9 +601,49 @@ def upload(session: Session, *, name: str, text: str) -> Answer:
     if not target.exists():
         if not is_zipfile(io.BytesIO(data)):
             raise UsageError(Fault("E501", legible(name[:200]), "holds no FMU, which is a zip archive."))
-        with write_atomically(target) as stream:
-            stream.buffer.write(data)
+        if not is_trusted(target, session.trust):
+            return _asked(session, target, data)
+        _write_new(target, data)
     elif target.read_bytes() != data:
         message = "is there already, and holds something else."
         raise UsageError(Fault("E501", legible(name[:200]), message, "Rename one of the two."))
-    return {"is": "uploaded", "fmu": target.name}
+    return {"is": "uploaded", "fmu": target.name, "waits": False}
+
+
+def _asked(session: Session, target: Path, data: bytes) -> Answer:
+    """Ask at the terminal whether an FMU that came through the page may be written. Raises UsageError (E501)."""
+    name = legible(target.name)
+    if session.asks is None:
+        cure = "Put it into the folder by hand, or begin with --trust FOLDER, or trust= in Python."
+        message = "came through the page, and holds code; there is no terminal to ask whether it may be written."
+        raise UsageError(Fault("E501", name, message, cure))
+    if session.waits_for:
+        message = f"must wait: {legible(session.waits_for)} waits for an answer at the terminal."
+        raise UsageError(Fault("E501", name, message, "Answer there first."))
+
+    def decide(is_wanted: bool) -> None:
+        why = "" if is_wanted else "it was refused at the terminal"
+        try:
+            if is_wanted:
+                _write_new(target, data)
+        except UsageError as error:
+            why = str(error)
+        session.waits_for = ""
+        session.broadcast({"is": "permitted", "fmu": target.name, "why": why})
+
+    session.waits_for = target.name
+    digest = hashlib.sha256(data).hexdigest()[:16]
+    question = (
+        f"{name} ({len(data):,} bytes, SHA-256 {digest}...) came through the page. Running it runs its code with all "
+        f"your rights. Write it into {legible(str(target.parent))}?"
+    )
+    session.asks(question, lambda is_wanted: session.later(lambda: decide(is_wanted)))
+    return {"is": "uploaded", "fmu": target.name, "waits": True}
+
+
+def _write_new(target: Path, data: bytes) -> None:
+    """Write a file where there is none. Raises UsageError (E501)."""
+    if target.exists():
+        raise UsageError(Fault("E501", legible(target.name), "is there already.", "Rename one of the two."))
+    with write_atomically(target) as stream:
+        stream.buffer.write(data)

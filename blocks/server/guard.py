@@ -10,8 +10,9 @@ request passes `Guard.admit` before anything is looked up, which knows no networ
 - its Origin, where it has one, is this server's own; a WebSocket must have one, since browsers let any site open it;
 - the browser does not say (Sec-Fetch-Site) that another site makes it, or another port, which may open a page by a
   ticket: that of a diagram in a tab beside this one;
-- it holds the token, which is made at the start and told to nobody but the user: in a cookie, which `/?token=...` sets,
-  or, in notebooks, in the path `/k/TOKEN/`, as browsers send no SameSite=Strict cookie into frames of other sites.
+- its path begins with `/k/TOKEN/`. The token is made at the start, and given to nobody but the user. It is never in a
+  cookie: browsers send a cookie to all ports of a host, so to the programs of other users of this machine. `/t/TICKET`
+  leads one page there, once.
 """
 
 from __future__ import annotations
@@ -22,16 +23,17 @@ from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
-__all__ = ["Admitted", "Guard", "Refusal", "cookie_name"]
+__all__ = ["Admitted", "Guard", "Refusal"]
 
 SOCKET = "/ws"
+PAGES, TICKET = "/k/", "/t/"
 LONGEST_PATH = 1000  # characters
 MOST_TICKETS = 16  # that wait for their pages
 _TOKEN = re.compile(r"[\w-]{20,}", re.ASCII).fullmatch
 
 
 class Admitted(NamedTuple):
-    """route: one of the server's paths. enters: the browser is given the cookie and sent to `/`."""
+    """route: one of the server's paths. enters: the browser is sent to it, below the token."""
 
     route: str
     enters: bool = False
@@ -60,7 +62,7 @@ class Guard:
         given: dict[str, list[str]] = {}
         for name, value in headers:
             given.setdefault(name.lower(), []).append(value)
-        for name in ("host", "origin", "cookie", "sec-fetch-site", "sec-fetch-mode", "sec-fetch-dest"):
+        for name in ("host", "origin", "sec-fetch-site", "sec-fetch-mode", "sec-fetch-dest"):
             if len(given.get(name, ())) > 1:
                 return Refusal(400, f"There is more than one header {name}.")
         one = {name: values[0] for name, values in given.items()}
@@ -71,40 +73,33 @@ class Guard:
             return Refusal(403, "This is the server of 127.0.0.1, and not of another name.")
         if len(path) > LONGEST_PATH:
             return Refusal(414, "This path is too long.")
-        route, is_known = self._route(path, one.get("cookie", ""))
+        route, is_known = self._route(path)
         origin = one.get("origin")
         if origin != f"http://{host}" and (origin is not None or route == SOCKET):
             return Refusal(403, "Pages of other sites do not get in.")
-        ticket = path.removeprefix("/?token=")
-        is_ticket = path.startswith("/?") and ticket in self.tickets
-        if not self._is_own(one, route, is_known and path.startswith("/k/"), is_ticket):
+        is_ticket = is_known and path.startswith(TICKET)
+        if not self._is_own(one, route, is_known, is_ticket):
             return Refusal(403, "Pages of other sites do not get in.")
         if not is_known:
             return Refusal(401, "Open the address with the token that `blocks live` printed when it began.")
         if route not in self.routes:
             return Refusal(404, "There is nothing here.")
         if is_ticket:
-            self.tickets.remove(ticket)
-        return Admitted(route, enters=path.startswith("/?"))
+            self.tickets.remove(path.removeprefix(TICKET))
+        return Admitted(route, enters=is_ticket)
 
-    def _route(self, path: str, cookies: str) -> tuple[str, bool]:
-        """The path without its token, and whether there is one that is right."""
-        if path.startswith("/?token="):
-            token = path.removeprefix("/?token=")
-            return "/", self._fits(token) or token in self.tickets
-        if self.framed and path.startswith("/k/"):
-            token, slash, rest = path.removeprefix("/k/").partition("/")
-            return slash + rest, self._fits(token)
-        name = cookie_name(self.port)
-        pairs = (pair.strip().partition("=") for pair in cookies.split(";"))
-        values = [value for key, _, value in pairs if key == name]
-        return path, len(values) == 1 and self._fits(values[0])
+    def _route(self, path: str) -> tuple[str, bool]:
+        """Return the path without its token, and whether there is one that is right."""
+        if path.startswith(TICKET):
+            return "/", path.removeprefix(TICKET) in self.tickets
+        token, slash, rest = path.removeprefix(PAGES).partition("/")
+        return (slash + rest, self._fits(token)) if path.startswith(PAGES) else (path, False)
 
     def _fits(self, token: str) -> bool:
         # In constant time, so that nobody finds the token letter by letter.
         return hmac.compare_digest(token.encode(), self.token.encode())
 
-    def _is_own(self, one: Mapping[str, str], route: str, in_path: bool, is_ticket: bool) -> bool:
+    def _is_own(self, one: Mapping[str, str], route: str, is_known: bool, is_ticket: bool) -> bool:
         """Whether a browser, where it says so, makes the request for this server's own page, or for its user."""
         site = one.get("sec-fetch-site", "none")
         if site in ("none", "same-origin"):
@@ -112,9 +107,4 @@ class Guard:
         goes, where = one.get("sec-fetch-mode") == "navigate", one.get("sec-fetch-dest")
         if is_ticket and site == "same-site":
             return goes and where == "document"
-        return self.framed and in_path and route == "/" and goes and where in ("iframe", "document")
-
-
-def cookie_name(port: int) -> str:
-    """A cookie is sent to all ports of a host: a name for each lets several servers run."""
-    return f"blocks-{port}"
+        return self.framed and is_known and route == "/" and goes and where in ("iframe", "document")

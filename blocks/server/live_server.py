@@ -20,7 +20,7 @@ from .transport import Transport, new_token
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
     from ..model.trust import Paths
-    from .session import Session
+    from .session import Asks, Session
 
 __all__ = ["LiveServer", "edit", "live"]
 
@@ -33,7 +33,8 @@ class LiveServer:
     """A server of one diagram on this machine.
 
     source: a file or a Diagram. library, variants, values (parameters), inputs, engine, trust: as of `Diagram.run`; a
-    page can give none of them that makes code run: library and trust. port: 0: a free one. framed: for a notebook.
+    page can give none of them that makes code run: library and trust. asks: puts a question to the user at the
+    terminal; without it an FMU comes in through the page only into folders of trust. port: 0: a free one. framed: for a notebook.
     edit: pages write the file; where there is none, an empty diagram. url: its address, which holds the token that lets
     a page in.
     """
@@ -48,6 +49,7 @@ class LiveServer:
         inputs: Mapping[str, Any] | None = None,
         engine: str | None = None,
         trust: Paths = (),
+        asks: Asks | None = None,
         port: int = 0,
         framed: bool = False,
         edit: bool = False,
@@ -55,7 +57,8 @@ class LiveServer:
         """Raises UsageError (E501) where the port cannot be opened."""
         self._edits, self._tabs = edit, dict[Path, LiveServer]()  # of all diagrams that are edited beside each other
         self._source, self._library, self._variants = source, library, variants
-        self._given: dict[str, Any] = {"values": values, "inputs": inputs, "engine": engine, "trust": trust}
+        self._given: dict[str, Any] = {"values": values, "inputs": inputs, "engine": engine}
+        self._given |= {"trust": trust, "asks": asks}
         self._session: Session | None = None
         self._transport = Transport(
             new_token(),

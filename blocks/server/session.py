@@ -26,7 +26,9 @@ from .live_run import PATIENCE, LiveRun, check_pace, own_fault
 from .messages import ASIDE, Answer, answer, handles
 from .scopes import Page, trim
 
-__all__ = ["Client", "Session"]
+__all__ = ["Asks", "Client", "Session"]
+
+Asks = Callable[[str, Callable[[bool], None]], None]
 
 LOOK = 0.5
 """Seconds between two looks at the file."""
@@ -52,7 +54,9 @@ class Session:
     values, inputs: what was set in place of what the file says, by path and by name, for this run and the next ones.
     runs: the live run, of the number `number`, and earlier ones, whose rows are kept; begun: what was set when they
     began; chosen: the variants of the live one. pages: the scopes of each page. hearers: called when the run has news,
-    or another document was read. engine, trust: as of `Diagram.run`. Modules that answer messages stand above this one.
+    or another document was read. engine, trust: as of `Diagram.run`. asks: puts a question to the user at the terminal,
+    and calls back with the answer, from any thread; None without a terminal. waits_for: the file that a question is
+    about. Modules that answer messages stand above this one.
     """
 
     def __init__(
@@ -63,8 +67,10 @@ class Session:
         inputs: Mapping[str, Any] | None = None,
         engine: str | None = None,
         trust: Paths = (),
+        asks: Asks | None = None,
     ) -> None:
-        self.document, self.engine, self.trust = document, engine, trust
+        self.document, self.engine, self.trust, self.asks = document, engine, trust, asks
+        self.waits_for = ""
         self.values, self.inputs = dict(values or {}), dict(inputs or {})
         self.server = secrets.token_hex(8)
         self.runs: dict[int, LiveRun] = {}
@@ -102,6 +108,10 @@ class Session:
         if not self._is_told.is_set():
             self._is_told.set()
             self._todo.put((None, "news"))
+
+    def later(self, act: Callable[[], None]) -> None:
+        """Do something in the thread of the session."""
+        self._todo.put((None, act))
 
     def close(self) -> None:
         """End the run and the threads, after what they are in: a step of an FMU may take long."""
@@ -143,6 +153,8 @@ class Session:
                 hear()
         elif client is None and isinstance(what, dict):
             self._take(**what)
+        elif client is None and callable(what):
+            what()
         elif client is not None and what == "connected":
             self.pages[client] = Page()
             client.send(self.hello())

@@ -26,7 +26,7 @@ from websockets.http11 import Request, Response
 
 from ..text.errors import Fault, UsageError
 from ..text.json_line import json_line
-from .guard import SOCKET, Admitted, Guard, cookie_name
+from .guard import PAGES, SOCKET, TICKET, Admitted, Guard
 from .messages import message_of
 
 __all__ = ["Client", "Transport", "new_token"]
@@ -152,7 +152,7 @@ class Transport:
         self.port: int = self._listening.getsockname()[1]
         self._files = dict(_files())
         self._guard = Guard(token, self.port, self._files, framed=framed)
-        self.url = f"http://127.0.0.1:{self.port}" + (f"/k/{token}/" if framed else f"/?token={token}")
+        self.url = f"http://127.0.0.1:{self.port}{PAGES}{token}/"
         self._loop = asyncio.new_event_loop()
         self._ending = asyncio.Event()
         self._thread = threading.Thread(target=self._run, daemon=True, name=f"server {self.port}")
@@ -161,7 +161,7 @@ class Transport:
         """An address that lets one page in, once."""
         token = new_token()
         self._guard.tickets.append(token)
-        return f"http://127.0.0.1:{self.port}/?token={token}"
+        return f"http://127.0.0.1:{self.port}{TICKET}{token}"
 
     def start(self) -> None:
         self._thread.start()
@@ -202,11 +202,11 @@ class Transport:
         if not isinstance(admitted, Admitted):
             return self._response(admitted.status, request, f"{admitted.reason}\n".encode())
         if admitted.enters:
-            cookie = f"{cookie_name(self.port)}={self._guard.token}; HttpOnly; SameSite=Strict; Path=/"
+            page, once = f"{PAGES}{self._guard.token}/", {"Cache-Control": "no-store"}
             if request.headers.get("Sec-Fetch-Site") == "same-site":  # a redirection would still be that other page's
-                body = b'<!doctype html><meta http-equiv="refresh" content="0; url=/">'
-                return self._response(200, request, body, {"Set-Cookie": cookie}, "text/html")
-            return self._response(303, request, b"", {"Location": "/", "Set-Cookie": cookie})
+                body = f'<!doctype html><meta http-equiv="refresh" content="0; url={page}">'.encode()
+                return self._response(200, request, body, once, "text/html")
+            return self._response(303, request, b"", {"Location": page, **once})
         if admitted.route == SOCKET:
             return None
         file = self._files[admitted.route]
@@ -225,7 +225,7 @@ class Transport:
                 "Content-Type": f"{type_}; charset=utf-8",
                 "Content-Length": str(len(body)),
                 "Connection": "close",
-                "Cache-Control": "no-store" if status >= 400 or "Set-Cookie" in (more or {}) else "no-cache",
+                "Cache-Control": "no-store" if status >= 400 else "no-cache",
                 "Content-Security-Policy": self._policy(),
                 "X-Content-Type-Options": "nosniff",
                 "Referrer-Policy": "no-referrer",

@@ -575,7 +575,7 @@ def test_a_value_that_nobody_typed_stays_as_it_is_spelled(chromium: Any, tmp_pat
         page.click('#panel [aria-label="free.den[2]"]', count=3)
         page.type("4")
         hands.done(lambda: page.press("Tab"))
-        assert '[1.0, 2.5, 4]' in path.read_text()
+        assert "[1.0, 2.5, 4]" in path.read_text()
         assert len(hands.editor.done) == steps + 1
         page.assert_clean()
 

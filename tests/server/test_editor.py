@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import socket
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -43,11 +44,15 @@ class Twice(Block):
 
 
 @contextmanager
-def edited(path: Path, **given: Any) -> Iterator[tuple[Ask, Editor]]:
+def edited(
+    path: Path, trust: Any = (), asks: Any = None, seen: list[Session] | None = None, **given: Any
+) -> Iterator[tuple[Ask, Editor]]:  # fmt: skip
     editor = Editor(path, **given)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("blocks.server.session.LOOK", 1e6)  # its thread must not look at the file while this one writes
-        session = Session(editor)
+        session = Session(editor, trust=trust, asks=asks)
+        if seen is not None:
+            seen.append(session)
         try:
             yield lambda do, **fields: answer(session, {"do": do, **fields}), editor
         finally:
@@ -545,7 +550,7 @@ def test_a_fault_has_a_button_that_does_what_its_cure_says(tmp_path: Path) -> No
 def test_an_fmu_that_is_dropped_takes_the_place_of_a_block_with_its_wires(tmp_path: Path) -> None:
     path = tmp_path / "motor.json"
     data = base64.b64encode((ROOT / "fmus/PMDCMotor.fmu").read_bytes()).decode()
-    with edited(path) as (ask, editor):
+    with edited(path, trust=tmp_path) as (ask, editor):
         loop(ask)
         assert ask("upload", name="PMDCMotor.fmu", text=data)["fmu"] == "PMDCMotor.fmu"
         ask("edit", operations=[{"swap": "pmdc_motor", "for": {"fmu": "PMDCMotor.fmu"}}])
@@ -559,6 +564,36 @@ def test_an_fmu_that_is_dropped_takes_the_place_of_a_block_with_its_wires(tmp_pa
             ask("upload", name="PMDCMotor.fmu", text="AAAA")
         with pytest.raises(UsageError, match="base64"):
             ask("upload", name="y.fmu", text="?")
+
+
+def test_an_fmu_that_is_dropped_is_written_after_a_yes_at_the_terminal_only(tmp_path: Path) -> None:
+    path, fmu = tmp_path / "motor.json", tmp_path / "PMDCMotor.fmu"
+    data = base64.b64encode((ROOT / "fmus/PMDCMotor.fmu").read_bytes()).decode()
+    questions: list[tuple[str, Any]] = []
+    with edited(path) as (ask, _), pytest.raises(UsageError, match="no terminal to ask"):
+        ask("upload", name="PMDCMotor.fmu", text=data)
+    with edited(path, trust=[path]) as (ask, _), pytest.raises(UsageError, match="no terminal to ask"):
+        ask("upload", name="PMDCMotor.fmu", text=data)
+    session_of: list[Session] = []
+    with edited(path, asks=lambda *question: questions.append(question), seen=session_of) as (ask, _):
+        for says_yes in (False, True):
+            assert ask("upload", name="PMDCMotor.fmu", text=data) == {
+                "is": "uploaded", "fmu": "PMDCMotor.fmu", "waits": True,
+            }  # fmt: skip
+            with pytest.raises(UsageError, match=r"PMDCMotor\.fmu waits for an answer"):
+                ask("upload", name="other.fmu", text=data)
+            ((question, decide),) = questions
+            assert question.startswith("PMDCMotor.fmu (")
+            assert question.endswith(f"Write it into {tmp_path}?")
+            assert [*tmp_path.glob("*.fmu")] == []
+            questions.clear()
+            decide(says_yes)
+            limit = time.monotonic() + 60
+            while session_of[0].waits_for and time.monotonic() < limit:
+                time.sleep(0.01)
+            assert fmu.exists() == says_yes
+        assert fmu.read_bytes() == base64.b64decode(data)
+        assert not ask("upload", name="PMDCMotor.fmu", text=data)["waits"]  # it is there
 
 
 GESTURES = st.one_of(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import base64
 import http.client
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -36,13 +39,12 @@ def page_of(url: str) -> Iterator[ClientConnection]:
     """The socket of a page that the address lets in."""
     parts = urlsplit(url)
     connection = http.client.HTTPConnection(parts.netloc, timeout=60)
-    connection.request("GET", f"{parts.path}?{parts.query}" if parts.query else parts.path)
+    connection.request("GET", parts.path)
     response = connection.getresponse()
-    cookie = (response.getheader("Set-Cookie") or "").partition(";")[0]
-    path = "/ws" if parts.query else f"{parts.path}ws"
-    assert response.status == (303 if parts.query else 200)
-    given: dict[str, Any] = {"origin": f"http://{parts.netloc}", "additional_headers": {"Cookie": cookie}}
-    with connect(f"ws://{parts.netloc}{path}", proxy=None, max_size=None, **given) as page:
+    path = response.getheader("Location") or parts.path  # a ticket leads to the page
+    assert response.status == (200 if path == parts.path else 303)
+    origin: Any = f"http://{parts.netloc}"
+    with connect(f"ws://{parts.netloc}{path}ws", proxy=None, max_size=None, origin=origin) as page:
         yield page
     connection.close()
 
@@ -54,6 +56,45 @@ def asked(page: ClientConnection, **message: Any) -> dict[str, Any]:
         told = page.recv(timeout=60)
         if isinstance(told, str) and (answer := json.loads(told)).get("re") == 7:
             return dict(answer)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no pseudo-terminal")
+def test_an_fmu_that_came_through_the_page_is_asked_about_at_the_terminal(tmp_path: Path) -> None:
+    import pty
+
+    data = (ROOT / "fmus/PMDCMotor.fmu").read_bytes()
+    ours, theirs = pty.openpty()
+    words = [sys.executable, "-m", "blocks", "edit", "new.json", "--no-browser"]
+    said = ""
+
+    def read_until(text: str) -> None:
+        nonlocal said
+        while text not in said:
+            assert select.select([ours], [], [], 60.0)[0], said
+            said += os.read(ours, 4096).decode()
+
+    with subprocess.Popen(words, stdin=theirs, stdout=theirs, stderr=theirs, cwd=tmp_path) as process:
+        read_until("Ctrl-C ends it")
+        url = next(word for word in said.split() if word.startswith("http://"))
+        with page_of(url) as page:
+            for answer, is_written in (("n", False), ("y", True)):
+                said = ""
+                os.write(ours, b"y\n")  # which answers nothing: it was typed before the question
+                time.sleep(0.2)
+                told = asked(page, do="upload", name="m.fmu", text=base64.b64encode(data).decode())
+                assert told["waits"]
+                read_until("[y/N]")
+                assert not (tmp_path / "m.fmu").exists()
+                os.write(ours, f"{answer}\n".encode())
+                while (told := json.loads(page.recv(timeout=60))).get("is") != "permitted":
+                    pass
+                assert (told["fmu"], not told["why"]) == ("m.fmu", is_written)
+                assert (tmp_path / "m.fmu").exists() == is_written
+        process.send_signal(signal.SIGINT)
+        process.wait(60)
+    os.close(ours)
+    os.close(theirs)
 
 
 @pytest.mark.long

@@ -121,6 +121,7 @@ def session(tmp_path: Path) -> Iterator[Session]:
     assert (tmp_path / "other" / "file.csv").read_bytes() == b""
 
 
+EMPTY_ZIP = "UEsFBgAAAAAAAAAAAAAAAAAAAAAAAA=="
 EDITED: dict[str, list[Row]] = {
     "insert": [
         ({"entry": {}}, "has no type"),
@@ -164,6 +165,7 @@ EDITED: dict[str, list[Row]] = {
         ({"name": "below/x.fmu", "text": ""}, "no name of an FMU"),
         ({"name": "x.fmu", "text": "?"}, "no base64"),
         ({"name": "x.fmu", "text": "bm90aGluZw=="}, "is a zip archive"),
+        ({"name": "x.fmu", "text": EMPTY_ZIP}, "no terminal to ask"),
     ],
 }
 """What pages may not ask of a diagram that they edit, and what is said: nothing is written."""

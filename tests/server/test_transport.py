@@ -26,6 +26,7 @@ from blocks.text.errors import UsageError
 from tests.support.places import ROOT
 
 TOKEN = new_token()
+BELOW = f"/k/{TOKEN}"
 
 
 class Session:
@@ -61,8 +62,7 @@ def server(session: Session) -> Iterator[Transport]:
 
 def got(server: Transport, path: str, *, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
     connection = HTTPConnection("127.0.0.1", server.port, timeout=60)
-    named = {"Cookie": f"blocks-{server.port}={TOKEN}"} | {k.replace("_", "-"): v for k, v in headers.items()}
-    connection.request(method, path, headers=named)
+    connection.request(method, path, headers={k.replace("_", "-"): v for k, v in headers.items()})
     response = connection.getresponse()
     content = response.read()
     connection.close()
@@ -72,28 +72,32 @@ def got(server: Transport, path: str, *, method: str = "GET", **headers: str) ->
 def socket_of(server: Transport, **changed: Any) -> ClientConnection:
     given: dict[str, Any] = {
         "origin": f"http://127.0.0.1:{server.port}",
-        "additional_headers": {"Cookie": f"blocks-{server.port}={TOKEN}"},
         "proxy": None,
     }
-    return connect(f"ws://127.0.0.1:{server.port}/ws", **{**given, **changed})
+    path = changed.pop("path", f"{BELOW}/ws")
+    return connect(f"ws://127.0.0.1:{server.port}{path}", **{**given, **changed})
 
 
-def test_the_address_sets_a_cookie_and_leads_to_the_page(server: Transport) -> None:
-    assert server.url == f"http://127.0.0.1:{server.port}/?token={TOKEN}"
-    status, headers, content = got(server, f"/?token={TOKEN}", Cookie="")
-    assert (status, headers["location"], content) == (303, "/", b"")
-    assert headers["set-cookie"] == f"blocks-{server.port}={TOKEN}; HttpOnly; SameSite=Strict; Path=/"
-    status, headers, content = got(server, "/")
+def test_the_address_leads_to_the_page_and_no_cookie_holds_the_token(server: Transport) -> None:
+    assert server.url == f"http://127.0.0.1:{server.port}{BELOW}/"
+    status, headers, content = got(server, f"{BELOW}/")
+    assert "set-cookie" not in headers
     assert (status, headers["content-type"]) == (200, "text/html; charset=utf-8")
     assert content == (PAGE / "index.html").read_bytes()
-    assert got(server, "/", Cookie="")[0] == 401
+    for path in ("/", "/page/main.js", f"/?token={TOKEN}"):
+        assert got(server, path)[0] == 401
+        assert got(server, path, Cookie=f"blocks-{server.port}={TOKEN}")[0] == 401
     ticket = server.ticket().removeprefix(f"http://127.0.0.1:{server.port}")
-    assert [got(server, ticket, Cookie="")[0] for _ in range(2)] == [303, 401]
+    status, headers, content = got(server, ticket)
+    assert (status, headers["location"], headers["cache-control"], content) == (303, f"{BELOW}/", "no-store", b"")
+    assert "set-cookie" not in headers
+    assert got(server, ticket)[0] == 401
     opens = {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
     ticket = server.ticket().removeprefix(f"http://127.0.0.1:{server.port}")
-    status, headers, content = got(server, ticket, Cookie="", **opens)
-    assert (status, headers["set-cookie"].split(";")[0]) == (200, f"blocks-{server.port}={TOKEN}")
-    assert b'http-equiv="refresh" content="0; url=/"' in content  # so that this page, and not the other one, leads on
+    status, headers, content = got(server, ticket, **opens)
+    assert (status, headers["cache-control"], "set-cookie" in headers) == (200, "no-store", False)
+    # So that this page, and not the other one, leads on.
+    assert f'http-equiv="refresh" content="0; url={BELOW}/"'.encode() in content
 
 
 def test_every_file_of_the_page_is_served_as_what_it_is_packed_and_once(server: Transport) -> None:
@@ -101,7 +105,7 @@ def test_every_file_of_the_page_is_served_as_what_it_is_packed_and_once(server: 
     files = [path for path in PAGE.rglob("*") if path.suffix in types and path.name != "index.html"]
     assert files
     for path in files:
-        route = f"/page/{path.relative_to(PAGE).as_posix()}"
+        route = f"{BELOW}/page/{path.relative_to(PAGE).as_posix()}"
         status, headers, content = got(server, route, Accept_Encoding="gzip, br")
         assert (status, headers["content-encoding"]) == (200, "gzip")
         assert headers["content-type"] == f"{types[path.suffix]}; charset=utf-8"
@@ -113,7 +117,8 @@ def test_every_file_of_the_page_is_served_as_what_it_is_packed_and_once(server: 
 
 
 def test_every_answer_says_what_the_page_may_do(server: Transport) -> None:
-    for path, status in [("/", 200), ("/nothing", 404), (f"/?token={TOKEN}", 303)]:
+    ticket = server.ticket().removeprefix(f"http://127.0.0.1:{server.port}")
+    for path, status in [(f"{BELOW}/", 200), (f"{BELOW}/nothing", 404), ("/", 401), (ticket, 303)]:
         found, headers, _ = got(server, path)
         assert found == status
         policy = dict(part.strip().split(" ", 1) for part in headers["content-security-policy"].split(";"))
@@ -139,12 +144,12 @@ def test_the_page_itself_needs_nothing_that_its_policy_forbids() -> None:
 def test_what_the_guard_refuses_is_refused_over_the_network(
     server: Transport, method: str, path: str, status: int
 ) -> None:
-    assert got(server, path, method=method)[0] == status
-    assert got(server, path, method=method, Host="evil.example")[0] in (403, 405)
+    assert got(server, f"{BELOW}{path}", method=method)[0] == status
+    assert got(server, f"{BELOW}{path}", method=method, Host="evil.example")[0] in (403, 405)
 
 
 def test_a_socket_opens_for_the_own_page_only(server: Transport, session: Session) -> None:
-    for changed in ({"origin": "http://evil.example"}, {"origin": None}, {"additional_headers": {}}):
+    for changed in ({"origin": "http://evil.example"}, {"origin": None}, {"path": "/ws"}):
         with pytest.raises(InvalidStatus) as refused:
             socket_of(server, **changed)
         assert refused.value.response.status_code in (401, 403)

@@ -281,7 +281,19 @@ export function start(app, { picked, pick, act, say, wire }) {
     const told = await app.connection.ask("upload", { name: file.name, text }).catch(({ message }) => say(message));
     if (!told) return;
     const { box } = under(event.clientX, event.clientY);
-    if (box && app.block(app.drawing.full(box))) await act("edit", { operations: [{ swap: box, for: { fmu: told.fmu } }], what: `swap ${box}` });
-    else await act("insert", { entry: { fmu: told.fmu }, ...near(app, event) });
+    const level = app.state.level;
+    const where = box && app.block(app.drawing.full(box)) ? null : near(app, event);
+    const take = () => where ? act("insert", { level, entry: { fmu: told.fmu }, ...where }) : act("edit", { level, operations: [{ swap: box, for: { fmu: told.fmu } }], what: `swap ${box}` });
+    if (!told.waits) return take();
+    say(`${told.fmu} waits for a yes at the terminal where blocks edit runs: an FMU is code.`);
+    dropped.set(told.fmu, take);
   };
+  /** What is done with an FMU when it may come in. */
+  const dropped = new Map();
+  app.connection.on("permitted", ({ fmu, why }) => {
+    const take = dropped.get(fmu);
+    dropped.delete(fmu);
+    if (why) say(`${fmu} was not written: ${why}.`);
+    else take?.();
+  });
 }
