@@ -34,9 +34,9 @@ class LiveServer:
 
     source: a file or a Diagram. library, variants, values (parameters), inputs, engine, trust: as of `Diagram.run`; a
     page can give none of them that makes code run: library and trust. asks: puts a question to the user at the
-    terminal; without it an FMU comes in through the page only into folders of trust. port: 0: a free one. framed: for a notebook.
-    edit: pages write the file; where there is none, an empty diagram. url: its address, which holds the token that lets
-    a page in.
+    terminal; without it an FMU comes in through the page only into folders of trust. port: 0: a free one. framed: for
+    a notebook. edit: pages write the file; where there is none, an empty diagram. url: its address, which holds the
+    token that lets a page in.
     """
 
     def __init__(
