@@ -74,13 +74,18 @@ def _linearizer(
         given, words = {"at": point}, ", where the diagram rests"
     elif isinstance(at, str) and at != "start":
         raise UsageError(Fault("E501", "at", f"{at!r} is no place.", 'It is "start", "rest", or a time in s.'))
-    elif isinstance(at, str) or live is None or isinstance(live.prepared.plan, Coupling):  # which has no linear model
-        given["at"] = None if at == "start" else at
+    elif isinstance(at, str):
+        given["at"] = None
+    elif live is None or at > live.t:  # who simulated up to it first would not come back from 1e9 s
+        message = f"there is no run that got to t = {at:g} s" + (f": it is at {live.t:g} s." if live else ".")
+        raise UsageError(Fault("E501", "at", message, "Run up to there, or choose an earlier time."))
+    elif isinstance(live.prepared.plan, Coupling):  # which has no linear model
+        given["at"] = at
     else:
         turned = [each for each in list(live.turned) if each.t <= at]
         key = (at, len(turned))
         if live not in _POINTS or _POINTS[live][0] != key:  # a slider asks for one point again and again
-            _POINTS[live] = (key, standing(shown.point(at=_again(live, at, turned), trust=session.trust)))
+            _POINTS[live] = (key, standing(shown.point(at=_again(session, live, at, turned), trust=session.trust)))
         last = {each.name: each.value for each in turned}
         sets = ", ".join(f"{name} = {text_of(value)}" for name, value in last.items())
         given, words = {"at": _POINTS[live][1]}, " of the run" + (f", with {sets} set in it" if sets else "")
@@ -94,9 +99,10 @@ def _linearizer(
     return linearizer, f"Linearized at t = {linearizer.slopes.point.t:.6g} s{words}.", refused
 
 
-def _again(live: LiveRun, t: float, turned: list[Any]) -> Run:
-    """Another run, which went as the live one did up to a time, and stands there."""
-    prepared, options = live.prepared, replace(live.options, progress=None, out=None)
+def _again(session: Session, live: LiveRun, t: float, turned: list[Any]) -> Run:
+    """Return another run, which went as the live one did up to a time, and stands there; it ends where nobody waits."""
+    prepared = live.prepared
+    options = replace(live.options, progress=lambda _: session.check_wanted(), out=None)
     if isinstance(prepared.plan, Plan) and prepared.plan.foreign:
         options = replace(options, engine="reference")
     settings = {**prepared.settings, "log": []}
@@ -343,6 +349,7 @@ def _swept(session: Session, signal: str, parameter: str, limits: tuple[float, f
         raise UsageError(Fault("E501", parameter, f"{limits} are no limits, the lower one first."))
 
     def look(done: int, rows: int) -> None:
+        session.check_wanted()
         if session.is_asked_more:
             message = f"another question came when {done} of {rows} rows were done."
             raise UsageError(Fault("E501", "band", message, "Ask for it again."))

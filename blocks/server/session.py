@@ -14,6 +14,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from ..api.diagram import Diagram
@@ -83,7 +84,9 @@ class Session:
         self._todo: queue.SimpleQueue[tuple[Client | None, Any]] = queue.SimpleQueue()
         self._is_told = threading.Event()  # news of the run wait in the queue
         self._told = 0.0
-        self._aside: queue.SimpleQueue[tuple[Client, Mapping[str, Any], Session] | None] = queue.SimpleQueue()
+        self._aside: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self._jobs: list[_Job] = []  # what is computed aside, and what waits for that
+        self._job: _Job | None = None  # of a session as it stood
         self._is_settling = False
         # Python waits for this one: it ends daemon threads where they are, which an FMU that computes does not survive.
         self._thread = threading.Thread(target=self._work, name="blocks session", daemon=False)
@@ -139,6 +142,7 @@ class Session:
                         self.tell_document()
             except Exception as error:  # what one page asked for, or a bad file, must not silence the others
                 self.broadcast(_failed(error))
+        self._drop(list(self._jobs))
         self._aside.put(None)
         self._leave()
         self._second.join()
@@ -160,8 +164,9 @@ class Session:
             client.send(self.hello())
         elif client is not None and what == "disconnected":
             self.pages.pop(client, None)
+            self._drop([job for job in self._jobs if job.client is client])
         elif client is not None and what.get("do") in ASIDE:
-            self._aside.put((client, what, self._as_it_stands()))
+            self._put_aside(client, what)
         elif client in self.pages:
             self._answer(client, what, self)
             self._show(client)
@@ -194,8 +199,30 @@ class Session:
             client.send(frame, slot=f"scopes {number}")
 
     def _work_aside(self) -> None:
-        while (asked := self._aside.get()) is not None:
-            self._answer(*asked)
+        while (job := self._aside.get()) is not None:
+            self._answer(job.client, job.message, job.seen)
+            self._jobs.remove(job)
+
+    def _put_aside(self, client: Client, message: Mapping[str, Any]) -> None:
+        """Let the second thread answer a message, as all stands now."""
+        seen = self._as_it_stands()
+        seen._job = job = _Job(client, message, seen)
+        self._jobs.append(job)
+        self._aside.put(job)
+
+    def cancel(self, page: Page | None, number: int) -> None:
+        """End what a page asked for by the message of a number, where it is computed aside."""
+        own = [job for job in self._jobs if self.pages.get(job.client) is page]
+        self._drop([job for job in own if job.message.get("id") == number])
+
+    def _drop(self, jobs: list[_Job]) -> None:
+        for job in jobs:
+            job.is_dropped = True
+
+    def check_wanted(self) -> None:
+        """Raise UsageError (E501) where nobody waits any more for what this session, as it stood, is asked."""
+        if self._job is not None and self._job.is_dropped:
+            raise UsageError(Fault("E501", str(self._job.message.get("do")), "was cancelled.", "Ask for it again."))
 
     def _as_it_stands(self) -> Session:
         """The same, with a document and values that do not change any more."""
@@ -209,6 +236,7 @@ class Session:
         """asked: this session, or what it was when the message came."""
         try:
             try:
+                asked.check_wanted()
                 told = answer(asked, message, self.pages.get(client))
             except BlocksError as error:
                 paths = asked.document.paths
@@ -318,6 +346,16 @@ class Session:
         self.broadcast(self.run_told())
 
 
+@dataclass(eq=False, slots=True)
+class _Job:
+    """What a page asked for, which is computed aside; is_dropped: nobody waits for it any more."""
+
+    client: Client
+    message: Mapping[str, Any]
+    seen: Session
+    is_dropped: bool = False
+
+
 def _failed(error: Exception) -> dict[str, Any]:
     return {"is": "error", "faults": [told_fault(own_fault(error), set())]}
 
@@ -338,6 +376,13 @@ def draw(session: Session, page: Page | None, *, level: str = "") -> Answer:
     if page is not None:
         page.level = level
     return {"is": "drawing", "level": level, "revision": session.document.revision, "svg": svg}
+
+
+@handles
+def cancel(session: Session, page: Page | None, *, of: int) -> Answer:
+    """End the analysis that this page asked for by its message of a number. Without one nothing happens."""
+    session.cancel(page, of)
+    return {"is": "done"}
 
 
 @handles

@@ -35,6 +35,7 @@ __all__ = ["check_target", "drop_parts", "hold", "known_ending", "real", "refuse
 
 LONGEST = 100  # bytes of a name that stand in that of its part, which must not be too long
 STALE = 86400.0  # s
+PATIENCE = 2.0  # s for which a lock of another program on a file is waited for
 UNSYNCED = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EROFS)
 """The errors of file systems that cannot write through to the disk."""
 CURES = {
@@ -193,14 +194,16 @@ def _give(part: str, target: Path) -> None:
 
 @contextlib.contextmanager
 def _unchanged(target: Path, was: bytes | None) -> Iterator[None]:
-    """Checks that a file still holds `was`, and locks it within. Raises OSError."""
+    """Check that a file still holds `was`, and lock it within. Raises OSError, also where others keep it locked."""
     if was is None:
         yield
         return
     with open(target, "rb") as stream:
-        if sys.platform != "win32" and LOCKS:
-            with contextlib.suppress(OSError):
-                fcntl.flock(stream, fcntl.LOCK_EX)
+        limit = time.monotonic() + PATIENCE
+        while not hold(stream.fileno()):  # whoever may read a file may lock it, for ever
+            if time.monotonic() > limit:
+                raise OSError(errno.EBUSY, f"another program has locked it for more than {PATIENCE:g} s", str(target))
+            time.sleep(0.01)
         if target.read_bytes() != was:
             raise OSError(errno.EBUSY, "another program has changed it meanwhile", str(target))
         yield

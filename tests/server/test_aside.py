@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import traceback
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -97,3 +98,73 @@ def test_gestures_that_come_while_analyses_run_change_none_of_them(page: Asking)
     told = page.answers()
     assert {number: told[number].get("margins", told[number])["gain"] for number in wanted} == pytest.approx(wanted)
     assert {one["is"] for one in told.values()} == {"edited", "analysis", "set"}
+
+
+@pytest.mark.parametrize("how", ["cancel", "disconnected", "close"])
+def test_an_analysis_ends_when_nobody_waits_for_it_any_more(
+    how: str, page: Asking, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session, simulates, is_over = page.session, threading.Event(), threading.Event()
+    check = Session.check_wanted
+
+    def checked(self: Session) -> None:
+        if self._job is not None and threading.current_thread() is session._second and simulates_now():
+            simulates.set()
+            while not self._job.is_dropped:  # as if the run up to there took very long
+                assert not is_over.wait(0.01)
+        check(self)
+
+    def simulates_now() -> bool:
+        return any(frame.name == "_again" for frame in traceback.extract_stack())
+
+    live = session.begin(stop=1.0)
+    live.go()
+    assert live.wait(60.0)
+    monkeypatch.setattr(Session, "check_wanted", checked)
+    asked = page.ask("modes", at=0.5)
+    assert simulates.wait(60.0)
+    if how == "cancel":
+        page.ask("cancel", of=asked)
+        told = page.answers()[asked]
+        assert (told["is"], told["faults"][0]["message"]) == ("error", "was cancelled.")
+    elif how == "disconnected":
+        session.disconnected(page)
+        assert page.has_answer.acquire(timeout=60.0)
+        assert not session._aside.qsize()
+    session.close()
+    is_over.set()
+
+
+def test_what_a_closed_page_asked_for_is_dropped(page: Asking, monkeypatch: pytest.MonkeyPatch) -> None:
+    is_closed, computed = threading.Event(), list[str]()
+
+    def long(session: Session, *, name: str) -> dict[str, Any]:
+        computed.append(name)
+        assert is_closed.wait(60.0)
+        return {"is": "long"}
+
+    monkeypatch.setitem(HANDLERS, "long", long)
+    monkeypatch.setattr("blocks.server.session.ASIDE", ASIDE | {"long"})
+    other = Asking(page.session)
+    page.ask("long", name="first")
+    for k in range(3):
+        other.ask("long", name=f"of the closed page {k}")
+    page.ask("long", name="last")
+    other.ask("put", name="gain.k", text="3")  # a gesture counts, though its page is closed at once
+    page.session.disconnected(other)
+    assert other.has_answer.acquire(timeout=60.0)  # that of the gesture
+    while other in page.session.pages:
+        assert not is_closed.wait(0.01)
+    is_closed.set()
+    assert {one["is"] for one in page.answers().values()} == {"long"}
+    assert computed == ["first", "last"]
+    assert page.session.document.shown.value.blocks["gain"].parameters["k"] == 3
+
+
+def test_a_time_that_the_run_did_not_reach_is_refused_at_once(page: Asking) -> None:
+    before = page.ask("modes", at=1e9)
+    page.ask("step")
+    later = page.ask("modes", at=1e9)
+    told = page.answers()
+    assert [told[number]["faults"][0]["place"] for number in (before, later)] == ["at", "at"]
+    assert "there is no run that got to t = 1e+09 s: it is at" in told[later]["faults"][0]["message"]

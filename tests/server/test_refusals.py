@@ -53,6 +53,7 @@ TABLE: dict[str, list[Row]] = {
     "resume": [({}, NO_RUN)],
     "step": [({"stop": "soon"}, "soon")],
     "stop": [({}, NO_RUN)],
+    "cancel": [],  # of what nobody asked it ends nothing
     "scope": [],  # of signals that are not there it shows nothing
     "drawn": [],
     "values": [],
@@ -61,7 +62,7 @@ TABLE: dict[str, list[Row]] = {
     "overlay": [({"name": "a.csv", "text": "no table"}, "a.csv"), ({"name": "a.csv", "text": ""}, "a.csv")],
     "save": [*(({"path": path}, OUTSIDE) for path in PLACES), ({"path": "run.csv"}, NO_RUN)],
     "response": [({"input": "nothing"}, "nothing"), ({"input": "u", "output": "nothing"}, "nothing")],
-    "modes": [({"amplitude": {"nothing": 1.0}}, "nothing"), ({"at": "end"}, "end")],
+    "modes": [({"amplitude": {"nothing": 1.0}}, "nothing"), ({"at": "end"}, "end"), ({"at": 1e9}, "no run")],
     "cycles": [],
     "color": [({"by": "__class__"}, "__class__")],
     "band": [

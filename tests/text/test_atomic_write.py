@@ -463,3 +463,27 @@ def test_a_device_that_is_full_is_told() -> None:
     with pytest.raises(UsageError, match=r"E501 /dev/full: cannot be written: No space left on device\."):  # noqa: SIM117
         with write_atomically("/dev/full") as stream:
             stream.write("1" * 100_000)
+
+
+@POSIX
+def test_a_lock_of_another_program_does_not_hold_an_edit_up_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import fcntl
+
+    target = tmp_path / "loop.json"
+    target.write_text("before")
+    monkeypatch.setattr("blocks.text.atomic_write.PATIENCE", 0.1)
+    with target.open() as stream:  # who may only read it, may lock it
+        fcntl.flock(stream, fcntl.LOCK_SH)
+        held = pytest.raises(UsageError, match=r"E501 .*another program has locked it for more than 0\.1 s")
+        with held, write_atomically(target, was=b"before") as edited:
+            edited.write("after")
+        assert (target.read_text(), parts(tmp_path)) == ("before", [])
+        monkeypatch.setattr("blocks.text.atomic_write.PATIENCE", 60.0)
+        let_go = threading.Timer(0.2, lambda: fcntl.flock(stream, fcntl.LOCK_UN))
+        let_go.start()
+        with write_atomically(target, was=b"before") as edited:
+            edited.write("after")
+        let_go.join()
+    assert (target.read_text(), parts(tmp_path)) == ("after", [])

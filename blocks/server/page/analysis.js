@@ -15,6 +15,8 @@ const VIEWS = {
     hint: "Runs of the diagram with a parameter between two values; 5, 50 and 95 % of them are drawn over the scopes." },
 };
 
+const LATE = 500; // ms after which a question can be cancelled
+
 /** @param {any} app */
 export function start(app) {
   const place = document.getElementById("analysis");
@@ -38,7 +40,8 @@ export function start(app) {
   }));
   const tabs = Object.entries(VIEWS).map(([key, { label }]) => element("button", { "aria-pressed": "false", onclick: () => turn(key), "data-what": key }, label));
   const close = element("button", { onclick: () => show(false), title: "Close (B)" }, "Close");
-  place.append(element("header", { class: "bar" }, element("h2", {}, "Analysis"), element("span", { class: "tabs", role: "group", "aria-label": "What is shown" }, ...tabs), ...Object.values(forms), close), body, ...Object.values(lists));
+  const cancel = element("button", { hidden: true, onclick: () => app.connection.cancel(under) }, "Cancel");
+  place.append(element("header", { class: "bar" }, element("h2", {}, "Analysis"), element("span", { class: "tabs", role: "group", "aria-label": "What is shown" }, ...tabs), ...Object.values(forms), cancel, close), body, ...Object.values(lists));
 
   const isAtCursor = () => forms[what].elements.at?.value === "cursor";
   function given() {
@@ -49,7 +52,7 @@ export function start(app) {
   }
 
   // --- asking: one question at a time, and the last one counts ---
-  let [isAsked, next] = [false, null];
+  let [isAsked, next, under] = [false, null, null];
   async function ask() {
     if (place.hidden) return;
     const fields = given();
@@ -61,7 +64,11 @@ export function start(app) {
     while (next) {
       const { view, fields: asked } = next;
       next = null;
-      const answer = await app.connection.ask(VIEWS[view].ask, asked).catch((error) => ({ title: "", laws: [], faults: error.faults ?? [{ code: "", place: "", message: error.message, cure: "" }] }));
+      under = app.connection.ask(VIEWS[view].ask, asked);
+      const late = setTimeout(() => (cancel.hidden = false), LATE);
+      const answer = await under.catch((error) => ({ title: "", laws: [], faults: error.faults ?? [{ code: "", place: "", message: error.message, cure: "" }] }));
+      clearTimeout(late);
+      cancel.hidden = true;
       if (!next && view === what && given()) fill(answer);
     }
     isAsked = false;
@@ -140,6 +147,7 @@ export function start(app) {
   }
   function show(isOpen) {
     place.hidden = !isOpen;
+    if (!isOpen && isAsked) [next] = [null, app.connection.cancel(under)];
     opener.setAttribute("aria-expanded", String(isOpen));
     if (!isOpen) return opener.focus();
     turn(what);

@@ -45,7 +45,11 @@ export function connect() {
       number += 1;
       const id = number;
       socket.send(JSON.stringify({ do: name, id, ...fields }));
-      return new Promise((resolve, reject) => waiting.set(id, { resolve, reject }));
+      return Object.assign(new Promise((resolve, reject) => waiting.set(id, { resolve, reject })), { id });
+    },
+    /** End what was asked, where that takes long: it is refused then. @param {any} asked what `ask` gave */
+    cancel(asked) {
+      return this.ask("cancel", { of: asked.id ?? 0 }).catch(() => null);
     },
     /** Call back at each message of a kind: "hello", "document", "run", ..., "frame", "closed". */
     on(is, callback) {
