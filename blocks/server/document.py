@@ -10,15 +10,18 @@ from typing import Any
 from ..api.diagram import Diagram
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
-from ..draw import picture, ports_of, rendered
-from ..model.diagram import DiagramValue
+from ..draw import Ports, picture, ports_of, rendered
+from ..model.diagram import BlockEntry, DiagramValue
 from ..text.atomic_write import real
 from ..text.element_names import indexed
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import legible, quoted
-from .facts import Fact, facts_of
+from .facts import Fact, facts_of, text_of
 
 __all__ = ["Document", "inside", "told_fault"]
+
+LONGEST_STOP = 100
+"""Characters of a stop time that are shown."""
 
 
 class Document:
@@ -45,6 +48,7 @@ class Document:
         self.revision, self.text = 0, b""
         self._drawings: dict[str, str] = {}
         self._facts: dict[str, Fact] | None = None
+        self._good_ports: dict[str, tuple[tuple[str, ...], Ports]] = {}
         self._seen: dict[Path, tuple[int, ...] | None] = {}
         self.read()
 
@@ -143,7 +147,7 @@ class Document:
         """The document as the page gets it."""
         blocks = list(self._blocks())
         paths = self.paths
-        settings = {} if self.planned is None else _settings(self.planned, self.visible.value)
+        settings = self._settings()
         return {
             "revision": self.revision,
             "name": self.name,
@@ -155,6 +159,13 @@ class Document:
             "settings": settings,
             "coupled": isinstance(self.planned, Coupling),
         }
+
+    def _settings(self) -> dict[str, Any]:
+        """How a run goes; of a diagram with faults, when it ends, as its file says it ("" for never)."""
+        if self.planned is not None:
+            return _settings(self.planned, self.visible.value)
+        stop = None if self.diagram is None else self.visible.value.run.get("stop")
+        return {"until": text_of(stop, "s")[:LONGEST_STOP] if stop is not None else ""}
 
     @property
     def paths(self) -> set[str]:
@@ -202,8 +213,29 @@ class Document:
         prefix = level + "." if level else ""
         labels = {} if self.planned is None else self.planned.rate_labels
         rates = {name.removeprefix(prefix): label for name, label in labels.items() if name.startswith(prefix)}
-        ports = ports_of(self.value_at(level), self.visible._draft.resolver)
-        return {"ports": ports, "faults": _below(self.faults, prefix), "rates": rates}
+        return {"ports": self._ports(level), "faults": _below(self.faults, prefix), "rates": rates}
+
+
+    def _ports(self, level: str) -> Callable[[str], Ports]:
+        """The ports of the blocks of a level; those of a block with faults are what they were without."""
+        value, good = self.value_at(level), self._good_ports
+        found = ports_of(value, self.visible._draft.resolver)
+
+        def ports(path: str) -> Ports:
+            made, whole, entry = found(path), f"{level}.{path}".lstrip("."), _entry(value, path)
+            kind = entry.type, entry.fmu, entry.diagram if isinstance(entry.diagram, str) else ""
+            if made.known:
+                good[whole] = kind, made
+            known, kept = good.get(whole, (kind, made))
+            return kept if known == kind else made
+
+        return ports
+
+
+def _entry(value: DiagramValue, path: str) -> BlockEntry:
+    """The block at a path that is there."""
+    *outer, name = path.split(".")
+    return _inside(value, ".".join(outer)).blocks[name]
 
 
 def _stamp(path: Path) -> tuple[int, ...] | None:

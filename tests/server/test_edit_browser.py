@@ -580,6 +580,48 @@ def test_a_value_that_nobody_typed_stays_as_it_is_spelled(chromium: Any, tmp_pat
         page.assert_clean()
 
 
+def test_a_wire_is_hit_by_its_distance_from_the_pointer(chromium: Any, tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    path.write_bytes(MOTOR.read_bytes())
+    with edited_page(chromium, path) as hands:
+        page = hands.page
+        (x0, y0), (x1, _) = hands.port("speed.y", "out"), hands.port("control.r", "in")
+        x = x0 + (x1 - x0) / 3  # on the first part of the wire, which is level
+        for far, is_met in ((0, True), (1, True), (2, True), (3, True), (5, True), (9, False)):
+            for side in (-1, 1):
+                page.click_at(x, y0 + side * far)
+                head = "speed.y" if is_met else "motor_pid"
+                page.until(f"document.querySelector('#panel h2').textContent === '{head}'")
+                page.press("Escape")
+                page.until("document.querySelector('#panel h2').textContent === 'motor_pid'")
+        page.click_at(x, y0 + 3, count=2)  # a scope, and not the list of blocks
+        page.until("document.querySelector('.scope')")
+        assert not page.evaluate("document.querySelector('dialog')")
+        page.assert_clean()
+
+
+def test_a_block_with_a_fault_keeps_its_ports_and_the_diagram_its_stop_time(chromium: Any, tmp_path: Path) -> None:
+    path = tmp_path / "motor.json"
+    path.write_bytes(MOTOR.read_bytes())
+    drawn = """[...document.querySelectorAll('#stage g[data-path]')].map(one => [one.dataset.path, one.dataset.in,
+        one.dataset.out, ...[...one.querySelectorAll('.port')].map(text => text.textContent)].join())"""
+    stop = "document.querySelector('#runbar label input').placeholder"
+    with edited_page(chromium, path) as hands:
+        page = hands.page
+        hands.rest()
+        before, end = page.evaluate(drawn), page.evaluate(stop)
+        assert any("u_manual" in one for one in before)
+        page.click('#lists [data-path="control"]')
+        page.click('#panel [aria-label="control.c"]', count=3)
+        page.type("nothing")
+        hands.done(lambda: page.press("Enter"))
+        page.until("document.querySelector('#lists .fault')")
+        hands.rest()
+        assert page.evaluate(drawn) == before
+        assert (end, page.evaluate(stop)) == ("10 s", "10 s")
+        page.assert_clean()
+
+
 def test_what_is_selected_is_shown_and_what_is_free_is_offered(chromium: Any, tmp_path: Path) -> None:
     path = tmp_path / "motor.json"
     path.write_bytes(MOTOR.read_bytes())

@@ -4,6 +4,7 @@ import { counted, element, fill } from "./elements.js";
 const LEAST = 0.05;
 const MOST = 8;
 const STEP = 60; // pixels of an arrow key
+const REACH = 6; // pixels of the screen from which a wire is met
 
 /** The lines of a drawing, each with all that is inside of its element. */
 function pieces(text) {
@@ -15,6 +16,24 @@ function pieces(text) {
     if (depth === 0) found.push(piece.slice(0, -1)), (piece = "");
   }
   return found.filter((one) => one && one !== "</svg>");
+}
+
+/** The corners of a wire in its drawing, to the tip of its arrow. */
+function corners(wire) {
+  const [run, head] = ["run", "head"].map((part) => wire.querySelector(`:scope > path.${part}`)?.getAttribute("d") ?? "");
+  const places = (text) => [...text.matchAll(/(-?[\d.]+(?:e-?\d+)?)[ ,](-?[\d.]+(?:e-?\d+)?)/g)].map(([, x, y]) => [Number(x), Number(y)]);
+  return [...places(run), ...places(head).slice(0, 1)];
+}
+/** How far a point is from a line through corners. */
+function distance([x, y], line) {
+  let least = Infinity;
+  line.forEach(([x1, y1], k) => {
+    const [x0, y0] = line[Math.max(0, k - 1)];
+    const [dx, dy] = [x1 - x0, y1 - y0];
+    const along = Math.min(Math.max(((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy || 1), 0), 1);
+    least = Math.min(least, Math.hypot(x - x0 - along * dx, y - y0 - along * dy));
+  });
+  return least;
 }
 
 export function start(app) {
@@ -142,6 +161,7 @@ export function start(app) {
     const began = isOther ? null : boxes.size ? origin() : [0, 0];
     put(text, isOther);
     boxes = new Map(drawn.filter(([, { dataset }]) => dataset.path !== undefined).map(([, box]) => [box.dataset.path, box]));
+    lines = null;
     nets = Map.groupBy(stage.querySelectorAll("[data-net]"), (part) => part.dataset.net);
     const isInSight = stay(began);
     if (!before || (before.fitted && !isInSight && (isOther || width !== size()[0] || height !== size()[1]))) fit();
@@ -190,18 +210,22 @@ export function start(app) {
   const enter = () => app.block(app.state.selected)?.kind === "diagram" && app.open(app.state.selected);
 
   // --- by hand ---
-  /** What lies under a point: thin wires are met from 4 pixels around them. */
+  /** What lies under a point of the screen: a block, or the nearest wire. */
   const under = (x, y) => {
-    let [wire, sink] = [null, null];
-    for (const [dx, dy] of [[0, 0], [4, 0], [-4, 0], [0, 4], [0, -4]]) {
-      const hit = document.elementFromPoint(x + dx, y + dy);
-      const box = hit?.closest?.("#stage g[data-path]:not(.frame)");
-      if (box && !dx && !dy) return { box: box.dataset.path };
-      const part = hit?.closest?.("#stage [data-net]");
-      if (part && wire === null) [wire, sink] = [part.dataset.net, part.dataset.sink ?? null];
+    const box = document.elementFromPoint(x, y)?.closest?.("#stage g[data-path]:not(.frame)");
+    if (box) return { box: box.dataset.path };
+    lines ??= [...stage.querySelectorAll("g.wire[data-net]")].map((wire) => [wire.dataset, corners(wire)]);
+    const { left, top } = stage.getBoundingClientRect();
+    const point = [(x - left) / at.k, (y - top) / at.k];
+    let [nearest, least] = [null, REACH / at.k];
+    for (const [wire, line] of lines) {
+      const far = distance(point, line);
+      if (far < least) [nearest, least] = [wire, far];
     }
-    return wire === null ? {} : { net: wire, sink };
+    return nearest ? { net: nearest.net, sink: nearest.sink ?? null } : {};
   };
+  /** By wire of the level that is shown, its corners. @type {[DOMStringMap, number[][]][] | null} */
+  let lines = null;
   let hot = [];
   const hover = ({ box, net }) => {
     hot.forEach((part) => part.classList.remove("hot"));

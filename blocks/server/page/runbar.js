@@ -115,7 +115,8 @@ export function start(app) {
     }
   });
   app.on("document", ({ settings: known }) => {
-    stop.placeholder = known?.stop === null || known?.stop === undefined ? "no end" : `${shown(known.stop)} s`;
+    // A diagram with faults has no settings that were read, but its file says when a run ends.
+    stop.placeholder = typeof known?.stop === "number" ? `${shown(known.stop)} s` : known?.until || "no end";
   });
 
   /** The fault of a failed run, with the block in the drawing and the last rows at its inputs. */
