@@ -300,7 +300,8 @@ def test_numbers_at_the_cursor_are_those_of_the_run_that_is_shown(chromium: Any,
             page.click(".scope-runs input")
             page.until(f"{cells}.some(row => row[0].includes('run 1') && Math.abs(row[2] - {at}) < 2e-4)")
             scope = "Scope.prototype.element.call({pane: {shape: () => [2, 3]}}, 'm.y[1,0]')"
-            assert page.evaluate(f"import('/page/scope.js').then(({{Scope}}) => {scope})") == ["m.y", 3]
+            module = "import(new URL('page/scope.js', location.href).href)"
+            assert page.evaluate(f"{module}.then(({{Scope}}) => {scope})") == ["m.y", 3]
             page.assert_clean()
     finally:
         transport.stop()
