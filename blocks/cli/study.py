@@ -41,6 +41,7 @@ def add(verbs: Any) -> None:
     forms = study.add_mutually_exclusive_group()
     forms.add_argument("--markdown", action="store_true", help="print the table as Markdown")
     forms.add_argument("--latex", action="store_true", help="print it as a tabular of LaTeX (booktabs)")
+    study.add_argument("--wide", action="store_true", help="print a row for each measure and a column for each run")
     takes_json(study)
     study.set_defaults(verb=_study)
     takes_library(study)
@@ -50,9 +51,10 @@ def _table(options: argparse.Namespace, made: StudyResults) -> str:
     """The table of all claims, in the form that is asked for."""
     from ..studies import report
 
-    if options.markdown or options.latex:
-        return report.latex_table(made) if options.latex else report.markdown_table(made)
-    return printable(report.table_text(made))
+    wide = bool(options.wide)
+    if options.latex:
+        return report.latex_table(made, wide=wide)
+    return report.markdown_table(made, wide=wide) if options.markdown else printable(report.table_text(made, wide=wide))
 
 
 def _study(options: argparse.Namespace) -> int:

@@ -71,13 +71,18 @@ def _rows(verdicts: Sequence[Verdict]) -> list[tuple[str, ...]]:
         mark = "" if v.is_expected else "  <- unexpected"
         rows.append(
             (
-                claim.of, claim.label if not claim.change else f"{claim.measure}, {claim.change}",
+                claim.of, _row_label(claim),
                 _wanted(claim, unit), _here(v, unit),
                 "-" if math.isnan(v.ratio) else f"{v.ratio:.4f}", f"{claim.tolerance:.3g}" if claim.published else "-",
                 f"{GLYPHS[v.verdict]} {v.verdict}{mark}".strip(),
             )
         )  # fmt: skip
     return rows
+
+
+def _row_label(claim: Claim) -> str:
+    """The measure, without the runs that it is about."""
+    return f"{claim.measure}, {claim.change}" if claim.change else claim.label
 
 
 def _wanted(claim: Claim, unit: str) -> str:
@@ -104,26 +109,58 @@ def _share(part: float) -> str:
 _HEAD = ("run", "measure", "published", "here", "ratio", "tolerance", "verdict")
 
 
-def table_text(made: StudyResults) -> str:
-    """All claims as an aligned table."""
-    rows = [_HEAD, *_rows(made.verdicts)]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(_HEAD))]
+def table_text(made: StudyResults, *, wide: bool = False) -> str:
+    """All claims as an aligned table; wide: with the runs as columns."""
+    rows = _table(made, wide)
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
     )
 
 
-def markdown_table(made: StudyResults) -> str:
-    """All judged claims as a Markdown table."""
-    rows = [row for row, v in zip(_rows(made.verdicts), made.verdicts, strict=True) if v.verdict]
-    lines = [f"| {' | '.join(_HEAD)} |", f"|{'---|' * len(_HEAD)}"]
+def markdown_table(made: StudyResults, *, wide: bool = False) -> str:
+    """All claims as a Markdown table; wide: with the runs as columns."""
+    head, *rows = [[cell_text(cell).replace("|", r"\|") for cell in row] for row in _table(made, wide)]
+    lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
-def latex_table(made: StudyResults) -> str:
-    """All judged claims as a tabular of LaTeX with booktabs; the verdicts without their glyphs."""
-    rows = [row for row, v in zip(_rows(made.verdicts), made.verdicts, strict=True) if v.verdict]
-    return tabular([_HEAD, *([*row[:-1], row[-1].partition(" ")[2]] for row in rows)])
+def latex_table(made: StudyResults, *, wide: bool = False) -> str:
+    """All claims as a tabular of LaTeX with booktabs; wide: with the runs as columns. Verdicts have no glyphs."""
+    head, *rows = _table(made, wide)
+    return tabular([head, *rows] if wide else [head, *([*row[:-1], row[-1].partition(" ")[2]] for row in rows)])
+
+
+def _table(made: StudyResults, wide: bool) -> list[tuple[str, ...]]:
+    """The head and the rows of the table in each of its forms."""
+    return _wide(made.verdicts) if wide else [_HEAD, *_rows(made.verdicts)]
+
+
+def _wide(verdicts: Sequence[Verdict]) -> list[tuple[str, ...]]:
+    """A row for each measure, and a column for each run.
+
+    Below a measure stand its published numbers and limits, if there are any. Claims that agree in measure and run get
+    rows of their own.
+    """
+    columns = tuple(dict.fromkeys(v.claim.of for v in verdicts))
+    cells: dict[tuple[str, str, int], dict[str, tuple[str, str]]] = {}
+    for v in verdicts:
+        claim = v.claim
+        unit = "" if claim.statistic[0] == "share" else claim.unit
+        key = (_row_label(claim), unit, 0)
+        while claim.of in cells.get(key, {}):
+            key = (*key[:2], key[2] + 1)
+        glyph = f" {GLYPHS[v.verdict]}" if v.verdict else ""
+        mark = "" if v.is_expected else " unexpected"
+        wanted = _wanted(claim, f" {claim.unit}" if unit != claim.unit else "")
+        cells.setdefault(key, {})[claim.of] = f"{_here(v, '')}{glyph}{mark}", "" if wanted == "-" else wanted
+    rows: list[tuple[str, ...]] = [("measure", "unit", *columns)]
+    for (label, unit, _), found in cells.items():
+        known = [found.get(name, ("", "")) for name in columns]
+        rows.append((label, unit, *(here for here, _ in known)))
+        if any(wanted for _, wanted in known):
+            rows.append((f"{label}, published", unit, *(wanted for _, wanted in known)))
+    return rows
 
 
 # --- figures ---------------------------------------------------------------------------------------------------

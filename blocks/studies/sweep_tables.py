@@ -18,7 +18,8 @@ Array = np.ndarray[Any, Any]
 Sweep = Any  # a `Sweep`, whose module calls this one
 Cell = str | float
 _TEX = {**{c: f"\\{c}" for c in "&%$#_{}"}, "~": r"\textasciitilde{}", "^": r"\^{}", "\\": r"\textbackslash{}",
-        "<": r"\textless{}", ">": r"\textgreater{}", "≤": r"$\le$", "≥": r"$\ge$"}  # fmt: skip
+        "<": r"\textless{}", ">": r"\textgreater{}", "≤": r"$\le$", "≥": r"$\ge$", "∞": r"$\infty$",
+        "✓": r"$\surd$", "✗": r"$\times$", "·": r"$\cdot$"}  # fmt: skip
 
 
 def table(sweep: Sweep, by: str | Sequence[str], q: Sequence[float]) -> list[list[Cell]]:
@@ -83,7 +84,9 @@ def tabular(rows: Sequence[Sequence[Cell]]) -> str:
     head, *others = rows
     sides = "".join("l" if any(isinstance(row[k], str) and not str(row[k]).isdigit() for row in others) else "r"
                     for k in range(len(head)))  # fmt: skip
-    first, *rest = [f"{' & '.join(map(_tex, row))} \\\\" for row in rows]
+    lines = [f"{' & '.join(map(_tex, row))} \\\\" for row in rows]
+    # A bracket or a star behind \\ would be its argument.
+    first, *rest = [f"{{}}{line}" if line[0] in "[*" else line for line in lines]
     return "\n".join([rf"\begin{{tabular}}{{{sides}}}", r"\toprule", first, r"\midrule", *rest, r"\bottomrule",
                       r"\end{tabular}"])  # fmt: skip
 

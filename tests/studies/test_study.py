@@ -80,6 +80,40 @@ def test_a_study_judges_every_claim_and_ends_with_0(tmp_path: Path, capsys: pyte
     assert "report: " in told.err
 
 
+def test_every_form_of_the_table_has_all_claims(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    claims = [
+        {"run": "my_law", "measure": "ITAE", "unit": "rad.s"},
+        {"run": "other", "measure": "ITAE", "unit": "rad.s", "published": 1.32, "tolerance": 0.01,
+         "expect": "not reproduced", "reason": "The gain differs."},
+        {"run": "my_law", "measure": "dip", "at_most": 1, "unit": "rad/s", "expect": "holds"},
+        {"runs": ["my_law", "other"], "measure": "dip", "as": "increase", "unit": "%"},
+    ]  # fmt: skip
+    diagram = str(ROOT / "diagrams" / "motor_pid.json")
+    runs = {"my_law": {"diagram": diagram}, "other": {"diagram": diagram, "parameters": {"kp": 10}}}
+    path = motor_study(tmp_path / "s.json", runs=runs, claims=claims, figures=[])
+
+    def printed(*forms: str) -> list[str]:
+        assert main(["study", path, *forms, "--out", str(tmp_path / "out")]) == 0
+        return capsys.readouterr().out.splitlines()
+
+    assert "| my_law | ITAE | - | 1.3176 rad.s | - | - | · |" in printed("--markdown")
+    tex = printed("--latex")
+    assert tex[0] == r"\begin{tabular}{lllllll}"
+    assert r"my\_law & ITAE & - & 1.3176 rad.s & - & - &  \\" in tex
+    assert [line.count(r"\_") for line in tex[4:-2]] == [1, 0, 1, 1]
+    wide = printed("--wide", "--markdown")
+    assert wide[0] == "| measure | unit | my_law | other | my_law / other |"
+    assert wide[2] == "| ITAE | rad.s | 1.3176 | 2.60469 ✗ |  |"
+    assert wide[3] == "| ITAE, published | rad.s |  | 1.32 |  |"
+    assert wide[5] == "| dip, published | rad/s | ≤ 1 |  |  |"
+    assert len(wide) == 7
+    tex = printed("--wide", "--latex")
+    assert tex[2] == r"measure & unit & my\_law & other & my\_law / other \\"
+    assert tex[4] == r"ITAE & rad.s & 1.3176 & 2.60469 $\times$ &  \\"
+    assert tex[7] == r"dip, published & rad/s & $\le$ 1 &  &  \\"
+    assert printed("--wide")[0].split() == ["measure", "unit", "my_law", "other", "my_law", "/", "other"]
+
+
 def test_a_perturbed_parameter_turns_a_verdict_and_the_exit_code(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
