@@ -23,6 +23,7 @@ from ..model.raw_values import given_value, raw_of
 from ..text import units
 from ..text.errors import Fault, UsageError
 from ..text.printable import quoted
+from ..text.quantity_text import read_quantity
 
 __all__ = [
     "as_name",
@@ -60,7 +61,8 @@ def input_entry(
     """The entry of an input of a diagram. Arguments as of `Diagram.input`."""
     kind = Enumeration.of(type) if isinstance(type, builtins.type) and issubclass(type, enum.IntEnum) else type
     entry: dict[str, Any] = {} if unit == "" else {"unit": unit}
-    entry |= {} if default is None else {"default": _named(raw_of(default), kind)}
+    if default is not None:
+        entry["default"] = read_quantity(raw_of(default)) if kind in ("real", "int") else _named(raw_of(default), kind)
     entry |= {} if size is None else {"size": raw_of(size)}
     entry |= {} if kind == "real" else {"type": kind.entry if isinstance(kind, Enumeration) else kind}
     entry |= {} if doc == "" else {"doc": doc}

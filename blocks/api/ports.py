@@ -132,6 +132,8 @@ def signal_names(names: PortName | str | Sequence[PortName | str]) -> list[str]:
 def plain_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings of a run as a file has them: what is logged as texts, also where it is ports, times as quantities."""
     plain = {key: read_quantity(raw) if key in TIMES else raw for key, raw in settings.items()}
+    if isinstance(inputs := settings.get("inputs"), Mapping):
+        plain["inputs"] = {name: read_quantity(raw) for name, raw in inputs.items()}
     log = settings.get("log")
     if isinstance(log, (list, tuple)):
         plain["log"] = [name.text if isinstance(name, PortName) else name for name in log]

@@ -33,6 +33,7 @@ from ..text.grammar import (
     listed,
 )
 from ..text.printable import quoted
+from ..text.quantity_text import in_a_file
 from . import streams
 from .diagram import BASE, FORMAT, NAME, PLAIN_VERSION, VERSION, name_cure
 
@@ -162,6 +163,9 @@ def _time(number: Scalar, name: str) -> AnyOf:
     return AnyOf(number, EXPRESSION, quantity(AnyOf(number, EXPRESSION), "A time with its unit."), name=name, unit="s")
 
 
+QUANTITY_TEXT = Text(name="quantity_text", pattern=r"^\s*[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?\s*[^\s,0-9.]", doc=(
+    'A number with its unit, such as "500 ms".'
+))
 TIME, DURATION = _time(NUMBER, "time"), _time(Scalar(above=0), "duration")
 
 # --- inputs over time ------------------------------------------------------------------------------------------
@@ -311,8 +315,9 @@ ENUMERATION = Object(
 )
 TYPES: Mapping[str, Kind] = {"real": NUMBER, "int": INTEGER, "bool": FLAG}
 """The types of inputs but for enumerations, with the kinds of their defaults."""
-DEFAULT = AnyOf(NUMBER, FLAG, TEXT, Ref(lambda: _DEFAULTS, list), name="default")
-_DEFAULTS: Kind = ListOf(DEFAULT)
+_DEFAULT = AnyOf(NUMBER, FLAG, TEXT, Ref(lambda: _DEFAULTS, list), name="values of a default")
+_DEFAULTS: Kind = ListOf(_DEFAULT)
+DEFAULT = AnyOf(*_DEFAULT.kinds, quantity(AnyOf(NUMBER, _DEFAULTS, what=_ROW)), name="default")
 _SIZE = Scalar(low=1, high=LARGEST_SIZE, is_whole=True)
 SIZE = AnyOf(_SIZE, ListOf(_SIZE, 1), what=f"{_SIZE.what}, or a list of such", is_whole=True)
 
@@ -337,17 +342,23 @@ def _input(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
         told.fault("E004", (*path, "size"), f"must be {SIZE.what}, not {in_words(size)}.")
         return ("default", "size")
     if "default" in value:
-        default = value["default"]
+        default, at = value["default"], (*path, "default")
+        if type_ in ("real", "int") and isinstance(default, dict) and "value" in default:  # a quantity
+            default, at = default["value"], (*at, "value")
         members = members_of(type_) if isinstance(type_, dict) and _is_named(type_) else ()
         kind = _one_of(members) if members else TYPES.get(str(type_), NUMBER)
-        _default(default, shape if isinstance(default, list) else (), kind, (*path, "default"), told)
+        _default(default, shape if isinstance(default, list) else (), kind, at, told)
     return ("default", "size")
 
 
 def _default(default: Any, shape: tuple[int, ...], kind: Kind, path: Steps, told: Told) -> None:
     """The default of an input: one value, or rows with one for each element."""
     if not shape:
-        kind.check(default, path, told)
+        cure = in_a_file(default) if kind in (NUMBER, INTEGER) and path[-1] == "default" else ""
+        if cure:
+            told.fault("E004", path, f"must be {kind.what}, not {in_words(default)}.", cure)
+        else:
+            kind.check(default, path, told)
     elif not isinstance(default, list) or len(default) != shape[0]:
         shown = f"{len(default)}" if isinstance(default, list) else in_words(default)
         told.fault("E004", path, f"must be one value for all elements, or {shape[0]} in a list, not {shown}.")
@@ -363,7 +374,10 @@ def _inputs(defs: dict[str, Schema]) -> Schema:
         """One value, or one for each element of a vector or a matrix."""
         element = kinds.schema(defs)
         row = {"type": "array", "items": element}
-        return {"properties": {"default": {"anyOf": [element, row, {"type": "array", "items": row}]}}}
+        whole: list[Schema] = [element, row, {"type": "array", "items": row}]
+        if kinds in (NUMBER, INTEGER):
+            whole.append({"type": "object", "properties": {"value": {"anyOf": [*whole]}}})
+        return {"properties": {"default": {"anyOf": whole}}}
 
     given: Schema = {"required": ["type"]}
     types = {name: {"properties": {"type": {"const": name}}} | given for name in TYPES}
@@ -534,12 +548,12 @@ MEASURE = Object(
     Field("against", AnyOf(SCALAR, SIGNAL_NAME), (
         "A signal, or a number in the unit of `of`, that is taken off."
     ), 0, is_later=True),
-    Field("from", SECONDS, "Begin of the window, in s; left out: the start of the run.", is_later=True),
-    Field("to", SECONDS, "End of the window, in s; left out: the end of the run.", is_later=True),
-    Field("band", AnyOf(Scalar(above=0, below=1), COMPUTED), (
+    Field("from", AnyOf(*SECONDS.kinds, QUANTITY_TEXT, unit="s"), "Begin of the window, in s; left out: the start of the run.", is_later=True),
+    Field("to", AnyOf(*SECONDS.kinds, QUANTITY_TEXT, unit="s"), "End of the window, in s; left out: the end of the run.", is_later=True),
+    Field("band", AnyOf(Scalar(above=0, below=1), COMPUTED, QUANTITY_TEXT), (
         "Of settling_time: a part of the step's size."
     ), 0.02, is_later=True),
-    Field("omega", AnyOf(Scalar(above=0), COMPUTED, unit="rad/s"), (
+    Field("omega", AnyOf(Scalar(above=0), COMPUTED, QUANTITY_TEXT, unit="rad/s"), (
         "Of THD: the angular frequency of the fundamental, in rad/s. The window must hold whole periods of it."
     ), is_later=True),
     DOC,

@@ -221,11 +221,7 @@ def self_contained(value: DiagramValue) -> DiagramValue:
     """
 
     def parameters(table: Mapping[str, Any]) -> dict[str, Any]:
-        return {
-            name: {raw.key: list(raw.numbers), **{key: raw[key] for key in raw if key not in ("csv", "column")}}
-            if isinstance(raw, Column) else raw
-            for name, raw in table.items()
-        }  # fmt: skip
+        return {name: raw.as_value if isinstance(raw, Column) else raw for name, raw in table.items()}
 
     def whole(entry: BlockEntry) -> BlockEntry:
         inner = entry.inner
@@ -252,7 +248,7 @@ def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:
 
     def parameters(table: Mapping[str, Any]) -> dict[str, Any]:
         return {
-            name: type(raw)({**raw, "csv": path(raw["csv"])}, raw.numbers) if isinstance(raw, Column) else raw
+            name: type(raw)({**raw, "csv": path(raw["csv"])}, raw.numbers, raw.unit) if isinstance(raw, Column) else raw
             for name, raw in table.items()
         }
 

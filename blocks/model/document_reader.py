@@ -198,7 +198,8 @@ class DocumentReader:
                     self.loading.tables[target] = data_.decode("utf-8-sig").split("\n")
                 except UnicodeDecodeError:
                     raise ValueError("is no text in UTF-8.") from None
-            header, data = read_columns(self.loading.tables[target], {*wanted}, most=MOST_ROWS)
+            given: dict[str, str] = {}
+            header, data = read_columns(self.loading.tables[target], {*wanted}, most=MOST_ROWS, units=given)
             missing = next((column for column in wanted if column not in header), None)
             if missing is not None:
                 cure = did_you_mean(missing[:200], header[:500])
@@ -208,7 +209,10 @@ class DocumentReader:
                 self.fault("E007", (*path, key), f"{quoted(entry['csv'])} has {what}.", cure)
                 return entry
             numbers: Any = np.column_stack([data[:, header.index(str(column))] for column in wanted])
-            return EdgeTable(entry, numbers.tolist()) if "shape" in entry else Column(entry, numbers[:, 0].tolist())
+            unit = given.get(str(wanted[-1]), "")
+            if "shape" in entry:
+                return EdgeTable(entry, numbers.tolist(), unit)
+            return Column(entry, numbers[:, 0].tolist(), unit)
         except ModelError as error:
             self.loading.faults.add(error.faults[0])
         except ValueError as error:

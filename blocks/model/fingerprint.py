@@ -67,7 +67,9 @@ def _without_doc(entries: Mapping[str, Any]) -> dict[str, Any]:
     for name, entry in entries.items():
         if isinstance(entry, Mapping):
             # Of a column of another file the numbers count, not where it lies.
-            numbers = {entry.key: entry.numbers} if isinstance(entry, Column) else {}
+            numbers: dict[str, Any] = {}
+            if isinstance(entry, Column):
+                numbers = {entry.key: entry.numbers, **({"unit": entry.unit} if entry.unit else {})}
             kept = {key: item for key, item in entry.items() if key not in ("doc", "csv", "column") and key[:2] != "x-"}
             whole = {**numbers, **kept}
             stripped[name] = whole["value"] if list(whole) == ["value"] else whole

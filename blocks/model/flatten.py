@@ -25,7 +25,7 @@ from ..text.errors import Fault, ModelError
 from ..text.gc_pause import paused
 from ..text.json_document import AT_KEY
 from ..text.printable import legible, quoted
-from ..text.quantity_text import read_quantity
+from ..text.quantity_text import in_a_file, read_quantity
 from .block_signals import FlatSignal, Signals, element_of
 from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .copies import Fleet, Later, without_numbers
@@ -552,9 +552,9 @@ class _Flattener:
             refuse("type", f"there is no measure {quoted(type_)}.", cure)
         operands: dict[str, FlatSignal] = {}
         complete = True
+        if not self.diagram.is_before_3:  # "30 rpm" names no signal
+            raw = {**raw, **{key: read_quantity(raw[key]) for key in MEASURE_NUMBERS if key in raw}}
         given = {"of": raw.get("of"), "against": raw.get("against")}
-        if not self.diagram.is_before_3:
-            given["against"] = read_quantity(given["against"])  # "30 rpm" names no signal
         for key in ("of", "against"):
             text = given[key]
             if not isinstance(text, str) or (key == "against" and is_expression(text)):
@@ -563,7 +563,8 @@ class _Flattener:
             if signal is None:
                 complete = False
                 if not self.is_lost(text):
-                    refuse(key, f"there is no signal {quoted(text)}.", self.faults.guess(text, signals), "E105")
+                    cure = in_a_file(text) or self.faults.guess(text, signals)
+                    refuse(key, f"there is no signal {quoted(text)}.", cure, "E105")
             elif signal.shape != ():
                 cure = f'Take an element, as in "{text}[0]".'
                 refuse(key, f"{text} has {math.prod(signal.shape)} elements.", cure, "E110")
@@ -607,7 +608,7 @@ class _Flattener:
         place, spot = f"measures.{name}", ("measures", name, key)
         value = self.hierarchy.evaluated(self.root, raw, unit, place, spot)
         if value is not None and not isinstance(value.value, float):
-            self.tell(self.root, "E116", place, f'"{key}" must be a number.', "", spot)
+            self.tell(self.root, "E116", place, f'"{key}" must be a number.', in_a_file(raw), spot)
             return None
         return None if value is None else value.value
 

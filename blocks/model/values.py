@@ -42,14 +42,21 @@ Unit = str | tuple[str, ...]
 class Column(dict[str, Any]):
     """A column of a CSV file as a file names it, {"csv": ..., "column": ..., "unit": ...}, with its numbers.
 
-    Comparing and writing use what the file says. key: where they would stand in a file that holds them itself.
+    Comparing and writing use what the file says. key: where they would stand in a file that holds them itself. unit: of
+    the numbers; the one beside the column, else the one that the CSV file gives, "" for that of the parameter.
     """
 
     key = "value"
 
-    def __init__(self, raw: Mapping[str, Any], numbers: Sequence[Any]) -> None:
+    def __init__(self, raw: Mapping[str, Any], numbers: Sequence[Any], unit: str = "") -> None:
         super().__init__(raw)
-        self.numbers = tuple(numbers)
+        self.numbers, self.unit = tuple(numbers), str(raw.get("unit") or unit)
+
+    @property
+    def as_value(self) -> dict[str, Any]:
+        """What stands in the place of the column in a file that holds the numbers itself."""
+        others = {key: self[key] for key in self if key not in ("csv", "column")}
+        return {self.key: list(self.numbers), **others, **({"unit": self.unit} if self.unit else {})}
 
 
 class EdgeTable(Column):
@@ -112,12 +119,12 @@ def value_of(raw: Any, declared: Unit, known: Known) -> Value:
     because of a fault.
     """
     if isinstance(raw, EdgeTable) or (isinstance(raw, Mapping) and "edges" in raw):
-        return _sparse(raw, raw.numbers if isinstance(raw, EdgeTable) else raw["edges"], declared)
+        is_table = isinstance(raw, EdgeTable)
+        return _sparse({**raw, "unit": raw.unit} if is_table else raw, raw.numbers if is_table else raw["edges"], declared)
     if isinstance(raw, Column):
-        unit = raw.get("unit", "")
-        if unit:
-            _check_unit("", unit, declared)
-        return _array(raw.numbers, unit or declared, known)
+        if raw.unit:
+            _check_unit("", raw.unit, declared)
+        return _array(raw.numbers, raw.unit or declared, known)
     if isinstance(raw, Mapping):
         return _quantity(raw, declared, known)
     if isinstance(raw, (np.ndarray, np.generic)):

@@ -182,7 +182,7 @@ class Wires:
 
     def __init__(self, hierarchy: Hierarchy) -> None:
         self.scopes, self.leaves = hierarchy.scopes, hierarchy.leaves
-        self.faults, self.tell = hierarchy.faults, hierarchy.tell
+        self.faults, self.tell, self.evaluated = hierarchy.faults, hierarchy.tell, hierarchy.evaluated
         self.ports = [self.input_ports(scope) for scope in self.scopes]
         self.inputs = self.root_inputs()
         self.sinks: list[dict[str, Sink | None]] = [{} for _ in self.scopes]  # for each scope, by block
@@ -213,14 +213,22 @@ class Wires:
                 self.tell(scope, "E114", name, fault.message, fault.cure, ("inputs", name, "unit"))
                 unit = si = ""
             if default is not None:
-                kind = enumeration_of(type_)
-                default = tuple(
-                    units.to_si(float(item), unit, exact=getattr(item, "exact", None)) if kind is None
-                    else kind.number(item)
-                    for item in (_flat(default) if isinstance(default, list) else [default] * size)
-                )  # fmt: skip
+                default = self.default(scope, name, default, unit, type_, size)
             ports[name] = Port(name, name, shape, 0, size, (si,) * size, (unit,) * size, type_, default)
         return ports
+
+    def default(
+        self, scope: DiagramScope, name: str, raw: Any, unit: str, type_: Any, size: int
+    ) -> tuple[float, ...]:
+        """Return the default of an input in SI, element by element."""
+        if isinstance(raw, Mapping):
+            value = self.evaluated(scope, raw, unit, name, ("inputs", name, "default"))
+            raw, unit = (0.0 if value is None else value.value), ""
+        kind = enumeration_of(type_)
+        return tuple(
+            units.to_si(float(item), unit, exact=getattr(item, "exact", None)) if kind is None else kind.number(item)
+            for item in (_flat(raw) if isinstance(raw, (list, tuple)) else [raw] * size)
+        )
 
     def root_inputs(self) -> dict[str, FlatInput]:
         flat_inputs: dict[str, FlatInput] = {}

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Protocol
 
 from .json_number import Number
 from .printable import quoted
+from .quantity_text import in_a_file
 
 __all__ = [
     "OWN", "AnyOf", "Choice", "Constant", "Field", "Flag", "Found", "Kind", "ListOf", "Object", "Ref",
@@ -94,7 +95,8 @@ class Kind:
 
     def refuse(self, value: Any, path: Steps, told: Told) -> None:
         shown = "" if isinstance(value, list) and list in self.types else f", not {kind_of(value)}"
-        told.fault("E004", path, f"must be {self.what}{shown}.")
+        cure = in_a_file(value) if dict in self.types else ""
+        told.fault("E004", path, f"must be {self.what}{shown}.", cure)
 
     def is_void(self, value: Any) -> bool:
         """Whether a value is an empty text or list, where it must not be one."""

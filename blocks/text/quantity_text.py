@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 from typing import Any
 
+from .errors import ModelError
 from .json_number import Number, spelled
 
-__all__ = ["DECIMAL", "quantity_in", "read_quantity", "value_in"]
+__all__ = ["DECIMAL", "in_a_file", "quantity_in", "read_quantity", "value_in"]
 
 DECIMAL = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _number = re.compile(DECIMAL).match
@@ -29,6 +31,17 @@ def read_quantity(raw: Any) -> Any:
     found = quantity_in(raw) if isinstance(raw, str) else None
     is_quantity = found is not None and found[1] and found[1][0] != ","
     return {"value": found[0], "unit": found[1]} if found and is_quantity else raw
+
+
+def in_a_file(raw: Any) -> str:
+    """Return the advice to write a text such as "2 mH" as a file takes it; "" if it is no number with a unit."""
+    try:
+        found = read_quantity(raw)
+    except ModelError:
+        return ""
+    if found is raw or len(raw) > 100:
+        return ""
+    return f'Write {{"value": {found["value"]!r}, "unit": {json.dumps(found["unit"], ensure_ascii=False)}}}.'
 
 
 def value_in(text: str, *, file: str = "--set") -> Any:
