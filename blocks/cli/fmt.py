@@ -39,6 +39,7 @@ def _fmt(options: argparse.Namespace) -> int:
         source = ("<stdin>", sys.stdin.buffer) if file == "-" else (file,)
         try:
             form = canonical(*source, library=options.library)
+            tell_faults(form.warnings, options.json, file=file)
             if form.old != form.new:
                 changed += 1
                 status = status or (1 if options.check else 0)

@@ -184,7 +184,8 @@ class _Flattener:
     ) -> None:
         self.diagram = diagram
         self.given = {key for key, value in settings.items() if value is not None}
-        self.given |= {f"master.{key}" for key in settings.get("master") or ()}
+        if isinstance(master := settings.get("master"), Mapping):
+            self.given |= {f"master.{key}" for key in master}
         self.hierarchy = Hierarchy(diagram, resolver, overrides, seed_of(diagram.run, settings.get("seed")))
         look_into_copies(self.hierarchy)
         self.hierarchy.check_overrides()

@@ -286,7 +286,9 @@ class _RunSettings(_Settings):
         given: dict[str, Any] = {}
         for source in (self.given.get("master", {}), {} if over is None else over):
             if not isinstance(source, Mapping):
-                self.fault("master", f"must be an object of settings, not {_shown(source)}.")
+                shown = _shown(source)
+                step = shown if isinstance(source, (int, float)) and not isinstance(source, bool) else "0.001"
+                self.fault("master", f"must be an object of settings, not {shown}.", f'As in {{"step": {step}}}.')
                 return
             steps = [layer.get("steps") for layer in (given, source)]
             given |= {key: value for key, value in source.items() if not str(key).startswith("x-")}

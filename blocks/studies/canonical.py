@@ -10,7 +10,7 @@ from typing import BinaryIO
 from ..model import diagram, study_grammar
 from ..model import document as documents
 from ..model.block_types import Library, library_types
-from ..model.diagram import DiagramValue
+from ..model.diagram import DiagramValue, is_plain_number
 from ..model.flatten import flatten, numbers_in_si
 from ..model.project import MAX_BYTES, Project, read_inside
 from ..model.resolver import resolver_of
@@ -24,12 +24,16 @@ __all__ = ["Canonical", "canonical"]
 
 @dataclass(frozen=True)
 class Canonical:
-    """A file as it is and as it should be, the version that it has, and that in which it is written."""
+    """A file as it is and as it should be, the version that it has, and that in which it is written.
+
+    warnings: why it stays at an older version.
+    """
 
     old: str
     new: str
     version: int
     newest: int
+    warnings: tuple[Fault, ...] = ()
 
 
 def canonical(file: str, stream: BinaryIO | None = None, *, library: Library = ()) -> Canonical:
@@ -49,22 +53,34 @@ def canonical(file: str, stream: BinaryIO | None = None, *, library: Library = (
         return Canonical(document.text, *study.canonical(document), study_grammar.VERSION)
     newest = diagram.PLAIN_VERSION
 
+    warnings: list[Fault] = []
+
     def convert(value: DiagramValue) -> DiagramValue:
         nonlocal newest
-        value = _up_to_date(value, document.text, file, library)
+        value = _up_to_date(value, document.text, file, library, warnings)
         newest = documents.written_version(value)
         return value
 
-    return Canonical(document.text, *documents.canonical(document, convert), newest)
+    new, version = documents.canonical(document, convert)
+    return Canonical(document.text, new, version, newest, tuple(warnings))
 
 
-def _up_to_date(value: DiagramValue, text: str, file: str, library: Library) -> DiagramValue:
-    """Return the diagram of a file with numbers as version 3 has them; as it is if its meaning has faults."""
+def _up_to_date(value: DiagramValue, text: str, file: str, library: Library, warnings: list[Fault]) -> DiagramValue:
+    """Return the diagram of a file with numbers as version 3 has them.
+
+    If its meaning has faults, it comes back as it is, and warnings gets a fault (W104).
+    """
     if not (value.is_before_3 and value.has_plain_numbers):
         return value
     try:
         whole = documents.loads(text, file=file, folder=os.path.dirname(os.path.realpath(file)))
         found = numbers_in_si(whole, flatten(whole, resolver_of(library_types(library))).signals)
-    except BlocksError:  # `blocks check` reports it; an older version keeps its meaning
+    except BlocksError as error:  # an older version keeps its meaning
+        name = next(name for name, raw in value.measures.items() if is_plain_number(raw.get("against")))
+        first = error.faults[0]
+        message = f'the file stays at version {value.version}: the unit of the number at "against" is not known, '
+        message += f"because of {first.code} {first.place}."
+        cure = "Mend the faults that `blocks check` finds (--library MODULE for blocks of your own), then format it."
+        warnings.append(value.fault("W104", f"measures.{name}", message, cure, ("measures", name, "against")))
         return value
     return converted(value, found) if found else value

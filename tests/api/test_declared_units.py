@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from pathlib import Path
@@ -11,9 +12,12 @@ import numpy as np
 import pytest
 
 import blocks
-from blocks import Diagram, UsageError
+from blocks import Diagram, ModelError, UsageError
 from blocks.analysis import find_operating_point, limit_cycles, observer_report
 from blocks.cli import main
+from blocks.contract.sparse import SparseMatrix
+from blocks.model.document import dumps, from_document, self_contained
+from blocks.model.values import value_of
 
 RPM = math.pi / 30.0
 WAYS = [2.0, "2 rpm", {"value": 12.0, "unit": "deg/s"}]
@@ -209,3 +213,78 @@ def test_the_command_line_takes_units_alike(tmp_path: Path, capsys: pytest.Captu
     lag().save(path := tmp_path / "lag.json")
     words = ["tune", str(path), "--minimize", "largest", "--over", "k=6 deg/s,9 rpm", "--budget", "4", "--json"]
     assert main([*words, "--subject-to", "largest >= 2 rpm"]) in (0, 1)
+
+
+@pytest.mark.parametrize("default", ["30 rpm", {"value": 30, "unit": "rpm"}, {"value": 180, "unit": "deg/s"}])
+@pytest.mark.parametrize("unit", ["rpm", "rad/s", "deg/s"])
+def test_a_default_of_an_input_may_have_a_unit_of_its_own(default: Any, unit: str) -> None:
+    diagram = Diagram("d")
+    diagram.output("y", diagram.input("u", unit=unit, default=default))
+    again = Diagram.from_json(json.loads(diagram.dumps()))
+    for each in (diagram, again):
+        assert each.run(stop=1)["u"][0] == pytest.approx(30 * RPM, rel=1e-15)
+
+
+def test_a_default_of_elements_may_have_a_unit() -> None:
+    diagram = Diagram("d")
+    diagram.output("y", diagram.input("u", unit="K", size=2, default={"value": [20, 100], "unit": "degC"}))
+    results = diagram.run(stop=1)
+    assert [results["u[0]"][0], results["u[1]"][0]] == [293.15, 373.15]
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ({"unit": "rad/s", "default": {"value": 30, "unit": "V"}}, r"E104 u: \[V\] is given where \[rad/s\] is needed"),
+        ({"unit": "rad/s", "default": {"value": 30, "unit": "rmp"}}, "E114 u: the unit 'rmp' cannot be read"),
+        ({"unit": "rad/s", "default": "30 rpm"}, r'"30 rpm"\. Write \{"value": 30, "unit": "rpm"\}\.'),
+        ({"type": "bool", "default": {"value": True}}, "E004 inputs.u.default: must be true or false"),
+        ({"size": 2, "default": {"value": [1, 2, 3]}}, "E004 inputs.u.default.value: must be one value for all"),
+    ],
+)
+def test_a_default_that_does_not_fit_is_refused(entry: dict[str, Any], said: str) -> None:
+    document = {"format": "blocks-diagram", "version": 3, "inputs": {"u": entry}, "run": {"stop": 1}}
+    with pytest.raises(ModelError, match=said):
+        Diagram.from_json(document).run()
+
+
+@pytest.mark.parametrize("value", ["30 rpm", {"value": 30, "unit": "rpm"}])
+def test_inputs_in_the_settings_of_a_diagram_take_units(value: Any) -> None:
+    diagram = Diagram("d")
+    diagram.output("y", diagram.input("u", unit="rad/s"))
+    diagram.settings(stop=1, inputs={"u": value})
+    assert diagram.run()["u"][0] == pytest.approx(30 * RPM, rel=1e-15)
+
+
+def test_a_text_for_an_input_in_a_file_is_refused_with_the_quantity_to_write() -> None:
+    document: dict[str, Any] = {"format": "blocks-diagram", "version": 3, "inputs": {"u": {"unit": "rad/s"}}}
+    with pytest.raises(ModelError, match=r'run\.inputs\.u: .* Write \{"value": 30, "unit": "rpm"\}\.'):
+        Diagram.from_json({**document, "run": {"inputs": {"u": "30 rpm"}}})
+
+
+@pytest.mark.parametrize(("beside", "si"), [({}, 36.0), ({"unit": "m/s"}, 129.6)])
+def test_a_column_for_a_parameter_is_in_the_unit_that_its_file_gives(
+    beside: dict[str, str], si: float, tmp_path: Path
+) -> None:
+    (tmp_path / "cycle.csv").write_text('# units: {"speed": "km/h"}\ntime,speed\n0,129.6\n1,129.6\n', encoding="utf-8")
+    column = {"csv": "cycle.csv", "column": "speed", **beside}
+    blocks_ = {"table": {"type": "Table", "parameters": {"times": [0, 1], "values": column, "unit": "m/s"}}}
+    path = tmp_path / "d.json"
+    path.write_text(json.dumps({"format": "blocks-diagram", "version": 3, "blocks": blocks_}), encoding="utf-8")
+    diagram = Diagram.load(path)
+    results = diagram.run(stop=1)
+    assert results["table.y"][0] == pytest.approx(si, rel=1e-15)
+    # The text without other files means the same.
+    whole = Diagram.from_json(json.loads(dumps(self_contained(diagram.value))))
+    assert whole.run(stop=1)["table.y"][0] == results["table.y"][0]
+
+
+def test_edges_of_a_matrix_follow_the_unit_of_their_file(tmp_path: Path) -> None:
+    text = '# units: {"value": "mOhm"}\nrow,column,value\n0,0,2000\n'
+    (tmp_path / "edges.csv").write_text(text, encoding="utf-8")
+    parameters = {"R": {"csv": "edges.csv", "shape": [1, 1]}}
+    document = {"format": "blocks-diagram", "version": 3, "parameters": parameters}
+    raw = from_document(document, folder=tmp_path).parameters["R"]
+    matrix = value_of(raw, "Ohm", {}).value
+    assert isinstance(matrix, SparseMatrix)
+    assert matrix.values.tolist() == [2.0]

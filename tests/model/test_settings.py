@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Diagram, ModelError
+from blocks import Diagram, ModelError, Sine
 from blocks.library import LIBRARY
 from blocks.model import document
 from blocks.model.flatten import flatten
@@ -282,6 +282,14 @@ def test_settings_of_the_master_are_read_exactly() -> None:
 )
 def test_a_setting_of_the_master_that_is_wrong_is_told(raw: Any, key: str, message: str) -> None:
     assert refused(key, stop=1, master=raw)[0] == message
+
+
+@pytest.mark.parametrize("step", [0.01, 5])
+def test_a_number_in_place_of_the_settings_of_the_master_is_refused_with_what_is_meant(step: float) -> None:
+    diagram = Diagram("d")
+    diagram.add("wave", Sine())
+    with pytest.raises(ModelError, match=rf'E115 run\.master: .* not {step}\. As in \{{"step": {step}\}}\.'):
+        diagram.run(stop=1, master=step)
 
 
 def test_the_master_s_words_are_guessed() -> None:

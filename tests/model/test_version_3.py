@@ -167,3 +167,37 @@ def test_the_same_number_in_both_versions_is_of_two_diagrams_for_results() -> No
 def test_a_unit_of_another_quantity_is_refused() -> None:
     with pytest.raises(ModelError, match=r"E104 .*measures.error: \[V\] is given where \[rpm\] is needed"):
         Diagram.from_json(speed(3, "30 V")).flatten()
+
+
+def test_the_window_of_a_measure_takes_texts_with_a_unit() -> None:
+    document = speed(3, 0)
+    document["blocks"]["n"] = {"type": "Ramp", "parameters": {"slope": 1}}
+    document["measures"]["error"] |= {"from": "250 ms", "to": "500 ms"}
+    assert error(document) == pytest.approx(0.5, abs=1e-12)
+    document["measures"]["error"] |= {"from": "2 V"}
+    with pytest.raises(ModelError, match=r"E104 measures\.error: \[V\] is given where \[s\] is needed"):
+        error(document)
+
+
+@pytest.mark.parametrize(("key", "code"), [("against", "E105"), ("from", "E116"), ("to", "E116")])
+def test_a_text_with_a_unit_in_an_older_file_is_refused_with_the_quantity_to_write(key: str, code: str) -> None:
+    document = speed(2, 0)
+    document["measures"]["error"][key] = "30 rpm"
+    with pytest.raises(ModelError, match=rf'{code} measures\.error: .* Write \{{"value": 30, "unit": "rpm"\}}\.'):
+        error(document)
+
+
+def test_a_file_whose_signals_are_not_known_is_formatted_with_a_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "d.json"
+    document = speed(2, 30)
+    document["blocks"]["n"] = {"type": "MyOwn"}
+    path.write_text(json.dumps(document), encoding="utf-8")
+    assert main(["fmt", str(path)]) == 0
+    told = capsys.readouterr()
+    assert "d.json: formatted" in told.out
+    assert "W104" in told.err
+    assert "stays at version 2" in told.err
+    assert "because of E103 n." in told.err
+    assert json.loads(path.read_text(encoding="utf-8"))["version"] == 2
