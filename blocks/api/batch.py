@@ -119,7 +119,10 @@ class Batch(Shown):
         check_settings(settings)
         if "inputs" in settings:
             message = "rows take the inputs that the diagram gives: its defaults, and those of its run."
-            cure = "Let a parameter say what shall vary, or give them by Diagram.settings(inputs=...)."
+            given = settings["inputs"]
+            known = next(iter(given if isinstance(given, Mapping) else value.inputs), "u")
+            cure = f'Put tables into the diagram first: Diagram.settings(inputs={{"{known}": {{"t": t, "u": u}}}}), with '
+            cure += 'lists of numbers; of a CSV file, t, u = numpy.loadtxt(path, delimiter=",", skiprows=1, unpack=True).'
             raise UsageError(Fault("E501", "inputs", message, cure))
         if settings.get("jumps"):
             message = "signals come out on one grid for all rows, without rows of their own for jumps."

@@ -106,7 +106,8 @@ class Catalog:
 
     def search(self, text: str) -> tuple[list[Found], list[Word]]:
         """The block types that say all words of a text: in name, group, first line, ports, parameters, or as words of
-        Simulink; those that have them in their names first. And what is said of words of Simulink that name no type.
+        Simulink; those that have them in their names first. And what is said of words of Simulink that name no type; if
+        there is nothing of this, of words whose page of the documentation has a title with the words.
         """
         asked = text.lower().split()
         told = [word for word in words().values() if _says(asked, word.name)]
@@ -117,6 +118,9 @@ class Catalog:
             if names or _says(asked, own):
                 ranked.append((not _says(asked, found.name), not names, found._replace(words=names)))
         ranked.sort(key=lambda item: item[:2])
+        if not ranked and not told:
+            titled = [word for word in words().values() if _says(asked, word.see.partition("#")[2])]
+            return [], [*{word.here: word for word in reversed(titled)}.values()][::-1]
         return [found for *_, found in ranked], [word for word in told if not word.blocks]
 
 

@@ -235,7 +235,8 @@ class _Scheduler:
         chain = " -> ".join([*names, names[0]])
         if self.start:
             message = f"the value at start depends on itself: {chain}."
-            return ModelError(Fault("E120", names[0], message, "Give one of them a start value."))
+            cure = "Put a UnitDelay or a state between them, or give one of them a start value."
+            return ModelError(Fault("E120", names[0], message, cure))
         place = self.plan.instances[cycle[0].instance].path
         if why:
             message = f"algebraic loop: {chain}; {why}."

@@ -22,7 +22,7 @@ from __future__ import annotations
 import inspect
 import keyword
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sized
 from types import MappingProxyType
 from typing import Any
 
@@ -145,6 +145,20 @@ def _signature(parameters: Iterable[Parameter]) -> inspect.Signature:
     )
 
 
+def _by_name(known: Mapping[str, Parameter], given: Any) -> str:
+    """Return what to write for a value without a name: of a model of another package, its parts by their names."""
+    if type(given).__module__.partition(".")[0] not in ("builtins", "numpy"):
+        parts = {name: getattr(given, name) for name in known if getattr(given, name, None) is not None}
+        # In python-control num and den are lists by output and input.
+        lists = {name: part for name, part in parts.items() if name in ("num", "den") and isinstance(part, Iterable)}
+        nested = [name for name, part in lists.items() if isinstance(next(iter(part), None), Sized)]
+        if len(parts) > 1:
+            return ", ".join(f"{name}=P.{name}{'[0][0]' if name in nested else ''}" for name in parts)
+    plain = [name for name, parameter in known.items() if not parameter.structural] or [*known]
+    shown = " ".join(repr(given).split())
+    return f"{plain[0] if plain else 'k'}={shown if len(shown) < 60 else '...'}"
+
+
 class Block(metaclass=BlockMeta):
     """A block: parameter values of a declared type, and nothing else.
 
@@ -164,8 +178,7 @@ class Block(metaclass=BlockMeta):
             refuse("E409", cls.__name__, "is abstract: it holds what blocks share, and is no block itself.", cure)
         known = cls.declaration.settable
         if unnamed:
-            plain = [name for name, parameter in known.items() if not parameter.structural] or [*known]
-            example = f"{cls.__name__}({plain[0] if plain else 'k'}={unnamed[0]!r})"
+            example = f"{cls.__name__}({_by_name(known, unnamed[0])})"
             raise UsageError(Fault("E501", cls.__name__, "takes parameters by name only.", f"As in {example}."))
         faults = [
             Fault(

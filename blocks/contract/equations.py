@@ -176,8 +176,16 @@ def wiring(function: Function | None = None, *, shape: Shape = (), ports: str = 
     return Open(Output, declare) if function is None else declare(function)
 
 
-def local(function: Function | None = None, *, unit: AnyUnit = "", doc: str = "") -> Any:
-    """Decorator: a named part of the equations; its shape is what it returns."""
+def local(
+    function: Function | None = None, *, unit: AnyUnit = "", doc: str = "", type: Any = None, shape: Any = None
+) -> Any:
+    """Decorator: a named part of the equations; its shape and its type are those of what it returns.
+
+    Raises DeclarationError (E405) if a type or a shape is given.
+    """
+    for word, given in (("type", type), ("shape", shape)):
+        if given is not None:
+            refuse("E405", "local", f"a local has the {word} of what its function returns.", f"Leave {word}= out.")
 
     def declare(function: Function) -> Local:
         return Local(function, unit, (), "", doc)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from typing import Any
@@ -77,6 +77,13 @@ def check_differences(units: Iterable[str], place: str) -> None:
             raise ModelError(Fault("E114", place, message, cure))
 
 
+def not_computed(code: str, place: str, what: str, error: Exception) -> Fault:
+    """Return the fault of a value whose function raised an error; a ModelError has a code and a sentence already."""
+    if isinstance(error, ModelError):
+        return replace(error.faults[0], place=place)
+    return Fault(code, place, f"{what} cannot be computed: {type(error).__name__}: {error}.")
+
+
 class Interface:
     """A block class with its structural values; equal interfaces are one type.
 
@@ -109,8 +116,7 @@ class Interface:
         try:
             return self._call(function)
         except Exception as error:  # a function of the class may raise anything
-            message = f"{what} cannot be computed: {type(error).__name__}: {error}."
-            raise ModelError(Fault("E110", f"{self.name}.{variable.name}", message)) from error
+            raise ModelError(not_computed("E110", f"{self.name}.{variable.name}", what, error)) from error
 
     def shape(self, variable: Variable) -> tuple[int, ...]:
         """The sizes of a variable; () is a scalar. Raises ModelError (E110)."""

@@ -24,7 +24,7 @@ from ..text.units import si_text, to_si
 from .declaration import Declaration
 from .equations import Output
 from .expressions import exact_decimal, exact_time
-from .interface import LARGEST, Array, Interface, Value
+from .interface import LARGEST, Array, Interface, Value, not_computed
 from .outside import outside
 from .reads import arguments
 from .sparse import SparseMatrix
@@ -212,7 +212,7 @@ class _Resolving:
         try:
             every, offset = (_time(part, self.values, self.structural) for part in (clock.every, clock.offset))
         except Exception as error:  # a function of the class may raise anything
-            self.fault("E107", name, f"its clock cannot be computed: {type(error).__name__}: {error}.")
+            self.faults.append(not_computed("E107", f"{self.place}.{name}", "its clock", error))
             return None
         return every, offset
 
@@ -225,8 +225,7 @@ class _Resolving:
                 try:
                     start = _start(variable, variable.start, self.values, self.structural, interface)
                 except Exception as error:  # a function of the class may raise anything
-                    message = f"its start cannot be computed: {type(error).__name__}: {error}."
-                    self.fault("E110", variable.name, message)
+                    self.faults.append(not_computed("E110", f"{self.place}.{variable.name}", "its start", error))
                     continue
                 starts[variable.name] = start
         return starts
@@ -239,7 +238,7 @@ class _Resolving:
                 delay = float(_time(history.delay, self.values, self.structural))
                 before = _start(history, history.before, self.values, self.structural, interface)
             except Exception as error:  # a function of the class may raise anything
-                self.fault("E110", name, f"its delay cannot be computed: {type(error).__name__}: {error}.")
+                self.faults.append(not_computed("E110", f"{self.place}.{name}", "its delay", error))
                 continue
             # No step is longer than a delay: a run of a second would take more than 1e15 of them.
             if not (math.isfinite(delay) and delay >= LEAST_DELAY):
@@ -255,7 +254,7 @@ class _Resolving:
             try:
                 nominal += _nominal(state, self.values, self.structural, interface)
             except Exception as error:  # a function of the class may raise anything
-                self.fault("E110", name, f"its nominal cannot be computed: {type(error).__name__}: {error}.")
+                self.faults.append(not_computed("E110", f"{self.place}.{name}", "its nominal", error))
         return nominal
 
 
@@ -452,7 +451,10 @@ class _Defaults:
                 try:
                     values[name] = _plain_default(parameter, _unit(parameter, values))
                 except (TypeError, ValueError) as error:
-                    raise ModelError(Fault("E107", f"{self.place}.{name}", f"the default {error}")) from None
+                    place = f"{self.place}.{name}"
+                    if isinstance(error, ModelError):  # of its unit
+                        raise ModelError(not_computed("E107", place, "the default", error)) from None
+                    raise ModelError(Fault("E107", place, f"the default {error}")) from None
                 self.infer(name)
 
     def take_computed(self) -> None:
@@ -477,11 +479,12 @@ class _Defaults:
         try:
             with np.errstate(all="ignore"):
                 raw = parameter.default(*(known[read] for read in reads))
+        except ModelError as error:
+            raise ModelError(not_computed("E107", place, "the default", error)) from error
         except ValueError as error:  # what a class has to say to its user
             raise ModelError(Fault("E107", place, str(error))) from error
         except Exception as error:  # a function of the class may raise anything
-            message = f"the default cannot be computed: {type(error).__name__}: {error}."
-            raise ModelError(Fault("E107", place, message)) from error
+            raise ModelError(not_computed("E107", place, "the default", error)) from error
         try:
             self.values[name] = _typed(parameter, Value(raw))
         except ValueError as error:

@@ -221,7 +221,8 @@ def own_value(raw: Any, depth: int, copies: Sequence[Copy]) -> Any:
         if depth > 0:
             return raw
         said: Any = {"value": own_value(list(numbers), depth, copies)}
-        return said | ({"unit": raw["unit"]} if raw.get("unit") else {})
+        unit = getattr(raw, "unit", "") or raw.get("unit")
+        return said | ({"unit": unit} if unit else {})
     if isinstance(raw, Mapping) and "value" in raw:
         return {**raw, "value": own_value(raw["value"], depth, copies)}
     (fleet, number, _), inner = copies[0], copies[1:]

@@ -375,6 +375,9 @@ class Wires:
             what, cure = "not there", self.faults.guess(text, self.all_sources(scope))
             if name in scope.value.parameters:
                 what, cure = "a parameter, not a signal", f'Use a Constant with "value": "={name}".'
+            base, number = indexed(name)
+            if number is not None and getattr(scope.children.get(base), "copied", None) is not None:
+                cure = f'Copy {number} is an element of the port: "{base}.{port}[{number}]".'
             cure = cure or 'A source is "block.output", or an input of the diagram.'
             self.tell(scope, "E105", place, f"the source {quoted(text)} is {what}.", cure, spot)
         return Feed(None, element, text)
@@ -688,10 +691,14 @@ class Wires:
             n = copied.count
             strand = strand.repeated(n, shape)._replace(names=strand.names)
         if strand.shape != shape:
-            message = f"{_extent(shape)}, but {feed.text} {_extent(strand.shape)}."
+            source = scope.children.get(feed.text.partition(".")[0])
+            of = None if source is None or feed.element is not None else source.copied
+            message = f"{_extent(shape)}{_for_each(copied)}, but {feed.text} {_extent(strand.shape)}{_for_each(of)}."
             cure = ""
             if shape == ():
-                cure = f'Wire one element, as in "{feed.text}[0]".'
+                cure = f'Wire one {"element" if of is None else "copy"}, as in "{feed.text}[0]".'
+            elif copied is not None:
+                cure = "Wire a value for each copy, or one that reaches all copies."
             elif strand.shape == ():
                 cure = f'Wire each element, as in "{at}[0]", or use a Mux.'
             self.tell(scope, "E110", at, message, cure, spot)
@@ -819,6 +826,15 @@ def _bracket(unit: str) -> str:
 
 def _listed(ports: Mapping[str, Port]) -> str:
     return ", ".join(f"{name}{_bracket(port.unit)}" for name, port in ports.items()) or "none"
+
+
+def _for_each(copied: Fleet | None) -> str:
+    """What the elements of a port are, if its block has copies."""
+    if copied is None:
+        return ""
+    if copied.count == 1:
+        return f", for the 1 copy of {copied.path}"
+    return f", one for each of the {copied.count:,} copies of {copied.path}"
 
 
 def _extent(shape: tuple[int, ...]) -> str:

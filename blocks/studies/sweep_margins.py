@@ -146,6 +146,8 @@ class RowMargins:
                     except BlocksError as error:
                         fault = error.faults[0]
                         why = f"{margin.name}: {fault.code} {fault.place}: {fault.message}"
+                        if fault.code == "E707":  # its own cure is for linear models in Python and by commands
+                            why += f' Give the margin Padé models of them: {{"type": "{margin.type}", "pade": 3, ...}}.'
                         messages[i] = f"{messages[i]} {why}".lstrip()
         except KeyboardInterrupt:
             status[i:], interrupted = "left", True

@@ -21,13 +21,16 @@ from blocks import (
     Demux,
     Diagram,
     Discrete,
+    FirstOrder,
     Gain,
     Input,
     Integrator,
     ModelError,
     Mux,
     Parameter,
+    Relay,
     Results,
+    Sine,
     State,
     Step,
     Sum,
@@ -220,6 +223,23 @@ def test_a_start_that_needs_itself_is_refused_with_its_circle() -> None:
     diagram.wire("b.u", "a.y")
     with pytest.raises(ModelError, match=r"E120 .*(a\.y -> b\.y -> a\.y|b\.y -> a\.y -> b\.y)"):
         diagram.check()
+
+
+@pytest.mark.parametrize("between", [None, UnitDelay(period=0.1), FirstOrder(T=0.1)])
+def test_the_advice_for_a_relay_in_a_loop_without_a_state_helps(between: Block | None) -> None:
+    diagram = Diagram("loop")
+    error, relay = diagram.add("error", Sum(signs="+-")), diagram.add("relay", Relay())
+    diagram.wire(error.u1, diagram.add("wave", Sine()).y)
+    diagram.wire(relay.u, error.y)
+    if between is None:
+        diagram.wire(error.u2, relay.y)
+        with pytest.raises(ModelError, match=r"E120 .* Put a UnitDelay or a state between them"):
+            diagram.check()
+        return
+    held = diagram.add("held", between)
+    diagram.wire(held.u, relay.y)
+    diagram.wire(error.u2, held.y)
+    assert diagram.run(stop=0.5)["relay.y"][0] == -1.0
 
 
 def test_sides_and_start_values_stand_in_one_order() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from blocks import Diagram, Gain
 from blocks.contract.block import Block
 from blocks.contract.equations import crossing, output, requires, wiring
 from blocks.contract.interface import Interface, Value
@@ -572,3 +573,13 @@ def test_equal_types_share_their_interface_and_zeros_of_two_signs_do_not() -> No
     assert math.copysign(1.0, positive.structural["level"]) == 1.0
     assert math.copysign(1.0, negative.structural["level"]) == -1.0
     assert positive == negative
+
+
+@pytest.mark.parametrize("values", [{"unit_u": "degC", "unit": "degC"}, {"unit_u": "degC", "unit": "V"}])
+def test_a_default_in_a_unit_that_is_refused_has_the_code_of_that(values: dict[str, str]) -> None:
+    with pytest.raises(ModelError) as caught:
+        Diagram.alone(Gain(**values)).flatten()
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.place) == ("E114", "Gain.k")
+    assert "E1" not in fault.message
+    assert fault.cure == "Use K, which differences are in."

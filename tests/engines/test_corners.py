@@ -132,7 +132,7 @@ def test_a_jump_over_cells_of_a_table_passes_each_point() -> None:
 
 
 class Against(Block):
-    """y = 1 below 0, and -1 from 0 on."""
+    """y = -1 below 0, and 1 from 0 on."""
 
     u = Input()
 
@@ -149,6 +149,34 @@ def test_a_loop_that_jumps_against_itself_is_still_an_error() -> None:
     """x = -sign(x) has no solution."""
     with pytest.raises(SimulationError, match=r"E305 f\.side"):
         loop_through(Against(), 1.0, Constant(value=0.0)).run(stop=1.0, loops="solve")
+
+
+class SlopedAgainst(Block):
+    """y = -1 + u/2 below 0, and 1 + u/2 from 0 on."""
+
+    u = Input()
+
+    @crossing
+    def side(u):  # type: ignore[no-untyped-def]
+        return u
+
+    @output
+    def y(u, side):  # type: ignore[no-untyped-def]
+        return np.where(side, 1.0, -1.0) + 0.5 * u
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        (Against(), r"What they change acts back on them at once\. Put a UnitDelay or a state between them"),
+        (SlopedAgainst(), r"the algebraic loop has no solution.*Put a UnitDelay or a state into the loop"),
+    ],
+)
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_a_loop_without_a_solution_advises_what_opens_it(law: Block, said: str, engine: str) -> None:
+    diagram = loop_through(law, 1.0, Step(at=0.5, before=-5.0, after=0.0))
+    with pytest.raises(SimulationError, match=rf"E305 f\.side: at t = 0\.5 s .*{said}"):
+        diagram.run(stop=1.0, loops="solve", engine=engine)
 
 
 @pytest.mark.parametrize("settings", [{}, {"method": "rk4", "step": 0.0037}])

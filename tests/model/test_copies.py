@@ -326,3 +326,36 @@ def test_python_adds_copies() -> None:
     fleet.output("last", robots.y[99])
     assert fleet.flatten().signals["robots.y"].shape == (100,)
     assert str(robots.y[3]) == "robots.y[3]"
+
+
+@pytest.mark.parametrize(
+    ("wires", "said"),
+    [
+        (
+            {"gains.u": "pair.y"},
+            "gains.u: has 3 elements, one for each of the 3 copies of gains, but pair.y has 2 elements. "
+            "Wire a value for each copy, or one that reaches all copies.",
+        ),
+        (
+            {"alone.u": "gains.y"},
+            "alone.u: is a single value, but gains.y has 3 elements, one for each of the 3 copies of gains. "
+            'Wire one copy, as in "gains.y[0]".',
+        ),
+        (
+            {"alone.u": "gains[1].y"},
+            'alone.u: the source "gains[1].y" is not there. Copy 1 is an element of the port: "gains.y[1]".',
+        ),
+    ],
+)
+def test_a_wire_that_does_not_fit_copies_names_them(wires: dict[str, str], said: str) -> None:
+    gain = {"type": "Gain"}
+    document = {
+        "format": "blocks-diagram",
+        "version": 3,
+        "inputs": {"r": {"default": 1}},
+        "blocks": {"gains": {**gain, "copies": 3}, "alone": gain, "pair": {"type": "Mux", "parameters": {"size": 2}}},
+        "wires": {"gains.u": "r", "alone.u": "r", "pair.u1": "r", "pair.u2": "r", **wires},
+    }
+    with pytest.raises(ModelError) as caught:
+        Diagram.from_json(document).flatten()
+    assert [str(fault).partition(" ")[2] for fault in caught.value.faults] == [said]

@@ -284,7 +284,7 @@ def build(
     """
     compiler = compiler or find_compiler()
     if compiler is None:
-        cure = "Install one, or use the reference engine (--engine reference)."
+        cure = "Install one (pip install ziglang brings one), or use the reference engine (--engine reference)."
         raise CompilerError(Fault("E605", "", f"{NO_COMPILER}.", cure))
     job = _Job(compiler, tuple(units), tuple(extra_flags))
     place = cache or caches.of_user()

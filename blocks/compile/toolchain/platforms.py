@@ -46,7 +46,7 @@ __all__ = [
     "universal",
 ]
 
-INSTALL = 'pip install "blocks-cosim[cross]"'
+INSTALL = "pip install ziglang"
 WITHOUT_RUNTIME = "-rtlib=none"
 
 

@@ -77,9 +77,9 @@ def _meaning(raw: Any, declared: Unit = "") -> Any:
     """Quantities for numbers, tuples for lists, dicts for objects, and texts, bools and null as they are."""
     match raw:
         case EdgeTable():
-            return _meaning({"edges": raw.numbers, **{key: raw[key] for key in raw if key != "csv"}})
+            return _meaning(raw.as_value)
         case Column():
-            unit = _text(raw.get("unit")) or declared
+            unit = raw.unit or declared
             return tuple(_number(number, unit) for number in raw.numbers)
         case Mapping() if is_quantity(raw):
             return _meaning(raw["value"], _text(raw.get("unit")) or declared)

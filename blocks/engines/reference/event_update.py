@@ -44,6 +44,7 @@ Array = np.ndarray[Any, Any]
 _Update = tuple[Evaluator, list[int]]  # a program, and the places in d of what it gives
 _Item = UnitPlace | tuple[_Update, list[int]]  # the time event of an FMU, or sampled outputs and programs
 MOST_PASSES = 100
+OPEN_THE_LOOP = "Put a UnitDelay or a state into the loop, or take a law without a jump."
 _TINY = 5e-324
 
 
@@ -150,8 +151,11 @@ class Instants:
             if moved:
                 raise self.foreign.unsettled(t)
             j = next((j for j, (side, other) in enumerate(zip(s, guess[0], strict=True)) if side != other), 0)
-            cure = "Say from which side it starts: @crossing(start=False)."
-            raise SimulationError(Fault("E305", self.name(j), "finds no side on which it could start.", cure))
+            message = "finds no side on which it could start."
+            cure = "Put a UnitDelay or a state into the loop, or say where it starts: @crossing(start=False)."
+            if j in plan.corners:
+                message, cure = "the algebraic loop has no solution at the start.", OPEN_THE_LOOP
+            raise SimulationError(Fault("E305", self.name(j), message, cure))
         x = frozen(np.array(values[:nx], dtype=float))
         d = tuple(float(v) for v in values[nx : nx + nd])
         bad = next((i for i, v in enumerate((*x, *d)) if not math.isfinite(v)), None)
@@ -451,14 +455,11 @@ class Instants:
                 if now in known:
                     break
                 known.add(now)
-        raise SimulationError(
-            Fault(
-                "E305",
-                history[-1],
-                f"at t = {snapshot.t} s events go on without end: {_cycle(history)}.",
-                "Give the crossing a hysteresis, or let the reset leave its other side.",
-            )
-        )
+        what = "events go on without end"
+        cure = "What they change acts back on them at once. Put a UnitDelay or a state between them, or a hysteresis."
+        if not {*plan.corners}.isdisjoint((*firing, *changed)):
+            what, cure = "the algebraic loop has no solution, its sides change without end", OPEN_THE_LOOP
+        raise SimulationError(Fault("E305", history[-1], f"at t = {snapshot.t} s {what}: {_cycle(history)}.", cure))
 
     def _with_own(self, snapshot: Snapshot, due: dict[int, float]) -> Snapshot:
         """The same with the times of the events that are due."""
