@@ -28,7 +28,7 @@ from .interface import LARGEST, Array, Interface, Value, not_computed
 from .outside import outside
 from .reads import arguments
 from .sparse import SparseMatrix
-from .variables import REQUIRED, Algebraic, Clock, Discrete, History, Parameter, State, Stepped
+from .variables import NO_LIMIT, REQUIRED, Algebraic, Clock, Discrete, History, Parameter, State, Stepped
 
 __all__ = ["Resolved", "default_value", "limits", "loose", "memory_start", "resolve", "with_numbers"]
 
@@ -289,12 +289,15 @@ class _NoNumber(ValueError):
     """A text where a number is needed."""
 
     def __init__(self, text: str) -> None:
-        super().__init__(f"must be a number, not the text {text!r}.")
+        infinite = text in NO_LIMIT
+        super().__init__(f"must be finite, not {text}." if infinite else f"must be a number, not the text {text!r}.")
         self.text = text
 
     @property
     def cure(self) -> str:
         """What the text was probably meant to be."""
+        if self.text in NO_LIMIT:
+            return "Only limits such as those of Saturation may be infinite."
         match = re.fullmatch(r"([-+]?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]+)?) *([^\W\d_]\S*|%)?", self.text[:60])
         if re.match(r"[-+]?[0-9]+,[0-9]", self.text[:60]):
             return f"Decimals stand after a point: {self.text[:60].replace(',', '.', 1)}."
@@ -330,6 +333,8 @@ def _typed(parameter: Parameter, value: Value) -> Value:
     if parameter.members:
         return Value(_frozen(_members(parameter, raw)))
     if isinstance(raw, str):
+        if parameter.is_limit and raw in NO_LIMIT:
+            return Value(_frozen(np.array(NO_LIMIT[raw])), None, value.unit)
         raise _NoNumber(raw)
     if type(raw) is float and parameter.type == "real" and not parameter.structural and math.isfinite(raw):
         return Value(_frozen(np.array(raw)), value.exact, value.unit)

@@ -20,7 +20,9 @@ from .sparse import edges_of
 from .unit_expression import UnitExpression
 
 __all__ = [
+    "NO_LIMIT",
     "REQUIRED",
+    "UNLIMITED",
     "Algebraic",
     "AnyUnit",
     "Clock",
@@ -42,6 +44,10 @@ __all__ = [
 ]
 
 
+# Far beyond every signal, and its square is still a finite number.
+UNLIMITED = 1e100
+NO_LIMIT: Mapping[str, float] = MappingProxyType({"inf": UNLIMITED, "-inf": -UNLIMITED})
+"""What a limit may be besides a number, and what equations see for it."""
 REQUIRED: Any = type("Required", (), {"__repr__": lambda self: "REQUIRED"})()
 """The default of a parameter that must be given."""
 
@@ -141,6 +147,7 @@ class Parameter(Variable):
     sparse: a matrix that may be given by its edges (`sparse.SparseMatrix`).
     table: numbers to look up in (`search`, `pick`, `np.interp`), however many; they are fixed.
     min, max, positive: the allowed range; choices: the allowed texts. excludes: a parameter not to be given with it.
+    is_limit: inf and -inf ("inf" and "-inf" in files) may be given, for no limit; equations see UNLIMITED.
     stream: an integer from 0 to 2^52 that identifies the block's stream of random numbers. It is never given:
         it follows from the seed of the run and the name of the stream (see `model.streams`).
     """
@@ -164,6 +171,7 @@ class Parameter(Variable):
         positive: bool = False,
         choices: tuple[str, ...] = (),
         excludes: str = "",
+        is_limit: bool = False,
         stream: bool = False,
         doc: str = "",
     ) -> None:
@@ -185,7 +193,9 @@ class Parameter(Variable):
         if self.members and structural:
             refuse("E405", "", "an enumeration does not fix the type of a block.", 'Use choices=("a", "b").')
         self.default, self.structural, self.fixed, self.zeros = plain_value(default), structural, fixed or table, zeros
-        self.table, self.sparse = table, sparse
+        self.table, self.sparse, self.is_limit = table, sparse, is_limit
+        if is_limit and (structural or zeros or table or shape != () or self.type != "real"):
+            refuse("E405", "", "a limit is one real number that does not fix the type.", "Leave is_limit= out.")
         if sparse and not (zeros and isinstance(shape, tuple) and len(shape) == 2):
             refuse("E405", "", "only a matrix whose zeros fix the type can be sparse.", "Say zeros=True and its sizes.")
         if table and (structural or zeros or shape == () or type != "real"):

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..contract.block import Block
 from ..contract.equations import crossing, local, output, requires
-from ..contract.variables import Discrete, Input, Parameter, State
+from ..contract.variables import UNLIMITED, Discrete, Input, Parameter, State
 from ..text import units
 
 __all__ = [
@@ -19,9 +19,6 @@ __all__ = [
     "TransferFunction",
     "ZeroPoleGain",
 ]
-
-# Far beyond every signal, and its square is still a finite number.
-UNLIMITED = 1e100
 
 
 def _gain_unit(unit, unit_u):
@@ -85,8 +82,8 @@ class LimitedIntegrator(Block):
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
-    lower = Parameter(-UNLIMITED, unit=unit, doc="smallest y")
-    upper = Parameter(UNLIMITED, unit=unit, doc="largest y")
+    lower = Parameter(-UNLIMITED, unit=unit, is_limit=True, doc="smallest y")
+    upper = Parameter(UNLIMITED, unit=unit, is_limit=True, doc="largest y")
     y_start = Parameter(0.0, unit=unit, doc="y at the start, or the limit that it is beyond")
     u = Input(unit=unit / "s", doc="input")
     y = State(unit=unit, output=True, doc="limited integral of the input")

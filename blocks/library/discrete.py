@@ -8,8 +8,7 @@ import numpy as np
 
 from ..contract.block import Block
 from ..contract.equations import output, requires
-from ..contract.variables import Discrete, Input, Parameter
-from .continuous import UNLIMITED
+from ..contract.variables import UNLIMITED, Discrete, Input, Parameter
 
 __all__ = ["DiscreteIntegrator", "DiscreteStateSpace", "DiscreteTransferFunction"]
 
@@ -30,8 +29,8 @@ class DiscreteIntegrator(Block):
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     y_start = Parameter(0.0, unit=unit, doc="y up to the first tick, and at it")
-    lower = Parameter(-UNLIMITED, unit=unit, doc="smallest y")
-    upper = Parameter(UNLIMITED, unit=unit, doc="largest y")
+    lower = Parameter(-UNLIMITED, unit=unit, is_limit=True, doc="smallest y")
+    upper = Parameter(UNLIMITED, unit=unit, is_limit=True, doc="largest y")
     u = Input(unit=unit / "s", doc="input")
     x = Discrete(unit=unit, doc="y at the last tick and what its u adds to the next")
     begun = Discrete(type="bool", doc="whether there was a tick")

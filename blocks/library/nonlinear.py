@@ -18,8 +18,8 @@ class Saturation(Block):
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
     corners = Parameter("located", structural=True, choices=("located", "clipped"), doc="whether instants stand there")
-    lower = Parameter(-1.0, unit=unit, doc="smallest y")
-    upper = Parameter(1.0, unit=unit, doc="largest y")
+    lower = Parameter(-1.0, unit=unit, is_limit=True, doc="smallest y")
+    upper = Parameter(1.0, unit=unit, is_limit=True, doc="largest y")
     u = Input(unit=unit, doc="input")
 
     @requires("lower must be below upper")
@@ -48,8 +48,8 @@ class DeadZone(Block):
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
-    lower = Parameter(-1.0, unit=unit, doc="lower end of the dead zone")
-    upper = Parameter(1.0, unit=unit, doc="upper end of the dead zone")
+    lower = Parameter(-1.0, unit=unit, is_limit=True, doc="lower end of the dead zone")
+    upper = Parameter(1.0, unit=unit, is_limit=True, doc="upper end of the dead zone")
     u = Input(unit=unit, doc="input")
 
     @requires("lower must be below upper")

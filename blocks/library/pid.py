@@ -4,8 +4,7 @@ import numpy as np
 
 from ..contract.block import Block
 from ..contract.equations import crossing, local, output, requires
-from ..contract.variables import Discrete, Input, Parameter, State
-from .continuous import UNLIMITED
+from ..contract.variables import UNLIMITED, Discrete, Input, Parameter, State
 
 __all__ = ["PID", "DiscretePID"]
 
@@ -55,8 +54,8 @@ class PID(Block):
     c = Parameter(0.0, doc="weight of r in the derivative part")
     Tf = Parameter(_filter_time, unit="s", positive=True, doc="time constant of the derivative's filter")
     Tt = Parameter(_tracking_time, unit="s", positive=True, doc="tracking time of the anti-windup")
-    lower = Parameter(-UNLIMITED, unit=unit_u, doc="smallest u")
-    upper = Parameter(UNLIMITED, unit=unit_u, doc="largest u")
+    lower = Parameter(-UNLIMITED, unit=unit_u, is_limit=True, doc="smallest u")
+    upper = Parameter(UNLIMITED, unit=unit_u, is_limit=True, doc="largest u")
     u_start = Parameter(0.0, unit=unit_u, doc="integral part at the start")
     r = Input(unit=unit, doc="wanted value")
     y = Input(unit=unit, doc="measured value")
@@ -153,8 +152,8 @@ class DiscretePID(Block):
     c = Parameter(0.0, doc="weight of r in the derivative part")
     Tf = Parameter(_filter_time, unit="s", min=0.0, doc="time constant of the derivative's filter")
     Tt = Parameter(_pull, unit="s", positive=True, doc="tracking time of the anti-windup")
-    lower = Parameter(-UNLIMITED, unit=unit_u, doc="smallest u")
-    upper = Parameter(UNLIMITED, unit=unit_u, doc="largest u")
+    lower = Parameter(-UNLIMITED, unit=unit_u, is_limit=True, doc="smallest u")
+    upper = Parameter(UNLIMITED, unit=unit_u, is_limit=True, doc="largest u")
     period = Parameter(unit="s", positive=True, doc="time between two ticks")
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
     u_start = Parameter(0.0, unit=unit_u, doc="integral part at the first tick, and u before it")

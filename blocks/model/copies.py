@@ -299,5 +299,3 @@ def alike(paths: Iterable[str]) -> list[str]:
 def without_numbers(text: str) -> tuple[str, tuple[int, ...]]:
     """A name without the numbers of copies, and these: "robots[3].motor.i" -> ("robots[].motor.i", (3,))."""
     return _NUMBERS.sub("[]", text), tuple(map(int, _NUMBERS.findall(text)))
-
-

@@ -33,7 +33,7 @@ from ..text.grammar import (
     listed,
 )
 from ..text.printable import quoted
-from ..text.quantity_text import in_a_file
+from ..text.quantity_text import DECIMAL, in_a_file
 from . import streams
 from .diagram import BASE, FORMAT, NAME, PLAIN_VERSION, VERSION, name_cure
 
@@ -106,9 +106,7 @@ EXPRESSION = Text(name="expression", pattern="^=", refers="expression", doc=(
 WORDS = Text(refers="expression")  # an expression, or a text that a type knows
 ELEMENT = AnyOf(NUMBER, WORDS, Ref(lambda: _ELEMENTS, list), what="a number", name="element")
 _ELEMENTS: Kind = ListOf(ELEMENT)
-LIST = AnyOf(
-    ListOf(FLAG, is_even=True), _ELEMENTS, name="list", doc="Numbers or expressions, maybe in rows, or bools."
-)
+LIST = AnyOf(ListOf(FLAG, is_even=True), _ELEMENTS, name="list", doc="Numbers or expressions, maybe in rows, or bools.")
 PLAIN = AnyOf(NUMBER, FLAG, WORDS, LIST, what="a number, a text, a list, true or false", name="plain")
 
 
@@ -163,9 +161,9 @@ def _time(number: Scalar, name: str) -> AnyOf:
     return AnyOf(number, EXPRESSION, quantity(AnyOf(number, EXPRESSION), "A time with its unit."), name=name, unit="s")
 
 
-QUANTITY_TEXT = Text(name="quantity_text", pattern=r"^\s*[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?\s*[^\s,0-9.]", doc=(
-    'A number with its unit, such as "500 ms".'
-))
+QUANTITY_TEXT = Text(
+    name="quantity_text", pattern=rf"^\s*{DECIMAL}\s*[^\s,0-9.]", doc='A number with its unit, such as "500 ms".'
+)
 TIME, DURATION = _time(NUMBER, "time"), _time(Scalar(above=0), "duration")
 
 # --- inputs over time ------------------------------------------------------------------------------------------
@@ -428,9 +426,7 @@ _STREAM = Text(pattern="^" + streams.NAME.pattern.replace(r"\Z", "$"), refusal=R
     "E111", "is not the name of a stream.", 'It is a name, or a path such as "robot.noise", maybe with / in front.'
 ))  # fmt: skip
 _OFF = Choice(("held", "reset"))
-_TIMEOUT = Scalar(
-    what=f"a number of seconds above 0, at most {LONGEST_TIMEOUT:,.0f}", above=0, high=LONGEST_TIMEOUT
-)
+_TIMEOUT = Scalar(what=f"a number of seconds above 0, at most {LONGEST_TIMEOUT:,.0f}", above=0, high=LONGEST_TIMEOUT)
 KINDS = ("type", "diagram", "fmu")
 CONTROLS = ("enable", "trigger")
 OPTIONS = ("kind", "isolate", "timeout")
@@ -542,14 +538,15 @@ BLOCK = Object(
 
 # --- diagrams --------------------------------------------------------------------------------------------------
 
+MOMENT = AnyOf(*SECONDS.kinds, QUANTITY_TEXT, unit="s")
 MEASURE = Object(
     Field("type", Text(meanings=MEASURES), "What is measured, of e = of - against.", required=True),
     Field("of", SIGNAL_NAME, 'A signal, such as "motor.omega".', required=True),
     Field("against", AnyOf(SCALAR, SIGNAL_NAME), (
         "A signal, or a number in the unit of `of`, that is taken off."
     ), 0, is_later=True),
-    Field("from", AnyOf(*SECONDS.kinds, QUANTITY_TEXT, unit="s"), "Begin of the window, in s; left out: the start of the run.", is_later=True),
-    Field("to", AnyOf(*SECONDS.kinds, QUANTITY_TEXT, unit="s"), "End of the window, in s; left out: the end of the run.", is_later=True),
+    Field("from", MOMENT, "Begin of the window, in s; left out: the start of the run.", is_later=True),
+    Field("to", MOMENT, "End of the window, in s; left out: the end of the run.", is_later=True),
     Field("band", AnyOf(Scalar(above=0, below=1), COMPUTED, QUANTITY_TEXT), (
         "Of settling_time: a part of the step's size."
     ), 0.02, is_later=True),

@@ -6,6 +6,7 @@ quantities, {"value": 2, "unit": "mH"}, so that only what is given is read so.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from decimal import Decimal
 from numbers import Rational
@@ -48,7 +49,7 @@ def given_value(value: Any, parameter: Any) -> Any:
     """A value that a parameter of a block type is given, as the file would hold it. Raises UsageError (E501)."""
     raw = raw_of(value)
     is_numeric = parameter is not None and parameter.type != "string" and not parameter.members
-    return _quantities(raw) if is_numeric else raw
+    return _no_limit(_quantities(raw)) if is_numeric else raw
 
 
 def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -70,8 +71,14 @@ def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, 
                 by[path] = pattern
         own = {name: name for name in given if "*" not in str(name)}
         given = {path: given[name] for path, name in (by | own).items()}
+    given = {path: _no_limit(raw) for path, raw in given.items()}
     texts = [path for path, raw in given.items() if isinstance(raw, (str, list, tuple)) and _quantities(raw) != raw]
     return {**given, **{path: _given_at(diagram, resolver, str(path).split("."), given[path]) for path in texts}}
+
+
+def _no_limit(raw: Any) -> Any:
+    """Return inf and -inf as a file has them, as texts; any other value as it is."""
+    return f"{raw:f}" if isinstance(raw, float) and math.isinf(raw) else raw
 
 
 def _quantities(raw: Any) -> Any:

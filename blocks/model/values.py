@@ -118,9 +118,10 @@ def value_of(raw: Any, declared: Unit, known: Known) -> Value:
     expressions may read. Raises ModelError (E104, E107, E108, E110, E114), and Absent where a parameter is missing
     because of a fault.
     """
-    if isinstance(raw, EdgeTable) or (isinstance(raw, Mapping) and "edges" in raw):
-        is_table = isinstance(raw, EdgeTable)
-        return _sparse({**raw, "unit": raw.unit} if is_table else raw, raw.numbers if is_table else raw["edges"], declared)
+    if isinstance(raw, EdgeTable):
+        return _sparse({**raw, "unit": raw.unit}, raw.numbers, declared)
+    if isinstance(raw, Mapping) and "edges" in raw:
+        return _sparse(raw, raw["edges"], declared)
     if isinstance(raw, Column):
         if raw.unit:
             _check_unit("", raw.unit, declared)

@@ -217,9 +217,7 @@ class Wires:
             ports[name] = Port(name, name, shape, 0, size, (si,) * size, (unit,) * size, type_, default)
         return ports
 
-    def default(
-        self, scope: DiagramScope, name: str, raw: Any, unit: str, type_: Any, size: int
-    ) -> tuple[float, ...]:
+    def default(self, scope: DiagramScope, name: str, raw: Any, unit: str, type_: Any, size: int) -> tuple[float, ...]:
         """Return the default of an input in SI, element by element."""
         if isinstance(raw, Mapping):
             value = self.evaluated(scope, raw, unit, name, ("inputs", name, "default"))

@@ -19,7 +19,7 @@ from typing import Any
 
 from ..contract.block import Block
 from ..contract.declaration import Declaration
-from ..contract.variables import REQUIRED, Parameter, Variable
+from ..contract.variables import NO_LIMIT, REQUIRED, Parameter, Variable
 from ..model import diagram, study_grammar
 from ..model import diagram_grammar as g
 from ..model.study_grammar import STUDY
@@ -146,6 +146,8 @@ def _kind_of(parameter: Parameter) -> Kind:
     if parameter.shape != ():
         return AnyOf(g.EDGES, NUMBERS) if parameter.sparse else NUMBERS
     number = _number_of(parameter)
+    if parameter.is_limit:
+        return AnyOf(number, Choice(tuple(NO_LIMIT)), g.COMPUTED)
     return g.SCALAR if number.body({}) == g.NUMBER.body({}) else AnyOf(number, g.COMPUTED)
 
 

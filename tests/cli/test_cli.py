@@ -321,6 +321,8 @@ def test_list_finds_types_by_what_they_say_and_by_the_words_of_simulink(capsys: 
     assert json.loads(capsys.readouterr().out)["simulink"] == "Scope"
     assert main(["list", "--search", "scope"]) == 0
     assert "Simulink's Scope: No block" in capsys.readouterr().out
+    assert main(["list", "--search", "state machine"]) == 0
+    assert "documentation: cookbook.md#a-state-machine" in capsys.readouterr().out
     for wrong in (["--search", "zzz"], ["--search", " "], ["Gain", "--search", "gain"]):
         assert main(["list", *wrong]) == 2
         assert capsys.readouterr().err.startswith(f"E501 --search {wrong[-1]}".strip())

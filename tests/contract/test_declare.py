@@ -7,9 +7,11 @@ import textwrap
 from collections.abc import Callable
 from typing import Any
 
+import control
 import numpy as np
 import pytest
 
+from blocks import StateSpace, TransferFunction
 from blocks.contract.block import Block
 from blocks.contract.equations import crossing, event_time, local, output, requires, wiring
 from blocks.contract.variables import REQUIRED, Discrete, History, Input, Parameter, State
@@ -629,6 +631,11 @@ def test_all_unknown_parameters_are_told_at_once_with_the_nearest_name() -> None
 def test_parameters_are_given_by_name() -> None:
     with pytest.raises(UsageError, match=r"E501 Lag: takes parameters by name only\. As in Lag\(k=1\.0\)\."):
         Lag(1.0)
+    model = control.ss(control.tf([1.0], [1.0, 1.0]))
+    with pytest.raises(UsageError, match=r"As in StateSpace\(A=P\.A, B=P\.B, C=P\.C, D=P\.D\)\.$"):
+        StateSpace(model)
+    with pytest.raises(UsageError, match=r"As in TransferFunction\(num=P\.num\[0\]\[0\], den=P\.den\[0\]\[0\]\)\.$"):
+        TransferFunction(control.tf([1.0], [1.0, 1.0]))
     with pytest.raises(TypeError, match="Block is what block classes derive from"):
         Block()
 
@@ -744,3 +751,9 @@ def test_a_describing_function_is_refused_of_what_a_class_does_not_have(word: st
     (fault,) = caught.value.faults
     assert (fault.code, fault.place) == ("E405", "Bad")
     assert told in str(fault)
+
+
+@pytest.mark.parametrize("word", ["type", "shape"])
+def test_a_local_with_a_type_or_a_shape_is_refused(word: str) -> None:
+    with pytest.raises(DeclarationError, match=rf"E405 local: a local has the {word} of what .* Leave {word}= out"):
+        local(**{word: "bool"})

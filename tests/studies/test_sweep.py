@@ -18,6 +18,7 @@ from blocks import (
     Diagram,
     FirstOrder,
     Gain,
+    Integrator,
     ModelError,
     Noise,
     Normal,
@@ -327,3 +328,20 @@ def test_the_files_of_a_folder_are_one_sweep(whole: Sweep, tmp_path: Path) -> No
         Sweep.load(tmp_path)
     with pytest.raises(UsageError, match=r"E503 .*holds no rows of a sweep"):
         Sweep.load(tmp_path.parent / tmp_path.name / "..")
+
+
+def test_the_advice_for_inputs_of_a_sweep_helps(tmp_path: Path) -> None:
+    path = tmp_path / "in.csv"
+    path.write_text("time,u\n0,0\n1,1\n", encoding="utf-8")
+    diagram = Diagram("driven")
+    area = diagram.add("area", Integrator())
+    diagram.wire(area.u, diagram.input("u"))
+    with pytest.raises(UsageError) as caught:
+        diagram.sweep({"area.y_start": [1.0, 2.0]}, stop=1.0, inputs=path)
+    cure = caught.value.faults[0].cure
+    assert 'Diagram.settings(inputs={"u": {"t": t, "u": u}})' in cure
+    assert 't, u = numpy.loadtxt(path, delimiter=",", skiprows=1, unpack=True)' in cure
+    t, u = np.loadtxt(path, delimiter=",", skiprows=1, unpack=True)
+    diagram.settings(inputs={"u": {"t": t, "u": u}})
+    sweep = diagram.sweep({"area.y_start": [1.0, 2.0]}, stop=1.0, log=["area.y"])
+    assert sweep.signals["area.y"][:, -1] == pytest.approx([1.5, 2.5], rel=1e-9)

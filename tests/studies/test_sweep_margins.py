@@ -9,7 +9,7 @@ import control
 import numpy as np
 import pytest
 
-from blocks import Diagram
+from blocks import Diagram, FirstOrder, Step, Sum, TransportDelay
 from blocks.analysis import bandwidth, margins, poles
 from blocks.model.study_grammar import MARGINS
 from blocks.studies.sweep import Sweep
@@ -115,7 +115,7 @@ def test_an_unstable_loop_has_no_margins_and_a_bearing_one_endless_ones() -> Non
         ({"type": "gain_margin"}, 'a margin has "loop"'),
         ({"type": "gain_margin", "from": "wanted.y", "to": "plant.x"}, 'a gain_margin is of a "loop"'),
         ({"type": "gain_margin", "loop": "control.u", "amplitudes": {}}, "amplitude"),
-        ({"type": "gain_margin", "lop": "control.u"}, "the key \"lop\" is not known here. Did you mean \"loop\"?"),
+        ({"type": "gain_margin", "lop": "control.u"}, 'the key "lop" is not known here. Did you mean "loop"?'),
         ({"type": "gain_margin", "loop": "control.x"}, "there is no such signal"),
         ({"type": "gain_margin", "loop": "control.u", "amplitude": {"plant.x": 0.1}}, "amplitude of plant.x"),
     ],
@@ -131,3 +131,19 @@ def test_the_page_about_many_runs_names_all_types() -> None:
     page = (ROOT / "docs" / "many_runs.md").read_text(encoding="utf-8")
     for name, what in MARGINS.items():
         assert f"| `{name}` | {what} |" in page.replace(r"\|", "|")
+
+
+def test_the_message_of_a_row_with_delays_names_what_a_margin_takes() -> None:
+    diagram = Diagram("delayed")
+    error, lag = diagram.add("error", Sum(signs="+-")), diagram.add("lag", FirstOrder())
+    delay = diagram.add("delay", TransportDelay(delay=0.1))
+    diagram.wire(error.u1, diagram.add("step", Step()).y)
+    diagram.wire(delay.u, error.y)
+    diagram.wire(lag.u, delay.y)
+    diagram.wire(error.u2, lag.y)
+    margin = {"type": "slowest_pole", "loop": "error.y"}
+    sweep = diagram.sweep({"lag.k": [0.5]}, stop=0.1, measures=[], margins={"pole": margin})
+    assert "E707" in sweep.messages[0]
+    assert '{"type": "slowest_pole", "pade": 3, ...}' in sweep.messages[0]
+    sweep = diagram.sweep({"lag.k": [0.5]}, stop=0.1, measures=[], margins={"pole": {**margin, "pade": 3}})
+    assert sweep.measures["pole"][0] < 0.0

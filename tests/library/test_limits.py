@@ -1,0 +1,32 @@
+"""Limits may be infinite, as ±1e100, from Python, in files and by paths."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+
+from blocks import Diagram, Gain, ModelError, Ramp, Saturation
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+@pytest.mark.parametrize(("lower", "upper", "end"), [(0.0, math.inf, 10.0), (-math.inf, 2.0, 2.0)])
+def test_a_limit_may_be_infinite(lower: float, upper: float, end: float, engine: str) -> None:
+    diagram = Diagram("limited")
+    law = diagram.add("law", Saturation(lower=lower, upper=upper))
+    diagram.wire(law.u, diagram.add("ramp", Ramp(slope=10.0)).y)
+    again = Diagram.from_json(json.loads(diagram.dumps()))
+    for each in (diagram, again):
+        assert each.run(stop=1.0, engine=engine)["law.y"][-1] == pytest.approx(end, rel=1e-12)
+
+
+def test_a_limit_is_set_infinite_by_its_path_and_other_parameters_are_not() -> None:
+    diagram = Diagram("limited")
+    law = diagram.add("law", Saturation())
+    diagram.wire(law.u, diagram.add("ramp", Ramp(slope=10.0)).y)
+    for upper in (math.inf, "inf"):
+        results = diagram.run(stop=1.0, parameters={"law.upper": upper})
+        assert results["law.y"][-1] == pytest.approx(10.0, rel=1e-12)
+    with pytest.raises(ModelError, match=r"E107 Gain\.k: must be finite, not inf\. Only limits"):
+        Diagram.alone(Gain(k=math.inf)).run(stop=1.0, inputs={"u": 1.0})
