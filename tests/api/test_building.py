@@ -53,7 +53,7 @@ add("a", Gain(k=True))
 add("a", Gain(k=[1.0, 2.0]))
     ModelError: E110 a.k: has the shape 2, but a scalar is needed.
 add("a", Gain(k=math.inf))
-    ModelError: E004 blocks.a.parameters.k: JSON has no inf. Write a finite number.
+    ModelError: E107 a.k: must be finite, not inf. Only limits such as those of Saturation may be infinite.
 add("a", Gain(k=math.nan))
     ModelError: E004 blocks.a.parameters.k: JSON has no nan. Write a finite number.
 add("a", Gain(k=10**400))
@@ -152,8 +152,8 @@ add("a", Relay(on_at=-1.0, off_at=1.0))
     ModelError: E107 a: off_at must not be above on_at (off_at = 1.0, on_at = -1.0).
 add("a", MatrixGain(K=[[1.0, 2.0], [3.0]]))
     ModelError: E107 a.K: must be numbers in rows of equal length, not [[1.0, 2.0], [3.0]].
-add("a", subdiagram(Diagram("inner"), k=math.inf))
-    ModelError: E004 blocks.a.parameters.k: JSON has no inf. Write a finite number.
+add("a", subdiagram(Diagram("inner"), k=math.nan))
+    ModelError: E004 blocks.a.parameters.k: JSON has no nan. Write a finite number.
 add("a", subdiagram(Diagram("inner")), enable={"states": "off"})
     ModelError: E004 blocks.a.enable.states: must be "held" or "reset", not "off".
 add("a", subdiagram(Diagram("inner")), trigger={"every": 0.1, "direction": "up"})
