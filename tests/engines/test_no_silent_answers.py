@@ -100,6 +100,9 @@ def test_an_input_of_the_diagram_without_a_value_is_refused_with_how_it_is_given
 # --- names that are misspelt -----------------------------------------------------------------------------------
 
 
+NO_OTHER = "Only limits such as those of Saturation may be infinite."
+
+
 @pytest.mark.parametrize(
     ("call", "kind", "parts"),
     [
@@ -436,7 +439,7 @@ def under_way() -> Run:
         ("b", 2, "E502 b: is a bool: true or false."),
         ("v", [1.0], "E502 v: must be 2 elements."),
         ("g.k", True, "E107 g.k: must be a number, not True."),
-        ("g.k", math.inf, "E107 g.k: must be finite, not inf. Only limits such as those of Saturation may be infinite."),
+        ("g.k", math.inf, f"E107 g.k: must be finite, not inf. {NO_OTHER}"),
         ("g.unit", "m", "E117 g.unit: cannot change during a run: g.unit is structural. Start another run with it."),
         ("h.period", 0.2, "E117 h.period: cannot change during a run: h.period is fixed. Start another run with it."),
         ("h.y_start", 2.0, "E117 h.y_start: cannot change during a run: h.y starts at it. Start another run with it."),
