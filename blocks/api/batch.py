@@ -1,8 +1,8 @@
 """Many runs of one diagram: rows of values in, rows of measures and signals out.
 
-batch = diagram.batch(["motor.Ra", "control_*.eso.Ka"], measures=["ITAE"])
-rows = batch([[0.15, 0.5], [0.16, 0.6]])
-rows.measures["ITAE"], rows.status
+    batch = diagram.batch(["motor.Ra", "control_*.eso.Ka"], measures=["ITAE"])
+    rows = batch([[0.15, 0.5], [0.16, 0.6]])
+    rows.measures["ITAE"], rows.status
 """
 
 from __future__ import annotations
@@ -122,9 +122,8 @@ class Batch(Shown):
             given = settings["inputs"]
             known = next(iter(given if isinstance(given, Mapping) else value.inputs), "u")
             cure = f'Put tables into the diagram first: Diagram.settings(inputs={{"{known}": {{"t": t, "u": u}}}}), '
-            cure += (
-                'with lists of numbers. Of a file: t, u = numpy.loadtxt(path, delimiter=",", skiprows=1, unpack=True).'
-            )
+            cure += "with lists of numbers. Of a file: "
+            cure += 't, u = numpy.loadtxt(path, delimiter=",", skiprows=1, unpack=True).'
             raise UsageError(Fault("E501", "inputs", message, cure))
         if settings.get("jumps"):
             message = "signals come out on one grid for all rows, without rows of their own for jumps."
@@ -359,7 +358,9 @@ class Batch(Shown):
         fault = no_lanes("this row", why) if why else None
         return _Form(prepared, prepared.rebinding(names), model, inputs, np.array(plan.parameters), fault)
 
-    def _run(self, form: _Form, places: list[int], table: Array, work: _Work, threads: int | None) -> None:
+    def _run(
+        self, form: _Form, places: list[int], table: Array, work: _Work, threads: int | None
+    ) -> None:
         from ..engines.native.batch import run_rows
 
         made, plan = work.made, form.prepared.plan
@@ -419,7 +420,9 @@ class Batch(Shown):
         if budget is not None and steps > budget:
             return Row.over(self.name, budget)
         faults = [fault for fault in results.warnings if fault.code == "W301"]
-        return Row(steps, dict(results.measures), faults[0] if faults else None, "ok", self._recorded(results))
+        return Row(
+            steps, dict(results.measures), faults[0] if faults else None, "ok", self._recorded(results)
+        )
 
     def _recorded(self, results: Results | None) -> Array:
         """The signals (rows, elements) on the grid, as far as the run came."""

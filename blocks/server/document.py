@@ -215,7 +215,6 @@ class Document:
         rates = {name.removeprefix(prefix): label for name, label in labels.items() if name.startswith(prefix)}
         return {"ports": self._ports(level), "faults": _below(self.faults, prefix), "rates": rates}
 
-
     def _ports(self, level: str) -> Callable[[str], Ports]:
         """The ports of the blocks of a level; those of a block with faults are what they were without."""
         value, good = self.value_at(level), self._good_ports
