@@ -16,6 +16,8 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from blocks import (
+    PID,
+    Backlash,
     Block,
     Constant,
     Diagram,
@@ -645,6 +647,25 @@ def test_a_delay_of_a_delay_is_one_of_the_sum_of_both() -> None:
     # Twice kept as polynomials, to a tenth of rtol each.
     assert np.max(np.abs(results["second.y"][late] - np.sin(2.0 * (results.t[late] - 0.75)))) < SOLVED
     assert np.all(results["second.y"][results.t < 0.3] == 0.0)
+
+
+def test_a_projection_that_moves_by_rounding_where_a_delay_breaks_is_no_jump() -> None:
+    """The play follows the delayed sine, amplified, in contact: its own break must not return after the delay."""
+    d = Diagram("followed")
+    source, late = d.add("source", Sine(omega=5.968376, phase=4.655123)), d.add("late", TransportDelay(delay=0.356711))
+    control, play = d.add("control", PID(kp=1.9, ki=1.0, kd=0.2)), d.add("play", Backlash(width=0.2))
+    d.wire(late.u, source.y)
+    d.wire(control.r, source.y)
+    d.wire(control.y, late.y)
+    d.wire(play.u, control.u)
+    steps = {}
+    for engine in ("reference", "native"):
+        results = d.run(stop=2.0, method="euler", step=0.01, engine=engine)
+        begun = {event.t for event in results.events}
+        twice = [t for t in results.t if any(0 < abs(t - when - 2 * 0.356711) < 1e-12 for when in begun if when > 0)]
+        assert begun and not twice, engine
+        steps[engine] = results.statistics.steps
+    assert steps["native"] == steps["reference"]
 
 
 # --- switching controllers -------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from ...fmi.patience import patient
 from ...results.results import Event, Statistics
 from ...text.errors import Fault, SimulationError
 from ..run.engine import Recorded, heard_by_python
-from ..run.history import POWERS, Past
+from ..run.history import POWERS, Past, has_jumped
 from ..run.measures import Measures
 from ..run.model_exchange import Foreigns
 from ..run.saved_state import State, fit, standing
@@ -337,13 +337,13 @@ class ReferenceEngine:
             changed=changed or now.past is not past,
             seen=self.unprojected,
         )
-        same = np.array_equal(after.x, now.x) and (after.d, after.s, after.ticks) == (now.d, now.s, now.ticks)
         # The sides that are known are those before projections, where these moved.
-        happened = not same or bool(events or fired) or self.unprojected is not None
-        happened = happened or self.instants.foreign.events != hidden
-        fresh = changed or happened
+        happened = (after.s, after.ticks) != (now.s, now.ticks) or self.unprojected is not None
+        happened = happened or bool(events or fired) or self.instants.foreign.events != hidden
+        fresh = changed or happened or after.d != now.d or not np.array_equal(after.x, now.x)
         if after.past is not None:
             jumps = happened or (changed and not self.recourses)
+            jumps = jumps or has_jumped(now.x, after.x) or has_jumped(np.array(now.d), np.array(after.d))
             ends_course = self.recourses and self.remembers_inputs and not jumps
             kept = after.past.after_course(now.t) if ends_course else after.past
             after = replace(after, past=kept.after_instant(now.t, changed=jumps))

@@ -24,7 +24,7 @@ import numpy as np
 from ...compile.plan import History, Plan
 from ...compile.time_grid import within_ulps
 
-__all__ = ["COURSE", "Past", "Store"]
+__all__ = ["COURSE", "Past", "Store", "has_jumped"]
 
 Array = np.ndarray[Any, Any]
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
@@ -45,6 +45,11 @@ class Store:
     ends: list[float] = field(default_factory=list)
     parts: list[Array] = field(default_factory=list)
     breaks: list[tuple[float, int]] = field(default_factory=list)
+
+
+def has_jumped(before: Array, after: Array) -> bool:
+    """Return whether values differ by more than rounding, by which projections move them where a past breaks."""
+    return bool(np.any(np.abs(after - before) > _JUMP * np.maximum(np.abs(before), np.abs(after))))
 
 
 @dataclass(frozen=True, slots=True)

@@ -2525,6 +2525,14 @@ BLOCKS_INLINE void copy(double *to, const double *from, size_t n)
 
 BLOCKS_INLINE int is_same(const double *a, const double *b, size_t n) { return !n || !memcmp(a, b, n * sizeof(double)); }
 
+/* Whether a state or a held value differs by more than rounding, by which projections move it where a past breaks. */
+static int has_jumped(const double *a, const double *b, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        if (fabs(a[i] - b[i]) > 1e-9 * fmax(fabs(a[i]), fabs(b[i]))) return 1;
+    return 0;
+}
+
 /* Whether anything can fire: else an instant of events is over before it begins. */
 BLOCKS_INLINE int is_calm(const BlocksSim *s) { return !s->model->ns && !s->model->hooks; }
 
@@ -2748,10 +2756,10 @@ HOT static int instant(BlocksSim *s, int is_start)
         copy(m->z, s->stage_values, (size_t)model->nz);
         if (model->nevents && event_times(s)) goto restore;
     }
-    int same = !any_tick && is_same(x0, m->x, nx) && is_same(d0, m->d, nd) && is_same(s0, m->s, ns);
-    int happened = !same || by_seen || s->fired_events.used > told || ndue;
+    int happened = any_tick || !is_same(s0, m->s, ns) || by_seen || s->fired_events.used > told || ndue;
     if (model->hooks && model->hooks->epoch(s) != hidden) happened = 1;
-    int fresh = changed || happened, jumps = happened || (changed && !s->recourses);
+    int fresh = changed || happened || !is_same(x0, m->x, nx) || !is_same(d0, m->d, nd);
+    int jumps = happened || (changed && !s->recourses) || (model->nh && (has_jumped(x0, m->x, nx) || has_jumped(d0, m->d, nd)));
     if (model->nh && s->recourses == 2 && !jumps && add_course(s, s->t)) goto restore;
     if (model->nh && add_break(s, s->t, jumps)) goto restore;
     if (fresh || broke) {
