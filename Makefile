@@ -36,7 +36,7 @@ BY_BOTH := events hybrid steps instants instant_order enabled loops loops_of_tex
 # A worker for each core; one that has nothing left takes tests from another.
 SIDE_BY_SIDE := -n auto --dist worksteal
 
-.PHONY: help demo test test-long browser bench bench-peers docs lint clean ruff mypy layers pytest native long native-long release again
+.PHONY: help demo test test-long browser bench bench-peers docs lint clean ruff mypy layers spelling pytest native long native-long release again
 
 # One stage after the other, also under -j: their output is read from top to bottom.
 .NOTPARALLEL:
@@ -48,7 +48,7 @@ help:
 	@echo "make browser    install Chromium where there is none: the tests of the page in a browser need it"
 	@echo "make bench      run the benchmarks; make bench-peers runs other tools on the same diagrams"
 	@echo "make docs       build the documentation: build/docs/index.html"
-	@echo "make lint       check the code: ruff, mypy, import-linter"
+	@echo "make lint       check code and spelling: ruff, mypy, import-linter, codespell"
 	@echo "make release    build the sdist and the wheel into dist, and check them; it uploads nothing"
 	@echo "make clean      remove the environment, caches and build products"
 	@echo
@@ -63,7 +63,7 @@ demo: $(STAMP)
 	@$(PY) -m blocks study diagrams/paper/study.json
 	@echo "Next: activate the environment in .venv and read docs/start.md (five minutes), or open the documentation: make docs."
 
-lint: ruff mypy layers
+lint: ruff mypy layers spelling
 
 test: lint pytest native
 
@@ -95,6 +95,10 @@ mypy: $(TOOLS)
 layers: $(TOOLS)
 	@echo "== import-linter: layers"
 	@$(PY) -X utf8 -c "from importlinter.cli import lint_imports_command as lint; lint()" --no-logo
+
+spelling: $(TOOLS)
+	@echo "== codespell: spelling of the pages"
+	@$(PY) -m codespell_lib *.md docs blocks/README.md blocks/text/explanations .github
 
 pytest: $(TOOLS)
 	@echo "== pytest: tests"
