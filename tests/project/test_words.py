@@ -1,4 +1,4 @@
-"""Pages, error texts, help and docstrings avoid words that readers stumble over.
+"""Pages, labels, error texts, help and docstrings avoid words that readers stumble over.
 
 `word_counts.json` gives the number of such words that each file still has; a file that it does not list has none. A
 number may fall and never rise. After you rewrote a file, write the numbers again:
@@ -38,11 +38,12 @@ INSTEAD = {
 """Words, and what to write instead: docs/contributing/style.md."""
 
 _WORD = re.compile("|".join(rf"\b(?:{word})\b" for word in INSTEAD).replace(" ", r"\s+"), re.IGNORECASE)
+_QUOTED = re.compile(r'"[^"\n]*"')
 _CODE = re.compile(r"^ *(`{3,}|~{3,}).*?^ *\1|`[^`\n]*`", re.MULTILINE | re.DOTALL)
 
 
 def _texts() -> Iterator[tuple[str, str]]:
-    """The files that people read, without their code, and the strings of blocks that are sentences."""
+    """Yield each file with the text in it that people read: pages without code, and strings that are sentences."""
     pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / ".github").rglob("*.md")]
     pages += [ROOT / "blocks" / "README.md", *(ROOT / "blocks" / "text" / "explanations").glob("*.md")]
     for path in pages:
@@ -52,6 +53,12 @@ def _texts() -> Iterator[tuple[str, str]]:
         cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
         text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
         yield path.relative_to(ROOT).as_posix(), _CODE.sub("", text)
+    for path in (ROOT / "blocks" / "server" / "page").glob("*.js"):
+        labels = [text for text in _QUOTED.findall(path.read_text(encoding="utf-8")) if " " in text]
+        yield path.relative_to(ROOT).as_posix(), "\n".join(labels)
+    plain = [ROOT / "blocks" / "server" / "page" / "index.html", ROOT / "blocks" / "api" / "simulink_words.json"]
+    for path in (*plain, *(ROOT / "blocks" / "cli" / "project").rglob("*.txt")):
+        yield path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")
     for path in (ROOT / "blocks").rglob("*.py"):
         strings = (node.value for node in ast.walk(ast.parse(path.read_bytes())) if isinstance(node, ast.Constant))
         sentences = [string for string in strings if isinstance(string, str) and " " in string]
