@@ -22,6 +22,10 @@ TOOLS := .venv/.tools
 INSTALL = $(PY) -m pip install --quiet --disable-pip-version-check --editable $(1) || { \
 	echo "The installation failed; pip says why above. Run make again when the cause is gone."; exit 1; }
 
+# What "make release" works in, and the Python there that builds.
+RELEASE := build/release
+BUILDER := $(PY:.venv/%=$(RELEASE)/tools/%)
+
 # Modules of another Python, as other tools put them on these paths, must not leak into the environment.
 unexport PYTHONPATH PYTHONHOME
 
@@ -32,7 +36,7 @@ BY_BOTH := events hybrid steps instants instant_order enabled loops loops_of_tex
 # A worker for each core; one that has nothing left takes tests from another.
 SIDE_BY_SIDE := -n auto --dist worksteal
 
-.PHONY: help demo test test-long browser bench bench-peers docs lint clean ruff mypy layers pytest native long native-long again
+.PHONY: help demo test test-long browser bench bench-peers docs lint clean ruff mypy layers spelling pytest native long native-long release again
 
 # One stage after the other, also under -j: their output is read from top to bottom.
 .NOTPARALLEL:
@@ -44,7 +48,8 @@ help:
 	@echo "make browser    install Chromium where there is none: the tests of the page in a browser need it"
 	@echo "make bench      run the benchmarks; make bench-peers runs other tools on the same diagrams"
 	@echo "make docs       build the documentation: build/docs/index.html"
-	@echo "make lint       check the code: ruff, mypy, import-linter"
+	@echo "make lint       check code and spelling: ruff, mypy, import-linter, codespell"
+	@echo "make release    build the sdist and the wheel into dist, and check them; it uploads nothing"
 	@echo "make clean      remove the environment, caches and build products"
 	@echo
 	@echo "The first of them makes an environment in .venv; PYTHON=/path/to/python3 chooses its Python (3.11 to 3.13)."
@@ -58,7 +63,7 @@ demo: $(STAMP)
 	@$(PY) -m blocks study diagrams/paper/study.json
 	@echo "Next: activate the environment in .venv and read docs/start.md (five minutes), or open the documentation: make docs."
 
-lint: ruff mypy layers
+lint: ruff mypy layers spelling
 
 test: lint pytest native
 
@@ -90,6 +95,10 @@ mypy: $(TOOLS)
 layers: $(TOOLS)
 	@echo "== import-linter: layers"
 	@$(PY) -X utf8 -c "from importlinter.cli import lint_imports_command as lint; lint()" --no-logo
+
+spelling: $(TOOLS)
+	@echo "== codespell: spelling of the pages"
+	@$(PY) -m codespell_lib *.md docs blocks/README.md blocks/text/explanations .github
 
 pytest: $(TOOLS)
 	@echo "== pytest: tests"
@@ -123,6 +132,31 @@ docs: $(TOOLS)
 	@$(PY) -m sphinx -q -W --keep-going -b html -d build/docs-trees docs build/docs
 	@echo "Open build/docs/index.html."
 
+# The sdist is unpacked, and the wheel that it gives is tried in a clean environment of each supported Python that is there.
+release: $(STAMP)
+	@if [ -n "$$(git status --porcelain 2>/dev/null)" ]; then \
+	    echo "Commit or stash your changes first: the sdist holds all files that git does not ignore."; exit 1; \
+	fi
+	@echo "== tools: $(RELEASE)/tools"
+	@rm -rf $(RELEASE) dist
+	@$(PY) -m venv $(RELEASE)/tools
+	@$(BUILDER) -m pip install --quiet --disable-pip-version-check build || { echo "build could not be installed; pip says why above."; exit 1; }
+	@echo "== sdist and wheel: dist"
+	@$(BUILDER) -m build --outdir dist . >$(RELEASE)/build.log 2>&1 || { cat $(RELEASE)/build.log; exit 1; }
+	@if $(BUILDER) -m pip install --quiet --disable-pip-version-check twine; then \
+	    $(BUILDER) -m twine --no-color check --strict dist/*; \
+	else \
+	    echo "twine could not be installed: skipped its check of the descriptions."; \
+	fi
+	@echo "== the wheel in clean environments"
+	@mkdir $(RELEASE)/sdist
+	@tar -xzf dist/*.tar.gz -C $(RELEASE)/sdist --strip-components 1
+	@(cd $(RELEASE)/sdist && "$$OLDPWD/$(PY)" -m benchmarks.installing && touch ../passed) 2>&1 | tee $(RELEASE)/tried; [ -e $(RELEASE)/passed ]
+	@grep -q " commands; " $(RELEASE)/tried || { echo "No supported Python was found: the wheel was not tried."; exit 1; }
+	@grep -qF "## [$$($(PY) -c "import blocks; print(blocks.__version__)")]" CHANGELOG.md || \
+	    echo "CHANGELOG.md has no heading for this version: see docs/contributing/release.md."
+	@ls -l dist
+
 clean:
 	@echo "== removing the environment, caches and build products"
 	@rm -rf .venv build dist docs/library .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
@@ -154,11 +188,11 @@ $(STAMP): pyproject.toml
 	fi; \
 	echo "== environment: .venv, with $$("$$found" --version)"; \
 	"$$found" -m venv --clear .venv
-	@echo "== installing blocks into .venv (480 MB: half a minute on a fast network)"
+	@echo "== installing blocks into .venv (500 MB: half a minute on a fast network)"
 	@$(call INSTALL,.)
 	@touch $(STAMP)
 
 $(TOOLS): $(STAMP)
-	@echo "== installing the tools for tests and documentation into .venv (900 MB more: a minute on a fast network)"
+	@echo "== installing the tools for tests and documentation into .venv (960 MB more: a minute on a fast network)"
 	@$(call INSTALL,".[dev]")
 	@touch $(TOOLS)

@@ -43,7 +43,7 @@ Task = tuple[int, dict[str, Any], int | None]
 def in_processes(
     batch: Rows, rows: Sequence[Task], budget: int | None, count: int, workers: list[Worker]
 ) -> Iterator[tuple[int, Row | None]]:
-    """What becomes of each row, as it is known; None where Ctrl-C ends it.
+    """Yield the outcome of each row as soon as it is known, or None if Ctrl-C ends it.
 
     workers: those of the batch that wait for rows, and will do so again afterwards.
 
@@ -88,7 +88,7 @@ def in_processes(
 
 
 def packed(batch: Rows) -> tuple[bytes, str]:
-    """What a process begins with: how it is prepared, and the batch; or b"", and why rows run in this one."""
+    """Return the bytes that start a process: its preparation and the batch; or b"" and why rows run in this process."""
     if getattr(multiprocessing.current_process(), "daemon", False) or getattr(sys, "frozen", False):
         return b"", "it may have none of its own"  # as a worker of dask
     try:
@@ -125,7 +125,7 @@ class Worker:
         self.is_ended = False
 
     def run(self, task: Task, budget: int | None) -> Row | None:
-        """What becomes of a row; None where no process can begin."""
+        """Return the outcome of a row, or None if no process can start."""
         process = self.process or self._begun()
         if process is None:
             return None
@@ -169,7 +169,7 @@ class Worker:
 
 
 def _flags() -> list[str]:
-    """The options of this Python, as -X utf8."""
+    """Return the options of this Python, such as -X utf8."""
     return subprocess._args_from_interpreter_flags()  # type: ignore[attr-defined, no-any-return]
 
 
@@ -194,7 +194,7 @@ def _work(worker: Worker, tasks: queue.SimpleQueue[Task], done: queue.SimpleQueu
 
 
 def _serve() -> None:
-    """A process of its own: run rows as they come on stdin. What programs print goes to stderr."""
+    """Run rows in a separate process as they arrive on stdin. The output of programs goes to stderr."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who gives rows hears it
     given, ended = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)

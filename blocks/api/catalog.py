@@ -85,7 +85,7 @@ class Catalog:
         return cls(library_types(library))
 
     def sheet(self, name: str) -> Sheet:
-        """What a block type, or an FMU by its path, says of itself. Raises UsageError (E103), ModelError."""
+        """Return the sheet of a block type, or of an FMU by its path. Raises UsageError (E103), ModelError."""
         if name.endswith(".fmu"):
             from ..model.fmu_block import fmu_type
 
@@ -97,7 +97,7 @@ class Catalog:
         return sheet_of(self.types[name])
 
     def groups(self) -> dict[str, list[Found]]:
-        """The block types by group: the modules that hold them."""
+        """Return the block types by group: the module that holds them."""
         groups: dict[str, list[Found]] = {}
         for name, cls in self.types.items():
             group = cls.__module__.rpartition(".")[2]
@@ -105,7 +105,7 @@ class Catalog:
         return dict(sorted(groups.items()))
 
     def search(self, text: str) -> tuple[list[Found], list[Word]]:
-        """The block types that say all words of a text: in name, group, first line, ports, parameters, or as words of
+        """Find the block types with all words of a text: in name, group, first line, ports, parameters, or as words of
         Simulink; those that have them in their names first. And what is said of words of Simulink that name no type; if
         there is nothing of this, of words whose page of the documentation has a title with the words.
         """
@@ -125,7 +125,7 @@ class Catalog:
 
 
 def _texts(cls: type[Block], found: Found) -> Iterator[str]:
-    """What a type is found by."""
+    """Yield the texts by which a search finds a type."""
     declaration = cls.declaration
     yield from (re.sub(r"(?<=[a-z])(?=[A-Z])", " ", found.name), *found[:3])
     for table in (declaration.inputs, declaration.outputs, declaration.states, declaration.settable):
@@ -140,13 +140,13 @@ def _says(asked: list[str], text: str) -> bool:
 
 @cache
 def words() -> Mapping[str, Word]:
-    """What stands for a word of Simulink."""
+    """Return the entries for words of Simulink."""
     text = resources.files(__package__).joinpath("simulink_words.json").read_text(encoding="utf-8")
     return {name: Word(name, raw["here"], tuple(raw["blocks"]), raw["see"]) for name, raw in json.loads(text).items()}
 
 
 def word_of(name: str) -> Word | None:
-    """What stands for a word of Simulink, however its letters and spaces are written; None where it is none."""
+    """Return the entry for a word of Simulink in any case and spacing, or None if there is none."""
     return next((word for word in words().values() if _plain(word.name) == _plain(name)), None)
 
 
@@ -155,14 +155,14 @@ def _plain(name: str) -> str:
 
 
 def measures() -> Mapping[str, str]:
-    """What can be measured of a run: by name, what it is."""
+    """Return the measures of a run with their descriptions, by name."""
     from ..model.diagram_grammar import MEASURES
 
     return MEASURES
 
 
 def sheet_of(cls: type[Block], interface: Interface | None = None) -> Sheet:
-    """What a block class says of itself. interface: of a block, whose ports then stand for those without parameters."""
+    """Return the sheet of a block class. interface: of a block; its ports replace the ports without parameters."""
     declaration = cls.declaration
     inputs, outputs = _ports(cls, interface)
     parameters = (

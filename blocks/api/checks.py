@@ -29,7 +29,7 @@ def flat_of(
     settings: Mapping[str, Any] | None = None,
     variants: Mapping[str, str] | None = None,
 ) -> Flat:
-    """A diagram without hierarchy. Raises ModelError with all faults, UsageError (E501)."""
+    """Return a diagram without hierarchy. Raises ModelError with all faults, UsageError (E501)."""
     check_settings(settings or {})
     value = taken(value, variants)
     overrides = {name: raw_of(raw) for name, raw in given_values(value, resolver, parameters or {}).items()}
@@ -37,7 +37,7 @@ def flat_of(
 
 
 def coupled_block(flat: Flat) -> str:
-    """The path of a block that a master steps; "" where there is none."""
+    """Return the path of a block that a master steps, or "" if there is none."""
     for block in flat.one_of_each:
         foreign = block.interface.declaration.foreign
         if foreign is not None and foreign.kind == "CS":
@@ -46,7 +46,7 @@ def coupled_block(flat: Flat) -> str:
 
 
 def single_plan(flat: Flat) -> Plan:
-    """The plan of a diagram. Raises ModelError (E118) where a master steps it."""
+    """Return the plan of a diagram. Raises ModelError (E118) if a master steps it."""
     coupled = coupled_block(flat)
     if coupled:
         message = "is an FMU for Co-Simulation, which a master steps: the diagram has no single plan."
@@ -63,7 +63,7 @@ def refuse_fmus(flat: Flat) -> None:
 
 
 def checked(value: DiagramValue, resolver: Resolver, variants: Mapping[str, str] | None) -> Plan | Coupling:
-    """The Plan of a diagram, or the Coupling where a master is needed. Raises ModelError with every static fault."""
+    """Return the Plan of a diagram, or the Coupling if it needs a master. Raises ModelError with every static fault."""
     try:
         return replace(couple(flat_of(value, resolver, variants=variants)), outline=outline)
     except ModelError as error:
@@ -79,7 +79,7 @@ def checked(value: DiagramValue, resolver: Resolver, variants: Mapping[str, str]
 
 
 def faults_beside(error: ModelError, flattened: Callable[[], Flat]) -> list[Fault]:
-    """What is wrong with the meaning of a diagram whose structure has faults, apart from what follows from those.
+    """Find faults in the meaning of a diagram with structural faults, without their consequences.
 
     Without it, a user would mend one half of the faults only to be shown the other one.
     """

@@ -16,12 +16,12 @@ Readable = tuple[DiagramValue, tuple[Fault, ...]]
 
 
 def nothing() -> Readable:
-    """What stands for a file that is not there."""
+    """Return the stand-in for a file that does not exist."""
     return DiagramValue(""), ()
 
 
 def readable(path: str, data: bytes | None = None, *, folder: str = "") -> Readable:
-    """The diagram of a file.
+    """Return the diagram of a file.
 
     data: its bytes, where they do not come from there; then the paths in it begin in `folder`. Raises ModelError where
     nothing of it is a diagram.
@@ -37,5 +37,5 @@ def readable(path: str, data: bytes | None = None, *, folder: str = "") -> Reada
 def compared(
     a: DiagramValue, b: DiagramValue, *, names: tuple[str, str], doc: bool, library: Library = ()
 ) -> Differences:
-    """What differs from a to b. names: what they are called. doc: compare doc texts and keys "x-..." too."""
+    """Find the differences from a to b. names: of a and b. doc: also compare doc texts and keys "x-..."."""
     return differences(a, b, names=names, doc=doc, resolver=resolver_of(library_types(library)))

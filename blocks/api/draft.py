@@ -89,7 +89,7 @@ class Draft:
                 raise ModelError(Fault("E109", name, f"the name is taken by {article} {what}."))
 
     def outline(self) -> str:
-        """The blocks with what they are, a line for each."""
+        """Describe the blocks, one line for each."""
         value = self.value
         lines = [f"<Diagram {value.name}: {len(value.blocks)} blocks, {len(value.wires)} wires>"]
         for name, entry in value.blocks.items():
@@ -107,7 +107,7 @@ class Draft:
         self, name: str, block: object, *, doc: str, control: Mapping[str, Any] | None = None, stream: str = "",
         copies: Any = None,
     ) -> BlockEntry:
-        """The entry of a Block, checked as a file's is. Raises UsageError (E501) for what is none."""
+        """Return the entry of a Block, checked like the entry of a file. Raises UsageError (E501) if it is no block."""
         given, entry = block_entry(name, block, self.folder)
         said = {"doc": doc, "control": control or {}, "stream": stream, "copies": copies}
         return checked_entry(name, entry, given, self.folder, **said)
@@ -123,7 +123,7 @@ class Draft:
         stream: str = "",
         copies: Any = None,
     ) -> BlockEntry:
-        """The entry of a diagram, or of a diagram file, as a block; the block types of a diagram come with it."""
+        """Return the entry of a diagram, or of a diagram file, as a block. It brings the block types of a diagram."""
         given = {k: raw_of(v) for k, v in parameters.items() if v is not None}
         if isinstance(source, Draft):
             self.types = {**source.types, **self.types}
@@ -136,7 +136,7 @@ class Draft:
         return checked_entry(name, entry, given, self.folder, **said)
 
     def ports(self, name: str, entry: BlockEntry) -> Ports:
-        """The ports of a block in this diagram, with their units. The value is not read for it."""
+        """Return the ports of a block in this diagram, with their units, without reading the diagram value."""
         is_known = bool(entry.type) and entry.cls is not None and not entry.variants
         probe, self._probe = (self._probe, None) if is_known else (None, self._probe)
         if probe is not None and (ports := probe.ports(name, entry)) is not None:

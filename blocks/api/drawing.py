@@ -22,7 +22,7 @@ class Drawing(str):
 
 
 def drawn(value: DiagramValue, resolver: Resolver, depth: int, check: Callable[[], Plan | Coupling]) -> str:
-    """The text of an SVG. check: gives what the diagram is compiled to, with its warnings, or raises its faults."""
+    """Return the text of an SVG. check: returns the compiled diagram with its warnings, or raises its faults."""
     faults: tuple[Fault, ...] = ()
     rates: dict[str, str] = {}
     try:

@@ -100,7 +100,7 @@ class Health:
         }
 
     def lines(self) -> Iterator[str]:
-        """The same for people."""
+        """Yield the report as lines for people."""
         yield f"blocks {__version__}, Python {platform.python_version()}, {_platform()}"
         for name in PACKAGES:
             yield f"  {name:9} {_version(name) or 'not installed'}"
@@ -124,7 +124,7 @@ class Health:
 
 
 def examine() -> Health:
-    """Looks for a compiler and tries it. Raises CompilerError (E604) where there is no folder to work in."""
+    """Find a compiler and try it. Raises CompilerError (E604) if there is no folder to work in."""
     place = caches.of_user()
     compiler: Compiler | None = None
     seconds: float | None = None

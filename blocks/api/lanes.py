@@ -43,8 +43,10 @@ class Lanes:
         return cls(None, why) if why else found
 
     def model(self, plan: Plan | Coupling, engine: str | None) -> tuple[Any, str]:
-        """The compiled model of a Plan (None where another engine runs it), and why it has no lanes, in words; "" where
-        it has them, or none are asked for."""
+        """Return the compiled model of a Plan, and why it has no lanes.
+
+        The model is None if another engine runs the Plan. The reason is "" if there are lanes, or if none are wanted.
+        """
         if self.machine is None or not isinstance(plan, Plan):
             return compiled_model(plan, engine=engine), ""
         why = why_no_lanes(plan)
@@ -71,5 +73,5 @@ class Lanes:
 
 
 def no_lanes(rows: str, why: str) -> Fault:
-    """The warning that lanes were asked for, and are not there."""
+    """Return the warning that a run was to use lanes and cannot."""
     return Fault("W504", "lanes", f"there are none for {rows}: {why}.", "The rows are those of lanes=\"exact\".")

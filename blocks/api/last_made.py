@@ -34,7 +34,7 @@ class LastMade:
             self._made[what] = ((key, BlockMeta.renewals), made)
 
     def known(self, what: str, key: Any) -> Any:
-        """The last one, where it was made for this key; else None."""
+        """Return the last object if it was made for this key; else None."""
         with self._lock:
             known, kept = self._made.get(what, (None, None))
         return kept if key is not None and (key, BlockMeta.renewals) == known else None

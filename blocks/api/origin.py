@@ -43,7 +43,7 @@ def origin_of(
     equations: Callable[[], _Computed | None] | None = None,
     sha256: str = "",
 ) -> Origin:
-    """The origin of a run of `value`. parameters, inputs, interpolation: as given to the run.
+    """Return the origin of a run of `value`. parameters, inputs, interpolation: as given to the run.
 
     equations: gives what it computes, and is called when that is read from the origin. sha256: the diagram's
     fingerprint, where it is known.
@@ -61,7 +61,7 @@ def origin_of(
 
 
 def _settings(settings: RunSettings) -> dict[str, Any]:
-    """The settings that hold for a run; times in s."""
+    """Return the settings of a run, with times in s."""
     described: dict[str, Any] = {"start": float(settings.start)}
     if settings.stop is not None:
         described["stop"] = float(settings.stop)
@@ -89,7 +89,7 @@ def _settings(settings: RunSettings) -> dict[str, Any]:
 
 
 def _inputs(given: Any) -> dict[str, Any]:
-    """What a run was fed with, by input; a file is an entry of its own."""
+    """Describe the data that a run received, by input; a file is a separate entry."""
     sources: dict[str, Any] = {}
     for item in given if isinstance(given, (list, tuple)) else [given]:
         if isinstance(item, (str, Path)):
@@ -102,7 +102,7 @@ def _inputs(given: Any) -> dict[str, Any]:
 
 
 def _described(value: Any) -> Any:
-    """A given value as JSON holds it; more than 50 numbers are given by the SHA-256 of their doubles."""
+    """Describe a given value as JSON. The SHA-256 of the doubles replaces more than 50 numbers."""
     if hasattr(value, "tocoo"):
         value = edges_of(value)
     if isinstance(value, Mapping):

@@ -105,9 +105,9 @@ def _standing(
     given_value: DiagramValue, resolver: Resolver, options: PointOptions, at: float | None, last: LastMade,
     *, is_silent: bool,
 ) -> Any:  # fmt: skip
-    """A run of the reference engine that stands at a time; a silent one is not made to record signals.
+    """Return a run of the reference engine at a time. A silent run is not made to record signals.
 
-    last: where what it was made of is kept, for others that differ in values of parameters.
+    last: keeps the source of the run, for runs with other values of parameters.
     """
     held, parameters, settings = options.held, dict(options.parameters or {}), options.settings
     value = taken(given_value, options.variants)
@@ -151,5 +151,5 @@ def _standing(
 
 
 def _plainly(value: Any) -> Any:
-    """An array as lists, which print all of their digits."""
+    """Return an array as lists, which print all digits."""
     return value.tolist() if isinstance(value, np.ndarray) else value

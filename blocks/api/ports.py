@@ -90,7 +90,7 @@ class Handle:
 
 
 def text_of(port: PortName | str, diagram: Named) -> str:
-    """A port of this diagram as a text. Raises ModelError (E105) for one of another diagram, UsageError (E501)."""
+    """Return a port as a text. Raises ModelError (E105) if it belongs to another diagram, UsageError (E501)."""
     if isinstance(port, PortName):
         if port.diagram is not diagram:
             message = f"belongs to the diagram {port.diagram.name}, not to {diagram.name}."
@@ -130,7 +130,7 @@ def signal_names(names: PortName | str | Sequence[PortName | str]) -> list[str]:
 
 
 def plain_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a run as a file has them: what is logged as texts, also where it is ports, times as quantities."""
+    """Return settings of a run in the form of a file: logged ports as texts, times as quantities."""
     plain = {key: read_quantity(raw) if key in TIMES else raw for key, raw in settings.items()}
     if isinstance(inputs := settings.get("inputs"), Mapping):
         plain["inputs"] = {name: read_quantity(raw) for name, raw in inputs.items()}

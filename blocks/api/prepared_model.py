@@ -113,7 +113,7 @@ class PreparedModel:
         return self.run_of(parameters or {}, settings, options).finish()
 
     def run_of(self, parameters: Mapping[str, Any], settings: Mapping[str, Any], options: RunOptions) -> Run:
-        """A run with these parameters and settings on top of what was prepared, at its start."""
+        """Return a run at its start, with these parameters and settings on top of the prepared values."""
         if isinstance(parameters, Mapping):
             parameters = {**self._parameters, **_own(parameters)}
         settings = {**self._settings, **_own(plain_settings(settings))}
@@ -129,7 +129,7 @@ class PreparedModel:
         return run
 
     def _kept(self) -> list[Prepared]:
-        """The forms of the model, the last used one first."""
+        """Return the forms of the model, the most recently used form first."""
         with self._lock:
             return self._forms[::-1]
 
@@ -143,7 +143,7 @@ class PreparedModel:
 
 
 def _own(value: Any) -> Any:
-    """A value that nobody else can change."""
+    """Return a value that nobody else can change."""
     if isinstance(value, np.ndarray):
         return value.copy()
     if isinstance(value, Mapping):
@@ -152,5 +152,5 @@ def _own(value: Any) -> Any:
 
 
 def _again(value: DiagramValue, types: Mapping[str, type[Block]], given: Mapping[str, Any]) -> PreparedModel:
-    """What a pickle becomes."""
+    """Rebuild a model from a pickle."""
     return PreparedModel(value, types, **given).ready()

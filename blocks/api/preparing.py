@@ -15,12 +15,12 @@ __all__ = ["longest_compilation", "new_folders", "other_platforms"]
 
 
 def longest_compilation() -> float:
-    """The time in s after which a compiler that hangs is stopped."""
+    """Return the time in s after which a hanging compiler is stopped."""
     return compiler.LIMIT
 
 
 def new_folders(value: DiagramValue) -> dict[Path, list[str]]:
-    """The folders of a diagram's FMUs from which none was taken before, with their names; they are remembered."""
+    """Return the folders from which no FMU was used before, with the names of the FMUs, and remember them."""
     return trust.new_folders(value, of_user)
 
 

@@ -78,7 +78,7 @@ def started(
     flat: Flat | None = None,
     likes: Iterable[Prepared] = (),
 ) -> Run:
-    """A run of a diagram that stands at its start, or where a saved run stood. Arguments as of `Prepared.of`.
+    """Return a run of a diagram at its start, or at the time of a saved run. Arguments as of `Prepared.of`.
 
     likes: what was prepared of this diagram before; the first that can be is used again.
     """
@@ -134,7 +134,7 @@ _Made = TypeVar("_Made")
 def _by_one_thread(
     method: Callable[Concatenate[Run, _Given], _Made],
 ) -> Callable[Concatenate[Run, _Given], _Made]:
-    """A method of a Run that is refused (E507) while another thread is inside of one; a thread may nest its own."""
+    """Refuse (E507) a method of a Run while another thread is in a method of it. A thread may nest its own calls."""
 
     @functools.wraps(method)
     def guarded(run: Run, /, *arguments: _Given.args, **named: _Given.kwargs) -> _Made:
@@ -169,7 +169,7 @@ class Run:
         given: Mapping[str, Any] | None = None,
         streaming: Streaming | None = None,
     ) -> None:
-        """saved: where a run stood that this one goes on from. given: the raw parameters that were given beside it."""
+        """Start a run. saved: the state from which it continues. given: the raw parameters that came with the state."""
         self._turn = threading.RLock()
         self._prepared, self._options = prepared, options
         plan = prepared.plan
@@ -215,7 +215,7 @@ class Run:
             streaming.begin(self._simulation, prepared.settings, self._in_memory, self._state)
 
     def _others(self, state: State, given: Mapping[str, Any]) -> tuple[Fault, ...]:
-        """What has changed since a state was saved, besides what is given in its place, as warnings."""
+        """Return warnings for changes since a state was saved, except for values that are given instead."""
         assert state.equations is not None
         prepared = self._prepared
         own = prepared.equations
@@ -232,7 +232,7 @@ class Run:
         return self._warnings
 
     def _in_memory(self) -> Results:
-        """What was recorded, without the rows that are in a file already."""
+        """Return the recorded results, without the rows that are already in a file."""
         return self._named(self._simulation.results())
 
     def _named(self, results: Results) -> Results:
@@ -240,7 +240,7 @@ class Run:
         return replace(results, origin=self._origin, warnings=(*self._warnings, *results.warnings))
 
     def _told(self, results: Results) -> Results:
-        """The same, with the rows that are in a file already."""
+        """Return the results with the rows that are already in a file."""
         named = self._named(results)
         return named if self._streaming is None else self._streaming.joined(named)
 
@@ -255,7 +255,7 @@ class Run:
         self._simulation.engine.abandon()
 
     def leave(self) -> None:
-        """This run does not go on: another one may, from its part."""
+        """Leave this run for good. Another run may continue from its part."""
         if self._streaming is not None and self._streaming.part is not None:
             self._streaming.part.close()
 
@@ -291,11 +291,11 @@ class Run:
 
     @_by_one_thread
     def snapshot(self) -> State:
-        """The run as it stands, from which `restore` or another run of the diagram (`resume=`) can go on."""
+        """Return the state of the run, from which `restore` or another run of the diagram (`resume=`) can continue."""
         return replace(self._state(), recorded=None)
 
     def _state(self) -> State:
-        """The same, with where its rows go on."""
+        """Return the state of the run with the place where its rows continue."""
         prepared, settings = self._prepared, self.settings
         state = self._simulation.snapshot({name: raw_of(value) for name, value in prepared.parameters.items()})
         return replace(state, equations=prepared.equations, seed=settings.seed, start=settings.start)
@@ -488,7 +488,7 @@ class Run:
 
     @_by_one_thread
     def __getitem__(self, name: str) -> Any:
-        """The value of a signal now: a float, or an array for a vector."""
+        """Return the value of a signal now: a float, or an array for a vector."""
         signals = self._prepared.plan.signals
         base, index = indexed(name)
         whole = signals.get(base)
@@ -507,13 +507,13 @@ class Run:
 
 
 def engine_of(run: Run) -> Engine:
-    """The engine of a run, which stands where all of its time has happened."""
+    """Return the engine of a run, at an instant that is complete."""
     run._simulation.values(())
     return run._simulation.engine
 
 
 def tolerances_of_fmus(run: Run) -> list[float] | None:
-    """The tolerances that FMUs of Co-Simulation take instead of the run's; None where no master steps them."""
+    """Return the tolerances that FMUs for Co-Simulation use instead of the run's, or None if there is no master."""
     plan = run.plan
     if isinstance(plan, Plan):
         return None
@@ -523,7 +523,7 @@ def tolerances_of_fmus(run: Run) -> list[float] | None:
 
 
 def _named_inputs(given: Any, plan: Plan | Coupling) -> dict[str, Any]:
-    """The inputs that were given, by name, those of files included."""
+    """Return the given inputs by name, including inputs from files."""
     named: dict[str, Any] = {}
     for source in given if isinstance(given, (list, tuple)) else (given,):
         if isinstance(source, (str, Path)):
@@ -538,14 +538,14 @@ def _named_inputs(given: Any, plan: Plan | Coupling) -> dict[str, Any]:
 
 
 def _given_input(value: Any, type_: str) -> Any:
-    """The value of an input as it is given; "2 mV" is a quantity."""
+    """Return the value of an input from its given form; "2 mV" is a quantity."""
     return read_quantity(value) if type_ in ("real", "int") else value
 
 
 def _input_table(
     plan: Plan | Coupling, named: Mapping[str, Any], interpolation: str, state: State | None
 ) -> InputTable:
-    """The inputs of a run: what is given counts, and the rest is as the diagram or the state has it."""
+    """Return the inputs of a run. Given inputs count; the others come from the diagram or the state."""
     known: Any = plan
     if state is None:
         return read_inputs(known, {**plan.settings.inputs, **named}, interpolation=interpolation)
@@ -558,7 +558,7 @@ def _input_table(
 
 
 def _going_on(settings: Mapping[str, Any], saved: State | Kept, name: str) -> Mapping[str, Any]:
-    """The settings of a run that goes on from a state: its seed and its start go along.
+    """Return the settings of a run that continues from a state, with the seed and the start of the state.
 
     So all noise goes on as it was, and so do the grids of steps and rows, which count from the start. Of a state that
     was written before it said them, those of the diagram count. Raises UsageError (E506) where another seed is given:

@@ -77,7 +77,7 @@ class Streaming:
                 Part.check_free(self.out)
 
     def joined(self, results: Results) -> Results:
-        """The results of a run, whose rows are those behind the part."""
+        """Return all results of a run, given the results with the rows after the part."""
         if self.part is None:
             return results
         stored = Stored(self.part, np.column_stack([results.t, results.values]))
@@ -97,7 +97,7 @@ class Streaming:
             self.part = None
 
     def check(self, results: Results) -> Origin:
-        """The origin that the part says. Raises UsageError (E506) with all in which the run is another one."""
+        """Return the origin in the part. Raises UsageError (E506) with all differences of the run."""
         assert self.part is not None
         was, ours = self.part.metadata, results._table().described()
         known = {
@@ -123,7 +123,7 @@ class Streaming:
 def part_to_resume(
     resume: Any, out: str | Path | None, given: Mapping[str, Any], settings: Mapping[str, Any]
 ) -> tuple[Part, Path, dict[str, Any]] | None:
-    """The part that a run goes on from, the file that it writes, and its settings; None for other states.
+    """Return the part from which a run continues, the file that it writes, and its settings; None for other states.
 
     given: parameters and inputs that were given, by what they are. Raises UsageError: E501, E506.
     """

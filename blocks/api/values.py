@@ -21,7 +21,7 @@ __all__ = ["at_rest", "check_settings", "time_of"]
 
 
 def time_of(place: str, raw: Any) -> Fraction:
-    """A time in s, exactly. place: what an error names. Raises UsageError (E501)."""
+    """Return a time in s, exactly. place: named in errors. Raises UsageError (E501)."""
     try:
         return seconds(read_quantity(raw))
     except ValueError as error:

@@ -78,7 +78,7 @@ class _Known:
         return self.units[min(element, len(self.units) - 1)]
 
     def value_at(self, copies: Sequence[tuple[int, int | None]]) -> Any:
-        """The value in a copy, or in several that have the same; None where they have others."""
+        """Return the value in a copy, or in several copies if it is the same in all of them; else None."""
         lane = 0
         for count, number in copies:
             if number is None:
@@ -106,7 +106,7 @@ class _Parameters:
         return made
 
     def named(self, path: str) -> list[str]:
-        """The parameters that a name or a pattern names; what means all copies stands without a number."""
+        """Return the parameters that a name or a pattern matches. A parameter of all copies has no number."""
         found = named(path, self.known, self.copies)
         return [one for one in found if all(number is None or number < n for n, number in self.numbers(one))]
 
@@ -114,7 +114,7 @@ class _Parameters:
         return self.known[_plain(path)]
 
     def each(self, path: str) -> Iterator[str]:
-        """The same parameter in each copy that a path means."""
+        """Yield the parameter in each copy that a path means."""
         labels, plain = [], ""
         for part in path.split("."):
             plain += part.partition("[")[0]
@@ -125,7 +125,7 @@ class _Parameters:
 
 
 def columns_of(names: Sequence[str], value: DiagramValue, flat: Flat) -> tuple[Column, ...]:
-    """The columns of these names. Raises UsageError (E501, E106) for what names nothing, or names twice."""
+    """Return the columns of these names. Raises UsageError (E501, E106) if a name matches nothing, or repeats."""
     if isinstance(names, str):
         message, cure = "is one name, not a list of names.", f'As in ["{legible(names)}"].'
         raise UsageError(Fault("E501", legible(names), message, cure))
@@ -160,7 +160,7 @@ def each_of(name: str, value: DiagramValue, flat: Flat) -> list[str]:
 
 
 def _found(name: str, parameters: _Parameters) -> list[str]:
-    """The parameters that a name or a pattern names, without elements. Raises UsageError (E106) where there is none."""
+    """Find the parameters that a name or a pattern matches, without elements. Raises UsageError (E106) if none does."""
     path, _ = _split(name)
     found = parameters.named(path)
     if not found:
@@ -176,7 +176,7 @@ def _found(name: str, parameters: _Parameters) -> list[str]:
 
 
 def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
-    """The raw values of parameters by path, as a row gives them."""
+    """Return the raw values of parameters in a row, by path."""
     given: dict[str, Any] = {}
     elements: dict[str, list[Any]] = {}
     shapes: dict[str, tuple[str, tuple[int, ...]]] = {}
@@ -203,13 +203,13 @@ def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
 
 
 def _split(name: str) -> tuple[str, str]:
-    """A name without its element, and the element: "" or "[0]"."""
+    """Split a name into the name without its element, and the element: "" or "[0]"."""
     path, bracket, rest = name.rpartition("[") if name.endswith("]") else (name, "", "")
     return path, bracket + rest
 
 
 def _plain(path: str) -> str:
-    """A path without the numbers of copies."""
+    """Return a path without the numbers of copies."""
     return ".".join(part.partition("[")[0] for part in path.split("."))
 
 
@@ -233,13 +233,13 @@ def _target(path: str, name: str, element: str, parameters: _Parameters) -> Targ
 
 
 def _in_unit(value: Any, unit: str) -> float:
-    """A number in SI in another unit; nan where it is none."""
+    """Convert a number from SI to another unit; return nan if it is no number."""
     array = np.asarray(value)
     return from_si(float(array), unit) if array.dtype.kind in "iuf" and array.ndim == 0 else math.nan
 
 
 def _of_blocks(flat: Flat) -> Iterator[tuple[str, _Known]]:
-    """The parameters of blocks, of which those in copies stand once."""
+    """Yield the parameters of blocks, parameters in copies once."""
     blocks: dict[str, list[tuple[int, Resolved]]] = {}  # the numbers of copy 0, and of the lanes where they are others
     for k, block in enumerate(flat.one_of_each):
         found = blocks.setdefault(_plain(block.path), [])
@@ -263,7 +263,7 @@ def _of_diagrams(
     total: int = 1,
     given: Mapping[str, Any] | None = None,
 ) -> Iterator[tuple[str, _Known]]:
-    """The parameters of a diagram and of those in it. total: how many there are of it. given: by its block."""
+    """Yield the parameters of a diagram and of its subdiagrams. total: its number of copies. given: by its block."""
     prefix, count = f"{path}." if path else "", copies.get(path, 0)
     for name, entry in value.parameters.items():
         unit = str(entry.get("unit", "")) if isinstance(entry, Mapping) else ""
@@ -281,7 +281,7 @@ def _of_diagrams(
 
 
 def _value(raw: Any, unit: str) -> Any:
-    """The value in SI; None where it is computed from others."""
+    """Return the value in SI, or None if it is computed from other values."""
     try:
         return value_of(raw, unit, {}).value
     except (ModelError, Absent, ValueError, TypeError, ArithmeticError):

@@ -156,7 +156,7 @@ def _told(given: list[str], error: BlocksError) -> int:
 
 
 def _unforeseen(error: Exception) -> tuple[int, Fault]:
-    """The exit code and the fault of an exception that no part of blocks has foreseen."""
+    """Return the exit code and the fault of an exception that no part of blocks expects."""
     what = " ".join(str(error).split())[:300]
     if isinstance(error, MemoryError):
         return UsageError.exit_status, Fault("E008", "", "there is not enough memory for this.", "Make it smaller.")
@@ -199,7 +199,7 @@ def _short(word: str) -> str:
 
 
 def _every(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
-    """A parser and those of its commands."""
+    """Yield a parser and the parsers of its commands."""
     yield parser
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
@@ -208,7 +208,7 @@ def _every(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]
 
 
 def _parser(command: str = "") -> argparse.ArgumentParser:
-    """The parser of the command line; where it begins with a command, of that one alone: the others take their time."""
+    """Make the parser of the command line. If `command` is a command, add no other: making all of them takes time."""
     if command and command not in COMMANDS and not command.startswith("-"):
         known = ", ".join(map(repr, COMMANDS))  # as argparse has it, which would make all parsers first
         _Parser(prog="blocks").error(f"argument COMMAND: invalid choice: {command!r} (choose from {known})")

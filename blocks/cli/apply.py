@@ -67,7 +67,7 @@ def _apply(options: argparse.Namespace) -> int:
 
 
 def tell_elsewhere(edit: Edit) -> None:
-    """What other files would need, on stderr."""
+    """Print on stderr the changes that other files would need."""
     for change in edit.elsewhere:
         say(f"warning: not changed: {change_line(change)} (--project changes it as well)")
     if edit.note:
@@ -75,7 +75,7 @@ def tell_elsewhere(edit: Edit) -> None:
 
 
 def change_line(change: Change) -> str:
-    """A change as a line of text; what is long is cut."""
+    """Return a change as a line of text; long values are cut."""
     old, new = (_short(text) for text in (change.old, change.new))
     what = f"{old} -> {new}" if old and new else f"+ {new}" if new else f"- {old}"
     return f"{change.file}:{change.line}:{change.column}: {what}"
@@ -87,5 +87,5 @@ def _short(text: str) -> str:
 
 
 def change_entry(change: Change) -> dict[str, Any]:
-    """A change as an object."""
+    """Return a change as an object."""
     return {"file": change.file, "line": change.line, "column": change.column, "old": change.old, "new": change.new}

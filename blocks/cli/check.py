@@ -86,7 +86,7 @@ def _tell(
 
 
 def _check_study(path: str, options: argparse.Namespace) -> int | None:
-    """The exit code for what is a study; None for what is none."""
+    """Check a study and return its exit code, or None if the file is no study."""
     from ..studies import study
 
     loaded, faults = study.checked(path, library=options.library)

@@ -107,7 +107,7 @@ def _subparsers(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser
 
 
 def _values(action: argparse.Action, command: str, last: str, diagram: str) -> tuple[str, list[str]]:
-    """The values that an argument may have. diagram: the file that the command names."""
+    """Yield the values that an argument may have. diagram: the file that the command names."""
     if action.choices:
         return _matching(last, map(str, action.choices))
     what, shown = action.dest, str(action.metavar)
@@ -149,7 +149,7 @@ def _matching(last: str, words: Iterable[str], *, nospace: bool = False) -> tupl
 
 @cache
 def _schema() -> Any:
-    """The definitions of the schema of diagrams."""
+    """Return the definitions of the schema of diagrams."""
     schemas = resources.files(__package__.rpartition(".")[0]).joinpath("schemas").iterdir()
     newest = max((entry for entry in schemas if entry.name.startswith("diagram-")), key=lambda entry: entry.name)
     return json.loads(newest.read_text(encoding="utf-8"))["$defs"]
@@ -157,7 +157,7 @@ def _schema() -> Any:
 
 @cache
 def types() -> Mapping[str, tuple[list[str], list[str]]]:
-    """The parameters and the outputs of the block types that ship, by name."""
+    """Return the parameters and the outputs of the shipped block types, by name."""
     known = _schema()
     told = {each.get("const"): each.get("description", "") for each in known["block"]["properties"]["type"]["anyOf"]}
     ports = {name: re.search(r"^Outputs: (.*)$", text, re.MULTILINE) for name, text in told.items() if name}
@@ -174,7 +174,7 @@ def types() -> Mapping[str, tuple[list[str], list[str]]]:
 
 
 def _names_of(path: str) -> dict[str, list[str]]:
-    """The names in a diagram file: parameters and signals by their paths, blocks, variants, inputs, measures."""
+    """Return the names in a diagram file: parameters and signals by their paths, blocks, variants, inputs, measures."""
     names: dict[str, list[str]] = {
         key: [] for key in ("parameters", "signals", "blocks", "variants", "inputs", "measures")
     }
@@ -217,7 +217,7 @@ def _table(entry: Any, key: str) -> Mapping[str, Any]:
 
 
 def _read(path: str) -> Any:
-    """The JSON of a file; None where it cannot be read, is no ordinary file, or is large."""
+    """Return the JSON of a file, or None if it cannot be read, is no ordinary file, or is large."""
     try:
         if os.path.isfile(path) and os.path.getsize(path) <= LARGEST:
             with open(path, encoding="utf-8") as stream:

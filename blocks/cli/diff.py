@@ -89,7 +89,7 @@ def _for_git(options: argparse.Namespace) -> int:
 
 
 def _read(path: str, folder: str, *, shown: str = "") -> Readable:
-    """The diagram of a file, and its faults.
+    """Read the diagram of a file, and its faults.
 
     folder: where the paths of a text from stdin begin, and of a file that is called `shown`.
     """

@@ -63,7 +63,7 @@ def _list(options: argparse.Namespace) -> int:
 
 
 def _found(catalog: Catalog, options: argparse.Namespace) -> int:
-    """What `--search` finds. Raises UsageError (E501) where that is nothing."""
+    """Print what `--search` finds. Raises UsageError (E501) if it finds nothing."""
     if options.block is not None or not options.search.split():
         what, cure = "takes one text, and no block type.", 'As in blocks list --search "rate limit".'
         raise UsageError(Fault("E501", f"--search {options.search}", what, cure))
@@ -86,7 +86,7 @@ def _rows(found: Iterable[Found], width: int, as_json: bool) -> None:
 
 
 def _tell_words(words: Iterable[Word], as_json: bool) -> None:
-    """What stands for words of Simulink."""
+    """Print the entries for words of Simulink."""
     for word in words:
         if as_json:
             emit({"simulink": word.name, "here": word.here, "blocks": list(word.blocks), "see": word.see})

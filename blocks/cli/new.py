@@ -70,7 +70,7 @@ def _check_name(name: str) -> None:
 
 
 def _template() -> Iterator[tuple[str, str]]:
-    """The places of the files, from the folder of the project on, and their texts."""
+    """Yield the paths of the files, relative to the folder of the project, and their texts."""
 
     def inside(folder: Any, prefix: str) -> Iterator[tuple[str, str]]:
         for entry in sorted(folder.iterdir(), key=lambda each: str(each.name)):
@@ -92,7 +92,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _schema(path: Path) -> str:
-    """The JSON Schema of diagrams with the block types of a module, which is the template's."""
+    """Return the JSON Schema of diagrams with the block types of the module of the template."""
     from ..api.catalog import Catalog
     from ..studies.json_schema import text_of
 

@@ -12,7 +12,7 @@ __all__ = [
 
 
 def takes_several(verb: argparse.ArgumentParser, option: str, metavar: str, help: str, **more: Any) -> None:
-    """An option that may stand again and again: its values are a list, an empty one unless `more` has a default."""
+    """Add an option that may be repeated. Its values are a list, which is empty unless `more` has a default."""
     verb.add_argument(option, metavar=metavar, action="append", help=help, **{"default": [], **more})
 
 

@@ -116,7 +116,7 @@ def tell_faults(faults: Sequence[Fault], as_json: bool, *, file: str = "") -> No
 
 
 def fault_lines(faults: Sequence[Fault], stream: TextIO, *, more: bool = True) -> Iterator[str]:
-    """A line for each fault. On a terminal: with the lines of the files, and how to read on where `more` is wanted."""
+    """Return a line for each fault. On a terminal, add lines of the files and, if `more`, how to learn more."""
     is_terminal = stream.isatty()
     excerpts = Excerpts()
     for fault in faults:

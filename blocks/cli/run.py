@@ -79,7 +79,7 @@ def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None 
     failure: BlocksError | None = None
 
     def ended(error: FMUError) -> int:
-        """An FMU ends this process."""
+        """Report that an FMU ends this process."""
         progress.clear()
         results = run.results
         if results.rows:
@@ -212,7 +212,7 @@ def _print_rows(results: Results) -> None:
 
 
 def _master(items: Sequence[str]) -> dict[str, Any] | None:
-    """The --master options as the object that a file has; None where there is none."""
+    """Return the --master options as the object of a file, or None if there are none."""
     master: dict[str, Any] = {}
     for key, value in assignments("--master", items, "step=0.001").items():
         first, separator, block = key.partition(".")
@@ -242,7 +242,7 @@ def _check_targets(options: argparse.Namespace, read: list[str]) -> None:
 
 
 def _shown(options: argparse.Namespace, plan: Any) -> list[str]:
-    """The elements that --plot draws: the first four, or all of --log. Raises UsageError (E501)."""
+    """Return the elements that --plot draws: the first four, or all of --log. Raises UsageError (E501)."""
     if not options.plot:
         return []
     names: list[str] = []

@@ -133,7 +133,7 @@ def _sweep(options: argparse.Namespace) -> int:
 
 
 def _arguments(options: argparse.Namespace, vary: Mapping[Any, Any]) -> dict[str, str]:
-    """The options by the places of faults of `Diagram.sweep`, as far as what varies is not called so."""
+    """Return the options by the places of faults of `Diagram.sweep`, except for names of varied parameters."""
     named = {name: f"--{name}" for name in ("n", "seed", "budget", "threads", "lanes", "vary")}
     named |= {"run.log": "--log", "on": "--dask", options.sampler: f"--sampler {options.sampler}"}
     return {place: option for place, option in named.items() if place not in vary}
@@ -180,7 +180,7 @@ def _count(option: str, text: str | None) -> int | None:
 
 
 def vary_of(items: Sequence[str]) -> dict[Any, Any]:
-    """The --vary options: lists and distributions by parameter."""
+    """Read the --vary options: lists and distributions by parameter."""
     from ..studies.sampling import each
 
     vary: dict[Any, Any] = {}
@@ -251,7 +251,7 @@ def _number(place: str, text: str) -> float:
 
 
 def scenarios_of(items: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """The --scenario options: values by parameter, by the name of the scenario; one that stands again has more."""
+    """Read the --scenario options: values by parameter, by scenario. A repeated scenario adds values."""
     scenarios: dict[str, dict[str, Any]] = {}
     for item in items:
         name, separator, text = item.partition(":")

@@ -27,7 +27,7 @@ def number_of(option: str, text: str | None) -> Any:
 
 
 def time_of(option: str, text: str | None) -> Any:
-    """A time of the run: a number, maybe with a unit, or an expression over the parameters of the diagram."""
+    """Return a time of the run: a number, maybe with a unit, or an expression over the parameters of the diagram."""
     if text is None or text.startswith("="):
         return text
     if "/" in text or text[:1].isalpha():  # no unit of time has a slash
@@ -37,7 +37,7 @@ def time_of(option: str, text: str | None) -> Any:
 
 
 def raw_number(value: Any) -> Any:
-    """A number, in SI where a unit stands with it, or a list of numbers. Raises UsageError (E501)."""
+    """Return a number, in SI if it has a unit, or a list of numbers. Raises UsageError (E501)."""
     from ..text import units
 
     if isinstance(value, list):
@@ -63,7 +63,7 @@ def assignments(option: str, items: Sequence[str], example: str) -> dict[str, An
 
 
 def _parsed(place: str, text: str) -> Any:
-    """The value of an option; faults name the option. A decimal comma is reported as such."""
+    """Return the value of an option; faults name the option. A decimal comma is reported as such."""
     if re.match(r"\s*[-+]?[0-9]*,[0-9]", text):
         from ..text.quantity_text import quantity_in
 
@@ -82,7 +82,7 @@ def _parsed(place: str, text: str) -> Any:
 
 @contextlib.contextmanager
 def as_options(options: Mapping[str, str], words: Mapping[str, str] | None = None) -> Iterator[None]:
-    """What is wrong with an argument of Python is told of its option. words: in messages and cures, by patterns."""
+    """Report faults of Python arguments as faults of options. words: replaced in messages and cures, by pattern."""
 
     def told(text: str) -> str:
         for pattern, word in (words or {}).items():
@@ -102,7 +102,7 @@ def as_options(options: Mapping[str, str], words: Mapping[str, str] | None = Non
 
 
 def variants_of(items: Sequence[str]) -> dict[str, str]:
-    """The --variant options: names of variants by block path."""
+    """Read the --variant options: names of variants by block path."""
     variants: dict[str, str] = {}
     for item in items:
         path, separator, name = (part.strip() for part in item.partition("="))
