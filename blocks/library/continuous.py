@@ -359,8 +359,7 @@ class ZeroPoleGain(Block):
     come in pairs of neighbors, first the value above the real axis: poles [-1, -1, -3] with poles_imag [2, -2, 0] are
     -1 + 2j, -1 - 2j and -3.
 
-    The poles form a chain of sections in the order of the list. u drives the first section, and each section drives the
-    next:
+    The poles form a chain of sections in the order given. u drives the first, and each section drives the next:
 
         dx_i/dt = p x_i + w x_{i-1}                         of a real pole p
         dx_i/dt = a x_i + w x_{i-1} - b^2/w x_{i+1}         of a pair a +- bj
@@ -419,8 +418,7 @@ class StateSpace(Block):
     """dx/dt = A x + B u, y = C x + D u.
 
     A is n x n, B n x m, C p x n, D p x m (default: 0); u, x and y are vectors, whose elements wires name u[0], y[0].
-    Zeros of the matrices fix the type: an element of y depends at the same instant only on the elements of u with a
-    nonzero entry in its row of D.
+    Zeros of the matrices fix the type: an element of y depends directly only on the u for which its row of D is not 0.
     """
 
     A = Parameter([[-1.0]], shape=("n", "n"), zeros=True, doc="from state to its derivative")

@@ -114,8 +114,7 @@ class DiscreteStateSpace(Block):
     """x[k+1] = A x[k] + B u[k], y[k] = C x[k] + D u[k].
 
     A is n x n, B n x m, C p x n, D p x m (default: 0); u, x and y are vectors, whose elements wires name u[0], y[0].
-    Zeros of the matrices fix the type: an element of y[k] depends only on the elements of u[k] with a nonzero entry in
-    its row of D.
+    Zeros of the matrices fix the type: an element of y[k] depends only on the u[k] for which its row of D is not 0.
     """
 
     A = Parameter([[0.0]], shape=("n", "n"), zeros=True, doc="from state to the next state")

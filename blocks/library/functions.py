@@ -154,8 +154,7 @@ class MinMax(Block):
     """y = max(u1, u2, ...), or the least of the inputs.
 
     The instants at which another input becomes the largest, or the least, are located. For each binary digit of the
-    numbers of the inputs, a crossing compares the inputs with a 1 there with the inputs with a 0: another largest
-    input differs in at least one digit.
+    numbers of the inputs, a crossing compares the inputs with a 1 there with the inputs with a 0.
     """
 
     function = Parameter("max", structural=True, choices=("max", "min"), doc="whether y is the largest or the least")

@@ -33,7 +33,7 @@ class RateLimiter(Block):
 
     y begins at u. The instant at which y catches up with u is located. The instant at which u becomes too fast is not,
     because it cannot be known in advance. Adaptive methods keep their steps so short there that y is within their
-    tolerance; with a fixed step the error of y is as large as the deviation of u from a straight line in one step.
+    tolerance; with a fixed step y is off by the deviation of u from a line in one step.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
@@ -89,8 +89,7 @@ class Backlash(Block, describing="backlash"):
 
     y begins at y_start, or where u pushes it. The instant at which u meets y is located. The instant at which u turns
     back is not, because it cannot be known in advance. Adaptive methods keep their steps so short there that y is
-    within their tolerance; with a fixed step the error of y is as large as the deviation of u from a straight line in
-    one step.
+    within their tolerance; with a fixed step y is off by the deviation of u from a line in one step.
 
     For u = A sin(theta) with A > width/2 its describing function is, with x = 1 - width/A,
     1/2 + (asin(x) + x sqrt(1 - x^2))/pi - j 2 width/(pi A) (1 - width/(2 A)); a smaller A moves nothing.

@@ -82,8 +82,7 @@ class RateTransition(Block):
     """y = u of a task that ticks with period_u, as a task that ticks with `period` receives it.
 
     Ticks are exact and their order is known, so no value is ever torn or lost between rates, and a wire is enough for
-    an ideal transfer: at common ticks u arrives at the same instant. On a computer, u of a slow task is not ready by
-    then.
+    an ideal transfer: at common ticks u passes without delay. On a computer, u of a slow task is not ready by then.
 
     mode: "hold" gives u at each tick of the receiver: for a fast sender, which is done before a slow receiver begins.
     "delay" gives u at the last tick but one of the sender: for a slow sender, which has all of period_u to compute; y
