@@ -273,11 +273,11 @@ class TrackingDifferentiator(ContinuousTracker):
 
     r1 follows r with the acceleration R at most and r2 is its derivative. The forms:
 
-    fhan: time-optimal with steps of h, from the linear zone of which comes a double pole at -1/h. With
+    fhan: time-optimal with steps of h; its linear zone gives a double pole at -1/h. With
 
             d = R h, y = x1 + h x2, a0 = sqrt(d^2 + 8 R |y|)
-            a = x2 + (a0 - d)/2 sgn y where |y| > d h, else x2 + y/h
-            fhan(x1, x2, R, h) = -R sgn a where |a| > d, else -R a/d
+            a = x2 + (a0 - d)/2 sgn y if |y| > d h, else x2 + y/h
+            fhan(x1, x2, R, h) = -R sgn a if |a| > d, else -R a/d
 
     sign: the limit h = 0, dr2/dt = -R sgn(r1 - r + r2 |r2|/(2 R)). It chatters, and an adaptive solver does not get
         through it in reasonable time: use a method with a fixed step.
@@ -307,8 +307,8 @@ class INTD(ImprovedTracker, ContinuousTracker, ImprovedTracking):
 
     The forms:
 
-    unit: s = beta (r1 - r). r1 settles at r: the DC gain is 1. The paper's tables are had with this form; alpha has
-        no effect.
+    unit: s = beta (r1 - r). r1 settles at r: the DC gain is 1. The paper's tables follow from this form; alpha
+        has no effect.
     literal: s = beta r1 - (1 - alpha) r, as eq. (1) is printed. r1 settles at (1 - alpha)/beta r: with the paper's
         values the DC gain is 0.2334.
     """
@@ -327,7 +327,7 @@ class INTD(ImprovedTracker, ContinuousTracker, ImprovedTracking):
 class NLSEF(StateFeedback):
     """Nonlinear state error feedback: u = sum of gains_i fal(e_i, alpha_i, delta_i) - z_{n+1}/b0, e_i = r_i - z_i.
 
-        fal(e, a, d) = |e|^a sgn e where |e| > d, else e/d^(1 - a)
+        fal(e, a, d) = |e|^a sgn e if |e| > d, else e/d^(1 - a)
 
     The paper prints alpha and delta for order 2; gains of 1 and the nominal b0 of its motor are assumed.
 
@@ -369,10 +369,10 @@ class INLSEF(StateFeedback, ImprovedFeedback):
         v = sum of k_i(e_i) |e_i|^alpha_i sgn e_i + k_integral(I) |I|^alpha_integral sgn I,   dI/dt = e_1
         k_i(e) = k1_i + k2_i/(1 + exp(mu_i e^2)),   k_integral(I) = k3/(1 + exp(mu_integral I^2))
 
-    The paper's k_i1, k_i2, mu_i, alpha_i of order 2 are the defaults; its k3, mu_3, alpha_3 are those of the integral.
-    It gives these three and delta, but no equation with them: the law of the integral and tanh are assumed, and so is
-    the b0 of its motor. The factor 1/(1 + exp(m e^2)) is computed as (1 - tanh(m e^2/2))/2, which does not overflow.
-    Where alpha_i < 1 the law has an infinite slope at e_i = 0.
+    The paper's k_i1, k_i2, mu_i, alpha_i of order 2 are the defaults; its k3, mu_3, alpha_3 are the defaults of the
+    integral. The paper gives these three and delta, but no equation with them: the law of the integral and tanh are
+    assumed, and so is the b0 of its motor. The factor 1/(1 + exp(m e^2)) is computed as (1 - tanh(m e^2/2))/2, which
+    does not overflow. If alpha_i < 1 the law has an infinite slope at e_i = 0.
     """
 
     b0 = StateFeedback.b0
@@ -393,9 +393,9 @@ class INLSEF(StateFeedback, ImprovedFeedback):
 class LSEF(StateFeedback):
     """Linear state error feedback: u = (sum of gains_i (r_i - z_i) - z_{n+1})/b0.
 
-    Give `gains`, or `bandwidth`, which puts all n poles of a plant y^(n) = f + b0 u at -bandwidth, where the estimates
-    are right: gains_i is the binomial coefficient (n over i - 1) times bandwidth^(n - i + 1). What is not wired of the
-    wanted output and its derivatives is 0.
+    Give `gains`, or `bandwidth`, which puts all n poles of a plant y^(n) = f + b0 u at -bandwidth if the estimates are
+    right: gains_i is the binomial coefficient (n over i - 1) times bandwidth^(n - i + 1). The wanted output and its
+    derivatives are 0 if they are not wired.
 
     References: Z. Gao, Scaling and Bandwidth-Parameterization Based Controller Tuning, ACC 2003.
     """
@@ -419,9 +419,9 @@ class LSEF(StateFeedback):
 class LESO(ContinuousObserver):
     """Linear extended state observer: dz_i/dt = z_{i+1} + gains_i e, dz_n/dt = z_{n+1} + b0 u + gains_n e, e = y - z1.
 
-    dz_{n+1}/dt = gains_{n+1} e. Give `gains`, or `bandwidth`, which puts all n + 1 poles at -bandwidth: gains_i is
-    the binomial coefficient (n + 1 over i) times bandwidth^i. Neither given: the paper's gains of order 2.
-    The b0 of the paper's motor is assumed.
+    dz_{n+1}/dt = gains_{n+1} e. Give `gains`, or `bandwidth`, which puts all n + 1 poles at -bandwidth: gains_i is the
+    binomial coefficient (n + 1 over i) times bandwidth^i. The default is the paper's gains of order 2. The b0 of the
+    paper's motor is assumed.
 
     References: Z. Gao, Scaling and Bandwidth-Parameterization Based Controller Tuning, ACC 2003.
     """
@@ -446,8 +446,8 @@ class SMESO(ContinuousObserver, SlidingLaw):
         dz_i/dt = z_{i+1} + gains_i g(e),   dz_n/dt = z_{n+1} + b0 u + gains_n g(e),   dz_{n+1}/dt = gains_{n+1} g(e)
         g(e) = Ka |e|^alpha sgn e + Kb |e|^beta e,   e = y - z1
 
-    Give `gains`, or `bandwidth`, which makes them those of a LESO with all poles at -bandwidth. Neither given: the
-    paper's gains of order 2. Where alpha < 1, g has an infinite slope at e = 0. The b0 of the paper's motor is assumed.
+    Give `gains`, or `bandwidth`, which makes them those of a LESO with all poles at -bandwidth. The default is the
+    paper's gains of order 2. If alpha < 1, g has an infinite slope at e = 0. The b0 of the paper's motor is assumed.
     """
 
     b0 = Observer.b0
@@ -462,12 +462,12 @@ class NESO(NonlinearObserver):
 
         dz_i/dt = z_{i+1} + gains_i fal_i,   fal_i = fal(e, alpha_i, delta),   e = y - z1
         dz_n/dt = z_{n+1} + b0 u + gains_n fal_n,   dz_{n+1}/dt = gains_{n+1} fal_{n+1}
-        fal(e, a, d) = |e|^a sgn e where |e| > d, else e/d^(1 - a)
+        fal(e, a, d) = |e|^a sgn e if |e| > d, else e/d^(1 - a)
 
-    With exponents below 1 the gain falls as the error grows: a fast observer that does not overshoot as far when it
-    starts far off. The exponents are 1, 1/2, 1/4, ... unless given. Give `gains`, or `bandwidth`, which makes gains_i
-    the binomial coefficient (n + 1 over i) times bandwidth^i delta^(1 - alpha_i): where |e| <= delta, this is the
-    LESO with all poles at -bandwidth. The instants at which |e| passes delta are located.
+    With exponents below 1 the gain falls as the error grows: a fast observer overshoots less if it starts far off. The
+    default exponents are 1, 1/2, 1/4, ... Give `gains`, or `bandwidth`, which makes gains_i the binomial coefficient
+    (n + 1 over i) times bandwidth^i delta^(1 - alpha_i): if |e| <= delta, this is the LESO with all poles at
+    -bandwidth. The instants at which |e| passes delta are located.
 
     References: J. Han, From PID to Active Disturbance Rejection Control, IEEE TIE 56(3), 2009.
     """
@@ -516,8 +516,8 @@ class DiscreteESO(SampledObserver):
     current: z(k) = x(k) + gains e(k), x(k+1) = A z(k) + B u(k), with the exact A and B; `bandwidth` puts the poles at
         exp(-bandwidth period). The measurement of a tick counts at that tick; in the other two it counts at the next.
 
-    Give `gains` or `bandwidth`. u(k) is the control at the tick, which may depend on z(k); it should stay constant up
-    to the next tick, as it does behind a feedback of z and of a constant reference. Before the first tick z is z_start.
+    Give `gains` or `bandwidth`. u(k) is the control at the tick, which may depend on z(k); it should be constant up to
+    the next tick, as it is after a feedback of z and of a constant reference. Before the first tick z is z_start.
 
     References: R. Miklosovic, A. Radke, Z. Gao, Discrete Implementation and Generalization of the Extended State
         Observer, ACC 2006. G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed.,
@@ -556,9 +556,8 @@ class DiscreteINTD(ImprovedTracker, Ticks, ImprovedTracking):
     """INTD in sampled time: r1(k+1) = r1(k) + T r2(k), r2(k+1) = r2(k) - T (R^2 tanh(s(k)/gamma) + R r2(k)).
 
     T is the period, s and the forms are those of INTD. These are Euler steps, as Han takes them for his differentiator:
-    r1 and r2 of a tick are made of r at the ticks before it. They settle where R T < 2 and
-    beta R T < gamma: with the paper's values, up to T = 0.119 s. Before the first tick r1 and r2 are r1_start and
-    r2_start.
+    r1 and r2 of a tick follow from r at the ticks before it. They settle if R T < 2 and beta R T < gamma: with the
+    paper's values, up to T = 0.119 s. Before the first tick r1 and r2 are r1_start and r2_start.
 
     References: J. Han, From PID to Active Disturbance Rejection Control, IEEE TIE 56(3), 2009, section III.A.
     """
@@ -602,8 +601,8 @@ class DiscreteINTD(ImprovedTracker, Ticks, ImprovedTracking):
 class DiscreteINLSEF(StateFeedback, Ticks, ImprovedFeedback):
     """INLSEF in sampled time: its u at each tick, held in between; I(k+1) = I(k) + period e_1(k).
 
-    The laws and the defaults are those of INLSEF. The integral is a sum by forward differences, so that that of a tick
-    is made of the errors at the ticks before it. Before the first tick u is u_start.
+    The laws and the defaults are those of INLSEF. The integral is a sum by forward differences, so its value at a tick
+    follows from the errors at the ticks before it. Before the first tick u is u_start.
     """
 
     b0 = StateFeedback.b0
@@ -630,10 +629,10 @@ class DiscreteSMESO(SampledObserver, SlidingLaw):
     current: z(k) = x(k) + T gains g(e(k)), x(k+1) = A z(k) + B u(k), with the exact A and B. The measurement of a tick
         counts at that tick: a period less of delay in the loop, for which [4] recommends it.
 
-    `gains`, `bandwidth` and their defaults are those of SMESO: the period must be short against 1/bandwidth. Where
+    `gains`, `bandwidth` and their defaults are those of SMESO: the period must be short against 1/bandwidth. If
     alpha < 1, g has an infinite slope at e = 0, and e does not settle there: in the end it changes its sign at each
     tick, with |e| near (T gains_1 Ka/2)^(1/(1 - alpha)) for a short T. With the paper's values this is 1e-13 of the
-    unit of y at 1 ms, and 1e-11 at 2 ms. u(k) may depend on z(k), and should stay constant up to the next tick. Before
+    unit of y at 1 ms, and 1e-11 at 2 ms. u(k) may depend on z(k), and should be constant up to the next tick. Before
     the first tick z is z_start.
 
     References: R. Miklosovic, A. Radke, Z. Gao, Discrete Implementation and Generalization of the Extended State

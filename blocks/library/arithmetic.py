@@ -34,7 +34,7 @@ class Sum(Block):
 class Gain(Block):
     """y = k u.
 
-    k has the unit of y over the unit of u, where both are known.
+    k has the unit of y over the unit of u, if both are known.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
@@ -51,10 +51,10 @@ class MatrixGain(Block):
     """y = K u, for vectors u and y.
 
     K is p x m: u has m elements and y has p, which wires name u[0], y[0]. Zeros of K fix the type: an element of y
-    depends only on the elements of u that its row of K holds. All u have one unit, and so have all y.
+    depends only on the elements of u with a nonzero entry in its row of K. All u have one unit, and so have all y.
 
-    A large K is given by its edges, {"edges": [[row, column, value], ...], "shape": [p, m]}, as a CSV file of them, or
-    in Python as a matrix of scipy.sparse. What it costs is then in proportion to the edges.
+    Give a large K by its edges, {"edges": [[row, column, value], ...], "shape": [p, m]}, by a CSV file of edges, or in
+    Python as a matrix of scipy.sparse. The cost is then proportional to the number of edges.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
@@ -110,8 +110,8 @@ class Norm(Block):
 
     kind "2": sqrt(u[0]^2 + u[1]^2 + ...), the length; "1": |u[0]| + |u[1]| + ...; "inf": the largest |u[k]|.
 
-    The slope jumps at u = 0; that of "1" where an element changes its sign, that of "inf" where another one takes the
-    lead. These corners are not located.
+    The slope jumps at u = 0, with "1" also when an element changes its sign, and with "inf" when another element
+    becomes the largest. These corners are not located.
     """
 
     kind = Parameter("2", structural=True, choices=("2", "1", "inf"), doc="norm: Euclidean, sum, maximum")

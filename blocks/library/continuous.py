@@ -41,9 +41,9 @@ class Integrator(Block):
 class ResettableIntegrator(Block):
     """dy/dt = u, from y_start on; y becomes y0 at each instant at which the trigger fires.
 
-    The trigger is on while it is above the threshold, so that a pulse between 0 and 1 works as it is. direction: "up"
-    fires where it goes on, "down" where it goes off, "both" at either. These instants are located. A trigger that is
-    on at the start does not fire. y0 is read just before the instant; unwired, it is 0.
+    The trigger is on while it is above the threshold, so a pulse between 0 and 1 works with the default. direction:
+    "up" fires when the trigger goes on, "down" when it goes off, "both" at either. These instants are located. A
+    trigger that is on at the start does not fire. y0 is read just before the instant; unwired, it is 0.
     """
 
     direction = Parameter("up", structural=True, choices=("up", "down", "both"), doc="edges that reset y")
@@ -77,8 +77,8 @@ class ResettableIntegrator(Block):
 class LimitedIntegrator(Block):
     """dy/dt = u within lower ... upper, else 0: y stops at a limit, and leaves it as soon as u points inwards.
 
-    Nothing winds up behind a limit. The instants at which y reaches a limit, and those at which u turns back, are
-    located, so that y stops at the limit itself. A limit that is set during a run takes y along where y is beyond it.
+    y does not wind up at a limit. The instants at which y reaches a limit, and the instants at which u turns back, are
+    located, so y stops exactly at the limit. If a limit that is set during a run is beyond y, y moves to the limit.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
@@ -179,7 +179,7 @@ class FirstOrder(Block):
 class SecondOrder(Block):
     """d2y/dt2 + 2 d w dy/dt + w^2 y = k w^2 u: y = k w^2/(s^2 + 2 d w s + w^2) u, from y_start and v_start on.
 
-    It oscillates where d < 1; with d = 0 without end, below 0 ever more.
+    It oscillates if d < 1: with d = 0 forever, with d < 0 ever more.
     """
 
     k = Parameter(1.0, unit=_gain_unit, doc="gain at rest")
@@ -207,11 +207,11 @@ def _lag_size(k, T1, T2):
 
 
 class LeadLag(Block):
-    """y = k (T1 s + 1)/(T2 s + 1) u: a lead where T1 > T2, a lag where T1 < T2.
+    """y = k (T1 s + 1)/(T2 s + 1) u: a lead if T1 > T2, a lag if T1 < T2.
 
         T2 dx/dt = u - x,   y = k (x + T1/T2 (u - x))
 
-    y depends on u at once, by k T1/T2, but not where T1 is 0; a T1 of 0 stays 0 during a run. The state begins at
+    y depends on u at the same instant, by k T1/T2, unless T1 is 0; a T1 of 0 stays 0 during a run. The state begins at
     x_start, which is 0.
     """
 
@@ -221,7 +221,7 @@ class LeadLag(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
     u = Input(unit=unit_u, doc="input")
-    x = State(unit=unit_u, nominal=_lag_size, doc="input behind the denominator")
+    x = State(unit=unit_u, nominal=_lag_size, doc="input filtered by the denominator")
 
     @x.derivative
     def dx(x, u, T2):
@@ -263,11 +263,11 @@ class TransferFunction(Block):
         dx1/dt = x2, ..., dxn/dt = u - a_n x1 - ... - a_1 xn
         y = (b_n - a_n b_0) x1 + ... + (b_1 - a_1 b_0) xn + b_0 u
 
-    y depends on u at once only where num and den have one degree. Zeros of num fix the type: a zero coefficient
-    stays zero during a run. The state begins at x_start, which is 0.
+    y depends on u at the same instant only if num and den have the same degree. Zeros of num fix the type: a zero
+    coefficient stays zero during a run. The state begins at x_start, which is 0.
 
-    The states of a fast plant are small: x1 is u/a_n at rest. Their nominal follows from num and den, as the size that
-    they have where u or y is about 1, but 1 at most, so that atol covers no more of a fast plant than of a slow one.
+    The states of a fast plant are small: x1 is u/a_n at rest. Their nominal follows from num and den: it is their size
+    when u or y is about 1, but at most 1. So atol weighs the same for a fast plant as for a slow plant.
 
     References: T. Kailath, Linear Systems, Prentice-Hall 1980, section 2.1.
     """
@@ -355,23 +355,23 @@ def _section_sizes(zeros, zeros_imag, poles, poles_imag, k, m, n):
 class ZeroPoleGain(Block):
     """y = k (s - z_1) ... (s - z_m)/((s - p_1) ... (s - p_n)) u, with m <= n.
 
-    `zeros` and `poles` hold real parts, zeros_imag and poles_imag imaginary parts; left out, these are 0. Complex ones
-    stand in pairs of neighbors, first that above the real axis: poles [-1, -1, -3] with poles_imag [2, -2, 0] are
+    `zeros` and `poles` hold real parts, zeros_imag and poles_imag imaginary parts, which default to 0. Complex values
+    come in pairs of neighbors, first the value above the real axis: poles [-1, -1, -3] with poles_imag [2, -2, 0] are
     -1 + 2j, -1 - 2j and -3.
 
-    The poles form a chain of sections in the order given, each driven by the one before, the first by u:
+    The poles form a chain of sections in the order given. u drives the first, and each section drives the next:
 
         dx_i/dt = p x_i + w x_{i-1}                         of a real pole p
         dx_i/dt = a x_i + w x_{i-1} - b^2/w x_{i+1}         of a pair a +- bj
         dx_{i+1}/dt = a x_{i+1} + w x_i
 
-    With w = |p|, or 1/s where that is more, fast sections have the gain 1 at rest, so that their states are about as
-    large as u. In a TransferFunction they shrink with the product of the poles. The output is a row c of the states: a
-    factor s - z makes c A - z c of it, and on the way c B of u. Where the row is above 1, the nominal of its states is
-    1 through that, so that atol covers no more of a high gain than of a low one.
+    With w = |p|, or 1/s if that is more, fast sections have the gain 1 at rest, so their states are about as large as
+    u. In a TransferFunction the states shrink with the product of the poles. The output is a row c of the states: a
+    factor s - z turns c into c A - z c, and adds c B of u. If entries of the row from a section on are above 1, the
+    nominal of its state is 1 over the largest of them. So atol weighs the same for a high gain as for a low gain.
 
-    y depends on u at once only where m = n. An imaginary part of 0 stays 0 during a run. The state begins at x_start,
-    which is 0.
+    y depends on u at the same instant only if m = n. An imaginary part of 0 stays 0 during a run. The state begins at
+    x_start, which is 0.
     """
 
     zeros = Parameter([], shape="m", unit="1/s", doc="real parts of the zeros")
@@ -400,7 +400,7 @@ class ZeroPoleGain(Block):
     def A(poles, poles_imag):
         return _chain(poles, poles_imag)
 
-    @local(doc="what u drives: the first section")
+    @local(doc="effect of u on the first section")
     def B(poles, poles_imag, n):
         return _driven(poles, poles_imag, n)
 
@@ -417,8 +417,8 @@ class ZeroPoleGain(Block):
 class StateSpace(Block):
     """dx/dt = A x + B u, y = C x + D u.
 
-    A is n x n, B n x m, C p x n, D p x m (left out: 0); u, x and y are vectors, whose elements wires name u[0], y[0].
-    Zeros of the matrices fix the type: an element of y depends at once only on the elements of u that D has for it.
+    A is n x n, B n x m, C p x n, D p x m (default: 0); u, x and y are vectors, whose elements wires name u[0], y[0].
+    Zeros of the matrices fix the type: an element of y depends directly only on the u for which its row of D is not 0.
     """
 
     A = Parameter([[-1.0]], shape=("n", "n"), zeros=True, doc="from state to its derivative")

@@ -20,19 +20,19 @@ class DiscreteIntegrator(Block):
     """y[k] = y[k-1] + period ((1 - a) u[k-1] + a u[k]), from y[0] = y_start on: the integral of u as a sum.
 
     form: "forward" (a = 0: period/(z - 1), without feedthrough), "backward" (a = 1: period z/(z - 1)) or "trapezoidal"
-    (a = 1/2: period/2 (z + 1)/(z - 1)). y stays within lower ... upper, and nothing winds up behind a limit. y_start
-    is also y before the first tick.
+    (a = 1/2: period/2 (z + 1)/(z - 1)). y stays within lower ... upper, and does not wind up at a limit. y_start is
+    also y before the first tick.
     """
 
     form = Parameter("forward", structural=True, choices=("forward", "backward", "trapezoidal"), doc="rule of the sum")
     period = Parameter(unit="s", positive=True, doc="time between two ticks")
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
-    y_start = Parameter(0.0, unit=unit, doc="y up to the first tick, and at it")
+    y_start = Parameter(0.0, unit=unit, doc="y before and at the first tick")
     lower = Parameter(-UNLIMITED, unit=unit, is_limit=True, doc="smallest y")
     upper = Parameter(UNLIMITED, unit=unit, is_limit=True, doc="largest y")
     u = Input(unit=unit / "s", doc="input")
-    x = Discrete(unit=unit, doc="y at the last tick and what its u adds to the next")
+    x = Discrete(unit=unit, doc="y at the last tick and the part that its u adds to the next y")
     begun = Discrete(type="bool", doc="whether there was a tick")
 
     @requires("lower must be below upper")
@@ -70,8 +70,8 @@ class DiscreteTransferFunction(Block):
         y[k] = (b_n - a_n b_0) x1[k] + ... + (b_1 - a_1 b_0) xn[k] + b_0 u[k]
 
     The coefficients are those of scipy.signal.dlti and control.tf; scipy.signal.lfilter counts powers of 1/z, which is
-    the same where num and den are of equal length. y[k] depends on u[k] only where num and den have one degree. Zeros
-    of num fix the type: a zero coefficient stays zero during a run. The state begins at x_start, which is 0.
+    the same if num and den have equal length. y[k] depends on u[k] only if num and den have the same degree. Zeros of
+    num fix the type: a zero coefficient stays zero during a run. The state begins at x_start, which is 0.
 
     References: T. Kailath, Linear Systems, Prentice-Hall 1980, section 2.3.
     """
@@ -113,11 +113,11 @@ class DiscreteTransferFunction(Block):
 class DiscreteStateSpace(Block):
     """x[k+1] = A x[k] + B u[k], y[k] = C x[k] + D u[k].
 
-    A is n x n, B n x m, C p x n, D p x m (left out: 0); u, x and y are vectors, whose elements wires name u[0], y[0].
-    Zeros of the matrices fix the type: an element of y[k] depends only on the elements of u[k] that D has for it.
+    A is n x n, B n x m, C p x n, D p x m (default: 0); u, x and y are vectors, whose elements wires name u[0], y[0].
+    Zeros of the matrices fix the type: an element of y[k] depends only on the u[k] for which its row of D is not 0.
     """
 
-    A = Parameter([[0.0]], shape=("n", "n"), zeros=True, doc="from state to the next one")
+    A = Parameter([[0.0]], shape=("n", "n"), zeros=True, doc="from state to the next state")
     B = Parameter([[1.0]], shape=("n", "m"), zeros=True, doc="from input to the next state")
     C = Parameter([[1.0]], shape=("p", "n"), zeros=True, doc="from state to output")
     D = Parameter(lambda p, m: np.zeros((p, m)), shape=("p", "m"), zeros=True, doc="from input to output")

@@ -27,7 +27,7 @@ class Clarke(Block):
     are sqrt(2/3), sqrt(1/2) and sqrt(1/3), the transformation is orthogonal, and power is the sum of the products.
     """
 
-    scaling = Parameter("amplitude", structural=True, choices=("amplitude", "power"), doc="what keeps its size")
+    scaling = Parameter("amplitude", structural=True, choices=("amplitude", "power"), doc="part that keeps its size")
     unit = Parameter("", structural=True, type="string", doc='unit of all inputs and outputs; "": unknown')
     a = Input(unit=unit, doc="phase a")
     b = Input(unit=unit, doc="phase b")
@@ -41,7 +41,7 @@ class Clarke(Block):
     def beta(b, c, scaling):
         return _SCALES[scaling][0] * _HEIGHT * (b - c)
 
-    @output(unit=unit, doc="what is common to the phases")
+    @output(unit=unit, doc="common part of the phases")
     def zero(a, b, c, scaling):
         return _SCALES[scaling][1] * (a + b + c)
 
@@ -52,11 +52,11 @@ class InverseClarke(Block):
     With scaling "power", alpha and beta count by sqrt(2/3) and zero by sqrt(1/3).
     """
 
-    scaling = Parameter("amplitude", structural=True, choices=("amplitude", "power"), doc="what keeps its size")
+    scaling = Parameter("amplitude", structural=True, choices=("amplitude", "power"), doc="part that keeps its size")
     unit = Parameter("", structural=True, type="string", doc='unit of all inputs and outputs; "": unknown')
     alpha = Input(unit=unit, doc="component along phase a")
     beta = Input(unit=unit, doc="component 90 degrees ahead of phase a")
-    zero = Input(0.0, unit=unit, doc="what is common to the phases")
+    zero = Input(0.0, unit=unit, doc="common part of the phases")
 
     @output(unit=unit, doc="phase a")
     def a(alpha, zero, scaling):
@@ -74,9 +74,9 @@ class InverseClarke(Block):
 class Park(Block):
     """d = alpha cos theta + beta sin theta, q = beta cos theta - alpha sin theta: a vector seen from turning axes.
 
-    theta is the angle from alpha (phase a) to d, in electrical radians: that of the machine times its pole pairs. q
-    leads d by 90 degrees. So cos(theta + phi) on phase a, balanced, is d = cos phi and q = sin phi. Others put phase
-    a on q at theta = 0: theta here is theirs less pi/2.
+    theta is the angle from alpha (phase a) to d, in electrical radians: the angle of the machine times its pole pairs.
+    q leads d by 90 degrees. So cos(theta + phi) on phase a, balanced, is d = cos phi and q = sin phi. Other conventions
+    put phase a on q at theta = 0: theta here is their angle minus pi/2.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of alpha, beta, d and q; "": unknown')

@@ -18,13 +18,13 @@ _TAPS = {
 
 
 class PRBS(Block):
-    """A pseudo-random binary sequence of maximal length: y is high or low, anew at each tick, like the toss of a coin.
+    """A pseudo-random binary sequence of maximal length: at each tick y becomes high or low, as by the toss of a coin.
 
-    A shift register of `order` bits gives its oldest one, and takes in the sum modulo 2 of this one and of those at its
-    taps. After 2^order - 1 ticks all registers but 0 have come, and the sequence begins again: in one period y is high
-    2^(order-1) times, and its autocorrelation is that of white noise but for -1/(2^order - 1). The spectrum is flat to
-    a few percent up to 1/(4 period), and 0 at 1/period. It begins with the register `seed` at the first tick of the
-    run; scipy.signal.max_len_seq(order, bits of seed, lowest first) is the same sequence.
+    A shift register of `order` bits puts out its oldest bit, and takes in the sum modulo 2 of this bit and the bits at
+    its taps. After 2^order - 1 ticks the register has had all values but 0, and the sequence repeats: in one period y
+    is high 2^(order-1) times, and its autocorrelation is that of white noise but for -1/(2^order - 1). The spectrum is
+    flat to a few percent up to 1/(4 period), and 0 at 1/period. At the first tick of the run the register is `seed`;
+    scipy.signal.max_len_seq(order, bits of seed, lowest first) is the same sequence.
 
     References: S. W. Golomb, Shift Register Sequences, Holden-Day 1967; L. Ljung, System Identification, 2nd ed.,
         Prentice Hall 1999, section 13.3.
@@ -39,7 +39,7 @@ class PRBS(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     low = Parameter(-1.0, unit=unit, doc="lower value, also before the first tick")
     high = Parameter(1.0, unit=unit, doc="upper value")
-    register = Discrete(shape=lambda order: order, type="bool", doc="bits to come, the next one first")
+    register = Discrete(shape=lambda order: order, type="bool", doc="coming bits, the next bit first")
 
     @requires("seed must be below 2^order")
     def fits(seed, order):
@@ -72,9 +72,9 @@ def _schroeder(amplitude, n):
 class Multisine(Block):
     """y = bias + the sum over k of amplitude[k] cos(2 pi harmonics[k] t/period + phase[k]).
 
-    It repeats after `period`, so that the response of a linear system to whole periods has lines at its harmonics
-    alone, without leakage. Left out, the phases are Schroeder's, which keep the crest factor low, near that of one
-    sine: for equal amplitudes phase[k] = -pi k (k + 1)/n, with k from 0 on.
+    It repeats after `period`, so the response of a linear system over whole periods has lines at its harmonics only,
+    without leakage. The default phases are Schroeder's, which keep the crest factor low, near that of one sine: for
+    equal amplitudes phase[k] = -pi k (k + 1)/n, with k from 0 on.
 
     References: M. R. Schroeder, Synthesis of low-peak-factor signals and binary sequences with low autocorrelation,
         IEEE Trans. Information Theory 16 (1970) 85-89; R. Pintelon, J. Schoukens, System Identification: A Frequency
@@ -85,7 +85,7 @@ class Multisine(Block):
     period = Parameter(1.0, unit="s", positive=True, doc="period of the first harmonic")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     amplitude = Parameter(1.0, unit=unit, shape="n", doc="amplitude of each harmonic; one number for all")
-    phase = Parameter(_schroeder, unit="rad", shape="n", doc="phase of each at t = 0")
+    phase = Parameter(_schroeder, unit="rad", shape="n", doc="phase of each harmonic at t = 0")
     bias = Parameter(0.0, unit=unit, doc="mean value")
 
     @requires("harmonics must be integers above 0, at least one")

@@ -36,12 +36,12 @@ class Expression(Block):
 
     "k1*sin(u1) + u2**2" has the inputs u1 and u2. The formula is arithmetic only: + - * / ** ( ), pi, and abs, acos,
     asin, atan, atan2, cos, exp, log, max, min, sin, sqrt, tan, tanh; angles are in rad and values in SI. The corners of
-    abs, max and min are not located: use Abs, MinMax and Saturation where that matters.
+    abs, max and min are not located: use Abs, MinMax and Saturation if that matters.
     """
 
     expression = Parameter("u1", structural=True, type="string", doc="the formula")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
-    k = Parameter([], shape="n", doc="constants k1, k2, ..., which may be changed during a run")
+    k = Parameter([], shape="n", doc="constants k1, k2, ..., which may change during a run")
     u = Input(shape=lambda expression: _count(expression, "u"), ports="u{}", doc="inputs")
 
     @requires("expression must be arithmetic")

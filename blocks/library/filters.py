@@ -15,8 +15,8 @@ __all__ = ["Biquad", "FIRFilter", "MovingAverage"]
 class MovingAverage(Block):
     """y[k] = (u[k] + u[k-1] + ... + u[k-samples+1])/samples: the mean of the last inputs.
 
-    Before the first tick y is y_start, and so is each input that the first means count from that time. A periodic
-    disturbance of the period `samples period`, and its harmonics, pass as 0; the delay is (samples - 1) period/2.
+    Before the first tick y is y_start, and the first means use y_start as the inputs before that tick. A disturbance of
+    the period `samples period`, and its harmonics, average to 0; the delay is (samples - 1) period/2.
     """
 
     samples = Parameter(10, structural=True, type="int", min=1, doc="number of inputs in the mean")
@@ -44,12 +44,12 @@ class FIRFilter(Block):
     """y[k] = b[0] u[k] + b[1] u[k-1] + ... + b[m-1] u[k-m+1]: a finite impulse response, which is b itself.
 
     The coefficients are those of scipy.signal.firwin and of scipy.signal.lfilter(b, 1, u). Zeros of b fix the type:
-    with b[0] = 0, y does not depend on u at once. Inputs before the first tick are x_start, which is 0.
+    with b[0] = 0, y does not depend on u at the same instant. Inputs before the first tick are x_start, which is 0.
 
     References: A. V. Oppenheim, R. W. Schafer, Discrete-Time Signal Processing, Pearson 2010, section 6.5.
     """
 
-    b = Parameter([1.0], shape="m", zeros=True, doc="coefficients, that of the newest input first")
+    b = Parameter([1.0], shape="m", zeros=True, doc="coefficients, for the newest input first")
     period = Parameter(unit="s", positive=True, doc="time between two ticks")
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
@@ -83,21 +83,21 @@ def _sections(u, x, sos, n):
 
 
 class Biquad(Block):
-    """y = u through n sections of second order in a row, each (b0 z^2 + b1 z + b2)/(a0 z^2 + a1 z + a2).
+    """y = u through n sections of second order in series, each (b0 z^2 + b1 z + b2)/(a0 z^2 + a1 z + a2).
 
-    A row of sos is [b0, b1, b2, a0, a1, a2], as scipy.signal has it: butter, tf2sos, sosfilt. One row
-    is a biquad; a filter of high order keeps its digits as a cascade, where one polynomial would lose them. Each
-    section is in the transposed direct form II:
+    A row of sos is [b0, b1, b2, a0, a1, a2], as in scipy.signal: butter, tf2sos, sosfilt. One row is a biquad. A filter
+    of high order keeps its digits as a cascade, but loses them as one polynomial. Each section is in the transposed
+    direct form II:
 
         y = b0 u + x1,   x1[k+1] = x2 + b1 u - a1 y,   x2[k+1] = b2 u - a2 y   (coefficients over a0)
 
-    Zeros of sos fix the type. The state begins at x_start, which is 0; scipy.signal.sosfilt_zi gives one at rest.
+    Zeros of sos fix the type. The state begins at x_start, which is 0; scipy.signal.sosfilt_zi gives a state at rest.
 
     References: A. V. Oppenheim, R. W. Schafer, Discrete-Time Signal Processing, Pearson 2010, section 6.3.
     """
 
     sos = Parameter(
-        [[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]], shape=("n", 6), zeros=True, doc="sections, a row b0, b1, b2, a0, a1, a2 each"
+        [[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]], shape=("n", 6), zeros=True, doc="sections, each a row b0, b1, b2, a0, a1, a2"
     )
     period = Parameter(unit="s", positive=True, doc="time between two ticks")
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick")

@@ -15,15 +15,15 @@ class Quadrotor(Block):
     Position: `m dv/dt = F R e3 - m g e3 - k v`, `dp/dt = v`. Attitude: `dq/dt = 1/2 q (0, omega)`, a product of
     quaternions, and `J domega/dt = tau - omega x (J omega)`, by Newton and Euler.
 
-    p and v are those of the center of mass, in axes fixed to the ground with the third one upwards (e3); omega and tau
-    are in axes of the body: forwards, to the left, upwards. The attitude q is a quaternion, its scalar first, which
-    turns the axes of the body into those of the ground: R is its rotation, and there is no attitude at which it fails.
-    roll, pitch and yaw are the same as angles: yaw first, then pitch, then roll. At a pitch of 90 degrees roll and yaw
-    are not told apart, and at 180 degrees they jump by a turn; neither is located.
+    p and v are the position and velocity of the center of mass, in axes fixed to the ground, the third axis upwards
+    (e3); omega and tau are in axes of the body: forwards, to the left, upwards. The attitude q is a quaternion, its
+    scalar first, which turns the axes of the body into the axes of the ground: R is its rotation, and it fails at no
+    attitude. roll, pitch and yaw are the same as angles: yaw first, then pitch, then roll. At a pitch of 90 degrees
+    roll and yaw cannot be separated, and at 180 degrees they jump by a turn; neither instant is located.
 
-    Four rotors of the thrusts f1 (front), f2 (left), f3 (back) and f4 (right) at the distance l, the first and the
-    third turning clockwise, with a torque of c for each thrust, make F the sum of all, tau[0] = l (f2 - f4), tau[1] =
-    l (f3 - f1) and tau[2] = c (f1 - f2 + f3 - f4). A MatrixGain of the inverse is the mixer.
+    Four rotors with the thrusts f1 (front), f2 (left), f3 (back) and f4 (right) at the distance l, of which the first
+    and the third turn clockwise, with a torque of c for each thrust, make F the sum of all, tau[0] = l (f2 - f4),
+    tau[1] = l (f3 - f1) and tau[2] = c (f1 - f2 + f3 - f4). A MatrixGain with the inverse matrix is the mixer.
 
     References: R. Mahony, V. Kumar, P. Corke, Multirotor aerial vehicles: modeling, estimation, and control of
         quadrotor, IEEE Robotics and Automation Magazine 19 (2012), no. 3, 20-32.
@@ -50,7 +50,7 @@ class Quadrotor(Block):
         )
         return np.stack([a * b * c + d * e * f, d * b * c - a * e * f, a * e * c + d * b * f, a * b * f - d * e * c])
 
-    @local(doc="rotation from the body to the ground; the length of q, which a method may let drift, is left out")
+    @local(doc="rotation from the body to the ground, whatever the length of q, which may drift")
     def R(q):
         w, x, y, z = (q[k] for k in range(4))
         rows = [

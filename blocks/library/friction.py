@@ -14,11 +14,11 @@ class CoulombFriction(Block):
 
         friction = Fc slip + b v     while it slips
 
-    slip is the side to which it slips, 1 or -1. While it sticks, slip is 0, and friction is F: v stays 0. It begins to
-    slip where |F| reaches Fs, to the side of F, and comes to rest where v reaches 0 under a smaller |F|; a larger one
-    turns it back at once. Both instants are located, and at rest v is 0 exactly: it neither creeps nor chatters. F is
-    all other force: springs and drives are wired to it. A body that turns has motion "rotary": m is its inertia, F a
-    torque, v a speed in rad/s.
+    slip is the direction of the slip, 1 or -1. While the mass sticks, slip is 0, and friction is F: v stays 0. It
+    begins to slip when |F| reaches Fs, in the direction of F. It comes to rest when v reaches 0 under a smaller |F|; a
+    larger |F| turns it back at once. Both instants are located, and at rest v is 0 exactly: the mass neither creeps nor
+    chatters. F is the sum of all other forces, such as springs and drives. For a body that turns, set motion "rotary":
+    m is its inertia, F a torque, v a speed in rad/s.
 
     References: B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, A survey of models, analysis tools and
         compensation methods for the control of machines with friction, Automatica 30 (1994) 1083-1138.
@@ -31,7 +31,7 @@ class CoulombFriction(Block):
         lambda Fc: Fc, unit=lambda motion: _of(motion, "N", "N.m"), min=0.0, doc="force that breaks it away from rest"
     )
     b = Parameter(0.0, unit=lambda motion: _of(motion, "N.s/m", "N.m.s/rad"), min=0.0, doc="viscous friction")
-    F = Input(unit=lambda motion: _of(motion, "N", "N.m"), doc="force of all else on the mass")
+    F = Input(unit=lambda motion: _of(motion, "N", "N.m"), doc="sum of all other forces on the mass")
     x = State(unit=lambda motion: _of(motion, "m", "rad"), output=True, doc="position")
     v = State(unit=lambda motion: _of(motion, "m/s", "rad/s"), output=True, doc="velocity")
     slip = Discrete(type="int", output=True, doc="1 or -1 while it slips to this side, 0 while it sticks")
@@ -88,11 +88,10 @@ class LuGreFriction(Block):
 
         dz/dt = v - sigma0 |v| z/g
 
-    g falls from Fs to Fc with the speed, after Stribeck: `g = Fc + (Fs - Fc) exp(-(v/vs)^2)`. F is against v. It tells
-    of the spring before slip, of the peak at break-away, of the drop of force with speed that makes stick-slip, and of
-    the lag behind v. In steady slip the bristles bear g against v. z lives on the scale Fc/sigma0, micrometers, and
-    follows v within Fc/(sigma0 |v|): at high speeds that is stiff, and radau suits better. Default values are those of
-    [1].
+    g falls from Fs to Fc with the speed, after Stribeck: `g = Fc + (Fs - Fc) exp(-(v/vs)^2)`. F acts against v. The
+    model shows the spring before slip, the peak at break-away, the drop of force with speed that causes stick-slip, and
+    the lag behind v. In steady slip the bristles bear g against v. z is of the size Fc/sigma0, micrometers, and follows
+    v within Fc/(sigma0 |v|): at high speeds that is stiff, and radau suits better. Default values are those of [1].
 
     References:
         [1] C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, A new model for control of systems with friction,
@@ -100,7 +99,7 @@ class LuGreFriction(Block):
     """
 
     sigma0 = Parameter(1e5, unit="N/m", positive=True, doc="stiffness of the bristles")
-    sigma1 = Parameter(np.sqrt(1e5), unit="N.s/m", min=0.0, doc="their damping")
+    sigma1 = Parameter(np.sqrt(1e5), unit="N.s/m", min=0.0, doc="damping of the bristles")
     sigma2 = Parameter(0.4, unit="N.s/m", min=0.0, doc="viscous friction")
     Fc = Parameter(1.0, unit="N", positive=True, doc="Coulomb friction")
     Fs = Parameter(1.5, unit="N", positive=True, doc="static friction")

@@ -39,7 +39,7 @@ class Abs(Block):
 class Sign(Block):
     """y = 1 for u > 0, 0 for u = 0, -1 for u < 0.
 
-    The instants at which u reaches or leaves 0 are located. Where y drives u back to 0 from both sides, they come ever
+    The instants at which u reaches or leaves 0 are located. If y drives u back to 0 from both sides, they come ever
     faster, and the run stops with an error that names this block: use a Saturation with a steep Gain, or a relay.
     """
 
@@ -63,10 +63,10 @@ class Sqrt(Block):
     """y = sqrt(u), or in the signed form y = sqrt(|u|) sgn u.
 
     In the plain form a negative u stops the run with an error that names this block. The slope at u = 0 is infinite:
-    near it steps are small, and a loop that comes to rest there needs ever more of them. u has the unit of y squared.
+    steps near it are small, and a loop that comes to rest there needs ever more steps. u has the unit of y squared.
     """
 
-    form = Parameter("plain", structural=True, choices=("plain", "signed"), doc="what becomes of negative inputs")
+    form = Parameter("plain", structural=True, choices=("plain", "signed"), doc="treatment of negative inputs")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     u = Input(unit=unit**2, doc="input")
 
@@ -79,13 +79,13 @@ class Sqrt(Block):
 class Power(Block):
     """y = u^exponent, or in the signed form y = |u|^exponent sgn u.
 
-    In the plain form a negative u with an exponent that is no integer, or u = 0 with a negative one, stops the run with
-    an error that names this block. In the signed form with an exponent above 1 the instants at which u changes its sign
-    are located; below 1 the slope at u = 0 is infinite, as that of Sqrt. The power is that of the number in SI units;
-    `unit` is not checked against that of u.
+    In the plain form a negative u with an exponent that is not an integer, or u = 0 with a negative exponent, stops the
+    run with an error that names this block. In the signed form with an exponent above 1 the instants at which u changes
+    its sign are located; with an exponent below 1 the slope at u = 0 is infinite, as for Sqrt. The power is computed
+    from the number in SI units; `unit` is not checked against the unit of u.
     """
 
-    form = Parameter("plain", structural=True, choices=("plain", "signed"), doc="what becomes of negative inputs")
+    form = Parameter("plain", structural=True, choices=("plain", "signed"), doc="treatment of negative inputs")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
     exponent = Parameter(2.0, doc="exponent")
@@ -105,12 +105,12 @@ class Power(Block):
 
 
 class Polynomial(Block):
-    """y = c[0] u^n + c[1] u^(n-1) + ... + c[n], coefficients from the highest power down, as numpy.polyval has them.
+    """y = c[0] u^n + c[1] u^(n-1) + ... + c[n], coefficients from the highest power down, as in numpy.polyval.
 
-    The powers are those of the number in SI units. It is computed by Horner's rule.
+    The powers are computed from the number in SI units, by Horner's rule.
     """
 
-    c = Parameter([1.0, 0.0], shape="m", doc="coefficients, that of the highest power first")
+    c = Parameter([1.0, 0.0], shape="m", doc="coefficients, highest power first")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
     u = Input(unit=unit_u, doc="input")
@@ -151,10 +151,10 @@ def _lead(u, function, bit):
 
 
 class MinMax(Block):
-    """y = max(u1, u2, ...), or the least of them.
+    """y = max(u1, u2, ...), or the least of the inputs.
 
-    The instants at which another input takes the lead are located: its number then differs in one of its binary
-    digits at least, and the leads of the inputs with a 1 there over those with a 0 are crossings.
+    The instants at which another input becomes the largest, or the least, are located. For each binary digit of the
+    numbers of the inputs, a crossing compares the inputs with a 1 there with the inputs with a 0.
     """
 
     function = Parameter("max", structural=True, choices=("max", "min"), doc="whether y is the largest or the least")
@@ -189,9 +189,9 @@ _TRIGONOMETRY = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "t
 class Trigonometry(Block):
     """y = sin u, or another trigonometric or hyperbolic function of u.
 
-    Angles are in rad: u of sin, cos and tan, y of asin, acos and atan. A u beyond the domain of a function (|u| > 1
-    for asin, acos, atanh; u < 1 for acosh) stops the run with an error that names this block. A step may pass over a
-    pole of tan unseen.
+    Angles are in rad: u of sin, cos and tan, y of asin, acos and atan. A u beyond the domain of a function (|u| > 1 for
+    asin, acos, atanh; u < 1 for acosh) stops the run with an error that names this block. A step may miss a pole of
+    tan.
     """
 
     function = Parameter("sin", structural=True, choices=_TRIGONOMETRY, doc="function")
@@ -207,8 +207,8 @@ class Trigonometry(Block):
 class Atan2(Block):
     """y = the angle of the point (u2, u1) = atan2(u1, u2), from -pi to pi.
 
-    With u2 < 0, y jumps between -pi and pi where u1 changes its sign; for u1 = 0 it is pi. These instants are located
-    (with u2 > 0 they are instants too, at which nothing jumps). At u1 = u2 = 0, y = 0.
+    With u2 < 0, y jumps between -pi and pi when u1 changes its sign; for u1 = 0 it is pi. These instants are located
+    (also with u2 > 0, when nothing jumps). At u1 = u2 = 0, y = 0.
     """
 
     unit_u = Parameter("", structural=True, type="string", doc='unit of u1 and u2; "": unknown')

@@ -50,9 +50,9 @@ def _holds(at_least, at_most, operator):
 class Compare(Block):
     """y = whether u1 < u2, or another relation: <=, >, >=, equal, unequal.
 
-    The instants at which y changes are located, and at equal inputs each operator says what it means: 1 < 1 is false,
-    1 <= 1 true. Numbers are equal where all their digits are: that is for signals that hold a value, such as counts;
-    continuous signals that pass each other may be equal at no instant at all.
+    The instants at which y changes are located, and each operator has its exact meaning at equal inputs: 1 < 1 is
+    false, 1 <= 1 true. Numbers are equal if all their digits are. This is for signals that hold a value, such as
+    counts; continuous signals that pass each other may be equal at no instant at all.
     """
 
     operator = Parameter("<", structural=True, choices=_OPERATORS, doc="relation of u1 to u2")
@@ -75,12 +75,12 @@ class Compare(Block):
 class CompareToConstant(Block):
     """y = whether u >= constant, or another relation: <, <=, >, equal, unequal.
 
-    The instants at which y changes are located, as those of Compare are.
+    The instants at which y changes are located, as for Compare.
     """
 
     operator = Parameter(">=", structural=True, choices=_OPERATORS, doc="relation of u to the constant")
     unit_u = Parameter("", structural=True, type="string", doc='unit of u and of the constant; "": unknown')
-    constant = Parameter(0.0, unit=unit_u, doc="what u is compared to")
+    constant = Parameter(0.0, unit=unit_u, doc="number with which u is compared")
     u = Input(unit=unit_u, doc="number to compare")
 
     @crossing
@@ -99,7 +99,7 @@ class CompareToConstant(Block):
 class Logic(Block):
     """y = u1 and u2 and ..., or another operator: or, nand, nor, xor, not.
 
-    nand and nor are the opposites of and and or; xor is true where an odd number of inputs is; not has one input.
+    nand and nor are the opposites of and and or; xor is true if an odd number of inputs is; not has one input.
     """
 
     operator = Parameter("and", structural=True, choices=("and", "or", "nand", "nor", "xor", "not"), doc="operator")
@@ -124,9 +124,9 @@ class Logic(Block):
 
 
 class Switch(Block):
-    """y = u1 where control is true, else u2.
+    """y = u1 if control is true, else u2.
 
-    A bool changes at instants only, so that no solver step straddles the change. For a threshold of a number see
+    A bool changes at instants only, so no solver step straddles the change. To switch by the threshold of a number, use
     SwitchAbove.
     """
 
@@ -140,7 +140,7 @@ class Switch(Block):
 
 
 class SwitchAbove(Block):
-    """y = u1 where control >= threshold, else u2.
+    """y = u1 if control >= threshold, else u2.
 
     The instants at which control passes the threshold are located.
     """
@@ -164,7 +164,7 @@ class Multiport(Block, abstract=True):
     """One of several, by its number: the number that is nearest to index, halfway the higher."""
 
     size = Parameter(3, structural=True, type="int", min=1, doc="number of inputs to choose from")
-    index = Input(doc="number of the input that y is, from 1 on")
+    index = Input(doc="number of the chosen input, from 1 on")
     chosen = Discrete(1, type="int", doc="number of the chosen input")
 
     @crossing(direction="up")
@@ -191,10 +191,10 @@ def chosen_of(values, chosen):
 
 
 class MultiportSwitch(Multiport):
-    """y = u1 where index is 1, u2 where it is 2, ...: the input whose number is nearest to index, halfway the higher.
+    """y = u1 if index is 1, u2 if it is 2, ...: the input whose number is nearest to index, halfway the higher number.
 
-    An index below 1 chooses the first input, one above `size` the last. The instants at which another input is chosen
-    are located, and a jump of index may pass over many.
+    An index below 1 chooses the first input, an index above `size` the last. The instants at which the choice changes
+    are located, and a jump of index may pass over many inputs.
     """
 
     size = Multiport.size
@@ -211,8 +211,8 @@ class MultiportSwitch(Multiport):
 class EdgeDetect(Block):
     """y = whether u became true since the last tick; or whether it became false, or either.
 
-    y is true from that tick to the next. It compares u at a tick with u at the tick before, so that a pulse between
-    two ticks goes unseen (a Counter sees it); at the first tick with last_start.
+    y is true from that tick to the next. The block compares u at a tick with u at the tick before, and at the first
+    tick with last_start. So it misses a pulse between two ticks, which a Counter counts.
     """
 
     edge = Parameter("rise", structural=True, choices=("rise", "fall", "either"), doc="changes that make y true")
@@ -240,12 +240,12 @@ class Counter(Block):
     ("wrap"). u may be a bool, which rises from 0 to 1.
     """
 
-    form = Parameter("stop", structural=True, choices=("stop", "wrap"), doc="what y does beyond final")
+    form = Parameter("stop", structural=True, choices=("stop", "wrap"), doc="behavior of y beyond final")
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
     threshold = Parameter(0.5, unit=unit_u, doc="value to which u rises")
     first = Parameter(0.0, doc="y before the first rise, an integer")
     final = Parameter(2.0**53, doc="largest y, an integer")
-    u = Input(unit=unit_u, doc="what is counted")
+    u = Input(unit=unit_u, doc="signal whose rises are counted")
     reset = Input(False, type="bool", doc="whether y is held at first")
     rises = Discrete(doc="rises since the start")
     skipped = Discrete(doc="rises up to the end of the last reset")

@@ -12,8 +12,8 @@ __all__ = ["BouncingBall", "InvertedPendulum", "MassSpringDamper", "QuarterCar",
 class BouncingBall(Block):
     """A ball above a floor: dh/dt = v, dv/dt = -g; an impact turns v into -e v.
 
-    An impact that would send it up with less than v_rest lays it to rest on the floor for good: without that rule
-    the impacts of a ball with e < 1 pile up at a finite time, and no run gets beyond it. From the height h_start, at
+    If an impact would send the ball up with less than v_rest, the ball stays on the floor for good. Without that rule
+    the impacts of a ball with e < 1 accumulate at a finite time, and no run gets beyond it. From the height h_start, at
     rest, the impacts are at T, T (1 + 2 e), T (1 + 2 e + 2 e^2), ... with T = sqrt(2 h_start/g).
     """
 
@@ -58,8 +58,8 @@ class BouncingBall(Block):
 class MassSpringDamper(Block):
     """A mass on a spring and a damper: m dv/dt = F - c v - k x, dx/dt = v.
 
-    x counts from where the mass rests without a force. Natural frequency sqrt(k/m), damping ratio c/(2 sqrt(k m)).
-    Default values are those of [1]. k = 0 and c = 0 are allowed: a free mass.
+    x is measured from the point at which the mass rests without a force. Natural frequency sqrt(k/m), damping ratio
+    c/(2 sqrt(k m)). Default values are those of [1]. k = 0 and c = 0 are allowed: a free mass.
 
     References:
         [1] B. Messner, D. Tilbury, Control Tutorials for MATLAB and Simulink, University of Michigan: PID Controller
@@ -116,11 +116,11 @@ class InvertedPendulum(Block):
     def coupling(theta, m, l):
         return m * l * np.cos(theta)
 
-    @local(unit="N", doc="force on the cart without the accelerations' own")
+    @local(unit="N", doc="force on the cart without the terms of accelerations")
     def force(v, theta, omega, F, m, l, b):
         return F - b * v + m * l * omega**2 * np.sin(theta)
 
-    @local(unit="N.m", doc="torque on the pendulum without the accelerations' own")
+    @local(unit="N.m", doc="torque on the pendulum without the terms of accelerations")
     def torque(theta, omega, m, l, d, g):
         return m * g * l * np.sin(theta) - d * omega
 
@@ -151,16 +151,16 @@ class QuarterCar(Block):
         mb dvb/dt = F - ks (xb - xw) - bs (vb - vw),   dxb/dt = vb
         mw dvw/dt = ks (xb - xw) + bs (vb - vw) - F + kt (road - xw),   dxw/dt = vw
 
-    Heights count from the rest under the car's own weight on a road of height 0. F is the force of an active
-    suspension, upwards on the body and downwards on the wheel. The tire never leaves the road: that is right while it
-    is pressed, kt (xw - road) below (mb + mw) times gravity. Default values are those of [1].
+    Heights are measured from the rest under the car's own weight on a road of height 0. F is the force of an active
+    suspension, upwards on the body and downwards on the wheel. The tire never leaves the road in this model: that is
+    right as long as kt (xw - road) is below (mb + mw) times gravity. Default values are those of [1].
 
     References:
         [1] MathWorks, Robust Control Toolbox: Robust Control of Active Suspension.
     """
 
     mb = Parameter(300.0, unit="kg", positive=True, doc="mass of a quarter of the body")
-    mw = Parameter(60.0, unit="kg", positive=True, doc="mass of the wheel and what moves with it")
+    mw = Parameter(60.0, unit="kg", positive=True, doc="mass of the wheel and the parts that move with it")
     ks = Parameter(16000.0, unit="N/m", min=0.0, doc="stiffness of the suspension")
     bs = Parameter(1000.0, unit="N.s/m", min=0.0, doc="damping of the suspension")
     kt = Parameter(190000.0, unit="N/m", min=0.0, doc="stiffness of the tire")
@@ -179,7 +179,7 @@ class QuarterCar(Block):
     def ab(suspension, mb):
         return suspension / mb
 
-    @output(unit="m", doc="stroke of the suspension, above 0 where it is stretched")
+    @output(unit="m", doc="stroke of the suspension, above 0 if it is stretched")
     def stroke(xb, xw):
         return xb - xw
 
@@ -214,8 +214,9 @@ class TwoLinkArm(Block):
         g2 = m2 r2 g cos(theta1 + theta2),   g1 = (m1 r1 + m2 l1) g cos theta1 + g2
         dtheta1/dt = omega1,   dtheta2/dt = omega2
 
-    tau1 acts between the ground and the first link, tau2 between the links. Angles count full turns. With r and I left
-    out, the links are even rods. g = 0 is an arm in a horizontal plane. x and y of the tip count from the shoulder.
+    tau1 acts between the ground and the first link, tau2 between the links. Angles count full turns. Without r and I,
+    the links are uniform rods. g = 0 is an arm in a horizontal plane. x and y of the tip are measured from the
+    shoulder.
 
     References: M. W. Spong, S. Hutchinson, M. Vidyasagar, Robot Modeling and Control, Wiley 2006, section 7.4.
     """
@@ -238,7 +239,7 @@ class TwoLinkArm(Block):
     omega1 = State(unit="rad/s", output=True, doc="speed of theta1")
     omega2 = State(unit="rad/s", output=True, doc="speed of theta2")
 
-    @output(unit="m", doc="horizontal place of the tip")
+    @output(unit="m", doc="horizontal position of the tip")
     def x(theta1, theta2, l1, l2):
         return l1 * np.cos(theta1) + l2 * np.cos(theta1 + theta2)
 
@@ -258,16 +259,16 @@ class TwoLinkArm(Block):
     def M22(m2, r2, I2):
         return I2 + m2 * r2**2
 
-    @local(unit="kg.m2", doc="what centrifugal and Coriolis torques have in common")
+    @local(unit="kg.m2", doc="common factor of centrifugal and Coriolis torques")
     def h(theta2, m2, l1, r2):
         return m2 * l1 * r2 * np.sin(theta2)
 
-    @local(unit="N.m", doc="torque on the first link without the accelerations' own")
+    @local(unit="N.m", doc="torque on the first link without the terms of accelerations")
     def torque1(theta1, omega1, omega2, tau1, h, g2, m1, m2, l1, r1, d1, g):
         g1 = (m1 * r1 + m2 * l1) * g * np.cos(theta1) + g2
         return tau1 - d1 * omega1 + h * (2.0 * omega1 * omega2 + omega2**2) - g1
 
-    @local(unit="N.m", doc="torque on the second link without the accelerations' own")
+    @local(unit="N.m", doc="torque on the second link without the terms of accelerations")
     def torque2(omega1, omega2, tau2, h, g2, d2):
         return tau2 - d2 * omega2 - h * omega1**2 - g2
 

@@ -13,15 +13,15 @@ class TransportDelay(Block):
     """y(t) = u(t - delay); y = y_before until the delay has passed since the start.
 
     The delay is exact: a jump of u comes out as a jump, at exactly its time plus the delay, and between jumps u is kept
-    as polynomials of the order of the method. y does not depend on u at once, so that a delay breaks an algebraic
-    loop. No step of the solver is longer than the delay.
+    as polynomials of the order of the method. y does not depend on u at the same instant, so a delay breaks an
+    algebraic loop. No step of the solver is longer than the delay.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
     delay = Parameter(1.0, unit="s", positive=True, doc="time from the input to the output")
     y_before = Parameter(0.0, unit=unit, doc="y before the delay has passed")
     u = Input(unit=unit, doc="input")
-    past = History(u, delay=delay, before=y_before, doc="input a delay ago")
+    past = History(u, delay=delay, before=y_before, doc="input one delay earlier")
 
     @output(unit=unit, doc="delayed input")
     def y(past):
@@ -31,9 +31,9 @@ class TransportDelay(Block):
 class RateLimiter(Block):
     """y follows u, rising and falling no faster than allowed: -falling <= dy/dt <= rising.
 
-    It begins at u. The instant at which y catches up with u is located; that at which u becomes too fast is not, as
-    it cannot be known before. Adaptive methods keep their steps so short there that y is within their tolerance; with
-    a fixed step y is off by as much as u bends in one step.
+    y begins at u. The instant at which y catches up with u is located. The instant at which u becomes too fast is not,
+    because it cannot be known in advance. Adaptive methods keep their steps so short there that y is within their
+    tolerance; with a fixed step y is off by the deviation of u from a line in one step.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
@@ -42,7 +42,7 @@ class RateLimiter(Block):
     u = Input(unit=unit, doc="input")
     y_last = Discrete(unit=unit, doc="y at the end of the last step")
     t_last = Discrete(unit="s", doc="end of the last step")
-    mode = Discrete(0, type="int", doc="1 while rising as fast as allowed, -1 while falling so, 0 while y = u")
+    mode = Discrete(0, type="int", doc="1 while rising as fast as allowed, -1 while falling as fast, 0 while y = u")
 
     @local(unit=unit, doc="largest y that can have been reached")
     def highest(t, y_last, t_last, rising):
@@ -87,9 +87,9 @@ class Backlash(Block, describing="backlash"):
 
         y = min(max(y_last, u - width/2), u + width/2)
 
-    y begins at y_start, or where u pushes it to. The instant at which u meets y is located; that at which u turns back
-    is not, as it cannot be known before. Adaptive methods keep their steps so short there that y is within their
-    tolerance; with a fixed step y is off by as much as u bends in one step.
+    y begins at y_start, or where u pushes it. The instant at which u meets y is located. The instant at which u turns
+    back is not, because it cannot be known in advance. Adaptive methods keep their steps so short there that y is
+    within their tolerance; with a fixed step y is off by the deviation of u from a line in one step.
 
     For u = A sin(theta) with A > width/2 its describing function is, with x = 1 - width/A,
     1/2 + (asin(x) + x sqrt(1 - x^2))/pi - j 2 width/(pi A) (1 - width/(2 A)); a smaller A moves nothing.

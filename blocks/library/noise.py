@@ -46,10 +46,10 @@ def uniform(counter, seed, stream, salt):
 class Noise(Block):
     """y = mean + deviation w(tick), held in between: w has mean 0 and standard deviation 1.
 
-    w is Gaussian (Box and Muller) or uniform on -sqrt(3) ... sqrt(3). It is a function of tick, seed and stream alone:
-    a run that begins later, or that ticks elsewhere too, sees the same values at the same ticks. Each block has a
-    stream of its own, which follows from the seed of the run and the path of the block: two blocks are independent,
-    whatever their seeds, unless both name one stream. For white noise of the two-sided spectral density S take
+    w is Gaussian (Box and Muller) or uniform on -sqrt(3) ... sqrt(3). It depends on tick, seed and stream only: a run
+    that begins later, or that has further ticks, has the same values at the same ticks. Each block has a stream of its
+    own, which follows from the seed of the run and the path of the block: two blocks are independent, whatever their
+    seeds, unless both name the same stream. For white noise of the two-sided spectral density S use
     deviation = sqrt(S/period).
     """
 
@@ -57,7 +57,7 @@ class Noise(Block):
     unit = Parameter("", type="string", structural=True, doc='unit of y; "": unknown')
     deviation = Parameter(1.0, unit=unit, min=0.0, doc="standard deviation")
     mean = Parameter(0.0, unit=unit, doc="mean")
-    seed = Parameter(0.0, min=0.0, max=2.0**26, doc="an integer; another one gives other noise")
+    seed = Parameter(0.0, min=0.0, max=2.0**26, doc="an integer; another seed gives other noise")
     stream = Parameter(stream=True, doc="number of the stream of random numbers")
     period = Parameter(0.01, unit="s", positive=True, doc="time between two values")
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first value")

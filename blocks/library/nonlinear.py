@@ -10,14 +10,14 @@ __all__ = ["DeadZone", "Quantizer", "Relay", "Saturation"]
 
 
 class Saturation(Block):
-    """y = u within lower ... upper, else the limit that u is beyond.
+    """y = u within lower ... upper, else the nearer limit.
 
-    The instants at which u reaches a limit are located, so that no solver step straddles a corner. Without that
-    (corners="clipped"), steps cost less, and one that does straddle a corner is off by a part of its square.
+    The instants at which u reaches a limit are located, so no solver step straddles a corner. With corners="clipped"
+    they are not: steps cost less, and a step that straddles a corner has an error of the order of its square.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
-    corners = Parameter("located", structural=True, choices=("located", "clipped"), doc="whether instants stand there")
+    corners = Parameter("located", structural=True, choices=("located", "clipped"), doc="whether corners are located")
     lower = Parameter(-1.0, unit=unit, is_limit=True, doc="smallest y")
     upper = Parameter(1.0, unit=unit, is_limit=True, doc="largest y")
     u = Input(unit=unit, doc="input")
@@ -42,9 +42,9 @@ class Saturation(Block):
 
 
 class DeadZone(Block):
-    """y = 0 within lower ... upper, else u less the limit that it is beyond.
+    """y = 0 within lower ... upper, else u minus the nearer limit.
 
-    The instants at which u reaches a limit are located, so that no solver step straddles a corner.
+    The instants at which u reaches a limit are located, so no solver step straddles a corner.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
@@ -64,17 +64,17 @@ class DeadZone(Block):
     def below(u, lower):
         return lower - u
 
-    @output(unit=unit, doc="what of the input is beyond the dead zone")
+    @output(unit=unit, doc="part of the input beyond the dead zone")
     def y(u, above, below, lower, upper):
         return np.where(above, u - upper, np.where(below, u - lower, 0.0))
 
 
 class Relay(Block, describing="relay"):
-    """y = on from where u reaches on_at, y = off from where u falls below off_at, and in between as before.
+    """y switches to on when u reaches on_at, to off when u falls below off_at, and keeps its value in between.
 
-    Both instants are located. At the start, a u between off_at and on_at finds the relay as starts_on says. Where
-    off_at = on_at the relay is a comparator, without hysteresis; in a loop that pushes u back to this edge it
-    switches ever faster, which stops the run with an error (E304).
+    Both instants are located. If u lies between off_at and on_at at the start, starts_on decides. With off_at = on_at
+    the relay is a comparator, without hysteresis; in a loop that pushes u back to this edge it switches ever faster,
+    which stops the run with an error (E304).
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
@@ -83,7 +83,7 @@ class Relay(Block, describing="relay"):
     off_at = Parameter(-1.0, unit=unit_u, doc="u below which it goes off")
     on = Parameter(1.0, unit=unit, doc="y while it is on")
     off = Parameter(-1.0, unit=unit, doc="y while it is off")
-    starts_on = Parameter(False, type="bool", doc="whether it is on at the start where u lies between off_at and on_at")
+    starts_on = Parameter(False, type="bool", doc="whether it is on at the start if u lies between off_at and on_at")
     u = Input(unit=unit_u, doc="input")
     is_on = Discrete(type="bool", doc="whether the relay is on")
 
@@ -103,17 +103,17 @@ class Relay(Block, describing="relay"):
     def switched(u, is_on, on_at, off_at):
         return u >= np.where(is_on, off_at, on_at)
 
-    @output(unit=unit, doc="value of the side on which the relay is")
+    @output(unit=unit, doc="on or off, by the side of the relay")
     def y(is_on, on, off):
         return np.where(is_on, on, off)
 
 
 class Quantizer(Block, describing="quantizer"):
-    """y = interval level, with the integer level nearest to u/interval; halfway it is the upper one.
+    """y = interval level, with the integer level nearest to u/interval; halfway, the upper level.
 
-    The instants at which the level changes are located, and y is constant in between; a jump of u may change it by
-    many at once. In a loop that pushes u back to the edge of a level it changes ever faster, which stops the run with
-    an error (E304).
+    The instants at which the level changes are located, and y is constant in between; a jump of u may change the level
+    by many. In a loop that pushes u back to the edge of a level, the level changes ever faster, which stops the run
+    with an error (E304).
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')

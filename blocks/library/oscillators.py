@@ -7,11 +7,11 @@ __all__ = ["Lorenz", "VanDerPol"]
 
 
 class VanDerPol(Block):
-    """dx/dt = v, dv/dt = mu (1 - x^2) v - x + u: an oscillation that feeds itself where |x| < 1, and damps beyond.
+    """dx/dt = v, dv/dt = mu (1 - x^2) v - x + u: an oscillation that gains energy while |x| < 1, and loses it beyond.
 
-    From everywhere but rest it comes to one limit cycle, of the amplitude 2 nearly, whatever mu > 0 is. For small mu it
-    is a sine of the period 2 pi; for large mu it relaxes, with a period near 1.614 mu, and is stiff: take radau. All
-    numbers are free of units.
+    From every start but rest it reaches one limit cycle, of an amplitude near 2 for every mu > 0. For small mu it is a
+    sine of the period 2 pi; for large mu it is a relaxation oscillation with a period near 1.614 mu, and stiff: use
+    radau. No number has a unit.
 
     References: B. van der Pol, On relaxation-oscillations, Philosophical Magazine 2 (1926) 978-992.
     """
@@ -33,9 +33,9 @@ class VanDerPol(Block):
 class Lorenz(Block):
     """dx/dt = sigma (y - x), dy/dt = x (rho - z) - y, dz/dt = x y - beta z: convection, and deterministic chaos.
 
-    For rho > 1 there are two points of rest, where |x| = |y| and is sqrt(beta (rho - 1)), and z is rho - 1. With the
-    default values they are unstable, and neighbouring solutions part by a factor e in some 1.1 s: runs whose methods or
-    tolerances differ agree for a while only. All numbers but time are free of units.
+    For rho > 1 there are two points of rest: |x| and |y| are sqrt(beta (rho - 1)), and z is rho - 1. With the default
+    values they are unstable, and the distance of neighboring solutions grows by a factor e in some 1.1 s: runs whose
+    methods or tolerances differ agree for a while only. Only time has a unit.
 
     References: E. N. Lorenz, Deterministic nonperiodic flow, J. Atmospheric Sciences 20 (1963) 130-141.
     """
@@ -44,7 +44,7 @@ class Lorenz(Block):
     rho = Parameter(28.0, doc="Rayleigh number over its critical value")
     beta = Parameter(8.0 / 3.0, doc="shape of the convection rolls")
     x = State(1.0, output=True, doc="intensity of the convection")
-    y = State(1.0, output=True, doc="difference of temperature between what rises and what sinks")
+    y = State(1.0, output=True, doc="difference of temperature between rising and sinking fluid")
     z = State(1.0, output=True, doc="distortion of the vertical profile of temperature")
 
     @x.derivative

@@ -27,18 +27,18 @@ class PID(Block):
     """u = sat(kp (b r - y) + integral + kd s/(Tf s + 1) (c r - y)): r is wanted, y is measured.
 
         v = kp (b r - y) + integral + kd (c r - y - smoothed)/Tf,   u = v within lower ... upper, else the limit
-        d integral/dt = ki (r - y) + (u - v)/Tt       0 where ki = 0
+        d integral/dt = ki (r - y) + (u - v)/Tt       0 if ki = 0
         d smoothed/dt = (c r - y - smoothed)/Tf
 
-    Anti-windup is by back-calculation. b and c weigh r: with c = 0 the derivative is that of the measurement alone, so
-    that a step of r gives no kick; with c = 1 the step passes through kd/Tf. smoothed begins at smoothed_start, 0
-    unless given, so that a y which begins elsewhere is a jump to the derivative.
+    Anti-windup is by back-calculation. b and c weight r: with c = 0 the derivative acts on the measurement only, so a
+    step of r gives no kick; with c = 1 the step passes through kd/Tf. smoothed begins at smoothed_start, which is 0 by
+    default, so a y which begins elsewhere is a jump to the derivative.
 
-    Tf defaults to kd/kp/10 and Tt to the integral time kp/ki (1 s where that is not a time). Without given limits u is
+    Tf defaults to kd/kp/10 and Tt to the integral time kp/ki (1 s if that is not a time). Without given limits u is
     unlimited.
 
-    While `manual` is above 0, u is u_manual within the limits, and the integral nears what makes v = u, with the time
-    constant Tt: the controller then goes on from there without a bump. With ki = 0 the integral stays at u_start.
+    While `manual` is above 0, u is u_manual within the limits, and the integral approaches the value that makes v = u,
+    with the time constant Tt: the controller then takes over without a bump. With ki = 0 the integral stays at u_start.
 
     DiscretePID is the same at ticks, with the same names.
 
@@ -68,7 +68,7 @@ class PID(Block):
     def is_ordered(lower, upper):
         return lower < upper
 
-    @local(unit=unit_u, doc="control before its limits, as the equations have it")
+    @local(unit=unit_u, doc="control before its limits, from the equations")
     def v(r, y, integral, smoothed, kp, kd, b, c, Tf):
         return kp * (b * r - y) + integral + kd * (c * r - y - smoothed) / Tf
 
@@ -130,15 +130,15 @@ class DiscretePID(Block):
         slope[k] = (Tf slope[k-1] + kd (w[k] - w[k-1]))/(Tf + period),   w = c r - y
 
     The integral is by forward differences, with anti-windup by back-calculation; the filtered derivative is by backward
-    differences, which are stable for every Tf from 0 on. b and c weigh r: with c = 0 the derivative is that of the
-    measurement alone, so that a step of r gives no kick; with b = c = 1 all acts on the error.
+    differences, which are stable for every Tf from 0 on. b and c weight r: with c = 0 the derivative acts on the
+    measurement only, so a step of r gives no kick; with b = c = 1 all parts act on the error.
 
-    Tf defaults to kd/kp/10 and Tt to the integral time kp/ki (1 s where that is not a time), but not below the
-    period. Without given limits u is unlimited.
+    Tf defaults to kd/kp/10 and Tt to the integral time kp/ki (1 s if that is not a time), but not below the period.
+    Without given limits u is unlimited.
 
-    While `manual` is above 0, u is u_manual within the limits, and the integral follows, so that the controller goes
-    on from there without a bump. The integral has its gain in it: a change of ki does not make u jump. The first slope
-    is 0, whatever y is then. With ki = 0 the integral stays at u_start: nothing would ever take back what it followed.
+    While `manual` is above 0, u is u_manual within the limits, and the integral follows, so the controller then takes
+    over without a bump. The integral contains its gain: a change of ki does not make u jump. The first slope is 0 for
+    every y. With ki = 0 the integral stays at u_start, because nothing would ever undo its changes.
 
     References: K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 3rd edition, Prentice-Hall 1997, section 8.5.
     """

@@ -14,13 +14,13 @@ class BuckConverter(Block):
 
         L di/dt = e - RL i - v,   C dv/dt = i - v/R - i_load
 
-    e is Vin while the switch is on, and -Vd while the diode conducts. The switch is on while gate >= 0.5: a SquareWave,
-    or a duty cycle that is compared to a Sawtooth. Neither switch nor diode lets current flow back: where i falls to 0
-    it stays there until e - v pushes it forwards again, the discontinuous conduction of light loads. These instants are
-    located.
+    e is Vin while the switch is on, and -Vd while the diode conducts. The switch is on while gate >= 0.5: wire a
+    SquareWave, or compare a duty cycle with a Sawtooth. Neither switch nor diode lets current flow back: when i falls
+    to 0 it stays there until e - v pushes it forwards again, the discontinuous conduction of light loads. These
+    instants are located.
 
-    In continuous conduction the mean of v is the duty cycle times Vin (less what RL and Vd take), and conduction is
-    continuous where 2 L/(R T), for the switching period T, is above 1 less the duty cycle.
+    In continuous conduction the mean of v is the duty cycle times Vin (less the drops at RL and Vd), and conduction is
+    continuous if 2 L/(R T), for the switching period T, is above 1 less the duty cycle.
 
     References: R. W. Erickson, D. Maksimovic, Fundamentals of Power Electronics, 3rd ed., Springer 2020, chapters 2, 5.
     """
@@ -45,7 +45,7 @@ class BuckConverter(Block):
     def on(gate):
         return gate - 0.5
 
-    @local(unit="V", doc="voltage that drives current forwards through the inductor, where there is none")
+    @local(unit="V", doc="voltage that drives current forwards through the inductor while no current flows")
     def push(on, Vin, v, Vd):
         return np.where(on, Vin, -Vd) - v
 

@@ -14,9 +14,9 @@ class Tank(Block):
 
         q_out = valve c a_out sqrt(2 g h)
 
-    It runs over at the height H: while it is full and more flows in than out, the level stays and the rest is q_over. A
-    q below 0 pumps out, until the tank is empty. These instants are located. A full tank without inflow is empty after
-    A/(c a_out) sqrt(2 H/g). Tanks in a row: wire q_out to the q of the next.
+    It runs over at the height H: while it is full and more flows in than out, the level is constant and the rest is
+    q_over. A q below 0 pumps out, until the tank is empty. These instants are located. A full tank without inflow is
+    empty after A/(c a_out) sqrt(2 H/g). For tanks in a row, wire q_out to q of the next tank.
 
     References: K. H. Johansson, The quadruple-tank process, IEEE Trans. Control Systems Technology 8 (2000) 456-465.
     """
@@ -41,7 +41,7 @@ class Tank(Block):
     def q_out(h, valve, empty, c, a_out, g):
         return np.where(empty, 0.0, valve * c * a_out * np.sqrt(2.0 * g * np.maximum(h, 0.0)))
 
-    @local(unit="m3/s", doc="what the level gains")
+    @local(unit="m3/s", doc="flow that raises the level")
     def gain(q, q_out):
         return q - q_out
 

@@ -46,8 +46,8 @@ class PMDCMotor(Block):
 class Disturbance(Block):
     """y = torque for on <= t < off, else 0: the external torque of the paper's fig. 5.
 
-    Both edges are hit exactly. The paper's text has it on from 30 s to 50 s; its tables ask for 25 s of torque, and
-    its size stands only in a picture: 3 N.m from 25 s to 50 s are assumed.
+    Both edges are hit exactly. In the paper's text it is on from 30 s to 50 s; its tables need 25 s of torque, and only
+    a picture shows its size: 3 N.m from 25 s to 50 s are assumed.
     """
 
     torque = Parameter(3.0, unit="N.m", doc="torque during the pulse")
@@ -116,7 +116,7 @@ class Kinematics(Block):
 
 
 class MatchedDisturbance(Block):
-    """Theorem 1: the torque on a PMDCMotor as a voltage at its input, and all that an observer should see there.
+    """Theorem 1: the torque on a PMDCMotor as a voltage at its input, and the total that an observer should estimate.
 
     With x1 = omega, x2 = i, f1 = -Beq/Jeq x1 + kt/(Jeq n) x2, f2 = -kb n/La x1 - Ra/La x2, b1 = -1/(Jeq n),
     b2 = 1/La and the torque tau/n at the armature, eqs. (8)-(11) give omega'' = fh + bh (v + d), where
@@ -125,8 +125,8 @@ class MatchedDisturbance(Block):
         d = (b1 df1/dx1 tau/n + b1 dtau/n)/bh
         total = (fh + bh d)/bh
 
-    `total` is what z3/b0 of an observer with b0 = bh estimates; at rest the control is -total. The paper leaves
-    -Ra/La x2 out of f2. A jump of tau is an impulse of dtau, which is not part of d: with dtau unwired, d holds
+    `total` is the value that z3/b0 of an observer with b0 = bh estimates; at rest the control is -total. The paper
+    leaves -Ra/La x2 out of f2. A jump of tau is an impulse of dtau, which is not part of d: with dtau unwired, d holds
     between the edges of a torque that is piecewise constant.
     """
 

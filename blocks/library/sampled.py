@@ -12,7 +12,8 @@ __all__ = ["Delay", "FirstOrderHold", "RateTransition", "UnitDelay", "ZeroOrderH
 class ZeroOrderHold(Block):
     """y = u at the last tick, held in between; y_start before the first tick.
 
-    At a tick, u passes to y at once: with a controller behind it, this is a sampler without computation time.
+    At a tick, u passes to y at the same instant: with a controller after it, this is a sampler without computation
+    time.
     """
 
     period = Parameter(unit="s", positive=True, doc="time between two ticks")
@@ -27,15 +28,15 @@ class ZeroOrderHold(Block):
 
 
 class FirstOrderHold(Block):
-    """y = begin + slope (t - at): a straight line from each tick on, of the slope between the last two samples of u.
+    """y = begin + slope (t - at): a straight line from each tick on, with the slope between the last two samples of u.
 
-    form: "predictive" begins at the sample u[k], and the line goes on as it came, so that y jumps at ticks; "delayed"
-    begins at the sample before, u[k-1], and reaches u[k] one tick later, so that y is continuous. A ramp passes the
-    predictive form without error from its second sample on, and the delayed form a period late.
+    form: "predictive" begins at the sample u[k] and continues the line of the last two samples, so y jumps at ticks;
+    "delayed" begins at the sample before, u[k-1], and reaches u[k] one tick later, so y is continuous. The predictive
+    form reproduces a ramp without error from its second sample on, the delayed form a period late.
 
-    Before the first tick y is y_start. From the first tick on the predictive form, which knows one sample, holds it;
-    the delayed form goes there from y_start. In a loop of sampled blocks both need a UnitDelay: the slope follows u at
-    once.
+    Before the first tick y is y_start. From the first tick on, the predictive form has one sample and holds it; the
+    delayed form goes from y_start to it. In a loop of sampled blocks both need a UnitDelay, because the slope depends
+    on u at the same instant.
     """
 
     form = Parameter("predictive", structural=True, choices=("predictive", "delayed"), doc="where a line begins")
@@ -80,27 +81,27 @@ class FirstOrderHold(Block):
 class RateTransition(Block):
     """y = u of a task that ticks with period_u, as a task that ticks with `period` receives it.
 
-    Ticks are exact and their order is known, so that no value is ever torn or lost between rates, and a wire is enough
-    for an ideal transfer: at common ticks u passes at once. On a computer, u of a slow task is not ready by then.
+    Ticks are exact and their order is known, so no value is ever torn or lost between rates, and a wire is enough for
+    an ideal transfer: at common ticks u passes without delay. On a computer, u of a slow task is not ready by then.
 
-    mode: "hold" gives u at each tick of the receiver: from a fast task, which is done before a slow one begins. "delay"
-    gives what u was at the last tick but one of the sender: from a slow task, which has all of period_u to compute; y
-    does not depend on u at once. Left out, it is "delay" from slow to fast, else "hold".
+    mode: "hold" gives u at each tick of the receiver: for a fast sender, which is done before a slow receiver begins.
+    "delay" gives u at the last tick but one of the sender: for a slow sender, which has all of period_u to compute; y
+    does not depend on u at the same instant. The default is "delay" from slow to fast, else "hold".
 
-    This is what code generators make of tasks with priorities by rate. The periods may have any ratio. y is y_start
-    until the first value has come.
+    Code generators do the same for tasks with priorities by rate. The periods may have any ratio. y is y_start until
+    the first value arrives.
     """
 
     mode = Parameter(
         lambda period_u, period: "delay" if period_u > period else "hold",
-        structural=True, choices=("hold", "delay"), doc="how u is handed over; left out: delay from slow to fast",
+        structural=True, choices=("hold", "delay"), doc="transfer of u; default: delay from slow to fast, else hold",
     )  # fmt: skip
     period_u = Parameter(unit="s", positive=True, doc="time between two ticks of the sender")
     period = Parameter(unit="s", positive=True, doc="time between two ticks of the receiver")
     offset_u = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick of the sender")
     offset = Parameter(0.0, unit="s", min=0.0, doc="time of the first tick of the receiver")
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
-    y_start = Parameter(0.0, unit=unit, doc="y until the first value of u has come")
+    y_start = Parameter(0.0, unit=unit, doc="y until the first value of u arrives")
     u = Input(unit=unit, doc="input")
     x = Discrete(unit=unit, doc="input at the last tick of the sender")
 
@@ -112,11 +113,11 @@ class RateTransition(Block):
     def sample(u):
         return u
 
-    @output(unit=unit, every=period_u, offset=offset_u, start=y_start, doc="what the sender has finished")
+    @output(unit=unit, every=period_u, offset=offset_u, start=y_start, doc="value that the sender has finished")
     def finished(x):
         return x
 
-    @output(unit=unit, every=period, offset=offset, start=y_start, doc="what the receiver has")
+    @output(unit=unit, every=period, offset=offset, start=y_start, doc="value that the receiver has")
     def y(u, finished, mode):
         return u if mode == "hold" else finished
 
@@ -124,7 +125,7 @@ class RateTransition(Block):
 class UnitDelay(Block):
     """y = u at the last tick but one, held in between; y_start up to the second tick.
 
-    y does not depend on u at once, so that a UnitDelay breaks an algebraic loop of sampled blocks.
+    y does not depend on u at the same instant, so a UnitDelay breaks an algebraic loop of sampled blocks.
     """
 
     period = Parameter(unit="s", positive=True, doc="time between two ticks, by which the input is delayed")

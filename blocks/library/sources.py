@@ -81,7 +81,7 @@ class Pulse(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     height = Parameter(1.0, unit=unit, doc="value during the pulse")
     on = Parameter(1.0, unit="s", doc="time at which the pulse begins")
-    off = Parameter(2.0, unit="s", doc="time at which it ends")
+    off = Parameter(2.0, unit="s", doc="time at which the pulse ends")
     active = Discrete(type="bool", doc="whether the pulse is on")
 
     @requires("on must not be after off")
@@ -134,7 +134,7 @@ class Chirp(Block):
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     amplitude = Parameter(1.0, unit=unit, doc="amplitude")
     omega_start = Parameter(1.0, unit="rad/s", doc="angular frequency at the beginning of the sweep")
-    omega_end = Parameter(10.0, unit="rad/s", doc="angular frequency at its end")
+    omega_end = Parameter(10.0, unit="rad/s", doc="angular frequency at the end of the sweep")
     duration = Parameter(10.0, unit="s", positive=True, doc="duration of the sweep")
     at = Parameter(0.0, unit="s", doc="time at which the sweep begins")
     phase = Parameter(0.0, unit="rad", doc="phase at the beginning of the sweep")
@@ -179,7 +179,7 @@ class SquareWave(Block):
     """y = high during the first part `duty` of each period, then low.
 
     Periods begin at at + k period, for k = 0, 1, 2 ...; before `at`, y = low. All edges are hit exactly, and they do
-    not drift: none is computed from the one before.
+    not drift: no edge is computed from the edge before.
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
@@ -217,7 +217,7 @@ class Sawtooth(Block):
     period = Parameter(1.0, unit="s", positive=True, doc="time from one jump to the next")
     at = Parameter(0.0, unit="s", doc="time at which the first line begins")
     low = Parameter(0.0, unit=unit, doc="value at the beginning of a period")
-    high = Parameter(1.0, unit=unit, doc="value that it has reached at its end")
+    high = Parameter(1.0, unit=unit, doc="value at the end of a period")
     running = Discrete(type="bool", doc="whether the first period has begun")
     begun = Discrete(unit="s", doc="time at which the period began")
 

@@ -27,7 +27,7 @@ def _increases(x):
 class Table(Block):
     """y = values over times: held from each point on, or in straight lines from point to point.
 
-    Before the first point y is the first value, after the last one the last. Every point is hit exactly.
+    Before the first point y is the first value, after the last point the last value. Every point is hit exactly.
     """
 
     interpolation = Parameter("linear", structural=True, choices=("linear", "hold"), doc="between the points")
@@ -65,8 +65,8 @@ class Table(Block):
 class LookupTable(Block):
     """y = f(u), given by points: straight lines from point to point, or held from each point on.
 
-    Beyond the points y is held, or the last lines go on, by `beyond`. The instants at which u passes a point are
-    located, so that no solver step straddles a corner or a jump.
+    Beyond the points y is held, or the last lines go on, as `beyond` says. The instants at which u passes a point are
+    located, so no solver step straddles a corner or a jump.
     """
 
     interpolation = Parameter("linear", structural=True, choices=("linear", "hold"), doc="between the points")

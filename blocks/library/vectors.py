@@ -11,15 +11,15 @@ __all__ = ["Reduction", "SwitchedMatrixGain"]
 
 
 class Reduction(Block):
-    """y = what the elements of a vector have in common: their mean, sum, least or largest, or their deviation.
+    """y = the mean, the sum, the least, the largest or the deviation of the elements of a vector.
 
-    "deviation": sqrt(mean((u - mean(u))^2)), the disagreement of a group, which is 0 where all agree.
+    "deviation": sqrt(mean((u - mean(u))^2)), the disagreement of a group, which is 0 if all agree.
 
-    Sums go from u[0] on. Where another element takes the lead the slope jumps, and so does that of the deviation at 0:
-    these corners are not located (MinMax does it for up to 16 scalars).
+    Sums go from u[0] on. When another element becomes the largest or the least, the slope jumps, and the slope of the
+    deviation jumps at 0. These corners are not located (MinMax locates them for up to 16 scalars).
     """
 
-    kind = Parameter("mean", structural=True, choices=("mean", "sum", "min", "max", "deviation"), doc="what y is")
+    kind = Parameter("mean", structural=True, choices=("mean", "sum", "min", "max", "deviation"), doc="reduction")
     size = Parameter(2, structural=True, type="int", min=1, doc="number of elements")
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
     u = Input(shape=lambda size: size, unit=unit, doc="vector")
@@ -34,12 +34,12 @@ class Reduction(Block):
 
 
 class SwitchedMatrixGain(Multiport):
-    """y = K1 u where index is 1, K2 u where it is 2, ...: the matrix whose number is nearest to index.
+    """y = K1 u if index is 1, K2 u if it is 2, ...: the matrix whose number is nearest to index.
 
-    K holds the matrices, all of one shape, one below the other: K1 is its first rows. As MatrixGain has it, zeros of K
-    fix the type, all u have one unit and so have all y, and a large K is given by its edges; for a topology that
-    changes they are in Python scipy.sparse.vstack([K1, K2]). The cost is then in proportion to the edges that stand in
-    any of the matrices. Where y changes is located, as by MultiportSwitch.
+    K holds the matrices, all of one shape, one below the other: K1 is its first rows. As for MatrixGain, zeros of K fix
+    the type, all u have one unit and so have all y, and you can give a large K by its edges; for a topology that
+    changes, use scipy.sparse.vstack([K1, K2]) in Python. The cost is then proportional to the number of edges that any
+    of the matrices has. The instants at which y changes are located, as for MultiportSwitch.
     """
 
     size = Parameter(2, structural=True, type="int", min=1, doc="number of matrices to choose from")
@@ -54,7 +54,7 @@ class SwitchedMatrixGain(Multiport):
         doc="matrices, stacked",
     )
     u = Input(shape=lambda m: m, unit=unit_u, doc="inputs")
-    index = Input(doc="number of the matrix that counts, from 1 on")
+    index = Input(doc="number of the chosen matrix, from 1 on")
     chosen = Multiport.chosen
 
     @requires("the rows of K must be those of `size` matrices of one shape")

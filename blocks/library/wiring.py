@@ -52,7 +52,7 @@ class Demux(Block):
 class Selector(Block):
     """y = [u[i] for i in elements]: elements of a vector, counted from 0, in any order and any number of times.
 
-    Each keeps its unit. For one element as a scalar no block is needed: a wire can begin at u[i].
+    Each element keeps its unit. For one element as a scalar no block is needed: a wire can begin at u[i].
     """
 
     elements = Parameter([0], structural=True, type="int", shape="m", doc="numbers of the elements, from 0 on")
