@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from ..frequency.doubt import stability
 from ..frequency.margins import Margins, margins
+from ..frequency.realization import balanced
 from ..frequency.response import bandwidth, dc_gain, poles, zeros
 from ..linear.transfer import LoopOfRates, Transfer
 from ..model.copies import alike
@@ -43,9 +45,14 @@ def _bandwidth(model: Transfer) -> float | None:
         return None
 
 
-def _is_stable(model: Transfer) -> bool:
-    eigenvalues = np.asarray(poles(model))
-    return bool((np.abs(eigenvalues) < 1).all() if model.dt else (eigenvalues.real < 0).all())
+_STABILITY = {"stable": "stable", "border": "at the border of stability within rounding", "unstable": "not stable"}
+
+
+def _stability(model: Transfer) -> dict[str, Any]:
+    """The words of `Margins.as_json` of a model that is no loop."""
+    names = ("gain", "gain_low", "phase_deg", "crossover", "delay", "Ms", "Mt", "disk")
+    verdict = stability(balanced(model))
+    return {**dict.fromkeys(names), "stable": verdict == "stable", "border": verdict == "border"}
 
 
 def check_loop(model: Transfer, point: str) -> None:
@@ -59,16 +66,15 @@ def check_loop(model: Transfer, point: str) -> None:
 def entry(model: Transfer, *, is_loop: bool) -> dict[str, Any]:
     """A model as one object: poles and zeros in 1/s (z of a sampled one), frequencies in rad/s.
 
-    Of a loop transfer with the margins of the closed loop; else `stable` says whether the poles of the model decay.
+    Of a loop transfer with the margins of the closed loop; else `stable` says whether the poles of the model decay, and
+    `border` whether it is at the border of stability within rounding.
     """
-    known = margins(model).as_json() if is_loop else None
-    names = ("gain", "gain_low", "phase_deg", "crossover", "delay", "Ms", "Mt", "disk")
     return {
         "poles": _numbers(poles(model)),
         "zeros": _numbers(zeros(model)),
         "dc_gain": _gain(model),
         "bandwidth": _bandwidth(model),
-        "margins": known if known is not None else {**dict.fromkeys(names), "stable": _is_stable(model)},
+        "margins": margins(model).as_json() if is_loop else _stability(model),
         "period": float(model.dt) if model.dt else None,
         "inputs": list(model.signals[0]),
         "outputs": list(model.signals[1]),
@@ -101,7 +107,7 @@ def lines(model: Transfer, *, is_loop: bool) -> Iterator[str]:
         known: Margins = margins(model)
         yield from (f"  {line}" for line in str(known).splitlines())
     else:
-        yield f"  {'stable' if _is_stable(model) else 'not stable'}"
+        yield f"  {_STABILITY[stability(balanced(model))]}"
     notes = (
         f"{b.path} ({b.type}): {'; '.join(filter(None, (b.method, b.smoothness, b.note)))}"
         for b in model.report

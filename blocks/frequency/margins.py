@@ -19,9 +19,9 @@ import numpy as np
 
 from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.shown import Shown, Table
-from .lapack import eigenvectors
+from .doubt import eigenvalues_with_doubt, growth_of, is_root, is_singular, onto_border, root_doubts, rounding
 from .lifted import MOST_GAIN, Factored, Lifted, gain_borders, phase_borders
-from .realization import Realization, balanced, equivalent, growth, period
+from .realization import Realization, balanced, equivalent, period
 from .response import HALF_POWER, dc_gain
 from .search import Peak, curve, first_fall, highest, layout, refined, root, summit
 from .systems import Source, StateSpace, is_of, polynomials, source
@@ -32,6 +32,8 @@ Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 # Of the sine of the phase and of the logarithm of the gain: what rounding leaves of a zero in a response.
 _TOUCH = 1e-10
+# Of the logarithm of the gain, of the phase in rad and of the frequency: such a crossing is the one at the border.
+_SAME = 1e-6
 _MOST = 6  # crossings in a line of the table
 
 
@@ -39,13 +41,15 @@ _MOST = 6  # crossings in a line of the table
 class Margins(Shown):
     """Margins of a loop, and whether the closed loop is stable; without that, they are distances and no margins.
 
-    stable: None where it is not known (measured data without `unstable_poles`); unstable: closed-loop poles that do
-    not decay, s or z; hidden: poles on the border of stability that the loop neither moves nor shows, such as an
-    integrator behind it: they do not count.
+    stable: None where it is not known (measured data without `unstable_poles`), and True only where it is by more than
+    rounding; unstable: closed-loop poles that grow, s or z; border: those that are at the border of stability within
+    rounding: the margins are 0 then (the gain margin 1), Ms and Mt infinite; hidden: poles on the border that the loop
+    neither moves nor shows, such as an integrator behind it: they do not count.
 
     gains: (factor, frequency) of every gain at which the closed loop is at the border, by frequency (0, and inf or the
     Nyquist frequency, among them); phases: (degrees within -180 and 180, frequency) of every crossing of 0 dB: the lag
-    that leads to the border, where negative a lead; delays: (s, frequency), also for sampled loops.
+    that leads to the border, where negative a lead; delays: (s, frequency), also for sampled loops, which bear less
+    than one period where |L| is above 1 at the Nyquist frequency.
 
     Ms, Mt: the largest |S| and |T|; disk: the largest alpha for which the closed loop bears every factor of the
     balanced disk (S - T); bandwidth: of T, relative to its gain at zero frequency.
@@ -70,6 +74,14 @@ class Margins(Shown):
     bandwidth: float | None
     dt: float
     several_rates: bool = False
+    border: tuple[complex, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """ "stable", "border" (at the border of stability within rounding), "unstable", or "unknown"."""
+        if self.stable is None:
+            return "unknown"
+        return "stable" if self.stable else "border" if self.border and not self.unstable else "unstable"
 
     @property
     def gain(self) -> float | None:
@@ -137,7 +149,8 @@ class Margins(Shown):
             "gain": self.gain, "gain_low": self.gain_low, "phase_deg": self.phase_deg, "crossover": self.crossover,
             "delay": self.delay, "Ms": self.Ms, "Mt": self.Mt, "disk": self.disk,
         }  # fmt: skip
-        return {**{key: _finite(value) for key, value in shown.items()}, "stable": self.stable}
+        words = {"stable": self.stable, "border": self.verdict == "border"}
+        return {**{key: _finite(value) for key, value in shown.items()}, **words}
 
     def __str__(self) -> str:
         return "\n".join(f"{name:<16}{text}" for name, text in _table(self))
@@ -208,6 +221,8 @@ def _verdict(m: Margins) -> str:
         return "stable"
     if m.stable is None:
         return "stability unknown: give the number of unstable poles of the open loop"
+    if m.verdict == "border":
+        return f"AT THE BORDER of stability within rounding ({', '.join(_number(p) for p in m.border)})"
     where = f" ({', '.join(_number(p) for p in m.unstable)})" if m.unstable else ""
     return f"UNSTABLE{where}; what follows are distances to the border, no margins"
 
@@ -253,15 +268,20 @@ def margins(
     ends = _ends(known, loop)
     gains = _gain_crossings(at, omega, values, ends)
     phases, delays = _phase_crossings(at, omega, values, known)
+    border = closed.border if closed is not None else _touched(phases, known.dt)
+    gains, phases, delays = _at_border(_frequencies(border, known.dt), gains, phases, delays)
     peaks = {}
     for name, law in _LAWS.items():
         limits = [Peak(float(abs(law(np.array([value]))[0])), w) for w, value in ends]
         gain = _size_of(law, at)
-        peaks[name] = highest(gain, omega, np.abs(law(values)), limits)
+        if border:
+            peaks[name] = Peak(math.inf, _frequencies(border, known.dt)[0])
+        else:
+            peaks[name] = highest(gain, omega, np.abs(law(values)), limits)
     if closed is not None:
-        stable: bool | None = not closed.unstable
+        stable: bool | None = not closed.unstable and not border
     else:
-        stable = _by_encirclements(values, unstable_poles, integrators)
+        stable = False if border else _by_encirclements(values, unstable_poles, integrators)
     return Margins(
         stable=stable,
         unstable=closed.unstable if closed is not None else (),
@@ -277,6 +297,7 @@ def margins(
         disk_frequency=peaks["disk"].frequency,
         bandwidth=_bandwidth(at, omega, values, ends),
         dt=known.dt,
+        border=border,
     )
 
 
@@ -288,19 +309,24 @@ def _of_several_rates(loop: Any) -> Margins:
         raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero at all frequencies.", cure))
     for direct in np.diag(seen.d).tolist():
         _well_posed(1.0 + direct, 1.0)
-    p, doubt = _eigenvalues_with_doubt(Factored(seen).matrix(1.0))
-    scale = float(np.linalg.norm(model.a))
-    own = _judged(p, doubt, lambda x: _lifted_return(seen, x), np.zeros(0, complex), scale, model.dt)
+    matrix = Factored(seen).matrix(1.0)
+    unsure, scale = rounding(matrix, seen.a, model.dt), float(np.linalg.norm(model.a))
+    p, doubt = eigenvalues_with_doubt(matrix, unsure)
+    at, there = (lambda x: _lifted_return(seen, x)), is_singular(matrix, unsure)
+    own = _judged(p, doubt, at, np.zeros(0, complex), scale, model.dt, there)
     beside = _judged(np.zeros(0, complex), np.zeros(0), lambda x: x, model.hidden_eigenvalues(), scale, model.dt)
-    closed = Factored(seen, tuple(pole - 1.0 for pole in own.hidden))
+    closed = Factored(seen, tuple(pole - 1.0 for pole in own.hidden), bool(own.border))
     unstable = own.unstable + beside.unstable
+    gains = _by_frequency((g, angle / model.dt) for g, angle in gain_borders(closed))
+    phases = _by_frequency((d, angle / model.dt) for d, angle in phase_borders(closed))
+    gains, phases, _ = _at_border(_frequencies(own.border, model.dt), gains, phases, ())
     nothing = math.nan
     return Margins(
-        stable=not unstable,
+        stable=not unstable and not own.border,
         unstable=unstable,
         hidden=own.hidden + beside.hidden,
-        gains=_by_frequency((g, angle / model.dt) for g, angle in gain_borders(closed)),
-        phases=_by_frequency((d, angle / model.dt) for d, angle in phase_borders(closed)),
+        gains=gains,
+        phases=phases,
         delays=(),
         Ms=nothing,
         Ms_frequency=nothing,
@@ -311,6 +337,7 @@ def _of_several_rates(loop: Any) -> Margins:
         bandwidth=None,
         dt=model.dt,
         several_rates=True,
+        border=own.border,
     )
 
 
@@ -354,6 +381,7 @@ def _size_of(law: Callable[[Array], Array], at: Callable[[Array], Array]) -> Cal
 class _Closed:
     poles: Array  # as s, for the grid
     unstable: tuple[complex, ...]
+    border: tuple[complex, ...]
     hidden: tuple[complex, ...]
 
 
@@ -363,22 +391,20 @@ def _closed_loop(loop: Any, known: Source) -> _Closed | None:
         seen = model.visible()
         gain = 1.0 + float(model.d[0, 0])
         _well_posed(gain, 1.0)
-        p, doubt = _eigenvalues_with_doubt(seen.a - seen.b @ seen.c / gain)
-        beside = model.hidden_eigenvalues()
-        return _judged(p, doubt, lambda x: seen.at(x)[0, 0], beside, float(np.linalg.norm(model.a)), known.dt)
+        matrix = seen.a - seen.b @ seen.c / gain
+        unsure = rounding(matrix, seen.a, known.dt)
+        p, doubt = eigenvalues_with_doubt(matrix, unsure)
+        beside, scale = model.hidden_eigenvalues(), float(np.linalg.norm(model.a))
+        return _judged(p, doubt, lambda x: seen.at(x)[0, 0], beside, scale, known.dt, is_singular(matrix, unsure))
     if is_of(loop, "TransferFunction"):
         num, den = polynomials(loop)[0][0]
         total = np.polyadd(num, den)
         _well_posed(float(total[0]) if len(total) >= max(len(num), len(den)) else 0.0, float(np.max(np.abs(den))))
         shift = 1.0 if period(loop.dt) > 0 else 0.0
         roots = np.asarray(np.roots(total), dtype=complex)
-        with np.errstate(all="ignore"):
-            slope = np.abs(np.polyval(np.polyder(total), roots))
-            doubt = 8 * len(total) * _EPS * np.polyval(np.abs(total), np.abs(roots)) / slope
-        doubt = np.where(np.isfinite(doubt), doubt, 1e-4 * np.abs(roots))
         return _judged(
-            roots - shift, doubt, lambda x: np.polyval(num, x + shift) / np.polyval(den, x + shift),
-            np.zeros(0, complex), 0.0, known.dt,
+            roots - shift, root_doubts(total, roots), lambda x: np.polyval(num, x + shift) / np.polyval(den, x + shift),
+            np.zeros(0, complex), 0.0, known.dt, lambda x: is_root(total, x + shift),
         )  # fmt: skip
     return None
 
@@ -389,36 +415,28 @@ def _well_posed(leading: float, scale: float) -> None:
         raise AnalysisError(Fault("E705", "margins", "1 + L vanishes at infinite frequency.", cure))
 
 
-def _eigenvalues_with_doubt(a: Array) -> tuple[Array, Array]:
-    """Eigenvalues, and how far rounding may have moved each: by the angle between its left and right vectors."""
-    if not len(a):
-        return np.zeros(0, complex), np.zeros(0)
-    values, left, right = eigenvectors(a)
-    overlap = np.abs(np.sum(left.conj() * right, axis=0))
-    doubt = 8 * len(a) * _EPS * float(np.linalg.norm(a)) / np.maximum(overlap, 1e-8)
-    return np.asarray(values, dtype=complex), doubt
-
-
 def _judged(
-    p: Array, doubt: Array, at: Callable[[Array], Array], beside: Array, scale: float, dt: float
-) -> _Closed:
+    p: Array, doubt: Array, at: Callable[[Array], Array], beside: Array, scale: float, dt: float,
+    is_there: Callable[[complex], bool] = lambda x: True,
+) -> _Closed:  # fmt: skip
+    """Sort the poles of the closed loop. is_there: whether a place is a pole within rounding."""
     shift = 1.0 if dt > 0 else 0.0
-    # Growth per unit of p: that of z = 1 + p goes by the period.
-    rate = growth(p, dt) * (dt if dt > 0 else 1.0)
-    unstable, hidden = [], []
-    for pole, fast, unsure in zip(p, rate, doubt, strict=True):
+    unstable, border, hidden = [], [], []
+    for pole, fast, unsure in zip(p, growth_of(p, dt), doubt, strict=True):
         if fast < -unsure:
             continue
+        if abs(fast) > unsure or not is_there(onto_border(pole, dt)):
+            if fast >= 0:
+                unstable.append(complex(pole + shift))
         # 1 + L turns once around a zero that is no pole of L: elsewhere the pole was there before and stayed.
-        if abs(fast) <= unsure and not _turns(at, pole, 10 * unsure):
+        elif _turns(at, pole, 10 * unsure):
+            border.append(onto_border(pole, dt) + shift)
+        else:
             hidden.append(complex(pole + shift))
-        elif fast >= 0:
-            unstable.append(complex(pole + shift))
-    rate = growth(beside, dt) * (dt if dt > 0 else 1.0)
-    border = 1e3 * _EPS * scale
-    unstable += [complex(pole + shift) for pole, fast in zip(beside, rate, strict=True) if fast > border]
-    hidden += [complex(pole + shift) for pole, fast in zip(beside, rate, strict=True) if abs(fast) <= border]
-    return _Closed(equivalent(p, dt), tuple(unstable), tuple(hidden))
+    rate, least = growth_of(beside, dt), 1e3 * _EPS * scale
+    unstable += [complex(pole + shift) for pole, fast in zip(beside, rate, strict=True) if fast > least]
+    hidden += [complex(pole + shift) for pole, fast in zip(beside, rate, strict=True) if abs(fast) <= least]
+    return _Closed(equivalent(p, dt), tuple(unstable), tuple(border), tuple(hidden))
 
 
 def _turns(at: Callable[[Array], Array], center: complex, radius: float) -> bool:
@@ -439,6 +457,48 @@ def _by_encirclements(values: Array, unstable_poles: int | None, integrators: in
     if abs(zeros - round(zeros)) > 0.3:
         return None
     return bool(round(zeros) == 0)
+
+
+# At the border
+
+
+def _frequencies(border: Iterable[complex], dt: float) -> list[float]:
+    """Those of poles at the border, in rad/s; of a pair once."""
+    return sorted({float(abs(np.angle(p)) / dt if dt > 0 else abs(p.imag)) for p in border})
+
+
+def _touched(phases: tuple[tuple[float, float], ...], dt: float) -> tuple[complex, ...]:
+    """Poles of a closed loop of which only the response is known: where L is -1 within rounding."""
+    touched = [1j * w for degrees, w in phases if abs(math.radians(degrees)) <= _TOUCH]
+    return tuple(complex(np.exp(p * dt)) if dt > 0 else p for p in touched)
+
+
+_Crossings = tuple[tuple[float, float], ...]
+
+
+def _at_border(
+    frequencies: list[float], gains: _Crossings, phases: _Crossings, delays: _Crossings
+) -> tuple[_Crossings, _Crossings, _Crossings]:
+    """The crossings where the closed loop has poles at the border, of which rounding made a little more or less of 0.
+
+    Of the delays, a little less than 0 is a whole turn.
+    """
+    at = np.array(frequencies)
+
+    def is_there(w: float) -> bool:
+        return bool(np.any(np.abs(at - w) <= _SAME * np.maximum(at, w)))
+
+    gone = {w for degrees, w in phases if is_there(w) and abs(math.radians(degrees)) <= _SAME}
+    near = {w for factor, w in gains if is_there(w) and abs(math.log(factor)) <= _SAME}
+    return (
+        _by_frequency([*(crossing for crossing in gains if crossing[1] not in near), *((1.0, w) for w in frequencies)]),
+        _by_frequency(
+            [*(crossing for crossing in phases if crossing[1] not in gone), *((0.0, w) for w in frequencies)]
+        ),
+        _by_frequency(
+            [*(crossing for crossing in delays if crossing[1] not in gone), *((0.0, w) for w in frequencies)]
+        ),
+    )
 
 
 # Grid and crossings
@@ -484,7 +544,7 @@ def _gain_crossings(
     def sine(w: Array) -> Array:
         with np.errstate(all="ignore"):
             transfer = at(w)
-            return np.asarray(transfer.imag / np.abs(transfer))
+            return np.where(transfer == 0, 0.0, transfer.imag / np.abs(transfer))  # 0: a zero on the border
 
     crossings = []
     for w in _zeros_of(sine, omega, values.imag / np.abs(values), only=values.real < 0):
@@ -515,6 +575,9 @@ def _phase_crossings(
     if known.infinity is not None and abs(known.infinity[0, 0]) >= 1:
         # The gain never falls below 1: the phase of the shortest delay turns it through -1 somewhere.
         delays.append((0.0, math.inf))
+    if known.dt > 0 and known.points is None and abs(known.siso(np.array([known.high]))[0]) >= 1:
+        # A delay of one period changes the sign of L there, and with it the parity of the poles z < -1.
+        delays.append((known.dt, known.high))
     return tuple(phases), tuple(delays)
 
 

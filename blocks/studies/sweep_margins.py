@@ -75,8 +75,9 @@ class Margin:
             return np.inf if width is None else float(width)
         known = seen.margins(self)
         if not known.stable:
-            shown = ", ".join(f"{pole:.4g}" for pole in known.unstable[:3])
-            message, cure = f"the closed loop is not stable (poles {shown}).", "Only stable loops have margins."
+            shown = ", ".join(f"{pole:.4g}" for pole in (known.unstable or known.border)[:3])
+            words = "at the border of stability within rounding" if known.verdict == "border" else "not stable"
+            message, cure = f"the closed loop is {words} (poles {shown}).", "Only stable loops have margins."
             raise AnalysisError(Fault("E705", self.loop, message, cure))
         value = _BY_LOOP[self.type](known)
         if value is None and self.type in _ENDLESS and not (known.several_rates and self.type == "delay_margin"):
