@@ -8,7 +8,7 @@ Reference: L. N. Trefethen, M. Embree, Spectra and Pseudospectra, Princeton 2005
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ __all__ = [
     "is_root",
     "is_singular",
     "onto_border",
+    "parts_with_doubt",
     "root_doubts",
     "rounding",
     "stability",
@@ -89,13 +90,18 @@ def onto_border(p: complex, dt: float) -> complex:
     return complex(np.expm1(1j * np.angle(1.0 + p)))
 
 
-def stability(model: Realization) -> str:
-    """Return "stable", "border" (at the border of stability within rounding) or "unstable", by the poles of a model."""
-    word = "stable"
+def parts_with_doubt(model: Realization) -> Iterator[tuple[Array, float, Array, Array]]:
+    """Yield the blocks of states that act on each other: matrix, rounding of it, eigenvalues, and the doubt of each."""
     for k in components(model.a):
         a = model.a[np.ix_(k, k)]
         unsure = rounding(a, a, model.dt) if len(a) > 1 else 4 * _EPS * (model.dt > 0)
-        p, doubt = eigenvalues_with_doubt(a, unsure)
+        yield a, unsure, *eigenvalues_with_doubt(a, unsure)
+
+
+def stability(model: Realization) -> str:
+    """Return "stable", "border" (at the border of stability within rounding) or "unstable", by the poles of a model."""
+    word = "stable"
+    for a, unsure, p, doubt in parts_with_doubt(model):
         is_there = is_singular(a, unsure)
         for pole, fast, most in zip(p, growth_of(p, model.dt), doubt, strict=True):
             if abs(fast) <= most and is_there(onto_border(pole, model.dt)):

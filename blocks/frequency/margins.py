@@ -19,7 +19,18 @@ import numpy as np
 
 from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.shown import Shown, Table
-from .doubt import eigenvalues_with_doubt, growth_of, is_root, is_singular, onto_border, root_doubts, rounding
+from .dead_time import extrema, is_stable, stretches
+from .delayed import DelayedModel
+from .doubt import (
+    eigenvalues_with_doubt,
+    growth_of,
+    is_root,
+    is_singular,
+    onto_border,
+    parts_with_doubt,
+    root_doubts,
+    rounding,
+)
 from .lifted import MOST_GAIN, Factored, Lifted, gain_borders, phase_borders
 from .realization import Realization, balanced, equivalent, period
 from .response import HALF_POWER, dc_gain
@@ -34,7 +45,9 @@ _EPS = float(np.finfo(float).eps)
 _TOUCH = 1e-10
 # Of the logarithm of the gain, of the phase in rad and of the frequency: such a crossing is the one at the border.
 _SAME = 1e-6
+_Crossings = tuple[tuple[float, float], ...]
 _MOST = 6  # crossings in a line of the table
+_SEEN = 200  # crossings that are searched, of a response whose phase turns without end
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -258,6 +271,8 @@ def margins(
     """
     if isinstance(loop, Lifted):
         return _of_several_rates(loop)
+    if isinstance(loop, DelayedModel) and loop.dead_time is not None:
+        return _with_dead_time(loop, *loop.dead_time, grid)
     known = source(loop)
     if (known.outputs, known.inputs) != (1, 1):
         what = f"{known.outputs} outputs and {known.inputs} inputs; a loop has one of each."
@@ -266,7 +281,8 @@ def margins(
     at = curve(known)
     omega, values = _grid(known, at, closed, grid, str(getattr(loop, "hint", "")))
     ends = _ends(known, loop)
-    gains = _gain_crossings(at, omega, values, ends)
+    only = _nearest(omega, values) if known.features is None and known.points is None else values.real < 0
+    gains = _gain_crossings(at, omega, values, ends, only)
     phases, delays = _phase_crossings(at, omega, values, known)
     border = closed.border if closed is not None else _touched(phases, known.dt)
     gains, phases, delays = _at_border(_frequencies(border, known.dt), gains, phases, delays)
@@ -282,6 +298,21 @@ def margins(
         stable: bool | None = not closed.unstable and not border
     else:
         stable = False if border else _by_encirclements(values, unstable_poles, integrators)
+    bandwidth = _bandwidth(at, omega, values, ends)
+    return _gathered(stable, closed, border, gains, phases, delays, peaks, bandwidth, known.dt)
+
+
+def _gathered(
+    stable: bool | None,
+    closed: _Closed | None,
+    border: tuple[complex, ...],
+    gains: _Crossings,
+    phases: _Crossings,
+    delays: _Crossings,
+    peaks: dict[str, Peak],
+    bandwidth: float | None,
+    dt: float,
+) -> Margins:
     return Margins(
         stable=stable,
         unstable=closed.unstable if closed is not None else (),
@@ -295,8 +326,8 @@ def margins(
         Mt_frequency=peaks["T"].frequency,
         disk=2.0 / peaks["disk"].value if peaks["disk"].value else math.inf,
         disk_frequency=peaks["disk"].frequency,
-        bandwidth=_bandwidth(at, omega, values, ends),
-        dt=known.dt,
+        bandwidth=bandwidth,
+        dt=dt,
         border=border,
     )
 
@@ -339,6 +370,74 @@ def _of_several_rates(loop: Any) -> Margins:
         several_rates=True,
         border=own.border,
     )
+
+
+def _with_dead_time(loop: DelayedModel, rational: Realization, delay: float, grid: Iterable[float] | None) -> Margins:
+    """Margins of L = R(s) exp(-s T): what depends on the gain by R alone, the rest where it is largest."""
+    known, at = source(loop.rational), curve(source(loop))
+    seen = rational.visible()
+    omega, values = _grid(known, curve(known), None, grid, "")
+    phases, delays = _phase_crossings(at, omega, values, known)
+    unity = [w for _, w in phases]
+    ends = _ends(known, loop.rational)
+    start, last = [end for end in ends if end[0] == 0.0], abs(float(seen.d[0, 0]))
+
+    sizes = np.abs(values)
+    places = [*unity, *extrema(_size_of(lambda x: x, curve(known)), omega, sizes)]
+    if start and (level := _level(start[0][1])) is not None and level < 1:
+        # |T| is least in a turn where it is |R|/(1 + |R|).
+        log_gain = _log_gain(curve(known), level / (1 - level))
+        places += _zeros_of(log_gain, omega, log_gain(omega), only=np.ones(len(omega), dtype=bool))
+    gains: list[tuple[float, float]] = []
+    peaks: dict[str, list[Peak]] = {name: [] for name in _LAWS}
+    bandwidth = None
+    for part in stretches(delay, omega, places):
+        part, both = refined(lambda w: np.stack([x := at(w), 1.0 + x]), part)
+        limits = [] if gains or peaks["S"] else start
+        crossings = _gain_crossings(at, part, both[0], limits, both[0].real < 0)
+        gains += crossings
+        for name, law in _LAWS.items():
+            # At a crossing near 0 dB the summit is narrower than what a search resolves.
+            edges = [Peak(float(abs(law(np.array([value]))[0])), w) for w, value in limits]
+            edges += [Peak(float(abs(law(np.array([-1.0 / g + 0j]))[0])), w) for g, w in crossings if w > 0]
+            peaks[name].append(highest(_size_of(law, at), part, np.abs(law(both[0])), edges))
+        bandwidth = bandwidth if bandwidth is not None else _bandwidth(at, part, both[0], start)
+    if last > 0:
+        gains.append((1.0 / last, math.inf))
+    top = {name: _first(peaks[name], _at_infinity(law, last)) for name, law in _LAWS.items()}
+
+    parts = list(parts_with_doubt(seen))
+    poles, doubts = (np.concatenate([np.zeros(0), *(part[k] for part in parts)]) for k in (2, 3))
+    scale = float(np.linalg.norm(rational.a))
+    beside = _judged(np.zeros(0, complex), np.zeros(0), lambda x: x, rational.hidden_eigenvalues(), scale, 0.0)
+
+    def is_stable_at(delay: float) -> bool:
+        return not beside.unstable and is_stable(seen, delay, poles, doubts, omega, unity)
+
+    border = _touched(phases, 0.0)
+    if border and not (is_stable_at(delay * (1 - _SAME)) or is_stable_at(delay * (1 + _SAME))):
+        border = ()  # other poles are beyond it
+    if start and abs(1.0 + start[0][1]) <= _TOUCH:
+        border = (0j, *border)
+    stable = not border and is_stable_at(delay)
+    at_border = _at_border(_frequencies(border, 0.0), _by_frequency(gains), phases, delays)
+    if border:
+        top = dict.fromkeys(_LAWS, Peak(math.inf, _frequencies(border, 0.0)[0]))
+    return _gathered(stable, beside, border, *at_border, top, bandwidth, 0.0)
+
+
+def _at_infinity(law: Callable[[Array], Array], size: float) -> Peak:
+    """The limit of the largest value in a turn: where L is real and negative."""
+    with np.errstate(all="ignore"):
+        return Peak(float(abs(law(np.array([-size + 0.0j]))[0])) if size != 1 else math.inf, math.inf)
+
+
+def _first(peaks: list[Peak], limit: Peak) -> Peak:
+    """The highest, and of equal ones that of the lowest frequency."""
+    best = max(peak.value for peak in peaks)
+    if limit.value > best * (1 + 1e-9):
+        return limit
+    return next(peak for peak in peaks if peak.value >= best * (1 - 1e-13))
 
 
 def _by_frequency(crossings: Iterable[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
@@ -473,9 +572,6 @@ def _touched(phases: tuple[tuple[float, float], ...], dt: float) -> tuple[comple
     return tuple(complex(np.exp(p * dt)) if dt > 0 else p for p in touched)
 
 
-_Crossings = tuple[tuple[float, float], ...]
-
-
 def _at_border(
     frequencies: list[float], gains: _Crossings, phases: _Crossings, delays: _Crossings
 ) -> tuple[_Crossings, _Crossings, _Crossings]:
@@ -536,10 +632,28 @@ def _ends(known: Source, loop: Any) -> list[tuple[float, complex]]:
     return [(w, value) for w, value in ends if not math.isnan(value.real)]
 
 
+def _nearest(omega: Array, values: Array) -> Array:
+    """Where L is real and negative, and of more than `_SEEN` such crossings the nearest to -1 on either side.
+
+    A phase that turns without end, as that of a delay, makes them in thousands.
+    """
+    only = np.asarray(values.real < 0)
+    logs = np.log(np.abs(values))
+    crossed = np.flatnonzero((np.sign(values.imag[1:]) != np.sign(values.imag[:-1])) & (only[1:] | only[:-1]))
+    if len(crossed) <= _SEEN:
+        return only
+    only = np.zeros(len(omega), dtype=bool)
+    for side in (crossed[logs[crossed] <= 0], crossed[logs[crossed] > 0]):
+        # Of equal ones, to what the grid shows, the first.
+        kept = side[np.lexsort((omega[side], np.round(np.abs(logs[side]), 3)))][: _SEEN // 2]
+        only[kept] = only[kept + 1] = True
+    return only
+
+
 def _gain_crossings(
-    at: Callable[[Array], Array], omega: Array, values: Array, ends: list[tuple[float, complex]]
-) -> tuple[tuple[float, float], ...]:
-    """Where L is real and negative: (1/|L|, frequency)."""
+    at: Callable[[Array], Array], omega: Array, values: Array, ends: list[tuple[float, complex]], only: Array
+) -> _Crossings:
+    """Where L is real and negative: (1/|L|, frequency). only: where on the grid to look."""
 
     def sine(w: Array) -> Array:
         with np.errstate(all="ignore"):
@@ -547,7 +661,7 @@ def _gain_crossings(
             return np.where(transfer == 0, 0.0, transfer.imag / np.abs(transfer))  # 0: a zero on the border
 
     crossings = []
-    for w in _zeros_of(sine, omega, values.imag / np.abs(values), only=values.real < 0):
+    for w in _zeros_of(sine, omega, values.imag / np.abs(values), only=only):
         value = at(np.array([w]))[0]
         if value.real < 0 and abs(value.imag) < 1e-3 * abs(value) and w < omega[-1] * (1 - 1e-9):
             crossings.append((1.0 / abs(value), w))
@@ -561,11 +675,7 @@ def _phase_crossings(
     at: Callable[[Array], Array], omega: Array, values: Array, known: Source
 ) -> tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float], ...]]:
     """Where |L| is 1: (degrees from -180, frequency), and (delay to -180 degrees in s, frequency)."""
-
-    def log_gain(w: Array) -> Array:
-        with np.errstate(all="ignore"):
-            return np.asarray(np.clip(np.log(np.abs(at(w))), -700.0, 700.0))
-
+    log_gain = _log_gain(at, 1.0)
     logs = np.log(np.abs(values))
     phases, delays = [], []
     for w in _zeros_of(log_gain, omega, logs, only=np.ones(len(omega), dtype=bool)):
@@ -579,6 +689,14 @@ def _phase_crossings(
         # A delay of one period changes the sign of L there, and with it the parity of the poles z < -1.
         delays.append((known.dt, known.high))
     return tuple(phases), tuple(delays)
+
+
+def _log_gain(at: Callable[[Array], Array], level: float) -> Callable[[Array], Array]:
+    def log_gain(w: Array) -> Array:
+        with np.errstate(all="ignore"):
+            return np.asarray(np.clip(np.log(np.abs(at(w)) / level), -700.0, 700.0))
+
+    return log_gain
 
 
 def _zeros_of(f: Callable[[Array], Array], omega: Array, values: Array, *, only: Array) -> list[float]:
@@ -623,11 +741,14 @@ def _deepest(f: Callable[[Array], Array], sign: float, a: float, b: float) -> tu
 def _bandwidth(
     at: Callable[[Array], Array], omega: Array, values: Array, ends: list[tuple[float, complex]]
 ) -> float | None:
-    if not ends or ends[0][0] != 0.0:
+    level = _level(ends[0][1]) if ends and ends[0][0] == 0.0 else None
+    if level is None:
         return None
-    reference = abs(complex(_complementary(np.array([ends[0][1]]))[0]))
-    if reference == 0 or not math.isfinite(reference):
-        return None
-    level = reference * 10 ** (-HALF_POWER / 20)
     gain = _size_of(_complementary, at)
     return first_fall(gain, omega, np.abs(_complementary(values)), level, above=True)
+
+
+def _level(start: complex) -> float | None:
+    """The value of |T| at its bandwidth, of L at zero frequency; None: it has none."""
+    reference = abs(complex(_complementary(np.array([start]))[0]))
+    return reference * 10 ** (-HALF_POWER / 20) if 0 < reference < math.inf else None
