@@ -6,7 +6,7 @@ jw x = A x + E h + B u,   h = exp(-jw delays) (Fx x + Fh h + Fe u),   y = C x + 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -44,7 +44,8 @@ class DelayedModel:
     """A model by its frequency response: `margins`, `bandwidth`, `peak` and the figures take it, as `response` does.
 
     matrices: by row and column, "x" (rates, states), "h" (what is delayed, delayed values), "y", "e" (inputs). delays:
-    in s, of each h. signals: the names of the inputs and of the outputs in the diagram; units: theirs in SI.
+    in s, of each h. signals: the names of the inputs and of the outputs in the diagram; units: theirs in SI. name,
+    report, hint: as of a `LinearModel`.
     """
 
     matrices: Mapping[tuple[str, str], Array]
@@ -52,6 +53,9 @@ class DelayedModel:
     signals: tuple[tuple[str, ...], tuple[str, ...]]
     units: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
     dt: float = 0.0
+    name: str = ""
+    report: tuple[Any, ...] = ()
+    hint: str = ""
 
     def response(self, omega: Any) -> Array:
         """(outputs, inputs, frequencies) at omega in rad/s."""
@@ -124,7 +128,7 @@ class DelayedModel:
     def scaled(self, factor: float) -> DelayedModel:
         """All outputs times a factor."""
         matrices = {key: factor * value if key[0] == "y" else value for key, value in self.matrices.items()}
-        return DelayedModel(matrices, self.delays, self.signals, self.units, self.dt)
+        return replace(self, matrices=matrices)
 
     @property
     def speeds(self) -> Array:
