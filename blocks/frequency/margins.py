@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -279,7 +279,7 @@ def margins(
         raise UsageError(Fault("E501", "margins", what, "Open one loop at a time."))
     closed = _closed_loop(loop, known)
     at = curve(known)
-    omega, values = _grid(known, at, closed, grid, str(getattr(loop, "hint", "")))
+    omega, values = _grid(known, at, closed, grid, str(getattr(loop, "hint", "")), _at_rest(loop, known))
     ends = _ends(known, loop)
     only = _nearest(omega, values) if known.features is None and known.points is None else values.real < 0
     gains = _gain_crossings(at, omega, values, ends, only)
@@ -600,10 +600,34 @@ def _at_border(
 # Grid and crossings
 
 
+def _at_rest(loop: Any, known: Source) -> float:
+    """Return up to which size poles and zeros may be at rest within rounding, as a cluster of integrators is.
+
+    Far below them the response is rounding. In s, or z - 1.
+    """
+    shift = 1.0 if known.dt > 0 else 0.0
+    if known.realization is not None:
+        parts = [(p, doubt) for _, _, p, doubt in parts_with_doubt(known.realization.visible())]
+    elif is_of(loop, "TransferFunction"):
+        both = [(part, np.asarray(np.roots(part), dtype=complex)) for part in polynomials(loop)[0][0]]
+        parts = [(roots - shift, root_doubts(part, roots)) for part, roots in both]
+    else:
+        parts = []
+    return max((float(x) for p, doubt in parts for x in np.abs(p)[np.abs(p) <= doubt]), default=0.0)
+
+
+def _without_rest(known: Source, size: float) -> Source:
+    if known.features is None or size == 0.0:
+        return known
+    least = size / known.dt if known.dt > 0 else size
+    return replace(known, features=known.features[np.abs(known.features) > 2 * least])
+
+
 def _grid(
-    known: Source, at: Callable[[Array], Array], closed: _Closed | None, grid: Iterable[float] | None, hint: str
-) -> tuple[Array, Array]:
-    omega = layout(known, closed.poles if closed is not None else None)
+    known: Source, at: Callable[[Array], Array], closed: _Closed | None, grid: Iterable[float] | None, hint: str,
+    at_rest: float = 0.0,
+) -> tuple[Array, Array]:  # fmt: skip
+    omega = layout(_without_rest(known, at_rest), closed.poles if closed is not None else None)
     if grid is not None:
         more = np.asarray(list(grid), dtype=float)
         low = max(known.low, 0.0)

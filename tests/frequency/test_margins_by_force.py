@@ -1,4 +1,6 @@
-"""Margins of random rational loops against brute force: the poles of the closed loop over gain, phase and delay.
+"""Margins of random loops against brute force: the poles of the closed loop over gain, phase and delay.
+
+Continuous and sampled loops, and loops of two rates; those with a dead time are in test_dead_time.
 
 The witness knows no frequency response: the roots of den + k num for complex k, and the eigenvalues of the loop with a
 delay. Those come from a Chebyshev discretization of its past: D. Breda, S. Maset, R. Vermiglio, Pseudospectral
@@ -13,7 +15,9 @@ from typing import Any
 import control
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
+from blocks import Diagram, Gain, TransferFunction, ZeroOrderHold
 from blocks.frequency.margins import Margins, margins
 from tests.support.marks import long_but
 
@@ -121,3 +125,85 @@ def test_the_margins_of_a_random_loop_are_those_of_its_eigenvalues(seed: int) ->
             continue  # by rounding alone: zeros on the border, as coefficients hold them
         # Far below 1 rounding decides where the phase of a double integrator crosses -180 degrees.
         assert found.as_json()[name] == (None if value is None else pytest.approx(value, rel=1e-6, abs=1e-7)), name
+
+
+class OfRates:
+    """num/den behind a hold of 0.1 s and a slower one, and the pattern of their ticks as one matrix."""
+
+    def __init__(self, seed: int) -> None:
+        random = np.random.default_rng(seed)
+        self.slow = (0.2, 0.25, 0.3)[seed % 3]
+        for _ in range(20):
+            order = int(random.integers(1, 4))
+            poles = _places(random, order, 0.0)
+            zeros = _places(random, int(random.integers(0, order)), 0.0)
+            self.num, self.den = np.atleast_1d(np.poly(zeros)).real, np.poly(poles).real
+            at = 1j * 10 ** random.uniform(-1, 0.5)
+            self.num = (
+                self.num * 10 ** random.uniform(-0.7, 0.5) * abs(np.polyval(self.den, at) / np.polyval(self.num, at))
+            )
+            plant = control.tf2ss(control.tf(self.num, self.den))
+            self.a, self.b, self.c = (np.asarray(m) for m in (plant.A, plant.B, plant.C))
+            if self.is_stable():
+                break
+
+    def is_stable(self, factor: complex = 1.0) -> bool:
+        return bool(np.max(np.abs(np.linalg.eigvals(self.pattern(factor)))) < 1.0)
+
+    def pattern(self, factor: complex) -> Array:
+        """From the states and what both holds keep, before the ticks at 0, to the same a pattern later."""
+        n, base = len(self.a), 0.05
+        fast, slow = round(0.1 / base), round(self.slow / base)
+        drift = np.zeros((n + 2, n + 2), complex)
+        drift[:n, :n], drift[:n, -1:] = self.a, -factor * self.b
+        step, whole = expm(drift * base), np.eye(n + 2, dtype=complex)
+        for k in range(math.lcm(fast, slow)):
+            ticks = np.eye(n + 2)
+            if k % fast == 0:
+                ticks[n, :n], ticks[n, n] = self.c[0], 0.0
+            if k % slow == 0:
+                ticks[n + 1] = ticks[n]
+            whole = step @ ticks @ whole
+        return whole
+
+    def loop(self) -> Any:
+        made = Diagram("rates")
+        chain = {
+            "fast": ZeroOrderHold(period=0.1),
+            "slow": ZeroOrderHold(period=self.slow),
+            "back": Gain(k=-1.0),
+            "plant": TransferFunction(num=self.num.tolist(), den=self.den.tolist()),
+        }
+        for name, block in chain.items():
+            made.add(name, block)
+        for sink, origin in (("slow", "fast"), ("back", "slow"), ("plant", "back"), ("fast", "plant")):
+            made.wire(f"{sink}.u", f"{origin}.y")
+        return made.linearizer().loop("back.y")
+
+
+@pytest.mark.parametrize("seed", long_but(range(200), lambda seed: seed < 12))
+def test_the_margins_of_a_random_loop_of_two_rates_are_those_of_its_pattern_of_ticks(seed: int) -> None:
+    drawn = OfRates(seed)
+    found = margins(drawn.loop())
+    assert found.stable is drawn.is_stable()
+    if not found.stable:
+        return
+    highest, lowest = found.gain or 1e4, found.gain_low or 1e-4
+    for k in np.geomspace(lowest * (1 + BESIDE), highest * (1 - BESIDE), 40):
+        assert drawn.is_stable(float(k)), k
+    assert found.gain is None or not drawn.is_stable(highest * (1 + BESIDE))
+    assert found.gain_low is None or not drawn.is_stable(lowest * (1 - BESIDE))
+    phase = np.radians(180.0 if found.phase_deg is None else abs(found.phase_deg))
+    for angle in np.linspace(0.0, phase * (1 - BESIDE), 40):
+        assert drawn.is_stable(complex(np.exp(-1j * angle))), angle
+    assert found.phase_deg is None or not drawn.is_stable(complex(np.exp(-1j * phase * (1 + BESIDE))))
+
+
+def test_poles_at_rest_within_rounding_have_no_crossings_below_them() -> None:
+    """Two integrators that rounding moves apart: far below, the phase of the response is rounding alone."""
+    num, den, dt = random_loop(13)
+    loop = control.tf(num, den, dt)
+    for model in (control.tf2ss(loop), loop):
+        found = margins(model)
+        assert found.gain == pytest.approx(1.5595164191485, rel=1e-9)
+        assert len(found.gains) == 1
