@@ -9,7 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from ..frequency.delayed import DelayedModel
+from ..frequency.doubt import stability
 from ..frequency.margins import Margins, margins
+from ..frequency.realization import balanced
 from ..frequency.response import bandwidth, dc_gain, poles, zeros
 from ..linear.transfer import LoopOfRates, Transfer
 from ..model.copies import alike
@@ -23,17 +26,30 @@ def _numbers(values: Any) -> list[list[float]]:
     return [[float(p.real), float(p.imag)] for p in np.asarray(values, dtype=complex)]
 
 
-def _gain(model: Transfer) -> Any:
+def _rational(model: Transfer | DelayedModel) -> Any:
+    """Return the model without its dead time, or None if delays are on several ways: it has no such model."""
+    if not isinstance(model, DelayedModel):
+        return model
+    return model.rational if model.dead_time is not None else None
+
+
+def _delays(model: DelayedModel) -> str:
+    if model.dead_time is not None:
+        return f"{counted(model.rational.nstates, 'state')}, dead time {model.dead_time[1]:g} s"
+    return f"exact delays of {', '.join(f'{delay:g} s' for delay in model.delays)} on several ways"
+
+
+def _gain(model: Any) -> Any:
     """The gain at zero frequency: a number, or rows of numbers; None: infinite."""
     gains = [[float(x) if math.isfinite(x) else None for x in row] for row in np.real(dc_gain(model))]
     return gains[0][0] if _is_single(model) else gains
 
 
-def _is_single(model: Transfer) -> bool:
-    return bool(model.ninputs == 1 and model.noutputs == 1)
+def _is_single(model: Any) -> bool:
+    return len(model.signals[0]) == len(model.signals[1]) == 1
 
 
-def _bandwidth(model: Transfer) -> float | None:
+def _bandwidth(model: Any) -> float | None:
     """Relative to the gain at zero frequency; None where there is no such gain."""
     if not _is_single(model):
         return None
@@ -43,51 +59,65 @@ def _bandwidth(model: Transfer) -> float | None:
         return None
 
 
-def _is_stable(model: Transfer) -> bool:
-    eigenvalues = np.asarray(poles(model))
-    return bool((np.abs(eigenvalues) < 1).all() if model.dt else (eigenvalues.real < 0).all())
+_STABILITY = {"stable": "stable", "border": "at the border of stability within rounding", "unstable": "not stable"}
 
 
-def check_loop(model: Transfer, point: str) -> None:
+def _stability(model: Transfer) -> dict[str, Any]:
+    """The words of `Margins.as_json` of a model that is no loop."""
+    names = ("gain", "gain_low", "phase_deg", "crossover", "delay", "Ms", "Mt", "disk")
+    verdict = stability(balanced(model))
+    return {**dict.fromkeys(names), "stable": verdict == "stable", "border": verdict == "border"}
+
+
+def check_loop(model: Transfer | DelayedModel, point: str) -> None:
     """Raise AnalysisError (E705) for a loop transfer through which nothing comes back."""
+    if isinstance(model, DelayedModel):
+        return
     if not model.nstates and not model.D.any():
         message = f"nothing of what is put in there comes back{'.' if model.hint else ': it is in no loop.'}"
         cure = model.hint or "Open the loop at a signal that comes back to itself."
         raise AnalysisError(Fault("E705", point, message, cure))
 
 
-def entry(model: Transfer, *, is_loop: bool) -> dict[str, Any]:
+def entry(model: Transfer | DelayedModel, *, is_loop: bool) -> dict[str, Any]:
     """A model as one object: poles and zeros in 1/s (z of a sampled one), frequencies in rad/s.
 
-    Of a loop transfer with the margins of the closed loop; else `stable` says whether the poles of the model decay.
+    Of a loop with a dead time, poles and zeros are those without it, and `dead_time` is in s; where delays are on
+    several ways, the three are None. Of a loop transfer with the margins of the closed loop; else `stable` says whether
+    the poles of the model decay, and `border` whether it is at the border of stability within rounding.
     """
-    known = margins(model).as_json() if is_loop else None
-    names = ("gain", "gain_low", "phase_deg", "crossover", "delay", "Ms", "Mt", "disk")
+    rational = _rational(model)
+    late = {}
+    if isinstance(model, DelayedModel):
+        late["dead_time"] = None if model.dead_time is None else model.dead_time[1]
     return {
-        "poles": _numbers(poles(model)),
-        "zeros": _numbers(zeros(model)),
+        "poles": None if rational is None else _numbers(poles(rational)),
+        "zeros": None if rational is None else _numbers(zeros(rational)),
         "dc_gain": _gain(model),
         "bandwidth": _bandwidth(model),
-        "margins": known if known is not None else {**dict.fromkeys(names), "stable": _is_stable(model)},
+        "margins": margins(model).as_json() if is_loop else _stability(model),
         "period": float(model.dt) if model.dt else None,
         "inputs": list(model.signals[0]),
         "outputs": list(model.signals[1]),
         "units": [list(names) for names in model.units],
         "blocks": [asdict(block) for block in model.report],
+        **late,
     }
 
 
-def lines(model: Transfer, *, is_loop: bool) -> Iterator[str]:
+def lines(model: Transfer | DelayedModel, *, is_loop: bool) -> Iterator[str]:
     """A model as lines of text."""
+    rational = _rational(model)
     ins, outs = (", ".join(names) for names in model.signals)
     time = f", sampled every {model.dt:g} s" if model.dt else ""
     if isinstance(model, LoopOfRates):
         ins = model.point
         time = f", {len(model.times)} values of the signal in a pattern of {model.dt:g} s"
     what = f"loop at {ins}" if is_loop else f"{ins} -> {outs}"
-    yield f"{what}: {counted(model.nstates, 'state')}{time}"
+    size = _delays(model) if isinstance(model, DelayedModel) else f"{counted(model.nstates, 'state')}{time}"
+    yield f"{what}: {size}"
     plane = "z" if model.dt else "1/s"
-    for title, roots in (("poles", poles(model)), ("zeros", zeros(model))):
+    for title, roots in () if rational is None else (("poles", poles(rational)), ("zeros", zeros(rational))):
         shown = [_pole(p) for p in np.asarray(roots, dtype=complex) if p.imag >= 0]
         rest = f" and {len(shown) - 12} more" if len(shown) > 12 else ""
         yield f"  {title:<10} {'   '.join(shown[:12]) or 'none'}{rest}   [{plane}]"
@@ -99,9 +129,13 @@ def lines(model: Transfer, *, is_loop: bool) -> Iterator[str]:
             yield f"  {'bandwidth':<10} {width:.8g} rad/s, relative to the DC gain"
     if is_loop:
         known: Margins = margins(model)
-        yield from (f"  {line}" for line in str(known).splitlines())
+        shown = str(known).splitlines()
+        if rational is None:
+            how = "--pade 3 decides it by Padé models"
+            shown[0] = f"{'closed loop':<16}stability unknown with delays on several ways; {how}"
+        yield from (f"  {line}" for line in shown)
     else:
-        yield f"  {'stable' if _is_stable(model) else 'not stable'}"
+        yield f"  {_STABILITY[stability(balanced(model))]}"
     notes = (
         f"{b.path} ({b.type}): {'; '.join(filter(None, (b.method, b.smoothness, b.note)))}"
         for b in model.report
@@ -116,7 +150,7 @@ def lines(model: Transfer, *, is_loop: bool) -> Iterator[str]:
         yield f"  not on the way: {', '.join(idle[:8])}{more}"
 
 
-def figure(model: Transfer, kind: str, *, is_loop: bool) -> Any:
+def figure(model: Transfer | DelayedModel, kind: str, *, is_loop: bool) -> Any:
     """A matplotlib figure: "bode", "nyquist", "nichols", "step" (of a loop: of the closed one) or "poles"."""
     from ..frequency import figures
 
@@ -126,6 +160,9 @@ def figure(model: Transfer, kind: str, *, is_loop: bool) -> Any:
         raise AnalysisError(Fault("E705", model.point, message, cure))
     ins, outs = (", ".join(names) for names in model.signals)
     name = f"{model.name}: loop at {ins}" if is_loop else f"{model.name}: {ins} to {outs}"
+    if isinstance(model, DelayedModel) and kind in ("poles", "step"):
+        message = "exact delays contribute, and this figure needs a state space."
+        raise AnalysisError(Fault("E707", ins, message, "Take Padé models of them: --pade 3."))
     if kind in ("bode", "nyquist", "nichols"):
         return getattr(figures, kind)({name: model}, margins=is_loop)
     if kind == "poles":

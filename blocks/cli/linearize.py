@@ -12,6 +12,8 @@ from .values import assignments, check_writable, number_of, parsed, raw_number, 
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
+    from ..frequency.delayed import DelayedModel
+    from ..linear.transfer import Transfer
 
 __all__ = ["add"]
 
@@ -33,7 +35,8 @@ def add(verbs: Any) -> None:
     takes_several(linear, "--open", "C", "a signal that is cut", dest="openings")
     override = "a gain in the place of a block: q=1 takes a quantizer as unit gain; q=[[1,0],[0,1]] with more signals"
     takes_several(linear, "--override", "BLOCK=GAIN", override, dest="overrides")
-    linear.add_argument("--pade", metavar="N", type=int, default=0, help="order of the models of exact delays")
+    pade = "take Padé models of this order for delays; without it, the margins of a loop keep them exact"
+    linear.add_argument("--pade", metavar="N", type=int, default=0, help=pade)
     linear.add_argument("--plot", metavar="FILE", help="draw it: .svg, .png, .pdf")
     linear.add_argument(
         "--figure", choices=FIGURES, help="what --plot draws (default bode); step of a loop: of the closed one"
@@ -99,7 +102,9 @@ def _linearize(options: argparse.Namespace) -> int:
     given = assignments("--override", options.overrides, "q=1")
     linearizer = diagram.linearizer(overrides={name: raw_number(v) for name, v in given.items()}, **point)
     if is_loop:
-        model = linearizer.loop_transfer(options.loop, openings=options.openings, pade=options.pade)
+        model: Transfer | DelayedModel = linearizer.exact_loop(
+            options.loop, openings=options.openings, pade=options.pade
+        )
     else:
         model = linearizer.transfer(options.sources, options.sinks, openings=options.openings, pade=options.pade)
     from ..analysis.text import check_loop, entry, figure, lines

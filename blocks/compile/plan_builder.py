@@ -17,6 +17,7 @@ from ..contract.resolution import Resolved, memory_start
 from ..model.flatten import BlockSource, Flat, FlatBlock, FlatSignal, InputSource, Source
 from ..text.errors import Fault, ModelError
 from ..text.gc_pause import paused
+from .conditioning import unsure
 from .fmu_tape import FmuTape
 from .folding import At, folded
 from .memory_layout import ROWS, Footprint, Start, names_of
@@ -381,13 +382,15 @@ class _PlanBuilder:
         return base, rates
 
     def warnings(self) -> Iterable[Fault]:
-        """W102: variables that two causes reset, by different equations."""
+        """Find variables that two causes reset by different equations (W102), and poles that are lost (W105)."""
         for block, footprint in zip(self.flat.blocks, self.memory.footprints, strict=True):
             for target, names in footprint.clashes.items():
                 causes = " and ".join(f"'{name}'" for name in names)
                 message = f"is reset by {causes}; where they fire at once, that of '{names[-1]}' wins."
                 cure = "The reset that is declared later wins."
                 yield self.flat.placed(Fault("W102", f"{block.path}.{target}", message, cure))
+            if (fault := unsure(block.path, block.resolved)) is not None:
+                yield self.flat.placed(fault)
 
 
 def _settled(plan: Plan) -> Plan:

@@ -69,7 +69,8 @@ def _measure(axis: Any, x: float, start: float, end: float) -> None:
 
 def _warn(axis: Any, m: Margins) -> None:
     if m.stable is False:
-        axis.set_title("closed loop unstable", fontsize=9, loc="right", color=STYLES[5][0])
+        words = "closed loop at the border of stability" if m.verdict == "border" else "closed loop unstable"
+        axis.set_title(words, fontsize=9, loc="right", color=STYLES[5][0])
 
 
 def _beside(axis: Any, x: float, y: float, text: str, curve: tuple[Array, Array], *, border: float, left: bool) -> None:

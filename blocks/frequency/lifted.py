@@ -47,10 +47,14 @@ class Lifted(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Factored:
-    """The closed loop with a factor on the signal; fixed: eigenvalues (as z - 1) at the border that no factor moves."""
+    """The closed loop with a factor on the signal; fixed: eigenvalues (as z - 1) at the border that no factor moves.
+
+    is_at_border: whether it is at the border within rounding with the factor 1.
+    """
 
     seen: Realization
     fixed: tuple[complex, ...] = ()
+    is_at_border: bool = False
 
     def matrix(self, factor: complex) -> Array:
         """The monodromy matrix less I. inf where the loop has no solution."""
@@ -144,7 +148,8 @@ def _sure(
             hidden.append(x)
     sizes = loop.sizes(1.0)
     first = min((x for x in sure if x >= 0), default=math.inf)
-    if hidden and min(hidden) < first and sizes is not None and np.all(sizes < 0):
+    is_stable = sizes is not None and np.all(sizes < 0) and not loop.is_at_border
+    if hidden and min(hidden) < first and is_stable:
         message = f"from {what} of {shown(min(hidden)):.4g} on, rounding hides whether the closed loop is stable."
         cure = "Choose periods with a shorter common multiple."
         raise AnalysisError(Fault("E705", "margins", message, cure))

@@ -12,16 +12,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.shown import Shown, Table
-from .lapack import eigenvectors
+from .dead_time import extrema, is_stable, stretches
+from .delayed import DelayedModel
+from .doubt import (
+    eigenvalues_with_doubt,
+    growth_of,
+    is_root,
+    is_singular,
+    onto_border,
+    parts_with_doubt,
+    root_doubts,
+    rounding,
+)
 from .lifted import MOST_GAIN, Factored, Lifted, gain_borders, phase_borders
-from .realization import Realization, balanced, equivalent, growth, period
+from .realization import Realization, balanced, equivalent, period
 from .response import HALF_POWER, dc_gain
 from .search import Peak, curve, first_fall, highest, layout, refined, root, summit
 from .systems import Source, StateSpace, is_of, polynomials, source
@@ -32,20 +43,26 @@ Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 # Of the sine of the phase and of the logarithm of the gain: what rounding leaves of a zero in a response.
 _TOUCH = 1e-10
+# Of the logarithm of the gain, of the phase in rad and of the frequency: such a crossing is the one at the border.
+_SAME = 1e-6
+_Crossings = tuple[tuple[float, float], ...]
 _MOST = 6  # crossings in a line of the table
+_SEEN = 200  # crossings that are searched, of a response whose phase turns without end
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Margins(Shown):
     """Margins of a loop, and whether the closed loop is stable; without that, they are distances and no margins.
 
-    stable: None where it is not known (measured data without `unstable_poles`); unstable: closed-loop poles that do
-    not decay, s or z; hidden: poles on the border of stability that the loop neither moves nor shows, such as an
-    integrator behind it: they do not count.
+    stable: None where it is not known (measured data without `unstable_poles`), and True only where it is by more than
+    rounding; unstable: closed-loop poles that grow, s or z; border: those that are at the border of stability within
+    rounding: the margins are 0 then (the gain margin 1), Ms and Mt infinite; hidden: poles on the border that the loop
+    neither moves nor shows, such as an integrator behind it: they do not count.
 
     gains: (factor, frequency) of every gain at which the closed loop is at the border, by frequency (0, and inf or the
     Nyquist frequency, among them); phases: (degrees within -180 and 180, frequency) of every crossing of 0 dB: the lag
-    that leads to the border, where negative a lead; delays: (s, frequency), also for sampled loops.
+    that leads to the border, where negative a lead; delays: (s, frequency), also for sampled loops, which bear less
+    than one period where |L| is above 1 at the Nyquist frequency.
 
     Ms, Mt: the largest |S| and |T|; disk: the largest alpha for which the closed loop bears every factor of the
     balanced disk (S - T); bandwidth: of T, relative to its gain at zero frequency.
@@ -70,6 +87,14 @@ class Margins(Shown):
     bandwidth: float | None
     dt: float
     several_rates: bool = False
+    border: tuple[complex, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """ "stable", "border" (at the border of stability within rounding), "unstable", or "unknown"."""
+        if self.stable is None:
+            return "unknown"
+        return "stable" if self.stable else "border" if self.border and not self.unstable else "unstable"
 
     @property
     def gain(self) -> float | None:
@@ -137,7 +162,8 @@ class Margins(Shown):
             "gain": self.gain, "gain_low": self.gain_low, "phase_deg": self.phase_deg, "crossover": self.crossover,
             "delay": self.delay, "Ms": self.Ms, "Mt": self.Mt, "disk": self.disk,
         }  # fmt: skip
-        return {**{key: _finite(value) for key, value in shown.items()}, "stable": self.stable}
+        words = {"stable": self.stable, "border": self.verdict == "border"}
+        return {**{key: _finite(value) for key, value in shown.items()}, **words}
 
     def __str__(self) -> str:
         return "\n".join(f"{name:<16}{text}" for name, text in _table(self))
@@ -208,6 +234,8 @@ def _verdict(m: Margins) -> str:
         return "stable"
     if m.stable is None:
         return "stability unknown: give the number of unstable poles of the open loop"
+    if m.verdict == "border":
+        return f"AT THE BORDER of stability within rounding ({', '.join(_number(p) for p in m.border)})"
     where = f" ({', '.join(_number(p) for p in m.unstable)})" if m.unstable else ""
     return f"UNSTABLE{where}; what follows are distances to the border, no margins"
 
@@ -243,25 +271,48 @@ def margins(
     """
     if isinstance(loop, Lifted):
         return _of_several_rates(loop)
+    if isinstance(loop, DelayedModel) and loop.dead_time is not None:
+        return _with_dead_time(loop, *loop.dead_time, grid)
     known = source(loop)
     if (known.outputs, known.inputs) != (1, 1):
         what = f"{known.outputs} outputs and {known.inputs} inputs; a loop has one of each."
         raise UsageError(Fault("E501", "margins", what, "Open one loop at a time."))
     closed = _closed_loop(loop, known)
     at = curve(known)
-    omega, values = _grid(known, at, closed, grid, str(getattr(loop, "hint", "")))
+    omega, values = _grid(known, at, closed, grid, str(getattr(loop, "hint", "")), _at_rest(loop, known))
     ends = _ends(known, loop)
-    gains = _gain_crossings(at, omega, values, ends)
+    only = _nearest(omega, values) if known.features is None and known.points is None else values.real < 0
+    gains = _gain_crossings(at, omega, values, ends, only)
     phases, delays = _phase_crossings(at, omega, values, known)
+    border = closed.border if closed is not None else _touched(phases, known.dt)
+    gains, phases, delays = _at_border(_frequencies(border, known.dt), gains, phases, delays)
     peaks = {}
     for name, law in _LAWS.items():
         limits = [Peak(float(abs(law(np.array([value]))[0])), w) for w, value in ends]
         gain = _size_of(law, at)
-        peaks[name] = highest(gain, omega, np.abs(law(values)), limits)
+        if border:
+            peaks[name] = Peak(math.inf, _frequencies(border, known.dt)[0])
+        else:
+            peaks[name] = highest(gain, omega, np.abs(law(values)), limits)
     if closed is not None:
-        stable: bool | None = not closed.unstable
+        stable: bool | None = not closed.unstable and not border
     else:
-        stable = _by_encirclements(values, unstable_poles, integrators)
+        stable = False if border else _by_encirclements(values, unstable_poles, integrators)
+    bandwidth = _bandwidth(at, omega, values, ends)
+    return _gathered(stable, closed, border, gains, phases, delays, peaks, bandwidth, known.dt)
+
+
+def _gathered(
+    stable: bool | None,
+    closed: _Closed | None,
+    border: tuple[complex, ...],
+    gains: _Crossings,
+    phases: _Crossings,
+    delays: _Crossings,
+    peaks: dict[str, Peak],
+    bandwidth: float | None,
+    dt: float,
+) -> Margins:
     return Margins(
         stable=stable,
         unstable=closed.unstable if closed is not None else (),
@@ -275,8 +326,9 @@ def margins(
         Mt_frequency=peaks["T"].frequency,
         disk=2.0 / peaks["disk"].value if peaks["disk"].value else math.inf,
         disk_frequency=peaks["disk"].frequency,
-        bandwidth=_bandwidth(at, omega, values, ends),
-        dt=known.dt,
+        bandwidth=bandwidth,
+        dt=dt,
+        border=border,
     )
 
 
@@ -288,19 +340,24 @@ def _of_several_rates(loop: Any) -> Margins:
         raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero at all frequencies.", cure))
     for direct in np.diag(seen.d).tolist():
         _well_posed(1.0 + direct, 1.0)
-    p, doubt = _eigenvalues_with_doubt(Factored(seen).matrix(1.0))
-    scale = float(np.linalg.norm(model.a))
-    own = _judged(p, doubt, lambda x: _lifted_return(seen, x), np.zeros(0, complex), scale, model.dt)
+    matrix = Factored(seen).matrix(1.0)
+    unsure, scale = rounding(matrix, seen.a, model.dt), float(np.linalg.norm(model.a))
+    p, doubt = eigenvalues_with_doubt(matrix, unsure)
+    at, there = (lambda x: _lifted_return(seen, x)), is_singular(matrix, unsure)
+    own = _judged(p, doubt, at, np.zeros(0, complex), scale, model.dt, there)
     beside = _judged(np.zeros(0, complex), np.zeros(0), lambda x: x, model.hidden_eigenvalues(), scale, model.dt)
-    closed = Factored(seen, tuple(pole - 1.0 for pole in own.hidden))
+    closed = Factored(seen, tuple(pole - 1.0 for pole in own.hidden), bool(own.border))
     unstable = own.unstable + beside.unstable
+    gains = _by_frequency((g, angle / model.dt) for g, angle in gain_borders(closed))
+    phases = _by_frequency((d, angle / model.dt) for d, angle in phase_borders(closed))
+    gains, phases, _ = _at_border(_frequencies(own.border, model.dt), gains, phases, ())
     nothing = math.nan
     return Margins(
-        stable=not unstable,
+        stable=not unstable and not own.border,
         unstable=unstable,
         hidden=own.hidden + beside.hidden,
-        gains=_by_frequency((g, angle / model.dt) for g, angle in gain_borders(closed)),
-        phases=_by_frequency((d, angle / model.dt) for d, angle in phase_borders(closed)),
+        gains=gains,
+        phases=phases,
         delays=(),
         Ms=nothing,
         Ms_frequency=nothing,
@@ -311,7 +368,76 @@ def _of_several_rates(loop: Any) -> Margins:
         bandwidth=None,
         dt=model.dt,
         several_rates=True,
+        border=own.border,
     )
+
+
+def _with_dead_time(loop: DelayedModel, rational: Realization, delay: float, grid: Iterable[float] | None) -> Margins:
+    """Margins of L = R(s) exp(-s T): what depends on the gain by R alone, the rest where it is largest."""
+    known, at = source(loop.rational), curve(source(loop))
+    seen = rational.visible()
+    omega, values = _grid(known, curve(known), None, grid, "")
+    phases, delays = _phase_crossings(at, omega, values, known)
+    unity = [w for _, w in phases]
+    ends = _ends(known, loop.rational)
+    start, last = [end for end in ends if end[0] == 0.0], abs(float(seen.d[0, 0]))
+
+    sizes = np.abs(values)
+    places = [*unity, *extrema(_size_of(lambda x: x, curve(known)), omega, sizes)]
+    if start and (level := _level(start[0][1])) is not None and level < 1:
+        # |T| is least in a turn where it is |R|/(1 + |R|).
+        log_gain = _log_gain(curve(known), level / (1 - level))
+        places += _zeros_of(log_gain, omega, log_gain(omega), only=np.ones(len(omega), dtype=bool))
+    gains: list[tuple[float, float]] = []
+    peaks: dict[str, list[Peak]] = {name: [] for name in _LAWS}
+    bandwidth = None
+    for part in stretches(delay, omega, places):
+        part, both = refined(lambda w: np.stack([x := at(w), 1.0 + x]), part)
+        limits = [] if gains or peaks["S"] else start
+        crossings = _gain_crossings(at, part, both[0], limits, both[0].real < 0)
+        gains += crossings
+        for name, law in _LAWS.items():
+            # At a crossing near 0 dB the summit is narrower than what a search resolves.
+            edges = [Peak(float(abs(law(np.array([value]))[0])), w) for w, value in limits]
+            edges += [Peak(float(abs(law(np.array([-1.0 / g + 0j]))[0])), w) for g, w in crossings if w > 0]
+            peaks[name].append(highest(_size_of(law, at), part, np.abs(law(both[0])), edges))
+        bandwidth = bandwidth if bandwidth is not None else _bandwidth(at, part, both[0], start)
+    if last > 0:
+        gains.append((1.0 / last, math.inf))
+    top = {name: _first(peaks[name], _at_infinity(law, last)) for name, law in _LAWS.items()}
+
+    parts = list(parts_with_doubt(seen))
+    poles, doubts = (np.concatenate([np.zeros(0), *(part[k] for part in parts)]) for k in (2, 3))
+    scale = float(np.linalg.norm(rational.a))
+    beside = _judged(np.zeros(0, complex), np.zeros(0), lambda x: x, rational.hidden_eigenvalues(), scale, 0.0)
+
+    def is_stable_at(delay: float) -> bool:
+        return not beside.unstable and is_stable(seen, delay, poles, doubts, omega, unity)
+
+    border = _touched(phases, 0.0)
+    if border and not (is_stable_at(delay * (1 - _SAME)) or is_stable_at(delay * (1 + _SAME))):
+        border = ()  # other poles are beyond it
+    if start and abs(1.0 + start[0][1]) <= _TOUCH:
+        border = (0j, *border)
+    stable = not border and is_stable_at(delay)
+    at_border = _at_border(_frequencies(border, 0.0), _by_frequency(gains), phases, delays)
+    if border:
+        top = dict.fromkeys(_LAWS, Peak(math.inf, _frequencies(border, 0.0)[0]))
+    return _gathered(stable, beside, border, *at_border, top, bandwidth, 0.0)
+
+
+def _at_infinity(law: Callable[[Array], Array], size: float) -> Peak:
+    """The limit of the largest value in a turn: where L is real and negative."""
+    with np.errstate(all="ignore"):
+        return Peak(float(abs(law(np.array([-size + 0.0j]))[0])) if size != 1 else math.inf, math.inf)
+
+
+def _first(peaks: list[Peak], limit: Peak) -> Peak:
+    """The highest, and of equal ones that of the lowest frequency."""
+    best = max(peak.value for peak in peaks)
+    if limit.value > best * (1 + 1e-9):
+        return limit
+    return next(peak for peak in peaks if peak.value >= best * (1 - 1e-13))
 
 
 def _by_frequency(crossings: Iterable[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
@@ -354,6 +480,7 @@ def _size_of(law: Callable[[Array], Array], at: Callable[[Array], Array]) -> Cal
 class _Closed:
     poles: Array  # as s, for the grid
     unstable: tuple[complex, ...]
+    border: tuple[complex, ...]
     hidden: tuple[complex, ...]
 
 
@@ -363,22 +490,20 @@ def _closed_loop(loop: Any, known: Source) -> _Closed | None:
         seen = model.visible()
         gain = 1.0 + float(model.d[0, 0])
         _well_posed(gain, 1.0)
-        p, doubt = _eigenvalues_with_doubt(seen.a - seen.b @ seen.c / gain)
-        beside = model.hidden_eigenvalues()
-        return _judged(p, doubt, lambda x: seen.at(x)[0, 0], beside, float(np.linalg.norm(model.a)), known.dt)
+        matrix = seen.a - seen.b @ seen.c / gain
+        unsure = rounding(matrix, seen.a, known.dt)
+        p, doubt = eigenvalues_with_doubt(matrix, unsure)
+        beside, scale = model.hidden_eigenvalues(), float(np.linalg.norm(model.a))
+        return _judged(p, doubt, lambda x: seen.at(x)[0, 0], beside, scale, known.dt, is_singular(matrix, unsure))
     if is_of(loop, "TransferFunction"):
         num, den = polynomials(loop)[0][0]
         total = np.polyadd(num, den)
         _well_posed(float(total[0]) if len(total) >= max(len(num), len(den)) else 0.0, float(np.max(np.abs(den))))
         shift = 1.0 if period(loop.dt) > 0 else 0.0
         roots = np.asarray(np.roots(total), dtype=complex)
-        with np.errstate(all="ignore"):
-            slope = np.abs(np.polyval(np.polyder(total), roots))
-            doubt = 8 * len(total) * _EPS * np.polyval(np.abs(total), np.abs(roots)) / slope
-        doubt = np.where(np.isfinite(doubt), doubt, 1e-4 * np.abs(roots))
         return _judged(
-            roots - shift, doubt, lambda x: np.polyval(num, x + shift) / np.polyval(den, x + shift),
-            np.zeros(0, complex), 0.0, known.dt,
+            roots - shift, root_doubts(total, roots), lambda x: np.polyval(num, x + shift) / np.polyval(den, x + shift),
+            np.zeros(0, complex), 0.0, known.dt, lambda x: is_root(total, x + shift),
         )  # fmt: skip
     return None
 
@@ -389,36 +514,28 @@ def _well_posed(leading: float, scale: float) -> None:
         raise AnalysisError(Fault("E705", "margins", "1 + L vanishes at infinite frequency.", cure))
 
 
-def _eigenvalues_with_doubt(a: Array) -> tuple[Array, Array]:
-    """Eigenvalues, and how far rounding may have moved each: by the angle between its left and right vectors."""
-    if not len(a):
-        return np.zeros(0, complex), np.zeros(0)
-    values, left, right = eigenvectors(a)
-    overlap = np.abs(np.sum(left.conj() * right, axis=0))
-    doubt = 8 * len(a) * _EPS * float(np.linalg.norm(a)) / np.maximum(overlap, 1e-8)
-    return np.asarray(values, dtype=complex), doubt
-
-
 def _judged(
-    p: Array, doubt: Array, at: Callable[[Array], Array], beside: Array, scale: float, dt: float
-) -> _Closed:
+    p: Array, doubt: Array, at: Callable[[Array], Array], beside: Array, scale: float, dt: float,
+    is_there: Callable[[complex], bool] = lambda x: True,
+) -> _Closed:  # fmt: skip
+    """Sort the poles of the closed loop. is_there: whether a place is a pole within rounding."""
     shift = 1.0 if dt > 0 else 0.0
-    # Growth per unit of p: that of z = 1 + p goes by the period.
-    rate = growth(p, dt) * (dt if dt > 0 else 1.0)
-    unstable, hidden = [], []
-    for pole, fast, unsure in zip(p, rate, doubt, strict=True):
+    unstable, border, hidden = [], [], []
+    for pole, fast, unsure in zip(p, growth_of(p, dt), doubt, strict=True):
         if fast < -unsure:
             continue
+        if abs(fast) > unsure or not is_there(onto_border(pole, dt)):
+            if fast >= 0:
+                unstable.append(complex(pole + shift))
         # 1 + L turns once around a zero that is no pole of L: elsewhere the pole was there before and stayed.
-        if abs(fast) <= unsure and not _turns(at, pole, 10 * unsure):
+        elif _turns(at, pole, 10 * unsure):
+            border.append(onto_border(pole, dt) + shift)
+        else:
             hidden.append(complex(pole + shift))
-        elif fast >= 0:
-            unstable.append(complex(pole + shift))
-    rate = growth(beside, dt) * (dt if dt > 0 else 1.0)
-    border = 1e3 * _EPS * scale
-    unstable += [complex(pole + shift) for pole, fast in zip(beside, rate, strict=True) if fast > border]
-    hidden += [complex(pole + shift) for pole, fast in zip(beside, rate, strict=True) if abs(fast) <= border]
-    return _Closed(equivalent(p, dt), tuple(unstable), tuple(hidden))
+    rate, least = growth_of(beside, dt), 1e3 * _EPS * scale
+    unstable += [complex(pole + shift) for pole, fast in zip(beside, rate, strict=True) if fast > least]
+    hidden += [complex(pole + shift) for pole, fast in zip(beside, rate, strict=True) if abs(fast) <= least]
+    return _Closed(equivalent(p, dt), tuple(unstable), tuple(border), tuple(hidden))
 
 
 def _turns(at: Callable[[Array], Array], center: complex, radius: float) -> bool:
@@ -441,13 +558,76 @@ def _by_encirclements(values: Array, unstable_poles: int | None, integrators: in
     return bool(round(zeros) == 0)
 
 
+# At the border
+
+
+def _frequencies(border: Iterable[complex], dt: float) -> list[float]:
+    """Those of poles at the border, in rad/s; of a pair once."""
+    return sorted({float(abs(np.angle(p)) / dt if dt > 0 else abs(p.imag)) for p in border})
+
+
+def _touched(phases: tuple[tuple[float, float], ...], dt: float) -> tuple[complex, ...]:
+    """Poles of a closed loop of which only the response is known: where L is -1 within rounding."""
+    touched = [1j * w for degrees, w in phases if abs(math.radians(degrees)) <= _TOUCH]
+    return tuple(complex(np.exp(p * dt)) if dt > 0 else p for p in touched)
+
+
+def _at_border(
+    frequencies: list[float], gains: _Crossings, phases: _Crossings, delays: _Crossings
+) -> tuple[_Crossings, _Crossings, _Crossings]:
+    """The crossings where the closed loop has poles at the border, of which rounding made a little more or less of 0.
+
+    Of the delays, a little less than 0 is a whole turn.
+    """
+    at = np.array(frequencies)
+
+    def is_there(w: float) -> bool:
+        return bool(np.any(np.abs(at - w) <= _SAME * np.maximum(at, w)))
+
+    gone = {w for degrees, w in phases if is_there(w) and abs(math.radians(degrees)) <= _SAME}
+    near = {w for factor, w in gains if is_there(w) and abs(math.log(factor)) <= _SAME}
+    return (
+        _by_frequency([*(crossing for crossing in gains if crossing[1] not in near), *((1.0, w) for w in frequencies)]),
+        _by_frequency(
+            [*(crossing for crossing in phases if crossing[1] not in gone), *((0.0, w) for w in frequencies)]
+        ),
+        _by_frequency(
+            [*(crossing for crossing in delays if crossing[1] not in gone), *((0.0, w) for w in frequencies)]
+        ),
+    )
+
+
 # Grid and crossings
 
 
+def _at_rest(loop: Any, known: Source) -> float:
+    """Return up to which size poles and zeros may be at rest within rounding, as a cluster of integrators is.
+
+    Far below them the response is rounding. In s, or z - 1.
+    """
+    shift = 1.0 if known.dt > 0 else 0.0
+    if known.realization is not None:
+        parts = [(p, doubt) for _, _, p, doubt in parts_with_doubt(known.realization.visible())]
+    elif is_of(loop, "TransferFunction"):
+        both = [(part, np.asarray(np.roots(part), dtype=complex)) for part in polynomials(loop)[0][0]]
+        parts = [(roots - shift, root_doubts(part, roots)) for part, roots in both]
+    else:
+        parts = []
+    return max((float(x) for p, doubt in parts for x in np.abs(p)[np.abs(p) <= doubt]), default=0.0)
+
+
+def _without_rest(known: Source, size: float) -> Source:
+    if known.features is None or size == 0.0:
+        return known
+    least = size / known.dt if known.dt > 0 else size
+    return replace(known, features=known.features[np.abs(known.features) > 2 * least])
+
+
 def _grid(
-    known: Source, at: Callable[[Array], Array], closed: _Closed | None, grid: Iterable[float] | None, hint: str
-) -> tuple[Array, Array]:
-    omega = layout(known, closed.poles if closed is not None else None)
+    known: Source, at: Callable[[Array], Array], closed: _Closed | None, grid: Iterable[float] | None, hint: str,
+    at_rest: float = 0.0,
+) -> tuple[Array, Array]:  # fmt: skip
+    omega = layout(_without_rest(known, at_rest), closed.poles if closed is not None else None)
     if grid is not None:
         more = np.asarray(list(grid), dtype=float)
         low = max(known.low, 0.0)
@@ -476,18 +656,36 @@ def _ends(known: Source, loop: Any) -> list[tuple[float, complex]]:
     return [(w, value) for w, value in ends if not math.isnan(value.real)]
 
 
+def _nearest(omega: Array, values: Array) -> Array:
+    """Where L is real and negative, and of more than `_SEEN` such crossings the nearest to -1 on either side.
+
+    A phase that turns without end, as that of a delay, makes them in thousands.
+    """
+    only = np.asarray(values.real < 0)
+    logs = np.log(np.abs(values))
+    crossed = np.flatnonzero((np.sign(values.imag[1:]) != np.sign(values.imag[:-1])) & (only[1:] | only[:-1]))
+    if len(crossed) <= _SEEN:
+        return only
+    only = np.zeros(len(omega), dtype=bool)
+    for side in (crossed[logs[crossed] <= 0], crossed[logs[crossed] > 0]):
+        # Of equal ones, to what the grid shows, the first.
+        kept = side[np.lexsort((omega[side], np.round(np.abs(logs[side]), 3)))][: _SEEN // 2]
+        only[kept] = only[kept + 1] = True
+    return only
+
+
 def _gain_crossings(
-    at: Callable[[Array], Array], omega: Array, values: Array, ends: list[tuple[float, complex]]
-) -> tuple[tuple[float, float], ...]:
-    """Where L is real and negative: (1/|L|, frequency)."""
+    at: Callable[[Array], Array], omega: Array, values: Array, ends: list[tuple[float, complex]], only: Array
+) -> _Crossings:
+    """Where L is real and negative: (1/|L|, frequency). only: where on the grid to look."""
 
     def sine(w: Array) -> Array:
         with np.errstate(all="ignore"):
             transfer = at(w)
-            return np.asarray(transfer.imag / np.abs(transfer))
+            return np.where(transfer == 0, 0.0, transfer.imag / np.abs(transfer))  # 0: a zero on the border
 
     crossings = []
-    for w in _zeros_of(sine, omega, values.imag / np.abs(values), only=values.real < 0):
+    for w in _zeros_of(sine, omega, values.imag / np.abs(values), only=only):
         value = at(np.array([w]))[0]
         if value.real < 0 and abs(value.imag) < 1e-3 * abs(value) and w < omega[-1] * (1 - 1e-9):
             crossings.append((1.0 / abs(value), w))
@@ -501,11 +699,7 @@ def _phase_crossings(
     at: Callable[[Array], Array], omega: Array, values: Array, known: Source
 ) -> tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float], ...]]:
     """Where |L| is 1: (degrees from -180, frequency), and (delay to -180 degrees in s, frequency)."""
-
-    def log_gain(w: Array) -> Array:
-        with np.errstate(all="ignore"):
-            return np.asarray(np.clip(np.log(np.abs(at(w))), -700.0, 700.0))
-
+    log_gain = _log_gain(at, 1.0)
     logs = np.log(np.abs(values))
     phases, delays = [], []
     for w in _zeros_of(log_gain, omega, logs, only=np.ones(len(omega), dtype=bool)):
@@ -515,7 +709,18 @@ def _phase_crossings(
     if known.infinity is not None and abs(known.infinity[0, 0]) >= 1:
         # The gain never falls below 1: the phase of the shortest delay turns it through -1 somewhere.
         delays.append((0.0, math.inf))
+    if known.dt > 0 and known.points is None and abs(known.siso(np.array([known.high]))[0]) >= 1:
+        # A delay of one period changes the sign of L there, and with it the parity of the poles z < -1.
+        delays.append((known.dt, known.high))
     return tuple(phases), tuple(delays)
+
+
+def _log_gain(at: Callable[[Array], Array], level: float) -> Callable[[Array], Array]:
+    def log_gain(w: Array) -> Array:
+        with np.errstate(all="ignore"):
+            return np.asarray(np.clip(np.log(np.abs(at(w)) / level), -700.0, 700.0))
+
+    return log_gain
 
 
 def _zeros_of(f: Callable[[Array], Array], omega: Array, values: Array, *, only: Array) -> list[float]:
@@ -560,11 +765,14 @@ def _deepest(f: Callable[[Array], Array], sign: float, a: float, b: float) -> tu
 def _bandwidth(
     at: Callable[[Array], Array], omega: Array, values: Array, ends: list[tuple[float, complex]]
 ) -> float | None:
-    if not ends or ends[0][0] != 0.0:
+    level = _level(ends[0][1]) if ends and ends[0][0] == 0.0 else None
+    if level is None:
         return None
-    reference = abs(complex(_complementary(np.array([ends[0][1]]))[0]))
-    if reference == 0 or not math.isfinite(reference):
-        return None
-    level = reference * 10 ** (-HALF_POWER / 20)
     gain = _size_of(_complementary, at)
     return first_fall(gain, omega, np.abs(_complementary(values)), level, above=True)
+
+
+def _level(start: complex) -> float | None:
+    """The value of |T| at its bandwidth, of L at zero frequency; None: it has none."""
+    reference = abs(complex(_complementary(np.array([start]))[0]))
+    return reference * 10 ** (-HALF_POWER / 20) if 0 < reference < math.inf else None

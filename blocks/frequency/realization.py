@@ -24,6 +24,7 @@ __all__ = [
     "around_zero",
     "balanced",
     "components",
+    "count_at_zero",
     "equivalent",
     "growth",
     "invariant_zeros",
@@ -34,6 +35,8 @@ __all__ = [
 
 Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
+_SURE = 1e6 * _EPS  # of the norm of a matrix: rounding that moves the coefficients of a cluster of eigenvalues
+_STRONG = 1e4  # of the norm of A: a larger feedback from y = 0 leaves too few digits to zeros
 _DENSE = 96  # states; above, a Hessenberg form with refinement is cheaper than an LU for each frequency
 _CHUNK = 1 << 22  # entries of the matrices that are solved at once
 
@@ -274,6 +277,47 @@ def invariant_zeros(model: Realization) -> Array:
     a, b, c, d = model.a, model.b, model.c, model.d
     if not len(a) or not d.size:
         return np.zeros(0, complex)
+    if d.shape == (1, 1) and (dynamics := _zero_dynamics(model)) is not None:
+        zeros = np.concatenate(
+            [np.zeros(0, complex), *(_eigenvalues(dynamics[np.ix_(k, k)]) for k in components(dynamics))]
+        )
+        scale = _balanced_norm(dynamics)
+    else:
+        zeros, scale = _pencil_zeros(a, b, c, d), float(np.linalg.norm(a))
+    if not regular(np.block([[a, b], [c, d]])):
+        # k zeros at p = 0, which rounding moves by eps^(1/k), are put back.
+        zeros[np.argsort(np.abs(zeros))[: count_at_zero(zeros, scale)]] = 0.0
+    return zeros
+
+
+def _zero_dynamics(model: Realization) -> Array | None:
+    """The matrix whose eigenvalues are the zeros of one output of one input; None where it loses digits.
+
+    While u does not act on y at once, y = 0 eliminates a state, and the derivative of y takes the place of y. Pivots in
+    place of rotations keep the zeros of A, B and C, by which multiple zeros stay exact.
+    """
+    a, b, c, d = model.a, model.b[:, 0], model.c[0], float(model.d[0, 0])
+    while abs(d) <= 10 * len(model.a) * _EPS * float(np.linalg.norm(b) * np.linalg.norm(c)):
+        pivot = int(np.argmax(np.abs(c))) if len(c) else 0
+        if not len(c) or c[pivot] == 0:
+            return None
+        rest = np.arange(len(c)) != pivot
+        ratio = c[rest] / c[pivot]
+        slope, d = c @ a, float(c @ b)
+        c = slope[rest] - slope[pivot] * ratio
+        a, b = a[np.ix_(rest, rest)] - np.outer(a[rest, pivot], ratio), b[rest]
+        if not len(a):
+            return a if d else None
+    feedback = np.outer(b, c / d)
+    return a - feedback if np.linalg.norm(feedback) <= _STRONG * np.linalg.norm(model.a) else None
+
+
+def _balanced_norm(a: Array) -> float:
+    scale = balancing(a) if len(a) else np.ones(0)
+    return float(np.linalg.norm(a * scale / scale[:, None]))
+
+
+def _pencil_zeros(a: Array, b: Array, c: Array, d: Array) -> Array:
     norm = math.hypot(*(float(np.linalg.norm(part)) for part in (a, b, c, d)))
     tolerance = 10 * max(a.shape[0], *d.shape) * _EPS * norm
     a, b, c, d = _output_reduced(a, b, c, d, tolerance)
@@ -290,23 +334,17 @@ def invariant_zeros(model: Realization) -> Array:
     w = full[:, m:]
     alpha, beta = generalized_eigenvalues(np.hstack([a, b]) @ w, w[:n])
     finite = np.abs(beta) > 100 * _EPS * np.hypot(np.abs(alpha) / max(norm, 1e-300), np.abs(beta))
-    zeros = np.asarray(alpha[finite] / beta[finite], dtype=complex)
-    return _zeros_at_zero(
-        zeros, float(np.linalg.norm(model.a)), regular(np.block([[model.a, model.b], [model.c, model.d]]))
-    )
+    return np.asarray(alpha[finite] / beta[finite], dtype=complex)
 
 
-def _zeros_at_zero(zeros: Array, scale: float, is_regular: bool) -> Array:
-    """k zeros at p = 0, which rounding moves by eps^(1/k), put back where the system matrix is singular at p = 0."""
-    if is_regular or not len(zeros):
-        return zeros
-    order = np.argsort(np.abs(zeros))
-    sizes = np.append(np.abs(zeros[order]), math.inf)
-    for k in range(len(zeros), 0, -1):
-        if sizes[k - 1] <= 50 * scale * _EPS ** (1 / k) and sizes[k] > 1e3 * sizes[k - 1]:
-            zeros[order[:k]] = 0.0
-            return zeros
-    return zeros
+def count_at_zero(values: Array, scale: float, tolerance: float = _SURE) -> int:
+    """How many of the eigenvalues of a matrix of norm `scale` are 0 within a perturbation, relative to that norm.
+
+    Rounding moves a k-fold eigenvalue by eps^(1/k), but the coefficients of the polynomial of all k by little more than
+    eps: by these a multiple eigenvalue at 0 differs from distinct ones nearby.
+    """
+    nearest = values[np.argsort(np.abs(values))] / max(scale, 1e-300)
+    return next((k for k in range(len(values), 0, -1) if np.all(np.abs(np.poly(nearest[:k])[1:]) <= tolerance)), 0)
 
 
 def _output_reduced(a: Array, b: Array, c: Array, d: Array, tolerance: float) -> tuple[Array, Array, Array, Array]:

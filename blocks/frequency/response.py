@@ -11,12 +11,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from ..text.errors import AnalysisError, Fault, UsageError
-from .realization import Realization, around_zero, balanced, components, growth, invariant_zeros, period, regular
+from .realization import (
+    Realization,
+    around_zero,
+    balanced,
+    components,
+    count_at_zero,
+    growth,
+    invariant_zeros,
+    period,
+    regular,
+)
 from .search import Peak, curve, first_fall, highest, largest, layout, refined, summit
 from .systems import Source, StateSpace, is_of, polynomials, source
 
@@ -26,6 +37,7 @@ Array = np.ndarray[Any, Any]
 
 HALF_POWER = 10.0 * math.log10(2.0)  # dB: a gain of 1/sqrt(2)
 _EPS = float(np.finfo(float).eps)
+_LIKELY = 1e-6  # of the norm of a matrix: eigenvalues that may be at zero, and moved by what makes them ill-conditioned
 
 
 def response(system: Any, omega: Iterable[float] | float) -> Array:
@@ -98,19 +110,30 @@ def _dc_of_channel(known: Source, system: Any, output: int, input: int) -> float
         model = known.realization.channel(output, input).visible()
         if not len(model.a):
             return float(model.d[0, 0])
-        if all(regular(model.a[np.ix_(k, k)]) for k in components(model.a)):
-            if not regular(np.block([[model.a, model.b], [model.c, model.d]])):
+        sound = all(regular(model.a[np.ix_(k, k)]) for k in components(model.a))
+        if sound or not count_at_zero(model.eigenvalues(), float(np.linalg.norm(model.a)), _LIKELY):
+            vanishes = not regular(np.block([[model.a, model.b], [model.c, model.d]]))
+            if vanishes and (sound or np.any(invariant_zeros(model) == 0)):
                 return 0.0  # a zero at zero frequency, and not what rounding leaves of it
-            return float((model.d - model.c @ np.linalg.solve(model.a, model.b))[0, 0])
+            with suppress(np.linalg.LinAlgError):
+                return float((model.d - model.c @ np.linalg.solve(model.a, model.b))[0, 0])
         return around_zero(model.at, model.eigenvalues())
     num, den = polynomials(system)[output][input]
     point = 0.0 if known.dt == 0 else 1.0
-    scale = float(np.sum(np.abs(den)))
-    if abs(np.polyval(den, point)) > 8 * len(den) * _EPS * scale:
-        return float(np.polyval(num, point) / np.polyval(den, point)) if len(num) else 0.0
-    return around_zero(
-        lambda p: (np.polyval(num, p + point) / np.polyval(den, p + point))[None, None], np.roots(den) - point
-    )
+    sound = _is_sure(den, point)
+    roots = np.roots(den) - point
+    size = float(np.max(np.abs(roots), initial=0.0))
+    if sound or (np.polyval(den, point) and not count_at_zero(roots, size, _LIKELY)):
+        if not _is_sure(num, point) and (sound or not len(num) or count_at_zero(np.roots(num) - point, 1.0)):
+            return 0.0
+        return float(np.polyval(num, point) / np.polyval(den, point))
+    return around_zero(lambda p: (np.polyval(num, p + point) / np.polyval(den, p + point))[None, None], roots)
+
+
+def _is_sure(coefficients: Array, point: float) -> bool:
+    """Whether the value of a polynomial is more than what rounding leaves of 0."""
+    floor = 8 * len(coefficients) * _EPS * float(np.sum(np.abs(coefficients)))
+    return len(coefficients) > 0 and abs(float(np.polyval(coefficients, point))) > floor
 
 
 def bandwidth(system: Any, *, drop: float = HALF_POWER, relative: str = "dc") -> float | None:

@@ -16,6 +16,7 @@ __all__ = ["Peak", "curve", "first_fall", "highest", "largest", "layout", "refin
 Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 _PER_DECADE = 40
+_SUMMITS = 100  # of a gain, which are searched
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,6 +228,9 @@ def highest(gain: Callable[[Array], Array], omega: Array, gains: Array, ends: Se
     # On a level rounding makes summits of its own.
     top = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:])) + 1
     top = top[gains[top] - least[top - 1] > 1e-12 * gains[top]]
+    if len(top) > _SUMMITS:  # a phase that turns without end makes thousands: of equal ones the first
+        size = np.log(_crowns(omega, gains, top))
+        top = top[np.lexsort((omega[top], -np.round(size, 4)))][:_SUMMITS]
     for k in sorted((int(k) for k in top), key=lambda k: -float(gains[k])):
         # The grid's points differ by less than that from what lies between them.
         if gains[k] < 0.8 * max(peak.value for peak in peaks):
@@ -234,8 +238,19 @@ def highest(gain: Callable[[Array], Array], omega: Array, gains: Array, ends: Se
         at, value = summit(gain, float(omega[k - 1]), float(omega[k + 1]))
         peaks.append(Peak(value, at))
     best = max(peak.value for peak in peaks)
-    # Of equal values the end is meant, not the grid's point beside it.
+    # Of equal values the end is meant, not the grid's point beside it, and of summits that of the lowest frequency.
+    peaks[len(ends) + 2 :] = sorted(peaks[len(ends) + 2 :], key=lambda peak: peak.frequency)
     return next(peak for peak in peaks if peak.value >= best * (1 - 8 * _EPS))
+
+
+def _crowns(omega: Array, gains: Array, top: Array) -> Array:
+    """The values at the vertices of the parabolas through each point of the grid and its neighbors."""
+    left, right = omega[top] - omega[top - 1], omega[top + 1] - omega[top]
+    with np.errstate(all="ignore"):
+        fall, rise = (gains[top] - gains[top - 1]) / left, (gains[top + 1] - gains[top]) / right
+        bend = (rise - fall) / (left + right)
+        crowns = gains[top] - (fall + bend * left) ** 2 / (4 * bend)
+    return np.where(np.isfinite(crowns), crowns, gains[top])
 
 
 def curve(known: Source) -> Callable[[Array], Array]:

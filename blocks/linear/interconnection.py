@@ -213,6 +213,29 @@ class Interconnection:
             variable[which] = self.first["d"] + place
         self.variable = variable  # by node, the column that it gives, or whose rate it gives; -1: a crossing
 
+    @cached_property
+    def moves(self) -> Array:
+        """Whether the signal of each slot can change at a fixed time: constants and functions of time alone cannot."""
+        moving = np.ones(self.columns + 1, dtype=bool)  # the last one: of what never changes
+        moving[-1] = False
+        reads: dict[int, list[int]] = {}  # by column, the columns that its equation reads
+        for n, (i, key, element) in enumerate(self.nodes[: self.values]):
+            kind, first = self.type_of[i], int(self.slot_first[i])
+            if not isinstance(kind.tape, FmuTape):
+                slots = [first + kind.slot_of[k] for k in kind.signals((key, element))]
+                reads[int(self.variable[n])] = [int(self.selects[slot]) for slot in slots]
+        readers: dict[int, list[int]] = {}
+        for column, read in reads.items():
+            for other in {*read}:
+                readers.setdefault(other, []).append(column)
+        still = [-1, *(column for column, read in reads.items() if not read)]
+        while still:
+            at = still.pop()
+            moving[at] = False
+            ahead = readers.get(at, ())
+            still += [c for c in ahead if moving[c] and not any(moving[read] for read in reads[c])]
+        return moving[self.selects]
+
     def is_local(self, column: int) -> bool:
         """Whether a column is a local of a block."""
         return len(self.plan.outputs) <= column - self.first["v"] < self.values

@@ -313,13 +313,24 @@ class Linearization(ReplacedSlopes):
         Raises UsageError (E501) where no delay contributes, and AnalysisError as `model`.
         """
         (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
-        wired, _ = self.wired(ins, outs, cut)
+        wired, report = self.wired(ins, outs, cut)
         if not wired.h:
             message = "no exact delay contributes to this transfer."
             raise UsageError(Fault("E501", self.graph.plan.name, message, "Use model()."))
-        return delayed_model(wired, self.graph.plan, ins, outs)
+        return replace(delayed_model(wired, self.graph.plan, ins, outs), name=self.graph.plan.name, report=report)
 
     def delayed_loop(self, point: str, *, openings: Names = (), sign: float = -1.0) -> DelayedModel:
         """The loop transfer at a signal, with its delays as they are: for `margins`. Arguments as of `loop`."""
         spot = place(self.graph, point)
         return self.delayed(spot.name, spot.name, openings=[spot.name, *listed(openings)]).scaled(sign)
+
+    def exact_loop(
+        self, point: str, *, openings: Names = (), sign: float = -1.0, pade: int = 0
+    ) -> Transfer | DelayedModel:
+        """Return `loop_transfer`, or without `pade` `delayed_loop` where delays contribute and nothing sampled does."""
+        try:
+            return self.loop_transfer(point, openings=openings, sign=sign, pade=pade)
+        except AnalysisError as error:
+            if {fault.code for fault in error.faults} != {"E707"}:
+                raise
+        return self.delayed_loop(point, openings=openings, sign=sign)

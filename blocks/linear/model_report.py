@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from .nonlinearities import nonlinear
+from .nonlinearities import StaticLaw, nonlinear
 from .replaced_slopes import ReplacedSlopes, is_of_one_signal
 
 __all__ = ["BlockReport", "hints_of", "report_of"]
 
 Array = np.ndarray[Any, Any]
+_CHANGES = 0.05
+"""A slope that changes by more within ten times the distance from a singular point is one of this distance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +64,11 @@ def _notes(replaced: ReplacedSlopes, kept: Array, passes: set[int]) -> dict[int,
     """What a reader should know of the blocks on the way, by instance.
 
     They are laws that bend but have a slope at the point, beside others whose amplitude was given: with an amplitude of
-    their own they would have another slope; and states that move, where something on the way is not linear.
+    their own they would have another slope; laws near a point where their slope is infinite; and states that move,
+    where something on the way is not linear.
     """
     graph, notes = replaced.graph, dict[int, list[str]]()
-    is_bent = False
+    is_bent, laws = False, {(law.node, law.slot) for law in replaced.slopes.laws}
     for node in np.nonzero(graph.variable >= 0)[0].tolist():
         i, key, element = graph.nodes[node]
         if i not in passes or i in replaced.overridden:  # a slope of 0 lets nothing pass, and may be another one
@@ -74,7 +77,10 @@ def _notes(replaced: ReplacedSlopes, kept: Array, passes: set[int]) -> dict[int,
             column = int(graph.selects[slot])
             if (node, slot) in replaced.described or column < 0:
                 continue
-            is_bent = is_bent or bool(kept[graph.variable[node]] and kept[column])
+            is_on_way = bool(kept[graph.variable[node]] and kept[column])
+            is_bent = is_bent or is_on_way
+            if is_on_way and (node, slot) not in laws and (text := _near_singular(replaced, node, slot)):
+                notes.setdefault(i, []).append(text)
             if replaced.described and (key, element) in graph.type_of[i].bends:
                 path = f"{graph.plan.instances[i].path}."
                 name, by = graph.node_name(node).removeprefix(path), graph.slot_name(slot).removeprefix(path)
@@ -89,6 +95,25 @@ def _notes(replaced: ReplacedSlopes, kept: Array, passes: set[int]) -> dict[int,
                 name = plan.states[k].removeprefix(f"{plan.instances[owner[k]].path}.")
                 notes.setdefault(owner[k], []).append(f"not at rest: {name} changes by {rate:.3g} a second")
     return notes
+
+
+def _near_singular(replaced: ReplacedSlopes, node: int, slot: int) -> str:
+    """Return a note on a law whose slope at the point is that of its distance from a singular point; "" for others."""
+    graph = replaced.graph
+    if nonlinear(graph, node)[slot] != {slot}:
+        return ""
+    law = StaticLaw(replaced.slopes, node, [slot])
+    found = law.singular()
+    if found is None or abs(found[1]) <= _CHANGES:
+        return ""
+    (point, change), read = found, graph.slot_name(slot)
+    by, name = read.removeprefix(f"{law.path}."), law.name.removeprefix(f"{law.path}.")
+    more = f"{abs(change):.0%} {'more' if change > 0 else 'less'}"
+    return (
+        f"the slope of {name} holds at {by} = {law.inputs[0]:g} only, near {by} = {point:g}, where it is infinite: ten "
+        f"times as far from there it is {more}. Its describing function: "
+        f'amplitude={{"{read}": A}}, --amplitude {read}=A'
+    )
 
 
 def hints_of(

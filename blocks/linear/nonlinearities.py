@@ -38,6 +38,12 @@ _BENT: WeakKeyDictionary[Interconnection, dict[int, dict[int, frozenset[int]]]] 
 _GAINS: WeakKeyDictionary[Interconnection, dict[Any, complex]] = WeakKeyDictionary()
 _MANY = 4096
 """Gains that are kept of one graph."""
+_EPS = float(np.finfo(float).eps)
+_STEEP = frozenset({"pow", "sqrt", "asin", "acos", "atanh"})
+"""Operations that may have an infinite slope where they do not jump."""
+_STEP, _CLOSEST, _GROWS = 1e-3, 1e-6, 1.02
+"""Of the distance from a singular point: the step of differences, and how near to it a slope is looked at, which has to
+be larger by _GROWS than a thousand times as far."""
 _NEXT, _FEW = 1e-9, 4
 """How far from a value both its sides are evaluated, and for how many signals at once."""
 
@@ -187,6 +193,27 @@ class StaticLaw:
             on_at, off_at = self._parameter("on_at"), self._parameter("off_at")
             return max(on_at - self.inputs[0], self.inputs[0] - off_at, 0.0) if off_at < on_at else 0.0
         return 0.0
+
+    def singular(self) -> tuple[float, float] | None:
+        """Find the nearest input at which a law of one signal has an infinite slope, and by how much its slope changes.
+
+        The change: how the slope ten times as far from there differs from that where the law stands, relative to the
+        latter. None: there is no such input among those near 0 and near the law's own.
+        """
+        u = self.inputs[0]
+        if self.remembers or not any(op in _STEEP for op, _ in self._switches):
+            return None
+        for point in sorted(self.breaks(u, max(abs(u), _NEXT)), key=lambda at: abs(u - at)):
+            away = u - point
+            if not abs(away) * _CLOSEST * _STEP > 4 * _EPS * abs(point):
+                continue
+            places = point + away * np.array([1.0, 10.0, _CLOSEST**0.5, _CLOSEST])
+            ahead = _STEP * (places - point)
+            with np.errstate(all="ignore"):
+                slopes = (self(places + ahead) - self(places - ahead)) / (2.0 * ahead)
+            if np.isfinite(slopes).all() and slopes[0] and abs(slopes[3]) > _GROWS * abs(slopes[2]):
+                return float(point), float(slopes[1] / slopes[0] - 1.0)
+        return None
 
     def range_at(self) -> tuple[float, float]:
         """The least and largest value that the law may have where it stands: two of them at a jump."""

@@ -197,7 +197,10 @@ def without_delays(wired: Wired, plan: Plan, pade: int) -> tuple[dict[str, Array
             "margins() are taken; a state space has Padé models of them: pade=3 (--pade 3)."
         )
         if wired.d:
-            cure = "Beside sampled blocks there are only Padé models: pade=3 (--pade 3)."
+            cure = (
+                "Put ZeroOrderHold(period=, offset=) in the place of a delay behind a hold, with the delay as offset, "
+                "or take Padé models: pade=3 (--pade 3)."
+            )
         raise AnalysisError(Fault("E707", plan.name, message, cure))
     import control
 

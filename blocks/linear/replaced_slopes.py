@@ -94,21 +94,21 @@ class ReplacedSlopes:
             raise UsageError(Fault("E501", f"{word} of {name}", "no law that bends reads this signal.", cure))
 
     def _laws_reading(self, spot: SignalElement) -> Iterable[tuple[int, int, frozenset[int]]]:
-        """The nodes that are not linear in a signal: the node, the slot, and what its slope depends on."""
+        """Find the nodes that are not linear in a signal at a fixed time: node, slot, and what its slope depends on."""
         graph = self.graph
         slots = spot.slots if spot.slots is not None else np.nonzero(graph.selects == spot.column)[0].tolist()
         for slot in slots if spot.column >= 0 else ():
             i = graph.owner(slot)
             for row in graph.type_of[i].rows:
                 node = graph.number[Node(i, *row)]
-                coupled = nonlinear(graph, node).get(slot)
-                if coupled is not None:
+                coupled = frozenset(s for s in nonlinear(graph, node).get(slot, ()) if s == slot or graph.moves[s])
+                if coupled:
                     yield node, slot, coupled
 
     def _only(self, node: int, slot: int, coupled: frozenset[int]) -> None:
         """Refuse a law of several signals. Raises AnalysisError (E704)."""
         if coupled != {slot}:
-            names = ", ".join(sorted(self.graph.slot_name(s) for s in coupled))
+            names = ", ".join(sorted(self.graph.slot_name(s) for s in coupled | {slot}))
             message = f"is a law of several signals: {names}. It has no describing function of one of them."
             cure = "Write it as locals of one signal each, or use harmonic_response, which goes through their phases."
             raise AnalysisError(Fault("E704", self.graph.node_name(node), message, cure))

@@ -6,7 +6,7 @@ of a block (which alone sees it), of a local, or of a state that is no output. `
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from ..compile.plan import Node
 from ..text.element_names import indexed
 from ..text.errors import Fault, UsageError, did_you_mean
-from ..text.printable import quoted
+from ..text.printable import legible, quoted
 from .interconnection import Interconnection, is_of_older_version
 
 __all__ = ["Names", "SignalElement", "listed", "passes_on", "place", "places", "told"]
@@ -43,6 +43,8 @@ class SignalElement:
 
 def places(graph: Interconnection, name: str) -> tuple[SignalElement, ...]:
     """The elements of a signal. Raises UsageError (E501) where there is none of this name."""
+    if not isinstance(name, str):
+        raise UsageError(Fault("E501", "signal", f"{legible(repr(name))} is no name.", "Name signals as texts."))
     elements = _found(graph, name)
     if elements is not None:
         return elements
@@ -57,6 +59,9 @@ def places(graph: Interconnection, name: str) -> tuple[SignalElement, ...]:
 
 def place(graph: Interconnection, name: str) -> SignalElement:
     """A signal of one element. Raises UsageError (E501)."""
+    if not isinstance(name, str):
+        message = f"{legible(repr(name))} is not the name of one signal."
+        raise UsageError(Fault("E501", "signal", message, "Name one signal, as a text; for several, ask for each."))
     elements = places(graph, name)
     if len(elements) != 1:
         raise UsageError(Fault("E501", name, f"has {len(elements)} elements.", f"Name one of them: {name}[0]."))
@@ -152,5 +157,7 @@ def _names(graph: Interconnection) -> Iterator[str]:
 
 
 def listed(names: Names) -> list[str]:
-    """One name, or several, as a list."""
+    """Return one name, or several, as a list. Raises UsageError (E501)."""
+    if not isinstance(names, (str, Iterable)):
+        raise UsageError(Fault("E501", "signal", f"{legible(repr(names))} is no name.", "Name signals as texts."))
     return [names] if isinstance(names, str) else list(names)

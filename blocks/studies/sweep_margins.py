@@ -74,9 +74,13 @@ class Margin:
             width = bandwidth(seen.transfer(self))
             return np.inf if width is None else float(width)
         known = seen.margins(self)
+        if known.stable is None:
+            message = "whether the closed loop is stable is not known, as delays are on several of its ways."
+            raise AnalysisError(Fault("E705", self.loop, message, 'Take Padé models of them: "pade": 3.'))
         if not known.stable:
-            shown = ", ".join(f"{pole:.4g}" for pole in known.unstable[:3])
-            message, cure = f"the closed loop is not stable (poles {shown}).", "Only stable loops have margins."
+            shown = ", ".join(f"{pole:.4g}" for pole in (known.unstable or known.border)[:3])
+            words = "at the border of stability within rounding" if known.verdict == "border" else "not stable"
+            message, cure = f"the closed loop is {words} (poles {shown}).", "Only stable loops have margins."
             raise AnalysisError(Fault("E705", self.loop, message, cure))
         value = _BY_LOOP[self.type](known)
         if value is None and self.type in _ENDLESS and not (known.several_rates and self.type == "delay_margin"):
@@ -166,7 +170,7 @@ class _Row:
     def margins(self, margin: Margin) -> Margins:
         def made() -> Margins:
             linearizer = self._linearizer(margin)
-            return margins(linearizer.loop_transfer(margin.loop, **margin.how))
+            return margins(linearizer.exact_loop(margin.loop, **margin.how))
 
         known: Margins = self._once(f"margins {margin.loop} {margin.how}", margin, made)
         return known

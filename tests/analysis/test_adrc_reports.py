@@ -202,6 +202,7 @@ def test_linearize_prints_one_object(name: str, capsys: pytest.CaptureFixture[st
         "Mt",
         "disk",
         "stable",
+        "border",
     ]
     for key in ("gain", "phase_deg", "crossover", "Ms", "Mt"):
         assert made["margins"][key] == pytest.approx(LINEAR[name][key], rel=DIGITS)
@@ -218,7 +219,8 @@ def test_linearize_tells_a_transfer(capsys: pytest.CaptureFixture[str]) -> None:
     assert made["dc_gain"] == pytest.approx(1.0, rel=1e-12)
     assert made["bandwidth"] == pytest.approx(LINEAR["leso_pd"]["reference"], rel=DIGITS)
     assert made["margins"] == {
-        **dict.fromkeys(("gain", "gain_low", "phase_deg", "crossover", "delay", "Ms", "Mt", "disk")), "stable": True
+        **dict.fromkeys(("gain", "gain_low", "phase_deg", "crossover", "delay", "Ms", "Mt", "disk")),
+        "stable": True, "border": False,
     }  # fmt: skip
     status, out, _ = said(capsys, "linearize", path, "--from", "r", "--to", "motor.omega")
     assert "bandwidth  5.8091355 rad/s" in out

@@ -1062,6 +1062,65 @@ def test_a_quantizer_in_a_servo_is_taken_as_a_gain_where_the_command_line_says_s
     assert "it is in no loop. Open the loop at a signal that comes back to itself." in capsys.readouterr().err
 
 
+def test_linearize_keeps_the_dead_time_of_a_loop_exact_without_pade(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """4 e^(-0.2 s)/(s + 1) in unity feedback: |L| = 1 at sqrt(15), and a Smith predictor with delays on two ways."""
+    path = write(
+        tmp_path / "late.json",
+        inputs={"r": {}},
+        blocks={
+            "e": {"type": "Sum", "parameters": {"signs": "+-"}},
+            "late": {"type": "TransportDelay", "parameters": {"delay": 0.2}},
+            "p": {"type": "TransferFunction", "parameters": {"num": [4], "den": [1, 1]}},
+        },
+        wires={"e.u1": "r", "e.u2": "p.y", "late.u": "e.y", "p.u": "late.y"},
+    )
+    w = math.sqrt(15.0)
+    phase = math.pi - math.atan(w) - 0.2 * w
+    assert main(["linearize", path, "--loop", "e.y", "--json"]) == 0
+    seen = json.loads(capsys.readouterr().out)
+    assert (seen["dead_time"], seen["poles"], seen["dc_gain"]) == (0.2, [[-1.0, 0.0]], 4.0)
+    assert seen["margins"]["stable"] is True
+    assert seen["margins"]["phase_deg"] == pytest.approx(math.degrees(phase), rel=1e-12)
+    assert seen["margins"]["delay"] == pytest.approx(phase / w, rel=1e-12)
+    assert main(["linearize", path, "--loop", "e.y", "--json", "--pade", "4"]) == 0
+    fitted = json.loads(capsys.readouterr().out)
+    assert "dead_time" not in fitted
+    assert len(fitted["poles"]) == 5
+    assert fitted["margins"]["phase_deg"] == pytest.approx(seen["margins"]["phase_deg"], rel=1e-5)
+    assert main(["linearize", path, "--loop", "e.y", "--plot", str(tmp_path / "late.svg")]) == 0
+    assert "loop at e.y: 1 state, dead time 0.2 s" in capsys.readouterr().out
+    for kind in ("step", "poles"):
+        drawn = str(tmp_path / f"{kind}.svg")
+        assert main(["linearize", path, "--loop", "e.y", "--plot", drawn, "--figure", kind]) == 2
+        assert "E707 e.y: exact delays contribute, and this figure needs a state space." in capsys.readouterr().err
+    path = write(
+        tmp_path / "smith.json",
+        inputs={"r": {}},
+        blocks={
+            "e": {"type": "Sum", "parameters": {"signs": "+--"}},
+            "pi": {"type": "TransferFunction", "parameters": {"num": [2, 1], "den": [1, 0]}},
+            "p": {"type": "FirstOrder"},
+            "late": {"type": "TransportDelay", "parameters": {"delay": 1.0}},
+            "model": {"type": "FirstOrder"},
+            "short": {"type": "TransportDelay", "parameters": {"delay": 0.9}},
+            "rest": {"type": "Sum", "parameters": {"signs": "+-"}},
+        },
+        wires={
+            "e.u1": "r", "e.u2": "late.y", "e.u3": "rest.y", "pi.u": "e.y", "p.u": "pi.y", "late.u": "p.y",
+            "model.u": "pi.y", "short.u": "model.y", "rest.u1": "model.y", "rest.u2": "short.y",
+        },
+    )  # fmt: skip
+    assert main(["linearize", path, "--loop", "pi.y"]) == 0
+    shown = capsys.readouterr().out
+    assert "loop at pi.y: exact delays of 1 s, 0.9 s on several ways" in shown
+    assert "closed loop     stability unknown with delays on several ways; --pade 3 decides it by Padé models" in shown
+    assert main(["linearize", path, "--loop", "pi.y", "--json"]) == 0
+    seen = json.loads(capsys.readouterr().out)
+    assert (seen["poles"], seen["dead_time"], seen["margins"]["stable"]) == (None, None, None)
+
+
 def test_units_that_are_the_parameter_s_or_the_case_s_fault_are_told_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -475,7 +475,7 @@ def test_an_exact_delay_has_its_margins() -> None:
 
 
 def test_the_json_has_these_keys_and_no_infinity() -> None:
-    keys = ["gain", "gain_low", "phase_deg", "crossover", "delay", "Ms", "Mt", "disk", "stable"]
+    keys = ["gain", "gain_low", "phase_deg", "crossover", "delay", "Ms", "Mt", "disk", "stable", "border"]
     for system in (loop(), control.tf([1], [1, 0]), control.ss([[-1.0]], [[1.0]], [[0.5]], 0)):
         shown = margins(system).as_json()
         assert list(shown) == keys
@@ -636,3 +636,92 @@ def test_between_two_borders_of_a_loop_of_several_rates_no_pole_crosses(seed: in
             if after - before > 1e-3 and np.max(np.abs(poles(factor(after)))) < 1e8:
                 between = np.linspace(before, after, 60)[1:-1]
                 assert len({int(np.sum(np.abs(poles(factor(x))) > 1)) for x in between}) == 1, (before, after)
+
+
+# The border of stability
+
+
+def at_the_border() -> dict[str, tuple[Any, float]]:
+    """Loops whose closed one has poles exactly on the border, by closed forms, and the frequency of these poles."""
+    lags, turn = control.tf([8], [1, 3, 3, 1]), math.sqrt(3.0)
+    lag = control.ss([[0.5]], [[1.0]], [[1.5]], 0, 0.1)  # closed: z + 1
+    delayed = control.ss([[1.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], 0, 0.1)  # closed: z^2 - z + 1
+    still = control.ss([[0.5]], [[1.0]], [[-0.5]], 0, 0.1)  # closed: z - 1
+    return {
+        "lags": (control.tf2ss(lags), turn),
+        "polynomials": (lags, turn),
+        "undamped": (control.tf2ss(control.tf([1], [1, 0, 0])), 1.0),
+        "positive feedback": (control.tf2ss(control.tf([-1], [1, 1])), 0.0),
+        "double": (control.tf2ss(control.tf([2, 0, 1], [1, 0, 0, 0, 0])), 1.0),
+        "triple": (control.tf2ss(control.tf([3, 0, 3, 0, 1], [1, 0, 0, 0, 0, 0, 0])), 1.0),
+        "Nyquist": (lag, 10.0 * math.pi),
+        "Nyquist, polynomials": (control.ss2tf(lag), 10.0 * math.pi),
+        "sampled": (delayed, 10.0 * math.pi / 3),
+        "sampled, at rest": (still, 0.0),
+        "several rates": (OfTicks(delayed, 2), 10.0 * math.pi / 3),
+        "several rates, Nyquist": (OfTicks(lag, 3), 10.0 * math.pi / 3),
+        "several rates, at rest": (OfTicks(still, 3), 0.0),
+    }
+
+
+@pytest.mark.parametrize("name", [*at_the_border()])
+def test_a_loop_at_the_border_of_stability_has_no_margin(name: str) -> None:
+    system, frequency = at_the_border()[name]
+    found = margins(system)
+    assert (found.verdict, found.stable, found.unstable) == ("border", False, ())
+    # A triple pole is known to eps^(1/3).
+    assert found.gain_frequency == pytest.approx(frequency, rel=1e-5)
+    assert (found.gain, found.phase_deg, found.gain_low) == (1.0, 0.0, found.gain_low)
+    assert str(found).startswith("closed loop     AT THE BORDER of stability within rounding (")
+    assert (found.as_json()["stable"], found.as_json()["border"]) == (False, True)
+    if not found.several_rates:
+        assert (found.delay, found.modulus, found.disk, found.Ms) == (0.0, 0.0, 0.0, math.inf)
+
+
+@pytest.mark.parametrize(("beside", "verdict"), [(-1e-9, "stable"), (1e-9, "unstable")])
+def test_a_loop_close_to_the_border_is_stable_or_not(beside: float, verdict: str) -> None:
+    loops = [control.tf([8 * (1 + beside)], [1, 3, 3, 1])]
+    loops = [*loops, control.tf2ss(loops[0]), control.ss([[0.5]], [[1.0]], [[1.5 * (1 + beside)]], 0, 0.1)]
+    for system in (*loops, OfTicks(loops[2], 3)):
+        found = margins(system)
+        assert (found.verdict, found.border) == (verdict, ())
+        distance = found.gain if verdict == "stable" else found.gain_low
+        assert distance == pytest.approx(1 - beside, rel=1e-12)
+
+
+@pytest.mark.parametrize("count", range(2, 9))
+def test_a_multiple_pole_far_from_the_border_is_stable(count: int) -> None:
+    """Rounding moves it by eps^(1/count), but not as far as to the border."""
+    found = margins(control.tf2ss(control.tf(np.poly([-1.0] * count)[1:], [1.0] + [0.0] * count)))
+    assert (found.verdict, found.hidden) == ("stable", ())
+
+
+def test_a_response_that_passes_through_minus_one_is_at_the_border() -> None:
+    class Delayed:
+        """1/s behind a delay of pi/2 s: the closed loop s + exp(-s pi/2) has the poles +-j."""
+
+        dt = 0.0
+
+        def response(self, omega: Any) -> Any:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                return np.exp(-0.5j * math.pi * omega) / (1j * omega)
+
+    found = margins(Delayed(), unstable_poles=0, integrators=1)
+    assert (found.verdict, found.gain, found.phase_deg, found.delay) == ("border", 1.0, 0.0, 0.0)
+
+
+def test_a_zero_on_the_border_is_no_crossing() -> None:
+    notch = control.ss(control.tf2ss(control.tf([0.3, -0.6, 0.3], [1.0, -1.1, 0.4], 0.1)))
+    exact = control.tf2ss(control.tf([1.0, 0.0, 1.0], [1.0, 2.0, 1.0]))
+    for system in (notch, exact):
+        found = margins(system)
+        assert found.stable is True
+        assert all(math.isfinite(factor) for factor, _ in found.gains)
+
+
+def test_a_sampled_loop_with_a_gain_above_1_at_the_nyquist_frequency_bears_no_period_of_delay() -> None:
+    system = control.tf([1.49, -1.46], [1.0, -1.0], 0.1)
+    found = margins(system)
+    assert found.stable is True
+    assert found.delay == pytest.approx(0.1)
+    assert np.max(np.abs(np.roots([1.0, -1.0 + 1.49, -1.46]))) > 1

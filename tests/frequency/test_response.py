@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from typing import Any
@@ -10,7 +11,8 @@ import control
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.optimize import brentq
+from scipy.optimize import brentq, linear_sum_assignment
+from scipy.signal import butter
 
 from blocks.frequency import realization
 from blocks.frequency.response import HALF_POWER, bandwidth, dc_gain, h2, hinf, peak, poles, response, zeros
@@ -182,6 +184,79 @@ def test_zeros_of_square_systems_make_the_system_matrix_singular(seed: int) -> N
 
 def test_a_system_with_more_inputs_than_outputs_has_no_zeros_by_chance() -> None:
     assert len(zeros(random_stable(6, 3, 2, seed=5))) == 0
+
+
+def canonical(num: Any, den: Any, dt: float = 0.0) -> Any:
+    """num/den in controllable canonical form, as a TransferFunction of a diagram has it."""
+    num, den = np.asarray(num, dtype=float) / den[0], np.asarray(den, dtype=float) / den[0]
+    n = len(den) - 1
+    num = np.concatenate([np.zeros(n + 1 - len(num)), num])
+    a = np.vstack([np.eye(n)[1:], -den[:0:-1]])
+    return control.ss(a, np.eye(n)[:, -1:], [(num[1:] - den[1:] * num[0])[::-1]], num[0], dt)
+
+
+def agree(found: Any, expected: Any, share: float) -> bool:
+    """Whether both are the same points but for a share of their sizes, each with its partner."""
+    found, expected = np.asarray(found, dtype=complex), np.asarray(expected, dtype=complex)
+    if len(found) != len(expected):
+        return False
+    apart = np.abs(found[:, None] - expected) / np.maximum(np.abs(expected), 1.0)
+    return bool(len(found) == 0 or np.max(apart[linear_sum_assignment(apart)]) < share)
+
+
+@pytest.mark.parametrize("order", range(1, 9))
+def test_multiple_zeros_at_plus_and_minus_one_are_distinguished(order: int) -> None:
+    for poles_at in (0.0, 0.5):
+        system = canonical(np.poly([1.0, -1.0] * order), np.poly([poles_at] * 2 * order), 1.0)
+        found = zeros(system)
+        assert np.count_nonzero(found == 1.0) == order
+        # Rounding moves a zero of multiplicity k by eps^(1/k).
+        assert agree(found, [1.0, -1.0] * order, 4 * EPS ** (1 / order))
+        assert dc_gain(system)[0, 0] == 0.0
+
+
+@pytest.mark.parametrize(("order", "band"), [*itertools.product(range(1, 9), ((0.01, 0.02), (0.1, 0.2), (0.3, 0.5)))])
+def test_a_band_pass_has_half_its_zeros_at_one_and_no_gain_there(order: int, band: tuple[float, float]) -> None:
+    """Also where sixteen digits cannot hold the roots of its denominator, which nearly vanishes at 1."""
+    num, den = butter(order, band, "bandpass")
+    system = canonical(num, den, 1.0)
+    assert np.count_nonzero(zeros(system) == 1.0) == order
+    assert dc_gain(system)[0, 0] == 0.0
+    num, den = butter(order, band[0], "high")
+    assert np.count_nonzero(zeros(canonical(num, den, 1.0)) == 1.0) == order
+
+
+def test_the_gain_of_an_ill_conditioned_filter_at_zero_frequency_is_finite() -> None:
+    for kind in ("bandpass", "bandstop"):
+        for order in (4, 5):
+            num, den = butter(order, (0.01, 0.02), kind)
+            for system in (canonical(num, den, 1.0), control.tf(num, den, 1.0)):
+                assert math.isfinite(dc_gain(system)[0, 0])
+
+
+@pytest.mark.parametrize("slow", [1.0, 1e-3])
+def test_zeros_beside_a_multiple_one_at_rest_are_kept(slow: float) -> None:
+    for poles_at in ([-1000.0] * 4, [-1000.0] * 5, [-1.0, -10.0, -100.0, -1000.0]):
+        found = zeros(canonical(np.poly([0.0, 0.0, 0.0, -slow]), np.poly(poles_at)))
+        assert np.count_nonzero(found == 0.0) == 3
+        assert found[-1] == pytest.approx(-slow, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_zeros_are_those_of_which_the_numerator_was_made(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    dt = float(seed % 2)
+    order = int(random.integers(1, 13))
+    places = [0.0, 1.0, -1.0, 0.5] if dt else [0.0, -1.0, 1.0, -30.0]
+    made = [float(random.choice([*places, random.uniform(-1, 1)])) for _ in range(int(random.integers(0, order + 1)))]
+    den = np.poly(random.choice([0.0, 0.3, -0.4, 0.9] if dt else [-1.0, -2.0, -100.0], size=order))
+    num = np.atleast_1d(np.poly(made)) * 10 ** random.uniform(-3, 3)
+    found, most = zeros(canonical(num, den, dt)), max((made.count(place) for place in made), default=1)
+    by_roots = np.asarray(np.roots(num), dtype=complex)
+    # np.roots shows how far rounding moves multiple zeros; zeros at rest are exact.
+    assert agree(found, made, 0.1 if most > 4 else 0.01) or agree(found, by_roots, 1e-6)
+    at_rest = 1.0 if dt else 0.0
+    assert np.count_nonzero(found == at_rest) == made.count(at_rest)
 
 
 def test_zeros_of_measured_data_are_not_known() -> None:

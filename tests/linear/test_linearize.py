@@ -60,6 +60,7 @@ from blocks import (
     Relay,
     Saturation,
     Sign,
+    Sine,
     Sqrt,
     State,
     StateSpace,
@@ -1708,3 +1709,66 @@ def test_points_of_other_values_are_those_of_a_fresh_diagram_and_cost_no_new_mod
     assert len(flattened) == 1 + 6  # the six fresh ones flatten for themselves
     with pytest.raises(ModelError, match="E106"):
         kept.linearizer(parameters={"mas": 1.0})
+
+
+# --- what a law depends on, and where its slope is that of one distance ---------------------------------------------
+
+
+def around_a_law(law: Any, port: str, **others: Block) -> Diagram:
+    """An integrator behind a law of e = -x, whose other inputs have sources."""
+    d = Diagram("around")
+    back, x, it = d.add("back", Gain(k=-1.0)), d.add("x", Integrator()), d.add("law", law)
+    d.wire(back.u, x.y)
+    d.wire(f"law.{port}", back.y)
+    d.wire(x.u, it.y)
+    for name, source in others.items():
+        d.wire(f"law.{name}", d.add(f"source_{name}", source).y)
+    return d
+
+
+def test_a_law_that_is_linear_at_a_fixed_time_is_no_law_of_several_signals() -> None:
+    """w(t) e: of Gelb and Vander Velde the describing function is w(t) itself."""
+    wave = Sine(amplitude=1.0, omega=1.0, bias=2.0)
+    late = around_a_law(Expression(expression="u1*u2"), "u2", u1=wave)
+    with pytest.raises(UsageError, match=r"E501 amplitude of law\.u2: no law that bends reads this signal"):
+        late.linearizer(amplitude={"law.u2": 0.1})
+    assert float((late.linearizer().loop("back.y").C @ late.linearizer().loop("back.y").B)[0, 0]) == pytest.approx(2.0)
+    # Of w(t) |e| e it is w(t) 8 A/(3 pi), and a law of two signals that move is still refused.
+    bent = around_a_law(Expression(expression="u1*abs(u2)*u2"), "u2", u1=wave).linearizer(amplitude={"law.u2": 0.1})
+    gain, = bent.gains.values()
+    assert gain == pytest.approx(2.0 * 8 * 0.1 / (3 * math.pi), rel=1e-9)
+    both = around_a_law(Expression(expression="u1*u2"), "u2")
+    both.wire("law.u1", "x.y")
+    with pytest.raises(AnalysisError, match=r"E704 law\.y: is a law of several signals: law\.u1, law\.u2"):
+        both.linearizer(amplitude={"law.u2": 0.1})
+
+
+@pytest.mark.parametrize("given", [["back.y"], ("back.y", "x.y"), 3, None])
+def test_a_loop_is_opened_at_one_signal_by_name(given: Any) -> None:
+    linearizer = around_a_law(Gain(k=2.0), "u").linearizer()
+    for ask in (linearizer.loop, linearizer.delayed_loop, linearizer.sensitivity, linearizer.complementary):
+        with pytest.raises(UsageError, match=r"E501 signal: .* is not the name of one signal"):
+            ask(given)
+    with pytest.raises(UsageError, match="E501 signal"):
+        linearizer.model([given], "x.y")
+
+
+@pytest.mark.parametrize(("exponent", "less"), [(0.5, "68%"), (0.8433, "30%"), (0.2, "84%")])
+@pytest.mark.parametrize("distance", [1e-9, 1e-3, 1.0])
+def test_near_a_singular_point_a_slope_is_noted_to_be_that_of_the_distance(
+    exponent: float, less: str, distance: float
+) -> None:
+    """The slope of sgn(e) |e|^a goes with |e|^(a - 1): ten times as far it is 1 - 10^(a - 1) less."""
+    d = around_a_law(Expression(expression=f"u1*abs(u1)**({exponent}-1)"), "u1")
+    model = d.linearizer(parameters={"x.y_start": -distance}).loop("back.y")
+    (note,) = [block.note for block in model.report if block.path == "law"]
+    assert f"only, near u1 = 0, where it is infinite: ten times as far from there it is {less} less" in note
+    assert 'amplitude={"law.u1": A}' in note
+    assert float((model.C @ model.B)[0, 0]) == pytest.approx(exponent * distance ** (exponent - 1), rel=1e-9)
+
+
+@pytest.mark.parametrize("law", ["u1*abs(u1)", "abs(u1)", "u1**3", "sqrt(1+u1**2)", "u1 + 0.001*u1*abs(u1)**(-0.1)"])
+def test_a_law_whose_slope_is_nowhere_infinite_or_hardly_changes_has_no_such_note(law: str) -> None:
+    d = around_a_law(Expression(expression=law), "u1")
+    model = d.linearizer(parameters={"x.y_start": -1e-3}).loop("back.y")
+    assert not any("infinite" in block.note for block in model.report)

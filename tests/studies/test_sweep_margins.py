@@ -9,7 +9,7 @@ import control
 import numpy as np
 import pytest
 
-from blocks import Diagram, FirstOrder, Step, Sum, TransportDelay
+from blocks import Diagram, FirstOrder, Gain, Step, Sum, TransportDelay
 from blocks.analysis import bandwidth, margins, poles
 from blocks.model.study_grammar import MARGINS
 from blocks.studies.sweep import Sweep
@@ -55,6 +55,24 @@ def test_margins_of_each_row_are_those_of_python_control() -> None:
         closed = control.poles(control.feedback(loop))
         assert row["slowest_pole"] == pytest.approx(closed.real.max(), rel=1e-6)
         assert row["damping"] == pytest.approx((-closed.real / np.abs(closed)).min(), rel=1e-6)
+
+
+def test_margins_of_a_row_keep_its_dead_time_exact() -> None:
+    """4 e^(-s T)/(s + 1): |L| = 1 at sqrt(15); with T = 1 s the closed loop is not stable."""
+    diagram = Diagram("late")
+    for name, block in {"late": TransportDelay(), "lag": FirstOrder(T=1.0), "back": Gain(k=-4.0)}.items():
+        diagram.add(name, block)
+    for sink, origin in (("late", "back"), ("lag", "late"), ("back", "lag")):
+        diagram.wire(f"{sink}.u", f"{origin}.y")
+    asked = {name: {"type": name, "loop": "back.y"} for name in ("delay_margin", "phase_margin")}
+    delays = np.array([0.1, 0.2, 1.0])
+    sweep = diagram.sweep({"late.delay": delays.tolist()}, margins=asked, measures=[], stop=0.1)
+    w = np.sqrt(15.0)
+    phase = np.pi - np.arctan(w) - w * delays
+    assert np.degrees(phase[:2]) == pytest.approx(sweep.measures["phase_margin"][:2], rel=1e-12)
+    assert phase[:2] / w == pytest.approx(sweep.measures["delay_margin"][:2], rel=1e-12)
+    assert np.isnan(sweep.measures["delay_margin"][2])
+    assert "the closed loop is not stable" in sweep.messages[2]
 
 
 def test_a_row_is_what_its_own_diagram_gives_to_the_last_bit(tmp_path: Path) -> None:

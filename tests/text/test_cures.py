@@ -45,7 +45,7 @@ CURES: dict[str, tuple[tuple[str, str], ...]] = {
         ("(tank)", '(tank, inputs={"u": None})'),
     ),
     "E705": (("(model)", '(model, relative="unity")'),),
-    "E707": (("delay.y", "delay.y --pade 3"),),
+    "E707": (("plant.y", "plant.y --pade 3"),),
 }
 """What is replaced in an example, by code: in its text where that holds it, else in the files beside it."""
 
