@@ -98,6 +98,7 @@ class Diagram:
         self._draft = Draft(DiagramValue(name, folder=os.path.abspath(folder)), library_types(library))
         self._last = LastMade()
         self._saved = ""
+        self._chosen: dict[str, str] = {}
 
     # --- from and to files -------------------------------------------------------------------------------------
 
@@ -156,6 +157,7 @@ class Diagram:
         """A diagram with another value and the same block types."""
         diagram = Diagram.__new__(Diagram)
         diagram._draft, diagram._last, diagram._saved = Draft(value, self._draft.types), LastMade(), ""
+        diagram._chosen = dict(self._chosen)
         return diagram
 
     def __getstate__(self) -> dict[str, Any]:
@@ -305,7 +307,14 @@ class Diagram:
         "base" stands for the block itself. The copy has no variants any more: it is there to be run, checked, drawn.
         Raises ModelError (E122) for what is not there.
         """
-        return self._like(taken(self.value, choices))
+        diagram = self._like(taken(self.value, choices))
+        diagram._chosen = {**self._chosen, **choices}
+        return diagram
+
+    @property
+    def chosen(self) -> Mapping[str, str]:
+        """The variants that `with_variants` has put in place of their blocks."""
+        return self._chosen
 
     def measure(
         self,

@@ -117,6 +117,9 @@ def _told(options: argparse.Namespace, tuning: Tuning) -> int:
             print(printable(tuning.kept))
         for change in changes:
             print(printable(change_line(change)))
+        if is_written and tuning.variants:
+            choices = " ".join(f"--variant {path}={name}" for path, name in tuning.variants.items())
+            print(printable(f"written for {choices}; the file keeps its own choice of variants"))
         if report is not None:
             print(printable(f"report: {report}"))
     if tuning.interrupted:

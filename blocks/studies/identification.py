@@ -214,7 +214,7 @@ def fit(
         },
         level=level, correlation=correlation, deviations=deviations, t=t, measured=measured, before=before, after=after,
         parameters=given, targets={c.name: tuple(target.path for target in c.targets) for c in varied},
-        warnings=tuple(warnings),
+        variants=dict(variants or {}), warnings=tuple(warnings),
     )  # fmt: skip
 
 

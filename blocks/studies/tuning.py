@@ -350,7 +350,8 @@ class _Search:
             conditions=tuple(conditions),
             sensitivities={} if self.is_interrupted or (is_kept and not has_own) else self.sensitivities(values),
             history=history, warnings=problem.warnings, interrupted=self.is_interrupted, is_kept=is_kept,
-            targets=named(batch.targets), why="" if index is not None else self.why,
+            targets=named(batch.targets), variants=dict(problem.given["variants"] or {}),
+            why="" if index is not None else self.why,
         )  # fmt: skip
 
     def sensitivities(self, values: Array) -> dict[str, tuple[float, float]]:
