@@ -657,11 +657,11 @@ class Diagram:
         as of `Diagram.run`.
 
         The search begins at the values of the diagram and is local (SciPy's trust region): begin near the truth.
-        Residuals of several signals are weighed by their deviations, which a first fit estimates. Errors and intervals
-        (of Student's t) follow from the Jacobian at the estimate and the deviation of the residuals: they hold where
-        the model is right but for white noise of the sensors. Warnings (W502) tell of parameters that the data cannot
-        tell apart, that have no effect, or that lie at a bound. Raises ModelError, UsageError; SimulationError where
-        the diagram does not run.
+        Residuals of several signals are weighed by their deviations, which are estimated again after each fit until
+        they rest. Errors and intervals (of Student's t) follow from the Jacobian at the estimate and the deviation of
+        the residuals: they hold where the model is right but for white noise of the sensors. Warnings (W502) tell of
+        parameters that the data cannot tell apart, that have no effect, or that lie at a bound. Raises ModelError,
+        UsageError; SimulationError where the diagram does not run.
         """
         return late(
             "fit", self, data,

@@ -28,7 +28,7 @@ from ..text.errors import Fault, ModelError, SimulationError, UsageError, did_yo
 from ..text.printable import legible
 from ..text.shown import Part, Table, as_text
 from .gains_file import Found
-from .search_space import Space, units_of_parameters
+from .search_space import DIGITS, Space, units_of_parameters
 from .tuned import short
 
 if TYPE_CHECKING:
@@ -41,6 +41,10 @@ STEP = 1e-3
 """Of central differences, in parts of the range of a value: far above the errors of steps at usual tolerances."""
 FAILED = 1e3
 """The residual of a run that fails, in deviations of the data: worse than any that does not."""
+MOST_ROUNDS, RESTING = 50, 1e-3
+"""The weights of several signals follow from a fit with the last ones, until they change by less than this part."""
+EXACT = 1e-9
+"""The least deviation of residuals, in parts of that of the data: those of data without noise would have no end."""
 ALIKE, NEARLY = 0.99, 0.05
 """From this correlation of two estimates on, or below this least singular value of the Jacobian with columns of length
 1, they are told not to be told apart."""
@@ -82,8 +86,10 @@ class Fit(Found):
             most = max(known, default=None)
             low, high = self.intervals[name]
             told = f"{most[2]:+.3f} with {most[1]}" if most else "-"
-            rows.append((name, short(self.nominal[name]), short(value), self.units[name] or "-",
-                         f"{short(low)} ... {short(high)}", told))  # fmt: skip
+            [digits] = _digits(np.array([value]), np.array([self.errors[name]]), least=5, more=2)
+            estimate, low_text, high_text = (f"{x:.{digits}g}" for x in (value, low, high))
+            rows.append((name, short(self.nominal[name]), estimate, self.units[name] or "-",
+                         f"{low_text} ... {high_text}", told))  # fmt: skip
         signals = [("signal", "deviation of residuals"), *((name, short(x)) for name, x in self.deviations.items())]
         return Table([head, *rows]), Table(signals)
 
@@ -183,25 +189,40 @@ def fit(
         return np.array(made).T
 
     start = np.clip(space.cube(np.array([column.value for column in varied])), STEP, 1 - STEP)
-    for _ in range(1 if len(compare) == 1 else 2):
+    ends = np.cumsum([np.count_nonzero(each) for each in known.values()])[:-1]
+    least = {name: EXACT / weight for name, weight in weights.items()}
+    is_at_rest = False
+    for _ in range(MOST_ROUNDS):
         found = optimize.least_squares(residuals, start, jacobian, bounds=(0.0, 1.0), x_scale="jac")
-        start, ends = np.clip(found.x, STEP, 1 - STEP), np.cumsum([np.count_nonzero(k) for k in known.values()])
-        parts, used = zip(known, np.split(found.fun, ends[:-1]), strict=True), len(start) / len(found.fun)
-        deviations = {name: _deviation(part, used) / weights[name] for name, part in parts}
-        if len(compare) > 1:
-            weights = {name: 1.0 / (deviation if deviation > 0 else 1.0) for name, deviation in deviations.items()}
-    values = space.values(found.x)
-    after, names = run(values), list(over)
+        leverage = [float(np.sum(part)) for part in np.split(_leverages(found.jac), ends)]
+        spare = {name: each.sum() - used for (name, each), used in zip(known.items(), leverage, strict=True)}
+        parts = zip(spare.items(), np.split(found.fun, ends), strict=True)
+        deviations = {name: _deviation(part, free) / weights[name] for (name, free), part in parts}
+        if is_at_rest := len(compare) == 1:
+            break
+        old, start = weights, np.clip(found.x, STEP, 1 - STEP)
+        weights = {name: 1.0 / max(x, least[name]) if x >= 0 else old[name] for name, x in deviations.items()}
+        if is_at_rest := all(abs(weights[name] / old[name] - 1.0) < RESTING for name in weights):
+            weights = old  # those of the residuals that were found
+            break
+    names = list(over)
     free = len(found.fun) - len(names)
     # Slopes in the units of the values; the residuals have the deviation s.
     slopes = jacobian(found.x) / space.slopes(found.x)
     s = math.sqrt(float(found.fun @ found.fun) / free) if free > 0 else math.inf
     errors, correlation, alike = _judged(slopes, s)
-    reach = float(stats.t.ppf(0.5 + level / 2, free)) if free > 0 else math.inf
+    values = space.values(found.x, digits=_digits(space.values(found.x), errors))
+    after, degrees = run(values), _degrees(slopes, ends, [*spare.values()])
+    reach = np.where(degrees > 0, stats.t.ppf(0.5 + level / 2, np.where(degrees > 0, degrees, 1.0)), math.inf)
     warnings = [*alike_faults(names, alike)]
-    for name, bound in zip(names, found.active_mask.tolist(), strict=True):
-        if bound:
-            end = "lower" if bound < 0 else "upper"
+    if not is_at_rest:
+        message = f"the weights of the signals still change after {MOST_ROUNDS} fits: intervals may be too narrow."
+        cure = "Compare fewer signals, or begin nearer to the truth."
+        warnings.append(Fault("W502", "compare", message, cure))
+    ends_of = zip(names, values, space.low, space.high, found.active_mask.tolist(), strict=True)
+    for name, value, low, high, bound in ends_of:
+        if bound or value in (low, high):
+            end = "lower" if bound < 0 or value == low else "upper"
             message = f"its best value is its {end} bound, and its interval means nothing."
             warnings.append(Fault("W502", name, message, "Widen the bounds, or fix the value."))
     given = raw_values(varied, values.tolist())
@@ -210,7 +231,8 @@ def fit(
         nominal={c.name: c.value for c in varied}, units={c.name: c.unit for c in varied},
         errors=dict(zip(names, errors.tolist(), strict=True)),
         intervals={
-            name: (float(x - reach * e), float(x + reach * e)) for name, x, e in zip(names, values, errors, strict=True)
+            name: (float(x - r * e), float(x + r * e))
+            for name, x, r, e in zip(names, values, reach, errors, strict=True)
         },
         level=level, correlation=correlation, deviations=deviations, t=t, measured=measured, before=before, after=after,
         parameters=given, targets={c.name: tuple(target.path for target in c.targets) for c in varied},
@@ -225,9 +247,35 @@ def at_times(results: Results, name: str, t: Array) -> Array:
     return np.where(near, np.asarray(results[name])[index], np.nan)
 
 
-def _deviation(rest: Array, used: float) -> float:
-    """The deviation of residuals, of whose degrees of freedom this part is used up."""
-    return math.sqrt(float(rest @ rest) / (len(rest) * (1.0 - used))) if used < 1 else math.nan
+def _deviation(rest: Array, spare: float) -> float:
+    """Return the deviation of residuals, by their spare degrees of freedom; nan where there are none."""
+    return math.sqrt(float(rest @ rest) / spare) if spare > 1e-6 else math.nan
+
+
+def _leverages(slopes: Array) -> Array:
+    """Return how many degrees of freedom each residual (n,) gives to the estimates: the diagonal of the hat matrix."""
+    left, singular, _ = np.linalg.svd(slopes, full_matrices=False)
+    return np.asarray(np.sum(left[:, singular > 1e-12 * max(singular, default=0.0)] ** 2, axis=1))
+
+
+def _degrees(slopes: Array, ends: Array, spare: Sequence[float]) -> Array:
+    """Return the degrees of freedom (k,) of the errors, of which each signal gives its part (Satterthwaite).
+
+    A quiet signal of few samples may determine a parameter by itself: its degrees count then, and not those of all.
+    """
+    sizes = np.linalg.norm(slopes, axis=0)
+    shares = np.linalg.pinv(slopes / np.where(sizes > 0, sizes, 1.0)) ** 2
+    parts = np.array([part.sum(axis=1) for part in np.split(shares, ends, axis=1)])
+    with np.errstate(all="ignore"):
+        degrees = parts.sum(axis=0) ** 2 / np.sum(parts**2 / np.maximum(spare, 0.0)[:, None], axis=0)
+    return np.where(np.isfinite(degrees), degrees, float(np.sum(spare)))
+
+
+def _digits(values: Array, errors: Array, *, least: int = DIGITS, more: int = 3) -> list[int]:
+    """Return how many significant digits estimates have: rounding must be far below their errors."""
+    with np.errstate(all="ignore"):
+        needed = np.ceil(np.log10(np.abs(values) / errors)) + more
+    return [int(min(max(each, least), 17)) if np.isfinite(each) else least for each in needed]
 
 
 def _judged(slopes: Array, s: float) -> tuple[Array, Array, list[list[int]]]:
@@ -304,9 +352,7 @@ def _in_si(column: Array, unit: str, flat: Flat, name: str) -> Array:
         raise UsageError(*(Fault("E501", legible(name), fault.message, fault.cure) for fault in error.faults)) from None
 
 
-def _columns(
-    data: Any, diagram: Diagram, compare: Mapping[str, str]
-) -> tuple[dict[str, Array], dict[str, str]]:
+def _columns(data: Any, diagram: Diagram, compare: Mapping[str, str]) -> tuple[dict[str, Array], dict[str, str]]:
     """The columns of the data that count, as floats, and the units that the data give. Raises UsageError (E501)."""
     place = str(data) if isinstance(data, (str, Path)) else "data"
     given: dict[str, str] = {}
