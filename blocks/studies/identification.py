@@ -45,6 +45,12 @@ MOST_ROUNDS, RESTING = 50, 1e-3
 """The weights of several signals follow from a fit with the last ones, until they change by less than this part."""
 EXACT = 1e-9
 """The least deviation of residuals, in parts of that of the data: those of data without noise would have no end."""
+NEAR = 1e-3
+"""How far the row of a datum may be from its time, in parts of the spacing of the data."""
+LARGEST = 1e100
+"""The largest number in data: sums of squares of larger ones overflow."""
+LONG = 1000.0
+"""Before the data a run may take so many times the duration of the data, unless its start is given."""
 ALIKE, NEARLY = 0.99, 0.05
 """From this correlation of two estimates on, or below this least singular value of the Jacobian with columns of length
 1, they are told not to be told apart."""
@@ -149,8 +155,8 @@ def fit(
         if name in columns:
             u = {"value": columns[name], "unit": given[name]} if given.get(name) else columns[name]
             tracks[name] = (t, u, interpolation)
+    grid, early = _grid(diagram, t, settings), _early(diagram, t, [*tracks], settings)
     tracks = {**tracks, **(inputs or {})}
-    grid = _grid(diagram, t, settings)
     model = diagram.prepare(
         parameters=parameters, variants=variants, engine=engine, trust=trust, log=list(compare), **settings, **grid
     )
@@ -214,7 +220,7 @@ def fit(
     values = space.values(found.x, digits=_digits(space.values(found.x), errors))
     after, degrees = run(values), _degrees(slopes, ends, [*spare.values()])
     reach = np.where(degrees > 0, stats.t.ppf(0.5 + level / 2, np.where(degrees > 0, degrees, 1.0)), math.inf)
-    warnings = [*alike_faults(names, alike)]
+    warnings = [*early, *alike_faults(names, alike)]
     if not is_at_rest:
         message = f"the weights of the signals still change after {MOST_ROUNDS} fits: intervals may be too narrow."
         cure = "Compare fewer signals, or begin nearer to the truth."
@@ -241,10 +247,18 @@ def fit(
 
 
 def at_times(results: Results, name: str, t: Array) -> Array:
-    """A recorded signal at times that the run has hit; nan after its end."""
-    index = np.clip(np.searchsorted(results.t, t - 1e-9 * max(1.0, abs(float(t[-1])))), 0, len(results.t) - 1)
-    near = np.abs(results.t[index] - t) <= 2e-9 * max(1.0, abs(float(t[-1])))
-    return np.where(near, np.asarray(results[name])[index], np.nan)
+    """A recorded signal at times that the run has hit; nan after its end.
+
+    The nearest row counts, by NEAR of the spacing of the times: of late clocks the spacing is far below a part of t.
+    """
+    after = np.clip(np.searchsorted(results.t, t), 0, len(results.t) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(results.t[before] - t) < np.abs(results.t[after] - t), before, after)
+    nearest = np.searchsorted(results.t, results.t[nearest])  # the first row of an instant, before its jump
+    step = np.diff(t)
+    spacing = np.minimum(np.r_[step, step[-1]], np.r_[step[0], step])
+    near = np.abs(results.t[nearest] - t) <= NEAR * spacing
+    return np.where(near, np.asarray(results[name])[nearest], np.nan)
 
 
 def _deviation(rest: Array, spare: float) -> float:
@@ -321,21 +335,56 @@ def alike_faults(names: Sequence[str], groups: Sequence[Sequence[int]]) -> list[
     return faults
 
 
+def _early(diagram: Diagram, t: Array, recorded: Sequence[str], settings: Mapping[str, Any]) -> list[Fault]:
+    """W505 where the run holds the first recorded inputs for a while before the data begin, and nobody asked for it.
+
+    Raises UsageError (E501) where it would do so for far longer than the data last.
+    """
+    if "start" in settings or "start" in diagram.value.run:
+        return []
+    start, first = float(diagram.flatten().settings.start), float(t[0])
+    wait, length = first - start, float(t[-1] - t[0])
+    cure = f"Give start={first!r}, or subtract the first time from all; start={start:g} says that it is meant."
+    if wait > LONG * length:
+        message = f"the data begin at {first:.12g} s and last {length:g} s, and the run begins at {start:g} s."
+        raise UsageError(Fault("E501", "time", message, cure))
+    if not recorded or wait <= 1.5 * float(np.max(np.diff(t))):
+        return []
+    message = (
+        f"the data begin at {first:.12g} s and the run at {start:g} s: it holds the first value of "
+        f"{legible(', '.join(recorded[:3]))} for {wait:g} s."
+    )
+    return [Fault("W505", "time", message, cure)]
+
+
 def _grid(diagram: Diagram, t: Array, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings by which a run hits the times of the data. Raises UsageError (E501)."""
     for key in ("stop", "every", "stops", "log", "inputs"):
         if key in settings:
             raise UsageError(Fault("E501", key, "follows from the data.", "Leave it out."))
-    start = float(settings.get("start", diagram.flatten().settings.start))
+    given = {"start": settings["start"]} if "start" in settings else {}
+    start = float(diagram.flatten(settings=given).settings.start)
     step = np.diff(t)
     if t[0] < start or not np.all(step > 0):
         message = f"times must rise, and begin at {start:g} s or later, when the run begins."
         raise UsageError(Fault("E501", "time", message, "Sort the rows; give start=... for an earlier one."))
     stop = float(t[-1])
-    every = float(f"{(stop - float(t[0])) / len(step):.12g}")
-    first = (float(t[0]) - start) / every
-    is_even = np.allclose(step, every, rtol=1e-6) and abs(first - round(first)) < 1e-6
+    every = _period(t)
+    first = (float(t[0]) - start) / (every or 1.0)
+    is_even = every is not None and abs(first - round(first)) < 1e-6 and first < len(t)
     return {"stop": stop, "every": every, "stops": []} if is_even else {"stop": stop, "stops": t.tolist()}
+
+
+def _period(t: Array) -> float | None:
+    """Return the period of even times, the shortest decimal within their rounding; None where they are uneven."""
+    k, last = np.arange(len(t)), float(t[-1])
+    mean = (last - float(t[0])) / (len(t) - 1)
+    close = 1e-6 * mean + 2 * float(np.spacing(max(abs(last), abs(float(t[0])))))
+    for digits in range(1, 17) if close < 0.5 * NEAR * mean else ():
+        every = float(f"{mean:.{digits}g}")
+        if every > 0 and np.all(np.abs(t - t[0] - every * k) < close):
+            return every
+    return None
 
 
 def _in_si(column: Array, unit: str, flat: Flat, name: str) -> Array:
@@ -388,6 +437,12 @@ def _columns(data: Any, diagram: Diagram, compare: Mapping[str, str]) -> tuple[d
         if column.shape != columns["time"].shape or column.ndim != 1:
             message = f"has {column.shape} numbers in its column {legible(name)}, and {columns['time'].shape} times."
             raise UsageError(Fault("E501", place, message, "Give one number for each time."))
+    for name, column in columns.items():
+        wrong = np.flatnonzero(np.isinf(column) | (np.abs(column) > LARGEST))
+        if len(wrong) and name != "time":
+            message = f"has {column[wrong[0]]:g} in its column {legible(name)}, row {wrong[0] + 1}."
+            cure = f"Leave out what was not measured, or write nan; numbers may be up to {LARGEST:g}."
+            raise UsageError(Fault("E501", place, message, cure))
     if len(columns["time"]) < 2 or not np.isfinite(columns["time"]).all():
         raise UsageError(Fault("E501", place, "has fewer than two rows, or a time that is no number."))
     return columns, given

@@ -73,6 +73,8 @@ def plot(
     bins: int | None = None,
 ) -> Any:
     """What `Sweep.plot` does. kind: of SWEEP_FIGURES, where it does not follow from the names."""
+    if bins is not None and (isinstance(bins, bool) or not isinstance(bins, int | np.integer) or not 0 < bins <= 1000):
+        raise UsageError(Fault("E501", "bins", f"is {legible(repr(bins))}.", "Give an integer from 1 to 1000."))
     wanted = _names(sweep.signals or sweep.measures if what is None else what)
     others = _names(() if against is None else against)
     chosen = _kind(sweep, wanted, others, kind)

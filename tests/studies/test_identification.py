@@ -214,6 +214,14 @@ def test_data_of_a_file_with_uneven_times_and_gaps_are_fitted_and_written(tmp_pa
         ({"time": [0, 1], "v": [0, 1], "speed": [np.nan] * 2}, {"motor.omega": "speed"}, "speed: has 0 numbers for 1"),
         ({"time": [0, 1], "v": [0, 1], "speed": [1]}, {"motor.omega": "speed"}, "one number for each time"),
         ({"time": [0, 1], "v": [0, 1], "speed": ["a", 1]}, {"motor.omega": "speed"}, "holds what is no number"),
+        (
+            {"time": [0, 1], "v": [0, 1], "speed": [1, np.inf]},
+            {"motor.omega": "speed"},
+            "inf in its column speed",
+        ),
+        ({"time": [0, 1], "v": [-np.inf, 1], "speed": [1, 2]}, {"motor.omega": "speed"}, "-inf .* v, row 1"),
+        ({"time": [0, 1], "v": [0, 1], "speed": [1e300, 2]}, {"motor.omega": "speed"}, r"1e\+300 in its column speed"),
+        ({"time": [1e8, 1e8 + 1], "v": [0, 1], "speed": [1, 2]}, {"motor.omega": "speed"}, "the run begins at 0 s"),
     ],
 )
 def test_data_that_cannot_be_compared_are_refused(data: Any, compare: dict[str, str], said: str) -> None:
@@ -224,3 +232,38 @@ def test_data_that_cannot_be_compared_are_refused(data: Any, compare: dict[str, 
 def test_a_level_is_a_share() -> None:
     with pytest.raises(UsageError, match="level: is 95"):
         plant().fit({"time": [0, 1]}, over={"motor.Ra": (0.1, 1)}, compare={}, level=95)
+
+
+def lag_data(first: float, dt: float = 0.05) -> dict[str, Any]:
+    """A lag of gain 2 and 0.7 s from rest, as a clock that begins at `first` records it; noise 1e-3."""
+    t = np.arange(101) * dt
+    u = np.where(t < 50 * dt, 1.0, -1.0)
+    y = 2 * (1 - np.exp(-t / 0.7)) - np.where(t < 50 * dt, 0.0, 4 * (1 - np.exp(-(t - 50 * dt) / 0.7)))
+    return {"time": first + t, "u": u, "y": y + 1e-3 * np.random.default_rng(1).standard_normal(101)}
+
+
+def lag_fit(data: Any, **settings: Any) -> Fit:
+    made: Fit = Diagram.alone(FirstOrder(k=1, T=1), "lag").fit(
+        data, over={"FirstOrder.k": (0.1, 10), "FirstOrder.T": (0.1, 10)}, compare={"FirstOrder.y": "y"},
+        interpolation="hold", **settings,
+    )  # fmt: skip
+    return made
+
+
+@pytest.mark.parametrize("first", [0.0, 1e8, 1.7e9])
+@pytest.mark.parametrize("dt", [0.05, 0.037])
+def test_the_clock_of_the_data_changes_no_estimate(first: float, dt: float) -> None:
+    fit = lag_fit(lag_data(first, dt), start=first)
+    assert not fit.warnings
+    for name, true in {"FirstOrder.k": 2.0, "FirstOrder.T": 0.7}.items():
+        assert abs(fit.values[name] - true) < 4 * fit.errors[name]
+    assert fit.deviations["FirstOrder.y"] == pytest.approx(1e-3, rel=0.3)
+
+
+def test_a_run_that_holds_the_first_input_before_the_data_is_told_unless_it_is_meant() -> None:
+    (warning,) = lag_fit(lag_data(100.0)).warnings
+    assert (warning.code, warning.place) == ("W505", "time")
+    assert "begin at 100 s and the run at 0 s: it holds the first value of u for 100 s" in warning.message
+    for meant in ({"start": 100}, {"start": 0}):
+        assert not lag_fit(lag_data(100.0), **meant).warnings
+    assert not lag_fit(lag_data(0.05)).warnings, "the first sample comes after a period"

@@ -101,6 +101,12 @@ def test_one_outlier_does_not_take_the_colors_of_a_heat_map() -> None:
         assert (mesh.norm.vmin, mesh.norm.vmax, mesh.colorbar.extend) == (1.0, 10.0, extend)
 
 
+@pytest.mark.parametrize("bins", [0, -3, 2.5, True, 10_000])
+def test_a_number_of_bins_is_refused_where_it_is_none(bins: Any) -> None:
+    with pytest.raises(UsageError, match="bins: is"):
+        made().plot("ITAE", bins=bins)
+
+
 @pytest.mark.parametrize("is_even", [True, False], ids=["ratios", "distances"])
 def test_a_heat_map_has_a_cell_for_each_point_of_a_grid(is_even: bool) -> None:
     a, b = np.arange(1.0, 5.0), np.geomspace(1, 1000, 4) if is_even else np.array([1.0, 2.0, 4.0, 7.0])
