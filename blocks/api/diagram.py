@@ -36,9 +36,10 @@ from ..model.block_types import Library, library_types
 from ..model.diagram import BlockEntry, DiagramValue, FaultList, check_name
 from ..model.diagram_grammar import MEASURE_NUMBERS, MEASURES
 from ..model.flatten import Flat, interface_of
-from ..model.raw_values import given_values, raw_of
+from ..model.raw_values import raw_of
 from ..model.resolver import resolver_of
 from ..model.variants import Swap, taken
+from ..model.varied import given_values
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.brief import UnknownName
@@ -423,7 +424,8 @@ class Diagram:
         """Simulate to `stop`.
 
         inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file, or a list of these.
-        parameters: values by path ("motor.Ra"), in place of those of the file. settings: start, method ("dopri5",
+        parameters: values by path ("motor.Ra"), pattern ("control_*.eso.Ka") or element ("pid.k[0]"), in place of those
+        of the file. settings: start, method ("dopri5",
         "rk4", "euler", "radau", "auto"), step (fixed-step methods), rtol, atol, every (recording grid; every step
         without it), jumps (True: rows before and after jumps between those of the grid), stops, seed (an integer, of
         all noise), loops ("error", "solve"), log (signal names or ports), master (a mapping with any of step, steps,

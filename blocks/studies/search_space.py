@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ..api.varied import columns_of
 from ..model.values import in_unit
 from ..model.variants import taken
+from ..model.varied import columns_of
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.printable import legible
 
