@@ -425,12 +425,11 @@ class Diagram:
 
         inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file, or a list of these.
         parameters: values by path ("motor.Ra"), pattern ("control_*.eso.Ka") or element ("pid.k[0]"), in place of those
-        of the file. settings: start, method ("dopri5",
-        "rk4", "euler", "radau", "auto"), step (fixed-step methods), rtol, atol, every (recording grid; every step
-        without it), jumps (True: rows before and after jumps between those of the grid), stops, seed (an integer, of
-        all noise), loops ("error", "solve"), log (signal names or ports), master (a mapping with any of step, steps,
-        algorithm, order, tolerance, couple and iterations, which replace those of the file). resume: a snapshot, or the
-        file of one, from which the run goes on as if it had never stopped there; inputs that are given take the place
+        of the file. settings: start, method ("dopri5", "rk4", "euler", "radau", "auto"), step (fixed-step methods),
+        rtol, atol, every (recording grid; every step without it), jumps (True: rows before and after jumps between
+        those of the grid), stops, seed (an integer, of all noise), loops ("error", "solve"), log (signal names or
+        ports), master (a mapping with any of step, steps, algorithm, order, tolerance, couple and iterations, which
+        replace those of the file). resume: a snapshot, or the file of one, from which the run goes on as if it had never stopped there; inputs that are given take the place
         of those of the snapshot. engine: "native" (compiled C), "reference" (plain Python), or "auto", the default:
         native where there is a C compiler; the environment variable BLOCKS_ENGINE names another default. variants: what
         replaces blocks, by path ({"motor": "fmu"}; "base": the block itself). trust: FMUs, or folders of
