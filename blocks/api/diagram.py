@@ -429,11 +429,12 @@ class Diagram:
         rtol, atol, every (recording grid; every step without it), jumps (True: rows before and after jumps between
         those of the grid), stops, seed (an integer, of all noise), loops ("error", "solve"), log (signal names or
         ports), master (a mapping with any of step, steps, algorithm, order, tolerance, couple and iterations, which
-        replace those of the file). resume: a snapshot, or the file of one, from which the run goes on as if it had never stopped there; inputs that are given take the place
-        of those of the snapshot. engine: "native" (compiled C), "reference" (plain Python), or "auto", the default:
-        native where there is a C compiler; the environment variable BLOCKS_ENGINE names another default. variants: what
-        replaces blocks, by path ({"motor": "fmu"}; "base": the block itself). trust: FMUs, or folders of
-        FMUs, that a diagram file may name though they lie outside of its project.
+        replace those of the file). resume: a snapshot, or the file of one, from which the run goes on as if it had
+        never stopped there; inputs that are given take the place of those of the snapshot. engine: "native" (compiled
+        C), "reference" (plain Python), or "auto", the default: native where there is a C compiler; the environment
+        variable BLOCKS_ENGINE names another default. variants: what replaces blocks, by path ({"motor": "fmu"}; "base":
+        the block itself). trust: FMUs, or folders of FMUs, that a diagram file may name though they lie outside of its
+        project.
 
         out: a file that the results are written to (.csv, .parquet, .mat). The rows of a long run go to the part of a
         Parquet file, `out` and ".part", while it goes on, and its results read them from the file when they are asked

@@ -120,9 +120,10 @@ def edit_of(
     of the diagram, numbers in their units, which go where their values stand. text: what the file holds, in place of
     what is on the disk. Raises UsageError (E501) where the file would not give such a diagram then.
     """
-    library, chosen, variants = tuple(diagram._draft.types.values()), chosen or {}, variants or {}
-    of_run = {**chosen, **variants}
+    library, variants = tuple(diagram._draft.types.values()), variants or {}
     workspace, first = Workspace.of(path, library, text=text)
+    chosen = _open_choices(workspace, first, chosen or {}, diagram.chosen)
+    of_run = {**chosen, **variants}
     operations: dict[Any, dict[str, Any]] = {}
 
     def put(file: str, place: Steps, to: Any) -> None:
@@ -141,6 +142,19 @@ def edit_of(
     edit = edit_file(path, list(operations.values()), library=library, check=False, text=text)
     _check(diagram, parameters, chosen, variants, path, edit, text)
     return edit
+
+
+def _open_choices(
+    workspace: Workspace, first: str, chosen: Mapping[str, str], in_copy: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the choices that the file leaves open: a copy with chosen variants may have been saved without them."""
+    known: dict[str, str] = {}
+    for path in sorted(chosen):
+        *around, name = path.split(".")
+        entry = _spot(workspace, first, around, known).body.names("block").get(name, {})
+        if path not in in_copy or tree.table_at(entry, ("variants",)):
+            known[path] = chosen[path]
+    return known
 
 
 def _spot(workspace: Workspace, first: str, blocks: Iterable[str], variants: Mapping[str, str]) -> Spot:

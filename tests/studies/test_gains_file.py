@@ -67,6 +67,24 @@ def test_a_tuning_writes_into_the_variant_that_was_run(tmp_path: Path, of_file: 
     assert again.measures == tuning.after["nominal"].measures
 
 
+@pytest.mark.parametrize("is_nested", [False, True])
+def test_a_copy_that_was_saved_without_its_variants_is_written_too(tmp_path: Path, is_nested: bool) -> None:
+    path, block = gains(tmp_path, "base"), "gain"
+    if is_nested:
+        document = {
+            key: value for key, value in json.loads(path.read_text()).items() if key not in ("format", "version")
+        }
+        plant = {"diagram": document, "variants": {"other": {"diagram": document}}}
+        path, block = saved(tmp_path / "loop.json", {"plant": plant}, {"plant.u": "u"}, "plant.y"), "plant.gain"
+    choice = {"gain": "alt"} if not is_nested else {"plant": "other", "plant.gain": "alt"}
+    diagram = Diagram.load(path).with_variants(choice)
+    diagram.save(tmp_path / "chosen.json")
+    tuning = diagram.tune(minimize="IAE", over={f"{block}.k": (4.0, 6.0)}, budget=6, method="de", stop=0.1)
+    for target in (tmp_path / "chosen.json", path):
+        (change,) = tuning.write(target).changes
+        assert change.old == "3"
+
+
 def test_a_fit_writes_into_the_variant_that_was_run(tmp_path: Path) -> None:
     path, t = gains(tmp_path, "base"), np.linspace(0, 1, 11)
     data = {"time": t, "u": t, "y": 4.5 * t}
