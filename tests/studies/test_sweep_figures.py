@@ -171,8 +171,16 @@ def test_tables_tell_means_and_quantiles_by_scenario_and_medians_by_value() -> N
     assert second.startswith("| quiet | _gm |  | ∞ |")
     assert len(rest) == 2
     by = made().markdown(by="case").splitlines()
-    assert by[0] == "| case | ITAE [m.s2] | _gm | runs | failed |"
-    assert [line.split(" | ")[-2:] for line in by[2:]] == [["100", "1 |"], ["100", "1 |"]]
+    assert by[0] == "| case | ITAE [m.s2] | _gm | runs | failed | without |"
+    assert [line.split(" | ")[-3:] for line in by[2:]] == [["100", "1", "1 |"], ["100", "1", "1 |"]]
+    gm = np.where(np.arange(200) % 4 < 2, np.nan, 2.0)  # runs that reach their end, of loops that are unstable
+    unstable = replace(made(), measures={"gm": gm})
+    assert [line.split(" | ")[-4:] for line in unstable.markdown(by="case").splitlines()[2:]] == [
+        ["2", "100", "1", "50 |"]
+    ] * 2
+    assert [line.split(" & ")[-3:] for line in unstable.latex(by="case").splitlines()[4:6]] == [
+        ["100", "1", r"50 \\"]
+    ] * 2
     tex = made().latex(q=[0.05]).splitlines()
     assert tex[0] == r"\begin{tabular}{llrrrr}"
     assert tex[2] == r"measure & unit & mean & 5 \% & runs & without \\"
