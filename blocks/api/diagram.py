@@ -604,6 +604,8 @@ class Diagram:
         trust: Paths = (),
         threads: int | None = None,
         progress: Callable[[int, int], None] | None = None,
+        out: str | Path | None = None,
+        resume: bool = True,
         lanes: str = "exact",
         **settings: Any,
     ) -> Any:
@@ -623,6 +625,9 @@ class Diagram:
         the smaller sum of violations in parts of their limits, then the smaller objective. Where no candidate is better
         than the diagram, its own values are the result. Ctrl-C ends it with what was found so far (`interrupted`).
 
+        out: a file (.parquet) of all candidates, which `Sweep.load` reads. Each generation is written to a part of it
+        when it has run; the same call goes on from there, to the same result. resume=False begins anew.
+
         Raises ModelError and UsageError before the first candidate, also for what can have no number: an unknown
         measure or scenario, or a window that the run does not cover; SimulationError where the diagram itself does not
         run.
@@ -631,7 +636,7 @@ class Diagram:
             "tune", self,
             minimize=minimize, over=over, scenarios=scenarios, subject_to=subject_to, method=method, budget=budget,
             seed=seed, parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads,
-            progress=progress, lanes=lanes, settings=settings,
+            progress=progress, out=out, resume=resume, lanes=lanes, settings=settings,
         )  # fmt: skip
 
     def fit(
