@@ -513,7 +513,7 @@ def _is_by_ratios(values: Array, limits: tuple[float, float]) -> bool:
     if not 0 < 100 * low < high:
         return False
     middle = float(np.clip(np.median(values), low, high))
-    return abs(np.log(middle / low) / np.log(high / low) - 0.5) <= abs((middle - low) / (high - low) - 0.5)
+    return bool(abs(np.log(middle / low) / np.log(high / low) - 0.5) <= abs((middle - low) / (high - low) - 0.5))
 
 
 def _heat_map(

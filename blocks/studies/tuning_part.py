@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,12 +18,10 @@ from ..text.printable import legible
 from .sweep_file import SweepPart, told_of
 from .tuned import Candidates
 
-if TYPE_CHECKING:
-    from .tuning import Problem
-
 __all__ = ["TuningPart"]
 
 Array = np.ndarray[Any, Any]
+Problem = Any  # a `Problem`, whose module calls this one
 
 
 class TuningPart:
