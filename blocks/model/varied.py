@@ -219,11 +219,7 @@ def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
                 given[target.path] = raw
                 continue
             flat, shape = target.whole
-            try:
-                number = to_si(raw, target.unit) if is_plain else value_of(read_quantity(raw), target.unit, {}).value
-            except ModelError as error:
-                placed = [replace(fault, place=fault.place or column.name) for fault in error.faults]
-                raise ModelError(*placed) from None
+            number = to_si(raw, target.unit) if is_plain else _number(raw, target.unit, column.name)
             elements.setdefault(target.path, list(flat))[target.element] = number
             shapes[target.path] = si_text(target.unit), shape
     for path, values in elements.items():
@@ -231,6 +227,20 @@ def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
         nested = np.array(values, dtype=float).reshape(shape).tolist()
         given[path] = {"value": nested, "unit": unit} if unit else nested
     return given
+
+
+def _number(raw: Any, unit: str, name: str) -> float:
+    """Return a value of an element in SI. Raises ModelError (E104, E107, E108, E114)."""
+    try:
+        number = value_of(read_quantity(raw), unit, {}).value
+    except ModelError as error:
+        raise ModelError(*(replace(fault, place=fault.place or name) for fault in error.faults)) from None
+    except Absent:
+        number = None
+    if isinstance(number, bool) or not isinstance(number, (int, float)):
+        message = f"must be a number, not {legible(repr(raw))}."
+        raise ModelError(Fault("E107", legible(name), message, "Give the whole value where it has expressions."))
+    return float(number)
 
 
 def _split(name: str) -> tuple[str, str]:
@@ -251,6 +261,9 @@ def _target(path: str, name: str, element: str, parameters: _Parameters) -> Targ
         return Target(path, None, parameter.unit(), _in_unit(value, parameter.unit()))
     shape = np.shape(value) if value is not None and not isinstance(value, str) else ()
     elements = [each[len(path) :] for each in element_names(path, shape)] if shape else []
+    if value is None:
+        message = f"the elements of {path} are not known: its value is computed, or is not the same in all copies."
+        raise UsageError(Fault("E501", legible(name), message, "Give the whole value."))
     if element not in elements:
         message = f"{path} has no element {legible(element)}."
         cure = f"It has {elements[0]} to {elements[-1]}." if elements else "It is a single value: name it alone."

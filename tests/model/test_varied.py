@@ -106,6 +106,27 @@ def test_an_element_that_is_not_there_is_refused(name: str, said: str) -> None:
         tables().run(parameters={name: 1}, **GRID)
 
 
+@pytest.mark.parametrize("value", ["x", "=length", [1, 2], None, True, {"value": [1], "unit": ""}])
+def test_an_element_takes_a_number_only(value: Any) -> None:
+    diagram = tables()
+    with pytest.raises(ModelError, match=r"E10[78] k\[0\]: "):
+        diagram.run(parameters={"k[0]": value}, **GRID)
+    rows = diagram.batch(["k[0]"], **GRID)([[value], [2.0]])
+    assert rows.status.tolist() == ["refused", "ok"]
+    assert "k[0]" in rows.messages[0]
+
+
+def test_an_element_of_what_differs_between_copies_is_refused() -> None:
+    cell = Diagram("cell")
+    cell.parameter("k", [1.0, 2.0])
+    table = cell.add("table", LookupTable(points=[0, 1], values="=k"))
+    cell.wire(table.u, cell.add("time", Ramp(slope=1.0)).y)
+    fleet = Diagram("fleet")
+    fleet.add("cells", cell, copies=3)
+    with pytest.raises(UsageError, match=r"the elements of cells\[2\].k are not known: .* not the same in all copies"):
+        fleet.flatten(parameters={"cells[2].k": [9, 9], "cells[2].k[1]": 8})
+
+
 def test_the_command_sets_an_element(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "tables.json"
     diagram = tables()
