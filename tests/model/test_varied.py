@@ -11,6 +11,9 @@ import pytest
 
 from blocks import Diagram, LookupTable, MatrixGain, ModelError, Ramp, UsageError
 from blocks.cli import main
+from blocks.compile.toolchain.compiler import find_compiler
+
+native = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
 
 
 def tables() -> Diagram:
@@ -60,8 +63,9 @@ def test_elements_of_a_run_are_set_on_top_of_those_of_the_prepared_model() -> No
     assert model.run()["bound.y"].tolist() == [5, 2, 3]
 
 
+@native
 def test_rows_of_a_batch_keep_the_elements_that_all_rows_are_given() -> None:
-    given: dict[str, Any] = {"parameters": {"k[0]": 5}, "log": ["bound.y"], "stop": 2, "every": 1.0}
+    given: dict[str, Any] = {"parameters": {"k[0]": 5}, "engine": "native", "log": ["bound.y"], "stop": 2, "every": 1.0}
     rows = tables().batch(["k[1]"], **given)([[7], [8]])
     assert rows.signals["bound.y"].tolist() == [[5, 7, 3], [5, 8, 3]]
     for name in ("k", "k[0]"):
@@ -69,10 +73,11 @@ def test_rows_of_a_batch_keep_the_elements_that_all_rows_are_given() -> None:
             tables().batch([name], **given)
 
 
+@native
 def test_a_fit_keeps_the_elements_that_are_given() -> None:
     t = np.linspace(0, 2, 41)
     data = {"time": t, "y": np.interp(t, [0, 1, 2], [5.0, 7.0, 3.0])}
-    fit = tables().fit(data, over={"k[1]": (0.5, 9)}, compare={"bound.y": "y"}, parameters={"k[0]": 5})
+    fit = tables().fit(data, over={"k[1]": (0.5, 9)}, compare={"bound.y": "y"}, parameters={"k[0]": 5}, engine="native")
     assert fit.values["k[1]"] == pytest.approx(7, abs=1e-5)
     assert fit.deviations["bound.y"] < 1e-6
 
@@ -106,14 +111,20 @@ def test_an_element_that_is_not_there_is_refused(name: str, said: str) -> None:
         tables().run(parameters={name: 1}, **GRID)
 
 
-@pytest.mark.parametrize("value", ["x", "=length", [1, 2], None, True, {"value": [1], "unit": ""}])
+NO_NUMBERS: tuple[Any, ...] = ("x", "=length", [1, 2], None, True, {"value": [1], "unit": ""})
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS)
 def test_an_element_takes_a_number_only(value: Any) -> None:
-    diagram = tables()
     with pytest.raises(ModelError, match=r"E10[78] k\[0\]: "):
-        diagram.run(parameters={"k[0]": value}, **GRID)
-    rows = diagram.batch(["k[0]"], **GRID)([[value], [2.0]])
-    assert rows.status.tolist() == ["refused", "ok"]
-    assert "k[0]" in rows.messages[0]
+        tables().flatten(parameters={"k[0]": value})
+
+
+@native
+def test_rows_whose_element_is_no_number_are_refused() -> None:
+    rows = tables().batch(["k[0]"], engine="native", **GRID)([*([value] for value in NO_NUMBERS), [2.0]])
+    assert rows.status.tolist() == ["refused"] * len(NO_NUMBERS) + ["ok"]
+    assert all("k[0]" in message for message in rows.messages[:-1])
 
 
 def test_an_element_of_what_differs_between_copies_is_refused() -> None:
