@@ -24,9 +24,9 @@ from ..engines.run.memory_estimate import check
 from ..engines.selection import compiled_model
 from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import LARGEST_SEED
-from ..model.raw_values import given_values
 from ..model.resolver import resolver_of
 from ..model.trust import Paths
+from ..model.varied import Column, columns_of, given_values, is_element, raw_values
 from ..results.results import Results
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.live_line import in_rows, live_line
@@ -37,7 +37,6 @@ from .lanes import Lanes, no_lanes
 from .prepared_model import PreparedModel
 from .run import Run, RunOptions
 from .values import check_settings, time_of
-from .varied import Column, columns_of, raw_values
 
 if TYPE_CHECKING:
     from ..contract.block import Block
@@ -132,7 +131,8 @@ class Batch(Shown):
             settings["jumps"] = False
         kept = _picked(value, measures)
         resolver = resolver_of(dict(types))
-        parameters = {**given_values(kept, resolver, parameters or {})}
+        of_all = dict(parameters or {})
+        parameters = {**given_values(kept, resolver, of_all)}
         first = Prepared.of(kept, resolver, parameters, settings, trust=trust)
         run = first.plan.settings
         if run.stop is None:
@@ -142,10 +142,14 @@ class Batch(Shown):
         if every is None and log:
             settings["every"] = float((run.stop - run.start) / GRID)
             every = time_of("every", settings["every"])
-        self._columns: tuple[Column, ...] = columns_of(names, kept, first.flat)
+        self._columns: tuple[Column, ...] = columns_of(names, kept, first.flat, parameters)
+        elements = columns_of([name for name in of_all if is_element(name)], kept, first.flat)
+        places = {(target.path, target.element) for column in elements for target in column.targets}
+        wholes = parameters.keys() - {path for path, _ in places} | of_all.keys()
         for column in self._columns:
             for target in column.targets:
-                if target.path in parameters:
+                is_free = target.element is not None and (target.path, target.element) not in places
+                if target.path in parameters and not (is_free and target.path not in wholes):
                     message = "is given as a parameter of all rows too."
                     raise UsageError(Fault("E501", legible(target.path), message, "Give it once."))
         self.name = value.name

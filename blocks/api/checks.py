@@ -13,8 +13,9 @@ from ..compile.plan_builder import plan
 from ..model.diagram import DiagramValue, beside
 from ..model.flatten import Flat, flatten
 from ..model.hierarchy import Resolver
-from ..model.raw_values import given_values, raw_of
+from ..model.raw_values import raw_of
 from ..model.variants import taken
+from ..model.varied import given_values
 from ..text.errors import Fault, ModelError
 from .ports import plain_settings
 from .values import check_settings

@@ -36,9 +36,10 @@ from ..model.block_types import Library, library_types
 from ..model.diagram import BlockEntry, DiagramValue, FaultList, check_name
 from ..model.diagram_grammar import MEASURE_NUMBERS, MEASURES
 from ..model.flatten import Flat, interface_of
-from ..model.raw_values import given_values, raw_of
+from ..model.raw_values import raw_of
 from ..model.resolver import resolver_of
 from ..model.variants import Swap, taken
+from ..model.varied import given_values
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.brief import UnknownName
@@ -98,6 +99,7 @@ class Diagram:
         self._draft = Draft(DiagramValue(name, folder=os.path.abspath(folder)), library_types(library))
         self._last = LastMade()
         self._saved = ""
+        self._chosen: dict[str, str] = {}
 
     # --- from and to files -------------------------------------------------------------------------------------
 
@@ -156,6 +158,7 @@ class Diagram:
         """A diagram with another value and the same block types."""
         diagram = Diagram.__new__(Diagram)
         diagram._draft, diagram._last, diagram._saved = Draft(value, self._draft.types), LastMade(), ""
+        diagram._chosen = dict(self._chosen)
         return diagram
 
     def __getstate__(self) -> dict[str, Any]:
@@ -305,7 +308,14 @@ class Diagram:
         "base" stands for the block itself. The copy has no variants any more: it is there to be run, checked, drawn.
         Raises ModelError (E122) for what is not there.
         """
-        return self._like(taken(self.value, choices))
+        diagram = self._like(taken(self.value, choices))
+        diagram._chosen = {**self._chosen, **choices}
+        return diagram
+
+    @property
+    def chosen(self) -> Mapping[str, str]:
+        """The variants that `with_variants` has put in place of their blocks."""
+        return self._chosen
 
     def measure(
         self,
@@ -414,16 +424,17 @@ class Diagram:
         """Simulate to `stop`.
 
         inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file, or a list of these.
-        parameters: values by path ("motor.Ra"), in place of those of the file. settings: start, method ("dopri5",
-        "rk4", "euler", "radau", "auto"), step (fixed-step methods), rtol, atol, every (recording grid; every step
-        without it), jumps (True: rows before and after jumps between those of the grid), stops, seed (an integer, of
-        all noise), loops ("error", "solve"), log (signal names or ports), master (a mapping with any of step, steps,
-        algorithm, order, tolerance, couple and iterations, which replace those of the file). resume: a snapshot, or the
-        file of one, from which the run goes on as if it had never stopped there; inputs that are given take the place
-        of those of the snapshot. engine: "native" (compiled C), "reference" (plain Python), or "auto", the default:
-        native where there is a C compiler; the environment variable BLOCKS_ENGINE names another default. variants: what
-        replaces blocks, by path ({"motor": "fmu"}; "base": the block itself). trust: FMUs, or folders of
-        FMUs, that a diagram file may name though they lie outside of its project.
+        parameters: values by path ("motor.Ra"), pattern ("control_*.eso.Ka") or element ("pid.k[0]"), in place of those
+        of the file. settings: start, method ("dopri5", "rk4", "euler", "radau", "auto"), step (fixed-step methods),
+        rtol, atol, every (recording grid; every step without it), jumps (True: rows before and after jumps between
+        those of the grid), stops, seed (an integer, of all noise), loops ("error", "solve"), log (signal names or
+        ports), master (a mapping with any of step, steps, algorithm, order, tolerance, couple and iterations, which
+        replace those of the file). resume: a snapshot, or the file of one, from which the run goes on as if it had
+        never stopped there; inputs that are given take the place of those of the snapshot. engine: "native" (compiled
+        C), "reference" (plain Python), or "auto", the default: native where there is a C compiler; the environment
+        variable BLOCKS_ENGINE names another default. variants: what replaces blocks, by path ({"motor": "fmu"}; "base":
+        the block itself). trust: FMUs, or folders of FMUs, that a diagram file may name though they lie outside of its
+        project.
 
         out: a file that the results are written to (.csv, .parquet, .mat). The rows of a long run go to the part of a
         Parquet file, `out` and ".part", while it goes on, and its results read them from the file when they are asked
@@ -593,6 +604,8 @@ class Diagram:
         trust: Paths = (),
         threads: int | None = None,
         progress: Callable[[int, int], None] | None = None,
+        out: str | Path | None = None,
+        resume: bool = True,
         lanes: str = "exact",
         **settings: Any,
     ) -> Any:
@@ -612,6 +625,9 @@ class Diagram:
         the smaller sum of violations in parts of their limits, then the smaller objective. Where no candidate is better
         than the diagram, its own values are the result. Ctrl-C ends it with what was found so far (`interrupted`).
 
+        out: a file (.parquet) of all candidates, which `Sweep.load` reads. Each generation is written to a part of it
+        when it has run; the same call goes on from there, to the same result. resume=False begins anew.
+
         Raises ModelError and UsageError before the first candidate, also for what can have no number: an unknown
         measure or scenario, or a window that the run does not cover; SimulationError where the diagram itself does not
         run.
@@ -620,7 +636,7 @@ class Diagram:
             "tune", self,
             minimize=minimize, over=over, scenarios=scenarios, subject_to=subject_to, method=method, budget=budget,
             seed=seed, parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads,
-            progress=progress, lanes=lanes, settings=settings,
+            progress=progress, out=out, resume=resume, lanes=lanes, settings=settings,
         )  # fmt: skip
 
     def fit(
@@ -648,11 +664,11 @@ class Diagram:
         as of `Diagram.run`.
 
         The search begins at the values of the diagram and is local (SciPy's trust region): begin near the truth.
-        Residuals of several signals are weighed by their deviations, which a first fit estimates. Errors and intervals
-        (of Student's t) follow from the Jacobian at the estimate and the deviation of the residuals: they hold where
-        the model is right but for white noise of the sensors. Warnings (W502) tell of parameters that the data cannot
-        tell apart, that have no effect, or that lie at a bound. Raises ModelError, UsageError; SimulationError where
-        the diagram does not run.
+        Residuals of several signals are weighed by their deviations, which are estimated again after each fit until
+        they rest. Errors and intervals (of Student's t) follow from the Jacobian at the estimate and the deviation of
+        the residuals: they hold where the model is right but for white noise of the sensors. Warnings (W502) tell of
+        parameters that the data cannot tell apart, that have no effect, or that lie at a bound. Raises ModelError,
+        UsageError; SimulationError where the diagram does not run.
         """
         return late(
             "fit", self, data,

@@ -20,6 +20,7 @@ from ..engines.selection import compiled_model
 from ..model.diagram import DiagramValue
 from ..model.resolver import resolver_of
 from ..model.trust import Paths
+from ..model.varied import given_values, is_element
 from ..results.results import Results
 from ..text.errors import Fault, UsageError
 from .ports import plain_settings
@@ -66,6 +67,8 @@ class PreparedModel:
         self._parameters, self._settings = _own(dict(parameters or {})), _own(dict(settings or {}))
         self._engine, self._trust = engine, trust
         self._resolver = resolver_of(self._types)
+        if any(map(is_element, self._parameters)):  # what a run gives goes on top of them
+            self._parameters = {**given_values(value, self._resolver, self._parameters)}
         self._forms: list[Prepared] = []  # the last used one goes last
         self._lock = threading.Lock()
 
@@ -115,7 +118,10 @@ class PreparedModel:
     def run_of(self, parameters: Mapping[str, Any], settings: Mapping[str, Any], options: RunOptions) -> Run:
         """Return a run at its start, with these parameters and settings on top of the prepared values."""
         if isinstance(parameters, Mapping):
-            parameters = {**self._parameters, **_own(parameters)}
+            own: Mapping[str, Any] = _own(parameters)
+            if any(map(is_element, own)):
+                own = given_values(self._value, self._resolver, own, self._parameters)
+            parameters = {**self._parameters, **own}
         settings = {**self._settings, **_own(plain_settings(settings))}
         options = replace(options, engine=self._engine, trust=self._trust)
         known = self._kept()

@@ -28,9 +28,10 @@ from ..engines.selection import simulation
 from ..model.diagram import DiagramValue
 from ..model.flatten import Flat
 from ..model.hierarchy import Resolver
-from ..model.raw_values import given_values, raw_of
+from ..model.raw_values import raw_of
 from ..model.settings import RunSettings
 from ..model.trust import Paths
+from ..model.varied import given_values
 from ..results.arrow import Part, target_of
 from ..results.provenance import Origin
 from ..results.results import Results
@@ -86,7 +87,8 @@ def started(
     if not isinstance(parameters, Mapping):
         message = f"{type(parameters).__name__} is no mapping of values by path."
         raise UsageError(Fault("E501", "parameters", message, 'As in parameters={"motor.Ra": 1.2}.'))
-    parameters = given_values(value, resolver, parameters)
+    raw = parameters
+    parameters = given_values(value, resolver, raw)
     resume = options.resume
     sources = options.inputs if isinstance(options.inputs, (list, tuple)) else [options.inputs]
     part: Part | None = None
@@ -105,7 +107,7 @@ def started(
         if settings.get("start") is not None:
             message, cure = "a run that goes on begins where the state is.", "Leave the start out."
             raise UsageError(Fault("E501", "start", message, cure))
-        parameters = {**saved.overrides, **parameters}
+        parameters = {**saved.overrides, **given_values(value, resolver, raw, saved.overrides)}
         settings = _going_on(settings, saved, value.name)
     if options.interpolation not in ("linear", "hold"):
         message = f"{options.interpolation!r} is not known."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 import time
 from collections.abc import Mapping, Sequence
@@ -198,6 +199,7 @@ def vary_of(items: Sequence[str]) -> dict[Any, Any]:
 
 
 def _values(place: str, text: str) -> Any:
+    """Return what a text gives: a list of values, or a distribution. Raises UsageError (E501)."""
     from ..studies import sampling
 
     called = re.fullmatch(r"([A-Za-z_]\w*):(.*)", text)
@@ -205,18 +207,82 @@ def _values(place: str, text: str) -> Any:
         return _listed(place, text)
     kind, words = called[1], called[2].split(",") if called[2].strip() else []
     named = dict(word.partition("=")[::2] for word in words if "=" in word)
-    numbers = [_number(place, word) for word in (named.values() if named else words)]
     if named and len(named) != len(words):
         raise UsageError(Fault("E501", place, f"{text!r} names some of its numbers only.", "Name all, or none."))
-    by_name = dict(zip(map(str.strip, named), numbers, strict=True)) if named else None
-    return sampling.named_values(place, kind, numbers if by_name is None else by_name, text)
+    names = [*map(str.strip, named)] if named else [""] * len(words)
+    numbers, unit = _in_one_unit(place, kind, names, [*named.values()] if named else words)
+    by_name = dict(zip(names, numbers, strict=True)) if named else None
+    made = sampling.named_values(place, kind, numbers if by_name is None else by_name, text)
+    if not unit:
+        return made
+    if isinstance(made, sampling.Distribution):
+        return sampling.InUnit(made, unit)
+    return [{"value": value, "unit": unit} for value in made.tolist()]
 
 
 def _listed(place: str, text: str) -> list[Any]:
-    """Values between commas: numbers, maybe with units, texts, or JSON lists for vectors."""
+    """Return values between commas: numbers, maybe with units, texts, or JSON lists for vectors."""
+    from ..text.errors import ModelError
+
     if text.startswith("["):
-        return [_plain(value) for value in parsed(f"[{text}]")]
-    return [_plain(_quantity(place, word.strip())) for word in text.split(",")]
+        try:
+            return [_plain(value) for value in parsed(f"[{text}]")]
+        except ModelError as error:
+            message = f"{text!r} is not a list of vectors: {error.faults[0].message}"
+            raise UsageError(Fault("E501", place, message, "As in [1,2],[3,4].")) from None
+    if text.startswith("@"):
+        cure = "List the values between commas; in Python, sweep(...) takes a table of rows (pandas.read_csv)."
+        raise UsageError(Fault("E501", place, f"{text!r}: values are not read from a file.", cure))
+    words = [word.strip() for word in text.split(",")]
+    if not all(words):
+        message = f"{text!r} has no value {'behind its last comma' if all(words[:-1]) else 'between two commas'}."
+        raise UsageError(Fault("E501", place, message, "As in 1,2,3."))
+    values = [_plain(_quantity(place, word)) for word in words]
+    are_texts = [isinstance(value, str) and not value.startswith("=") for value in values]
+    if any(are_texts) and any(isinstance(value, float | dict) for value in values):
+        message = f"{words[are_texts.index(True)]!r} is not a number, and others are."
+        raise UsageError(Fault("E501", place, message, "Give numbers, or texts."))
+    return values
+
+
+def _in_one_unit(place: str, kind: str, names: Sequence[str], words: Sequence[str]) -> tuple[list[float], str]:
+    """Return the numbers of a range or a distribution in the first unit that stands there, and that unit, maybe "".
+
+    The count of a range and the shapes of a distribution have no unit. Raises UsageError (E501).
+    """
+    from ..text import units
+    from ..text.errors import ModelError
+
+    numbers, units_of, has_unit = [], [], []
+    for k, (name, word) in enumerate(zip(names, words, strict=True)):
+        try:
+            number, own = float(word), ""
+        except ValueError:
+            value = _plain(_quantity(place, word.strip()))
+            if not isinstance(value, dict):
+                cure = "Numbers are in the unit of the parameter, or have a unit, as in 160 mOhm."
+                raise UsageError(Fault("E501", place, f"{word.strip()!r} is not a number.", cure)) from None
+            number, own = value["value"], str(value["unit"])
+        is_count = kind in ("linspace", "geomspace") and k == 2
+        has_unit.append(not math.isinf(number) and (name in ("loc", "scale") if name else not is_count))
+        numbers.append(number)
+        units_of.append(own)
+    unit = next(filter(None, units_of), "")
+    if not unit:
+        return numbers, ""
+    for word, own, may in zip(words, units_of, has_unit, strict=True):
+        if bool(own) != may:
+            message = "needs a unit, because others have one." if may else "must be a number without a unit."
+            message = f"{word.strip()!r} {message}"
+            raise UsageError(Fault("E501", place, message, "As in normal:160 mOhm,10 mOhm, or linspace:1 V,5 V,9."))
+        try:
+            offset = units.affine(own, unit)[1] if own else 0.0
+        except ModelError as error:
+            raise UsageError(Fault("E501", place, error.faults[0].message, f"Give all numbers in {unit}.")) from None
+        if offset:
+            message = f"{unit} and {own} have different zeros, so that a deviation in one of them is none in the other."
+            raise UsageError(Fault("E501", place, message, f"Give all numbers in {unit}."))
+    return [units.converted(x, own, unit) if own else x for x, own in zip(numbers, units_of, strict=True)], unit
 
 
 def _quantity(place: str, word: str) -> Any:
@@ -240,14 +306,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {**value, "value": float(value["value"])}
     return value if isinstance(value, (str, bool)) else float(value)
-
-
-def _number(place: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        cure = "Numbers are in the unit of the parameter."
-        raise UsageError(Fault("E501", place, f"{text.strip()!r} is not a number.", cure)) from None
 
 
 def scenarios_of(items: Sequence[str]) -> dict[str, dict[str, Any]]:

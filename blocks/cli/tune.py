@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
+from ..text.printable import counted
 from .apply import change_entry, change_line
 from .options import takes_json, takes_library, takes_parameters, takes_several, takes_trust, takes_variants
 from .output import Progress, emit, printable, say, tell_faults
 from .signals import INTERRUPTED, ended_at_once
 from .sweep import scenarios_of
-from .values import as_options, assignments, number_of, time_of, variants_of
+from .values import as_options, assignments, check_writable, number_of, time_of, variants_of
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
@@ -45,6 +46,9 @@ def add(verbs: Any) -> None:
     tune.add_argument("--lanes", metavar="L", default="exact", help=lanes)
     tune.add_argument("--stop", metavar="T", help="stop time in s")
     tune.add_argument("--write", action="store_true", help="write the values into DIAGRAM, where all constraints hold")
+    out = "write all candidates: .parquet; a part of it goes on where it was"
+    tune.add_argument("-o", "--out", metavar="FILE", help=out)
+    tune.add_argument("--anew", action="store_true", help="begin anew, also where a part of the file is there")
     tune.add_argument("--report", metavar="DIR", help="write report.html and its figures into a folder")
     takes_parameters(tune)
     takes_variants(tune)
@@ -57,6 +61,8 @@ def add(verbs: Any) -> None:
 def _tune(options: argparse.Namespace) -> int:
     from ..api.diagram import Diagram
 
+    if options.out:
+        check_writable("--out", options.out, [options.diagram])
     diagram = Diagram.load(options.diagram, library=options.library)
     places = {name: f"--{name}" for name in ("minimize", "method", "budget", "seed", "threads", "lanes")}
     places |= {f"subject_to[{k}]": f"--subject-to {text}" for k, text in enumerate(options.subject_to)}
@@ -72,7 +78,8 @@ def _tune(options: argparse.Namespace) -> int:
             shown.show(done / total, text, text)
 
     try:
-        tuning = problem.solve(threads=threads, progress=told)
+        with as_options({}, {"resume=False, --anew": "--anew"}):
+            tuning = problem.solve(threads=threads, progress=told, out=options.out, resume=not options.anew)
     finally:
         shown.clear()
     ended_at_once()
@@ -117,11 +124,17 @@ def _told(options: argparse.Namespace, tuning: Tuning) -> int:
             print(printable(tuning.kept))
         for change in changes:
             print(printable(change_line(change)))
+        if is_written and tuning.variants:
+            choices = " ".join(f"--variant {path}={name}" for path, name in tuning.variants.items())
+            print(printable(f"written for {choices}; the file keeps its own choice of variants"))
+        if options.out:
+            print(printable(f"{counted(len(tuning.history.objective), 'candidate')} in {options.out}"))
         if report is not None:
             print(printable(f"report: {report}"))
     if tuning.interrupted:
         unwritten = "; nothing was written, the values so far are in the table" if options.write else ""
-        say(f"interrupted after {tuning.ran} of {tuning.budget} candidates{unwritten}")
+        kept = f"; the same command goes on from {options.out}.part" if options.out else ""
+        say(f"interrupted after {tuning.ran} of {tuning.budget} candidates{unwritten}{kept}")
         return INTERRUPTED
     if options.write and not is_written:
         say("nothing was written: " + ("constraints are violated" if not tuning.is_feasible else "the values are kept"))

@@ -26,10 +26,11 @@ from ..model.diagram_grammar import RUN
 from ..model.fingerprint import fingerprint
 from ..model.flatten import Flat, flatten
 from ..model.hierarchy import Resolver
-from ..model.raw_values import given_values, raw_of
+from ..model.raw_values import raw_of
 from ..model.settings import TIMES, RunSettings, read_settings
 from ..model.trust import Paths, check_trust
 from ..model.values import expressions_in
+from ..model.varied import given_values
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.gc_pause import paused
 from ..text.printable import legible
@@ -158,7 +159,12 @@ class Prepared:
         Raises ModelError, and UsageError (E502) where there is none of that name, (E117) where it cannot change in a
         run.
         """
-        given = given_values(self.value, self.resolver, {name: copy.deepcopy(value)})
+        try:
+            given = given_values(self.value, self.resolver, {name: copy.deepcopy(value)}, self.parameters)
+        except (ModelError, UsageError) as error:
+            if error.code == "E106":
+                raise self._unknown(name) from None
+            raise
         # What was set in single copies before is not kept beside what is set in all of them now.
         kept = {key: raw for key, raw in self.parameters.items() if given.keys().isdisjoint(spellings(key))}
         parameters = {**kept, **given}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,11 +14,14 @@ import numpy as np
 from ..editing import tree
 from ..editing.applying import edit_file
 from ..editing.edits import Edit, Workspace
-from ..editing.spots import spot_of
+from ..editing.spots import Spot
+from ..model.diagram import BASE
 from ..model.document import loads
 from ..model.flatten import Flat, flatten
 from ..model.resolver import resolver_of
+from ..model.variants import taken
 from ..text.errors import Fault, ModelError, UsageError
+from ..text.grammar import Steps
 from ..text.printable import legible
 from ..text.shown import Shown
 from ..text.units import converted
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Found", "Value", "changes", "edit_of", "written"]
 
+_GIVE_THE_FILE = "Give the file that the diagram was loaded from; or give the values to run(parameters=...)."
 CLOSE = 1e-12
 """By how much a value may be off, which is written in another unit, with 13 digits."""
 
@@ -37,7 +41,8 @@ class Found(Shown):
     """What a tuning and a fit have found.
 
     values: by parameter, pattern or element of `over`, in its unit (units); nominal: those of the diagram. parameters:
-    the same as `Diagram.run(parameters=...)` takes them. targets: the parameters that each of them sets.
+    the same as `Diagram.run(parameters=...)` takes them. targets: the parameters that each of them sets. variants:
+    chosen for the runs, in place of those that the file chooses.
     """
 
     diagram: Diagram
@@ -46,15 +51,17 @@ class Found(Shown):
     units: Mapping[str, str]
     parameters: Mapping[str, Any]
     targets: Mapping[str, tuple[str, ...]]
+    variants: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[Fault, ...] = ()
 
     def write(self, path: str | Path) -> Edit:
         """Put the values into the diagram file `path`, from which the diagram was loaded, or a copy of it.
 
-        Only the characters of the values change, in this file and in those of the subdiagrams that hold some of them;
-        they are written all or none. The result lists what changed (`changes`) and takes it back (`undone.write()`).
-        Raises UsageError (E501) where the file would not give the diagram with these values then, as for wheels that
-        share one file and have got different values.
+        The values of a block go into the variant that the runs had (`variants`); the file keeps its own choice. Only
+        the characters of the values change, in this file and in those of the subdiagrams that hold some of them; they
+        are written all or none. The result lists what changed (`changes`) and takes it back (`undone.write()`). Raises
+        UsageError (E501) where the file would not give the diagram with these values then, as for wheels that share one
+        file and have got different values.
         """
         edit = written(self, path)
         edit.write()
@@ -91,7 +98,8 @@ def written(found: Found, path: str | Path) -> Edit:
         for column, targets in found.targets.items()
         for target in (targets if found.parameters else ())
     ]
-    return edit_of(found.diagram, path, values, parameters=found.parameters)
+    chosen = {**found.diagram.chosen, **found.variants}
+    return edit_of(found.diagram, path, values, parameters=found.parameters, chosen=chosen)
 
 
 def edit_of(
@@ -100,57 +108,92 @@ def edit_of(
     values: Iterable[Value],
     *,
     parameters: Mapping[str, Any],
+    chosen: Mapping[str, str] | None = None,
     variants: Mapping[str, str] | None = None,
     inputs: Iterable[Value] = (),
     text: bytes | None = None,
 ) -> Edit:
     """The edit that gives a diagram file other values of parameters; nothing is written yet.
 
-    parameters: the same, as a run of the diagram is given them. variants: those that the file chooses then. inputs: of
-    inputs of the diagram, numbers in their units, which go where their values stand. text: what the file holds, in
-    place of what is on the disk. Raises UsageError (E501) where the file would not give such a diagram then.
+    parameters: the same, as a run of the diagram is given them. chosen: the variants that a run takes, in place of
+    those of the file, which keeps its own choice. variants: those that the file chooses from now on. inputs: of inputs
+    of the diagram, numbers in their units, which go where their values stand. text: what the file holds, in place of
+    what is on the disk. Raises UsageError (E501) where the file would not give such a diagram then.
     """
     library, variants = tuple(diagram._draft.types.values()), variants or {}
     workspace, first = Workspace.of(path, library, text=text)
+    chosen = _open_choices(workspace, first, chosen or {}, diagram.chosen)
+    of_run = {**chosen, **variants}
     operations: dict[Any, dict[str, Any]] = {}
 
-    def put(scope: str, place: tuple[str | int, ...], to: Any) -> None:
-        operations[scope, place] = {"set": [*place], "to": to} | ({"in": scope} if scope else {})
+    def put(file: str, place: Steps, to: Any) -> None:
+        operations[file, place] = {"set": [*place], "to": to} | ({"file": file} if file != first else {})
 
     for block, choice in variants.items():
-        scope, _, name = block.rpartition(".")
-        put(scope, ("blocks", name, "variant"), choice)
+        *around, name = block.split(".")
+        spot = _spot(workspace, first, around, of_run)
+        put(spot.file, (*spot.scope, "blocks", name, "variant"), choice)
     for given in values:
-        scope, place, entry = _place(workspace, first, given.path, variants)
-        put(scope, *_new(entry, place, given))
+        file, place, entry = _place(workspace, first, given.path, of_run)
+        put(file, *_new(entry, place, given))
     for given in inputs:
         place, entry = _input_place(workspace.value(first), given.path)
-        put("", *_new(entry, place, given))
+        put(first, *_new(entry, place, given))
     edit = edit_file(path, list(operations.values()), library=library, check=False, text=text)
-    _check(diagram, diagram.flatten(parameters=parameters, variants=variants), path, edit, text)
+    _check(diagram, parameters, chosen, variants, path, edit, text)
     return edit
 
 
-def _place(
-    workspace: Workspace, first: str, target: str, variants: Mapping[str, str]
-) -> tuple[str, tuple[str | int, ...], Any]:
-    """The subdiagram that holds a parameter, by its path; the steps to it there; and its entry, None where none is."""
+def _open_choices(
+    workspace: Workspace, first: str, chosen: Mapping[str, str], in_copy: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the choices that the file leaves open: a copy with chosen variants may have been saved without them."""
+    known: dict[str, str] = {}
+    for path in sorted(chosen):
+        *around, name = path.split(".")
+        entry = _spot(workspace, first, around, known).body.names("block").get(name, {})
+        if path not in in_copy or tree.table_at(entry, ("variants",)):
+            known[path] = chosen[path]
+    return known
+
+
+def _spot(workspace: Workspace, first: str, blocks: Iterable[str], variants: Mapping[str, str]) -> Spot:
+    """The subdiagram of these blocks, each inside the one before, in the variants that a run takes."""
+    spot, path = Spot(workspace, first), ""
+    for name in blocks:
+        path, body = f"{path}.{name}" if path else name, spot.body
+        entry = body.names("block").get(name, {})
+        known = (BASE, *tree.table_at(entry, ("variants",)))
+        choice = _choice(path, entry, variants)
+        inner = body.inside(name, workspace.documents)[known.index(choice)][0] if choice in known else None
+        if inner is None:
+            raise UsageError(Fault("E501", legible(path), "holds no diagram in the file.", _GIVE_THE_FILE))
+        spot = Spot(workspace, workspace.open(Path(inner.file)), inner.scope)
+    return spot
+
+
+def _choice(path: str, entry: Mapping[str, Any], variants: Mapping[str, str]) -> str:
+    """The variant of a block that a run takes."""
+    return str(variants.get(path, entry.get("variant", BASE)) or BASE)
+
+
+def _place(workspace: Workspace, first: str, target: str, variants: Mapping[str, str]) -> tuple[str, Steps, Any]:
+    """The file that holds a parameter, by its path; the steps to it there; and its entry, None where none is."""
     *blocks, name = target.split(".")
     if not blocks:
-        place: tuple[str | int, ...] = ("parameters", name)
-        return "", place, tree.table_at(workspace.value(first), ("parameters",)).get(name)
+        place: Steps = ("parameters", name)
+        return first, place, tree.table_at(workspace.value(first), ("parameters",)).get(name)
     if any("[" in block for block in blocks):
         cure = "Set it in all copies, or write a list with a value for each."
         raise UsageError(Fault("E501", target, "is of one copy, for which the file has no place.", cure))
-    scope = ".".join(blocks[:-1])
-    spot = spot_of(workspace, first, {"in": scope} if scope else {})
-    entry = spot.body.names("block").get(blocks[-1], {})
-    variant = variants.get(".".join(blocks), entry.get("variant", "base"))
-    place = ("blocks", blocks[-1], *(("variants", variant) if variant != "base" else ()), "parameters")
-    return scope, (*place, name), tree.table_at(spot.value, (*spot.scope, *place)).get(name)
+    spot = _spot(workspace, first, blocks[:-1], variants)
+    variant = _choice(".".join(blocks), spot.body.names("block").get(blocks[-1], {}), variants)
+    owner = ("variants", variant) if variant != BASE else ()
+    place = (*spot.scope, "blocks", blocks[-1], *owner, "parameters")
+    return spot.file, (*place, name), tree.table_at(spot.value, place).get(name)
 
 
-def _input_place(value: Any, name: str) -> tuple[tuple[str | int, ...], Any]:
+def _input_place(value: Any, name: str) -> tuple[Steps, Any]:
     """Where the value of an input stands: in the settings of the run, or as its default; or where it can stand."""
     of_run = tree.table_at(value, ("run", "inputs"))
     entry = tree.table_at(value, ("inputs",)).get(name, {})
@@ -163,7 +206,7 @@ def _input_place(value: Any, name: str) -> tuple[tuple[str | int, ...], Any]:
     return ("inputs", name, "default"), entry["default"]
 
 
-def _new(entry: Any, place: tuple[str | int, ...], given: Value) -> tuple[tuple[str | int, ...], Any]:
+def _new(entry: Any, place: Steps, given: Value) -> tuple[Steps, Any]:
     """The steps to what changes of an entry, and what it becomes: a number in the unit that stands there.
 
     The whole raw value where the entry has no list with the element, or no number, or no unit to keep.
@@ -192,7 +235,15 @@ def _in_unit(value: Any, unit: str, wanted: str) -> Any:
     return int(number) if number.is_integer() and abs(number) < 1e13 else number
 
 
-def _check(diagram: Diagram, meant: Flat, path: str | Path, edit: Edit, text: bytes | None) -> None:
+def _check(
+    diagram: Diagram,
+    parameters: Mapping[str, Any],
+    chosen: Mapping[str, str],
+    variants: Mapping[str, str],
+    path: str | Path,
+    edit: Edit,
+    text: bytes | None,
+) -> None:
     """Refuse an edit that changes other values than were given, or to others. Raises UsageError (E501)."""
     texts = {os.path.realpath(name): text for name, text in edit.texts.items()}
     real = os.path.realpath(path)
@@ -201,22 +252,23 @@ def _check(diagram: Diagram, meant: Flat, path: str | Path, edit: Edit, text: by
 
     def read(texts: Mapping[str, str]) -> Flat:
         source = texts.get(real) or old
-        return flatten(loads(source, file=str(path), folder=os.path.dirname(real), texts=texts), resolver)
+        value = loads(source, file=str(path), folder=os.path.dirname(real), texts=texts)
+        return flatten(taken(value, chosen), resolver)
 
     try:
         before, after = read({}), read(texts)
     except ModelError as error:
         raise UsageError(*error.faults) from error
-    made, wanted = changes(before, after), changes(diagram.flatten(), meant)
+    # The variants that the file chooses from now on are a change of it; those of the run alone are none.
+    of_run = {path: choice for path, choice in chosen.items() if path not in diagram.chosen}
+    meant = diagram.flatten(parameters=parameters, variants={**of_run, **variants})
+    made, wanted = changes(before, after), changes(diagram.flatten(variants=of_run), meant)
     names = {**made, **wanted}
     wrong = [n for n in names if not ({n} <= made.keys() & wanted.keys() and _same(made[n], wanted[n]))]
     if wrong:
         message = f"the file would not give the diagram with these values: {', '.join(map(legible, wrong[:5]))}."
-        cure = (
-            "Blocks that share a file have one value there: change all of them alike, or tune them by one pattern. "
-            "Give the file that the diagram was loaded from; or give the values to run(parameters=...)."
-        )
-        raise UsageError(Fault("E501", str(path), message, cure))
+        cure = "Blocks that share a file have one value there: change all of them alike, or tune them by one pattern. "
+        raise UsageError(Fault("E501", str(path), message, cure + _GIVE_THE_FILE))
 
 
 def changes(before: Flat, after: Flat) -> dict[str, Any]:

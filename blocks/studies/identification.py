@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..api.varied import columns_of, raw_values
 from ..model.flatten import Flat, element_of
+from ..model.resolver import resolver_of
 from ..model.variants import taken
+from ..model.varied import columns_of, given_values, raw_values
 from ..results import plots
 from ..results.results import Results
 from ..text import units
@@ -28,7 +29,7 @@ from ..text.errors import Fault, ModelError, SimulationError, UsageError, did_yo
 from ..text.printable import legible
 from ..text.shown import Part, Table, as_text
 from .gains_file import Found
-from .search_space import Space, units_of_parameters
+from .search_space import DIGITS, Space, units_of_parameters
 from .tuned import short
 
 if TYPE_CHECKING:
@@ -41,6 +42,16 @@ STEP = 1e-3
 """Of central differences, in parts of the range of a value: far above the errors of steps at usual tolerances."""
 FAILED = 1e3
 """The residual of a run that fails, in deviations of the data: worse than any that does not."""
+MOST_ROUNDS, RESTING = 50, 1e-3
+"""The weights of several signals follow from a fit with the last ones, until they change by less than this part."""
+EXACT = 1e-9
+"""The least deviation of residuals, in parts of that of the data: those of data without noise would have no end."""
+NEAR = 1e-3
+"""How far the row of a datum may be from its time, in parts of the spacing of the data."""
+LARGEST = 1e100
+"""The largest number in data: sums of squares of larger ones overflow."""
+LONG = 1000.0
+"""Before the data a run may take so many times the duration of the data, unless its start is given."""
 ALIKE, NEARLY = 0.99, 0.05
 """From this correlation of two estimates on, or below this least singular value of the Jacobian with columns of length
 1, they are told not to be told apart."""
@@ -82,8 +93,10 @@ class Fit(Found):
             most = max(known, default=None)
             low, high = self.intervals[name]
             told = f"{most[2]:+.3f} with {most[1]}" if most else "-"
-            rows.append((name, short(self.nominal[name]), short(value), self.units[name] or "-",
-                         f"{short(low)} ... {short(high)}", told))  # fmt: skip
+            [digits] = _digits(np.array([value]), np.array([self.errors[name]]), least=5, more=2)
+            estimate, low_text, high_text = (f"{x:.{digits}g}" for x in (value, low, high))
+            rows.append((name, short(self.nominal[name]), estimate, self.units[name] or "-",
+                         f"{low_text} ... {high_text}", told))  # fmt: skip
         signals = [("signal", "deviation of residuals"), *((name, short(x)) for name, x in self.deviations.items())]
         return Table([head, *rows]), Table(signals)
 
@@ -135,7 +148,8 @@ def fit(
     columns, given = _columns(data, diagram, compare)
     value = taken(diagram.value, variants)
     flat = diagram.flatten(parameters=parameters, variants=variants)
-    varied = columns_of(list(over), value, flat)
+    overrides = given_values(value, resolver_of(dict(diagram.types)), parameters or {})
+    varied = columns_of(list(over), value, flat, overrides)
     t = columns["time"]
     measured = {name: _in_si(columns[column], given.get(column, ""), flat, name) for name, column in compare.items()}
     tracks: dict[str, Any] = {}
@@ -143,8 +157,8 @@ def fit(
         if name in columns:
             u = {"value": columns[name], "unit": given[name]} if given.get(name) else columns[name]
             tracks[name] = (t, u, interpolation)
+    grid, early = _grid(diagram, t, settings), _early(diagram, t, [*tracks], settings)
     tracks = {**tracks, **(inputs or {})}
-    grid = _grid(diagram, t, settings)
     model = diagram.prepare(
         parameters=parameters, variants=variants, engine=engine, trust=trust, log=list(compare), **settings, **grid
     )
@@ -183,25 +197,40 @@ def fit(
         return np.array(made).T
 
     start = np.clip(space.cube(np.array([column.value for column in varied])), STEP, 1 - STEP)
-    for _ in range(1 if len(compare) == 1 else 2):
+    ends = np.cumsum([np.count_nonzero(each) for each in known.values()])[:-1]
+    least = {name: EXACT / weight for name, weight in weights.items()}
+    is_at_rest = False
+    for _ in range(MOST_ROUNDS):
         found = optimize.least_squares(residuals, start, jacobian, bounds=(0.0, 1.0), x_scale="jac")
-        start, ends = np.clip(found.x, STEP, 1 - STEP), np.cumsum([np.count_nonzero(k) for k in known.values()])
-        parts, used = zip(known, np.split(found.fun, ends[:-1]), strict=True), len(start) / len(found.fun)
-        deviations = {name: _deviation(part, used) / weights[name] for name, part in parts}
-        if len(compare) > 1:
-            weights = {name: 1.0 / (deviation if deviation > 0 else 1.0) for name, deviation in deviations.items()}
-    values = space.values(found.x)
-    after, names = run(values), list(over)
+        leverage = [float(np.sum(part)) for part in np.split(_leverages(found.jac), ends)]
+        spare = {name: each.sum() - used for (name, each), used in zip(known.items(), leverage, strict=True)}
+        parts = zip(spare.items(), np.split(found.fun, ends), strict=True)
+        deviations = {name: _deviation(part, free) / weights[name] for (name, free), part in parts}
+        if is_at_rest := len(compare) == 1:
+            break
+        old, start = weights, np.clip(found.x, STEP, 1 - STEP)
+        weights = {name: 1.0 / max(x, least[name]) if x >= 0 else old[name] for name, x in deviations.items()}
+        if is_at_rest := all(abs(weights[name] / old[name] - 1.0) < RESTING for name in weights):
+            weights = old  # those of the residuals that were found
+            break
+    names = list(over)
     free = len(found.fun) - len(names)
     # Slopes in the units of the values; the residuals have the deviation s.
     slopes = jacobian(found.x) / space.slopes(found.x)
     s = math.sqrt(float(found.fun @ found.fun) / free) if free > 0 else math.inf
     errors, correlation, alike = _judged(slopes, s)
-    reach = float(stats.t.ppf(0.5 + level / 2, free)) if free > 0 else math.inf
-    warnings = [*alike_faults(names, alike)]
-    for name, bound in zip(names, found.active_mask.tolist(), strict=True):
-        if bound:
-            end = "lower" if bound < 0 else "upper"
+    values = space.values(found.x, digits=_digits(space.values(found.x), errors))
+    after, degrees = run(values), _degrees(slopes, ends, [*spare.values()])
+    reach = np.where(degrees > 0, stats.t.ppf(0.5 + level / 2, np.where(degrees > 0, degrees, 1.0)), math.inf)
+    warnings = [*early, *alike_faults(names, alike)]
+    if not is_at_rest:
+        message = f"the weights of the signals still change after {MOST_ROUNDS} fits: intervals may be too narrow."
+        cure = "Compare fewer signals, or begin nearer to the truth."
+        warnings.append(Fault("W502", "compare", message, cure))
+    ends_of = zip(names, values, space.low, space.high, found.active_mask.tolist(), strict=True)
+    for name, value, low, high, bound in ends_of:
+        if bound or value in (low, high):
+            end = "lower" if bound < 0 or value == low else "upper"
             message = f"its best value is its {end} bound, and its interval means nothing."
             warnings.append(Fault("W502", name, message, "Widen the bounds, or fix the value."))
     given = raw_values(varied, values.tolist())
@@ -210,24 +239,59 @@ def fit(
         nominal={c.name: c.value for c in varied}, units={c.name: c.unit for c in varied},
         errors=dict(zip(names, errors.tolist(), strict=True)),
         intervals={
-            name: (float(x - reach * e), float(x + reach * e)) for name, x, e in zip(names, values, errors, strict=True)
+            name: (float(x - r * e), float(x + r * e))
+            for name, x, r, e in zip(names, values, reach, errors, strict=True)
         },
         level=level, correlation=correlation, deviations=deviations, t=t, measured=measured, before=before, after=after,
         parameters=given, targets={c.name: tuple(target.path for target in c.targets) for c in varied},
-        warnings=tuple(warnings),
+        variants=dict(variants or {}), warnings=tuple(warnings),
     )  # fmt: skip
 
 
 def at_times(results: Results, name: str, t: Array) -> Array:
-    """A recorded signal at times that the run has hit; nan after its end."""
-    index = np.clip(np.searchsorted(results.t, t - 1e-9 * max(1.0, abs(float(t[-1])))), 0, len(results.t) - 1)
-    near = np.abs(results.t[index] - t) <= 2e-9 * max(1.0, abs(float(t[-1])))
-    return np.where(near, np.asarray(results[name])[index], np.nan)
+    """A recorded signal at times that the run has hit; nan after its end.
+
+    The nearest row counts, by NEAR of the spacing of the times: of late clocks the spacing is far below a part of t.
+    """
+    after = np.clip(np.searchsorted(results.t, t), 0, len(results.t) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(results.t[before] - t) < np.abs(results.t[after] - t), before, after)
+    nearest = np.searchsorted(results.t, results.t[nearest])  # the first row of an instant, before its jump
+    step = np.diff(t)
+    spacing = np.minimum(np.r_[step, step[-1]], np.r_[step[0], step])
+    near = np.abs(results.t[nearest] - t) <= NEAR * spacing
+    return np.where(near, np.asarray(results[name])[nearest], np.nan)
 
 
-def _deviation(rest: Array, used: float) -> float:
-    """The deviation of residuals, of whose degrees of freedom this part is used up."""
-    return math.sqrt(float(rest @ rest) / (len(rest) * (1.0 - used))) if used < 1 else math.nan
+def _deviation(rest: Array, spare: float) -> float:
+    """Return the deviation of residuals, by their spare degrees of freedom; nan where there are none."""
+    return math.sqrt(float(rest @ rest) / spare) if spare > 1e-6 else math.nan
+
+
+def _leverages(slopes: Array) -> Array:
+    """Return how many degrees of freedom each residual (n,) gives to the estimates: the diagonal of the hat matrix."""
+    left, singular, _ = np.linalg.svd(slopes, full_matrices=False)
+    return np.asarray(np.sum(left[:, singular > 1e-12 * max(singular, default=0.0)] ** 2, axis=1))
+
+
+def _degrees(slopes: Array, ends: Array, spare: Sequence[float]) -> Array:
+    """Return the degrees of freedom (k,) of the errors, of which each signal gives its part (Satterthwaite).
+
+    A quiet signal of few samples may determine a parameter by itself: its degrees count then, and not those of all.
+    """
+    sizes = np.linalg.norm(slopes, axis=0)
+    shares = np.linalg.pinv(slopes / np.where(sizes > 0, sizes, 1.0)) ** 2
+    parts = np.array([part.sum(axis=1) for part in np.split(shares, ends, axis=1)])
+    with np.errstate(all="ignore"):
+        degrees = parts.sum(axis=0) ** 2 / np.sum(parts**2 / np.maximum(spare, 0.0)[:, None], axis=0)
+    return np.where(np.isfinite(degrees), degrees, float(np.sum(spare)))
+
+
+def _digits(values: Array, errors: Array, *, least: int = DIGITS, more: int = 3) -> list[int]:
+    """Return how many significant digits estimates have: rounding must be far below their errors."""
+    with np.errstate(all="ignore"):
+        needed = np.ceil(np.log10(np.abs(values) / errors)) + more
+    return [int(min(max(each, least), 17)) if np.isfinite(each) else least for each in needed]
 
 
 def _judged(slopes: Array, s: float) -> tuple[Array, Array, list[list[int]]]:
@@ -273,21 +337,56 @@ def alike_faults(names: Sequence[str], groups: Sequence[Sequence[int]]) -> list[
     return faults
 
 
+def _early(diagram: Diagram, t: Array, recorded: Sequence[str], settings: Mapping[str, Any]) -> list[Fault]:
+    """W505 where the run holds the first recorded inputs for a while before the data begin, and nobody asked for it.
+
+    Raises UsageError (E501) where it would do so for far longer than the data last.
+    """
+    if "start" in settings or "start" in diagram.value.run:
+        return []
+    start, first = float(diagram.flatten().settings.start), float(t[0])
+    wait, length = first - start, float(t[-1] - t[0])
+    cure = f"Give start={first!r}, or subtract the first time from all; start={start:g} says that it is meant."
+    if wait > LONG * length:
+        message = f"the data begin at {first:.12g} s and last {length:g} s, and the run begins at {start:g} s."
+        raise UsageError(Fault("E501", "time", message, cure))
+    if not recorded or wait <= 1.5 * float(np.max(np.diff(t))):
+        return []
+    message = (
+        f"the data begin at {first:.12g} s and the run at {start:g} s: it holds the first value of "
+        f"{legible(', '.join(recorded[:3]))} for {wait:g} s."
+    )
+    return [Fault("W505", "time", message, cure)]
+
+
 def _grid(diagram: Diagram, t: Array, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings by which a run hits the times of the data. Raises UsageError (E501)."""
     for key in ("stop", "every", "stops", "log", "inputs"):
         if key in settings:
             raise UsageError(Fault("E501", key, "follows from the data.", "Leave it out."))
-    start = float(settings.get("start", diagram.flatten().settings.start))
+    given = {"start": settings["start"]} if "start" in settings else {}
+    start = float(diagram.flatten(settings=given).settings.start)
     step = np.diff(t)
     if t[0] < start or not np.all(step > 0):
         message = f"times must rise, and begin at {start:g} s or later, when the run begins."
         raise UsageError(Fault("E501", "time", message, "Sort the rows; give start=... for an earlier one."))
     stop = float(t[-1])
-    every = float(f"{(stop - float(t[0])) / len(step):.12g}")
-    first = (float(t[0]) - start) / every
-    is_even = np.allclose(step, every, rtol=1e-6) and abs(first - round(first)) < 1e-6
+    every = _period(t)
+    first = (float(t[0]) - start) / (every or 1.0)
+    is_even = every is not None and abs(first - round(first)) < 1e-6 and first < len(t)
     return {"stop": stop, "every": every, "stops": []} if is_even else {"stop": stop, "stops": t.tolist()}
+
+
+def _period(t: Array) -> float | None:
+    """Return the period of even times, the shortest decimal within their rounding; None where they are uneven."""
+    k, last = np.arange(len(t)), float(t[-1])
+    mean = (last - float(t[0])) / (len(t) - 1)
+    close = 1e-6 * mean + 2 * float(np.spacing(max(abs(last), abs(float(t[0])))))
+    for digits in range(1, 17) if close < 0.5 * NEAR * mean else ():
+        every = float(f"{mean:.{digits}g}")
+        if every > 0 and np.all(np.abs(t - t[0] - every * k) < close):
+            return every
+    return None
 
 
 def _in_si(column: Array, unit: str, flat: Flat, name: str) -> Array:
@@ -304,9 +403,7 @@ def _in_si(column: Array, unit: str, flat: Flat, name: str) -> Array:
         raise UsageError(*(Fault("E501", legible(name), fault.message, fault.cure) for fault in error.faults)) from None
 
 
-def _columns(
-    data: Any, diagram: Diagram, compare: Mapping[str, str]
-) -> tuple[dict[str, Array], dict[str, str]]:
+def _columns(data: Any, diagram: Diagram, compare: Mapping[str, str]) -> tuple[dict[str, Array], dict[str, str]]:
     """The columns of the data that count, as floats, and the units that the data give. Raises UsageError (E501)."""
     place = str(data) if isinstance(data, (str, Path)) else "data"
     given: dict[str, str] = {}
@@ -342,6 +439,12 @@ def _columns(
         if column.shape != columns["time"].shape or column.ndim != 1:
             message = f"has {column.shape} numbers in its column {legible(name)}, and {columns['time'].shape} times."
             raise UsageError(Fault("E501", place, message, "Give one number for each time."))
+    for name, column in columns.items():
+        wrong = np.flatnonzero(np.isinf(column) | (np.abs(column) > LARGEST))
+        if len(wrong) and name != "time":
+            message = f"has {column[wrong[0]]:g} in its column {legible(name)}, row {wrong[0] + 1}."
+            cure = f"Leave out what was not measured, or write nan; numbers may be up to {LARGEST:g}."
+            raise UsageError(Fault("E501", place, message, cure))
     if len(columns["time"]) < 2 or not np.isfinite(columns["time"]).all():
         raise UsageError(Fault("E501", place, "has fewer than two rows, or a time that is no number."))
     return columns, given

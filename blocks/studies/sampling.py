@@ -24,8 +24,8 @@ from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import legible
 
 __all__ = [
-    "SAMPLERS", "Distribution", "Each", "LogUniform", "Normal", "Rows", "Triangular", "TruncatedNormal", "Uniform",
-    "check_draws", "each", "named_values", "rows_of", "seed_of", "unit_points",
+    "SAMPLERS", "Distribution", "Each", "InUnit", "LogUniform", "Normal", "Rows", "Triangular", "TruncatedNormal",
+    "Uniform", "check_draws", "each", "named_values", "rows_of", "seed_of", "unit_points",
 ]  # fmt: skip
 
 Array = np.ndarray[Any, Any]
@@ -122,6 +122,18 @@ class TruncatedNormal(Distribution):
         super().__init__("truncnorm", a=a, b=b, loc=mean, scale=deviation)
 
 
+@dataclass(frozen=True)
+class InUnit:
+    """A distribution whose numbers are in a unit other than that of the parameter."""
+
+    law: Distribution
+    unit: str
+
+    def ppf(self, points: Array) -> Array:
+        """Return values in the unit, as `Distribution.ppf`."""
+        return self.law.ppf(points)
+
+
 def _ratio(a: float, b: float) -> float:
     return a / b if b else math.nan  # which is refused when values are drawn
 
@@ -206,6 +218,9 @@ def rows_of(vary: Any, *, n: int | None, sampler: str, seed: int, expand: Callab
         columns[name] = np.repeat(listed[name][picked], draws)
     if combinations > 1:
         columns |= {name: np.tile(columns[name], combinations) for name in drawn}
+    for name, law in drawn.items():
+        if isinstance(law, InUnit):
+            columns[name] = _column(name, [{"value": x, "unit": law.unit} for x in columns[name].tolist()])
     named = [name for key in vary for name in (expand(key.pattern) if isinstance(key, Each) else [key])]
     return Rows({name: columns[name] for name in named}, combinations * draws, base, warnings)
 

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ..api.varied import columns_of
 from ..model.values import in_unit
 from ..model.variants import taken
+from ..model.varied import columns_of
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.printable import legible
 
-__all__ = ["Space", "units_of_parameters"]
+__all__ = ["DIGITS", "Space", "units_of_parameters"]
 
 Array = np.ndarray[Any, Any]
 FAR_APART = 10.0
@@ -77,12 +77,14 @@ class Space:
         low, high = np.array(bounds, dtype=float).T
         return cls(low, high, (low > 0) & (high >= FAR_APART * low))
 
-    def values(self, cube: Array, digits: int = DIGITS) -> Array:
-        """The values (..., k) of points (..., k) of the cube, with so many significant digits."""
+    def values(self, cube: Array, digits: int | Sequence[int] = DIGITS) -> Array:
+        """The values (..., k) of points (..., k) of the cube, with so many significant digits, or (k,) of them."""
         with np.errstate(all="ignore"):
             logs = self.low * (self.high / self.low) ** cube
         values = np.where(self.is_log, logs, self.low + (self.high - self.low) * cube)
-        values = np.array([float(f"{value:.{digits}g}") for value in values.flat]).reshape(values.shape)
+        counts = np.broadcast_to(digits, values.shape).flat
+        rounded = [float(f"{value:.{count}g}") for value, count in zip(values.flat, counts, strict=True)]
+        values = np.array(rounded).reshape(values.shape)
         clipped: Array = np.clip(values, self.low, self.high)
         return clipped
 

@@ -45,8 +45,9 @@ def _beside_infinite(values: Array, q: Array) -> Array:
     known = np.sort(values[~np.isnan(values)])
     place = (len(known) - 1) * q
     low, high = known[np.floor(place).astype(int)], known[np.ceil(place).astype(int)]
-    with np.errstate(invalid="ignore"):
-        made: Array = np.where(low == high, low, low + (high - low) * (place % 1.0))
+    with np.errstate(invalid="ignore"):  # between -inf and inf there is no value
+        between = np.where(np.isfinite(low), low + (high - low) * (place % 1.0), low + high)
+        made: Array = np.where(low == high, low, between)
     return made
 
 

@@ -13,9 +13,9 @@ from typing import Any, Self
 import numpy as np
 
 from ..api.diagram import Diagram
-from ..api.varied import columns_of
 from ..model.flatten import Flat, element_of
 from ..model.trust import Paths
+from ..model.varied import columns_of
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.grammar import Steps
 from ..text.json_number import Number

@@ -7,8 +7,8 @@ from functools import partial
 from typing import Any
 
 from ..api.diagram import Diagram
-from ..api.varied import columns_of
 from ..model.trust import Paths
+from ..model.varied import columns_of
 from ..results.table import optional
 from ..text.errors import BlocksError, Fault
 from ..text.grammar import Steps

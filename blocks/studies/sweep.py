@@ -239,7 +239,8 @@ class Sweep(Shown):
         """Measures by scenario as a Markdown table: mean, quantiles, and how many rows have no number.
 
         by: varied parameters; then there is a row for each combination of their values, with the median of each
-        measure. Raises UsageError (E501).
+        measure, and how many runs there are, how many of them failed, and how many lack a number in some measure.
+        Raises UsageError (E501).
         """
         from .sweep_tables import markdown
 

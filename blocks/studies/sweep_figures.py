@@ -38,8 +38,12 @@ _HEIGHT = 2.4  # inches of a row of panels
 _MOST_BINS = 60
 _MOST_VALUES = 60
 """Of a column in a heat map whose values make its cells; of more, cells are ranges."""
+_MOST_TICKS = 12
+"""Of a grid by distances whose every value has a tick."""
 _MOST_LINES = 8
 """Rows that failed, drawn up to where they ended."""
+_FLAT = 20.0
+"""Bands are cut where they are so many times as high as those of the middle half of the rows."""
 _MANY = 3000
 """Points that an SVG holds as a picture."""
 
@@ -73,6 +77,8 @@ def plot(
     bins: int | None = None,
 ) -> Any:
     """What `Sweep.plot` does. kind: of SWEEP_FIGURES, where it does not follow from the names."""
+    if bins is not None and (isinstance(bins, bool) or not isinstance(bins, int | np.integer) or not 0 < bins <= 1000):
+        raise UsageError(Fault("E501", "bins", f"is {legible(repr(bins))}.", "Give an integer from 1 to 1000."))
     wanted = _names(sweep.signals or sweep.measures if what is None else what)
     others = _names(() if against is None else against)
     chosen = _kind(sweep, wanted, others, kind)
@@ -187,6 +193,7 @@ def _bands(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], singles: i
                 axis.fill_between([], [], [], color=part.color, linewidth=0, label=plain(of + label), **look)
         for part in rows:
             _band(axis, sweep.t, values[part.index], part, 0 if several else singles)
+        _keep_scale(axis, [values[part.index[part.is_ok]] for part in rows])
         _lines_of_failed(axis, sweep.t, values, rows)
         axis.set_ylabel(_label(sweep, name))
         axis.margins(x=0.0)
@@ -223,6 +230,24 @@ def _band(axis: Any, t: Array, values: Array, part: _Rows, singles: int) -> None
     label = plain(f"{part.name}: median" if part.name and not singles else "median")
     width = 2.0 if part.name and part.pattern == "-" else 1.4  # what lies on it leaves its edges free
     axis.plot(t, level[2], color=part.color, linestyle=part.pattern, linewidth=width, label=label)
+
+
+def _keep_scale(axis: Any, values: Sequence[Array]) -> None:
+    """Let what runs away leave the axes, where it would make a line of the middle half of the rows. values: (n, g)."""
+    levels = [quantiles(each, np.array([0.25, 0.75])) for each in values if len(each)]
+    inner = np.concatenate([level[np.isfinite(level)] for level in levels]) if levels else np.empty(0)
+    if not len(inner):
+        return
+    low, high = float(inner.min()), float(inner.max())
+    bottom, top = axis.get_ylim()
+    if not 0 < _FLAT * (high - low) < top - bottom:
+        return
+    reach = high - low
+    seen = np.concatenate([each[np.isfinite(each)] for each in values])
+    least, most = float(seen.min()), float(seen.max())
+    axis.set_ylim(max(least - 0.05 * reach, low - reach), min(most + 0.05 * reach, high + reach))
+    ends = [f"{end:.3g}" for end in (least, most) if not low - reach <= end <= high + reach]
+    axis.set_title(f"values outside of the axes: up to {' and '.join(ends)}", fontsize=SMALL, loc="right", color=BAD)
 
 
 def _lines_of_failed(axis: Any, t: Array, values: Array, rows: Sequence[_Rows]) -> None:
@@ -394,22 +419,41 @@ def _spread(x: Array, labels: list[str] | None) -> Array:
 
 
 def _is_geometric(x: Array) -> bool:
-    """Whether the values of a column stand at even ratios, and over more than a decade."""
+    """Return whether a column is spaced by ratios: exactly, or over a decade and more evenly than by distances."""
     values = np.unique(x[np.isfinite(x)])
-    if len(values) < 4 or len(values) > _MOST_VALUES or values[0] <= 0 or values[-1] < 10 * values[0]:
+    if len(values) > _MOST_VALUES:  # draws: their quantiles show how even they are
+        values = np.unique(np.quantile(x[np.isfinite(x)], np.linspace(0.0, 1.0, 9)))
+    if len(values) < 3 or values[0] <= 0:
         return False
-    ratios = np.diff(np.log(values))
-    return bool(np.ptp(ratios) <= 0.05 * ratios.mean())
+    by_ratio, by_distance = (float(np.ptp(s) / s.mean()) for s in (np.diff(np.log(values)), np.diff(values)))
+    reach = values[-1] / values[0]
+    return by_ratio < by_distance and (reach > 9.99 or (by_ratio < 0.05 and reach > 3.99))
 
 
 def _by_ratios(axis: Any) -> None:
-    """A logarithmic axis with plain numbers."""
+    """Make an axis logarithmic, with plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def _ticks_on_grid(axis: Any, values: Array, edges: Array, *, is_log: bool, least: float) -> None:
+    """Put the ticks of an axis on the values of a grid; `least`: the shortest distance of two, in parts of the axis."""
+    places, (low, high) = (np.log(x) if is_log else x for x in (values, edges[[0, -1]]))
+    with np.errstate(all="ignore"):
+        is_decade = is_log & (np.abs(np.log10(values) % 1.0 - 0.5) > 0.5 - 1e-9)
+    shown: list[int] = []
+    for k in np.argsort(~is_decade, kind="stable").tolist():  # powers of ten come first
+        if all(abs(places[k] - places[other]) >= least * (high - low) for other in shown):
+            shown.append(k)
+    shown.sort()
+    digits = next((n for n in range(3, 17) if len({f"{x:.{n}g}" for x in values}) == len(values)), 17)
+    texts = [f"{float(f'{x:.{digits}g}'):.{max(digits, 5)}g}" for x in values[shown]]
+    axis.set_ticks(values[shown], texts)
+    axis.set_ticks([], minor=True)
 
 
 # --- over two parameters ---------------------------------------------------------------------------------------------
@@ -429,11 +473,10 @@ def _heat_maps(
         shown = values[np.concatenate([part.index for part in rows])]
         shown = shown[np.isfinite(shown)]
         limits, extend = _color_limits(shown)
-        # By ratios, where one row that runs away would leave all others one color.
-        norm = (LogNorm if 0 < 100 * limits[0] < limits[1] else Normalize)(*limits)
+        norm = (LogNorm if _is_by_ratios(shown, limits) else Normalize)(*limits)
         for j, part in enumerate(rows):
             axis = axes[i, j]
-            image = _heat_map(axis, sweep, values, against, part, bins, norm)
+            image = _heat_map(axis, sweep, values, against, part, bins, norm, 0.09 * min(across, 2))
             if across > 1:
                 axis.set_title(plain(part.name), fontsize=9, loc="left")
             axis.set_xlabel(_label(sweep, against[0]))
@@ -464,23 +507,35 @@ def _color_limits(values: Array) -> tuple[tuple[float, float], str]:
     return limits, ("neither", "min", "max", "both")[is_low + 2 * is_high]
 
 
+def _is_by_ratios(values: Array, limits: tuple[float, float]) -> bool:
+    """Return whether colors go by ratios: where by distances, as beside a row that runs away, most have one color."""
+    low, high = limits
+    if not 0 < 100 * low < high:
+        return False
+    middle = float(np.clip(np.median(values), low, high))
+    return bool(abs(np.log(middle / low) / np.log(high / low) - 0.5) <= abs((middle - low) / (high - low) - 0.5))
+
+
 def _heat_map(
     axis: Any, sweep: Sweep, values: Array, against: tuple[str, str], part: _Rows, bins: int | None,
-    norm: Any,
+    norm: Any, least: float,
 ) -> Any:  # fmt: skip
-    """The median of each cell; a cross where a row of it has no number."""
+    """The median of each cell; a cross where a row of it has no number. least: the distance of ticks along x."""
     axis.grid(False)
     edges, places, middles = [], [], []
     for name, along, ticks in zip(against, (axis.xaxis, axis.yaxis), (axis.set_xticks, axis.set_yticks), strict=True):
         numbers, labels = _numbers(column(sweep, name)[part.index])
-        cell = _cells(numbers, bins, len(part.index), is_named=labels is not None)
+        is_log = labels is None and _is_geometric(numbers)
+        cell = _cells(numbers, bins, len(part.index), is_named=labels is not None, is_log=is_log)
         edges.append(cell[0])
         middles.append(cell[1])
         places.append(np.clip(np.searchsorted(cell[0], numbers, side="right") - 1, 0, len(cell[1]) - 1))
-        if _is_geometric(numbers):
+        if is_log:
             _by_ratios(along)
         if labels is not None:
             ticks(range(len(labels)), labels)
+        elif cell[2] and (is_log or len(cell[1]) <= _MOST_TICKS):
+            _ticks_on_grid(along, cell[1], cell[0], is_log=is_log, least=0.06 if along is axis.yaxis else least)
     shape = len(middles[1]), len(middles[0])
     flat = places[1] * shape[1] + places[0]
     own = values[part.index]
@@ -508,21 +563,21 @@ def _heat_map(
     return image
 
 
-def _cells(values: Array, bins: int | None, rows: int, *, is_named: bool) -> tuple[Array, Array]:
-    """The edges of the cells along one axis, and their middles: one for each value, or ranges of many values."""
+def _cells(values: Array, bins: int | None, rows: int, *, is_named: bool, is_log: bool) -> tuple[Array, Array, bool]:
+    """The edges of the cells along an axis, their middles, and whether these are the values, or else ranges of many."""
     known = np.unique(values[np.isfinite(values)])
     if not len(known):
-        return np.array([0.0, 1.0]), np.array([0.5])
-    if len(known) > _MOST_VALUES or (bins is not None and not is_named):
-        count = bins if bins is not None else int(np.clip((rows / 10) ** 0.5, 4, 40))
-        edges = np.linspace(known[0], known[-1], count + 1)
-        return edges, (edges[:-1] + edges[1:]) / 2
+        return np.array([0.0, 1.0]), np.array([0.5]), False
     if len(known) == 1:
         reach = 0.5 if is_named else 0.5 * abs(float(known[0])) or 0.5
-        return np.array([known[0] - reach, known[0] + reach]), known
+        return np.array([known[0] - reach, known[0] + reach]), known, True
     to: Callable[[Array], Array]
     of: Callable[[Array], Array]
-    to, of = (np.log, np.exp) if _is_geometric(known) else (np.asarray, np.asarray)
+    to, of = (np.log, np.exp) if is_log else (np.asarray, np.asarray)
     at = to(known)
+    if len(known) > _MOST_VALUES or (bins is not None and not is_named):
+        count = bins if bins is not None else int(np.clip((rows / 10) ** 0.5, 4, 40))
+        edges = np.linspace(at[0], at[-1], count + 1)
+        return of(edges), of((edges[:-1] + edges[1:]) / 2), False
     inner = (at[:-1] + at[1:]) / 2
-    return of(np.concatenate([[at[0] - (inner[0] - at[0])], inner, [at[-1] + (at[-1] - inner[-1])]])), known
+    return of(np.concatenate([[at[0] - (inner[0] - at[0])], inner, [at[-1] + (at[-1] - inner[-1])]])), known, True

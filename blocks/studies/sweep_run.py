@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..api.batch import Batch, BatchRows
-from ..api.varied import each_of
 from ..model.diagram import check_name
 from ..model.diagram_grammar import MEASURE_UNITS
 from ..model.flatten import Flat, element_of
@@ -26,6 +25,7 @@ from ..model.raw_values import raw_of
 from ..model.trust import Paths
 from ..model.values import in_unit
 from ..model.variants import taken
+from ..model.varied import each_of
 from ..text import units as unit_texts
 from ..text.errors import Fault, UsageError
 from ..text.live_line import in_rows, live_line

@@ -47,7 +47,7 @@ def _by_measure(sweep: Sweep, q: Array) -> Iterator[list[Cell]]:
 
 def _by_values(sweep: Sweep, names: Sequence[str]) -> Iterator[list[Cell]]:
     first = ["scenario"] if sweep.scenarios else []
-    yield [*first, *(_with_unit(sweep, name) for name in (*names, *sweep.measures)), "runs", "failed"]
+    yield [*first, *(_with_unit(sweep, name) for name in (*names, *sweep.measures)), "runs", "failed", "without"]
     for scenario, part in sweep.each_scenario():
         groups: dict[tuple[Any, ...], list[int]] = {}
         for i, values in enumerate(zip(*(part.varied[name].tolist() for name in names), strict=True)):
@@ -55,7 +55,10 @@ def _by_values(sweep: Sweep, names: Sequence[str]) -> Iterator[list[Cell]]:
         for values, rows in sorted(groups.items()) if _are_sortable(groups) else groups.items():
             medians = [float(quantiles(column[rows], np.array([0.5]))[0]) for column in part.measures.values()]
             failed = int(np.count_nonzero(part.status[rows] != "ok"))
-            yield [*([scenario] if first else []), *values, *medians, f"{len(rows)}", f"{failed}"]
+            # A run may reach its end where a measure has no number, as margins of a loop that is unstable.
+            missing = np.any([np.isnan(column[rows]) for column in part.measures.values()], axis=0)
+            counts = f"{len(rows)}", f"{failed}", f"{np.count_nonzero(missing)}"
+            yield [*([scenario] if first else []), *values, *medians, *counts]
 
 
 def _are_sortable(groups: dict[tuple[Any, ...], list[int]]) -> bool:

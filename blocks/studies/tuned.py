@@ -34,18 +34,23 @@ class Candidates:
 
     values: (n, k). objective: (n,), nan where there is none. excess: (n,), the sum of the violations of all
     constraints, each in parts of its limit; 0 where all hold. status: (n,) of `blocks.api.batch.STATUSES`: the first
-    one over the scenarios that is not "ok".
+    one over the scenarios that is not "ok". steps: (n,) of all scenarios. messages: (n,), why some measure has
+    no number, "" otherwise.
     """
 
     values: Array
     objective: Array
     excess: Array
     status: Array
+    steps: Array
+    messages: Array
 
     @classmethod
     def joined(cls, parts: Sequence[Candidates], k: int) -> Candidates:
         if not parts:
-            return cls(np.empty((0, k)), np.empty(0), np.empty(0), np.empty(0, dtype="<U8"))
+            nothing = np.empty(0)
+            texts, steps = np.empty(0, dtype=object), np.empty(0, dtype=np.int64)
+            return cls(np.empty((0, k)), nothing, nothing, np.empty(0, dtype="<U8"), steps, texts)
         fields = (np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__)
         return cls(*fields)
 

@@ -17,6 +17,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -34,6 +35,7 @@ from .optimizers import METHODS, Spent
 from .search_space import Space, units_of_parameters
 from .sweep_run import units_of_measures
 from .tuned import Candidates, Condition, Tuning
+from .tuning_part import TuningPart
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
@@ -54,10 +56,16 @@ EFFORT = ("ISU", "total_variation")
 
 
 def tune(
-    diagram: Diagram, *, threads: int | None = None, progress: Callable[[int, int], None] | None = None, **asked: Any
+    diagram: Diagram,
+    *,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    out: str | Path | None = None,
+    resume: bool = True,
+    **asked: Any,
 ) -> Tuning:
     """What `Diagram.tune` gives; its other arguments are those of `problem_of`."""
-    return problem_of(diagram, **asked).solve(threads=threads, progress=progress)
+    return problem_of(diagram, **asked).solve(threads=threads, progress=progress, out=out, resume=resume)
 
 
 @dataclass(frozen=True)
@@ -77,10 +85,25 @@ class Problem:
     given: Mapping[str, Any]
     warnings: tuple[Fault, ...]
 
-    def solve(self, *, threads: int | None = None, progress: Callable[[int, int], None] | None = None) -> Tuning:
-        """Run the optimiser. Raises UsageError (E501) where no candidate has a number."""
-        with live_line(progress, in_rows("candidates")) as told:
-            return self._solved(_Search(self, threads, told))
+    def solve(
+        self,
+        *,
+        threads: int | None = None,
+        progress: Callable[[int, int], None] | None = None,
+        out: str | Path | None = None,
+        resume: bool = True,
+    ) -> Tuning:
+        """Run the optimiser. Raises UsageError (E501) where no candidate has a number; as `SweepPart` for `out`."""
+        part = None if out is None else TuningPart(self, out, resume=resume)
+        try:
+            with live_line(progress, in_rows("candidates")) as told:
+                tuning = self._solved(_Search(self, threads, told, part))
+            if part is not None:
+                part.end(tuning.history, interrupted=tuning.interrupted)
+        finally:
+            if part is not None:
+                part.close()
+        return tuning
 
     def _solved(self, search: _Search) -> Tuning:
         start = self.space.cube(np.array(self.batch.nominal))
@@ -249,8 +272,14 @@ def _limits_effort(problem: Problem, needed: Mapping[str, Sequence[str]]) -> boo
 class _Search:
     """The candidates of a tuning, as far as they are there; called with a generation it gives the fitness."""
 
-    def __init__(self, problem: Problem, threads: int | None, progress: Callable[[int, int], None] | None) -> None:
-        self.problem, self.threads, self.progress = problem, threads, progress
+    def __init__(
+        self,
+        problem: Problem,
+        threads: int | None,
+        progress: Callable[[int, int], None] | None,
+        part: TuningPart | None = None,
+    ) -> None:
+        self.problem, self.threads, self.progress, self.part = problem, threads, progress, part
         before = measured(problem.before)
         self.base = float(problem.objective.values(before)[0])
         self.scales = [constraint.scale(before) for constraint in problem.constraints]
@@ -268,7 +297,11 @@ class _Search:
         """The fitness (n,) of points (n, k). Raises Spent."""
         left = self.problem.budget - self.count
         values = self.problem.space.values(np.asarray(cube, dtype=float)[:left])
-        candidates = self.run(values)
+        kept = None if self.part is None else self.part.next(values)
+        candidates = self.run(values) if kept is None else kept
+        if self.part is not None and kept is None and not self.is_interrupted:
+            self.part.add(candidates)
+        self.why = self.why or next(filter(None, candidates.messages), "")
         self.made.append(candidates)
         self.count += len(values)
         if self.is_interrupted or self.count >= self.problem.budget:
@@ -283,6 +316,8 @@ class _Search:
         """Candidates (n, k), run in every scenario. counts: towards the budget, as progress tells it."""
         n = len(values)
         status = np.full(n, "ok", dtype="<U8")
+        messages = np.full(n, "", dtype=object)
+        steps = np.zeros(n, dtype=np.int64)
         measured = {
             name: {measure: np.full(n, np.nan) for measure in batch.measures}
             for name, batch in self.problem.batches.items()
@@ -299,7 +334,9 @@ class _Search:
                 measure: np.where(rows.status == "ok", column, np.nan) for measure, column in rows.measures.items()
             }
             status = np.where(status == "ok", rows.status, status)
-            self.why = self.why or next((text for text in rows.messages if text and not text.startswith("W504")), "")
+            steps = steps + rows.steps
+            texts = ["" if text.startswith("W504") else text for text in rows.messages]
+            messages = np.where(messages == "", np.array(texts, dtype=object), messages)
             if rows.interrupted:
                 self.is_interrupted = True
                 status = np.where(status == "ok", "left", status)
@@ -310,7 +347,7 @@ class _Search:
             excess = excess + constraint.excess(measured, scale)
         is_fine = (status == "ok") & np.isfinite(objective) & np.isfinite(excess)
         objective = np.where(is_fine, objective, np.nan)
-        return Candidates(values, objective, np.where(is_fine, excess, np.nan), status)
+        return Candidates(values, objective, np.where(is_fine, excess, np.nan), status, steps, messages)
 
     def tuning(self) -> Tuning:
         """What was found. Raises UsageError (E501) where no candidate has a number."""
@@ -350,7 +387,8 @@ class _Search:
             conditions=tuple(conditions),
             sensitivities={} if self.is_interrupted or (is_kept and not has_own) else self.sensitivities(values),
             history=history, warnings=problem.warnings, interrupted=self.is_interrupted, is_kept=is_kept,
-            targets=named(batch.targets), why="" if index is not None else self.why,
+            targets=named(batch.targets), variants=dict(problem.given["variants"] or {}),
+            why="" if index is not None else self.why,
         )  # fmt: skip
 
     def sensitivities(self, values: Array) -> dict[str, tuple[float, float]]:

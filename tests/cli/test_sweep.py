@@ -18,6 +18,7 @@ from blocks import Diagram, Distribution, LogUniform, Normal, Sweep, TruncatedNo
 from blocks.cli import main
 from blocks.cli.sweep import scenarios_of, vary_of
 from blocks.compile.toolchain.compiler import find_compiler
+from blocks.studies.sampling import InUnit
 from tests.support.places import ROOT
 
 MOTOR = str(ROOT / "diagrams" / "motor_pid.json")
@@ -41,6 +42,27 @@ def test_what_varies_is_read_from_words() -> None:
     }  # fmt: skip
 
 
+def test_numbers_of_ranges_and_distributions_have_units(capsys: pytest.CaptureFixture[str]) -> None:
+    words = [
+        "a=normal:160 mOhm,10 mOhm", "b=normal:160 mOhm,0.01 Ohm", "c=truncatednormal:160 mOhm,10 mOhm,0 Ohm,inf",
+        "d=lognorm:s=0.3,scale=160 mOhm", "e=linspace:100 mOhm,0.2 Ohm,3", "f=truncatednormal:1,2,-inf,3",
+        "g=normal:20 degC,2 degC",
+    ]  # fmt: skip
+    assert vary_of(words) == {
+        "a": InUnit(Normal(160, 10), "mOhm"), "b": InUnit(Normal(160, 10), "mOhm"),
+        "c": InUnit(TruncatedNormal(160, 10, 0), "mOhm"),
+        "d": InUnit(Distribution("lognorm", s=0.3, scale=160), "mOhm"),
+        "e": [{"value": value, "unit": "mOhm"} for value in (100.0, 150.0, 200.0)],
+        "f": TruncatedNormal(1, 2, -np.inf, 3), "g": InUnit(Normal(20, 2), "degC"),
+    }  # fmt: skip
+    rows = ["--n", "3", "--seed", "5", "--measure", "ITAE", "--stop", "0.1", "--vary"]
+    drawn = []
+    for law in ("motor.Ra=normal:160 mOhm,10 mOhm", "motor.Ra=normal:0.16,0.01"):
+        assert main(["sweep", MOTOR, *rows, law]) == 0
+        drawn.append(next(line for line in capsys.readouterr().out.splitlines() if "motor.Ra" in line))
+    assert drawn[0] == drawn[1]
+
+
 @pytest.mark.parametrize(
     ("word", "said"),
     [
@@ -53,7 +75,17 @@ def test_what_varies_is_read_from_words() -> None:
         ("a=10:20:5", "E501 --vary a: '10:20:5' is not a number, nor .* A range is linspace:FROM,TO,COUNT"),
         ("a=normal:20,-2", "E501 --vary a: 'normal:20,-2' has no values .*: the deviation -2 is not above 0"),
         ("a=uniform:30,10", "E501 --vary a: 'uniform:30,10' .*: 30 is not below 10. Give LOW before HIGH"),
-        ("a=normal:1,200 mOhm", "Numbers are in the unit of the parameter"),
+        ("a=normal:1,200 mOhm", "'1' needs a unit, because others have one"),
+        ("a=normal:1 Ohm,b", "'b' is not a number. Numbers are in the unit of the parameter, or have a unit"),
+        ("a=linspace:1 V,2 V,3 V", "'3 V' must be a number without a unit"),
+        ("a=lognorm:s=0.3 V,scale=2 V", "'0.3 V' must be a number without a unit"),
+        ("a=normal:20 degC,2 K", "degC and K have different zeros"),
+        ("a=normal:1 rpm,1 Ohm", "E501 --vary a: Ohm and rpm are different quantities. Give all numbers in rpm"),
+        ("a=1,,2", "E501 --vary a: '1,,2' has no value between two commas"),
+        ("a=1,2,", "has no value behind its last comma"),
+        ("a=[1],,[2]", r"E501 --vary a: '\[1\],,\[2\]' is not a list of vectors"),
+        ("a=@x.csv", "E501 --vary a: '@x.csv': values are not read from a file"),
+        ("a=1,two,3", "E501 --vary a: 'two' is not a number, and others are"),
     ],
 )
 def test_words_that_say_nothing_are_refused(word: str, said: str) -> None:

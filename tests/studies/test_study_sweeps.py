@@ -100,6 +100,8 @@ def test_rows_without_a_number_keep_no_limit() -> None:
     assert statistic_of(lost, ("quantile", 1.0), ("at_most", 3.0)) == np.inf
     assert statistic_of(lost, ("quantile", 0.0), ("at_least", 0.5)) == -np.inf
     assert statistic_of(lost, ("quantile", 0.5), ("at_most", 3.0)) == 1.5
+    assert statistic_of(lost, ("quantile", 0.1), ("at_least", 0.5)) == -np.inf, "between a row that failed and a number"
+    assert statistic_of(lost, ("quantile", 0.9), ("at_most", 3.0)) == np.inf
     assert np.isnan(statistic_of(lost, ("mean", np.nan), ("at_most", 3.0)))
     # Loops that bear any gain.
     assert statistic_of(np.array([1.0, 2.0, np.inf]), ("quantile", 0.5), None) == 2.0

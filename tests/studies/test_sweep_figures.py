@@ -101,6 +101,12 @@ def test_one_outlier_does_not_take_the_colors_of_a_heat_map() -> None:
         assert (mesh.norm.vmin, mesh.norm.vmax, mesh.colorbar.extend) == (1.0, 10.0, extend)
 
 
+@pytest.mark.parametrize("bins", [0, -3, 2.5, True, 10_000])
+def test_a_number_of_bins_is_refused_where_it_is_none(bins: Any) -> None:
+    with pytest.raises(UsageError, match="bins: is"):
+        made().plot("ITAE", bins=bins)
+
+
 @pytest.mark.parametrize("is_even", [True, False], ids=["ratios", "distances"])
 def test_a_heat_map_has_a_cell_for_each_point_of_a_grid(is_even: bool) -> None:
     a, b = np.arange(1.0, 5.0), np.geomspace(1, 1000, 4) if is_even else np.array([1.0, 2.0, 4.0, 7.0])
@@ -118,6 +124,66 @@ def test_a_heat_map_has_a_cell_for_each_point_of_a_grid(is_even: bool) -> None:
     marks = {line.get_label(): (line.get_xdata()[0], line.get_ydata()[0]) for line in axis.lines}
     assert marks == {"rows without a number": (4.0, b[0]), "no limit": (2.0, b[1])}
     assert (axis.get_yscale() == "log") is is_even
+
+
+def mapped(a: Any, b: Any) -> Any:
+    """The axes of a heat map over a grid of a and b."""
+    x, y = (each.ravel() for each in np.meshgrid(a, b))
+    n = len(x)
+    sweep = replace(made(), varied={"b0": x, "omega_o": y}, measures={"gm": np.log(x * y + 2)}, number=np.arange(n),
+                    scenario=np.zeros(n, dtype=int), status=np.full(n, "ok"))  # fmt: skip
+    return plot(sweep, "gm", against=("b0", "omega_o")).axes[0]
+
+
+@pytest.mark.parametrize(
+    ("values", "scale", "ticks"),
+    [
+        (np.geomspace(0.1, 10, 5), "log", "0.1 0.316 1 3.16 10"),
+        (np.array([1.0, 2.0, 4.0, 8.0]), "log", "1 2 4 8"),
+        (np.array([0.3, 1.0, 3.0]), "log", "0.3 1 3"),
+        (np.array([1.0, 10.0, 100.0, 1000.0]), "log", "1 10 100 1000"),
+        (np.array([0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0]), "log", "0.1 0.2 0.5 1 2 5 10"),
+        (np.array([1.0001, 1.0002, 1.0003]), "linear", "1.0001 1.0002 1.0003"),
+        (np.array([10.0, 20.0, 40.0, 70.0]), "linear", "10 20 40 70"),
+        (np.array([0.0, 0.01, 0.02, 1.0]), "linear", "0 1"),
+        (np.geomspace(1, 1e3, 31), "log", "1 10 100 1000"),
+    ],
+)
+def test_a_heat_map_has_its_ticks_on_the_grid(values: Any, scale: str, ticks: str) -> None:
+    axis = mapped(values, np.array([1.0, 2.0]))
+    assert axis.get_xscale() == scale
+    texts = [label.get_text() for label in axis.get_xticklabels()]
+    assert set(ticks.split()) <= set(texts)
+    assert set(axis.get_xticks()) <= set(values)
+    assert len(axis.get_xticks(minor=True)) == 0
+    edges = axis.transData.transform(np.column_stack([[*axis.get_xlim()], [1.0, 1.0]]))[:, 0]
+    places = axis.transData.transform(np.column_stack([axis.get_xticks(), np.ones(len(texts))]))[:, 0]
+    assert np.diff(places).min() >= 0.0899 * (edges[1] - edges[0]), "labels do not overlap"
+
+
+@pytest.mark.parametrize("is_log", [True, False])
+def test_ranges_of_draws_are_even_on_the_axis_on_which_the_draws_are(is_log: bool) -> None:
+    draw = np.random.default_rng(1).uniform(0, 5, 400)
+    x = np.exp(draw) if is_log else 1 + draw
+    sweep = replace(made(), varied={"b0": x, "omega_o": np.arange(400) % 3 + 1.0}, measures={"gm": x},
+                    number=np.arange(400), scenario=np.zeros(400, dtype=int), status=np.full(400, "ok"))  # fmt: skip
+    axis = plot(sweep, "gm", against=("b0", "omega_o"), bins=6).axes[0]
+    assert (axis.get_xscale() == "log") is is_log
+    edges = axis.collections[0].get_coordinates()[0, :, 0]
+    assert np.ptp(np.diff(np.log(edges) if is_log else edges)) < 1e-12
+
+
+def test_bands_keep_their_scale_beside_rows_that_run_away() -> None:
+    sweep = made(n=40)
+    y = sweep.signals["plant.y"].copy()
+    y[20:23] = -np.exp(np.linspace(0, 60, 41))  # they reach their end
+    figure = plot(replace(sweep, signals={"plant.y": y}), "plant.y")
+    low, high = figure.axes[0].get_ylim()
+    assert -0.4 < low < 0 < 0.25 < high < 0.6
+    assert "values outside of the axes: up to -1.14e+26" in texts(figure)
+    assert "outside" not in texts(plot(sweep, "plant.y"))
+    still = np.where(np.arange(40) % 10 == 0, 1.0, 0.0)[:, None] * np.ones(41)
+    assert plot(replace(sweep, signals={"plant.y": still}), "plant.y").axes[0].get_ylim()[1] >= 1.0
 
 
 def test_scenarios_stand_beside_each_other_and_all_figures_are_written(tmp_path: Path) -> None:
@@ -165,8 +231,16 @@ def test_tables_tell_means_and_quantiles_by_scenario_and_medians_by_value() -> N
     assert second.startswith("| quiet | _gm |  | ∞ |")
     assert len(rest) == 2
     by = made().markdown(by="case").splitlines()
-    assert by[0] == "| case | ITAE [m.s2] | _gm | runs | failed |"
-    assert [line.split(" | ")[-2:] for line in by[2:]] == [["100", "1 |"], ["100", "1 |"]]
+    assert by[0] == "| case | ITAE [m.s2] | _gm | runs | failed | without |"
+    assert [line.split(" | ")[-3:] for line in by[2:]] == [["100", "1", "1 |"], ["100", "1", "1 |"]]
+    gm = np.where(np.arange(200) % 4 < 2, np.nan, 2.0)  # runs that reach their end, of loops that are unstable
+    unstable = replace(made(), measures={"gm": gm})
+    assert [line.split(" | ")[-4:] for line in unstable.markdown(by="case").splitlines()[2:]] == [
+        ["2", "100", "1", "50 |"]
+    ] * 2
+    assert [line.split(" & ")[-3:] for line in unstable.latex(by="case").splitlines()[4:6]] == [
+        ["100", "1", r"50 \\"]
+    ] * 2
     tex = made().latex(q=[0.05]).splitlines()
     assert tex[0] == r"\begin{tabular}{llrrrr}"
     assert tex[2] == r"measure & unit & mean & 5 \% & runs & without \\"

@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from blocks import Constant, Diagram, FirstOrder, Gain, Integrator, ModelError, Mux, Noise, Step, Sum, UsageError
+from blocks import Constant, Diagram, FirstOrder, Gain, Integrator, ModelError, Mux, Noise, Step, Sum, Sweep, UsageError
 from blocks.api.batch import Batch, BatchRows
 from blocks.cli import main
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.studies import study
 from blocks.studies.objectives import constraints_of, objective_of
+from blocks.studies.sweep_file import SweepPart
 from tests.support.places import ROOT
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
@@ -73,9 +75,119 @@ def test_the_minimum_of_rosenbrocks_function_is_found(method: str, budget: int, 
 
 
 @pytest.mark.parametrize("method", ["cma", "de"])
+def test_a_tuning_that_was_killed_goes_on_to_the_bytes_of_one_that_never_stopped(
+    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, calls: list[tuple[int, Any]]
+) -> None:
+    given: dict[str, Any] = {
+        "minimize": "f", "over": BOX, "method": method, "budget": 60, "subject_to": ["f >= 0.5"], **SHORT
+    }  # fmt: skip
+    whole = rosenbrock().tune(**given, out=tmp_path / "whole.parquet")
+    wanted, run, left = len(calls), Batch.__call__, 3
+
+    def killed(self: Batch, table: Any, **options: Any) -> BatchRows:
+        nonlocal left
+        if not left:
+            raise MemoryError
+        left -= 1
+        return run(self, table, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Batch, "__call__", killed)
+        with pytest.raises(MemoryError):
+            rosenbrock().tune(**given, out=tmp_path / "some.parquet")
+    part = tmp_path / "some.parquet.part"
+    assert len(Sweep.load(part)) == 3 * calls[0][0]
+    with part.open("ab") as stream:
+        stream.write(b"half a generation")
+    with pytest.raises(UsageError, match=r"E506 .* differs in its optimiser seed"):
+        rosenbrock().tune(**given, seed=9, out=tmp_path / "some.parquet")
+    calls.clear()
+    tuning = rosenbrock().tune(**given, out=tmp_path / "some.parquet")
+    assert len(calls) == wanted - 3
+    assert (tuning.values, tuning.objective, tuning.sensitivities) == (
+        whole.values, whole.objective, whole.sensitivities,
+    )  # fmt: skip
+    assert (tmp_path / "some.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
+    assert not part.exists()
+    kept = Sweep.load(tmp_path / "some.parquet")
+    assert kept.number.tolist() == list(range(60))
+    assert np.array_equal(kept.measures["objective"], tuning.history.objective)
+    assert np.array_equal(kept.varied["y"], tuning.history.values[:, 1])
+
+
+def test_a_tuning_that_ctrl_c_ended_keeps_its_part_and_begins_anew_where_that_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, calls: list[tuple[int, Any]]
+) -> None:
+    given: dict[str, Any] = {"minimize": "f", "over": BOX, "budget": 30, "out": tmp_path / "c.parquet", **SHORT}
+    run, left = Batch.__call__, 2
+
+    def interrupted(self: Batch, table: Any, **options: Any) -> BatchRows:
+        nonlocal left
+        left -= 1
+        rows = run(self, table, **options)
+        return replace(rows, interrupted=True, status=np.full(len(table), "left", dtype="<U8")) if left < 0 else rows
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Batch, "__call__", interrupted)
+        first = rosenbrock().tune(**given)
+    assert first.interrupted
+    assert first.ran == 2 * calls[0][0]
+    assert Sweep.load(tmp_path / "c.parquet").interrupted
+    calls.clear()
+    assert rosenbrock().tune(**given, resume=False).ran == 30
+    assert sum(count for count, _ in calls) == 30 + 5, "and those of the sensitivities"
+    assert not (tmp_path / "c.parquet.part").exists()
+
+
+def test_the_command_keeps_candidates_in_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = tmp_path / "f.json", tmp_path / "c.parquet"
+    rosenbrock().save(path)
+    words = [
+        "tune",
+        str(path),
+        "--minimize",
+        "f",
+        "--over",
+        "x=-2,2",
+        "--budget",
+        "12",
+        "--stop",
+        "0.01",
+        "--method",
+        "de",
+    ]
+    assert main([*words, "--out", str(out)]) == 0
+    assert f"12 candidates in {out}" in capsys.readouterr().out
+    assert len(Sweep.load(out)) == 12
+    assert main([*words, "--out", str(path)]) == 2
+    assert "E501" in capsys.readouterr().err
+    with SweepPart(tmp_path / "d.parquet", {}, resume=True).stream as stream:
+        stream.write(b"something")
+    assert main([*words, "--out", str(tmp_path / "d.parquet")]) == 2
+    assert "E506" in capsys.readouterr().err
+
+
+def test_the_part_of_another_release_of_the_optimiser_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: dict[str, Any] = {"minimize": "f", "over": BOX, "budget": 30, "out": tmp_path / "c.parquet", **SHORT}
+    with monkeypatch.context() as patch:
+        patch.setattr("blocks.studies.sweep_file.SweepPart.end", lambda *_: None)
+        rosenbrock().tune(**given)
+    monkeypatch.setattr("blocks.studies.optimizers.SPREAD", 0.25)
+    with pytest.raises(UsageError, match=r"E506 .*c\.parquet\.part: stands in the way: its candidates are others"):
+        rosenbrock().tune(**given)
+    assert rosenbrock().tune(**given, resume=False).ran == 30
+
+
+@pytest.mark.parametrize("method", ["cma", "de"])
 def test_a_budget_is_spent_to_the_candidate_in_every_scenario(method: str, calls: list[tuple[int, Any]]) -> None:
     tuning = rosenbrock().tune(
-        minimize="a.f + b.f", over={"x": BOX["x"]}, scenarios={"a": {}, "b": {"y": 2}}, method=method, budget=37,
+        minimize="a.f + b.f",
+        over={"x": BOX["x"]},
+        scenarios={"a": {}, "b": {"y": 2}},
+        method=method,
+        budget=37,
         **SHORT,
     )
     assert len(tuning.history.objective) == 37
@@ -159,7 +271,7 @@ def test_what_can_have_no_number_is_refused_before_the_first_candidate(
 
 def test_a_missing_package_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(UsageError, match=r'E504 .*cma is needed and not installed.*blocks-cosim\[tune\]'):
+    with pytest.raises(UsageError, match=r"E504 .*cma is needed and not installed.*blocks-cosim\[tune\]"):
         rosenbrock().tune(minimize="f", over=BOX, **SHORT)
 
 

@@ -1,9 +1,9 @@
-"""What a column of a batch sets: parameters by their paths, by patterns, or elements of them.
+"""What a name of parameters sets, in runs and in rows of a batch: by a path, by a pattern, or an element of a vector.
 
-    "motor.Ra"              a parameter
-    "control_*.eso.Ka"      one value for all parameters that the pattern names; * stands for a part of one name
-    "control.nlsef.k1[0]"   an element of a vector; M[0,1] of a matrix
-    "cells[3].motor.Ra"     in one copy; "cells[*].motor.Ra" and "cells.motor.Ra" in all
+"motor.Ra"              a parameter
+"control_*.eso.Ka"      one value for all parameters that the pattern names; * stands for a part of one name
+"control.nlsef.k1[0]"   an element of a vector; M[0,1] of a matrix
+"cells[3].motor.Ra"     in one copy; "cells[*].motor.Ra" and "cells.motor.Ra" in all
 """
 
 from __future__ import annotations
@@ -17,18 +17,21 @@ from typing import Any
 import numpy as np
 
 from ..contract.resolution import Resolved
-from ..model.copies import Copy, Fleet, depth_of, named, own_value
-from ..model.diagram import DiagramValue
-from ..model.flatten import Flat
-from ..model.raw_values import raw_of
-from ..model.values import Absent, value_of
 from ..text.element_names import element_names
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 from ..text.units import from_si, si_text, to_si
+from . import raw_values as whole_values
+from .copies import Copy, Fleet, depth_of, named, own_value
+from .diagram import DiagramValue
+from .flatten import Flat, flatten
+from .hierarchy import Resolver
+from .raw_values import raw_of
+from .values import Absent, value_of
+from .variants import taken
 
-__all__ = ["Column", "Target", "columns_of", "each_of", "raw_values"]
+__all__ = ["Column", "Target", "columns_of", "each_of", "given_values", "is_element", "raw_values"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +93,9 @@ class _Known:
 class _Parameters:
     """All parameters that can be given by their paths, without the numbers of copies."""
 
-    def __init__(self, value: DiagramValue, flat: Flat) -> None:
+    def __init__(self, value: DiagramValue, flat: Flat, overrides: Mapping[str, Any] | None = None) -> None:
         self.copies = flat.copies
-        self.known = dict(chain(_of_diagrams(value, self.copies), _of_blocks(flat)))
+        self.known = dict(chain(_of_diagrams(value, self.copies, overrides or {}), _of_blocks(flat)))
 
     def numbers(self, path: str) -> list[tuple[int, int | None]]:
         """For each of the fleets that a path goes through, how many copies there are, and the number of one, if any."""
@@ -124,12 +127,40 @@ class _Parameters:
         return map(".".join, product(*labels))
 
 
-def columns_of(names: Sequence[str], value: DiagramValue, flat: Flat) -> tuple[Column, ...]:
-    """Return the columns of these names. Raises UsageError (E501, E106) if a name matches nothing, or repeats."""
+def given_values(
+    value: DiagramValue, resolver: Resolver, given: Mapping[str, Any], around: Mapping[str, Any] | None = None
+) -> Mapping[str, Any]:
+    """Return values by the paths of parameters, as a run is given them, with patterns and elements written out.
+
+    An element ("t.values[2]") changes the value that the diagram has, with the other values that are given and with
+    those of `around`, which were given before. Raises ModelError, UsageError.
+    """
+    elements = [name for name in given if is_element(name)]
+    if not elements:
+        return whole_values.given_values(value, resolver, given)
+    value = taken(value)
+    wholes = whole_values.given_values(value, resolver, {n: raw for n, raw in given.items() if n not in elements})
+    overrides = {path: raw_of(raw) for path, raw in {**(around or {}), **wholes}.items()}
+    columns = columns_of(elements, value, flatten(value, resolver, overrides=overrides), overrides)
+    return {**wholes, **raw_values(columns, [given[name] for name in elements])}
+
+
+def is_element(name: Any) -> bool:
+    """Return whether a name of parameters is that of an element."""
+    return isinstance(name, str) and name.endswith("]")
+
+
+def columns_of(
+    names: Sequence[str], value: DiagramValue, flat: Flat, overrides: Mapping[str, Any] | None = None
+) -> tuple[Column, ...]:
+    """Return the columns of these names. overrides: raw values by path, with which the diagram was flattened.
+
+    Raises UsageError (E501, E106) if a name matches nothing, or repeats.
+    """
     if isinstance(names, str):
         message, cure = "is one name, not a list of names.", f'As in ["{legible(names)}"].'
         raise UsageError(Fault("E501", legible(names), message, cure))
-    parameters = _Parameters(value, flat)
+    parameters = _Parameters(value, flat, overrides)
     columns: list[Column] = []
     taken: dict[str, dict[int | None, str]] = {}  # by the path in one copy and the element: who varies it
     for name in names:
@@ -188,11 +219,7 @@ def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
                 given[target.path] = raw
                 continue
             flat, shape = target.whole
-            try:
-                number = to_si(raw, target.unit) if is_plain else value_of(read_quantity(raw), target.unit, {}).value
-            except ModelError as error:
-                placed = [replace(fault, place=fault.place or column.name) for fault in error.faults]
-                raise ModelError(*placed) from None
+            number = to_si(raw, target.unit) if is_plain else _number(raw, target.unit, column.name)
             elements.setdefault(target.path, list(flat))[target.element] = number
             shapes[target.path] = si_text(target.unit), shape
     for path, values in elements.items():
@@ -200,6 +227,20 @@ def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
         nested = np.array(values, dtype=float).reshape(shape).tolist()
         given[path] = {"value": nested, "unit": unit} if unit else nested
     return given
+
+
+def _number(raw: Any, unit: str, name: str) -> float:
+    """Return a value of an element in SI. Raises ModelError (E104, E107, E108, E114)."""
+    try:
+        number = value_of(read_quantity(raw), unit, {}).value
+    except ModelError as error:
+        raise ModelError(*(replace(fault, place=fault.place or name) for fault in error.faults)) from None
+    except Absent:
+        number = None
+    if isinstance(number, bool) or not isinstance(number, (int, float)):
+        message = f"must be a number, not {legible(repr(raw))}."
+        raise ModelError(Fault("E107", legible(name), message, "Give the whole value where it has expressions."))
+    return float(number)
 
 
 def _split(name: str) -> tuple[str, str]:
@@ -220,6 +261,9 @@ def _target(path: str, name: str, element: str, parameters: _Parameters) -> Targ
         return Target(path, None, parameter.unit(), _in_unit(value, parameter.unit()))
     shape = np.shape(value) if value is not None and not isinstance(value, str) else ()
     elements = [each[len(path) :] for each in element_names(path, shape)] if shape else []
+    if value is None:
+        message = f"the elements of {path} are not known: its value is computed, or is not the same in all copies."
+        raise UsageError(Fault("E501", legible(name), message, "Give the whole value."))
     if element not in elements:
         message = f"{path} has no element {legible(element)}."
         cure = f"It has {elements[0]} to {elements[-1]}." if elements else "It is a single value: name it alone."
@@ -259,15 +303,22 @@ def _of_blocks(flat: Flat) -> Iterator[tuple[str, _Known]]:
 def _of_diagrams(
     value: DiagramValue,
     copies: Mapping[str, int],
+    overrides: Mapping[str, Any],
     path: str = "",
     total: int = 1,
     given: Mapping[str, Any] | None = None,
 ) -> Iterator[tuple[str, _Known]]:
-    """Yield the parameters of a diagram and of its subdiagrams. total: its number of copies. given: by its block."""
+    """Yield the parameters of a diagram and of its subdiagrams. total: its number of copies. given: by its block.
+
+    The value of a parameter is not known that overrides set in single copies.
+    """
+    in_copies = {_plain(name) for name in overrides if "[" in name}
     prefix, count = f"{path}." if path else "", copies.get(path, 0)
     for name, entry in value.parameters.items():
         unit = str(entry.get("unit", "")) if isinstance(entry, Mapping) else ""
         raw, depth = (given or {}).get(name, entry), depth_of(entry)
+        raw = raw_of(overrides[prefix + name]) if prefix + name in overrides else raw
+        raw = None if prefix + name in in_copies else raw
         lanes = [[Copy(Fleet(path, count), k)] for k in range(count)]
         is_list = depth_of(raw) > depth or (isinstance(raw, Mapping) and "csv" in raw)
         values = [_value(own_value(raw, depth, lane), unit) for lane in (lanes if is_list else lanes[:1]) or [[]]]
@@ -277,7 +328,7 @@ def _of_diagrams(
     for name, block in value.blocks.items():
         if block.inner is not None:
             own = prefix + name
-            yield from _of_diagrams(block.inner, copies, own, total * copies.get(own, 1), block.parameters)
+            yield from _of_diagrams(block.inner, copies, overrides, own, total * copies.get(own, 1), block.parameters)
 
 
 def _value(raw: Any, unit: str) -> Any:

@@ -1,0 +1,148 @@
+"""An element of a vector is set by its name in runs, in prepared models and on the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks import Diagram, LookupTable, MatrixGain, ModelError, Ramp, UsageError
+from blocks.cli import main
+from blocks.compile.toolchain.compiler import find_compiler
+
+native = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
+
+
+def tables() -> Diagram:
+    """Two tables over time, of values of the diagram and of its own, and a matrix that may change in a run."""
+    diagram = Diagram("tables")
+    diagram.parameter("k", [1, 2, 3])
+    diagram.parameter("length", [1, 2, 3], unit="mm")
+    time = diagram.add("time", Ramp(slope=1.0))
+    for name, values in (("own", [4, 5, 6]), ("bound", "=k"), ("lengths", "=length")):
+        unit = "m" if name == "lengths" else ""
+        table = diagram.add(name, LookupTable(points=[0, 1, 2], values=values, unit=unit))
+        diagram.wire(table.u, time.y)
+    matrix = diagram.add("matrix", MatrixGain(K=[[1.0, 2.0], [3.0, 4.0]]))
+    diagram.wire(matrix.u, diagram.input("u", size=2, default=[1, 1]))
+    return diagram
+
+
+GRID: dict[str, Any] = {"stop": 2, "every": 1.0, "log": ["own.y", "bound.y", "lengths.y"]}
+
+
+@pytest.mark.parametrize(
+    ("given", "name", "values"),
+    [
+        ({"own.values[2]": 7}, "own.y", [4, 5, 7]),
+        ({"k[1]": 7}, "bound.y", [1, 7, 3]),
+        ({"k[0]": 8, "k[2]": 9}, "bound.y", [8, 2, 9]),
+        ({"k": [9, 9, 9], "k[1]": 7}, "bound.y", [9, 7, 9]),
+        ({"k[1]": 7, "k": np.array([9.0, 9.0, 9.0])}, "bound.y", [9, 7, 9]),
+        ({"length[1]": 7}, "lengths.y", [1e-3, 7e-3, 3e-3]),
+        ({"length[1]": "7 cm"}, "lengths.y", [1e-3, 7e-2, 3e-3]),
+        ({"o*.values[0]": -1}, "own.y", [-1, 5, 6]),
+    ],
+)
+def test_an_element_is_set_in_a_run_and_in_a_prepared_model(given: Any, name: str, values: list[float]) -> None:
+    diagram = tables()
+    assert diagram.run(parameters=given, **GRID)[name].tolist() == pytest.approx(values)
+    assert diagram.prepare(**GRID).run(parameters=given)[name].tolist() == pytest.approx(values)
+    assert diagram.prepare(parameters=given, **GRID).run()[name].tolist() == pytest.approx(values)
+    assert diagram.flatten(parameters=given).blocks
+
+
+def test_elements_of_a_run_are_set_on_top_of_those_of_the_prepared_model() -> None:
+    model = tables().prepare(parameters={"k[0]": 5}, **GRID)
+    assert model.run(parameters={"k[1]": 7})["bound.y"].tolist() == [5, 7, 3]
+    assert model.run(parameters={"k[0]": 6})["bound.y"].tolist() == [6, 2, 3]
+    assert model.run(parameters={"k": [7, 8, 9]})["bound.y"].tolist() == [7, 8, 9]
+    assert model.run()["bound.y"].tolist() == [5, 2, 3]
+
+
+@native
+def test_rows_of_a_batch_keep_the_elements_that_all_rows_are_given() -> None:
+    given: dict[str, Any] = {"parameters": {"k[0]": 5}, "engine": "native", "log": ["bound.y"], "stop": 2, "every": 1.0}
+    rows = tables().batch(["k[1]"], **given)([[7], [8]])
+    assert rows.signals["bound.y"].tolist() == [[5, 7, 3], [5, 8, 3]]
+    for name in ("k", "k[0]"):
+        with pytest.raises(UsageError, match="is given as a parameter of all rows too"):
+            tables().batch([name], **given)
+
+
+@native
+def test_a_fit_keeps_the_elements_that_are_given() -> None:
+    t = np.linspace(0, 2, 41)
+    data = {"time": t, "y": np.interp(t, [0, 1, 2], [5.0, 7.0, 3.0])}
+    fit = tables().fit(data, over={"k[1]": (0.5, 9)}, compare={"bound.y": "y"}, parameters={"k[0]": 5}, engine="native")
+    assert fit.values["k[1]"] == pytest.approx(7, abs=1e-5)
+    assert fit.deviations["bound.y"] < 1e-6
+
+
+def test_an_element_is_set_while_a_run_goes_on_and_when_it_is_resumed() -> None:
+    diagram = tables()
+    run = diagram.start(parameters={"own.values[0]": 1, "matrix.K[0,1]": 5}, stop=2, log=["own.y", "matrix.y"])
+    assert run["matrix.y"].tolist() == [6, 7]
+    run.set("matrix.K[1,0]", 10)
+    run.advance(0.5)
+    assert run["matrix.y"].tolist() == [6, 14], "what was set before stays"
+    with pytest.raises(UsageError, match="E502"):
+        run.set("matrix.Q[0]", 1)
+    on = diagram.run(resume=run.snapshot(), parameters={"own.values[1]": 51, "matrix.K[1,1]": 1}, stop=1, every=0.5,
+                     log=["own.y", "matrix.y"])  # fmt: skip
+    assert on["own.y"].tolist() == [26, 51]
+    assert on["matrix.y"][-1].tolist() == [6, 11]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("k[3]", r"E501 k\[3\]: k has no element \[3\]. It has \[0\] to \[2\]"),
+        ("q[0]", r"E106 q\[0\]: there is no such parameter"),
+        ("own.value[0]", "Did you mean 'own.values'"),
+        ("bound.values[0]", "E117 bound.values: is bound"),
+    ],
+)
+def test_an_element_that_is_not_there_is_refused(name: str, said: str) -> None:
+    with pytest.raises((ModelError, UsageError), match=said):
+        tables().run(parameters={name: 1}, **GRID)
+
+
+NO_NUMBERS: tuple[Any, ...] = ("x", "=length", [1, 2], None, True, {"value": [1], "unit": ""})
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS)
+def test_an_element_takes_a_number_only(value: Any) -> None:
+    with pytest.raises(ModelError, match=r"E10[78] k\[0\]: "):
+        tables().flatten(parameters={"k[0]": value})
+
+
+@native
+def test_rows_whose_element_is_no_number_are_refused() -> None:
+    rows = tables().batch(["k[0]"], engine="native", **GRID)([*([value] for value in NO_NUMBERS), [2.0]])
+    assert rows.status.tolist() == ["refused"] * len(NO_NUMBERS) + ["ok"]
+    assert all("k[0]" in message for message in rows.messages[:-1])
+
+
+def test_an_element_of_what_differs_between_copies_is_refused() -> None:
+    cell = Diagram("cell")
+    cell.parameter("k", [1.0, 2.0])
+    table = cell.add("table", LookupTable(points=[0, 1], values="=k"))
+    cell.wire(table.u, cell.add("time", Ramp(slope=1.0)).y)
+    fleet = Diagram("fleet")
+    fleet.add("cells", cell, copies=3)
+    with pytest.raises(UsageError, match=r"the elements of cells\[2\].k are not known: .* not the same in all copies"):
+        fleet.flatten(parameters={"cells[2].k": [9, 9], "cells[2].k[1]": 8})
+
+
+def test_the_command_sets_an_element(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "tables.json"
+    diagram = tables()
+    diagram.measure("end", "peak", "own.y")
+    diagram.save(path)
+    assert main(["run", str(path), "--stop", "2", "--set", "own.values[2]=7", "--json"]) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert events[-1]["measures"]["end"] == 7
