@@ -8,7 +8,18 @@ from typing import Any
 
 import pytest
 
-from blocks import Diagram, FirstOrder, Integrator, Relay, SecondOrder, Sine, Sum, TransportDelay, ZeroOrderHold
+from blocks import (
+    Diagram,
+    FirstOrder,
+    Integrator,
+    Relay,
+    SecondOrder,
+    Sine,
+    Sum,
+    TransportDelay,
+    Trigonometry,
+    ZeroOrderHold,
+)
 from blocks.cli import main
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.engines.run import stiffness
@@ -80,14 +91,19 @@ def test_a_stiff_pair_of_complex_eigenvalues_is_found(engine: str) -> None:
 
 
 def lively() -> Diagram:
-    """A delay, crossings and ticks."""
+    """A delay, crossings, ticks, and an algebraic loop, whose solution begins at the last one."""
     diagram = lag(2e-3)
     diagram.add("late", TransportDelay(delay=0.3))
     diagram.add("relay", Relay(on=0.2, off=-0.2))
     diagram.add("held", ZeroOrderHold(period=0.25))
     diagram.add("sum", Sum(signs="++"))
     diagram.add("area", Integrator())
-    diagram.wire("late.u", "fast.y")
+    diagram.add("around", Sum(signs="+-"))
+    diagram.add("bend", Trigonometry())
+    diagram.wire("around.u1", "fast.y")
+    diagram.wire("around.u2", "bend.y")
+    diagram.wire("bend.u", "around.y")
+    diagram.wire("late.u", "around.y")
     diagram.wire("relay.u", "late.y")
     diagram.wire("held.u", "relay.y")
     diagram.wire("sum.u1", "held.y")
@@ -105,7 +121,7 @@ def test_a_look_changes_no_bit_and_counts_nowhere(engine: str, monkeypatch: pyte
             patch.setattr(stiffness, "_MANY", 0)
             patch.setattr(stiffness, "_GAIN", 0)
             patch.setattr(stiffness, "_LOOKS", 10**9)
-            run = lively().start(stop=4, engine=engine)
+            run = lively().start(stop=4, engine=engine, loops="solve")
             run._simulation.engine.pause(0.0, math.inf)  # a moment is a step
             run.advance_to(4)
         statistics = run.results.statistics

@@ -82,7 +82,10 @@ class StiffWatch:
         left = (stop - t) / h if h > 0 else math.inf
         # What cuts steps anyway would cut those of another method too.
         is_free = taken > _GAIN * passed and now.longest > _GAIN * h
-        found = _largest(now) if is_free and left > _MANY else None
+        found = None
+        if is_free and left > _MANY:
+            with np.errstate(all="ignore"):
+                found = _largest(now)
         if found is None or not (-5.0 < h * found[0].real < -2.0 and abs(h * found[0].imag) < 5.0):
             self.count = 0
             return None
@@ -101,7 +104,7 @@ class StiffWatch:
 def _largest(now: StateRates) -> tuple[complex, int] | None:
     """The eigenvalue of the Jacobian with the largest magnitude, and the state that has the most of it.
 
-    By the method of Arnoldi, with differences of rates; None where these are not finite.
+    It is estimated by the method of Arnoldi with differences of rates. None if these are not finite.
     """
     n = len(now.x)
     first, count = now.rates(now.x), min(n, _VECTORS)
@@ -117,6 +120,8 @@ def _largest(now: StateRates) -> tuple[complex, int] | None:
             projected[i, k] = vectors[:, i] @ slope
             slope = slope - projected[i, k] * vectors[:, i]
         projected[k + 1, k] = np.linalg.norm(slope)
+        if not np.isfinite(projected).all():
+            return None
         if projected[k + 1, k] <= 1e-10 * np.abs(projected).max():
             count = k + 1
             break
