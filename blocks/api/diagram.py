@@ -559,9 +559,9 @@ class Diagram:
         "control.u"}}; nan where a row has none, and its message says why. scenarios: by name, parameters set on top;
         all rows run in each, with equal seeds. threads: how many; None: all cores. budget: the most steps of a run;
         None: rows that take more than 1,000,000 steps run after all others, and where most rows are done, up to 1000
-        times the median of these (not with `on`). progress: called with the number of rows that are done, and of all.
-        notice: called with a text that names the rows that hold the others up. lanes: as for `batch`; `Sweep.lanes`
-        says which. Other arguments as of `run`.
+        times the median of these (not with `on` or fixed steps). progress: called with the number of rows that are
+        done, and of all. notice: called with a text that names the rows that hold the others up. lanes: as for
+        `batch`; `Sweep.lanes` says which. Other arguments as of `run`.
 
         out: a Parquet file. Rows are written to its part, `out` and ".part", as they are done; where a part of this
         very sweep is there already, it goes on from it, bit for bit as if it had never stopped, unless `resume` is

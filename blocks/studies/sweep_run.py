@@ -94,8 +94,7 @@ def sweep(
     names = list(rows.columns)
     of_rows = {**asked, "measures": measures, "log": log, "lanes": lanes}
     batches = [
-        diagram.batch(names, **{**of_rows, "parameters": {**(parameters or {}), **on_top}})
-        for on_top in given.values()
+        diagram.batch(names, **{**of_rows, "parameters": {**(parameters or {}), **on_top}}) for on_top in given.values()
     ]
     wanted = margins_of(margins or {})
     linear = {key: value for key, value in asked.items() if key not in ("parameters", "engine")}
@@ -136,7 +135,8 @@ def sweep(
         if on is None:
             with live_line(progress, in_rows("rows")) as told_to:
                 run = _Rounds(batches, beside, table, seeds, made, threads, told_to, notice)
-                run.all(budget)
+                # With fixed steps the number of steps is known, and equal in all rows.
+                run.all(budget, is_bounded=not begun.plan.settings.is_fixed_step)
         else:
             from .distributed import Job, Put, run_on
 
@@ -311,15 +311,15 @@ class _Rounds:
     progress: Callable[[int, int], None] | None
     notice: Callable[[str], None] | None
 
-    def all(self, budget: int | None) -> None:
+    def all(self, budget: int | None, *, is_bounded: bool) -> None:
         """Run all rows, each with at most `budget` steps.
 
-        None: with a budget that follows from the steps of the other rows, of which most must be done first. So it is
-        the same however the rows are cut into chunks, and wherever a sweep was killed.
+        None: where `is_bounded`, with a budget that follows from the steps of the other rows, of which most must be
+        done first. So it is the same however the rows are cut into chunks, and wherever a sweep was killed.
         """
         made = self.made
         try:
-            if budget is not None or len(made.status) == 1:
+            if budget is not None or len(made.status) == 1 or not is_bounded:
                 self._round(budget)
                 return
             budget, is_last = STEPS, False

@@ -69,6 +69,13 @@ def test_where_most_rows_take_long_none_is_cut_short() -> None:
     assert swept([1e-4]).status.tolist() == ["ok"]
 
 
+def test_with_fixed_steps_no_row_begins_again() -> None:
+    named: list[str] = []
+    sweep = swept([0.1, 0.2, 0.3], method="rk4", step=0.01, notice=named.append)
+    assert sweep.steps.tolist() == [1000] * 3
+    assert not named
+
+
 def test_a_budget_that_is_given_counts_alone() -> None:
     assert swept(T, budget=700).messages[2] == "E313 lag: takes more than 700 steps."
 
