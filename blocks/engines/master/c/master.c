@@ -817,6 +817,8 @@ static double *more(Master *m, BlocksList *list, int64_t n)
     return place;
 }
 
+void master_free(double *data) { free(data); }
+
 /* Each link as it is now. */
 static int values_of(Master *m, const MasterLink *links, int n, double *out)
 {
