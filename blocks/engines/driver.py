@@ -191,8 +191,7 @@ class Simulation:
             self.is_telling = False
         results = self.results()
         self.engine.abandon()
-        last = f"{results.t[-1]:.10g} s" if len(results.t) else "the start"
-        rest = f"Results up to {last} are kept." if len(results.t) or isinstance(self.engine.plan, Plan) else ""
+        rest = f"Results up to {results.t[-1]:.10g} s are kept." if len(results.t) else ""
         told = (replace(f, cure=f"{f.cure} {rest}".strip()) for f in failed.faults)
         raise (FMUError if isinstance(failed, FMUError) else SimulationError)(*told, results=results) from (
             failed.__cause__

@@ -24,7 +24,7 @@ from ...compile.coupling import CoupledUnit, Coupling, CouplingLoop, Get, Link, 
 from ...compile.inputs import InputTable, Track
 from ...compile.toolchain.compiler import TranslationUnit, build, load
 from ...compile.upstream import changed_by, remembers_inputs
-from ...fmi.calls import WARNING
+from ...fmi.calls import ASKED, WARNING
 from ...fmi.instance import PATIENCE, Loaded, some
 from ...fmi.types import code_of, full_name
 from ...results.results import Event
@@ -613,7 +613,7 @@ class NativeMaster(ReferenceMaster):
         assert unit.foreign is not None
         fmi = unit.foreign.description.fmi
         if function >= 0:
-            return full_name(_CALLS[function], fmi), ""
+            return full_name(_CALLS[function], fmi), ASKED if _CALLS[function] == "GetStatus" else ""
         return self.moves[-function - 1]
 
     # --- from outside --------------------------------------------------------------------------------------------
