@@ -405,7 +405,7 @@ class Batch(Shown):
 
         settings = {} if seed is None else {"seed": seed}
         try:
-            held.append(self._model.run_of(given, settings, RunOptions(progress=watch)))
+            held.append(self._model.run_of(given, settings, RunOptions(progress=watch, notice=lambda _: None)))
             self._check_times(held[0].plan)
         except BlocksError as error:
             return Row.failed(error, is_refused=not isinstance(error, (SimulationError, FMUError)))

@@ -549,6 +549,7 @@ class Diagram:
         threads: int | None = None,
         budget: int | None = None,
         progress: Callable[[int, int], None] | None = None,
+        notice: Callable[[str], None] | None = None,
         out: str | Path | None = None,
         resume: bool = True,
         on: Any = None,
@@ -567,9 +568,11 @@ class Diagram:
         ones; None: all. log: signals that are kept on a grid: that of `every`, else of 200 intervals. margins: by
         name, what is taken of the linear model of each row, as in study files: {"gm": {"type": "gain_margin", "loop":
         "control.u"}}; nan where a row has none, and its message says why. scenarios: by name, parameters set on top;
-        all rows run in each, with equal seeds. threads: how many; None: all cores. budget: the most steps of a run.
-        progress: called with the number of rows that are done, and of all. lanes: as for `batch`; `Sweep.lanes` says
-        which. Other arguments as of `run`.
+        all rows run in each, with equal seeds. threads: how many; None: all cores. budget: the most steps of a run;
+        None: rows that take more than 1,000,000 steps run after all others, and where most rows are done, up to 1000
+        times the median of these (not with `on` or fixed steps). progress: called with the number of rows that are
+        done, and of all. notice: called with a text that names the rows that hold the others up. lanes: as for
+        `batch`; `Sweep.lanes` says which. Other arguments as of `run`.
 
         out: a Parquet file. Rows are written to its part, `out` and ".part", as they are done; where a part of this
         very sweep is there already, it goes on from it, bit for bit as if it had never stopped, unless `resume` is
@@ -585,7 +588,8 @@ class Diagram:
             "sweep", self, vary,
             n=n, sampler=sampler, seed=seed, measures=measures, log=signal_names(log), margins=margins,
             scenarios=scenarios, parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads,
-            budget=budget, progress=progress, out=out, resume=resume, on=on, lanes=lanes, **settings,
+            budget=budget, progress=progress, notice=notice, out=out, resume=resume, on=on, lanes=lanes,
+            **settings,
         )  # fmt: skip
 
     def tune(

@@ -6,6 +6,7 @@ import contextlib
 import functools
 import math
 import threading
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -56,13 +57,15 @@ FAR = 10**9
 class RunOptions:
     """What a run is given besides its model; see `Diagram.run`.
 
-    out: the file of the results. loading: called with the diagram when nothing speaks against the run any more,
-    before its FMUs are loaded.
+    out: the file of the results. notice: called with a warning that is found while the run goes on; None: it becomes a
+    Python warning. loading: called with the diagram when nothing speaks against the run any more, before its FMUs are
+    loaded.
     """
 
     inputs: Any = None
     interpolation: str = "linear"
     progress: Callable[[float], None] | None = None
+    notice: Callable[[Fault], None] | None = None
     resume: State | str | Path | None = None
     engine: str | None = None
     trust: Paths = ()
@@ -457,6 +460,7 @@ class Run:
             cure = 'Give stop=..., or "stop" in the file\'s "run".'
             raise UsageError(Fault("E501", self._prepared.plan.name, "the run has no end.", cure))
         start, stop = self.t, float(self.settings.stop)
+        self._simulation.notice = self._options.notice or _warned
         try:
             with live_line(
                 self._options.progress, lambda t: ((t - start) / max(stop - start, 1e-300), f"t = {t:.4g} s")
@@ -506,6 +510,10 @@ class Run:
     def results(self) -> Results:
         """What was recorded up to now."""
         return self._told(self._simulation.results())
+
+
+def _warned(fault: Fault) -> None:
+    warnings.warn(str(fault), RuntimeWarning, stacklevel=2)
 
 
 def engine_of(run: Run) -> Engine:

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import argparse
-from functools import partial
+import os
+from collections.abc import Container, Mapping
 from typing import TYPE_CHECKING, Any
 
 from ..text.gc_pause import paused
 from .options import takes_json, takes_run, takes_several
-from .output import emit, printable, waiting
+from .output import emit, printable, say, waiting
 from .run import run_diagram
 from .values import assignments, check_writable
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
+    from ..fmi.schema import ModelVariable
+    from ..model.fmu_block import Foreign
 
 __all__ = ["add"]
 
 _SIZE = "structuralParameter"
+_SHOWN = 30  # names
 
 
 def add(verbs: Any) -> None:
@@ -92,12 +96,16 @@ def _compile(options: argparse.Namespace) -> int:
 def _run_fmu(options: argparse.Namespace) -> int:
     """An FMU as a diagram of one block; its own times and steps hold unless the command gives others."""
     options.diagram, options.variants, options.trust = options.fmu, [], []
-    return run_diagram(options, partial(_alone, options))
+    with waiting(f"reading {options.fmu}", quiet=options.json), paused():
+        diagram = _alone(options)
+    return run_diagram(options, lambda: diagram)
 
 
 def _alone(options: argparse.Namespace) -> Diagram:
     """The diagram; a parameter without the name of a block is one of its only block."""
     from ..api.diagram import Diagram
+    from ..api.entries import as_name
+    from ..fmi.description import EXPERIMENT
     from ..model.fmu_block import fmu
 
     block = fmu(options.fmu, options.kind, isolate=options.isolate)
@@ -121,8 +129,59 @@ def _alone(options: argparse.Namespace) -> Diagram:
         settings["rtol"] = experiment.tolerance
     settings |= {"master": {"step": experiment.step}} if foreign.kind == "CS" and experiment.step else {}
     diagram.settings(**{key: value for key, value in settings.items() if value is not None})
-    known, name = type(block).declaration.parameters, next(iter(diagram.value.blocks))
-    options.parameters = [
-        f"{name}.{item}" if item.partition("=")[0].strip() in known else item for item in options.parameters
+    for fault in foreign.description.warnings:
+        if fault.place == EXPERIMENT:
+            say(str(fault))
+    name, declared = next(iter(diagram.value.blocks)), type(block).declaration
+    # No wire carries a text: its start value is a parameter.
+    texts = [item for item in options.input if _is_text(_name(item), foreign.variables)]
+    start = [
+        _renamed(item, "{}_start") if _is_text(_name(item), foreign.variables) else item
+        for item in (*options.parameters, *texts)
     ]
+    options.parameters = [
+        _renamed(item, f"{name}.{{}}") if _name(item) in declared.parameters else item for item in start
+    ]
+    # A port of the diagram is renamed if its name in the FMU is not allowed here ("a[1].b").
+    ports = {
+        own: as_name(own) for own, variable in foreign.variables.items() if variable.causality in ("input", "output")
+    }
+    options.input = [_renamed(item, ports.get(_name(item), "{}")) for item in options.input if item not in texts]
+    if options.log is None and not any(variable.causality == "output" for variable in foreign.variables.values()):
+        options.log = _without_outputs(foreign, [*declared.inputs], declared.readable)
+    if options.log is not None:
+        others = {own: f"{name}.{own}" for own in declared.readable}
+        options.log = [{**others, **ports}.get(item, item) for item in options.log]
     return diagram
+
+
+def _name(item: str) -> str:
+    """Return the name in NAME=VALUE; "" if the item is a file."""
+    name, equals, _ = item.partition("=")
+    return name.strip() if equals and not os.path.exists(item) else ""
+
+
+def _renamed(item: str, form: str) -> str:
+    """Rename the name in NAME=VALUE. form: the new name, in which {} is the old one."""
+    name = _name(item)
+    return f"{form.replace('{}', name)}={item.partition('=')[2]}" if name else item
+
+
+def _is_text(name: str, variables: Mapping[str, ModelVariable]) -> bool:
+    """Whether an input holds a text."""
+    start = variables.get(f"{name}_start")
+    return start is not None and (start.type, start.causality, start.name) == ("String", "input", name)
+
+
+def _without_outputs(foreign: Foreign, inputs: list[str], readable: Container[str]) -> list[str] | None:
+    """Return the variables to record of an FMU without outputs: its states, or else its local variables."""
+    states = [state.name for state in foreign.description.structure.states if state.name in readable]
+    others = [other for other, variable in foreign.variables.items() if variable.causality == "local"]
+    shown = (states or [other for other in others if other in readable])[:_SHOWN]
+    what = "states" if states else "local variables"
+    if shown:
+        more = f" (the first {_SHOWN})" if len(shown) == _SHOWN else ""
+        say(f"{foreign.path.name} has no outputs: its {what}{more} are recorded; --log NAME records others.")
+    else:
+        say(f"{foreign.path.name} has no outputs, and no other variable that can be recorded.")
+    return [*inputs, *shown] if shown else None

@@ -85,7 +85,7 @@ def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None 
         if results.rows:
             rest = f" Results up to {results.span[1]:.10g} s are kept."
             error = FMUError(*(replace(fault, cure=fault.cure + rest) for fault in error.faults))
-        return _concluded(options, run, results, shown, error, time.perf_counter() - begun)
+        return _concluded(options, run, results, shown, error, time.perf_counter() - begun, progress.told)
 
     try:
         with telling(ended):
@@ -96,7 +96,7 @@ def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None 
         failure, results = error, error.results  # type: ignore[attr-defined]
     finally:
         progress.clear()
-    return _concluded(options, run, results, shown, failure, time.perf_counter() - begun)
+    return _concluded(options, run, results, shown, failure, time.perf_counter() - begun, progress.told)
 
 
 def _started(
@@ -119,6 +119,7 @@ def _started(
             inputs=inputs,
             interpolation="hold" if options.hold else "linear",
             progress=progress,
+            notice=lambda fault: progress.tell(fault, options.json),
             resume=options.resume,
             engine=options.engine,
             trust=options.trust,
@@ -135,13 +136,14 @@ def _concluded(
     shown: Sequence[str],
     failure: BlocksError | None,
     seconds: float,
+    told: Sequence[Fault],
 ) -> int:
-    """Write and report the results of a run; returns the exit code."""
+    """Write and report the results of a run; returns the exit code. told: the warnings that were printed already."""
     ended_at_once()
     if results.interrupted and options.out and results.rows > LONG:
         say(f"interrupted: writing {results.rows} rows to {options.out}; once more, and they are lost")
     written, refused = _written(options, run, results, shown, is_whole=failure is None)
-    known = (*run.warnings, *run.plan.warnings)
+    known = (*run.warnings, *run.plan.warnings, *told)
     tell_faults([warning for warning in results.warnings if warning not in known], options.json)
     if failure is not None:
         tell_faults(failure.faults, options.json)
@@ -266,6 +268,13 @@ class _Progress:
     def __init__(self, quiet: bool) -> None:
         self.quiet, self.shown = quiet, Progress(quiet)
         self.start = self.stop = 0.0
+        self.told: list[Fault] = []
+
+    def tell(self, fault: Fault, as_json: bool) -> None:
+        """Print a warning while the run goes on."""
+        self.shown.clear()
+        self.told.append(fault)
+        tell_faults([fault], as_json)
 
     def span(self, start: float, stop: float) -> None:
         self.start, self.stop = start, stop

@@ -57,7 +57,7 @@ def add(verbs: Any) -> None:
     takes_several(verb, "--scenario", "NAME:SETTINGS", scenario)
     takes_parameters(verb)
     takes_settings(verb)
-    verb.add_argument("--budget", metavar="STEPS", help="the most steps of a run")
+    verb.add_argument("--budget", metavar="STEPS", help="the most steps of a run (default: 1000 times the median)")
     verb.add_argument("--threads", metavar="N", help="how many runs at once (default: all cores)")
     lanes = "exact (the default), or fast: several runs at once in each core, equal within the tolerance"
     verb.add_argument("--lanes", metavar="L", default="exact", help=lanes)
@@ -115,6 +115,7 @@ def _sweep(options: argparse.Namespace) -> int:
                 resume=not options.anew,
                 on=options.dask,
                 progress=progress,
+                notice=progress.note,
                 **{key: value for key, value in settings.items() if value is not None},
             )
     finally:
@@ -171,6 +172,11 @@ class _Progress:
         if self.shown.is_due() and done > self.first:
             text = f"{done} of {total} rows  {self.shown.left((done - self.first) / (total - self.first))}"
             self.shown.show(done / total, text, text)
+
+    def note(self, text: str) -> None:
+        """Print a line while rows run."""
+        self.shown.clear()
+        say(text)
 
 
 def _count(option: str, text: str | None) -> int | None:

@@ -515,12 +515,12 @@ class _Coupler:
         if end == stop:
             return self.settings
         step = next(unit.step for unit in rigid if unit.path == path)
-        message = f"takes steps of {float(step):g} s only, and the stop at {float(stop):g} s is no multiple of them"
+        message = f"takes steps of {_digits(step)} s only, and the stop at {_digits(stop)} s is no multiple of them"
         if end == start:
-            cure = 'Make the run longer, or set "step" in "run": {"master": ...}.'
+            cure = 'Make the run longer, or set "step" in "run": {"master": ...} (--master step=H).'
             raise ModelError(Fault("E115", path, f"{message}: not one step fits.", cure))
-        cure = f"Set the stop to {float(end):g} s, or choose another step."
-        self.warnings.append(Fault("W209", path, f"{message}; the run ends at {float(end):g} s.", cure))
+        cure = f"Set the stop to {_digits(end)} s, or choose another step."
+        self.warnings.append(Fault("W209", path, f"{message}; the run ends at {_digits(end)} s.", cure))
         return replace(self.settings, stop=end)
 
     def check_steps(self, coupling: Coupling) -> None:
@@ -542,12 +542,13 @@ class _Coupler:
             if fixed and unit.is_rigid:
                 ratio = float(step) / fixed
                 if abs(ratio - round(ratio)) > 1e-9 * max(ratio, 1.0) or round(ratio) < 1:
-                    message = f"its communication step of {float(step):g} s is no multiple of its own of {fixed:g} s."
+                    own = f"its own of {_digits(fixed)} s"
+                    message = f"its communication step of {_digits(step)} s is no multiple of {own}."
                     faults.append(Fault("E115", unit.path, message, 'Set "step" in "run": {"master": ...}.'))
         every = self.settings.every
         shortest = coupling.shortest
         if every is not None and self.master.tolerance is None and (every / shortest).denominator != 1:
-            message = f"rows every {float(every):g} s do not fit communication steps of {float(shortest):g} s."
+            message = f"rows every {_digits(every)} s do not fit communication steps of {_digits(shortest)} s."
             faults.append(Fault("E115", "run.every", message, "Make it a multiple of the communication step."))
         if faults:
             raise ModelError(*faults)
@@ -627,6 +628,11 @@ def _signal(flat: Flat, name: str) -> FlatSignal:
     signal = element_of(name, flat.signals)
     assert signal is not None
     return signal
+
+
+def _digits(seconds: Fraction | float) -> str:
+    """A time in as many digits as it has: fewer would make two unlike times look alike."""
+    return repr(float(seconds)).removesuffix(".0")
 
 
 def _moved(index: int | None, renumbered: Mapping[int, int]) -> int | None:

@@ -28,6 +28,7 @@ from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationEr
 from .run.engine import Engine
 from .run.memory_estimate import COPIES, COPIES_OF_MASTER, no_room
 from .run.saved_state import State
+from .run.stiffness import StiffWatch
 
 __all__ = ["Simulation"]
 
@@ -44,6 +45,8 @@ class Simulation:
         self, engine: Engine, *, progress: Callable[[float], None] | None = None, state: State | None = None
     ) -> None:
         self.engine, self.progress = engine, progress
+        self.notice: Callable[[Fault], None] | None = None  # called with a warning when it is found
+        self.found: tuple[Fault, ...] = ()  # the warnings so far
         self.flush: Callable[[], None] | None = None  # called after each moment, as `progress` is
         self.watch = Watch()
         self.taken_bytes = 0.0  # of rows that `until` took from the engine and keeps
@@ -55,6 +58,7 @@ class Simulation:
                 engine.start()
             else:
                 engine.go_on_from(state)
+        self.stiffness = StiffWatch(engine)
 
     @property
     def t(self) -> float:
@@ -113,6 +117,10 @@ class Simulation:
                         self.watch.look(self.recorded_bytes, copies)
                         if self.flush is not None:
                             self.flush()
+                        if (found := self.stiffness.look(engine)) is not None:
+                            self.found = (*self.found, found)
+                            if self.notice is not None:
+                                self.notice(found)
                         if self.progress is not None:
                             self.is_telling = True
                             self.progress(engine.t)
@@ -153,7 +161,7 @@ class Simulation:
         return Results(
             plan.name, recorded.t, recorded.values, columns, recorded.events, recorded.measures,
             replace(recorded.statistics, seconds=self.seconds), self.interrupted,
-            warnings=(*recorded.warnings, *(() if over is None else (over,))),
+            warnings=(*self.found, *recorded.warnings, *(() if over is None else (over,))),
         )  # fmt: skip
 
     @contextmanager
@@ -183,8 +191,7 @@ class Simulation:
             self.is_telling = False
         results = self.results()
         self.engine.abandon()
-        last = f"{results.t[-1]:.10g} s" if len(results.t) else "the start"
-        rest = f"Results up to {last} are kept." if len(results.t) or isinstance(self.engine.plan, Plan) else ""
+        rest = f"Results up to {results.t[-1]:.10g} s are kept." if len(results.t) else ""
         told = (replace(f, cure=f"{f.cure} {rest}".strip()) for f in failed.faults)
         raise (FMUError if isinstance(failed, FMUError) else SimulationError)(*told, results=results) from (
             failed.__cause__

@@ -107,7 +107,7 @@ def build_description(model: Model) -> str:
     libm = _Element("Library", {"name": "m", "external": "true"})
     configurations = [_Element("BuildConfiguration", {"modelIdentifier": model.identifier}, (sources, libm))]
     # The one without a platform stands for all others, and comes first for importers that take the first.
-    for platform in ("x86_64-windows", "x86-windows", "aarch64-windows"):
+    for platform in ("x86_64-windows", "aarch64-windows"):
         attributes = {"modelIdentifier": model.identifier, "platform": platform}
         configurations.append(_Element("BuildConfiguration", attributes, (sources,)))
     return _text(_Element("fmiBuildDescription", {"fmiVersion": "3.0"}, tuple(configurations)))

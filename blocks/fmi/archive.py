@@ -205,6 +205,10 @@ class Archive:
         if inside:
             message = f"{DESCRIPTION} lies in the folder {PurePosixPath(inside[0]).parent}, not at the top."
             return FMUError(Fault("E202", self.place, message, "Pack what is in the folder, without the folder."))
+        if "SystemStructure.ssd" in self.files:
+            message = "it is a package of SSP (System Structure and Parameterization), and not an FMU."
+            cure = 'Unpack it: each FMU in its folder "resources" runs by itself, or as a block of a diagram.'
+            return FMUError(Fault("E202", self.place, message, cure))
         message = f"the archive holds no {DESCRIPTION}: it is no FMU."
         return FMUError(Fault("E202", self.place, message, "Export the model again."))
 

@@ -34,7 +34,9 @@ from .patience import patient, undisturbed
 from .schema import Description, Interface
 from .types import call_of, full_name
 
-__all__ = ["DISCARD", "ERROR", "FATAL", "OK", "PENDING", "WARNING", "Binding", "Message", "Running", "running"]
+__all__ = [
+    "ASKED", "DISCARD", "ERROR", "FATAL", "OK", "PENDING", "WARNING", "Binding", "Message", "Running", "running",
+]  # fmt: skip
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 WORDS = ("ok", "a warning", "discard", "an error", "a fatal error", "pending")
@@ -223,6 +225,10 @@ class Running(Called):
         message = f"{what} gave {WORDS[status]}{self.when}.{self.words()}"
         cure = "smaller steps or other values" if self.has_begun else "other parameters or start values"
         begin = "Read what it said" if self.has_begun else "Its initialization failed: read what it said"
+        if name == "fmi3EnterEventMode" and self.binding.interface.kind == "CS":
+            maker = f"Tell its maker, or take hasEventMode out of its modelDescription.xml: {WITHOUT}."
+            message = f"{message} Its description declares event mode."
+            raise FMUError(Fault("E213", self.name, message, maker))
         raise FMUError(Fault("E213", self.name, message, f"{begin}; {cure} may help."))
 
     def warn(self, message: str) -> None:
@@ -297,6 +303,8 @@ class Running(Called):
                 raise FMUError(ended)
             message = f"{call} of {self.place} gave no instance.{self.words()}"
             cure = "Its binary and its description may be of two exports; or a file, program or license is missing."
+            if self.fmi == 3 and binding.interface.kind == "CS" and arguments[0]:
+                cure += f" Or it refuses event mode, which its description declares (hasEventMode): {WITHOUT}."
             raise FMUError(Fault("E212", self.name, message, cure))
         self.component = component
         if not listens:
@@ -387,10 +395,14 @@ def running(binding: Binding, name: str, place: str, listener: Callable[[Message
     return _type_of(binding.description.fmi, binding.interface.kind)(binding, name, place, listener)
 
 
+WITHOUT = "without it, the FMU handles its events inside steps"
+ASKED = "about a step that is pending"
+
+
 def settled(one: Any, timeout: float) -> int:
     """The status of a pending step of FMI 2 when it is done, or PENDING after `timeout` s.
 
-    Reference: FMI 2.0.4, 4.2.3 (fmi2DoStepStatus).
+    Raises FMUError (E213) where the FMU does not say. Reference: FMI 2.0.4, 4.2.3 (fmi2DoStepStatus).
     """
     one.is_pending = True
     step_status, until, pause = ctypes.c_int(PENDING), time.monotonic() + timeout, 0.0
@@ -404,6 +416,6 @@ def settled(one: Any, timeout: float) -> int:
         pause = min(pause + 1e-4, 0.01)
     if status in (ERROR, FATAL):
         one.is_pending = False
-        return int(status)
+        one.judge("fmi2GetStatus", status, about=ASKED)
     one.is_pending = step_status.value == PENDING
     return int(step_status.value)

@@ -38,11 +38,12 @@ from .schema import (
 from .variables import Variables
 from .xmltree import Element
 
-__all__ = ["parse", "read_description", "remembered"]
+__all__ = ["EXPERIMENT", "parse", "read_description", "remembered"]
 
+EXPERIMENT = "DefaultExperiment"
 _INTERFACES = {"ModelExchange": "ME", "CoSimulation": "CS", "ScheduledExecution": "SE"}
 _ORDER = (
-    *_INTERFACES, "UnitDefinitions", "TypeDefinitions", "LogCategories", "DefaultExperiment", "VendorAnnotations",
+    *_INTERFACES, "UnitDefinitions", "TypeDefinitions", "LogCategories", EXPERIMENT, "VendorAnnotations",
     "ModelVariables", "ModelStructure", "Annotations",
 )  # fmt: skip
 
@@ -170,7 +171,7 @@ class _DescriptionReader:
             aliases=MappingProxyType(self.variables.aliases),
             units=MappingProxyType(self.defined.units),
             types=MappingProxyType(self.defined.types),
-            experiment=self.experiment(sections.get("DefaultExperiment", ())),
+            experiment=self.experiment(sections.get(EXPERIMENT, ())),
             indicators=indicators,
             categories=tuple(
                 Category(values.get("name", ""), values.get("description", ""))
@@ -221,12 +222,23 @@ class _DescriptionReader:
 
     def experiment(self, elements: Iterable[Element]) -> Experiment:
         for _, attributes, _, line in elements:
-            self.told.strange(attributes, {"startTime", "stopTime", "tolerance", "stepSize"}, "DefaultExperiment", line)
-            values = (
-                self.told.real(attributes, name, "DefaultExperiment", line)
+            self.told.strange(attributes, {"startTime", "stopTime", "tolerance", "stepSize"}, EXPERIMENT, line)
+            start, stop, tolerance, step = (
+                self.told.real(attributes, name, EXPERIMENT, line)
                 for name in ("startTime", "stopTime", "tolerance", "stepSize")
             )
-            return Experiment(*values)
+            if stop is not None and stop <= (start or 0.0):
+                begin = attributes.get("startTime", "0")
+                message = f"stopTime {attributes['stopTime']} does not lie after startTime {begin}, and is ignored."
+                self.told.warn(EXPERIMENT, message, line)
+                stop = None
+            if tolerance is not None and tolerance <= 0.0:
+                self.told.warn(EXPERIMENT, f"tolerance {attributes['tolerance']} is not above 0, and is ignored.", line)
+                tolerance = None
+            if step is not None and step <= 0.0:
+                self.told.warn(EXPERIMENT, f"stepSize {attributes['stepSize']} is not above 0, and is ignored.", line)
+                step = None
+            return Experiment(start, stop, tolerance, step)
         return Experiment()
 
     def interface(self, element: Element) -> Interface:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -321,4 +323,10 @@ def inside(folder: Path, name: str) -> Path:
     if not target.is_relative_to(real(folder)) or target == real(folder) or not name.isprintable():
         cure = f"Name a file in {legible(folder.name)}, as in results/run.csv."
         raise UsageError(Fault("E501", legible(name[:200]), "lies outside of the diagram's folder.", cure))
+    try:
+        os.lstat(target)
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            what = "is too long for the name of a file."
+            raise UsageError(Fault("E501", legible(name[:200]), what, "Shorten it.")) from None
     return target

@@ -10,7 +10,7 @@ import hashlib
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,6 +45,9 @@ __all__ = ["sweep", "units_of_measures"]
 Array = np.ndarray[Any, Any]
 CHUNK = 2.0
 """Seconds of work after which rows are written to the file of a sweep."""
+STEPS, TIMES = 1_000_000, 1000
+"""Without a budget, rows that take more than STEPS run after all others, up to TIMES the median of these."""
+SHOWN = 3
 
 
 def sweep(
@@ -65,6 +68,7 @@ def sweep(
     threads: int | None = None,
     budget: int | None = None,
     progress: Callable[[int, int], None] | None = None,
+    notice: Callable[[str], None] | None = None,
     out: str | Path | None = None,
     resume: bool = True,
     on: Any = None,
@@ -90,8 +94,7 @@ def sweep(
     names = list(rows.columns)
     of_rows = {**asked, "measures": measures, "log": log, "lanes": lanes}
     batches = [
-        diagram.batch(names, **{**of_rows, "parameters": {**(parameters or {}), **on_top}})
-        for on_top in given.values()
+        diagram.batch(names, **{**of_rows, "parameters": {**(parameters or {}), **on_top}}) for on_top in given.values()
     ]
     wanted = margins_of(margins or {})
     linear = {key: value for key, value in asked.items() if key not in ("parameters", "engine")}
@@ -131,7 +134,9 @@ def sweep(
             made.take(piece.scenario * rows.n + piece.number, piece)
         if on is None:
             with live_line(progress, in_rows("rows")) as told_to:
-                _run(batches, beside, table, seeds, made, threads=threads, budget=budget, progress=told_to)
+                run = _Rounds(batches, beside, table, seeds, made, threads, told_to, notice)
+                # With fixed steps the number of steps is known, and equal in all rows.
+                run.all(budget, is_bounded=not begun.plan.settings.is_fixed_step)
         else:
             from .distributed import Job, Put, run_on
 
@@ -293,43 +298,105 @@ class _Made:
         )
 
 
-def _run(
-    batches: Sequence[Batch],
-    beside: Sequence[RowMargins],
-    table: Array,
-    seeds: Array,
-    made: _Made,
-    *,
-    threads: int | None,
-    budget: int | None,
-    progress: Callable[[int, int], None] | None,
-) -> None:
-    """Run all rows that are not there yet; where there is a file, in chunks that take about CHUNK seconds."""
-    left = np.flatnonzero(made.status == "left")
-    done, total = len(made.status) - len(left), len(made.status)
-    size = len(left) if made.part is None else threads or os.cpu_count() or 1
+@dataclass
+class _Rounds:
+    """The rows of a sweep that are not there yet, run in rounds: a row that takes many steps waits for all others."""
 
-    def tell(count: int, _: int) -> None:
-        if progress is not None:
-            progress(done + count, total)
+    batches: Sequence[Batch]
+    beside: Sequence[RowMargins]
+    table: Array
+    seeds: Array
+    made: _Made
+    threads: int | None
+    progress: Callable[[int, int], None] | None
+    notice: Callable[[str], None] | None
 
-    try:
+    def all(self, budget: int | None, *, is_bounded: bool) -> None:
+        """Run all rows, each with at most `budget` steps.
+
+        None: where `is_bounded`, with a budget that follows from the steps of the other rows, of which most must be
+        done first. So it is the same however the rows are cut into chunks, and wherever a sweep was killed.
+        """
+        made = self.made
+        try:
+            if budget is not None or len(made.status) == 1 or not is_bounded:
+                self._round(budget)
+                return
+            budget, is_last = STEPS, False
+            self._round(budget, is_last=is_last)
+            while (left := np.flatnonzero(made.status == "left")).size:
+                budget, is_last, before = *_next_budget(made, budget), budget
+                if self.notice is not None:
+                    self.notice(self._held_up(left, before, budget, is_last=is_last))
+                self._round(budget, is_last=is_last)
+                if is_last:
+                    return
+        except KeyboardInterrupt:
+            made.interrupted = True
+
+    def _held_up(self, left: Array, before: int, budget: int, *, is_last: bool) -> str:
+        """Name the rows that hold the sweep up."""
+        made, names = self.made, []
+        for at in left[:SHOWN].tolist():
+            values = [f"{name} = {column[at]}" for name, column in made.begun.varied.items()]
+            scenario = made.begun.scenarios[at // made.n] if made.begun.scenarios else ""
+            names.append(f"{at % made.n} ({', '.join(filter(None, (scenario, *values)))})")
+        more = f" and {len(left) - SHOWN} more" if len(left) > SHOWN else ""
+        rows = f"row{'s' if len(left) > 1 else ''} {', '.join(names)}{more}"
+        end = f", up to {budget:,} steps" if is_last else ""
+        return f"more than {before:,} steps: {rows}. All other rows are done; now it goes on with these{end}."
+
+    def _round(self, budget: int | None, *, is_last: bool = True) -> None:
+        """Run the rows that are "left"; where there is a file, in chunks that take about CHUNK seconds.
+
+        is_last: rows that are over the budget get that status; else they stay "left". Ctrl-C is raised.
+        """
+        made, threads = self.made, self.threads
+        left = np.flatnonzero(made.status == "left")
+        total, size = len(made.status), len(left) if made.part is None else threads or os.cpu_count() or 1
+
+        def tell(count: int, _: int) -> None:
+            if self.progress is not None:
+                self.progress(done + count, total)
+
+        done = int(np.count_nonzero(made.status != "left"))
         tell(0, 0)
-        for scenario, batch in enumerate(batches):
+        for scenario, batch in enumerate(self.batches):
             waiting = left[left // made.n == scenario]
             while len(waiting):
                 chunk, waiting = waiting[:size], waiting[size:]
                 begun = time.perf_counter()
                 numbers = chunk - scenario * made.n
-                rows = batch(table[numbers], seeds=seeds[numbers], threads=threads, budget=budget, progress=tell)
-                if beside:
-                    rows = beside[scenario].beside(rows, batch, table[numbers], seeds[numbers])
+                table, seeds = self.table[numbers], self.seeds[numbers]
+                rows = batch(table, seeds=seeds, threads=threads, budget=budget, progress=tell)
+                rows = rows if is_last else _postponed(rows)
+                if self.beside:
+                    rows = self.beside[scenario].beside(rows, batch, table, seeds)
                 made.keep(chunk, rows)
                 if rows.interrupted:
                     raise KeyboardInterrupt
-                done += len(chunk)
+                done = int(np.count_nonzero(made.status != "left"))
                 if made.part is not None:
                     seconds = max(time.perf_counter() - begun, 1e-3)
                     size = max(1, int(min(4 * size, size * CHUNK / seconds)))
-    except KeyboardInterrupt:
-        made.interrupted = True
+
+
+def _next_budget(made: _Made, budget: int) -> tuple[int, bool]:
+    """The budget of the rows that took more than the last one, and whether it cuts them short.
+
+    It does where most rows are done. It follows from the rows within the last budget alone: what was done after it in a
+    sweep that was killed does not count.
+    """
+    is_within = (made.status == "ok") & (made.steps <= budget)
+    is_beyond = np.isin(made.status, ("left", "budget")) | (made.steps > budget)
+    if np.count_nonzero(is_within) <= np.count_nonzero(is_beyond):
+        return 10 * budget, False
+    return max(budget, TIMES * int(np.median(made.steps[is_within]))), True
+
+
+def _postponed(rows: BatchRows) -> BatchRows:
+    """The same, with rows that are over the budget "left"."""
+    is_over = rows.status == "budget"
+    messages = ("" if over else message for over, message in zip(is_over, rows.messages, strict=True))
+    status, steps = np.where(is_over, "left", rows.status), np.where(is_over, 0, rows.steps)
+    return replace(rows, status=status, messages=tuple(messages), steps=steps)

@@ -50,6 +50,7 @@ CURES = {
     errno.EPERM: "Name a file in a folder that you may write to.",
     errno.EBUSY: "Run it again.",
     errno.EROFS: "Name a file in a folder that can be written to.",
+    errno.EILSEQ: "Set PYTHONUTF8=1, or choose another name.",
 }
 
 _parts: set[str] = set()
@@ -139,6 +140,11 @@ def _is_device(target: Path) -> bool:
     if "\0" in str(target):
         raise OSError(errno.EINVAL, "the name holds a NUL", str(target))
     try:
+        os.fsencode(target)
+    except UnicodeEncodeError:
+        what = f"names of files are in {sys.getfilesystemencoding()} here, which lacks characters of this one"
+        raise OSError(errno.EILSEQ, what, str(target)) from None
+    try:
         mode = os.stat(target).st_mode
     except FileNotFoundError:
         return False
@@ -216,7 +222,8 @@ def _done(part: str) -> str:
 
 def _first(target: Path) -> str:
     """How the names of parts of a target begin. Only those of this machine can be known to be left behind."""
-    name = target.name.encode("utf-8", "surrogateescape")[:LONGEST].decode("utf-8", "ignore")
+    encoding = sys.getfilesystemencoding()
+    name = os.fsencode(target.name)[:LONGEST].decode(encoding, "ignore")
     return f".{name}.{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}"
 
 
@@ -298,6 +305,15 @@ def _mode(path: Path) -> int:
     try:
         return path.stat().st_mode & 0o777
     except OSError:
-        mask = os.umask(0)
-        os.umask(mask)
-        return 0o666 & ~mask
+        return 0o666 & ~_mask()
+
+
+def _mask() -> int:
+    """The umask, which other threads create files by at the same time: it is read without being changed, on Linux."""
+    with contextlib.suppress(OSError, ValueError), open("/proc/self/status", "rb") as lines:
+        for line in lines:
+            if line.startswith(b"Umask:"):
+                return int(line.split()[1], 8)
+    mask = os.umask(0o077)  # elsewhere a file of another thread may get too few rights for an instant, not too many
+    os.umask(mask)
+    return mask

@@ -348,6 +348,9 @@ def _quick(text: str) -> Any:
     raise ValueError
 
 
+_ARCHIVE = b"PK\x03\x04"  # so begins a ZIP file
+
+
 def _decoded(text: str | bytes, file: str) -> str:
     size = len(text)
     if isinstance(text, str) and size <= limits.LARGEST_TEXT and not text.isascii():
@@ -357,6 +360,13 @@ def _decoded(text: str | bytes, file: str) -> str:
         raise ModelError(Fault("E008", "", message, "Keep tables of data in files of their own.", file=file))
     if isinstance(text, str):
         return text
+    if text.startswith(_ARCHIVE):
+        message = "is an archive, such as an FMU, and not a diagram."
+        cure = 'An FMU runs by: blocks fmu run X.fmu. In a diagram it is a block: {"fmu": "X.fmu"}.'
+        if file.lower().endswith(".ssp"):
+            message = "is a package of SSP (System Structure and Parameterization), which is not read."
+            cure = 'Unpack it: each FMU in its folder "resources" can be a block of a diagram, {"fmu": "X.fmu"}.'
+        raise ModelError(Fault("E001", "", message, cure, (), file, 1, 1))
     line, column, message = 1, 1, "the text is in UTF-16 or UTF-32, or not a text."
     if not text.startswith((b"\xff\xfe", b"\xfe\xff")) and b"\0" not in text[:4]:
         try:

@@ -15,6 +15,7 @@ import sys
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,8 @@ from blocks import (
     output,
     stepper,
 )
+from blocks.engines.master import native_master
+from blocks.engines.master.native_master import NativeMaster
 from blocks.results.results import Results
 from blocks.text.errors import FMUError, ModelError
 from tests.support.coupled_systems import (
@@ -949,3 +952,23 @@ def test_an_fmu_whose_input_jumps_still_finds_what_fires_ever_faster(tmp_path: P
         driven(fmu(tmp_path / "bounces.fmu", "CS")).run(stop=5.0, every=0.1, engine=engine, master={"step": 0.01})
     # It would rest at sqrt(2 h/g) (1 + e)/(1 - e).
     assert caught.value.results.t[-1] == pytest.approx(math.sqrt(2 / 9.81) * 1.7 / 0.3, abs=0.1)
+
+
+def test_rows_are_freed_by_the_library_that_allocated_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A checker of memory that is linked into it would else see a foreign pointer."""
+    monkeypatch.setattr(native_master, "LARGEST_SPARE", 0)
+    motor = Diagram.alone(fmu(MOTORS[3]))
+    run = motor.start(stop=0.1, inputs={"v": 6.0}, engine="native", master={"step": 0.01})
+    run.advance_to(0.1)
+    engine = run._simulation.engine
+    assert isinstance(engine, NativeMaster)
+    library, freed = engine.library, []
+
+    def free(data: Any) -> None:
+        freed.append(data)
+        library.master_free(data)
+
+    monkeypatch.setattr(engine, "library", SimpleNamespace(master_free=free))
+    engine.close()
+    engine._free()
+    assert freed

@@ -151,6 +151,8 @@ def test_results_are_saved_in_the_folder_of_the_diagram_alone(motor: tuple[Sessi
     (made.document.folder / "link").symlink_to(made.document.folder.parent)
     with pytest.raises(UsageError, match=re.escape("lies outside of the diagram's folder.")):
         do("save", path="link/a.csv")
+    with pytest.raises(UsageError, match="is too long for the name of a file"):
+        do("save", path="a" * 300 + ".csv")
     for path in ("motor_pid.json", "a.txt"):
         with pytest.raises(UsageError, match="E501"):
             do("save", path=path, replaces=True)

@@ -487,3 +487,34 @@ def test_a_lock_of_another_program_does_not_hold_an_edit_up_for_ever(
             edited.write("after")
         let_go.join()
     assert (target.read_text(), parts(tmp_path)) == ("after", [])
+
+
+@LINUX
+def test_the_umask_is_read_without_being_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "umask", lambda _: pytest.fail("another thread would create files with it"))
+    write(tmp_path / "a", "a")
+    (tmp_path / "b").touch()
+    assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
+
+
+@LINUX
+def test_names_beyond_ascii_are_written_where_file_names_are_in_ascii(tmp_path: Path) -> None:
+    code = f"""
+        import sys
+        from blocks.text.atomic_write import write_atomically
+        from blocks.text.errors import UsageError
+        assert sys.getfilesystemencoding() == "ascii"
+        with write_atomically({str(tmp_path)!r} + "/" + sys.argv[1]) as stream:
+            stream.write("bytes of the command line")
+        try:
+            with write_atomically({str(tmp_path)!r} + "/\\xe4.csv") as stream:
+                stream.write("no such bytes are known")
+        except UsageError as error:
+            print(ascii(str(error)))
+        """
+    command = [sys.executable, "-c", textwrap.dedent(code), "\xf6.csv"]
+    ascii_names = environment(LC_ALL="POSIX", PYTHONCOERCECLOCALE="0", PYTHONUTF8="0")
+    done = subprocess.run(command, env=ascii_names, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "names of files are in ascii here" in done.stdout
+    assert [path.name for path in tmp_path.iterdir()] == ["\xf6.csv"]

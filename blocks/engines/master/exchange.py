@@ -55,6 +55,9 @@ class Exchange:
     def blamed(self) -> Array:
         return np.empty(0, dtype=int)
 
+    def state_rates(self) -> None:
+        return None
+
     def pause(self, every: float, at: float) -> None:
         pass  # a moment is one step
 

@@ -24,7 +24,7 @@ from ...compile.coupling import CoupledUnit, Coupling, CouplingLoop, Get, Link, 
 from ...compile.inputs import InputTable, Track
 from ...compile.toolchain.compiler import TranslationUnit, build, load
 from ...compile.upstream import changed_by, remembers_inputs
-from ...fmi.calls import WARNING
+from ...fmi.calls import ASKED, WARNING
 from ...fmi.instance import PATIENCE, Loaded, some
 from ...fmi.types import code_of, full_name
 from ...results.results import Event
@@ -85,6 +85,7 @@ def master_library() -> ctypes.CDLL:
     library.master_run.argtypes = [_P, _D]
     library.master_changed.argtypes, library.master_state_bytes.argtypes = [_P, ctypes.c_int], [_P]
     library.master_state_bytes.restype = _L
+    library.master_free.argtypes, library.master_free.restype = [_P], None
     sizes = [*(_L * len(_KINDS)).in_dll(library, "master_sizes")]
     if sizes != [ctypes.sizeof(kind) for kind in _KINDS]:
         raise AssertionError(f"the structures of the master are not what its header says: {sizes}")
@@ -192,7 +193,7 @@ class NativeMaster(ReferenceMaster):
             if rows.data and 8 * rows.capacity <= LARGEST_SPARE and len(_SPARE) < MOST_SPARE:
                 _SPARE.append((rows.data, rows.capacity))
             elif rows.data:
-                _FREE(rows.data)
+                self.library.master_free(rows.data)
 
     def start(self) -> None:
         super().start()
@@ -612,7 +613,7 @@ class NativeMaster(ReferenceMaster):
         assert unit.foreign is not None
         fmi = unit.foreign.description.fmi
         if function >= 0:
-            return full_name(_CALLS[function], fmi), ""
+            return full_name(_CALLS[function], fmi), ASKED if _CALLS[function] == "GetStatus" else ""
         return self.moves[-function - 1]
 
     # --- from outside --------------------------------------------------------------------------------------------
@@ -638,7 +639,3 @@ class NativeMaster(ReferenceMaster):
         if self._c is not None:
             self.at = [c_unit.t for c_unit in (MasterUnit * self._c.nunits).from_address(self._c.units)]
         return super().values(references)
-
-
-_FREE = ctypes.CDLL(None).free
-_FREE.argtypes, _FREE.restype = [_P], None

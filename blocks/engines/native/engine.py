@@ -34,6 +34,7 @@ from ..run.memory_estimate import COPIES
 from ..run.saved_state import State, fit, standing
 from ..run.snapshot import MethodMemory, Snapshot, frozen, told_method
 from ..run.step_parts import Unseen, unseen_faults
+from ..run.stiffness import StateRates
 from .model import Model, model_of
 from .rows import Handle, array, track_table
 
@@ -638,6 +639,24 @@ class NativeEngine:
     def blamed(self) -> Array:
         counts: Array = array(self.sim.blamed, self._nx, ctypes.c_int64)
         return counts[self.model.place]
+
+    def state_rates(self) -> StateRates | None:
+        if self.plan.foreign:
+            return None
+        order, place, library, t = self.model.order, self.model.place, self.model.library, self.t
+        out = np.empty(self._nx + len(self.plan.crossings))  # crossings may stand behind the rates
+
+        def rates(x: Array) -> Array:
+            given = np.ascontiguousarray(x[order])
+            with self._alone():
+                counted = self.sim.evaluations
+                library.blocks_rates(self.address, t, given.ctypes.data, out.ctypes.data)
+                self.sim.evaluations = counted
+            return out[place]
+
+        x = self._x[place]
+        weights = self._atol[place] + self.settings.rtol * np.abs(x)
+        return StateRates(self.plan.states, x, weights, rates, self.sim.instants, self._handle.setup.longest)
 
     @property
     def recorded_bytes(self) -> float:

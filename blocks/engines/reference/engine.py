@@ -33,6 +33,7 @@ from ..run.saved_state import State, fit, standing
 from ..run.snapshot import MethodMemory, Snapshot, frozen, told_method
 from ..run.step_parts import longest_step
 from ..run.step_polynomial import Interpolant
+from ..run.stiffness import StateRates
 from . import event_location, stiff
 from .chattering import CrossingWatch, ProgressWatch
 from .event_update import Instants
@@ -431,6 +432,20 @@ class ReferenceEngine:
         """What each state may be off by in a step from here."""
         weights: Array = self.atol + self.settings.rtol * np.abs(self.now.x)
         return weights
+
+    def state_rates(self) -> StateRates | None:
+        if self.plan.foreign:
+            return None
+        t = self.now.t
+
+        def rates(x: Array) -> Array:
+            counted = self.evaluations
+            with np.errstate(all="ignore"):
+                made = self._rates(t, x)
+            self.evaluations = counted
+            return made
+
+        return StateRates(self.plan.states, self.now.x, self._weights(), rates, self.instant_count, self.longest)
 
     def _first(self) -> Array:
         """The rates now. Raises SimulationError (E303) where they are not finite."""

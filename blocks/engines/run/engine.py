@@ -13,6 +13,7 @@ import numpy as np
 from ...results.results import Event, Events, Statistics
 from ...text.errors import Fault
 from .saved_state import State
+from .stiffness import StateRates
 
 __all__ = ["ENGINES", "VARIABLE", "Engine", "Recorded", "heard_by_python"]
 
@@ -93,6 +94,13 @@ class Engine(Protocol):
     @property
     def blamed(self) -> Array:
         """For each state, the rejected steps in which its error was the largest: (n,); of a master none, (0,)."""
+        ...
+
+    def state_rates(self) -> StateRates | None:
+        """The states now, and their rates at other states, by which nothing changes and nothing counts.
+
+        None of a master, and where an FMU for Model Exchange computes rates.
+        """
         ...
 
     @property

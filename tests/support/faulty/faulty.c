@@ -448,6 +448,10 @@ F fmi2DoStep(C, fmi2Real t, fmi2Real h, fmi2Boolean forgets) {
 F fmi2CancelStep(C) { tell(c, OK, "cancelled", NOW->t); return fmi2OK; }
 F fmi2GetStatus(C, const fmi2StatusKind s, fmi2Status *value) {
     (void)s;
+#ifdef REFUSES_STATUS
+    *value = fmi2Pending;
+    return fmi2Error;
+#endif
     *value = NOW->fault == PENDS && ++NOW->polls > 3 ? fmi2OK : fmi2Pending;
     return fmi2OK;
 }
@@ -510,7 +514,11 @@ F fmi3EnterInitializationMode(C, fmi3Boolean has_tolerance, fmi3Float64 toleranc
     return fmi3OK;
 }
 F fmi3ExitInitializationMode(C) { return begun(c); }
+#ifdef REFUSES_EVENT_MODE
+F fmi3EnterEventMode(C) { (void)c; return fmi3Error; }
+#else
 F fmi3EnterEventMode(C) { (void)c; return fmi3OK; }
+#endif
 F fmi3Terminate(C) { tell(c, OK, "terminated", NOW->t); return fmi3OK; }
 F fmi3Reset(C) { start(NOW); return fmi3OK; }
 F fmi3EnterConfigurationMode(C) { (void)c; return fmi3OK; }

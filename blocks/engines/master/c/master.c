@@ -531,13 +531,17 @@ static double seconds(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-/* The status of a step of FMI 2 that was pending, when it is done; pending where it takes too long. */
-static int settled(Master *m, MasterUnit *u)
+/* The status of a step of FMI 2 that was pending, when it is done; pending where it takes too long. call: that which gave
+   the status. */
+static int settled(Master *m, MasterUnit *u, int *call)
 {
     double until = seconds() + m->patience;
     for (long nap = 0;; nap = nap < 10000000 ? nap + 100000 : nap) {
         int found = PENDING, status = CALL(BooleanStatus, u, CALL_GetStatus)(u->component, 0, &found);
-        if (status == ERROR_ || status == FATAL) return status;
+        if (status == ERROR_ || status == FATAL) {
+            *call = CALL_GetStatus;
+            return status;
+        }
         if (status > WARNING || found != PENDING) return found;
         if (seconds() >= until) return PENDING;
 #if !defined(_WIN32)
@@ -557,7 +561,7 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
     if (u->is_over) return ends_run(u, u->over_t, t1);
     for (;;) {
         double h = end - t, last = end;
-        int has_slopes = 0, status, is_early = 0, has_ended = 0;
+        int has_slopes = 0, status, is_early = 0, has_ended = 0, call = CALL_DoStep;
         if (m->order && u->has_moving)
             for (int i = 0; i < u->ninputs; i++)
                 if (u->courses[3 * i + 1] != 0.0 || u->courses[3 * i + 2] != 0.0) has_slopes = 1;
@@ -577,7 +581,7 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
         inner_status = OK;
         if (u->kind == MASTER_FMI2) {
             status = CALL(Step2, u, CALL_DoStep)(u->component, t, h, !u->has_saved);
-            if (status == PENDING && u->calls[CALL_GetStatus] && (status = settled(m, u)) == PENDING)
+            if (status == PENDING && u->calls[CALL_GetStatus] && (status = settled(m, u, &call)) == PENDING)
                 return fail(m, MASTER_PENDING, number_of(m, u), CALL_DoStep, status, 0.0);
         } else {
             bool event = false, over = false, early = false;
@@ -589,7 +593,7 @@ static int step_unit(Master *m, MasterUnit *u, double t1)
         }
         stepped = NULL;
         if (inner_status && judged(m, u, inner_call, inner_status)) return 1;
-        if (status && status != DISCARD && judged(m, u, CALL_DoStep, status)) return 1;
+        if (status && status != DISCARD && judged(m, u, call, status)) return 1;
         if (status == DISCARD) {
             if (u->kind == MASTER_FMI2) {
                 int over = 0;
@@ -816,6 +820,8 @@ static double *more(Master *m, BlocksList *list, int64_t n)
     list->used += n;
     return place;
 }
+
+void master_free(double *data) { free(data); }
 
 /* Each link as it is now. */
 static int values_of(Master *m, const MasterLink *links, int n, double *out)
@@ -1407,9 +1413,11 @@ static int controlled(Master *m, double limit)
 static int odd(Master *m, int k, int status, double t, double t1)
 {
     MasterUnit *u = &m->units[k];
-    if (status == PENDING && u->kind == MASTER_FMI2 && u->calls[CALL_GetStatus] && (status = settled(m, u)) == PENDING)
+    int call = CALL_DoStep;
+    if (status == PENDING && u->kind == MASTER_FMI2 && u->calls[CALL_GetStatus] &&
+        (status = settled(m, u, &call)) == PENDING)
         return fail(m, MASTER_PENDING, k, CALL_DoStep, status, 0.0);
-    if (status != DISCARD) return judged(m, u, CALL_DoStep, status);
+    if (status != DISCARD) return judged(m, u, call, status);
     /* Discarded: asked again, by the way that goes on from where it came to. */
     u->t = t;
     for (int i = 0; i < u->ninputs; i++) {

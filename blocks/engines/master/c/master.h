@@ -184,6 +184,7 @@ typedef struct {
 BLOCKS_API int master_run(Master *m, double stop);                /* on to `stop` */
 BLOCKS_API int master_changed(Master *m, int is_input);           /* an input or a parameter was set from outside, at the time where it stands */
 extern BLOCKS_API const int64_t master_sizes[]; /* of the structures above, in their order */
+BLOCKS_API void master_free(double *data);                        /* of rows or points, which C has allocated */
 BLOCKS_API int64_t master_state_bytes(MasterUnit *u);             /* of a native unit */
 BLOCKS_API void master_intermediate(void *environment, double t, int set_requested, int get_allowed, int finished,
                                     int can_return, void *early, double *early_time);
