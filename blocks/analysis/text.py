@@ -62,7 +62,7 @@ def _bandwidth(model: Any) -> float | None:
 _STABILITY = {"stable": "stable", "border": "at the border of stability within rounding", "unstable": "not stable"}
 
 
-def _stability(model: Transfer) -> dict[str, Any]:
+def _stability(model: Any) -> dict[str, Any]:
     """The words of `Margins.as_json` of a model that is no loop."""
     names = ("gain", "gain_low", "phase_deg", "crossover", "delay", "Ms", "Mt", "disk")
     verdict = stability(balanced(model))
@@ -160,10 +160,10 @@ def figure(model: Transfer | DelayedModel, kind: str, *, is_loop: bool) -> Any:
         raise AnalysisError(Fault("E705", model.point, message, cure))
     ins, outs = (", ".join(names) for names in model.signals)
     name = f"{model.name}: loop at {ins}" if is_loop else f"{model.name}: {ins} to {outs}"
-    if isinstance(model, DelayedModel) and kind in ("poles", "step"):
+    if isinstance(model, DelayedModel) and kind not in ("bode", "nyquist", "nichols"):
         message = "exact delays contribute, and this figure needs a state space."
         raise AnalysisError(Fault("E707", ins, message, "Take Padé models of them: --pade 3."))
-    if kind in ("bode", "nyquist", "nichols"):
+    if isinstance(model, DelayedModel) or kind in ("bode", "nyquist", "nichols"):
         return getattr(figures, kind)({name: model}, margins=is_loop)
     if kind == "poles":
         return figures.pole_map({name: model})

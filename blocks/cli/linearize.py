@@ -12,8 +12,6 @@ from .values import assignments, check_writable, number_of, parsed, raw_number, 
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
-    from ..frequency.delayed import DelayedModel
-    from ..linear.transfer import Transfer
 
 __all__ = ["add"]
 
@@ -102,9 +100,7 @@ def _linearize(options: argparse.Namespace) -> int:
     given = assignments("--override", options.overrides, "q=1")
     linearizer = diagram.linearizer(overrides={name: raw_number(v) for name, v in given.items()}, **point)
     if is_loop:
-        model: Transfer | DelayedModel = linearizer.exact_loop(
-            options.loop, openings=options.openings, pade=options.pade
-        )
+        model: Any = linearizer.exact_loop(options.loop, openings=options.openings, pade=options.pade)
     else:
         model = linearizer.transfer(options.sources, options.sinks, openings=options.openings, pade=options.pade)
     from ..analysis.text import check_loop, entry, figure, lines
