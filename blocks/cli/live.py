@@ -8,6 +8,7 @@ import os
 import queue
 import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -130,12 +131,26 @@ def _says_yes(question: str) -> bool:
     if sys.platform != "win32":
         import termios
 
+        if _is_behind():
+            print(printable(f"{question} Bring this command to the foreground to answer: fg"), flush=True)
+        while _is_behind():
+            time.sleep(LOOK)
         with contextlib.suppress(termios.error):
             termios.tcflush(sys.stdin, termios.TCIFLUSH)
     try:
         return input(printable(f"{question} [y/N] ")).strip().lower() in ("y", "yes")
-    except EOFError:
+    except (EOFError, OSError):  # OSError: the terminal is gone
         print(flush=True)
+        return False
+
+
+def _is_behind() -> bool:
+    """Return whether this command is in the background of its shell, which stops it if it reads from the terminal."""
+    if sys.platform == "win32":
+        return False
+    try:
+        return os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp()
+    except OSError:  # the terminal is gone
         return False
 
 

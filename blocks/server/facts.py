@@ -20,7 +20,7 @@ from ..model.copies import Copy, Fleet, depth_of, dimensions, own_value, without
 from ..model.diagram import DiagramValue
 from ..model.values import expressions_in
 from ..text.json_number import Number
-from ..text.units import same_quantity, scale
+from ..text.units import converted, same_quantity
 
 __all__ = ["Fact", "facts_of", "text_of"]
 
@@ -204,8 +204,7 @@ def _in_unit(value: Any, unit: str, to: str) -> Any:
     """A number, or a list of them, in another unit, rounded as far as that makes digits."""
     if unit == to:
         return value
-    factor = scale(unit, to)
-    return np.vectorize(lambda x: float(f"{x * factor:.14g}"), [float])(value).tolist()
+    return np.vectorize(lambda x: float(f"{converted(x, unit, to):.14g}"), [float])(value).tolist()
 
 
 def text_of(raw: Any, unit: str = "") -> str:

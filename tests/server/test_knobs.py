@@ -155,6 +155,16 @@ def test_a_unit_is_kept_and_a_default_becomes_an_entry(tmp_path: Path, opened: C
     assert path.read_text() == new.replace('"kp": {"value": 20,', '"kp": {"value": 25,')
 
 
+def test_values_in_a_unit_with_an_offset_are_shown_in_the_declared_one(opened: Callable[[Any], Session]) -> None:
+    diagram = Diagram("warm")
+    diagram.parameter("T", 293.15, unit="K")
+    diagram.output("y", diagram.input("hot", unit="K", default="20 degC"))
+    diagram.output("z", diagram.input("cold", unit="degC", default="300 K"))
+    session = opened(diagram)
+    assert [session.document.facts[name].was for name in ("hot", "cold")] == ["293.15 K", "26.85 degC"]
+    assert asking(session)("set", name="T", value="25 degC")["text"] == "298.15 K"
+
+
 def test_keep_refuses_a_file_that_changed_and_one_that_would_say_something_else(
     tmp_path: Path, loop: tuple[Path, Session, Do], opened: Callable[[Any], Session]
 ) -> None:
