@@ -27,7 +27,7 @@ from ..model.document import entries
 from ..model.trust import is_trusted
 from ..model.values import is_expression
 from ..text import json_text, json_writer, units
-from ..text.atomic_write import write_atomically
+from ..text.atomic_write import check_target, refused, write_atomically
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible, quoted
 from ..text.quantity_text import value_in
@@ -595,6 +595,10 @@ def upload(session: Session, *, name: str, text: str) -> Answer:
     if target.suffix.lower() != ".fmu" or target.parent != editor.folder.resolve():
         raise UsageError(Fault("E501", quoted(name[:200]), "is no name of an FMU.", "Drop a file that ends with .fmu."))
     try:
+        check_target(target)
+    except OSError as error:
+        raise refused(name[:200], error) from None
+    try:
         data = base64.b64decode(text, validate=True)
     except binascii.Error:
         raise UsageError(Fault("E501", "upload.text", "is no base64.")) from None
@@ -628,7 +632,8 @@ def _asked(session: Session, target: Path, data: bytes) -> Answer:
                 _write_new(target, data)
         except UsageError as error:
             why = str(error)
-        session.waits_for = ""
+        finally:
+            session.waits_for = ""
         session.broadcast({"is": "permitted", "fmu": target.name, "why": why})
 
     session.waits_for = target.name
@@ -643,7 +648,7 @@ def _asked(session: Session, target: Path, data: bytes) -> Answer:
 
 def _write_new(target: Path, data: bytes) -> None:
     """Write a file where there is none. Raises UsageError (E501)."""
-    if target.exists():
+    if os.path.lexists(target):  # also a link to nowhere, which would lead out of the folder
         raise UsageError(Fault("E501", legible(target.name), "is there already.", "Rename one of the two."))
     with write_atomically(target) as stream:
         stream.buffer.write(data)

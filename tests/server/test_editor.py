@@ -596,6 +596,32 @@ def test_an_fmu_that_is_dropped_is_written_after_a_yes_at_the_terminal_only(tmp_
         assert not ask("upload", name="PMDCMotor.fmu", text=data)["waits"]  # it is there
 
 
+def test_a_dropped_fmu_does_not_leave_its_folder_through_a_link_that_is_made_while_the_question_waits(
+    tmp_path: Path,
+) -> None:
+    folder, outside = tmp_path / "project", tmp_path / "outside.fmu"
+    folder.mkdir()
+    data = base64.b64encode((ROOT / "fmus/PMDCMotor.fmu").read_bytes()).decode()
+    decisions: list[Any] = []
+    session_of: list[Session] = []
+    with edited(folder / "a.json", asks=lambda _, decide: decisions.append(decide), seen=session_of) as (ask, _):
+        ask("upload", name="x.fmu", text=data)
+        (folder / "x.fmu").symlink_to(outside)
+        decisions[0](True)
+        limit = time.monotonic() + 60
+        while session_of[0].waits_for and time.monotonic() < limit:
+            time.sleep(0.01)
+        assert not outside.exists()
+
+
+def test_an_fmu_with_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "folder.fmu").mkdir()
+    with edited(tmp_path / "a.json", trust=tmp_path) as (ask, _):
+        for name, why in (("x" * 300 + ".fmu", "File name too long"), ("folder.fmu", "Is a directory")):
+            with pytest.raises(UsageError, match=f"E501 .*cannot be written: {why}"):
+                ask("upload", name=name, text="UEsD")
+
+
 GESTURES = st.one_of(
     st.builds(lambda t, x: ("insert", {"entry": {"type": t}, **({"at": [x, x]} if x else {})}),
               st.sampled_from(["Gain", "Sum", "Integrator", "Step", "PID"]), st.sampled_from([0, 40, -200])),
