@@ -217,7 +217,7 @@ class Session:
 
     def _drop(self, jobs: list[_Job]) -> None:
         for job in jobs:
-            job.is_dropped = True
+            job.is_dropped = job.message.get("do") != "save"  # a file counts, like an edit
 
     def check_wanted(self) -> None:
         """Raise UsageError (E501) where nobody waits any more for what this session, as it stood, is asked."""

@@ -143,13 +143,18 @@ def test_what_a_closed_page_asked_for_is_dropped(page: Asking, monkeypatch: pyte
         assert is_closed.wait(60.0)
         return {"is": "long"}
 
+    def save(session: Session) -> None:
+        computed.append("save")
+
     monkeypatch.setitem(HANDLERS, "long", long)
-    monkeypatch.setattr("blocks.server.session.ASIDE", ASIDE | {"long"})
+    monkeypatch.setitem(HANDLERS, "save", save)
+    monkeypatch.setattr("blocks.server.session.ASIDE", ASIDE | {"long", "save"})
     other = Asking(page.session)
     page.ask("long", name="first")
     for k in range(3):
         other.ask("long", name=f"of the closed page {k}")
     page.ask("long", name="last")
+    other.ask("save")  # a file counts, too
     other.ask("put", name="gain.k", text="3")  # a gesture counts, though its page is closed at once
     page.session.disconnected(other)
     assert other.has_answer.acquire(timeout=60.0)  # that of the gesture
@@ -157,7 +162,7 @@ def test_what_a_closed_page_asked_for_is_dropped(page: Asking, monkeypatch: pyte
         assert not is_closed.wait(0.01)
     is_closed.set()
     assert {one["is"] for one in page.answers().values()} == {"long"}
-    assert computed == ["first", "last"]
+    assert computed == ["first", "last", "save"]
     assert page.session.document.shown.value.blocks["gain"].parameters["k"] == 3
 
 
