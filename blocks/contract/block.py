@@ -145,10 +145,14 @@ def _signature(parameters: Iterable[Parameter]) -> inspect.Signature:
     )
 
 
+# Not zeros and poles, whose gain has another name elsewhere.
+_PARTS = ("A", "B", "C", "D", "num", "den")
+
+
 def _by_name(known: Mapping[str, Parameter], given: Any) -> str:
     """Return what to write for a value without a name: of a model of another package, its parts by their names."""
     if type(given).__module__.partition(".")[0] not in ("builtins", "numpy"):
-        parts = {name: getattr(given, name) for name in known if getattr(given, name, None) is not None}
+        parts = {name: getattr(given, name) for name in _PARTS if name in known and hasattr(given, name)}
         # In python-control num and den are lists by output and input.
         lists = {name: part for name, part in parts.items() if name in ("num", "den") and isinstance(part, Iterable)}
         nested = [name for name, part in lists.items() if isinstance(next(iter(part), None), Sized)]

@@ -10,8 +10,9 @@ from typing import Any
 import control
 import numpy as np
 import pytest
+import scipy.signal
 
-from blocks import StateSpace, TransferFunction
+from blocks import StateSpace, TransferFunction, ZeroPoleGain
 from blocks.contract.block import Block
 from blocks.contract.equations import crossing, event_time, local, output, requires, wiring
 from blocks.contract.variables import REQUIRED, Discrete, History, Input, Parameter, State
@@ -636,6 +637,10 @@ def test_parameters_are_given_by_name() -> None:
         StateSpace(model)
     with pytest.raises(UsageError, match=r"As in TransferFunction\(num=P\.num\[0\]\[0\], den=P\.den\[0\]\[0\]\)\.$"):
         TransferFunction(control.tf([1.0], [1.0, 1.0]))
+    # Its gain is no k: zeros and poles alone would be another model.
+    with pytest.raises(UsageError) as caught:
+        ZeroPoleGain(scipy.signal.ZerosPolesGain([], [-1.0], 2.0))
+    assert "poles=P.poles" not in str(caught.value)
     with pytest.raises(TypeError, match="Block is what block classes derive from"):
         Block()
 
