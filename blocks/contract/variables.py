@@ -194,6 +194,8 @@ class Parameter(Variable):
             refuse("E405", "", "an enumeration does not fix the type of a block.", 'Use choices=("a", "b").')
         self.default, self.structural, self.fixed, self.zeros = plain_value(default), structural, fixed or table, zeros
         self.table, self.sparse, self.is_limit = table, sparse, is_limit
+        if is_limit and isinstance(self.default, float) and math.isinf(self.default):
+            self.default = f"{self.default:f}"  # as a file has it
         if is_limit and (structural or zeros or table or shape != () or self.type != "real"):
             refuse("E405", "", "a limit is one real number that does not fix the type.", "Leave is_limit= out.")
         if sparse and not (zeros and isinstance(shape, tuple) and len(shape) == 2):

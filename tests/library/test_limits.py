@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any
 
+import numpy as np
 import pytest
 
-from blocks import Diagram, Gain, ModelError, Ramp, Saturation
+from blocks import Block, Diagram, Gain, Input, ModelError, Parameter, Ramp, Saturation, output
 
 
 @pytest.mark.parametrize("engine", ["reference", "native"])
@@ -30,3 +32,18 @@ def test_a_limit_is_set_infinite_by_its_path_and_other_parameters_are_not() -> N
         assert results["law.y"][-1] == pytest.approx(10.0, rel=1e-12)
     with pytest.raises(ModelError, match=r"E107 Gain\.k: must be finite, not inf\. Only limits"):
         Diagram.alone(Gain(k=math.inf)).run(stop=1.0, inputs={"u": 1.0})
+
+
+@pytest.mark.parametrize("largest", [math.inf, "inf"])
+def test_the_default_of_a_limit_in_a_block_of_ones_own_may_be_infinite(largest: Any) -> None:
+    class Below(Block):
+        """u, at most top."""
+
+        top = Parameter(largest, is_limit=True, unit="V")
+        u = Input(unit="V")
+
+        @output(unit="V")
+        def y(u, top):  # type: ignore[no-untyped-def]
+            return np.minimum(u, top)
+
+    assert Diagram.alone(Below()).run(stop=1.0, inputs={"u": 3.0}, engine="reference")["y"][-1] == 3.0
