@@ -77,7 +77,11 @@ def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, 
 
 
 def _no_limit(raw: Any) -> Any:
-    """Return inf and -inf as a file has them, as texts; any other value as it is."""
+    """Return inf and -inf as a file has them, as texts, also in a list for copies; any other value as it is."""
+    if isinstance(raw, (np.ndarray, np.generic)) and raw.dtype.kind == "f" and np.isinf(raw).any():
+        raw = raw.tolist()
+    if type(raw) in (list, tuple):
+        return type(raw)(map(_no_limit, raw))
     return f"{raw:f}" if isinstance(raw, float) and math.isinf(raw) else raw
 
 

@@ -286,6 +286,8 @@ def _array(raw: Sequence[Any], declared: Unit, known: Known) -> Value:
         if isinstance(item, (list, tuple)):
             return [element(part, unit) for part in item]
         value = value_of(item, unit, known).value
+        if isinstance(value, str) and value in ("inf", "-inf"):
+            _refuse(f"must hold finite numbers, not {value}.")
         if not _is_number(value):
             _refuse(f"a list holds numbers, not {_kind(value)}.")
         return value
