@@ -614,12 +614,11 @@ def test_a_dropped_fmu_does_not_leave_its_folder_through_a_link_that_is_made_whi
         assert not outside.exists()
 
 
-def test_an_fmu_with_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
+def test_an_fmu_with_the_name_of_a_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "folder.fmu").mkdir()
-    with edited(tmp_path / "a.json", trust=tmp_path) as (ask, _):
-        for name, why in (("x" * 300 + ".fmu", "File name too long"), ("folder.fmu", "Is a directory")):
-            with pytest.raises(UsageError, match=f"E501 .*cannot be written: {why}"):
-                ask("upload", name=name, text="UEsD")
+    refused = pytest.raises(UsageError, match=r"E501 folder\.fmu: cannot be written: Is a directory")
+    with edited(tmp_path / "a.json", trust=tmp_path) as (ask, _), refused:
+        ask("upload", name="folder.fmu", text="UEsD")
 
 
 GESTURES = st.one_of(
