@@ -23,6 +23,7 @@ import pytest
 from scipy.linalg import expm
 
 from blocks import (
+    LESO,
     PID,
     Block,
     BouncingBall,
@@ -795,6 +796,22 @@ def test_a_part_that_nobody_reads_changes_nothing(what: str, algorithm: str, ord
     alone, beside = made(None), made(UNREAD[what])
     assert np.array_equal(alone["lag.y"], beside["lag.y"])
     assert algorithm != "jacobi" or alone.statistics.steps == beside.statistics.steps
+
+
+def test_courses_beside_equal_blocks_end_at_the_events_that_they_follow() -> None:
+    """The native engine keeps the states of equal blocks together: those of the ball have other places in C."""
+    d = Diagram("bounced")
+    sine = d.add("sine", Sine(omega=4.0))
+    many = d.add("many", FirstOrder(T=[0.2, 0.3]), copies=2)
+    for block in (many, d.add("a", FirstOrder(T=0.2)), d.add("b", FirstOrder(T=0.3))):
+        d.wire(block.u, sine.y)
+    ball, observer = d.add("ball", BouncingBall(h_start=0.5, e=0.6)), d.add("observer", LESO(bandwidth=4.0))
+    d.wire(observer.y, ball.h)
+    d.wire(observer.u, sine.y)
+    d.wire(d.add("lag", fmu(lag_fmu(2), "CS")).u, observer.z1)
+    settings: dict[str, Any] = {"log": ["lag.y"], "rtol": 1e-10, "atol": 1e-12, "master": {"step": 0.01, "order": 1}}
+    native, reference = (d.run(stop=1.0, every=0.1, engine=engine, **settings) for engine in ("native", "reference"))
+    assert np.abs(native["lag.y"] - reference["lag.y"]).max() < 1e-9
 
 
 @each_engine

@@ -400,8 +400,9 @@ class NativeMaster(ReferenceMaster):
             "h": len(plan.histories),
         }  # fmt: skip
         begins = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
+        x_place = running.engine.model.place  # C orders the states by the types of their blocks
         follows = [
-            sorted(begins[row] + index for row, index in references if row in sizes)
+            sorted(begins[row] + (x_place[index] if row == "x" else index) for row, index in references if row in sizes)
             for references in running.unit.follows
         ]
         c_unit.follow_first = self._array(np.cumsum([0, *map(len, follows)]), np.int32)
