@@ -20,6 +20,7 @@ from ..contract.scalars import OPERATIONS
 from ..text import units
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import quoted
+from ..text.quantity_text import quantity_in
 
 __all__ = ["Constraint", "Objective", "constraints_of", "objective_of"]
 
@@ -27,7 +28,6 @@ Array = np.ndarray[Any, Any]
 Measured = Mapping[str, Mapping[str, Array]]
 """Measures (n,) by scenario and name."""
 
-_QUANTITY = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(\S+)\s*")
 _COMPARED = re.compile(r"<=|>=|==|!=|<|>|=")
 
 
@@ -163,10 +163,9 @@ def _parsed(place: str, text: str) -> Expression:
 
 def _quantity(text: str) -> tuple[float, str] | None:
     """Return the number and the unit of a text such as "75 V"; None for any other text."""
-    match = _QUANTITY.fullmatch(text)
-    if match is not None:
-        with suppress(ModelError, ValueError):
-            return float(match[1]), units.parse(match[2]).text
+    with suppress(ModelError):
+        if (found := quantity_in(text)) and found[1]:
+            return float(found[0]), units.parse(found[1]).text
     return None
 
 

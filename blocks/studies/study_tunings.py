@@ -99,6 +99,5 @@ def values_of(tuning: Tuning, measure: str) -> list[float]:
 def limits_of(tuning: Tuning) -> Iterator[tuple[str, str, tuple[str, float], float]]:
     """Of each constraint: its scenario, its text, the limit as claims have it, and the value that it limits."""
     for each in tuning.conditions:
-        is_lower = ">" in each.text
-        limit = ("at_least", each.left) if is_lower else ("at_most", each.right)
-        yield each.scenario, each.text, limit, each.right if is_lower else each.left
+        limit = ("at_least", each.left) if each.is_lower else ("at_most", each.right)
+        yield each.scenario, each.text, limit, each.value

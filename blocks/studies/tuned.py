@@ -75,6 +75,21 @@ class Condition:
     right: float
 
     @property
+    def is_lower(self) -> bool:
+        """Whether the text has the limit on the left of this form, as in "f >= 2"."""
+        return ">" in self.text
+
+    @property
+    def value_before(self) -> float:
+        """The left side of the text before, as a rule a measure."""
+        return self.right_before if self.is_lower else self.left_before
+
+    @property
+    def value(self) -> float:
+        """The left side of the text after."""
+        return self.right if self.is_lower else self.left
+
+    @property
     def held_before(self) -> bool:
         return self.left_before <= self.right_before
 
@@ -164,7 +179,7 @@ class Tuning(Found):
         ]  # fmt: skip
         measures += [(s, m, short(a), short(b), _change(a, b)) for s, m, a, b in self.rows()]
         conditions += [
-            (c.scenario, c.text, short(c.left_before), short(c.left), "holds" if c.holds else "violated")
+            (c.scenario, c.text, short(c.value_before), short(c.value), "holds" if c.holds else "violated")
             for c in self.conditions
         ]
         return [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
 from dataclasses import replace
@@ -288,6 +289,14 @@ def test_objectives_and_constraints_mean_what_is_written() -> None:
     assert lost.tolist() == [0.0, np.inf], "what has no number holds nothing"
 
 
+@pytest.mark.parametrize("limit", ["0.1", "11", "2.31", "1.1 V", "1100 mV", "1e-1"])
+def test_a_limit_is_a_number_or_a_quantity_of_the_measure(limit: str) -> None:
+    [constraint] = constraints_of([f"x <= {limit}"], ("x",), ("a",), unit_of=lambda name: "V")
+    number, _, unit = limit.partition(" ")
+    scale = {"": 1.0, "V": 1.0, "mV": 1e-3}[unit]
+    assert constraint.sides({"a": {"x": np.array([0.0])}})[1] == pytest.approx(float(number) * scale, rel=1e-15)
+
+
 def test_the_best_value_lies_on_the_side_of_a_constraint_that_holds() -> None:
     def square(x: float) -> Diagram:
         diagram = function("x", x=x)
@@ -299,6 +308,8 @@ def test_the_best_value_lies_on_the_side_of_a_constraint_that_holds() -> None:
     tuning = diagram.tune(minimize="f", over={"x": (0.01, 10.0)}, subject_to=["g >= 9"], budget=120, **SHORT)
     assert tuning.is_feasible
     assert 3.0 <= tuning.values["x"] < 3.01
+    assert [condition.value_before for condition in tuning.conditions] == pytest.approx([25.0])
+    assert re.search(r"g >= 9\s+25\s+9", str(tuning)), "the table has the measure and not its limit"
     assert tuning.sensitivities["x"] == pytest.approx((-0.05, 0.05))
     out_of_reach: dict[str, Any] = {"minimize": "f", "over": {"x": (0.01, 2.0)}, "subject_to": ["g >= 9"], "budget": 30}
     kept = diagram.tune(**out_of_reach, **SHORT)
