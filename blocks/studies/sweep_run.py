@@ -186,15 +186,16 @@ def units_of_measures(flat: Flat, *, plain: str = "") -> dict[str, str]:
 
 
 def _in_unit(name: str, column: Array, unit: str) -> Array:
-    """A column whose values have units, as numbers in that of the parameter. Raises ModelError (E104, E114).
+    """Return a column whose values have units as numbers in the unit of the parameter, or in SI if it has none.
 
-    It stays as it is given where that is not known, and where some values are no numbers.
+    Columns in which some values are no numbers stay as they are. Raises ModelError (E104, E114).
     """
     if unit and column.dtype.kind == "O":
         column = np.fromiter(map(read_quantity, column), dtype=object, count=len(column))
     quantities = [isinstance(item, Mapping) and {*item} <= {"value", "unit", "doc"} for item in column]
-    if column.dtype.kind == "f" or not unit or not any(quantities):
+    if column.dtype.kind == "f" or not any(quantities):
         return column
+    unit = unit or unit_texts.si_text(str(column[quantities.index(True)].get("unit", "")))
     numbers = [in_unit(item, unit, name) for item in column.tolist()]
     if any(isinstance(number, bool) or not isinstance(number, (int, float)) for number in numbers):
         return column  # vectors and texts stay as they are given

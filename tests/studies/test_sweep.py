@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import subprocess
 import sys
@@ -24,7 +25,9 @@ from blocks import (
     Normal,
     Power,
     Product,
+    Step,
     Sweep,
+    TransferFunction,
     Uniform,
     UsageError,
     each,
@@ -317,6 +320,20 @@ def test_values_with_units_are_numbers_in_that_of_the_parameter() -> None:
     assert sweep.correlations()["ITAE"]["k"] > 0.9
     with pytest.raises(ModelError, match="E104 k: A and V are different quantities"):
         noisy().sweep({"k": [{"value": 1, "unit": "A"}]}, stop=0.2)
+
+
+def test_values_with_units_are_in_si_where_the_parameter_has_no_unit_of_its_own() -> None:
+    diagram = Diagram("lag")
+    diagram.add("step", Step())
+    diagram.add("lag", TransferFunction(num=[1.0], den=[1.0, 1.0]))
+    diagram.wire("lag.u", "step.y")
+    diagram.measure("peak", "peak", "lag.y")
+    given = [{"value": 500, "unit": "ms"}, {"value": 2, "unit": "s"}]
+    sweep = diagram.sweep({"lag.den[0]": given}, stop=1.0)
+    assert sweep.varied["lag.den[0]"].tolist() == [0.5, 2.0]
+    assert sweep.measures["peak"] == pytest.approx([1 - math.exp(-2), 1 - math.exp(-0.5)], rel=1e-5)
+    with pytest.raises(ModelError, match=r"E104 lag\.den\[0\]: V and s are different quantities"):
+        diagram.sweep({"lag.den[0]": [given[0], {"value": 1, "unit": "V"}]}, stop=1.0)
 
 
 def test_the_files_of_a_folder_are_one_sweep(whole: Sweep, tmp_path: Path) -> None:
