@@ -62,7 +62,9 @@ class DelayedModel:
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         if self.dead_time is not None:
             rational, delay = self.dead_time
-            return np.asarray(rational.at(1j * omega) * np.exp(-1j * delay * omega))
+            made = rational.at(1j * omega)
+            with np.errstate(invalid="ignore"):  # of an integrator, which is infinite at 0
+                return np.where(omega == 0, made, made * np.exp(-1j * delay * omega))
         m = self.matrices
         response = np.empty((*m["y", "e"].shape, len(omega)), dtype=complex)
         step = max(1, _CHUNK // (len(m["x", "x"]) + len(self.delays)) ** 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from typing import Any
 
 import control
@@ -232,6 +233,21 @@ def test_margins_with_a_dead_time_agree_with_pade_models_of_python_control(k: fl
     fitted = margins(control.ss(whole))
     assert (known.phase_deg, known.Ms) == pytest.approx((fitted.phase_deg, fitted.Ms), rel=1e-6)
     assert known.gain_low == pytest.approx(fitted.gain_low, rel=1e-6)
+
+
+def test_an_integrator_behind_a_dead_time_is_infinite_at_rest_without_a_warning() -> None:
+    made = Diagram("late")
+    late, x = made.add("late", TransportDelay(delay=1.0)), made.add("x", Integrator())
+    minus = made.add("minus", Gain(k=-0.5))
+    made.wire(x.u, late.y)
+    made.wire(minus.u, x.y)
+    made.wire(late.u, minus.y)
+    loop = made.linearizer().delayed_loop("late.u")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        known = margins(loop)
+        assert np.isinf(loop.response(0.0)).all()
+    assert known.phase_deg == pytest.approx(90 - math.degrees(0.5), rel=1e-9)
 
 
 def test_poles_on_the_axis_and_their_cancellation_do_not_confuse_the_count() -> None:
