@@ -175,7 +175,7 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose errors are those of blocks: with a code, and the nearest word where one is misspelt."""
 
     def error(self, message: str) -> NoReturn:
-        place, cure = self.prog, f"`{self.prog} --help` tells what there is."
+        place, cure = self.prog, f"`{self.prog} --help` lists the commands and options."
         if match := re.match(r"argument (.*?): invalid choice: '(.*?)' \(choose from (.*)\)$", message, re.DOTALL):
             choices = re.findall(r"[\w.-]+", match[3])
             noun = "command" if match[1] == "COMMAND" else f"value of {match[1]}"
@@ -223,5 +223,6 @@ def _parser(command: str = "") -> argparse.ArgumentParser:
         import_module(f".{module}", __package__).add(verbs)
     for each in _every(parser):
         each.set_defaults(parser=each)
-        each.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help="show the trace of an error")
+        debug = "show the Python traceback of an error"
+        each.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=debug)
     return parser

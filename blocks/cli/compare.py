@@ -26,7 +26,7 @@ def add(verbs: Any) -> None:
         "where all are within the tolerance, 1 where one is not. Where the times differ, rows are joined by lines.",
     )
     comparison.add_argument("a", metavar="A", help="a result file; ranges are those of its signals")
-    comparison.add_argument("b", metavar="B", help="another one")
+    comparison.add_argument("b", metavar="B", help="the file to compare it with")
     comparison.add_argument(
         "--tolerance", metavar="X", help="how far a signal may be off, as a part of its range in A (default 1e-06)"
     )

@@ -30,7 +30,7 @@ def add(verbs: Any) -> None:
         "no differences. Exit code 0 where there is none, 1 where there are some.",
     )
     diff.add_argument("a", metavar="A", help="a diagram file (JSON); - for stdin, in the folder of the other")
-    diff.add_argument("b", metavar="B", nargs="?", help="another one")
+    diff.add_argument("b", metavar="B", nargs="?", help="the other diagram")
     diff.add_argument("rest", nargs="*", help=argparse.SUPPRESS)  # what git gives beyond its two files
     diff.add_argument("--svg", metavar="FILE.svg", help="draw both in one, with what was added, removed and changed")
     diff.add_argument("--depth", metavar="N", type=int, help="levels of subdiagrams that --svg opens (default: all)")

@@ -27,7 +27,7 @@ def add(verbs: Any) -> None:
     drawing.add_argument("--depth", metavar="N", type=int, default=1, help="levels of subdiagrams to show (default 1)")
     drawing.add_argument("--html", action="store_true", help="write a page that zooms and opens subdiagrams")
     given = drawing.add_mutually_exclusive_group()
-    results = "with --html: show what this result file holds (.csv, .parquet, .mat)"
+    results = "with --html: show the signals of this result file (.csv, .parquet, .mat)"
     given.add_argument("--results", metavar="FILE", help=results)
     given.add_argument("--run", action="store_true", help="with --html: run the diagram, and show what it records")
     takes_variants(drawing)

@@ -27,10 +27,10 @@ def add(verbs: Any) -> None:
         "diagram, locals (eso.e).",
     )
     linear.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
-    takes_several(linear, "--from", "A", "where a change is put in", dest="sources")
-    takes_several(linear, "--to", "B", "what is looked at", dest="sinks")
+    takes_several(linear, "--from", "A", "an input of the transfer", dest="sources")
+    takes_several(linear, "--to", "B", "an output of the transfer", dest="sinks")
     linear.add_argument("--loop", metavar="POINT", help="open the loop at this signal: L, with S = 1/(1 + L)")
-    takes_several(linear, "--open", "C", "a signal that is cut", dest="openings")
+    takes_several(linear, "--open", "C", "a signal to cut", dest="openings")
     override = "a gain in the place of a block: q=1 takes a quantizer as unit gain; q=[[1,0],[0,1]] with more signals"
     takes_several(linear, "--override", "BLOCK=GAIN", override, dest="overrides")
     pade = "take Padé models of this order for delays; without it, the margins of a loop keep them exact"
@@ -44,14 +44,13 @@ def add(verbs: Any) -> None:
     observer = verbs.add_parser(
         "observer",
         help="poles, bandwidth and noise gain of an observer",
-        description="What an extended state observer does, against the amplitude of its error: poles, the bandwidth "
+        description="An extended state observer against the amplitude of its error: poles, the bandwidth "
         "from the total disturbance to its estimate, the noise gain.",
     )
     observer.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
     observer.add_argument("block", metavar="BLOCK", help="the observer: control_right.eso")
-    observer.add_argument(
-        "--amplitudes", metavar="A", nargs="+", help='of its error, as 0.1 or "2 rpm" (default: 0.001 0.01 0.1 1)'
-    )
+    amplitudes = 'amplitudes of the error, such as 0.1 or "2 rpm" (default: 0.001 0.01 0.1 1)'
+    observer.add_argument("--amplitudes", metavar="A", nargs="+", help=amplitudes)
     observer.set_defaults(verb=_observer)
     for verb in (linear, observer):
         takes_point(verb)

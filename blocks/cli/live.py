@@ -71,7 +71,7 @@ def _takes(live: argparse.ArgumentParser) -> None:
 def _live(options: argparse.Namespace) -> int:
     if options.host is not None:
         port = options.port or 8000
-        cure = f"From another one: ssh -L {port}:127.0.0.1:{port} HOST, and here --port {port}."
+        cure = f"From another machine: ssh -L {port}:127.0.0.1:{port} HOST, and here --port {port}."
         raise UsageError(Fault("E501", f"--host {options.host}", "the server is for this machine alone.", cure))
     if options.diagram is None:
         options.diagram = _newest()

@@ -39,7 +39,7 @@ def takes_engine(run: argparse.ArgumentParser) -> None:
 
 def takes_run(run: argparse.ArgumentParser) -> None:
     takes_settings(run)
-    run.add_argument("--seed", metavar="N", help="seed of the run, an integer: another one gives other noise")
+    run.add_argument("--seed", metavar="N", help="seed of the run, an integer; another seed gives other noise")
     run.add_argument(
         "--jumps", action="store_true", default=None, help="between the rows of the grid, those before and after jumps"
     )
@@ -68,13 +68,13 @@ def takes_run(run: argparse.ArgumentParser) -> None:
 
 
 def takes_variants(verb: argparse.ArgumentParser) -> None:
-    help = "what stands in the place of a block that has variants: motor=fmu; motor=base for the block itself"
+    help = "the variant to use for a block: motor=fmu; motor=base for the block itself"
     takes_several(verb, "--variant", "BLOCK=NAME", help, dest="variants")
 
 
 def takes_point(verb: argparse.ArgumentParser) -> None:
     """Where a diagram is linearized."""
-    verb.add_argument("--at", metavar="T", help="as a run stands at this time in s (default: the start)")
+    verb.add_argument("--at", metavar="T", help="at the state of a run at this time in s (default: the start)")
     held = "the value of an input of the diagram (default: its own, or 0)"
     takes_several(verb, "--input", "NAME=VALUE", held, dest="held")
     for option, what in (("amplitude", "amplitude of a sine"), ("sigma", "deviation of a random signal")):
@@ -91,7 +91,7 @@ def takes_trust(verb: argparse.ArgumentParser) -> None:
 
 
 def takes_parameters(verb: argparse.ArgumentParser) -> None:
-    help = 'a parameter by its path, maybe with a unit: torque=2, or "motor.Ra=200 mOhm"'
+    help = 'a parameter by its path, optionally with a unit: torque=2, or "motor.Ra=200 mOhm"'
     takes_several(verb, "--set", "NAME=VALUE", help, dest="parameters")
 
 

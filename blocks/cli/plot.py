@@ -25,7 +25,7 @@ def add(verbs: Any) -> None:
         description="Draw signals of result files (.csv, .parquet, .mat) over time, those of several files over each "
         "other, in the units of the first one. Names in the legend are those of the files.",
     )
-    plot.add_argument("files", metavar="FILE", nargs="+", help="a result file; NAME=FILE calls it so")
+    plot.add_argument("files", metavar="FILE", nargs="+", help="a result file; NAME=FILE gives it a name")
     signal = "draw this signal, or all that a pattern names (motor.*; again for more); without one, the first four"
     takes_several(plot, "--signal", "NAME", signal)
     plot.add_argument("-o", "--out", metavar="FILE", required=True, help="where to: .svg, .png, .pdf")

@@ -61,12 +61,13 @@ def add(verbs: Any) -> None:
     verb.add_argument("--threads", metavar="N", help="how many runs at once (default: all cores)")
     lanes = "exact (the default), or fast: several runs at once in each core, equal within the tolerance"
     verb.add_argument("--lanes", metavar="L", default="exact", help=lanes)
-    verb.add_argument("-o", "--out", metavar="FILE", help="write all rows: .parquet; a part of it goes on where it was")
+    out = "write all rows (.parquet); an interrupted sweep continues from its file"
+    verb.add_argument("-o", "--out", metavar="FILE", help=out)
     address = "run the rows on the workers of this scheduler of dask; --out may be a folder or a URL that they write"
     plot = "draw bands of --log over time, or histograms of the measures: .svg, .png, .pdf"
     verb.add_argument("--plot", metavar="FILE", help=plot)
     verb.add_argument("--dask", metavar="ADDRESS", help=address)
-    verb.add_argument("--anew", action="store_true", help="begin anew, also where a part of the file is there")
+    verb.add_argument("--anew", action="store_true", help="start over, even if a partial file exists")
     takes_engine(verb)
     takes_variants(verb)
     takes_trust(verb)

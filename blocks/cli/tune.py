@@ -40,15 +40,15 @@ def add(verbs: Any) -> None:
     takes_several(tune, "--subject-to", "CONSTRAINT", 'such as "noisy.variation <= 75"; again for more')
     tune.add_argument("--method", metavar="M", default="cma", help="cma (CMA-ES) or de (differential evolution)")
     tune.add_argument("--budget", metavar="N", default="500", help="how many candidates are run (default: 500)")
-    tune.add_argument("--seed", metavar="N", default="1", help="seed of the optimiser (default: 1)")
+    tune.add_argument("--seed", metavar="N", default="1", help="seed of the optimizer (default: 1)")
     tune.add_argument("--threads", metavar="N", help="how many runs at once (default: all cores)")
     lanes = "exact (the default), or fast: several runs at once in each core, equal within the tolerance"
     tune.add_argument("--lanes", metavar="L", default="exact", help=lanes)
     tune.add_argument("--stop", metavar="T", help="stop time in s")
-    tune.add_argument("--write", action="store_true", help="write the values into DIAGRAM, where all constraints hold")
-    out = "write all candidates: .parquet; a part of it goes on where it was"
+    tune.add_argument("--write", action="store_true", help="write the values into DIAGRAM if all constraints hold")
+    out = "write all candidates (.parquet); an interrupted tuning continues from its partial file"
     tune.add_argument("-o", "--out", metavar="FILE", help=out)
-    tune.add_argument("--anew", action="store_true", help="begin anew, also where a part of the file is there")
+    tune.add_argument("--anew", action="store_true", help="start over, even if a partial file exists")
     tune.add_argument("--report", metavar="DIR", help="write report.html and its figures into a folder")
     takes_parameters(tune)
     takes_variants(tune)
