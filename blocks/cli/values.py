@@ -73,7 +73,7 @@ def _parsed(place: str, text: str) -> Any:
         if re.fullmatch(rf"\[{number}(,{number})+\]", several) and place.startswith(("--set", "--input")):
             ways.append(f"{several} for several values")
         cure = f"Write {', or '.join(ways)}." if ways else ""
-        raise UsageError(Fault("E501", place, f"{text!r} is not a number: decimals stand after a point.", cure))
+        raise UsageError(Fault("E501", place, f"{text!r} is not a number: decimals come after a point.", cure))
     try:
         return parsed(text)
     except ModelError as error:

@@ -70,7 +70,7 @@ class Body(dict[str, Any]):
 
     def _check(self, name: str, value: Any, place: str) -> None:
         if name in self:
-            refuse("E401", place, "the name stands twice in the class body.", "Give the second another name.")
+            refuse("E401", place, "the name appears twice in the class body.", "Give the second another name.")
         if name in RESERVED or keyword.iskeyword(name):
             refuse("E401", place, "the name is reserved.", "Choose another.")
         if name.startswith("_") or not name.isascii():

@@ -149,7 +149,7 @@ def _check_equations(declaration: Declaration) -> None:
             once = (role.kind, id(role.target), id(role.cause))
             if once in seen:
                 target = role.target.name if role.target else ""
-                refuse("E403", place, f"the {role.kind} of '{target}' stands twice.")
+                refuse("E403", place, f"the {role.kind} of '{target}' appears twice.")
             seen.add(once)
             if role.kind in ("derivative", "next", "reset") and role.target is not None:
                 changed.add(role.target.name)

@@ -218,7 +218,7 @@ def _rename(spot: Spot, entry: Mapping[str, Any]) -> None:
             raise UsageError(spot.fault("E501", place_of(steps), "has no name.", "Set it to another value."))
         around = tree.entry_at(spot.value, steps[:-1], spot.name)
         if new in around:
-            raise ModelError(spot.fault("E109", new, "stands there already.", "Choose another name.", steps[:-1]))
+            raise ModelError(spot.fault("E109", new, "exists already.", "Choose another name.", steps[:-1]))
         return spot.put(tree.with_key(spot.value, steps, new))
     check_new_name(new)
     prefix = "".join(f"{step}." for step in blocks_of(target.scope))

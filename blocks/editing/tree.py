@@ -169,7 +169,7 @@ def put_in(value: Any, steps: Steps, entry: Any, file: str) -> Any:
         return _put(value, steps, [*(there or ()), entry], kinds)
     if _has(around, last):
         cure = "Choose another place, or set it."
-        raise ModelError(Fault("E109", place_of(steps), "stands there already.", cure, steps, file))
+        raise ModelError(Fault("E109", place_of(steps), "exists already.", cure, steps, file))
     return _put(value, steps, entry, kinds)
 
 

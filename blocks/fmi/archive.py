@@ -68,7 +68,7 @@ _DAMAGE = (
     zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, IndexError, OverflowError, NotImplementedError,
     RuntimeError,
 )  # fmt: skip
-_TWICE = "the name stands twice, with different bytes"
+_TWICE = "the name appears twice, with different bytes"
 _RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?", re.IGNORECASE)
 
 Name = str | os.PathLike[str]

@@ -249,7 +249,7 @@ class Running(Called):
     def words(self, told: str = "", status: int | None = None) -> str:
         """The FMU's own last messages, as sentences to append: those of the last call, else those before.
 
-        told: text that stands there already, and is not repeated. status: the first messages with that status are
+        told: text that exists already, and is not repeated. status: the first messages with that status are
         taken, if there are any; None: the last with the worst.
         """
         during = min(self.said - self.said_before, len(self.messages))

@@ -46,7 +46,7 @@ class Dependencies:
                     unknown = self.unknown(child, key)
                     if unknown is not None and known is not None:
                         if unknown.variable.name in known:
-                            self.told.warn(unknown.variable.name, f"it stands twice in {tag}.", child[3])
+                            self.told.warn(unknown.variable.name, f"it appears twice in {tag}.", child[3])
                             continue
                         known.add(unknown.variable.name)
                     if unknown is not None:

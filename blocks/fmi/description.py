@@ -215,7 +215,7 @@ class _DescriptionReader:
             if at < last:
                 self.told.warn("", f"{tag} stands behind {_ORDER[last]}; the standard has another order.", line)
             if tag in sections:
-                self.told.warn("", f"{tag} stands twice.", line)
+                self.told.warn("", f"{tag} appears twice.", line)
             last = max(at, last)
             sections.setdefault(tag, []).append(child)
         return sections

@@ -421,7 +421,7 @@ class Variables:
             if first is not variable:
                 same = first.reference == variable.reference and first.type == variable.type
                 tell = self.told.warn if same else self.told.error
-                tell(variable.name, f"the name stands twice, first in line {first.line}.", variable.line)
+                tell(variable.name, f"the name appears twice, first in line {first.line}.", variable.line)
             if variable.shape or len(variable.start) > 1:
                 self.check_array(variable)
         for variable in self.listed:

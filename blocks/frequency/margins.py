@@ -98,7 +98,7 @@ class Margins(Shown):
 
     @property
     def gain(self) -> float | None:
-        """The smallest gain margin above 1; None: any more gain is borne."""
+        """The smallest gain margin above 1; None: the loop stays stable for any larger gain."""
         return self._up[0] if self._up else None
 
     @property
@@ -183,7 +183,7 @@ def _table(m: Margins) -> list[tuple[str, str]]:
     if m.hidden:
         rows.append(("", f"beside the loop, on the border: {', '.join(_number(p) for p in m.hidden)}"))
     up, down = m._up, m._down
-    nothing = "none: any more gain is borne" if m.stable else "none upward"
+    nothing = "none: the loop stays stable for any larger gain" if m.stable else "none upward"
     nothing = f"none up to {MOST_GAIN:g}" if m.several_rates else nothing
     rows.append(("gain margin", f"{_gain(up[0])}{_at(up[1])}" if up else nothing))
     if down:
@@ -192,7 +192,7 @@ def _table(m: Margins) -> list[tuple[str, str]]:
         if m.phase_deg is not None and m.crossover is not None:
             rows.append(("phase margin", f"+-{m.phase_deg:.5g} deg{_at(m.crossover)}"))
         else:
-            rows.append(("phase margin", "none: any phase is borne" if m.stable else "none"))
+            rows.append(("phase margin", "none: the loop stays stable for any phase" if m.stable else "none"))
         rows.append(("", "several rates: no delay, modulus or disk margin; frequencies are the lowest of several"))
         return rows + _all_of(m)
     if m.phase_deg is not None and m.crossover is not None:

@@ -52,7 +52,7 @@ def layout(known: Source, extra: Array | None = None) -> Array:
         parts.append(_near(abs(feature.imag), abs(feature.real)))
     if known.dt > 0:
         parts.append(high * (1.0 - np.geomspace(1e-6, 0.5, _PER_DECADE)))
-    omega = np.sort(np.concatenate(parts))  # what stands twice goes below; np.unique would load numpy.ma
+    omega = np.sort(np.concatenate(parts))  # what appears twice goes below; np.unique would load numpy.ma
     omega = omega[(omega >= low) & (omega <= high * (1 - 1e-12 if known.dt > 0 else 1))]
     return np.asarray(omega[np.concatenate([[True], np.diff(omega) > 1e-14 * omega[1:]])])
 

@@ -102,7 +102,7 @@ class Linearization(ReplacedSlopes):
                 raise UsageError(Fault("E501", word, "there are none.", "Name a signal."))
             for name in names:
                 if names.count(name) > 1:
-                    raise UsageError(Fault("E501", name, f"stands twice among the {word}."))
+                    raise UsageError(Fault("E501", name, f"appears twice among the {word}."))
         return ends
 
     def model(self, inputs: Names, outputs: Names, *, openings: Names = (), pade: int = 0) -> LinearModel:

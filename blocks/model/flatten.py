@@ -595,7 +595,7 @@ class _Flattener:
             message = "needs the frequency of its fundamental." if type_ == "THD" else "has no omega."
             refuse("omega" if "omega" in raw else "type", f"{type_} {message}", "omega belongs to THD.")
         if type_ in ("overshoot", "settling_time", "rise_time") and "against" not in raw:
-            refuse("type", f"{type_} needs the value that is aimed at.", 'Add "against".')
+            refuse("type", f"{type_} needs the target value.", 'Add "against".')
         if len(operands) == 2 and not units.same_quantity(operands["of"].unit, operands["against"].unit):
             shown = " and ".join(f"{signal.name} [{signal.unit}]" for signal in operands.values())
             cure = "A difference is taken of signals of one quantity."

@@ -58,7 +58,7 @@ class Guard:
         """Tokens that let one page in, once; also one that a page of another port of this machine opens."""
 
     def admit(self, method: str, path: str, headers: Iterable[tuple[str, str]]) -> Admitted | Refusal:
-        """headers: names and values as they came; one that decides and stands twice is refused."""
+        """headers: names and values as they came; one that decides and appears twice is refused."""
         given: dict[str, list[str]] = {}
         for name, value in headers:
             given.setdefault(name.lower(), []).append(value)

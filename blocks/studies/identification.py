@@ -368,7 +368,7 @@ def _grid(diagram: Diagram, t: Array, settings: Mapping[str, Any]) -> dict[str, 
     start = float(diagram.flatten(settings=given).settings.start)
     step = np.diff(t)
     if t[0] < start or not np.all(step > 0):
-        message = f"times must rise, and begin at {start:g} s or later, when the run begins."
+        message = f"times must increase, and begin at {start:g} s or later, when the run begins."
         raise UsageError(Fault("E501", "time", message, "Sort the rows; give start=... for an earlier one."))
     stop = float(t[-1])
     every = _period(t)

@@ -304,7 +304,7 @@ def _column(name: str, given: Any) -> Array:
     given = given.tolist() if callable(getattr(given, "tolist", None)) else given
     if isinstance(given, (str, bytes, Mapping)) or not isinstance(given, Sequence):
         cure = "Give a list of values, or a distribution: Normal, Uniform, Distribution(...)."
-        raise _refused(legible(name), f"{legible(repr(given))} says no values.", cure)
+        raise _refused(legible(name), f"{legible(repr(given))} gives no values.", cure)
     values = [item.item() if isinstance(item, np.generic) else item for item in given]
     if all(isinstance(item, (int, float)) and not isinstance(item, bool) for item in values):
         return np.array(values, dtype=float)
@@ -331,14 +331,14 @@ def named_values(place: str, kind: str, given: Sequence[float] | Mapping[str, fl
         return (np.linspace if kind == "linspace" else np.geomspace)(low, high, int(count))
     if kind.lower() not in _NAMED:
         cure = "As in normal:0.27,0.02, uniform:0.1,0.2, or lognorm:s=0.3,scale=2 for those of scipy.stats."
-        raise _refused(place, f"{text!r} says no values.", cure)
+        raise _refused(place, f"{text!r} gives no values.", cure)
     law, wanted = _NAMED[kind.lower()]
     try:
         made = law(*given)
     except TypeError:
         raise _refused(place, f"{text!r} is not {kind}:{wanted}.") from None
     if (told := made.cause()) is not None:
-        raise _refused(place, f"{text!r} has no values for these numbers: {told[0]}.", told[1])
+        raise _refused(place, f"{text!r} is no distribution with these numbers: {told[0]}.", told[1])
     return made
 
 

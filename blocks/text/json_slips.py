@@ -90,7 +90,7 @@ def slip(text: str, at: int, wanted: Wanted, path: Path, open_at: int, position:
         return Slip(at, message, f"Write {closer} here, or close the {bracket} before.")
     if char in "]}" and (wanted == "key" or (wanted == "value" and bracket == "[")):
         comma = text.rindex(",", 0, at)
-        return Slip(comma, f"a comma stands before the closing {char}.", "Take the comma out.", comma, " ")
+        return Slip(comma, f"there is a comma before the closing {char}.", "Take the comma out.", comma, " ")
     if wanted == "value" and word:
         return _odd_value(word[0], at)
     shown = quoted(word[0]) if word else ""

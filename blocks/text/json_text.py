@@ -142,7 +142,7 @@ class _Scan:
         first = self.open[-1][1].setdefault(key, at)
         if first != at:
             line, column = self.position(first)
-            message = f"the key {quoted(key)} stands twice, first at line {line}, column {column}."
+            message = f"the key {quoted(key)} appears twice, first at line {line}, column {column}."
             self.fault("E002", at, message, "Rename one, or take one out.")
         return key
 

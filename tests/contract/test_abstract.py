@@ -421,7 +421,7 @@ REFUSED = {
     "a second derivative under another name": (
         "class Bad(Follower):\n    @Follower.law\n    def law(e): return e\n"
         "    @Follower.y.derivative\n    def mine(u): return u",
-        "E403 Bad.mine: the derivative of 'y' stands twice.",
+        "E403 Bad.mine: the derivative of 'y' appears twice.",
     ),
     "a state of another family": (
         "class A(Block, abstract=True):\n    x = State()\n"

@@ -73,11 +73,11 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     # names
     "the same function twice": (
         u + y + "@output\ndef y(u): return -u",
-        "E401", "Bad.y", "the name stands twice in the class body. Give the second another name.",
+        "E401", "Bad.y", "the name appears twice in the class body. Give the second another name.",
     ),
     "an equation named like its state": (
         "x = State()\n@x.derivative\ndef x(): return 0.0",
-        "E401", "Bad.x", "stands twice",
+        "E401", "Bad.x", "appears twice",
     ),
     "t": ("t = Input()", "E401", "Bad.t", "the name is reserved. Choose another."),
     "tick": ("tick = Parameter(1.0)", "E401", "Bad.tick", "reserved"),
@@ -205,7 +205,7 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
         "a = Parameter(1.0, excludes='b')",
         "E402", "Bad.a", "excludes 'b', which is not a parameter",
     ),
-    # what is missing or stands twice
+    # what is missing or appears twice
     "a state without a derivative": (
         "x = State()",
         "E403", "Bad.x", "the state has no derivative. Add @x.derivative, or use Discrete.",
@@ -216,23 +216,23 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     ),
     "two derivatives": (
         x + "@x.derivative\ndef dx2(x): return x",
-        "E403", "Bad.dx2", "the derivative of 'x' stands twice",
+        "E403", "Bad.dx2", "the derivative of 'x' appears twice",
     ),
     "two nexts": (
         "d = Discrete()\n@d.next(every=1)\ndef a(): return 0.0\n@d.next(every=2)\ndef b(): return 0.0",
-        "E403", "Bad.b", "the next of 'd' stands twice",
+        "E403", "Bad.b", "the next of 'd' appears twice",
     ),
     "two initial equations": (
         x + "@x.initial\ndef a(): return 0.0\n@x.initial\ndef b(): return 0.0",
-        "E403", "Bad.b", "the initial of 'x' stands twice",
+        "E403", "Bad.b", "the initial of 'x' appears twice",
     ),
     "two resets by one crossing": (
         u + x + side + "@side.reset(x)\ndef a(): return 0.0\n@side.reset(x)\ndef b(): return 0.0",
-        "E403", "Bad.b", "the reset of 'x' stands twice",
+        "E403", "Bad.b", "the reset of 'x' appears twice",
     ),
     "one derivative under two names": (
         "x = State()\na = b = x.derivative(lambda: 0.0)",
-        "E403", "Bad.b", "the derivative of 'x' stands twice",
+        "E403", "Bad.b", "the derivative of 'x' appears twice",
     ),
     "two outputs of one function": (
         u + "@output\n@output\ndef y(u): return u",

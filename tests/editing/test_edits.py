@@ -501,7 +501,7 @@ def test_all_files_are_written_or_none(how: str, tmp_path: Path, monkeypatch: py
         ({"set": "run.log[7]", "to": "r"}, "E105", "3 entries"),
         ({"set": "version", "to": 4}, "E005", "after the edit"),
         ({"set": "run.stop", "to": float("nan")}, "E004", "finite"),
-        ({"add": "blocks.lag", "value": {"type": "Gain"}}, "E109", "stands there already"),
+        ({"add": "blocks.lag", "value": {"type": "Gain"}}, "E109", "exists already"),
         ({"add": "blocks.a b", "value": {"type": "Gain"}}, "E105", "is no place"),
         ({"add": ["blocks", "a b"], "value": {"type": "Gain"}}, "E111", "is not a name"),
         ({"add": "blocks.x", "value": {"tipe": "Gain"}}, "E009", "after the edit"),

@@ -687,7 +687,7 @@ def test_a_fundamental_is_needed_by_thd_and_by_no_other() -> None:
         ("E116", "measures.none", "THD needs the frequency of its fundamental."),
         ("E116", "measures.other", "peak has no omega."),
         ("E116", "measures.least", "omega must be positive, and 1e+09 rad/s at most, not -1.0."),
-        ("E116", "measures.rise", "rise_time needs the value that is aimed at."),
+        ("E116", "measures.rise", "rise_time needs the target value."),
     ]
 
 

@@ -39,7 +39,7 @@ ON_POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and locks of P
 def packed(path: Path, files: dict[str, bytes] | None = None, **attributes: int) -> Path:
     """An archive with these files; attributes: external_attr by name of the file, "/" written as "__"."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as made, warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a name that stands twice
+        warnings.simplefilter("ignore", UserWarning)  # a name that appears twice
         for name, data in (FILES if files is None else files).items():
             entry = zipfile.ZipInfo(name.removesuffix("#2"), (1980, 1, 1, 0, 0, 0))
             entry.compress_type = zipfile.ZIP_DEFLATED
@@ -121,7 +121,7 @@ def test_an_entry_that_is_no_plain_file_is_refused(kind: int, what: str, tmp_pat
 def test_a_name_that_stands_twice_is_refused(tmp_path: Path) -> None:
     code, text = code_of(packed(tmp_path / "x.fmu", {**FILES, f"{DESCRIPTION}#2": b"another"}))
     assert code == "E203"
-    assert "stands twice" in text
+    assert "appears twice" in text
 
 
 def test_two_files_of_one_name_and_one_checksum_are_refused_where_their_bytes_differ(tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_two_files_of_one_name_and_one_checksum_are_refused_where_their_bytes_di
     path = packed(tmp_path / "x.fmu", {**FILES, "resources/a": one, "resources/a#2": other})
     code, text = code_of(path)
     assert code == "E203"
-    assert "resources/a: the name stands twice, with different bytes" in text
+    assert "resources/a: the name appears twice, with different bytes" in text
     with pytest.raises(FMUError):
         unpack(path)
 

@@ -498,7 +498,7 @@ Y3 = '<Float64 name="y" valueReference="1" causality="output"/>'
         (text2('<ScalarVariable name="b" valueReference="1"><Boolean start="yes"/></ScalarVariable>'), "'yes'"),
         (text3('<UInt8 name="n" valueReference="1" start="256"/>'), "'256'"),
         (text3('<Binary name="b" valueReference="1"><Start value="xyz"/></Binary>'), "not hexadecimal"),
-        (text2(X + real2("x", 2)), "the name stands twice"),
+        (text2(X + real2("x", 2)), "the name appears twice"),
         (text3(TIME + TIME.replace("time", "t").replace("Float64", "Float32")), "another type or size"),
         (text3(Y3 + '<Int32 name="n" valueReference="1"/>'), "another type or size"),
         (
@@ -683,7 +683,7 @@ def test_annotations_are_not_read_and_not_counted() -> None:
             "d: a derivative that is not listed; its state is none.",
         ),
         (text3(Y3 + Y3.replace('"y"', '"z"')), "z: one reference for two variables"),
-        (text2(X + X), "x: the name stands twice, first in line 1."),
+        (text2(X + X), "x: the name appears twice, first in line 1."),
         (text2(interfaces='<CoSimulation modelIdentifier="a-b"/>'), "CoSimulation: modelIdentifier is no identifier"),
         (text2().replace(b'"2.0"', b'"2.1"'), ": FMI '2.1' is no published version; it is read as FMI 2.0."),
         (text3().replace(b'"3.0"', b'"3.0-beta.2"'), ": FMI '3.0-beta.2' is no published version"),

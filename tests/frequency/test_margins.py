@@ -594,7 +594,7 @@ def test_the_table_of_a_loop_of_several_rates_tells_what_there_is_not() -> None:
     assert shown == [
         "closed loop     stable",
         "gain margin     4 (12.04 dB) at 10.472 rad/s",
-        "phase margin    none: any phase is borne",
+        "phase margin    none: the loop stays stable for any phase",
         "                several rates: no delay, modulus or disk margin; frequencies are the lowest of several",
     ]
 

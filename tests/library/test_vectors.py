@@ -239,7 +239,7 @@ def test_edges_in_a_file_in_a_csv_file_and_of_scipy_are_one_matrix(tmp_path: Pat
         ({"edges": [[0, 0.5, 1]], "shape": [2, 3]}, r"E107 .*must begin with two integers"),
         (
             {"edges": [[0, 1, 1], [1, 1, 1], [0, 1, 4]], "shape": [2, 3]},
-            r"E107 .*\[0, 1, 4\] \(number 2\) stands twice",
+            r"E107 .*\[0, 1, 4\] \(number 2\) appears twice",
         ),
         (
             {"edges": [[0, 1]], "shape": [2, 3]},

@@ -469,8 +469,8 @@ def test_names_that_python_control_takes_for_one_stay_apart() -> None:
     [
         (("u", "b.z"), r'E501 "b\.z": there is no such signal\. Did you mean .*b\.y'),
         (("ghost", "b.y"), r'E501 "ghost": there is no such signal\. Signals: u, b\.y, b\.u\.'),
-        (("u", ["b.y", "b.y"]), r"E501 b\.y: stands twice among the outputs\."),
-        ((["u", "u"], "b.y"), r"E501 u: stands twice among the inputs\."),
+        (("u", ["b.y", "b.y"]), r"E501 b\.y: appears twice among the outputs\."),
+        ((["u", "u"], "b.y"), r"E501 u: appears twice among the inputs\."),
         (([], "b.y"), r"E501 inputs: there are none\. Name a signal\."),
         (("u", []), r"E501 outputs: there are none\. Name a signal\."),
         (("u[3]", "b.y"), r'E501 "u\[3\]": there is no such signal'),

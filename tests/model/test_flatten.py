@@ -981,7 +981,7 @@ def test_a_measure_may_be_taken_against_a_number(raw: Any, value: float) -> None
         ({"type": "IAE", "of": "a.y", "band": 0.1}, "E116", "IAE has no band."),
         ({"type": "settling_time", "of": "a.y", "against": 1, "band": 0}, "E116", "between 0 and 1, not at 0.0."),
         ({"type": "settling_time", "of": "a.y", "against": 1, "band": -1}, "E116", "between 0 and 1"),
-        ({"type": "overshoot", "of": "a.y"}, "E116", 'overshoot needs the value that is aimed at. Add "against".'),
+        ({"type": "overshoot", "of": "a.y"}, "E116", 'overshoot needs the target value. Add "against".'),
     ],
 )
 def test_a_measure_that_cannot_be_taken_is_told(measure: dict[str, Any], code: str, part: str) -> None:

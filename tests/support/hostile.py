@@ -892,7 +892,7 @@ fmu("a path that leaves the folder", "E203", "leaves the folder", beside({"resou
 fmu("an absolute path", "E203", "absolute", beside({"/tmp/evil": b"x"}))
 fmu("a drive letter", "E203", "absolute", beside({"C:/evil": b"x"}))
 fmu("a backslash", "E203", "backslash", beside({"resources\\..\\evil": b"x"}))
-fmu("a name twice", "E203", "stands twice", beside({"resources/a": b"x", "resources/a#2": b"y"}))
+fmu("a name twice", "E203", "appears twice", beside({"resources/a": b"x", "resources/a#2": b"y"}))
 fmu("a link to /etc/passwd", "E203", "symbolic link", beside({"link": b"/etc/passwd"}, link=0o120777))
 fmu("a device in it", "E203", "neither", beside({"node": b""}, node=0o020666))
 fmu("a bomb of 400 MB", "E203", "grows from", beside({"resources/zeros": bytes(40 * 2**20)}))

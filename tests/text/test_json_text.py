@@ -248,8 +248,8 @@ def test_escapes_are_read() -> None:
 SYNTAX = {
     "": "1:1: the text is empty. Write one JSON value.",
     " \n": "2:1: the text is empty. Write one JSON value.",
-    '{"a": 1,}': "1:8: a comma stands before the closing }. Take the comma out.",
-    "[1,\n 2,\n]": "2:3: a comma stands before the closing ]. Take the comma out.",
+    '{"a": 1,}': "1:8: there is a comma before the closing }. Take the comma out.",
+    "[1,\n 2,\n]": "2:3: there is a comma before the closing ]. Take the comma out.",
     '{\n "a": 1\n "b": 2}': '3:2: expected a comma or }, but the string "b" stands here. Put a comma before it.',
     "[1 2]": "1:4: expected a comma or ], but 2 stands here. Put a comma before it, if it is another number; digits "
     "are not grouped.",
@@ -352,11 +352,11 @@ def test_bytes_that_are_not_utf_8_are_refused(text: bytes) -> None:
 def test_all_faults_of_one_pass_come_together_in_the_order_of_the_text() -> None:
     text = '{"a": 1, "b": {"c": 1, "\\u0063": 1e999, "c": [1e-999]},\n"a": "\\ud800"} x'
     assert faults(text, file="d.json") == [
-        'E002 d.json:1:24 b: the key "c" stands twice, first at line 1, column 16. Rename one, or take one out.',
+        'E002 d.json:1:24 b: the key "c" appears twice, first at line 1, column 16. Rename one, or take one out.',
         "E004 d.json:1:34 b.c: 1e999 is too large: a float ends at 1.8e308. Write a smaller number.",
-        'E002 d.json:1:41 b: the key "c" stands twice, first at line 1, column 16. Rename one, or take one out.',
+        'E002 d.json:1:41 b: the key "c" appears twice, first at line 1, column 16. Rename one, or take one out.',
         "E004 d.json:1:47 b.c[0]: 1e-999 is too small: a float would hold 0. Write 0, or a number from 5e-324 on.",
-        'E002 d.json:2:1: the key "a" stands twice, first at line 1, column 2. Rename one, or take one out.',
+        'E002 d.json:2:1: the key "a" appears twice, first at line 1, column 2. Rename one, or take one out.',
         "E001 d.json:2:7 a: \\ud800 is one half of a character. "
         "Write both halves, as in \\ud83d\\ude00, or the character.",
         "E001 d.json:2:16: expected the end of the text, but x stands here. A text holds one value: take the rest out.",

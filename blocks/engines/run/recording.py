@@ -74,7 +74,7 @@ class Recording:
         """The rows of all chunks; the last one is the first one of a new chunk then."""
         whole, first = np.empty((self.rows, 1 + self.columns)), 0
         chunks, self.chunks = self.chunks[::-1], []
-        while chunks:  # each is freed when it is copied: hardly any row stands twice
+        while chunks:  # each is freed when it is copied: hardly any row appears twice
             chunk = chunks.pop()[: self.rows - first]
             whole[first : first + len(chunk)] = chunk
             first += len(chunk)
