@@ -22,7 +22,7 @@ from ..frequency.delayed import DelayedModel
 from ..text.errors import AnalysisError, Fault, UsageError
 from .model_report import BlockReport, hints_of, report_of
 from .nonlinearities import nonlinear
-from .reduction import Wired, contributing, delayed_model, reduced, without_delays
+from .reduction import Wired, contributing, delayed_model, reduced, with_pade_models, without_delays
 from .replaced_slopes import ReplacedSlopes
 from .sampled import Sampled
 from .signals import Names, SignalElement, listed, place, places
@@ -148,6 +148,7 @@ class Linearization(ReplacedSlopes):
         units = [spot.unit for spot in ins], [spot.unit for spot in outs]
         signals = [spot.name for spot in ins], [spot.name for spot in outs]
         matrices, names = without_delays(wired, plan, pade)
+        report = with_pade_models(report, wired, plan, pade)
         dt = 0.0
         if wired.d:
             during = [self.graph.is_of_ticks(spot.column) for spot in outs[:count]]
@@ -188,6 +189,7 @@ class Linearization(ReplacedSlopes):
             message = "nothing sampled contributes to this transfer."
             raise UsageError(Fault("E501", plan.name, message, "Use model()."))
         matrices, names = without_delays(wired, plan, pade)
+        report = with_pade_models(report, wired, plan, pade)
         during = [self.graph.is_of_ticks(spot.column) for spot in outs]
         sampled = Sampled(plan, wired.d, matrices, names)
         matrices, names, steps = sampled.lifted(during)
@@ -215,6 +217,7 @@ class Linearization(ReplacedSlopes):
         wired, report = self.wired([spot], [spot], cut)
         plan = self.graph.plan
         m, states = without_delays(wired, plan, pade)
+        report = with_pade_models(report, wired, plan, pade)
         dt, times = 0.0, [0.0]
         if wired.d:
             sampled = Sampled(plan, wired.d, m, states)

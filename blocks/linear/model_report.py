@@ -24,9 +24,10 @@ class BlockReport:
     """How one block came into a linear model.
 
     method: "exact", "directional derivatives", "central differences of two steps", "describing function, A = ...",
-    "override". smoothness: "smooth", or what its equations are at the point ("infinite slope of g by e", ...).
-    contributes: whether a change can pass through it from the inputs to the outputs. note: what else a reader should
-    know: a law that bends and was given no amplitude beside others that were; a state that does not rest.
+    "override", "a Padé model of order 3, ...". smoothness: "smooth", or what its equations are at the point ("infinite
+    slope of g by e", ...). contributes: whether a change can pass through it from the inputs to the outputs. note: what
+    else a reader should know: a law that bends and was given no amplitude beside others that were; a state that does
+    not rest.
     """
 
     path: str

@@ -6,7 +6,7 @@ Delays stay as they are, or Padé models stand in their place.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,13 +16,14 @@ from ..frequency.delayed import DelayedModel
 from ..text.errors import AnalysisError, Fault, UsageError
 from .elimination import Entries, eliminated, reach, without_noise
 from .interconnection import Interconnection
+from .model_report import BlockReport
 from .nonlinearities import remembers
 from .replaced_slopes import ReplacedSlopes, or_a_gain
 from .signals import SignalElement
 from .slopes import Law
 from .wiring import Wiring
 
-__all__ = ["Wired", "contributing", "delayed_model", "reduced", "without_delays"]
+__all__ = ["Wired", "contributing", "delayed_model", "reduced", "with_pade_models", "without_delays"]
 
 Array = np.ndarray[Any, Any]
 
@@ -179,6 +180,23 @@ def _picking(columns: Sequence[int], size: int, *, is_sparse: bool) -> Any:
         np.array(rows, dtype=np.intp), np.array([columns[k] for k in rows], dtype=np.intp), np.ones(len(rows)), size
     )
     return entries.matrix((len(columns), size), is_sparse=is_sparse)
+
+
+def with_pade_models(
+    report: tuple[BlockReport, ...], wired: Wired, plan: Plan, pade: int
+) -> tuple[BlockReport, ...]:  # fmt: skip
+    """Return the report, in which each delay that is a Padé model says so, and up to which frequency it is near."""
+    if not wired.h:
+        return report
+    delays = {plan.histories[k].name.rpartition(".")[0]: plan.histories[k].delay for k in wired.h}
+
+    def noted(block: BlockReport) -> BlockReport:
+        if block.path not in delays:
+            return block
+        method = f"a Padé model of order {pade}, near up to about {2 * pade / delays[block.path]:.3g} rad/s"
+        return replace(block, method=method)
+
+    return tuple(map(noted, report))
 
 
 def without_delays(wired: Wired, plan: Plan, pade: int) -> tuple[dict[str, Array], list[str]]:

@@ -1358,6 +1358,9 @@ def test_delays_by_pade_models_are_those_of_python_control(order: int) -> None:
     assert at(linearizer.model("r", "lag.y", pade=order))[0, 0] == pytest.approx(L / (1 + L), rel=1e-9)
     assert at(linearizer.sensitivity("plant.y", pade=order))[0, 0] == pytest.approx(1 / (1 + L), rel=1e-9)
     assert loop.state_labels == ["plant_y", *(f"lag_past_pade[{k}]" for k in range(order))]
+    told = {block.path: block.method for block in linearizer.loop_transfer("plant.y", pade=order).report}
+    assert told["lag"] == f"a Padé model of order {order}, near up to about {2 * order / tau:.3g} rad/s"
+    assert told["plant"] == "exact"
     low = OMEGA[OMEGA < 0.5]
     exact = linearizer.response("r", "lag.y", low)
     assert at(linearizer.model("r", "lag.y", pade=order), low) == pytest.approx(exact, rel=1e-2 / 10**order)

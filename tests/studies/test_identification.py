@@ -206,7 +206,7 @@ def test_data_of_a_file_with_uneven_times_and_gaps_are_fitted_and_written(tmp_pa
     ("data", "compare", "said"),
     [
         ({"time": [0, 1, 2], "v": [0, 1, 2]}, {"motor.omega": "speed"}, "has no column speed"),
-        ({"time": [0, 2, 1], "v": [0, 1, 2], "speed": [0, 1, 2]}, {"motor.omega": "speed"}, "times must rise"),
+        ({"time": [0, 2, 1], "v": [0, 1, 2], "speed": [0, 1, 2]}, {"motor.omega": "speed"}, "times must increase"),
         ({"time": [0.0], "speed": [0.0]}, {"motor.omega": "speed"}, "fewer than two rows"),
         ("nowhere.csv", {"motor.omega": "speed"}, "cannot be read"),
         ({"time": [0, 1]}, {}, "names no signal"),

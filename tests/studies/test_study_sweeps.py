@@ -139,7 +139,7 @@ def claim(**entry: Any) -> dict[str, Any]:
         (changed(vary={"plant.mm": [1]}), "E106", "sweeps.many.vary", "plant.m"),
         (changed(vary={"mass": {"normal": [1]}}), "E501", "sweeps.many.vary", "MEAN,DEVIATION"),
         (changed(vary={"mass": {"norml": [1, 2]}}), "E501", "sweeps.many.vary", "gives no values"),
-        (changed(vary={"mass": {"normal": [1, -1]}}), "E501", "sweeps.many.vary.mass", "no values for these"),
+        (changed(vary={"mass": {"normal": [1, -1]}}), "E501", "sweeps.many.vary.mass", "no distribution with these"),
         (changed(n=10**15), "E501", "sweeps.many.n", "numbers are the most"),
         (changed(n=3, sampler="saltelli"), "E501", "sweeps.many.n", "Sobol indices"),
         (changed(vary={"mass": 3}), "E004", "sweeps.many.vary.mass", '{"normal": [0.27, 0.02]}'),
