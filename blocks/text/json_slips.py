@@ -144,6 +144,8 @@ def _odd_value(word: str, at: int) -> Slip:
         return Slip(at, message, f"Write {literal}.", at, literal.ljust(len(word)), is_certain=name == word.lower())
     if name in ("nan", "inf", "infinity"):
         message, cure = f"JSON has no {shown}.", "Write a finite number, or leave the entry out."
+        if name != "nan":
+            cure = f'Write a finite number; for a missing limit, "{"-" * word.startswith("-")}inf" in quotes.'
     elif word[0] in "+-.0123456789":
         message = f"{shown} is not a number of JSON."
         cure = f"Write {quoted('=' + word)}, if it is an expression." if name.isidentifier() else number_cure(word)

@@ -290,7 +290,7 @@ SYNTAX = {
     "{/* c */}": "1:2: expected a key in double quotes, but a comment stands here. "
     'JSON has no comments: take it out, or keep it as an entry "x-note": "...".',
     "[NaN]": "1:2 [0]: JSON has no NaN. Write a finite number, or leave the entry out.",
-    "-Infinity": "1:1: JSON has no -Infinity. Write a finite number, or leave the entry out.",
+    "-Infinity": "1:1: JSON has no -Infinity. Write a finite number; for a missing limit, \"-inf\" in quotes.",
     "[True]": "1:2 [0]: expected a value, but True stands here. Write true.",
     "[None]": "1:2 [0]: expected a value, but None stands here. Write null.",
     "[yes]": '1:2 [0]: expected a value, but yes stands here. Write "yes", if it is a string.',
