@@ -82,12 +82,18 @@ def test_intervals_are_those_of_linear_regression_where_the_model_is_linear_in_i
     assert fit.intervals["Gain.k"][1] - slope == pytest.approx(1.983972 * error, rel=1e-4), "t of 100 degrees"
 
 
-def test_signals_of_unlike_noise_are_weighed_as_the_best_estimate_weighs_them() -> None:
-    both, draw, t = Diagram("both"), np.random.default_rng(4), np.linspace(0, 5, 101)
+def quiet_and_noisy() -> Diagram:
+    """One gain k behind the input u, seen by two signals."""
+    both = Diagram("both")
     both.parameter("k", 1)
     u = both.input("u")
     for name in ("quiet", "noisy"):
         both.wire(both.add(name, Gain(k="=k")).u, u)
+    return both
+
+
+def test_signals_of_unlike_noise_are_weighed_as_the_best_estimate_weighs_them() -> None:
+    both, draw, t = quiet_and_noisy(), np.random.default_rng(4), np.linspace(0, 5, 101)
     x, deviations = np.sin(t), np.array([1e-4, 0.5])
     quiet, noisy = 1.7 * x + deviations[:, None] * draw.standard_normal((2, 101))
     fit = both.fit(
@@ -101,11 +107,7 @@ def test_signals_of_unlike_noise_are_weighed_as_the_best_estimate_weighs_them() 
 
 
 def test_a_quiet_signal_of_few_samples_gives_the_degrees_of_freedom() -> None:
-    both, draw, t = Diagram("both"), np.random.default_rng(6), np.linspace(0, 5, 101)
-    both.parameter("k", 1)
-    u = both.input("u")
-    for name in ("quiet", "noisy"):
-        both.wire(both.add(name, Gain(k="=k")).u, u)
+    both, draw, t = quiet_and_noisy(), np.random.default_rng(6), np.linspace(0, 5, 101)
     x, few = np.sin(t), np.arange(101) % 25 == 10
     quiet = np.where(few, 1.7 * x + 1e-4 * draw.standard_normal(101), np.nan)
     data = {"time": t, "u": x, "a": quiet, "b": 1.7 * x + 0.5 * draw.standard_normal(101)}
