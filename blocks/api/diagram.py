@@ -630,7 +630,7 @@ class Diagram:
         than the diagram, its own values are the result. Ctrl-C ends it with what was found so far (`interrupted`).
 
         out: a file (.parquet) of all candidates, which `Sweep.load` reads. Each generation is written to a part of it
-        when it has run; the same call goes on from there, to the same result. resume=False begins anew.
+        when it has run; the same call goes on from there, to the same result. resume=False starts over.
 
         Raises ModelError and UsageError before the first candidate, also for what can have no number: an unknown
         measure or scenario, or a window that the run does not cover; SimulationError where the diagram itself does not

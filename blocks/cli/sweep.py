@@ -253,7 +253,7 @@ def _listed(place: str, text: str) -> list[Any]:
 
 
 def _in_one_unit(place: str, kind: str, names: Sequence[str], words: Sequence[str]) -> tuple[list[float], str]:
-    """Return the numbers of a range or a distribution in the first unit that stands there, and that unit, maybe "".
+    """Return the numbers of a range or a distribution in its first unit, and that unit ("" if there is none).
 
     The count of a range and the shapes of a distribution have no unit. Raises UsageError (E501).
     """

@@ -47,7 +47,7 @@ __all__ = [
 # Far beyond every signal, and its square is still a finite number.
 UNLIMITED = 1e100
 NO_LIMIT: Mapping[str, float] = MappingProxyType({"inf": UNLIMITED, "-inf": -UNLIMITED})
-"""What a limit may be besides a number, and what equations see for it."""
+"""The words that a limit accepts besides numbers, and the numbers that equations get for them."""
 REQUIRED: Any = type("Required", (), {"__repr__": lambda self: "REQUIRED"})()
 """The default of a parameter that must be given."""
 

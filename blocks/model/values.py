@@ -42,8 +42,8 @@ Unit = str | tuple[str, ...]
 class Column(dict[str, Any]):
     """A column of a CSV file as a file names it, {"csv": ..., "column": ..., "unit": ...}, with its numbers.
 
-    Comparing and writing use what the file says. key: where they would stand in a file that holds them itself. unit: of
-    the numbers; the one beside the column, else the one that the CSV file gives, "" for that of the parameter.
+    Comparing and writing use the text of the file. key: the key of the numbers in a file that holds them itself. unit:
+    the unit of the numbers: beside the column, else of the CSV file; "" for the unit of the parameter.
     """
 
     key = "value"
@@ -54,7 +54,7 @@ class Column(dict[str, Any]):
 
     @property
     def as_value(self) -> dict[str, Any]:
-        """What stands in the place of the column in a file that holds the numbers itself."""
+        """Return the entry that replaces the column in a file that holds the numbers itself."""
         others = {key: self[key] for key in self if key not in ("csv", "column")}
         return {self.key: list(self.numbers), **others, **({"unit": self.unit} if self.unit else {})}
 

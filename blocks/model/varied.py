@@ -1,4 +1,4 @@
-"""What a name of parameters sets, in runs and in rows of a batch: by a path, by a pattern, or an element of a vector.
+"""The parameters that a name sets, in runs and in rows of a batch: by a path, a pattern, or an element of a vector.
 
 "motor.Ra"              a parameter
 "control_*.eso.Ka"      one value for all parameters that the pattern names; * stands for a part of one name

@@ -15,7 +15,7 @@ from ...text.errors import Fault, SimulationError, UsageError
 __all__ = ["COPIES", "COPIES_OF_MASTER", "check", "check_plan", "no_room", "rows_of"]
 
 COPIES = 1.1
-"""What is recorded, and a part of it that appears twice while it becomes results."""
+"""The recorded rows, and the part of them that is held twice while they become results."""
 COPIES_OF_MASTER = 2
 """The same of a master, whose results are a copy."""
 FLOAT = 8  # bytes

@@ -23,9 +23,9 @@ __all__ = ["StateRates", "StiffWatch"]
 Array = np.ndarray[Any, Any]
 
 _FIRST, _PART = 2_000, 0.25  # steps before the first look, and between looks as a part of all before
-_LOOKS = 3  # so many in a row must find it
+_LOOKS = 3  # in a row that must find the run stiff
 _MANY = 200_000  # steps left; fewer are no reason to take another method
-_GAIN = 10  # so many times longer a step must be that neither an instant nor the longest step would allow
+_GAIN = 10  # a step as much longer must fit between instants and within the longest step
 _VECTORS = 16  # of the Krylov space in which the eigenvalue is estimated
 _PERTURBED = 0.1  # of what a state may be off by: small for the equations, large for rounding errors
 
