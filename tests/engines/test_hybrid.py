@@ -669,6 +669,23 @@ def test_a_projection_that_moves_by_rounding_where_a_delay_breaks_is_no_jump() -
     assert steps["native"] == steps["reference"]
 
 
+@pytest.mark.parametrize("engine", ["reference", "native"])
+def test_what_bends_comes_out_of_a_delay_with_one_value_at_the_bend(engine: str) -> None:
+    """A limited sine bends where the limit acts: one delay later it bends, too, and does not jump by rounding."""
+    d = Diagram("bent")
+    source, limit = d.add("source", Sine(omega=5.3)), d.add("limit", Saturation(lower=-0.71, upper=0.37))
+    sums, late = d.add("sums", Integrator()), d.add("late", TransportDelay(delay=0.3137))
+    d.wire(limit.u, source.y)
+    d.wire(sums.u, limit.y)
+    d.wire(late.u, limit.y)
+    d.wire(d.add("again", TransportDelay(delay=0.2211)).u, sums.y)
+    results = d.run(stop=9.0, method="rk4", step=0.01, engine=engine, log=["late.y", "again.y"])
+    bends = [event.t + delay for event in results.events for delay in (0.3137, 0.2211)]
+    assert len(bends) > 40
+    assert {t for t in bends if t < 9.0} <= {*results.t}
+    assert np.all(np.diff(results.t) > 0)  # where a signal jumps there are two rows
+
+
 # --- switching controllers -------------------------------------------------------------------------------------
 
 

@@ -94,13 +94,16 @@ class Past:
         return tuple(self._value(i, history, t) for i, history in enumerate(self.histories))
 
     def _value(self, i: int, history: History, t: float) -> float:
-        passed, store = self.passed[i], self.store
+        passed, store, delay = self.passed[i], self.store, history.delay
         if passed == 0:
             return history.before
-        then = max(t - history.delay, store.breaks[passed - 1][0])
+        begin, order = store.breaks[passed - 1]
+        then = max(t - delay, begin)
         k = bisect_right(store.starts, then, 0, self.known) - 1
-        if passed < self.broken and store.breaks[passed][0] <= then:
-            then = store.breaks[passed][0]
+        is_at_end = passed < self.broken and (store.breaks[passed][0] <= then or store.breaks[passed][0] + delay <= t)
+        if is_at_end or (order > 0 and t <= begin + delay):
+            # What bends at a break has one value there, and two polynomials that differ in its last bits.
+            then = store.breaks[passed if is_at_end else passed - 1][0]
             k = bisect_left(store.starts, then, 0, self.known) - 1  # the part that ends there
         k = max(k, 0)
         a0, a1, a2, a3, a4, end = store.parts[k][:, i]

@@ -241,10 +241,12 @@ static double delayed(const BlocksSim *s, int i, double t)
     const BlocksHistory *history = &s->setup->histories[i];
     int64_t passed = past->passed[i], n = s->model->nh;
     if (passed == 0) return history->before;
-    double then = fmax(t - history->delay, past->breaks[passed - 1]);
+    double begin = past->breaks[passed - 1], then = fmax(t - history->delay, begin);
     int64_t k = last_at(past->starts, past->known, then);
-    if (passed < past->broken && past->breaks[passed] <= then) {
-        then = past->breaks[passed];
+    int at_end = passed < past->broken && (past->breaks[passed] <= then || past->breaks[passed] + history->delay <= t);
+    if (at_end || (past->orders[passed - 1] > 0 && t <= begin + history->delay)) {
+        /* What bends at a break has one value there, and two polynomials that differ in its last bits. */
+        then = at_end ? past->breaks[passed] : begin;
         int64_t low = 0, high = past->known; /* the part that ends there */
         while (low < high) {
             int64_t middle = (low + high) / 2;
