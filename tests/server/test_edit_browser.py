@@ -136,7 +136,6 @@ def test_the_motor_under_control_is_drawn_with_the_keyboard_alone(chromium: Any,
             hands.tab_to("#view")
         for name, (text, doc) in BLOCKS.items():
             hands.type_block(text)
-            hands.seen(".picked")
             page.press("F2")
             page.until("document.querySelector('.typed')")
             page.type(name)

@@ -75,14 +75,15 @@ class Hands:
         return x, y
 
     def done(self, act: Callable[[], Any]) -> None:
-        """Do something that is one more step of the history."""
+        """Do something that is one more step of the history; returns when the page has taken the answer."""
         steps, limit = len(self.editor.done), time.monotonic() + DEADLINE
         act()
         while len(self.editor.done) == steps and time.monotonic() < limit:
             self.page.evaluate("new Promise(requestAnimationFrame)")
-        said = self.page.text("#edits .refusal")
-        assert len(self.editor.done) == steps + 1, f"{said}; {[step.what for step in self.editor.done[steps:]]}"
+        done = [step.what for step in self.editor.done[steps:]]
+        assert len(done) == 1, f"done: {done}. The page shows: {' '.join(self.page.text().split())[:1500]}"
         self.page.until(f"document.body.dataset.revision >= {self.editor.revision}")
+        self.page.until("document.querySelector('#view:not([aria-busy=true])')")
 
     # --- with the keyboard ---------------------------------------------------------------------------------------
 

@@ -13,8 +13,11 @@ export function start(app) {
   const level = () => app.state.level;
   const own = (path) => (path.startsWith(level() ? `${level()}.` : "") ? path.slice(level() ? level().length + 1 : 0) : "");
 
+  let doing = 0; // gestures without an answer
+  const busy = (more) => document.getElementById("view").setAttribute("aria-busy", String((doing += more) > 0));
   /** Do a gesture; what is refused is said in a bar, too. @returns {Promise<any>} null where it was refused */
   async function act(name, fields = {}, said = "") {
+    busy(1);
     try {
       refusal.textContent = "";
       const told = await app.connection.ask(name, name === "undo" || name === "redo" ? fields : { level: level(), ...fields });
@@ -27,6 +30,8 @@ export function start(app) {
       app.drawing.show(level()); // as it stands
       say(error.message);
       return null;
+    } finally {
+      busy(-1);
     }
   }
   function say(text) {
