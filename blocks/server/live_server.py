@@ -92,10 +92,11 @@ class LiveServer:
             given: dict[str, Any] = {"library": self._library, "variants": self._variants}
             if self._edits and isinstance(self._source, (str, Path)):
                 document: Document = Editor(self._source, self._open_tab, **given)
-                self._tabs[real(Path(self._source))] = self
             else:
                 document = Document(self._source, **given)
             self._session = Session(document, **self._given)
+            if isinstance(document, Editor):
+                self._tabs[real(document.file)] = self
         except BaseException:
             self._transport.stop()
             raise
@@ -114,11 +115,11 @@ class LiveServer:
 
     def stop(self) -> None:
         """End the run, close the pages and the port, and all tabs beside it. Once more does nothing."""
-        while self._tabs:
-            self._tabs.popitem()[1].stop()
         self._transport.stop()
         if self._session is not None:
-            self._session.close()
+            self._session.close()  # which may be opening a tab
+        while self._tabs:
+            self._tabs.popitem()[1].stop()
 
     def __repr__(self) -> str:
         return f"<live: {self.url}>"
