@@ -105,9 +105,12 @@ class Catalog:
         return dict(sorted(groups.items()))
 
     def search(self, text: str) -> tuple[list[Found], list[Word]]:
-        """Find the block types with all words of a text: in name, group, first line, ports, parameters, or as words of
-        Simulink; those that have them in their names first. And what is said of words of Simulink that name no type; if
-        there is nothing of this, of words whose page of the documentation has a title with the words.
+        """Find the block types, and the words of Simulink, that match all words of `text`.
+
+        A type matches by its name, group, first line, ports and parameters, or by a word of Simulink that means it.
+        Types come in this order: by their own name, by a word of Simulink, by the rest. Words of Simulink are returned
+        if they match and mean no type. If nothing matches, the words are returned whose section in the documentation
+        has a heading with all words of `text`.
         """
         asked = text.lower().split()
         told = [word for word in words().values() if _says(asked, word.name)]

@@ -91,7 +91,7 @@ def takes_trust(verb: argparse.ArgumentParser) -> None:
 
 
 def takes_parameters(verb: argparse.ArgumentParser) -> None:
-    help = 'a parameter by its path, optionally with a unit: torque=2, or "motor.Ra=200 mOhm"'
+    help = 'a parameter by its path, or an element of it: torque=2, "motor.Ra=200 mOhm", "plant.A[1,0]=2"'
     takes_several(verb, "--set", "NAME=VALUE", help, dest="parameters")
 
 

@@ -43,7 +43,8 @@ def add(verbs: Any) -> None:
     vary = (
         "what varies, in the unit of the parameter: 1,2,3, linspace:4,20,9 (geomspace), normal:0.27,0.02, "
         "uniform:LOW,HIGH, loguniform, triangular, truncatednormal, or any continuous distribution of scipy.stats, "
-        "lognorm:s=0.3,scale=2. NAME may be a pattern, one value for all that it names, or each(PATTERN)"
+        "lognorm:s=0.3,scale=2. NAME may be an element, plant.A[1,0], a pattern (one value for all that match), or "
+        "each(PATTERN)"
     )
     takes_several(verb, "--vary", "NAME=VALUES", vary)
     verb.add_argument("--n", metavar="N", help="draws of the distributions; lists are crossed with them")
@@ -67,7 +68,7 @@ def add(verbs: Any) -> None:
     plot = "draw bands of --log over time, or histograms of the measures: .svg, .png, .pdf"
     verb.add_argument("--plot", metavar="FILE", help=plot)
     verb.add_argument("--dask", metavar="ADDRESS", help=address)
-    verb.add_argument("--anew", action="store_true", help="start over, even if a partial file exists")
+    verb.add_argument("--anew", action="store_true", help="start over: do not continue from the partial file of --out")
     takes_engine(verb)
     takes_variants(verb)
     takes_trust(verb)

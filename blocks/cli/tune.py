@@ -29,7 +29,7 @@ def add(verbs: Any) -> None:
         help="find values of parameters that make measures small, under constraints, in several scenarios",
         description="Find the values within bounds for which an expression over measures is least and all constraints "
         "hold, by many runs. A scenario is named before a measure: noisy.variation; ITAE alone is the mean over all "
-        "scenarios, and a constraint on it holds in each. Exit code 1 where a constraint is violated at the end.",
+        "scenarios, and a constraint on it holds in each. Exit code 1 if a constraint is violated at the end.",
     )
     tune.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
     tune.add_argument("--minimize", metavar="EXPR", required=True, help='over measures: "ITAE_right + 1e-3*ISU_right"')
@@ -48,7 +48,7 @@ def add(verbs: Any) -> None:
     tune.add_argument("--write", action="store_true", help="write the values into DIAGRAM if all constraints hold")
     out = "write all candidates (.parquet); an interrupted tuning continues from its partial file"
     tune.add_argument("-o", "--out", metavar="FILE", help=out)
-    tune.add_argument("--anew", action="store_true", help="start over, even if a partial file exists")
+    tune.add_argument("--anew", action="store_true", help="start over: do not continue from the partial file of --out")
     tune.add_argument("--report", metavar="DIR", help="write report.html and its figures into a folder")
     takes_parameters(tune)
     takes_variants(tune)

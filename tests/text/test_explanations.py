@@ -121,6 +121,7 @@ def test_an_example_that_is_mended_as_its_cure_says_has_no_fault(
 ) -> None:
     example = EXPLAINED[code].example
     text = example.text
+    assert code in MENDED, f"add to MENDED what {code}.md says to change in its example, so that the fault is gone"
     for old, new in MENDED[code]:
         assert old in text
         text = text.replace(old, new, 1)
