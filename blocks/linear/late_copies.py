@@ -1,13 +1,13 @@
 """Exact delays between the ticks of sampled blocks, as copies of a linear model that lag behind it.
 
 A delayed signal is h(t) = s(t - delay), where s depends on the states x, the sampled values d and the inputs e. A copy
-with the lag L holds those of z = (x, d, e) that some h(t) needs of the time t - L. Between instants it follows the
-equations of the model itself; what these read of a delay comes from the copy whose lag is longer by that delay. At each
-instant plus L, such as a tick, it is set to what `Kept` holds of the instant. So a copy forgets its past from instant to
-instant: it adds eigenvalues at 0 to a model over the period, and none of the plant.
+with the lag L holds the elements of z = (x, d, e) at t - L that some h(t) needs. Between instants it follows the
+equations of the model itself; what they read of a delay comes from the copy whose lag is longer by that delay. L after
+each instant, such as a tick, the copy is set to the z that `Kept` holds of that instant. So it forgets its past from
+instant to instant: it adds eigenvalues at 0 to the model over a period, and none of the plant.
 
-There are finitely many copies unless a path in continuous time leads from the output of a delay back to its input. At an
-instant copies are set before the tick, as a run passes on what arrives from a delay before it.
+The number of copies is finite unless a path in continuous time leads from the output of a delay back to its input.
+At an instant copies are set before the tick, because a run also passes on what arrives from a delay before it.
 
 Reference: K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 3rd ed., Prentice Hall 1997, section 2.3 (delays
 behind a hold).
@@ -137,11 +137,11 @@ class LateCopies:
             if k in reached:
                 inside.append(self._names[k])
         if inside:
-            message = (
-                f"exact delays contribute that act back on themselves in continuous time, through no sampled block: "
-                f"{', '.join(inside)}. No model from tick to tick has finitely many states then."
+            message = f"exact delays act back on themselves in continuous time, past all ticks: {', '.join(inside)}."
+            cure = (
+                "Take Padé models: pade=3 in model(...) or loop(...), --pade 3; or put a ZeroOrderHold into that path."
             )
-            raise AnalysisError(Fault("E707", self._plan.name, message, "Take Padé models of them: pade=3 (--pade 3)."))
+            raise AnalysisError(Fault("E707", self._plan.name, message, cure))
 
     def _delayed(self) -> dict[Time, Array]:
         """By lag, what delays give at that lag, by the whole vector; rows of those that nothing reads there are 0."""

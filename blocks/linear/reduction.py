@@ -186,7 +186,7 @@ def with_pade_models(
     report: tuple[BlockReport, ...], wired: Wired, plan: Plan, pade: int
 ) -> tuple[BlockReport, ...]:  # fmt: skip
     """Return the report, in which each delay that is a Padé model says so, and up to which frequency it is near."""
-    if not wired.h:
+    if not (wired.h and pade):
         return report
     delays = {plan.histories[k].name.rpartition(".")[0]: plan.histories[k].delay for k in wired.h}
 

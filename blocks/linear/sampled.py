@@ -80,7 +80,7 @@ class Sampled:
                 raise AnalysisError(Fault("E703", plan.name, message, cure))
             for k in range(self.period // period):
                 ticks.setdefault((offset - first + k * period) % self.period, []).append(number)
-        self.ticks = sorted(ticks.items())
+        self.ticks: list[tuple[Time, list[int]]] = sorted(ticks.items())
         self.step = math.gcd(self.period, *ticks)
         self.base = float(plan.base)
         self.dt = self.period * self.base
