@@ -153,7 +153,7 @@ class Linearization(ReplacedSlopes):
         if wired.d:
             during = [self.graph.is_of_ticks(spot.column) for spot in outs[:count]]
             during += [True] * (len(outs) - len(during))
-            sampled = Sampled(plan, wired.d, matrices, names, () if pade else wired.h)
+            sampled = Sampled(plan, wired.d, matrices, names, signals[0], () if pade else wired.h)
             (matrices, names), dt = sampled.model(during), sampled.dt
         A, B, C, D = (matrices[key] for key in ("xx", "xe", "yx", "ye"))
         return Transfer(A, B, C, D, dt, names, signals, units, plan.name, report)
@@ -191,7 +191,7 @@ class Linearization(ReplacedSlopes):
         matrices, names = matrices_of(wired, plan, pade)
         report = with_pade_models(report, wired, plan, pade)
         during = [self.graph.is_of_ticks(spot.column) for spot in outs]
-        sampled = Sampled(plan, wired.d, matrices, names, () if pade else wired.h)
+        sampled = Sampled(plan, wired.d, matrices, names, [spot.name for spot in ins], () if pade else wired.h)
         matrices, names, steps = sampled.lifted(during)
         signals = (
             [f"{spot.name}@{k}" for k in range(steps) for spot in ins],
@@ -220,7 +220,7 @@ class Linearization(ReplacedSlopes):
         report = with_pade_models(report, wired, plan, pade)
         dt, times = 0.0, [0.0]
         if wired.d:
-            sampled = Sampled(plan, wired.d, m, states, () if pade else wired.h)
+            sampled = Sampled(plan, wired.d, m, states, [spot.name], () if pade else wired.h)
             if sampled.acts and sampled.is_moving():
                 raise self._between_ticks(spot, sampled)
             (m, states, times), dt = sampled.loop(), sampled.dt

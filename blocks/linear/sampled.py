@@ -11,7 +11,7 @@ which is a tick of the rate with the smallest offset. `lifted` keeps all that ha
 every base step of H, stacked; a base step is the largest time of which all periods and offsets are multiples. `loop`
 has a value of its input for every tick at which it may change, so that closing it gives the diagram.
 
-Exact delays between ticks are late copies of (x, d, e) (`late_copies`), which further states keep and pass on.
+Exact delays between ticks are copies of (x, d, e) that lag behind (`late_copies`); further states keep their values.
 
 References: T. Chen, B. Francis, Optimal Sampled-Data Control Systems, Springer 1995, chapters 3 and 8 (lifting);
 C. Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23(3), 1978.
@@ -39,9 +39,9 @@ _MOST = 10_000
 class Sampled:
     """The ticks of the places in d that contribute to a model.
 
-    m: dense, by row and column: "x" (rates), "d" (sampled nodes), "y"; "x", "d", "e". names: of its states. dt: the
-    time in s after which the ticks repeat. histories: numbers of the exact delays that contribute; for these m has the
-    row and column "h" too.
+    m: dense, by row and column: "x" (rates), "d" (sampled nodes), "y"; "x", "d", "e". names: of its states. inputs:
+    names of the inputs. histories: numbers of the exact delays that contribute; for these m has the row and column "h"
+    too. dt: the time in s after which the ticks repeat.
     """
 
     def __init__(
@@ -50,10 +50,12 @@ class Sampled:
         slots: Sequence[int],
         m: Mapping[str, Array],
         names: Sequence[str],
+        inputs: Sequence[str],
         histories: Sequence[int] = (),
     ) -> None:
         self.plan, self.slots, self.m = plan, list(slots), m
         self.labels = [*names, *(plan.discretes[slot] for slot in self.slots)]
+        self.inputs = list(inputs)
         self.nx, self.nd, self.ne = m["xx"].shape[0], len(self.slots), m["xe"].shape[1]
         self.copies = LateCopies(plan, m, histories)
         self.seen, self.node = self.copies.seen, self.copies.node
@@ -136,8 +138,8 @@ class Sampled:
         on those before it, so that closing the loop value by value gives the closed loop of the diagram. The signal
         must be held between ticks (yx = 0), or be read at ticks only (xe = 0).
 
-        With delays it may also change where what was held arrives behind one. If it changes there alone, the state of
-        the model is that before the first of these changes.
+        With delays the signal may also change when a held value arrives behind one. If it changes at such times only,
+        the state of the model is the one before the first of them.
 
         Raises AnalysisError (E703) where there are too many values.
         """
@@ -186,15 +188,15 @@ class Sampled:
         return *self._made(kept, now, outputs), times
 
     def is_moving(self) -> bool:
-        """Whether the output changes between ticks otherwise than by what was held, behind delays.
+        """Return whether the output changes between ticks, other than when a held value arrives behind a delay.
 
-        A loop that is opened there has no values from tick to tick; what the input itself becomes behind a delay and
-        comes back, would do so in continuous time.
+        A loop that is opened there has no values from tick to tick. The input may be such a change itself: if it comes
+        back behind a delay, the closed loop has a path in continuous time from the delay to itself.
         """
         return bool(np.any(self.seen[:, self.copies.states | self.copies.inputs] != 0))
 
     def _arrivals(self) -> set[Time]:
-        """The times in the pattern at which what was held arrives behind delays and changes the outputs."""
+        """Find the times in the pattern at which held values arrive behind delays and change the output."""
         times: set[Time] = set()
         for lag in self.copies.held:
             for tick, due in self.ticks:
@@ -213,7 +215,7 @@ class Sampled:
         return Kept(self.copies, instants, self.period, begin)
 
     def _begun(self, kept: Kept, inputs: int) -> Array:
-        """The vector and what is kept behind it, by the states before the pattern and the inputs.
+        """Return the vector and what is kept of it, as a map of the states before the pattern and of the inputs.
 
         Raises AnalysisError (E703) if delays keep too many values.
         """
@@ -226,7 +228,7 @@ class Sampled:
         return now
 
     def _moved(self, kept: Kept, time: Time, duration: Time, after: Array | None, now: Array) -> None:
-        """Move to the next time: by what an instant changes, where it is not done yet, and by the flow behind it."""
+        """Move to the next time by the flow. after: what the instant changes before, if that is still to be done."""
         size = self.copies.size
         if kept.size:
             kept.keep(time, now, now[:size] if after is None else after @ now[:size])
@@ -242,10 +244,10 @@ class Sampled:
         return parts, [self._label(rows[k], kept) for k in used]
 
     def _label(self, row: int, kept: Kept) -> str:
-        """The name of a state: one of the diagram, or what a delay keeps of it."""
+        """Return the name of a state: one of the diagram, or of what a delay keeps of it."""
         if row < len(self.labels):
             return self.labels[row]
-        names = [*self.labels, *(f"input[{k}]" for k in range(self.ne))]
+        names = [*self.labels, *self.inputs]
         if row >= self.copies.size:
             at, number = divmod(row - self.copies.size, len(kept.elements))
             return f"{names[kept.elements[number]]}.kept[{at}]"
