@@ -33,7 +33,7 @@ Time = int | Fraction
 """In base steps of the ticks: whole numbers are exact, and equal times compare equal."""
 
 MOST = 1 << 24
-"""Numbers in a matrix."""
+"""The most numbers in a matrix of a model."""
 
 
 def too_long(plan: Plan, count: int) -> AnalysisError:
@@ -93,10 +93,11 @@ class LateCopies:
         return self.first[lag] + self.held[lag].index(number) if number in self.held[lag] else None
 
     def _copies(self) -> dict[Time, list[int]]:
-        """The lags, in order, and what the copies hold. Raises AnalysisError (E707, and E703 for too many)."""
+        """Return the lags, in order, and what the copies hold. Raises AnalysisError (E707, and E703 for too many)."""
         self._check_circles()
         held: dict[Time, set[int]] = {}
-        waiting: list[tuple[Time, int]] = [(0, k) for k in range(len(self._delays))]
+        read = [k for k in range(len(self._delays)) if any(np.any(self._late[row][:, k] != 0) for row in "xdy")]
+        waiting: list[tuple[Time, int]] = [(0, k) for k in read]
         done = set(waiting)
         while waiting:
             lag, k = waiting.pop()
@@ -112,7 +113,7 @@ class LateCopies:
         return {lag: sorted(held[lag]) for lag in sorted(held)}
 
     def _read(self, k: int) -> tuple[set[int], set[int]]:
-        """What a delayed signal needs: the elements of z, and other delays that these or the signal itself read."""
+        """Find what a delayed signal needs: elements of z, and the delays that they or the signal itself read."""
         elements = set(np.nonzero(self._own["h"][k])[0].tolist())
         delays = set(np.nonzero(self._late["h"][k])[0].tolist())
         waiting = list(elements)
@@ -137,14 +138,13 @@ class LateCopies:
             if k in reached:
                 inside.append(self._names[k])
         if inside:
-            message = f"exact delays act back on themselves in continuous time, past all ticks: {', '.join(inside)}."
-            cure = (
-                "Take Padé models: pade=3 in model(...) or loop(...), --pade 3; or put a ZeroOrderHold into that path."
-            )
+            delays = ", ".join(inside)
+            message = f"exact delays act back on themselves in continuous time, through no sampled block: {delays}."
+            cure = "Take Padé models: pade=3 in model(...) or loop(...), --pade 3 in commands."
             raise AnalysisError(Fault("E707", self._plan.name, message, cure))
 
     def _delayed(self) -> dict[Time, Array]:
-        """By lag, what delays give at that lag, by the whole vector; rows of those that nothing reads there are 0."""
+        """Return by lag what delays give there, by the whole vector; the row of a delay that nothing reads is 0."""
         rows: dict[Time, Array] = {}
         for lag in (*reversed(self.first), 0):
             rows[lag] = np.zeros((len(self._delays), self.size))
@@ -155,7 +155,7 @@ class LateCopies:
         return rows
 
     def _rows(self, row: str, lag: Time, delayed: Mapping[Time, Array], which: Any = slice(None)) -> Array:
-        """Rows as they are at a lag, by the whole vector."""
+        """Return rows as they are at a lag, by the whole vector."""
         own = self._own[row][which]
         rows = np.zeros((len(own), self.size))
         if lag == 0:
@@ -191,7 +191,7 @@ class Kept:
         self.spans = [(time, (then - time) % period or period) for time, then in zip(times, following, strict=True)]
 
     def _rows(self, instant: Time, age: int) -> slice:
-        """Where z is kept as it was at an instant some periods ago."""
+        """Return where z is kept as it was at an instant some periods ago."""
         begin = self.begin + (self.instants[instant] * self.depth + age) * len(self.elements)
         return slice(begin, begin + len(self.elements))
 
@@ -211,11 +211,11 @@ class Kept:
 
 
 def _in_steps(delay: float, plan: Plan) -> Time:
-    """A delay in base steps: the decimal that a user wrote, not the double next to it."""
+    """Return a delay in base steps: of the decimal that a user wrote, not of the double next to it."""
     return _counted(Fraction(repr(float(delay))) / plan.base, plan)
 
 
 def _counted(lag: Time, plan: Plan) -> Time:
-    """The lag as a whole number if only rounding separates it from one, as a run compares times."""
+    """Return the lag, as a whole number if only rounding separates it from one: a run compares times alike."""
     whole = round(lag)
     return whole if within_ulps(float(lag * plan.base), float(whole * plan.base), count=64) else lag

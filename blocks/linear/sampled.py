@@ -278,7 +278,7 @@ class Sampled:
         return refreshed, after
 
     def flow(self, duration: Time) -> Array:
-        """How a time in which nothing happens maps the vector."""
+        """Return how a time in which nothing happens maps the vector."""
         if duration not in self._flows:
             from scipy.linalg import expm
 
