@@ -12,6 +12,7 @@ import pytest
 
 import blocks
 from blocks import AnalysisError, BlocksError, Diagram, UsageError
+from blocks.analysis import limit_cycles
 from blocks.frequency.margins import margins
 from blocks.frequency.response import response
 
@@ -278,3 +279,40 @@ def test_a_dead_time_of_many_periods_has_the_margins_of_as_many_unit_delays() ->
     assert exact.stable
     for name in ("gain", "phase_deg", "delay", "modulus", "Ms"):
         assert getattr(exact, name) == pytest.approx(getattr(sampled, name), rel=1e-9)
+
+
+def test_limit_cycles_with_a_dead_time_are_those_of_a_hold_with_an_offset() -> None:
+    rest = {"plant": blocks.TransferFunction(num=[6.0], den=[1.0, 1.0, 0.0]), "back": blocks.Gain(k=-1.0)}
+    law, hold = {"law": blocks.Saturation(lower=-0.1, upper=0.1)}, {"hold": blocks.ZeroOrderHold(period=PERIOD)}
+    lags: list[dict[str, Any]] = [
+        hold | {"late": blocks.ZeroOrderHold(period=PERIOD, offset=0.07)},
+        hold | {"late": blocks.TransportDelay(delay=0.07)},
+    ]
+    diagrams = []
+    for lag in lags:
+        diagram = Diagram("cycle")
+        chain: dict[str, Any] = law | lag | {"lag": blocks.FirstOrder(T=0.5)} | rest
+        for name, block in chain.items():
+            diagram.add(name, block)
+        for origin, sink in itertools.pairwise([*chain, "law"]):
+            diagram.wire(f"{sink}.u", f"{origin}.y")
+        diagrams.append(diagram)
+    held, exact = (limit_cycles(diagram) for diagram in diagrams)
+    assert len(exact) == len(held) == 1
+    assert exact[0].omega == pytest.approx(held[0].omega, rel=1e-9)
+    assert exact[0].amplitudes["law.u"] == pytest.approx(held[0].amplitudes["law.u"], rel=1e-9)
+
+
+def test_a_law_that_acts_on_a_delay_between_ticks_has_no_harmonic_balance() -> None:
+    diagram = Diagram("law")
+    chain: dict[str, Any] = {"sensor": blocks.ZeroOrderHold(period=PERIOD), "lag": blocks.FirstOrder(T=0.5)}
+    chain |= {"law": blocks.Saturation(lower=-0.1, upper=0.1), "late": blocks.TransportDelay(delay=0.07)}
+    for name, block in chain.items():
+        diagram.add(name, block)
+    diagram.wire("sensor.u", diagram.input("r"))
+    for origin, sink in itertools.pairwise(chain):
+        diagram.wire(f"{sink}.u", f"{origin}.y")
+    diagram.add("reader", blocks.ZeroOrderHold(period=PERIOD))
+    diagram.wire("reader.u", "late.y")
+    with pytest.raises(AnalysisError, match=r"E704 law\.y: lies between the ticks"):
+        diagram.linearizer().harmonic_response("r", ["reader.y"], [1.0], amplitude=1.0)
