@@ -162,10 +162,7 @@ def _or_pade(make: Callable[[int], Transfer]) -> tuple[Transfer, list[str]]:
             raise
     model = make(_PADE)
     if model.dt:
-        message = (
-            f"All of this: with Padé models of order {_PADE} for delays, which act back on themselves between ticks."
-        )
-        return model, [message]
+        return model, [f"All of this: with Padé models of order {_PADE} for delays in loops in continuous time."]
     return model, [f"Poles and zeros: with Padé models of order {_PADE} for exact delays."]
 
 
