@@ -22,7 +22,7 @@ from ..frequency.delayed import DelayedModel
 from ..text.errors import AnalysisError, Fault, UsageError
 from .model_report import BlockReport, hints_of, report_of
 from .nonlinearities import nonlinear
-from .reduction import Wired, contributing, delayed_model, reduced, with_pade_models, without_delays
+from .reduction import Wired, contributing, delayed_model, matrices_of, reduced, with_pade_models
 from .replaced_slopes import ReplacedSlopes
 from .sampled import Sampled
 from .signals import Names, SignalElement, listed, place, places
@@ -147,13 +147,13 @@ class Linearization(ReplacedSlopes):
         plan = self.graph.plan
         units = [spot.unit for spot in ins], [spot.unit for spot in outs]
         signals = [spot.name for spot in ins], [spot.name for spot in outs]
-        matrices, names = without_delays(wired, plan, pade)
+        matrices, names = matrices_of(wired, plan, pade)
         report = with_pade_models(report, wired, plan, pade)
         dt = 0.0
         if wired.d:
             during = [self.graph.is_of_ticks(spot.column) for spot in outs[:count]]
             during += [True] * (len(outs) - len(during))
-            sampled = Sampled(plan, wired.d, matrices, names)
+            sampled = Sampled(plan, wired.d, matrices, names, signals[0], () if pade else wired.h)
             (matrices, names), dt = sampled.model(during), sampled.dt
         A, B, C, D = (matrices[key] for key in ("xx", "xe", "yx", "ye"))
         return Transfer(A, B, C, D, dt, names, signals, units, plan.name, report)
@@ -188,10 +188,10 @@ class Linearization(ReplacedSlopes):
         if not wired.d:
             message = "nothing sampled contributes to this transfer."
             raise UsageError(Fault("E501", plan.name, message, "Use model()."))
-        matrices, names = without_delays(wired, plan, pade)
+        matrices, names = matrices_of(wired, plan, pade)
         report = with_pade_models(report, wired, plan, pade)
         during = [self.graph.is_of_ticks(spot.column) for spot in outs]
-        sampled = Sampled(plan, wired.d, matrices, names)
+        sampled = Sampled(plan, wired.d, matrices, names, [spot.name for spot in ins], () if pade else wired.h)
         matrices, names, steps = sampled.lifted(during)
         signals = (
             [f"{spot.name}@{k}" for k in range(steps) for spot in ins],
@@ -216,12 +216,12 @@ class Linearization(ReplacedSlopes):
         cut = [spot, *self._places(openings)]
         wired, report = self.wired([spot], [spot], cut)
         plan = self.graph.plan
-        m, states = without_delays(wired, plan, pade)
+        m, states = matrices_of(wired, plan, pade)
         report = with_pade_models(report, wired, plan, pade)
         dt, times = 0.0, [0.0]
         if wired.d:
-            sampled = Sampled(plan, wired.d, m, states)
-            if np.any(m["xe"] != 0) and np.any(m["yx"] != 0):
+            sampled = Sampled(plan, wired.d, m, states, [spot.name], () if pade else wired.h)
+            if sampled.acts and sampled.is_moving():
                 raise self._between_ticks(spot, sampled)
             (m, states, times), dt = sampled.loop(), sampled.dt
         matrices = (m["xx"], m["xe"], sign * m["yx"], sign * m["ye"])
@@ -288,12 +288,15 @@ class Linearization(ReplacedSlopes):
         wired, report = self.wired(inputs, outputs, openings, injected=nodes, watched=slots)
         ins = [*inputs, *(SignalElement(f"to {self.graph.node_name(node)}", 0) for node in nodes)]
         outs = [*outputs, *(SignalElement(f"of {self.graph.slot_name(slot)}", 0) for slot in slots)]
-        if wired.d and np.any(wired.dense("x", "e")[:, len(inputs) :] != 0):
+        between = np.vstack(
+            [wired.dense(row, "e")[:, len(inputs) :] for row in "xh"]
+        )  # what acts on a plant or a delay
+        if wired.d and np.any(between != 0):
             message = "lies between the ticks of a sampled diagram, where its answer is no one number per tick."
             cure = "Estimate the response by simulation."
-            bad = int(np.nonzero(np.any(wired.dense("x", "e")[:, len(inputs) :] != 0, axis=0))[0][0])
+            bad = int(np.nonzero(np.any(between != 0, axis=0))[0][0])
             raise AnalysisError(Fault("E704", self.graph.node_name(nodes[bad]), message, cure))
-        if wired.h and not pade:
+        if wired.h and not wired.d and not pade:
             return delayed_model(wired, self.graph.plan, ins, outs)
         return self._made(wired, report, ins, outs, pade, len(outputs))
 
@@ -306,14 +309,14 @@ class Linearization(ReplacedSlopes):
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         if omega.ndim != 1 or not np.isfinite(omega).all():
             raise UsageError(Fault("E501", "response", "frequencies are finite numbers in one row, in rad/s."))
-        if not wired.h:
+        if wired.d or not wired.h:
             return response(self._made(wired, report, ins, outs, 0), omega)
         return delayed_model(wired, self.graph.plan, ins, outs).response(omega)
 
     def delayed(self, inputs: Names, outputs: Names, *, openings: Names = ()) -> DelayedModel:
         """The model with its delays as they are, which answers at frequencies only. Arguments as of `model`.
 
-        Raises UsageError (E501) where no delay contributes, and AnalysisError as `model`.
+        Raises UsageError (E501) where no delay or something sampled contributes, and AnalysisError as `model`.
         """
         (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
@@ -336,4 +339,8 @@ class Linearization(ReplacedSlopes):
         except AnalysisError as error:
             if {fault.code for fault in error.faults} != {"E707"}:
                 raise
-        return self.delayed_loop(point, openings=openings, sign=sign)
+            refused = error
+        try:
+            return self.delayed_loop(point, openings=openings, sign=sign)
+        except UsageError:  # sampled blocks contribute too
+            raise refused from None

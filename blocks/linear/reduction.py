@@ -23,7 +23,7 @@ from .signals import SignalElement
 from .slopes import Law
 from .wiring import Wiring
 
-__all__ = ["Wired", "contributing", "delayed_model", "reduced", "with_pade_models", "without_delays"]
+__all__ = ["Wired", "contributing", "delayed_model", "matrices_of", "reduced", "with_pade_models"]
 
 Array = np.ndarray[Any, Any]
 
@@ -186,7 +186,7 @@ def with_pade_models(
     report: tuple[BlockReport, ...], wired: Wired, plan: Plan, pade: int
 ) -> tuple[BlockReport, ...]:  # fmt: skip
     """Return the report, in which each delay that is a Padé model says so, and up to which frequency it is near."""
-    if not wired.h:
+    if not (wired.h and pade):
         return report
     delays = {plan.histories[k].name.rpartition(".")[0]: plan.histories[k].delay for k in wired.h}
 
@@ -199,14 +199,20 @@ def with_pade_models(
     return tuple(map(noted, report))
 
 
-def without_delays(wired: Wired, plan: Plan, pade: int) -> tuple[dict[str, Array], list[str]]:
-    """Dense matrices by row and column ("xx", "xe", ...), with Padé models in the place of delays."""
+def matrices_of(wired: Wired, plan: Plan, pade: int) -> tuple[dict[str, Array], list[str]]:
+    """Dense matrices by row and column ("xx", "xe", ...), with Padé models in the place of delays, and state names.
+
+    Without `pade` the delays of a sampled model keep the row and the column "h". Raises AnalysisError (E707) for a
+    continuous model with exact delays.
+    """
     matrices = {row + column: wired.dense(row, column) for row in "xdy" for column in "xde"}
     names = list(wired.x)
     if not wired.h:
         return matrices, names
     if isinstance(pade, bool) or not isinstance(pade, (int, np.integer)) or pade < 0:
         raise UsageError(Fault("E501", "pade", f"must be an order, 1 or more, not {pade!r}."))
+    if pade < 1 and wired.d:
+        return {row + column: wired.dense(row, column) for row in "xdhy" for column in "xdhe"}, names
     if pade < 1:
         delays = ", ".join(f"{plan.histories[k].name} ({plan.histories[k].delay:g} s)" for k in wired.h)
         message = f"exact delays contribute, which no state space holds: {delays}."
@@ -214,11 +220,6 @@ def without_delays(wired: Wired, plan: Plan, pade: int) -> tuple[dict[str, Array
             "They stay exact in linearizer.response(...), delayed(inputs, outputs) and delayed_loop(signal), of which "
             "margins() are taken; a state space has Padé models of them: pade=3 (--pade 3)."
         )
-        if wired.d:
-            cure = (
-                "Put ZeroOrderHold(period=, offset=) in the place of a delay behind a hold, with the delay as offset, "
-                "or take Padé models: pade=3 (--pade 3)."
-            )
         raise AnalysisError(Fault("E707", plan.name, message, cure))
     import control
 
@@ -253,9 +254,10 @@ def without_delays(wired: Wired, plan: Plan, pade: int) -> tuple[dict[str, Array
 def delayed_model(
     wired: Wired, plan: Plan, ins: Sequence[SignalElement], outs: Sequence[SignalElement]
 ) -> DelayedModel:
-    """The model with its delays as they are. Raises AnalysisError (E707) where sampled blocks contribute too."""
+    """The model with its delays as they are. Raises UsageError (E501) if sampled blocks contribute too."""
     if wired.d:
-        without_delays(wired, plan, 0)
+        message = "sampled blocks contribute to this transfer: its delays are exact in a model from tick to tick."
+        raise UsageError(Fault("E501", plan.name, message, "Use model(), or loop()."))
     matrices = {(row, column): wired.dense(row, column) for row in "xhy" for column in "xhe"}
     delays = tuple(plan.histories[k].delay for k in wired.h)
     signals = tuple(spot.name for spot in ins), tuple(spot.name for spot in outs)

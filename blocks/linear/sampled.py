@@ -11,6 +11,8 @@ which is a tick of the rate with the smallest offset. `lifted` keeps all that ha
 every base step of H, stacked; a base step is the largest time of which all periods and offsets are multiples. `loop`
 has a value of its input for every tick at which it may change, so that closing it gives the diagram.
 
+Exact delays between ticks are copies of (x, d, e) that lag behind (`late_copies`); further states keep their values.
+
 References: T. Chen, B. Francis, Optimal Sampled-Data Control Systems, Springer 1995, chapters 3 and 8 (lifting);
 C. Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23(3), 1978.
 """
@@ -18,36 +20,47 @@ C. Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23(3
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ..compile.plan import Plan
 from ..text.errors import AnalysisError, Fault
+from .late_copies import MOST, Kept, LateCopies, Time, too_long
 
 __all__ = ["Sampled"]
 
 Array = np.ndarray[Any, Any]
 _MOST = 10_000
 """Ticks in one pattern of several rates."""
-_MOST_LIFTED = 1 << 24
-"""Numbers in a matrix of a lifted model."""
 
 
 class Sampled:
     """The ticks of the places in d that contribute to a model.
 
-    m: dense, by row and column: "x" (rates), "d" (sampled nodes), "y"; "x", "d", "e". names: of its states. dt: the
-    time in s after which the ticks repeat.
+    m: dense, by row and column: "x" (rates), "d" (sampled nodes), "y"; "x", "d", "e". names: of its states. inputs:
+    names of the inputs. histories: numbers of the exact delays that contribute; for these m has the row and column "h"
+    too. dt: the time in s after which the ticks repeat.
     """
 
-    def __init__(self, plan: Plan, slots: Sequence[int], m: Mapping[str, Array], names: Sequence[str]) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        slots: Sequence[int],
+        m: Mapping[str, Array],
+        names: Sequence[str],
+        inputs: Sequence[str],
+        histories: Sequence[int] = (),
+    ) -> None:
         self.plan, self.slots, self.m = plan, list(slots), m
         self.labels = [*names, *(plan.discretes[slot] for slot in self.slots)]
+        self.inputs = list(inputs)
         self.nx, self.nd, self.ne = m["xx"].shape[0], len(self.slots), m["xe"].shape[1]
-        self.seen = np.hstack([m["yx"], m["yd"], m["ye"]])
-        self._flows: dict[int, Array] = {}
+        self.copies = LateCopies(plan, m, histories)
+        self.seen, self.node = self.copies.seen, self.copies.node
+        self.acts = bool(np.any(m["xe"] != 0)) or bool(histories and np.any(m["he"] != 0))
+        self._flows: dict[Time, Array] = {}
         place = {slot: k for k, slot in enumerate(self.slots)}
         self.rates = [
             (
@@ -69,23 +82,27 @@ class Sampled:
                 raise AnalysisError(Fault("E703", plan.name, message, cure))
             for k in range(self.period // period):
                 ticks.setdefault((offset - first + k * period) % self.period, []).append(number)
-        self.ticks = sorted(ticks.items())
+        self.ticks: list[tuple[Time, list[int]]] = sorted(ticks.items())
         self.step = math.gcd(self.period, *ticks)
         self.base = float(plan.base)
         self.dt = self.period * self.base
 
     def model(self, during: Sequence[bool]) -> tuple[dict[str, Array], list[str]]:
         """Matrices of the model, names of its states. during: of each output, whether it is seen at ticks only."""
-        before = np.eye(self.nx + self.nd + self.ne)  # rows: x, d, e now; columns: x, d, e at the beginning
+        due_at = dict(self.ticks)
+        kept = self._kept(due_at)
+        now = self._begun(kept, self.ne)
         outputs: Array | None = None
-        times = [time for time, _ in self.ticks]
-        for (time, due), until in zip(self.ticks, [*times[1:], self.period], strict=True):
-            refreshed, after = self.tick(due)
+        for time, duration in kept.spans:
+            kept.set(time, now)
             if outputs is None:
-                outputs = self._seen(refreshed, after, during) @ before
-            before = self.flow(until - time) @ after @ before
+                now[self._e] = np.eye(self.ne, now.shape[1], now.shape[1] - self.ne)
+            refreshed, after = self.tick(due_at.get(time, ()))
+            if outputs is None:
+                outputs = self._seen(refreshed, after, during) @ now[: self.copies.size]
+            self._moved(kept, time, duration, after, now)
         assert outputs is not None
-        return self._made(before, outputs)
+        return self._made(kept, now, outputs)
 
     def lifted(self, during: Sequence[bool]) -> tuple[dict[str, Array], list[str], int]:
         """The same with inputs and outputs at every base step: those of step 0, then those of step 1, ...; and how many
@@ -94,20 +111,23 @@ class Sampled:
         Raises AnalysisError (E703) where they are too many.
         """
         n, ne, steps = self.nx + self.nd, self.ne, self.period // self.step
-        if (n + steps * ne) * (n + steps * len(self.seen)) > _MOST_LIFTED:
+        if (n + steps * ne) * (n + steps * len(self.seen)) > MOST:
             message = f"its pattern of ticks has {steps} base steps: a lifted model of them is too large."
             cure = "Choose periods with a shorter common multiple, or use model()."
             raise AnalysisError(Fault("E703", self.plan.name, message, cure))
         due_at = dict(self.ticks)
-        flow = self.flow(self.step)
-        state = np.eye(n, n + steps * ne)
+        kept = self._kept(range(0, self.period, self.step))
+        now = self._begun(kept, steps * ne)
+        inputs = now.shape[1] - steps * ne
         outputs = []
-        for k in range(steps):
-            now = np.vstack([state, np.eye(ne, n + steps * ne, n + k * ne)])
-            refreshed, after = self.tick(due_at.get(k * self.step, ()))
-            outputs.append(self._seen(refreshed, after, during) @ now)
-            state = (flow @ after @ now)[:n]
-        return *self._made(state, np.vstack(outputs)), steps
+        for time, duration in kept.spans:
+            kept.set(time, now)
+            refreshed, after = self.tick(due_at.get(time, ()))
+            if time in kept.instants:
+                now[self._e] = np.eye(ne, now.shape[1], inputs + kept.instants[time] * ne)
+                outputs.append(self._seen(refreshed, after, during) @ now[: self.copies.size])
+            self._moved(kept, time, duration, after, now)
+        return *self._made(kept, now, np.vstack(outputs)), steps
 
     def loop(self) -> tuple[dict[str, Array], list[str], list[float]]:
         """The loop transfer at one signal, with a value of its own wherever the signal is read: matrices as of `model`,
@@ -118,56 +138,122 @@ class Sampled:
         on those before it, so that closing the loop value by value gives the closed loop of the diagram. The signal
         must be held between ticks (yx = 0), or be read at ticks only (xe = 0).
 
+        With delays the signal may also change when a held value arrives behind one. If it changes at such times only,
+        the state of the model is the one before the first of them.
+
         Raises AnalysisError (E703) where there are too many values.
         """
-        m, n = self.m, self.nx + self.nd
-        acts = bool(np.any(m["xe"] != 0))
-        values: list[tuple[int | None, int | None]] = []  # by tick: the numbers of the values at it and behind it
+        m, due_at, values = self.m, dict(self.ticks), dict[Time, tuple[int | None, int | None]]()
+        arrivals = self._arrivals() if self.acts else set()
+        is_own = not self.copies.held or not self.acts or bool(np.any(self.seen[:, self.nx : self.nx + self.nd] != 0))
         times: list[float] = []
-        for time, due in self.ticks:
-            read = sorted({k for number in due for part in self.rates[number][2:] for k in part})
-            changed = [k for number in due for k in self.rates[number][3]]
+        for time in sorted({*due_at, *arrivals}):  # by instant: the numbers of the values at it and behind it
             at = behind = None
-            if np.any(m["de"][read] != 0):
-                at = len(times)
-                times.append(time * self.base)
-            if acts and at is not None and not np.any(m["yd"][:, changed] != 0):
-                behind = at
-            elif acts:
-                behind = len(times)
-                times.append(time * self.base)
-            values.append((at, behind))
-        if (n + len(times)) ** 2 > _MOST_LIFTED:
+            if time in due_at and is_own:
+                read = sorted({k for number in due_at[time] for part in self.rates[number][2:] for k in part})
+                changed = [k for number in due_at[time] for k in self.rates[number][3]]
+                if np.any(m["de"][read] != 0):
+                    at = len(times)
+                    times.append(float(time) * self.base)
+                if self.acts and at is not None and not np.any(m["yd"][:, changed] != 0):
+                    behind = at
+                elif self.acts:
+                    behind = len(times)
+                    times.append(float(time) * self.base)
+            elif time in arrivals:
+                at = behind = len(times)
+                times.append(float(time) * self.base)
+            values[time] = at, behind
+        if (self.nx + self.nd + len(times)) ** 2 > MOST:
             message = f"its pattern of ticks has {len(times)} of them: the loop over all of them is too large."
             cure = "Choose periods with a shorter common multiple."
             raise AnalysisError(Fault("E703", self.plan.name, message, cure))
-
-        def picked(value: int | None) -> Array:
-            row = np.zeros((1, n + len(times)))
-            if value is not None:
-                row[0, n + value] = 1.0
-            return row
-
-        state = np.eye(n, n + len(times))
-        outputs = np.zeros((len(times), n + len(times)))
-        until = [*(time for time, _ in self.ticks[1:]), self.period]
-        for (time, due), end, (at, behind) in zip(self.ticks, until, values, strict=True):
-            refreshed, after = self.tick(due)
-            now = np.vstack([state, picked(at)])
+        begin = next((time for time, pair in values.items() if self.acts and pair != (None, None)), 0)
+        kept = self._kept(values, begin)
+        now = self._begun(kept, len(times))
+        inputs, size = now.shape[1] - len(times), self.copies.size
+        outputs = np.zeros((len(times), now.shape[1]))
+        for time, duration in kept.spans:
+            kept.set(time, now)
+            at, behind = values.get(time, (None, None))
+            refreshed, after = self.tick(due_at.get(time, ()))
             if at is not None:
-                outputs[at] = (self.seen @ refreshed @ now)[0]
-            now = np.vstack([(after @ now)[:n], picked(behind)])
+                now[self._e] = np.eye(1, now.shape[1], inputs + at)
+                outputs[at] = (self.seen @ refreshed @ now[:size])[0]
+            now[:size] = after @ now[:size]
             if behind is not None and behind != at:
-                outputs[behind] = (self.seen @ now)[0]
-            state = (self.flow(end - time) @ now)[:n]
-        return *self._made(state, outputs), times
+                now[self._e] = np.eye(1, now.shape[1], inputs + behind)
+                outputs[behind] = (self.seen @ now[:size])[0]
+            self._moved(kept, time, duration, None, now)
+        return *self._made(kept, now, outputs), times
 
-    def _made(self, state: Array, outputs: Array) -> tuple[dict[str, Array], list[str]]:
+    def is_moving(self) -> bool:
+        """Return whether the output changes between ticks, other than when a held value arrives behind a delay.
+
+        A loop that is opened there has no values from tick to tick. The input may be such a change itself: if it comes
+        back behind a delay, the closed loop has a path in continuous time from the delay to itself.
+        """
+        return bool(np.any(self.seen[:, self.copies.states | self.copies.inputs] != 0))
+
+    def _arrivals(self) -> set[Time]:
+        """Find the times in the pattern at which held values arrive behind delays and change the output."""
+        times: set[Time] = set()
+        for lag in self.copies.held:
+            for tick, due in self.ticks:
+                changed = [k for number in due for part in self.rates[number][2:] for k in part]
+                places = [self.copies.place(lag, self.nx + k) for k in changed]
+                if np.any(self.seen[:, [place for place in places if place is not None]] != 0):
+                    times.add((tick + lag) % self.period)
+        return times
+
+    @property
+    def _e(self) -> slice:
+        """Where the inputs are in the vector."""
+        return slice(self.nx + self.nd, self.nx + self.nd + self.ne)
+
+    def _kept(self, instants: Iterable[Time], begin: Time = 0) -> Kept:
+        return Kept(self.copies, instants, self.period, begin)
+
+    def _begun(self, kept: Kept, inputs: int) -> Array:
+        """Return the vector and what is kept of it, as a map of the states before the pattern and of the inputs.
+
+        Raises AnalysisError (E703) if delays keep too many values.
+        """
+        rows = self.copies.size + kept.size
+        if kept.size and rows * (rows + inputs) > MOST:
+            raise too_long(self.plan, rows)
+        now = np.zeros((rows, rows - self.ne + inputs))
+        before, behind = np.arange(self.nx + self.nd), np.arange(self.nx + self.nd + self.ne, rows)
+        now[before, before] = now[behind, behind - self.ne] = 1.0
+        return now
+
+    def _moved(self, kept: Kept, time: Time, duration: Time, after: Array | None, now: Array) -> None:
+        """Move to the next time by the flow. after: what the instant changes before, if that is still to be done."""
+        size = self.copies.size
+        if kept.size:
+            kept.keep(time, now, now[:size] if after is None else after @ now[:size])
+        flow = self.flow(duration)
+        now[:size] = (flow if after is None else flow @ after) @ now[:size]
+
+    def _made(self, kept: Kept, now: Array, outputs: Array) -> tuple[dict[str, Array], list[str]]:
         """Matrices and state names of a model, from the maps of states and inputs to states and outputs."""
-        n = self.nx + self.nd
-        kept = _used(state[:n, :n], outputs[:, :n])
-        parts = {"xx": state[np.ix_(kept, kept)], "xe": state[kept, n:], "yx": outputs[:, kept], "ye": outputs[:, n:]}
-        return parts, [self.labels[k] for k in kept]
+        rows = [k for k in range(len(now)) if not self._e.start <= k < self._e.stop]
+        state, n = now[rows], len(rows)
+        used = _used(state[:, :n], outputs[:, :n])
+        parts = {"xx": state[np.ix_(used, used)], "xe": state[used, n:], "yx": outputs[:, used], "ye": outputs[:, n:]}
+        return parts, [self._label(rows[k], kept) for k in used]
+
+    def _label(self, row: int, kept: Kept) -> str:
+        """Return the name of a state: one of the diagram, or of what a delay keeps of it."""
+        if row < len(self.labels):
+            return self.labels[row]
+        names = [*self.labels, *self.inputs]
+        if row >= self.copies.size:
+            at, number = divmod(row - self.copies.size, len(kept.elements))
+            return f"{names[kept.elements[number]]}.kept[{at}]"
+        at = max(n for n, first in enumerate(self.copies.first.values()) if first <= row)
+        lag = list(self.copies.first)[at]
+        return f"{names[self.copies.held[lag][row - self.copies.first[lag]]]}.late[{at}]"
 
     def _seen(self, refreshed: Array, after: Array, during: Sequence[bool]) -> Array:
         """The outputs at a tick, of (x, d, e) before it."""
@@ -176,10 +262,9 @@ class Sampled:
 
     def tick(self, due: Sequence[int]) -> tuple[Array, Array]:
         """How a tick of some rates maps (x, d, e): after the sampled outputs, and after the updates."""
-        m, nx = self.m, self.nx
-        refreshed = np.eye(nx + self.nd + self.ne)
+        m, nx, node = self.m, self.nx, self.node
+        refreshed = np.eye(self.copies.size)
         held = sorted({k for number in due for k in self.rates[number][2]})
-        node = np.hstack([m["dx"], m["dd"], m["de"]])
         if held:
             # Sampled outputs that are due see each other's new values.
             own = np.eye(len(held)) - m["dd"][np.ix_(held, held)]
@@ -192,14 +277,12 @@ class Sampled:
             after[[nx + k for k in nexts]] = node[nexts] @ refreshed
         return refreshed, after
 
-    def flow(self, duration: int) -> Array:
-        """How a time without ticks maps (x, d, e)."""
+    def flow(self, duration: Time) -> Array:
+        """Return how a time in which nothing happens maps the vector."""
         if duration not in self._flows:
             from scipy.linalg import expm
 
-            dynamics = np.zeros((self.nx + self.nd + self.ne,) * 2)
-            dynamics[: self.nx] = np.hstack([self.m["xx"], self.m["xd"], self.m["xe"]])
-            self._flows[duration] = np.asarray(expm(dynamics * (duration * self.base)))
+            self._flows[duration] = np.asarray(expm(self.copies.dynamics * (float(duration) * self.base)))
         return self._flows[duration]
 
 

@@ -160,7 +160,10 @@ def _or_pade(make: Callable[[int], Transfer]) -> tuple[Transfer, list[str]]:
     except AnalysisError as error:
         if {fault.code for fault in error.faults} != {"E707"}:
             raise
-    return make(_PADE), [f"Poles and zeros: with Padé models of order {_PADE} for exact delays."]
+    model = make(_PADE)
+    if model.dt:
+        return model, [f"All of this: with Padé models of order {_PADE} for delays in loops in continuous time."]
+    return model, [f"Poles and zeros: with Padé models of order {_PADE} for exact delays."]
 
 
 def _finite(value: float | None) -> float | None:

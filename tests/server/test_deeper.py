@@ -12,7 +12,7 @@ import control
 import numpy as np
 import pytest
 
-from blocks import Diagram, Gain, Integrator, Pulse, Relay, Sum, TransferFunction, TransportDelay
+from blocks import Diagram, Gain, Integrator, Pulse, Relay, Sum, TransferFunction, TransportDelay, ZeroOrderHold
 from blocks.server import deeper, knobs, panel, scope_messages  # noqa: F401  # the messages that they answer
 from blocks.server.document import Document
 from blocks.server.messages import answer
@@ -103,6 +103,33 @@ def test_a_loop_with_an_exact_delay_has_its_exact_margins(asking: Any) -> None:
     modes = ask("modes")
     assert "Padé" in modes["notes"][1]
     assert "no" in [row[1] for row in modes["rows"]]
+
+
+def test_a_sampled_loop_with_a_delay_is_exact_unless_the_delay_acts_back_on_itself(asking: Any) -> None:
+    parts = {"hold": ZeroOrderHold(period=0.5), "late": TransportDelay(delay=0.3), "sum": Sum()}
+    parts |= {"plant": TransferFunction(num=[1.0], den=[1.0, 3.0, 2.0, 0.0]), "back": Gain(k=-1.0), "own": Gain(k=0.0)}
+    made = Diagram("late")
+    for name, block in parts.items():
+        made.add(name, block)
+    wires = {"late.u": "hold", "sum.u1": "late", "sum.u2": "own", "plant.u": "sum", "own.u": "plant", "back.u": "plant"}
+    for sink, source in (wires | {"hold.u": "back"}).items():
+        made.wire(sink, f"{source}.y")
+    ask, _ = asking(made)
+    told = ask("response", input="hold.y")
+    assert "Padé" not in " ".join(told["more"])
+    # 1/(s (s + 1)(s + 2)) and a dead time behind a hold: by the partial fractions 1/2, -1, 1/2 of the poles 0, -1, -2.
+    z, T, rest = cmath.exp(0.2j * 0.5), 0.5, 0.5 - 0.3
+    L = 0j
+    for residue, pole in ((0.5, 0.0), (-1.0, -1.0), (0.5, -2.0)):
+        late, whole = ((cmath.exp(pole * t) - 1.0) / pole if pole else t for t in (rest, T))
+        L += residue * (late + (whole - late) / z) / (z - cmath.exp(pole * T))
+    omega, decibel, _ = told["curve"]
+    assert np.interp(0.2, omega, decibel) == pytest.approx(20.0 * math.log10(abs(L)), abs=1e-2)
+    assert told["margins"]["stable"] is True
+    assert "Padé" not in " ".join(ask("modes")["notes"])
+    made.swap("own", TransportDelay(delay=0.2))
+    told = asking(made)[0]("response", input="hold.y")
+    assert told["more"][0].startswith("All of this: with Padé models")
 
 
 def test_the_response_from_an_input_is_that_of_the_closed_loop(asking: Any) -> None:
@@ -203,9 +230,7 @@ def test_blocks_are_colored_by_the_steps_that_were_rejected_for_them(asking: Any
         asking(DIAGRAMS / "motor_pid.json")[0]("color", by="rejected")
 
 
-def test_a_band_holds_the_quantiles_of_a_sweep(
-    asking: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = Diagram("lag")
     plant = made.add("plant", TransferFunction(num=[1.0], den=[1.0, 1.0]))
     gain = made.add("gain", Gain(k=1.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import control
 import numpy as np
 import pytest
 
-from blocks import Diagram, FirstOrder, Gain, Step, Sum, TransportDelay
+from blocks import Diagram, FirstOrder, Gain, Integrator, Step, Sum, TransportDelay, ZeroOrderHold
 from blocks.analysis import bandwidth, margins, poles
 from blocks.model.study_grammar import MARGINS
 from blocks.studies.sweep import Sweep
@@ -165,3 +166,18 @@ def test_the_message_of_a_row_with_delays_names_what_a_margin_takes() -> None:
     assert '{"type": "slowest_pole", "pade": 3, ...}' in sweep.messages[0]
     sweep = diagram.sweep({"lag.k": [0.5]}, stop=0.1, measures=[], margins={"pole": {**margin, "pade": 3}})
     assert sweep.measures["pole"][0] < 0.0
+
+
+def test_a_margin_of_a_sampled_loop_with_a_dead_time_is_exact() -> None:
+    diagram = Diagram("dead")
+    parts = {"hold": ZeroOrderHold(period=0.5), "late": TransportDelay(delay=0.5), "plant": Integrator()}
+    for name, block in (parts | {"gain": Gain(k=-1.0)}).items():
+        diagram.add(name, block)
+    for origin, sink in (("gain", "hold"), ("hold", "late"), ("late", "plant"), ("plant", "gain")):
+        diagram.wire(f"{sink}.u", f"{origin}.y")
+    margin = {"type": "gain_margin", "loop": "hold.y"}
+    sweep = diagram.sweep({"late.delay": [0.5, 1.0]}, stop=0.1, measures=[], margins={"gm": margin})
+    # z^n (z - 1) + k T has roots on the unit circle at k T = 2 sin(pi/(4 n + 2)).
+    assert sweep.messages == ("", "")
+    known = [2.0 * math.sin(math.pi / (4 * n + 2)) / 0.5 for n in (1, 2)]
+    assert sweep.measures["gm"] == pytest.approx(known, rel=1e-9)
