@@ -105,8 +105,8 @@ def entry(model: Transfer | DelayedModel, *, is_loop: bool) -> dict[str, Any]:
     }
 
 
-def lines(model: Transfer | DelayedModel, *, is_loop: bool) -> Iterator[str]:
-    """A model as lines of text."""
+def lines(model: Transfer | DelayedModel, *, is_loop: bool, known: Margins | None = None) -> Iterator[str]:
+    """A model as lines of text. known: the margins of a loop, if they were computed before."""
     rational = _rational(model)
     ins, outs = (", ".join(names) for names in model.signals)
     time = f", sampled every {model.dt:g} s" if model.dt else ""
@@ -128,8 +128,7 @@ def lines(model: Transfer | DelayedModel, *, is_loop: bool) -> Iterator[str]:
         if not is_loop and width is not None:
             yield f"  {'bandwidth':<10} {width:.8g} rad/s, relative to the DC gain"
     if is_loop:
-        known: Margins = margins(model)
-        shown = str(known).splitlines()
+        shown = str(known or margins(model)).splitlines()
         if rational is None:
             how = "--pade 3 decides it by Padé models"
             shown[0] = f"{'closed loop':<16}stability unknown with delays on several ways; {how}"

@@ -258,6 +258,7 @@ def margins(
     grid: Iterable[float] | None = None,
     unstable_poles: int | None = None,
     integrators: int = 0,
+    check: Callable[[], None] | None = None,
 ) -> Margins:
     """Margins of the loop transfer L under negative feedback, one input and one output, continuous or sampled.
 
@@ -265,15 +266,16 @@ def margins(
     integrators: of the open loop, where only its response is known: with them stability follows from encirclements.
     Measured data are interpolated between their points, and nothing is known beyond. A loop of several rates
     (`LiftedLoop`) has margins by the eigenvalues of the closed loop: see `Margins`.
+    check: called again and again during the search, which ends with whatever it raises.
 
     Raises AnalysisError (E705) where 1 + L vanishes at infinite frequency or L is 0 at all frequencies, and UsageError
     (E501).
     """
     if isinstance(loop, Lifted):
-        return _of_several_rates(loop)
+        return _of_several_rates(loop, check)
     if isinstance(loop, DelayedModel) and loop.dead_time is not None:
-        return _with_dead_time(loop, *loop.dead_time, grid)
-    known = source(loop)
+        return _with_dead_time(loop, *loop.dead_time, grid, check)
+    known = source(loop).asking(check)
     if (known.outputs, known.inputs) != (1, 1):
         what = f"{known.outputs} outputs and {known.inputs} inputs; a loop has one of each."
         raise UsageError(Fault("E501", "margins", what, "Open one loop at a time."))
@@ -332,7 +334,7 @@ def _gathered(
     )
 
 
-def _of_several_rates(loop: Any) -> Margins:
+def _of_several_rates(loop: Any, check: Callable[[], None] | None) -> Margins:
     model = balanced(loop)
     seen = model.visible()
     if not np.any(model.d != 0) and not len(seen.a):
@@ -346,7 +348,7 @@ def _of_several_rates(loop: Any) -> Margins:
     at, there = (lambda x: _lifted_return(seen, x)), is_singular(matrix, unsure)
     own = _judged(p, doubt, at, np.zeros(0, complex), scale, model.dt, there)
     beside = _judged(np.zeros(0, complex), np.zeros(0), lambda x: x, model.hidden_eigenvalues(), scale, model.dt)
-    closed = Factored(seen, tuple(pole - 1.0 for pole in own.hidden), bool(own.border))
+    closed = Factored(seen, tuple(pole - 1.0 for pole in own.hidden), bool(own.border), check)
     unstable = own.unstable + beside.unstable
     gains = _by_frequency((g, angle / model.dt) for g, angle in gain_borders(closed))
     phases = _by_frequency((d, angle / model.dt) for d, angle in phase_borders(closed))
@@ -372,9 +374,12 @@ def _of_several_rates(loop: Any) -> Margins:
     )
 
 
-def _with_dead_time(loop: DelayedModel, rational: Realization, delay: float, grid: Iterable[float] | None) -> Margins:
+def _with_dead_time(
+    loop: DelayedModel, rational: Realization, delay: float, grid: Iterable[float] | None,
+    check: Callable[[], None] | None,
+) -> Margins:  # fmt: skip
     """Margins of L = R(s) exp(-s T): what depends on the gain by R alone, the rest where it is largest."""
-    known, at = source(loop.rational), curve(source(loop))
+    known, at = source(loop.rational).asking(check), curve(source(loop).asking(check))
     seen = rational.visible()
     omega, values = _grid(known, curve(known), None, grid, "")
     phases, delays = _phase_crossings(at, omega, values, known)
