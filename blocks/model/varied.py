@@ -26,7 +26,7 @@ from . import raw_values as whole_values
 from .copies import Copy, Fleet, depth_of, named, own_value
 from .diagram import DiagramValue
 from .flatten import Flat, flatten
-from .hierarchy import Resolver
+from .hierarchy import Resolver, bound_faults
 from .raw_values import raw_of
 from .values import Absent, value_of
 from .variants import taken
@@ -155,7 +155,7 @@ def columns_of(
 ) -> tuple[Column, ...]:
     """Return the columns of these names. overrides: raw values by path, with which the diagram was flattened.
 
-    Raises UsageError (E501, E106) if a name matches nothing, or repeats.
+    Raises UsageError (E501, E106) if a name matches nothing, or repeats, and ModelError (E117) if a parameter is bound.
     """
     if isinstance(names, str):
         message, cure = "is one name, not a list of names.", f'As in ["{legible(names)}"].'
@@ -180,6 +180,10 @@ def columns_of(
                     raise UsageError(Fault("E501", legible(name), message, "Vary each parameter once."))
                 by[target.element] = name
         columns.append(Column(name, targets))
+    paths = dict.fromkeys(target.path for column in columns for target in column.targets)
+    bound = [fault for path in paths for fault in bound_faults(path, _written(value, _plain(path)))]
+    if bound:
+        raise ModelError(*bound)
     return tuple(columns)
 
 
@@ -241,6 +245,22 @@ def _number(raw: Any, unit: str, name: str) -> float:
         message = f"must be a number, not {legible(repr(raw))}."
         raise ModelError(Fault("E107", legible(name), message, "Give the whole value where it has expressions."))
     return float(number)
+
+
+def _written(value: DiagramValue, path: str) -> Any:
+    """Return the raw value of a parameter as the diagram writes it; None if it does not."""
+    inside: DiagramValue = value
+    given: Mapping[str, Any] = {}
+    parts = path.split(".")
+    for k, part in enumerate(parts[:-1]):
+        if part not in inside.blocks:
+            return None
+        entry = inside.blocks[part]
+        given = entry.parameters
+        if entry.inner is None:
+            return given.get(".".join(parts[k + 1 :]))
+        inside = entry.inner
+    return given.get(parts[-1], inside.parameters.get(parts[-1]))
 
 
 def _split(name: str) -> tuple[str, str]:

@@ -15,7 +15,7 @@ DIAGRAM: dict[str, Any] = {
     "format": "blocks-diagram", "version": 2, "name": "lag",
     "blocks": {"source": {"type": "Constant"}, "lag": {"type": "FirstOrder", "parameters": {"T": 1.0}}},
     "wires": {"lag.u": "source.y"},
-    "measures": {"end": {"type": "final", "of": "lag.y"}},
+    "measures": {"end": {"type": "peak", "of": "lag.y"}},
     "run": {"stop": 1.0},
 }  # fmt: skip
 STUDY: dict[str, Any] = {
