@@ -37,7 +37,7 @@ from .response import HALF_POWER, dc_gain
 from .search import Peak, curve, first_fall, highest, layout, refined, root, summit
 from .systems import Source, StateSpace, is_of, polynomials, source
 
-__all__ = ["Margins", "margins"]
+__all__ = ["IN_JSON", "Margins", "margins"]
 
 Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
@@ -46,6 +46,8 @@ _TOUCH = 1e-10
 # Of the logarithm of the gain, of the phase in rad and of the frequency: such a crossing is the one at the border.
 _SAME = 1e-6
 _Crossings = tuple[tuple[float, float], ...]
+IN_JSON = ("gain", "gain_low", "phase_deg", "crossover", "delay", "modulus", "Ms", "Mt", "disk", "bandwidth")
+"""The numbers of a loop that JSON has."""
 _MOST = 6  # crossings in a line of the table
 _SEEN = 200  # crossings that are searched, of a response whose phase turns without end
 
@@ -158,12 +160,8 @@ class Margins(Shown):
 
     def as_json(self) -> dict[str, float | bool | None]:
         """What --json prints; null where it does not apply, and where it is infinite."""
-        shown: dict[str, float | None] = {
-            "gain": self.gain, "gain_low": self.gain_low, "phase_deg": self.phase_deg, "crossover": self.crossover,
-            "delay": self.delay, "Ms": self.Ms, "Mt": self.Mt, "disk": self.disk,
-        }  # fmt: skip
         words = {"stable": self.stable, "border": self.verdict == "border"}
-        return {**{key: _finite(value) for key, value in shown.items()}, **words}
+        return {**{key: _finite(getattr(self, key)) for key in IN_JSON}, **words}
 
     def __str__(self) -> str:
         return "\n".join(f"{name:<16}{text}" for name, text in _table(self))
