@@ -14,6 +14,7 @@ import pytest
 from blocks import LESO, SMESO, Constant, Diagram, DiscreteESO
 from blocks.analysis import loop_report, observer_report
 from blocks.cli import main
+from blocks.frequency.margins import IN_JSON
 from blocks.text.errors import AnalysisError, UsageError
 from tests.support.places import ROOT
 
