@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from blocks import Diagram, FMUError, fmu
+from blocks import Diagram, FMUError, Results, fmu
 from blocks.cli import main
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
 from tests.support.given_fmus import INTERFACE, plant
 
 pytestmark = NEEDS_COMPILER
+FMUS = Path(__file__).resolve().parents[2] / "fmus"
 EVENT = FAULTS.index("event")
 Printed = pytest.CaptureFixture[str]
 
@@ -26,6 +27,17 @@ def ran(printed: Printed, *words: str, status: int = 0) -> tuple[str, str]:
     assert main(["fmu", "run", "plant.fmu", *words]) == status
     out, err = printed.readouterr()
     return out, err
+
+
+@pytest.mark.parametrize("kind", ["CS", "ME"])
+def test_each_output_is_recorded_once(kind: str, tmp_path: Path, capsys: Printed) -> None:
+    path = str(FMUS / "PMDCMotor.fmu")
+    assert main(["fmu", "run", path, "--kind", kind, "--stop", "0.1", "--out", "motor.csv"]) == 0
+    assert list(Results.load("motor.csv").columns) == ["v", "tau", "omega", "i"]
+    table = capsys.readouterr().out
+    assert (table.count("  omega  "), table.count("PMDCMotor.omega")) == (1, 0)
+    assert main(["fmu", "run", path, "--stop", "0.1", "--log", "PMDCMotor.omega", "--out", "motor.csv"]) == 0
+    assert list(Results.load("motor.csv").columns) == ["PMDCMotor.omega"]
 
 
 def test_the_names_that_the_fmu_gives_are_taken_by_all_options(capsys: Printed, tmp_path: Path) -> None:
