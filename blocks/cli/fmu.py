@@ -127,7 +127,6 @@ def _alone(options: argparse.Namespace) -> Diagram:
     settings = {"start": experiment.start, "stop": experiment.stop}
     if foreign.kind == "ME":
         settings["rtol"] = experiment.tolerance
-    settings |= {"master": {"step": experiment.step}} if foreign.kind == "CS" and experiment.step else {}
     diagram.settings(**{key: value for key, value in settings.items() if value is not None})
     for fault in foreign.description.warnings:
         if fault.place == EXPERIMENT:
