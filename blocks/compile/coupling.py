@@ -59,7 +59,7 @@ Link = Reference
 inputs; "k", a number. "source": of a signal, a `Source` that is not exchanged."""
 
 PARTS = 500
-"""At least so many communication steps a run has if their length is not given."""
+"""The least number of communication steps in a run with the default step."""
 
 
 @dataclass(frozen=True, slots=True)
