@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +40,7 @@ def find_operating_point(
     parameters: Mapping[str, Any] | None = None,
     variants: Mapping[str, str] | None = None,
     trust: Paths = (),
+    check: Callable[[], None] | None = None,
     **settings: Any,
 ) -> OperatingPoint:
     """Where a diagram rests.
@@ -49,7 +50,8 @@ def find_operating_point(
     states that are not named are free. An output that is given as (low, high) is to lie between. steady: True: every
     state rests and no tick changes anything; {name: rate}: these have that rate, in the declared unit per second (None:
     any), all others rest; False: nothing is asked. Quantities such as "2 rpm" are in their own units.
-    at: the time in s of a run from which the search begins (the start, unless given).
+    at: the time in s of a run from which the search begins (the start, unless given). check: called again and again
+    during the search, which ends with whatever it raises.
 
     FMUs for Model Exchange take part as other blocks do. With FMUs for Co-Simulation the diagram is run until its
     outputs settle; only inputs can then be given, as numbers.
@@ -61,7 +63,7 @@ def find_operating_point(
     flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
     chosen: dict[str, Any] = {"parameters": parameters, "variants": variants, "trust": trust}
     if _is_coupled(flat):
-        return _settled(diagram, flat, inputs or {}, bool(states or outputs), chosen, settings)
+        return _settled(diagram, flat, inputs or {}, bool(states or outputs), chosen, settings, check)
     declared = {name: str(entry.get("unit", "")) for name, entry in diagram.value.inputs.items()}
     point = diagram.point(at=at, **chosen, **settings)
     given = {name: _in_si(name, raw, declared.get(name.partition("[")[0], "")) for name, raw in (inputs or {}).items()}
@@ -77,7 +79,7 @@ def find_operating_point(
 
     return search(
         point, inputs=given, states=by_signal(states), outputs=by_signal(outputs), steady=by_signal(steady, "s"),
-        told=flat.log,
+        told=flat.log, check=check,
     )  # fmt: skip
 
 
@@ -114,17 +116,19 @@ def limit_cycles(
     *,
     omega: tuple[float, float] | None = None,
     amplitude: tuple[Any, Any] | None = None,
+    check: Callable[[], None] | None = None,
     **point: Any,
 ) -> LimitCycles:
     """The limit cycles of a diagram around an operating point, by harmonic balance, with their stability.
 
     omega: where to look, in rad/s (from the poles, unless given). amplitude: of the signal of the first law, in its
     declared unit, or quantities such as "2 rpm" (1e-9 to 1e3 in SI, unless given).
+    check: called again and again during the search, which ends with whatever it raises.
     point: what `Diagram.linearizer` takes (at, held, parameters, ...). Of a sampled diagram also the cycle of two
     periods, which is exact. Raises AnalysisError: E704 (a law that moves the mean), E705 (no law in a loop, or a point
     at which what stands between the laws is not at rest).
     """
-    return of_linearizer(diagram.linearizer(**point), omega=omega, amplitude=amplitude)
+    return of_linearizer(diagram.linearizer(**point), omega=omega, amplitude=amplitude, check=check)
 
 
 def _is_coupled(flat: Flat) -> bool:
@@ -153,6 +157,7 @@ def _settled(
     is_more: bool,
     chosen: Mapping[str, Any],
     settings: Mapping[str, Any],
+    check: Callable[[], None] | None,
 ) -> OperatingPoint:
     """The operating point at the end of a run, once nothing changes any more.
 
@@ -172,7 +177,8 @@ def _settled(
     rest = steps.pop("", min(steps.values(), default=span))  # of what is no FMU
     master = {**settings.get("master", {}), "step": rest, "steps": steps}
     plain = {**settings, "stop": span * 2**_MOST, "master": master}
-    run = diagram.start(inputs=held, **chosen, **plain)
+    progress = None if check is None else lambda _: check()
+    run = diagram.start(inputs=held, progress=progress, **chosen, **plain)
     names = list(run.plan.log)
     moved: dict[str, float] = {}
     for k in range(_MOST + 1):

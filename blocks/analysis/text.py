@@ -11,7 +11,7 @@ import numpy as np
 
 from ..frequency.delayed import DelayedModel
 from ..frequency.doubt import stability
-from ..frequency.margins import Margins, margins
+from ..frequency.margins import IN_JSON, Margins, margins
 from ..frequency.realization import balanced
 from ..frequency.response import bandwidth, dc_gain, poles, zeros
 from ..linear.transfer import LoopOfRates, Transfer
@@ -64,9 +64,8 @@ _STABILITY = {"stable": "stable", "border": "at the border of stability within r
 
 def _stability(model: Any) -> dict[str, Any]:
     """The words of `Margins.as_json` of a model that is no loop."""
-    names = ("gain", "gain_low", "phase_deg", "crossover", "delay", "Ms", "Mt", "disk")
     verdict = stability(balanced(model))
-    return {**dict.fromkeys(names), "stable": verdict == "stable", "border": verdict == "border"}
+    return {**dict.fromkeys(IN_JSON), "stable": verdict == "stable", "border": verdict == "border"}
 
 
 def check_loop(model: Transfer | DelayedModel, point: str) -> None:
@@ -83,19 +82,20 @@ def entry(model: Transfer | DelayedModel, *, is_loop: bool) -> dict[str, Any]:
     """A model as one object: poles and zeros in 1/s (z of a sampled one), frequencies in rad/s.
 
     Of a loop with a dead time, poles and zeros are those without it, and `dead_time` is in s; where delays are on
-    several ways, the three are None. Of a loop transfer with the margins of the closed loop; else `stable` says whether
-    the poles of the model decay, and `border` whether it is at the border of stability within rounding.
+    several ways, the three are None. Of a loop transfer with the margins of the closed loop, whose bandwidth is that of
+    T; else `stable` says whether the poles of the model decay, and `border` whether it is at the border of stability
+    within rounding.
     """
     rational = _rational(model)
-    late = {}
+    known, late = margins(model) if is_loop else None, {}
     if isinstance(model, DelayedModel):
         late["dead_time"] = None if model.dead_time is None else model.dead_time[1]
     return {
         "poles": None if rational is None else _numbers(poles(rational)),
         "zeros": None if rational is None else _numbers(zeros(rational)),
         "dc_gain": _gain(model),
-        "bandwidth": _bandwidth(model),
-        "margins": margins(model).as_json() if is_loop else _stability(model),
+        "bandwidth": known.bandwidth if known is not None else _bandwidth(model),
+        "margins": known.as_json() if known is not None else _stability(model),
         "period": float(model.dt) if model.dt else None,
         "inputs": list(model.signals[0]),
         "outputs": list(model.signals[1]),
@@ -105,8 +105,8 @@ def entry(model: Transfer | DelayedModel, *, is_loop: bool) -> dict[str, Any]:
     }
 
 
-def lines(model: Transfer | DelayedModel, *, is_loop: bool) -> Iterator[str]:
-    """A model as lines of text."""
+def lines(model: Transfer | DelayedModel, *, is_loop: bool, known: Margins | None = None) -> Iterator[str]:
+    """A model as lines of text. known: the margins of a loop, if they were computed before."""
     rational = _rational(model)
     ins, outs = (", ".join(names) for names in model.signals)
     time = f", sampled every {model.dt:g} s" if model.dt else ""
@@ -128,8 +128,7 @@ def lines(model: Transfer | DelayedModel, *, is_loop: bool) -> Iterator[str]:
         if not is_loop and width is not None:
             yield f"  {'bandwidth':<10} {width:.8g} rad/s, relative to the DC gain"
     if is_loop:
-        known: Margins = margins(model)
-        shown = str(known).splitlines()
+        shown = str(known or margins(model)).splitlines()
         if rational is None:
             how = "--pade 3 decides it by Padé models"
             shown[0] = f"{'closed loop':<16}stability unknown with delays on several ways; {how}"

@@ -855,12 +855,14 @@ class Diagram:
         of this machine; (): sources only. name: of the model, if not the diagram's. parameters, settings: as of `run`.
         Raises ModelError (E606 and the faults of the diagram), UsageError (E501), CompilerError (E60x).
         """
+        from ..compile.toolchain.platforms import check_compilers
         from ..export.exporter import export
         from ..text.version import __version__
 
         check_settings(settings)
         if name:
             check_name(name)
+        check_compilers(platforms)
         value = taken(self.value, variants)
         flat = self.flatten(parameters=parameters, settings=settings, variants=variants)
         refuse_fmus(flat)

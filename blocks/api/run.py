@@ -276,22 +276,26 @@ class Run:
     @property
     @_by_one_thread
     def given(self) -> dict[str, str]:
-        """The parameters that were given or set, by path, as texts with the units in which they are meant."""
+        """The parameters that were given or set, by path, as texts with the units in which they are meant.
+
+        A single number that fills an array says how many elements it fills.
+        """
         blocks = {block.path: block for block in self._prepared.structure.blocks}
         texts = {}
         for path, raw in self._prepared.parameters.items():
             owner, _, name = path.rpartition(".")
             entry = self._prepared.value.parameters.get(path)
             unit = str(entry.get("unit", "")) if isinstance(entry, Mapping) else ""
+            before = entry.get("value") if isinstance(entry, Mapping) else entry
+            size = np.size(before) if isinstance(before, list) else 1
             if owner in blocks and name in blocks[owner].interface.declaration.parameters:
                 interface = blocks[owner].interface
                 units_ = set(interface.declared_units(interface.declaration.parameters[name]))
                 unit = units_.pop() if len(units_) == 1 else ""
-            if isinstance(raw, Mapping):
-                quantity: Mapping[str, Any] = raw
-                raw, unit = quantity.get("value"), str(quantity.get("unit", unit))
-            number = isinstance(raw, (int, float)) and not isinstance(raw, bool)
-            texts[path] = f"{raw:g} {unit}".strip() if number else str(raw_of(raw))
+                size = np.size(blocks[owner].resolved.values[name].value)
+            bare = raw.get("value") if isinstance(raw, Mapping) else raw
+            is_filled = size > 1 and isinstance(bare, (int, float)) and not isinstance(bare, bool)
+            texts[path] = _shown(raw, unit) + (f" (all {size} elements)" if is_filled else "")
         return texts
 
     @_by_one_thread
@@ -545,6 +549,16 @@ def _named_inputs(given: Any, plan: Plan | Coupling) -> dict[str, Any]:
             message = f"{type(source).__name__} is neither a mapping of values by name nor the path of a file."
             raise UsageError(Fault("E501", "inputs", message, 'As in inputs={"r": 1.0}.'))
     return named
+
+
+def _shown(raw: Any, unit: str) -> str:
+    """Return the raw value of a parameter as a text. unit: of plain numbers."""
+    if isinstance(raw, Mapping):
+        return _shown(raw.get("value"), str(raw.get("unit", unit)))
+    if isinstance(raw, (list, tuple)) and any(isinstance(item, Mapping) for item in raw):
+        return f"[{', '.join(_shown(item, unit) for item in raw)}]"
+    is_number = isinstance(raw, (int, float)) and not isinstance(raw, bool)
+    return f"{raw:g} {unit}".strip() if is_number else str(raw_of(raw))
 
 
 def _given_input(value: Any, type_: str) -> Any:

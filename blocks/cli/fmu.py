@@ -127,7 +127,6 @@ def _alone(options: argparse.Namespace) -> Diagram:
     settings = {"start": experiment.start, "stop": experiment.stop}
     if foreign.kind == "ME":
         settings["rtol"] = experiment.tolerance
-    settings |= {"master": {"step": experiment.step}} if foreign.kind == "CS" and experiment.step else {}
     diagram.settings(**{key: value for key, value in settings.items() if value is not None})
     for fault in foreign.description.warnings:
         if fault.place == EXPERIMENT:
@@ -149,6 +148,8 @@ def _alone(options: argparse.Namespace) -> Diagram:
     options.input = [_renamed(item, ports.get(_name(item), "{}")) for item in options.input if item not in texts]
     if options.log is None and not any(variable.causality == "output" for variable in foreign.variables.values()):
         options.log = _without_outputs(foreign, [*declared.inputs], declared.readable)
+    elif options.log is None:  # by default a diagram also records what its blocks give: the same under other names
+        options.log = [*diagram.value.inputs, *diagram.value.outputs]
     if options.log is not None:
         others = {own: f"{name}.{own}" for own in declared.readable}
         options.log = [{**others, **ports}.get(item, item) for item in options.log]

@@ -58,9 +58,11 @@ def _table(options: argparse.Namespace, made: StudyResults) -> str:
 
 
 def _study(options: argparse.Namespace) -> int:
+    from ..results import plots
     from ..studies import study
 
     loaded = study.load(options.study)
+    plots.check_loads()
     folder = Path(options.out) if options.out else Path("out") / loaded.name
     parameters = assignments("--set", options.parameters, "IADRC.torque=2")
     begun = None if options.json else lambda name: say(f"running {name}")

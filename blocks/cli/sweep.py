@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import re
 import time
 from collections.abc import Mapping, Sequence
@@ -224,7 +223,7 @@ def _values(place: str, text: str) -> Any:
     if not unit:
         return made
     if isinstance(made, sampling.Distribution):
-        return sampling.InUnit(made, unit)
+        return made.in_unit(unit)
     return [{"value": value, "unit": unit} for value in made.tolist()]
 
 
@@ -258,39 +257,20 @@ def _in_one_unit(place: str, kind: str, names: Sequence[str], words: Sequence[st
 
     The count of a range and the shapes of a distribution have no unit. Raises UsageError (E501).
     """
-    from ..text import units
-    from ..text.errors import ModelError
+    from ..studies.sampling import in_one_unit
 
-    numbers, units_of, has_unit = [], [], []
-    for k, (name, word) in enumerate(zip(names, words, strict=True)):
+    given: list[Any] = []
+    for word in words:
         try:
-            number, own = float(word), ""
+            given.append(float(word))
         except ValueError:
-            value = _plain(_quantity(place, word.strip()))
-            if not isinstance(value, dict):
-                cure = "Numbers are in the unit of the parameter, or have a unit, as in 160 mOhm."
-                raise UsageError(Fault("E501", place, f"{word.strip()!r} is not a number.", cure)) from None
-            number, own = value["value"], str(value["unit"])
-        is_count = kind in ("linspace", "geomspace") and k == 2
-        has_unit.append(not math.isinf(number) and (name in ("loc", "scale") if name else not is_count))
-        numbers.append(number)
-        units_of.append(own)
-    unit = next(filter(None, units_of), "")
-    if not unit:
-        return numbers, ""
-    for word, own, may in zip(words, units_of, has_unit, strict=True):
-        if bool(own) != may:
-            message = "needs a unit, because others have one." if may else "must be a number without a unit."
-            message = f"{word.strip()!r} {message}"
-            raise UsageError(Fault("E501", place, message, "As in normal:160 mOhm,10 mOhm, or linspace:1 V,5 V,9."))
-        try:
-            offset = units.affine(own, unit)[1] if own else 0.0
-        except ModelError as error:
-            raise UsageError(Fault("E501", place, error.faults[0].message, f"Give all numbers in {unit}.")) from None
-        if offset:
-            message = f"{unit} and {own} have different zeros, so that a deviation in one of them is none in the other."
-            raise UsageError(Fault("E501", place, message, f"Give all numbers in {unit}."))
-    return [units.converted(x, own, unit) if own else x for x, own in zip(numbers, units_of, strict=True)], unit
+            given.append(_plain(_quantity(place, word.strip())))
+    may_have = [
+        name in ("loc", "scale") if name else not (kind in ("linspace", "geomspace") and k == 2)
+        for k, name in enumerate(names)
+    ]
+    example = "As in normal:160 mOhm,10 mOhm, or linspace:1 V,5 V,9."
+    return in_one_unit(place, given, may_have, example, words)
 
 
 def _quantity(place: str, word: str) -> Any:

@@ -60,9 +60,14 @@ def add(verbs: Any) -> None:
 
 def _tune(options: argparse.Namespace) -> int:
     from ..api.diagram import Diagram
+    from ..results import plots
+    from ..studies.sweep_file import check_target
 
     if options.out:
         check_writable("--out", options.out, [options.diagram])
+        check_target(options.out)
+    if options.report is not None:
+        plots.check_loads()
     diagram = Diagram.load(options.diagram, library=options.library)
     places = {name: f"--{name}" for name in ("minimize", "method", "budget", "seed", "threads", "lanes")}
     places |= {f"subject_to[{k}]": f"--subject-to {text}" for k, text in enumerate(options.subject_to)}

@@ -59,7 +59,7 @@ Link = Reference
 inputs; "k", a number. "source": of a signal, a `Source` that is not exchanged."""
 
 PARTS = 500
-"""About how many communication steps a run has where their length is not given."""
+"""The least number of communication steps in a run with the default step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -479,7 +479,7 @@ class _Coupler:
         return declared.type != "real"
 
     def step(self, path: str, foreign: Foreign | None) -> Fraction:
-        """The communication step of a unit: what the settings say, what the FMU says, or a part of the run."""
+        """Return the communication step of a unit: see "The default step" in docs/cosimulation.md."""
         if path in self.master.steps:
             return self.master.steps[path]
         if self.master.step is not None:

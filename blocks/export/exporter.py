@@ -30,7 +30,7 @@ from ..compile.inputs import read_inputs
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan
 from ..compile.toolchain.compiler import TranslationUnit
-from ..compile.toolchain.platforms import folders, shared_library, this_platform
+from ..compile.toolchain.platforms import check_compilers, folders, shared_library
 from ..contract.enumerations import resting
 from ..fmi.headers import standard_headers
 from ..model.diagram import DiagramValue
@@ -112,7 +112,7 @@ def export(
     if Path(path).suffix != ".fmu":
         raise UsageError(Fault("E501", str(path), "the name of an FMU ends in .fmu."))
     allowed, notes = _allowed(plan, kinds)
-    wanted = (this_platform(),) if platforms is None else tuple(dict.fromkeys(platforms))
+    wanted = check_compilers(platforms)
     fmu_files = _Made(_Order(value, flat, plan, fmi, allowed, name, overrides or {}, version, drawing))
     units = fmu_files.units()
     binaries = {platform: shared_library(platform, units) for platform in wanted}

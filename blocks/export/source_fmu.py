@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from ..compile.toolchain.compiler import Compiler, TranslationUnit, build, is_zig
-from ..compile.toolchain.platforms import compiler_for, folder_of, suffix_of, this_platform
+from ..compile.toolchain.platforms import check_compilers, compiler_for, folder_of, suffix_of
 from ..fmi import xmltree
 from ..fmi.archive import DESCRIPTION, Archive
 from ..fmi.binary import functions
@@ -75,7 +75,7 @@ def compile_sources(
     platforms: None: this one. Raises ModelError (E007), FMUError (E202 to E206, E219 where the sources cannot be
     compiled here), UsageError (E501), CompilerError (E60x; E602 where the compiler refuses the sources).
     """
-    wanted = tuple(dict.fromkeys(platforms)) if platforms else (this_platform(),)
+    wanted = check_compilers(platforms or None)
     with Archive(path) as archive:
         description = parse(archive.read(DESCRIPTION), f"{archive.place}/{DESCRIPTION}")
         texts = _texts(archive)

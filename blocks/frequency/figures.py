@@ -31,6 +31,7 @@ from .figure_curves import (
 from .figure_look import FAINT, SMALL, Shown, finished, limit_decibel, new_figure, note, plot_curve, tick_degrees
 from .figure_margins import margins_on_bode, margins_on_nichols, margins_on_nyquist
 from .figure_planes import draw_arrow, draw_contours, draw_half_plane, draw_unit_circle, view_of
+from .margins import Margins
 from .margins import margins as margins_of
 from .response import poles, zeros
 from .search import highest, refined
@@ -44,11 +45,12 @@ _MARKS = (("x", "o"), ("+", "s"), ("1", "D"), ("2", "^"), ("3", "v"), ("4", "p")
 
 
 @defaults()
-def bode(systems: Any, omega: Iterable[float] | None = None, *, margins: bool = True) -> Any:
+def bode(systems: Any, omega: Iterable[float] | None = None, *, margins: bool | Margins = True) -> Any:
     """Gain and phase over frequency; the gain and phase margins of a single loop are drawn.
 
     omega: frequencies [rad/s]; without them they are laid out from poles and zeros. margins: off where the system is no
-    loop. Several systems are laid over each other without margins. Raises UsageError (E501).
+    loop, or the margins of a single loop, if they are known. Several systems are laid over each other without margins.
+    Raises UsageError (E501).
     """
     shown = single_channels(systems, "bode")
     span = span_of(shown, omega)
@@ -69,7 +71,7 @@ def bode(systems: Any, omega: Iterable[float] | None = None, *, margins: bool = 
     above.set_ylabel("gain [dB]")
     below.set_ylabel("phase [deg]")
     below.set_xlabel("frequency [rad/s]")
-    loop_margins = margins_of(shown[0].system) if margins and len(shown) == 1 else None
+    loop_margins = _margins(shown, margins)
     drawn = loop_margins is not None and bool(loop_margins.gains or loop_margins.phases)
     limit_decibel(above, floor=-60.0 if drawn else -math.inf)
     tick_degrees(below)
@@ -79,11 +81,11 @@ def bode(systems: Any, omega: Iterable[float] | None = None, *, margins: bool = 
 
 
 @defaults()
-def nyquist(loop: Any, *, margins: bool = True) -> Any:
+def nyquist(loop: Any, *, margins: bool | Margins = True) -> Any:
     """The loop transfer in the complex plane, with -1, the unit circle, the circle that Ms keeps free, and margins.
 
     Negative frequencies are drawn faintly. The view is that of the critical point: what an integrator sends to
-    infinity leaves it. Raises UsageError (E501).
+    infinity leaves it. margins: as of `bode`. Raises UsageError (E501).
     """
     shown = single_channels(loop, "nyquist")
     figure, axis = new_figure(1, 1, height=5.2, width=5.6)
@@ -91,7 +93,7 @@ def nyquist(loop: Any, *, margins: bool = True) -> Any:
     axis.axhline(0, color=FAINT, linewidth=0.6)
     axis.axvline(0, color=FAINT, linewidth=0.6)
     axis.plot(circle.real, circle.imag, color=INK, linewidth=0.8, linestyle=(0, (1, 2)))
-    loop_margins = margins_of(shown[0].system) if margins and len(shown) == 1 else None
+    loop_margins = _margins(shown, margins)
     curves = [full_curve_of(trace)[1] for trace in shown]
     low, high = view_of(curves, loop_margins)
     size = high - low
@@ -117,8 +119,8 @@ def nyquist(loop: Any, *, margins: bool = True) -> Any:
 
 
 @defaults()
-def nichols(systems: Any, *, margins: bool = True) -> Any:
-    """Gain over phase of loops, upon the curves of constant |T|. Raises UsageError (E501)."""
+def nichols(systems: Any, *, margins: bool | Margins = True) -> Any:
+    """Gain over phase of loops, upon the curves of constant |T|. margins: as of `bode`. Raises UsageError (E501)."""
     shown = single_channels(systems, "nichols")
     figure, axis = new_figure(1, 1, height=5.2, width=6.6)
     curves = []
@@ -134,7 +136,7 @@ def nichols(systems: Any, *, margins: bool = True) -> Any:
     draw_contours(axis, left, right)
     for trace, phase, gain in curves:
         plot_curve(axis, trace, phase, gain, len(shown))
-    loop_margins = margins_of(shown[0].system) if margins and len(shown) == 1 else None
+    loop_margins = _margins(shown, margins)
     if loop_margins is not None:
         margins_on_nichols(axis, loop_margins, curves[0][1], curves[0][2])
     for turn in np.arange(-180 - 360 * 3, 721, 360):
@@ -276,6 +278,13 @@ def step_figure(systems: Any, *, until: float | None = None) -> Any:
     axis.set_xlabel("time [s]")
     axis.set_ylabel("response to a unit step")
     return finished(figure, axis, shown)
+
+
+def _margins(shown: list[Shown], wanted: bool | Margins) -> Margins | None:
+    """Return the margins of a single loop, unless they are off."""
+    if isinstance(wanted, Margins):
+        return wanted
+    return margins_of(shown[0].system) if wanted and len(shown) == 1 else None
 
 
 def _size_of(value: Callable[[Array], Array]) -> Callable[[Array], Array]:

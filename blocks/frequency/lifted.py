@@ -49,12 +49,14 @@ class Lifted(Protocol):
 class Factored:
     """The closed loop with a factor on the signal; fixed: eigenvalues (as z - 1) at the border that no factor moves.
 
-    is_at_border: whether it is at the border within rounding with the factor 1.
+    is_at_border: whether it is at the border within rounding with the factor 1. check: called before eigenvalues are
+    computed.
     """
 
     seen: Realization
     fixed: tuple[complex, ...] = ()
     is_at_border: bool = False
+    check: Callable[[], None] | None = None
 
     def matrix(self, factor: complex) -> Array:
         """The monodromy matrix less I. inf where the loop has no solution."""
@@ -71,6 +73,8 @@ class Factored:
 
     def poles(self, factor: complex) -> Array | None:
         """Its eigenvalues, less 1; None where rounding hides them."""
+        if self.check is not None:
+            self.check()
         matrix = self.matrix(factor)
         if not np.all(np.isfinite(matrix)) or np.max(np.abs(matrix), initial=0.0) > _LARGE:
             return None

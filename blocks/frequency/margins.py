@@ -37,7 +37,7 @@ from .response import HALF_POWER, dc_gain
 from .search import Peak, curve, first_fall, highest, layout, refined, root, summit
 from .systems import Source, StateSpace, is_of, polynomials, source
 
-__all__ = ["Margins", "margins"]
+__all__ = ["IN_JSON", "Margins", "margins"]
 
 Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
@@ -46,6 +46,8 @@ _TOUCH = 1e-10
 # Of the logarithm of the gain, of the phase in rad and of the frequency: such a crossing is the one at the border.
 _SAME = 1e-6
 _Crossings = tuple[tuple[float, float], ...]
+IN_JSON = ("gain", "gain_low", "phase_deg", "crossover", "delay", "modulus", "Ms", "Mt", "disk", "bandwidth")
+"""The numbers of a loop that JSON has."""
 _MOST = 6  # crossings in a line of the table
 _SEEN = 200  # crossings that are searched, of a response whose phase turns without end
 
@@ -158,12 +160,8 @@ class Margins(Shown):
 
     def as_json(self) -> dict[str, float | bool | None]:
         """What --json prints; null where it does not apply, and where it is infinite."""
-        shown: dict[str, float | None] = {
-            "gain": self.gain, "gain_low": self.gain_low, "phase_deg": self.phase_deg, "crossover": self.crossover,
-            "delay": self.delay, "Ms": self.Ms, "Mt": self.Mt, "disk": self.disk,
-        }  # fmt: skip
         words = {"stable": self.stable, "border": self.verdict == "border"}
-        return {**{key: _finite(value) for key, value in shown.items()}, **words}
+        return {**{key: _finite(getattr(self, key)) for key in IN_JSON}, **words}
 
     def __str__(self) -> str:
         return "\n".join(f"{name:<16}{text}" for name, text in _table(self))
@@ -258,6 +256,7 @@ def margins(
     grid: Iterable[float] | None = None,
     unstable_poles: int | None = None,
     integrators: int = 0,
+    check: Callable[[], None] | None = None,
 ) -> Margins:
     """Margins of the loop transfer L under negative feedback, one input and one output, continuous or sampled.
 
@@ -265,15 +264,16 @@ def margins(
     integrators: of the open loop, where only its response is known: with them stability follows from encirclements.
     Measured data are interpolated between their points, and nothing is known beyond. A loop of several rates
     (`LiftedLoop`) has margins by the eigenvalues of the closed loop: see `Margins`.
+    check: called again and again during the search, which ends with whatever it raises.
 
     Raises AnalysisError (E705) where 1 + L vanishes at infinite frequency or L is 0 at all frequencies, and UsageError
     (E501).
     """
     if isinstance(loop, Lifted):
-        return _of_several_rates(loop)
+        return _of_several_rates(loop, check)
     if isinstance(loop, DelayedModel) and loop.dead_time is not None:
-        return _with_dead_time(loop, *loop.dead_time, grid)
-    known = source(loop)
+        return _with_dead_time(loop, *loop.dead_time, grid, check)
+    known = source(loop).asking(check)
     if (known.outputs, known.inputs) != (1, 1):
         what = f"{known.outputs} outputs and {known.inputs} inputs; a loop has one of each."
         raise UsageError(Fault("E501", "margins", what, "Open one loop at a time."))
@@ -332,7 +332,7 @@ def _gathered(
     )
 
 
-def _of_several_rates(loop: Any) -> Margins:
+def _of_several_rates(loop: Any, check: Callable[[], None] | None) -> Margins:
     model = balanced(loop)
     seen = model.visible()
     if not np.any(model.d != 0) and not len(seen.a):
@@ -346,7 +346,7 @@ def _of_several_rates(loop: Any) -> Margins:
     at, there = (lambda x: _lifted_return(seen, x)), is_singular(matrix, unsure)
     own = _judged(p, doubt, at, np.zeros(0, complex), scale, model.dt, there)
     beside = _judged(np.zeros(0, complex), np.zeros(0), lambda x: x, model.hidden_eigenvalues(), scale, model.dt)
-    closed = Factored(seen, tuple(pole - 1.0 for pole in own.hidden), bool(own.border))
+    closed = Factored(seen, tuple(pole - 1.0 for pole in own.hidden), bool(own.border), check)
     unstable = own.unstable + beside.unstable
     gains = _by_frequency((g, angle / model.dt) for g, angle in gain_borders(closed))
     phases = _by_frequency((d, angle / model.dt) for d, angle in phase_borders(closed))
@@ -372,9 +372,12 @@ def _of_several_rates(loop: Any) -> Margins:
     )
 
 
-def _with_dead_time(loop: DelayedModel, rational: Realization, delay: float, grid: Iterable[float] | None) -> Margins:
+def _with_dead_time(
+    loop: DelayedModel, rational: Realization, delay: float, grid: Iterable[float] | None,
+    check: Callable[[], None] | None,
+) -> Margins:  # fmt: skip
     """Margins of L = R(s) exp(-s T): what depends on the gain by R alone, the rest where it is largest."""
-    known, at = source(loop.rational), curve(source(loop))
+    known, at = source(loop.rational).asking(check), curve(source(loop).asking(check))
     seen = rational.visible()
     omega, values = _grid(known, curve(known), None, grid, "")
     phases, delays = _phase_crossings(at, omega, values, known)

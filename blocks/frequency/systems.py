@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -19,6 +19,7 @@ __all__ = ["Responding", "Source", "StateSpace", "frd", "interpolated", "is_of",
 
 Array = np.ndarray[Any, Any]
 _MANY = 200  # states; above, zeros of channels would cost more than they are worth
+_PART = 256  # frequencies between two calls of a check
 
 
 @runtime_checkable
@@ -65,6 +66,20 @@ class Source:
     points: Array | None
     infinity: Array | None
     realization: Realization | None
+
+    def asking(self, check: Callable[[], None] | None) -> Source:
+        """Return the same system, which calls `check` every few frequencies at which it computes responses."""
+        if check is None:
+            return self
+
+        def at(omega: Array) -> Array:
+            parts = []
+            for k in range(0, max(1, len(omega)), _PART):
+                check()
+                parts.append(self.at(omega[k : k + _PART]))
+            return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+
+        return replace(self, at=at)
 
     def siso(self, omega: Array) -> Array:
         """The response of one input and one output, (len(omega),)."""

@@ -17,7 +17,7 @@ McGraw-Hill 1968, chapter 3.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -96,6 +96,7 @@ def limit_cycles(
     *,
     omega: tuple[float, float] | None = None,
     amplitude: tuple[Any, Any] | None = None,
+    check: Callable[[], None] | None = None,
 ) -> LimitCycles:
     """The limit cycles of a diagram around its operating point, which must be one of rest, by frequency.
 
@@ -105,14 +106,15 @@ def limit_cycles(
 
     omega: where to look, in rad/s (from the poles and delays, unless given). amplitude: of the signal of the first law
     in each loop: numbers in the declared unit of the signal, or quantities such as "2 rpm" (1e-9 to 1e3 in SI, unless
-    given). Raises UsageError (E501), AnalysisError: E704 (a law that moves the mean at all amplitudes),
+    given). check: called whenever a law is evaluated; what it raises ends the search.
+    Raises UsageError (E501), AnalysisError: E704 (a law that moves the mean at all amplitudes),
     E705 (no law in a loop, or no point of rest).
     """
     _check_limits("omega", omega)
     _limits_of(amplitude, "")
     nodes = linearizer.nonlinear_nodes((), ())
     cut = linearizer.with_gains({(node, slot): 0.0 for node, slots in nodes.items() for slot in slots})
-    laws = Laws(linearizer, nodes)
+    laws = Laws(linearizer, nodes, check)
     model = cut.injected((), (), (), laws.nodes, laws.slots) if laws.nodes else None
     rational = model
     if isinstance(model, DelayedModel):

@@ -11,7 +11,7 @@ Bound-Constrained Minimization Problems, SIAM Journal on Scientific Computing 21
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -134,6 +134,7 @@ def search(
     outputs: Mapping[str, Any] | None = None,
     steady: bool | Mapping[str, float | None] = True,
     told: Sequence[str] = (),
+    check: Callable[[], None] | None = None,
 ) -> OperatingPoint:
     """The operating point near a first one.
 
@@ -141,14 +142,15 @@ def search(
     be found. Inputs that are not named stay as they are, states are free. steady: which states rest: True: all; or by
     name the wanted rate, or None for any, all others 0; False: none. Unless it is False, delayed values are those that
     are there now, as after a long rest. Raises AnalysisError (E702) with what remains, or where something keeps a past
-    that no search finds. told: further outputs of the point.
+    that no search finds. told: further outputs of the point. check: called for each guess; what it raises ends the
+    search.
     """
     rates = {} if isinstance(steady, bool) else steady
     for word, table in (("inputs", inputs), ("states", states), ("outputs", outputs), ("steady", rates)):
         if table is not None and not isinstance(table, Mapping):
             cure = f"As in {word}={{name: value}}."
             raise UsageError(Fault("E501", word, f"{quoted(repr(table)[:80])} is no mapping.", cure))
-    return _Search(point, inputs or {}, states or {}, outputs or {}, steady, told).found()
+    return _Search(point, inputs or {}, states or {}, outputs or {}, steady, told, check).found()
 
 
 class _Equations:
@@ -206,7 +208,9 @@ class _Search:
         outputs: Mapping[str, Any],
         steady: bool | Mapping[str, float | None],
         told: Sequence[str],
+        check: Callable[[], None] | None,
     ) -> None:
+        self.check = check
         plan = self.plan = point.plan
         self.told = list(dict.fromkeys([*outputs, *told]))
         self.point = point
@@ -288,6 +292,8 @@ class _Search:
         return self.point.moved(**rows)
 
     def residual(self, values: Array) -> Array:
+        if self.check is not None:
+            self.check()
         point = self.at(values)
         rates = self.equations.rates(point)
         terms = []

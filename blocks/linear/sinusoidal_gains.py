@@ -63,14 +63,21 @@ class Rest:
         return cls(seen.a, seen.b, seen.c, seen.d)
 
 
+def _go_on() -> None:
+    pass
+
+
 class Laws:
     """The laws that are taken out of a diagram, and what they do to sines around the operating point.
 
     slots: one for each signal that a law reads; spans: of each law, which of these signals it reads. rest: what is left
-    of the diagram; without it no mean may move.
+    of the diagram; without it no mean may move. check: called before laws are evaluated; what it raises ends a search.
     """
 
-    def __init__(self, linearizer: Linearization, nodes: dict[int, tuple[int, ...]]) -> None:
+    def __init__(
+        self, linearizer: Linearization, nodes: dict[int, tuple[int, ...]], check: Callable[[], None] | None = None
+    ) -> None:
+        self.check = check or _go_on
         slopes, graph = linearizer.slopes, linearizer.graph
         self.items = [StaticLaw(slopes, node, slots) for node, slots in nodes.items()]
         self.nodes = list(nodes)
@@ -125,6 +132,7 @@ class Laws:
 
     def one(self, law: StaticLaw, s: Array, b: Array) -> tuple[complex, float]:
         """The phasor and the mean of what a law gives."""
+        self.check()
         if not s.any():
             return 0.0, float(law(*map(np.atleast_1d, b))[0])
         if len(s) == 1:
@@ -158,6 +166,7 @@ class Laws:
 
     def about(self, s: Array) -> Array:
         """The fundamentals to a thousandth, of laws of one signal by their gains on a grid of amplitudes."""
+        self.check()
         phasors, means = [], []
         for k, (law, span) in enumerate(zip(self.items, self.spans, strict=True)):
             a = float(abs(s[span[0]]))
@@ -199,6 +208,7 @@ class Laws:
         """
 
         def at(b: Array) -> tuple[Array, Array]:
+            self.check()
             answers = [answer(k, b[span]) for k, span in enumerate(self.spans)]
             return np.array([n for n, _ in answers], dtype=complex), np.array([mean for _, mean in answers])
 

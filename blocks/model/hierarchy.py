@@ -28,7 +28,7 @@ from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList
 from .diagram_grammar import LARGEST_SIZE
 from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 
-__all__ = ["DiagramScope", "Hierarchy", "Leaf", "Resolver", "Spot", "spelling", "streams_in"]
+__all__ = ["DiagramScope", "Hierarchy", "Leaf", "Resolver", "Spot", "bound_faults", "spelling", "streams_in"]
 
 MAX_BLOCKS = 1_000_000
 _COPIES_ARE = "an integer from 1 to 100,000"
@@ -314,10 +314,8 @@ class Hierarchy:
         full = next((path for path in paths if path in self.overrides), "")
         if not full:
             return raw, ""
-        bound = next(expressions_in(raw), "")
-        if bound:
-            message = f"is bound ({quoted(bound)}) and cannot be set itself."
-            self.faults.add(Fault("E117", full, message, "Set what it is computed from."))
+        for fault in bound_faults(full, raw):
+            self.faults.add(fault)
         return self.overrides[full], full
 
     # --- blocks ------------------------------------------------------------------------------------------------
@@ -547,6 +545,13 @@ def streams_in(
                 yield path + name + end, stream
             else:
                 yield from streams_in(entry.inner, copies, f"{path}{name}{end}.", f"{stream}.", f"{plain}{name}.")
+
+
+def bound_faults(path: str, raw: Any) -> list[Fault]:
+    """Return the fault (E117) of setting a parameter that its raw value binds by an expression, if it does."""
+    bound = next(expressions_in(raw), "")
+    message = f"is bound ({quoted(bound)}) and cannot be set itself."
+    return [Fault("E117", path, message, "Set what it is computed from.")] if bound else []
 
 
 def _outer_raw(scope: DiagramScope, name: str) -> Any:

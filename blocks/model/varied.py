@@ -26,7 +26,7 @@ from . import raw_values as whole_values
 from .copies import Copy, Fleet, depth_of, named, own_value
 from .diagram import DiagramValue
 from .flatten import Flat, flatten
-from .hierarchy import Resolver
+from .hierarchy import Resolver, bound_faults
 from .raw_values import raw_of
 from .values import Absent, value_of
 from .variants import taken
@@ -37,13 +37,15 @@ __all__ = ["Column", "Target", "columns_of", "each_of", "given_values", "is_elem
 @dataclass(frozen=True, slots=True)
 class Target:
     """A parameter, or an element of it. unit: of a bare number. whole: the whole value in SI, where an element is set.
-    value: the number that the diagram gives it, in the unit; nan where that is none."""
+    value: the number that the diagram gives it, in the unit; nan where that is none. units: of the elements, if they
+    differ."""
 
     path: str
     element: int | None
     unit: str
     value: float = math.nan
     whole: tuple[Any, tuple[int, ...]] = ((), ())
+    units: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +157,7 @@ def columns_of(
 ) -> tuple[Column, ...]:
     """Return the columns of these names. overrides: raw values by path, with which the diagram was flattened.
 
-    Raises UsageError (E501, E106) if a name matches nothing, or repeats.
+    Raises UsageError (E501, E106) if a name matches nothing, or repeats, and ModelError (E117) if a parameter is bound.
     """
     if isinstance(names, str):
         message, cure = "is one name, not a list of names.", f'As in ["{legible(names)}"].'
@@ -180,6 +182,10 @@ def columns_of(
                     raise UsageError(Fault("E501", legible(name), message, "Vary each parameter once."))
                 by[target.element] = name
         columns.append(Column(name, targets))
+    paths = dict.fromkeys(target.path for column in columns for target in column.targets)
+    bound = [fault for path in paths for fault in bound_faults(path, _written(value, _plain(path)))]
+    if bound:
+        raise ModelError(*bound)
     return tuple(columns)
 
 
@@ -210,7 +216,7 @@ def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
     """Return the raw values of parameters in a row, by path."""
     given: dict[str, Any] = {}
     elements: dict[str, list[Any]] = {}
-    shapes: dict[str, tuple[str, tuple[int, ...]]] = {}
+    shapes: dict[str, tuple[Target, tuple[int, ...]]] = {}
     for column, raw in zip(columns, row, strict=True):
         raw = raw if type(raw) is float else raw_of(raw)
         is_plain = type(raw) is float and math.isfinite(raw)
@@ -221,12 +227,20 @@ def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
             flat, shape = target.whole
             number = to_si(raw, target.unit) if is_plain else _number(raw, target.unit, column.name)
             elements.setdefault(target.path, list(flat))[target.element] = number
-            shapes[target.path] = si_text(target.unit), shape
+            shapes[target.path] = target, shape
     for path, values in elements.items():
-        unit, shape = shapes[path]
+        target, shape = shapes[path]
+        if target.units:  # each with its own unit
+            given[path] = [_quantity(value, si_text(own)) for value, own in zip(values, target.units, strict=True)]
+            continue
+        unit = si_text(target.unit)
         nested = np.array(values, dtype=float).reshape(shape).tolist()
-        given[path] = {"value": nested, "unit": unit} if unit else nested
+        given[path] = _quantity(nested, unit)
     return given
+
+
+def _quantity(value: Any, unit: str) -> Any:
+    return {"value": value, "unit": unit} if unit else value
 
 
 def _number(raw: Any, unit: str, name: str) -> float:
@@ -241,6 +255,22 @@ def _number(raw: Any, unit: str, name: str) -> float:
         message = f"must be a number, not {legible(repr(raw))}."
         raise ModelError(Fault("E107", legible(name), message, "Give the whole value where it has expressions."))
     return float(number)
+
+
+def _written(value: DiagramValue, path: str) -> Any:
+    """Return the raw value of a parameter as the diagram writes it; None if it does not."""
+    inside: DiagramValue = value
+    given: Mapping[str, Any] = {}
+    parts = path.split(".")
+    for k, part in enumerate(parts[:-1]):
+        if part not in inside.blocks:
+            return None
+        entry = inside.blocks[part]
+        given = entry.parameters
+        if entry.inner is None:
+            return given.get(".".join(parts[k + 1 :]))
+        inside = entry.inner
+    return given.get(parts[-1], inside.parameters.get(parts[-1]))
 
 
 def _split(name: str) -> tuple[str, str]:
@@ -258,7 +288,8 @@ def _target(path: str, name: str, element: str, parameters: _Parameters) -> Targ
     parameter = parameters.of(path)
     value = parameter.value_at(parameters.numbers(path))
     if not element:
-        return Target(path, None, parameter.unit(), _in_unit(value, parameter.unit()))
+        unit = parameter.unit() if len(set(parameter.units)) == 1 else ""  # of unlike ones a number is in SI
+        return Target(path, None, unit, _in_unit(value, unit))
     shape = np.shape(value) if value is not None and not isinstance(value, str) else ()
     elements = [each[len(path) :] for each in element_names(path, shape)] if shape else []
     if value is None:
@@ -268,12 +299,10 @@ def _target(path: str, name: str, element: str, parameters: _Parameters) -> Targ
         message = f"{path} has no element {legible(element)}."
         cure = f"It has {elements[0]} to {elements[-1]}." if elements else "It is a single value: name it alone."
         raise UsageError(Fault("E501", legible(name), message, cure))
-    if len(set(parameter.units)) > 1:
-        message = "the elements have different units, so that one of them cannot be varied by itself."
-        raise UsageError(Fault("E501", legible(name), message, "Vary the whole value, or a parameter of the diagram."))
     k = elements.index(element)
     whole = tuple(np.ravel(value).tolist())
-    return Target(path, k, parameter.unit(k), _in_unit(whole[k], parameter.unit(k)), (whole, shape))
+    units = parameter.units if len(set(parameter.units)) > 1 else ()
+    return Target(path, k, parameter.unit(k), _in_unit(whole[k], parameter.unit(k)), (whole, shape), units)
 
 
 def _in_unit(value: Any, unit: str) -> float:

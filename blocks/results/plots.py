@@ -32,6 +32,7 @@ __all__ = [
     "Marker",
     "Panel",
     "check_format",
+    "check_loads",
     "defaults",
     "ink",
     "new_figure",
@@ -322,8 +323,14 @@ def _shown_png(figure: Any) -> bytes:
 
 
 def check_format(path: str | Path) -> str:
-    """The format of a picture by its ending. Raises UsageError (E501)."""
+    """Return the format of a picture by its ending. Raises UsageError (E501), also where no picture can be drawn."""
+    check_loads()
     return known_ending(path, FORMATS, "pictures")
+
+
+@defaults()
+def check_loads() -> None:
+    """Load matplotlib, so that a run does not come before this fails. Raises UsageError (E501)."""
 
 
 @defaults({"svg.hashsalt": "blocks"})

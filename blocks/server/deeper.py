@@ -70,7 +70,9 @@ def _linearizer(
     shown, live, words = session.document.shown, session.live, ""
     given: dict[str, Any] = {"held": session.inputs, "parameters": session.values}
     if at == "rest":
-        point = find_operating_point(shown, inputs=session.inputs, parameters=session.values, trust=session.trust)
+        point = find_operating_point(
+            shown, inputs=session.inputs, parameters=session.values, trust=session.trust, check=session.check_wanted
+        )
         given, words = {"at": point}, ", where the diagram rests"
     elif isinstance(at, str) and at != "start":
         raise UsageError(Fault("E501", "at", f"{at!r} is no place.", 'It is "start", "rest", or a time in s.'))
@@ -181,10 +183,12 @@ def response(
     linearizer, where, refused = _linearizer(session, at, amplitude)
     title = f"{input} to {output}. " if output else f"Loop opened at {input}. "
     laws = _laws(linearizer, [input], [output or input], [] if output else [input])
-    return _answer(linearizer, title + where, lambda: _over_frequency(linearizer, input, output), laws, refused)
+    return _answer(
+        linearizer, title + where, lambda: _over_frequency(session, linearizer, input, output), laws, refused
+    )
 
 
-def _over_frequency(linearizer: Linearizer, input: str, output: str) -> dict[str, Any]:
+def _over_frequency(session: Session, linearizer: Linearizer, input: str, output: str) -> dict[str, Any]:
     def made(pade: int) -> Transfer:
         if output:
             return linearizer.transfer(input, output, pade=pade)
@@ -200,17 +204,25 @@ def _over_frequency(linearizer: Linearizer, input: str, output: str) -> dict[str
         found = poles(model)
         small = 1e-9 * np.max(np.abs(found), initial=0.0)
         unstable, integrators = int(np.sum(found.real > small)), int(np.sum(np.abs(found) <= small))
-    told: dict[str, Any] = {"more": [*notes, *lines(model, is_loop=not output)]}
+    told, known, of_model = dict[str, Any](), None, None
     if not output:
-        known = margins(exact, unstable_poles=unstable, integrators=integrators)
+        check = session.check_wanted
+        known = margins(exact, unstable_poles=unstable, integrators=integrators, check=check)
+        of_model = known if exact is model else margins(model, check=check)
         told |= {"margins": known.as_json(), "rows": [list(row) for part in known.parts() for row in part.rows]}
+    told["more"] = [*notes, *lines(model, is_loop=not output, known=of_model)]
     if isinstance(model, LoopOfRates):  # one frequency comes back as several
         return told
     shown = single_channels(exact, "response")[0]
+    shown = replace(shown, known=shown.known.asking(session.check_wanted))
     omega, values = curve_of(shown, span_of([shown], None))
     told["curve"] = [x.tolist() for x in (omega, decibel_of(values), phase_of(omega, values))]
-    drawn = [figures.bode(exact, margins=False)] if output else [figures.bode(exact), figures.nyquist(exact)]
-    return told | {"figures": [figure.forms["image/svg+xml"](figure) for figure in drawn]}
+    svgs = []
+    for draw in (figures.bode,) if output else (figures.bode, figures.nyquist):
+        session.check_wanted()
+        figure = draw(exact, margins=known or False)
+        svgs.append(figure.forms["image/svg+xml"](figure))
+    return told | {"figures": svgs}
 
 
 # --- the linear model ------------------------------------------------------------------------------------------------
@@ -261,7 +273,7 @@ def cycles(session: Session, *, at: str | float = "rest") -> Answer:
     """The limit cycles around the point, by harmonic balance."""
     try:
         linearizer, where, _ = _linearizer(session, at, None)
-        found = limit_cycles(linearizer)
+        found = limit_cycles(linearizer, check=session.check_wanted)
     except AnalysisError as error:  # whose cures name arguments of the library
         cures = {"E702": 'Look "at the start".'} if at == "rest" else {"E705": 'Look "where it rests".'}
         raise AnalysisError(*(replace(f, cure=cures.get(f.code, f.cure)) for f in error.faults)) from None

@@ -15,7 +15,7 @@ import numpy as np
 from ..results.table import optional
 from ..text.errors import BlocksError
 
-__all__ = ["METHODS", "Spent"]
+__all__ = ["METHODS", "Spent", "check_installed"]
 
 Array = np.ndarray[Any, Any]
 Evaluate = Callable[[Array], Array]
@@ -29,6 +29,11 @@ class Spent(Exception):
     """The budget is used up."""
 
 
+def check_installed(method: str, place: str) -> Any:
+    """Return the package of a method, or None if it needs none. Raises UsageError (E504) if it is not installed."""
+    return optional("cma", place, "tune") if method == "cma" else None
+
+
 def cma(evaluate: Evaluate, start: Array, seed: int, budget: int) -> None:
     """CMA-ES (package cma); where it has converged, it begins again at the start with twice the population.
 
@@ -37,7 +42,7 @@ def cma(evaluate: Evaluate, start: Array, seed: int, budget: int) -> None:
     References:
         N. Hansen, A. Auger, "A restart CMA evolution strategy with increasing population size", CEC 2005.
     """
-    package = optional("cma", 'method="cma"', "tune")
+    package = check_installed("cma", 'method="cma"')
     draw, count = np.random.default_rng(seed), len(start)
     size = 4 + int(3 * np.log(count))
     # The package knows no problem of one variable: a second one means nothing.

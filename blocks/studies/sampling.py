@@ -3,7 +3,8 @@
     {"Jeq": Normal(0.2752, 0.02), each("motor_*.Ra"): Uniform(0.14, 0.17), "control_*.eso.Ka": [0.5, 0.6, 0.7]}
 
 What has a distribution spans a unit cube, whose points a sampler draws; a point becomes a row by the inverse of each
-distribution (`ppf`). Lists are crossed with the draws. Numbers are in the units of the parameters.
+distribution (`ppf`). Lists are crossed with the draws. Numbers are in the units of the parameters, or have units of
+their own: Normal("160 mOhm", "10 mOhm").
 
 SciPy's distributions and samplers take a second to load: they are loaded when rows are drawn.
 """
@@ -14,18 +15,21 @@ import hashlib
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ..model.study_grammar import SAMPLERS
-from ..text.errors import Fault, UsageError, did_you_mean
+from ..text import units as unit_texts
+from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible
+from ..text.quantity_text import read_quantity
 
 __all__ = [
-    "SAMPLERS", "Distribution", "Each", "InUnit", "LogUniform", "Normal", "Rows", "Triangular", "TruncatedNormal",
-    "Uniform", "check_draws", "each", "named_values", "rows_of", "seed_of", "unit_points",
+    "SAMPLERS", "Distribution", "Each", "LogUniform", "Normal", "Rows", "Triangular", "TruncatedNormal", "Uniform",
+    "check_draws", "each", "in_one_unit", "named_values", "rows_of", "seed_of", "unit_points",
 ]  # fmt: skip
 
 Array = np.ndarray[Any, Any]
@@ -38,22 +42,32 @@ LEAST = 2.0**-53
 class Distribution:
     """A continuous distribution of scipy.stats by its name: Distribution("lognorm", s=0.3, scale=2).
 
-    parameters: its shapes, loc and scale, as scipy.stats names them.
+    parameters: its shapes, loc and scale, as scipy.stats names them; loc and scale are numbers in the unit of the
+    parameter that is varied, or quantities such as "160 mOhm". unit: of these; "": that of the parameter.
     """
 
     name: str
     parameters: tuple[tuple[str, float], ...]
+    unit: str = ""
 
-    def __init__(self, name: str, /, **parameters: float) -> None:
+    def __init__(self, name: str, /, **parameters: Any) -> None:
+        numbers, unit = in_one_unit(
+            str(name), [*parameters.values()], [key in ("loc", "scale") for key in parameters],
+            'As in Distribution("lognorm", s=0.3, scale="160 mOhm").',
+        )  # fmt: skip
         object.__setattr__(self, "name", name)
-        try:
-            numbers = tuple((key, float(value)) for key, value in parameters.items())
-        except (TypeError, ValueError):
-            raise _refused(f"{name}({parameters})", "its parameters must be numbers.") from None
-        object.__setattr__(self, "parameters", numbers)
+        object.__setattr__(self, "parameters", tuple(zip(parameters, numbers, strict=True)))
+        object.__setattr__(self, "unit", unit)
+
+    def in_unit(self, unit: str) -> Distribution:
+        """Return the same distribution with its numbers in a unit."""
+        other = copy(self)
+        object.__setattr__(other, "unit", unit)
+        return other
 
     def __repr__(self) -> str:
-        return f"Distribution({', '.join([repr(self.name), *(f'{key}={value:g}' for key, value in self.parameters)])})"
+        numbers = (f"{key}={value:g}" for key, value in self.parameters)
+        return f"Distribution({', '.join([repr(self.name), *numbers])}){self.unit and f' in {self.unit}'}"
 
     def cause(self) -> tuple[str, str] | None:
         """Why one of those that have names of their own has no values, and the cure; None where it has some."""
@@ -89,49 +103,91 @@ class Distribution:
 class Normal(Distribution):
     """The normal distribution."""
 
-    def __init__(self, mean: float, deviation: float) -> None:
+    def __init__(self, mean: Any, deviation: Any) -> None:
+        (mean, deviation), unit = _numbers("Normal", mean, deviation)
         super().__init__("norm", loc=mean, scale=deviation)
+        object.__setattr__(self, "unit", unit)
 
 
 class Uniform(Distribution):
     """All values from low to high alike."""
 
-    def __init__(self, low: float, high: float) -> None:
+    def __init__(self, low: Any, high: Any) -> None:
+        (low, high), unit = _numbers("Uniform", low, high)
         super().__init__("uniform", loc=low, scale=high - low)
+        object.__setattr__(self, "unit", unit)
 
 
 class LogUniform(Distribution):
     """All orders of magnitude from low to high alike; both above 0."""
 
-    def __init__(self, low: float, high: float) -> None:
+    def __init__(self, low: Any, high: Any) -> None:
+        (low, high), unit = _numbers("LogUniform", low, high)
         super().__init__("loguniform", a=low, b=high)
+        object.__setattr__(self, "unit", unit)
 
 
 class Triangular(Distribution):
     """From low to high, most often near `mode`."""
 
-    def __init__(self, low: float, mode: float, high: float) -> None:
+    def __init__(self, low: Any, mode: Any, high: Any) -> None:
+        (low, mode, high), unit = _numbers("Triangular", low, mode, high)
         super().__init__("triang", c=_ratio(mode - low, high - low), loc=low, scale=high - low)
+        object.__setattr__(self, "unit", unit)
 
 
 class TruncatedNormal(Distribution):
     """The normal distribution without what lies below low or above high; either may be infinite."""
 
-    def __init__(self, mean: float, deviation: float, low: float = -math.inf, high: float = math.inf) -> None:
+    def __init__(self, mean: Any, deviation: Any, low: Any = -math.inf, high: Any = math.inf) -> None:
+        (mean, deviation, low, high), unit = _numbers("TruncatedNormal", mean, deviation, low, high)
         a, b = _ratio(low - mean, deviation), _ratio(high - mean, deviation)
         super().__init__("truncnorm", a=a, b=b, loc=mean, scale=deviation)
+        object.__setattr__(self, "unit", unit)
 
 
-@dataclass(frozen=True)
-class InUnit:
-    """A distribution whose numbers are in a unit other than that of the parameter."""
+def _numbers(name: str, *given: Any) -> tuple[list[float], str]:
+    """Return the numbers of a distribution, all of which may have units."""
+    return in_one_unit(name, given, [True] * len(given), 'As in Normal("160 mOhm", "10 mOhm").')
 
-    law: Distribution
-    unit: str
 
-    def ppf(self, points: Array) -> Array:
-        """Return values in the unit, as `Distribution.ppf`."""
-        return self.law.ppf(points)
+def in_one_unit(
+    place: str, given: Sequence[Any], may_have: Sequence[bool], example: str, words: Sequence[str] = ()
+) -> tuple[list[float], str]:
+    """Return the numbers of a range or a distribution in its first unit, and that unit ("" if there is none).
+
+    may_have: which of them have a unit if others do, unless they are infinite. example: the cure. words: as they are
+    written. Raises UsageError (E501).
+    """
+    numbers, own_units = list[float](), list[str]()
+    shown = [str(word).strip() for word in words] or [item if isinstance(item, str) else f"{item}" for item in given]
+    for item, word in zip(given, shown, strict=True):
+        try:
+            quantity = read_quantity(item)
+            is_quantity = isinstance(quantity, Mapping) and {*quantity} <= {"value", "unit", "doc"}
+            numbers.append(float(quantity["value"] if is_quantity else quantity))
+            own_units.append(str(quantity.get("unit", "")) if is_quantity else "")
+            unit_texts.parse(own_units[-1] or "1")
+        except (TypeError, ValueError, KeyError, ModelError):
+            cure = "Numbers are in the unit of the parameter, or have a unit, as in 160 mOhm."
+            raise _refused(place, f"{legible(repr(word))} is not a number.", cure) from None
+    unit = next(filter(None, own_units), "")
+    if not unit:
+        return numbers, ""
+    for number, word, own, may in zip(numbers, shown, own_units, may_have, strict=True):
+        needs = may and not math.isinf(number)
+        if bool(own) != needs:
+            message = "needs a unit, because others have one." if needs else "must be a number without a unit."
+            raise _refused(place, f"{legible(repr(word))} {message}", example)
+        try:
+            offset = unit_texts.affine(own, unit)[1] if own else 0.0
+        except ModelError as error:
+            raise _refused(place, error.faults[0].message, f"Give all numbers in {unit}.") from None
+        if offset:
+            message = f"{unit} and {own} have different zeros, so that a deviation in one of them is none in the other."
+            raise _refused(place, message, f"Give all numbers in {unit}.")
+    pairs = zip(numbers, own_units, strict=True)
+    return [unit_texts.converted(x, own, unit) if own else x for x, own in pairs], unit
 
 
 def _ratio(a: float, b: float) -> float:
@@ -219,7 +275,7 @@ def rows_of(vary: Any, *, n: int | None, sampler: str, seed: int, expand: Callab
     if combinations > 1:
         columns |= {name: np.tile(columns[name], combinations) for name in drawn}
     for name, law in drawn.items():
-        if isinstance(law, InUnit):
+        if isinstance(law, Distribution) and law.unit:
             columns[name] = _column(name, [{"value": x, "unit": law.unit} for x in columns[name].tolist()])
     named = [name for key in vary for name in (expand(key.pattern) if isinstance(key, Each) else [key])]
     return Rows({name: columns[name] for name in named}, combinations * draws, base, warnings)

@@ -9,10 +9,10 @@ from typing import Any
 from ..api.diagram import Diagram
 from ..model.trust import Paths
 from ..model.varied import columns_of
-from ..results.table import optional
 from ..text.errors import BlocksError, Fault
 from ..text.grammar import Steps
 from .objectives import constraints_of, objective_of
+from .optimizers import check_installed
 from .search_space import Space, units_of_parameters
 from .study_sweeps import ManyRuns, plain
 from .tuned import Tuning
@@ -76,8 +76,8 @@ def _faults(check: Callable[[], Any]) -> tuple[Fault, ...]:
 
 def needs(entry: StudyTuning) -> None:
     """Raises UsageError (E504) where the package of its method is not installed."""
-    if entry.options.get("method", "cma") == "cma":
-        optional("cma", f'tunings.{entry.name}: method "cma"', "tune")
+    method = entry.options.get("method", "cma")
+    check_installed(method, f'tunings.{entry.name}: method "{method}"')
 
 
 def run_tuning(entry: StudyTuning, diagram: Diagram, parameters: Mapping[str, Any], trust: Paths) -> Tuning:

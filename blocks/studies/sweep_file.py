@@ -27,10 +27,18 @@ from ..text.errors import Fault, UsageError
 from ..text.plain_files import opened
 from ..text.printable import legible, one_line
 
-__all__ = ["SweepPart", "read", "read_rows", "told_of", "write"]
+__all__ = ["SweepPart", "check_target", "read", "read_rows", "told_of", "write"]
 
 Array = np.ndarray[Any, Any]
 FORMAT, VERSION = "blocks sweep", 1
+
+
+def check_target(target: str | Path) -> None:
+    """Refuse a file that could not be written once all rows are done. Raises UsageError (E501, E504)."""
+    known_ending(target, (".parquet",), "sweeps")
+    optional("pyarrow", legible(str(target)))
+    if os.path.isdir(target):
+        raise refused(target, IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR)))
 
 
 def write(path: str | Path, sweep: Mapping[str, Any], told: Mapping[str, Any] | None = None) -> None:
@@ -278,13 +286,10 @@ class SweepPart:
     """
 
     def __init__(self, target: str | Path, told: Mapping[str, Any], *, resume: bool) -> None:
-        known_ending(target, (".parquet",), "sweeps")
-        optional("pyarrow", legible(str(target)))
+        check_target(target)
         self.target, self.path = target, part_of(target)
         self.told = told
         self.end_of_rows = 0
-        if os.path.isdir(target):  # it would be known when all rows are done
-            raise refused(target, IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR)))
         try:
             self.stream = held(self.path, os.O_RDWR | os.O_CREAT)
         except OSError as error:

@@ -26,6 +26,7 @@ from ..model.trust import Paths
 from ..model.values import in_unit
 from ..model.variants import taken
 from ..model.varied import each_of
+from ..results.table import optional
 from ..text import units as unit_texts
 from ..text.errors import Fault, UsageError
 from ..text.live_line import in_rows, live_line
@@ -33,7 +34,7 @@ from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 from .sampling import Rows, rows_of, seed_of
 from .sweep import Sweep
-from .sweep_file import SweepPart, told_of
+from .sweep_file import SweepPart, check_target, told_of
 from .sweep_margins import RowMargins, margins_of
 
 if TYPE_CHECKING:
@@ -82,6 +83,11 @@ def sweep(
     if on is not None and lanes != "exact":
         message = f"{legible(repr(lanes))} is for this machine: workers may have other lanes, in which rows differ."
         raise UsageError(Fault("E501", "lanes", message, "Leave it out where workers run the rows."))
+    folder = "" if on is None or out is None or str(out).lower().endswith(".parquet") else str(out)
+    if out is not None and not folder:
+        check_target(out)
+    if on is not None:
+        optional("distributed", "on", "dask")
     asked = {"parameters": parameters, "engine": engine, "variants": variants, "trust": trust, **settings}
 
     def expand(pattern: str) -> list[str]:
@@ -125,7 +131,6 @@ def sweep(
     key |= {"lanes": first.lanes} if first.lanes else {}
     key |= {"n": n, "budget": budget, "engine": start.statistics.engine, "varied rows": _digest(rows, seeds)}
     told = told_of(start.origin, key)
-    folder = "" if on is None or out is None or str(out).lower().endswith(".parquet") else str(out)
     if out is not None and not folder:
         made.part = SweepPart(out, told, resume=resume)
     try:

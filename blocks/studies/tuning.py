@@ -31,8 +31,9 @@ from ..text.live_line import in_rows, live_line
 from ..text.printable import legible, quoted
 from .gains_file import changes
 from .objectives import Constraint, Objective, constraints_of, objective_of
-from .optimizers import METHODS, Spent
+from .optimizers import METHODS, Spent, check_installed
 from .search_space import Space, units_of_parameters
+from .sweep_file import check_target
 from .sweep_run import units_of_measures
 from .tuned import Candidates, Condition, Tuning
 from .tuning_part import TuningPart
@@ -65,6 +66,8 @@ def tune(
     **asked: Any,
 ) -> Tuning:
     """What `Diagram.tune` gives; its other arguments are those of `problem_of`."""
+    if out is not None:
+        check_target(out)
     return problem_of(diagram, **asked).solve(threads=threads, progress=progress, out=out, resume=resume)
 
 
@@ -148,6 +151,7 @@ def problem_of(
         cure = did_you_mean(str(method), METHODS) or f"Methods: {', '.join(METHODS)}."
         cure = "Use Diagram.fit, which compares with measured data." if method == "least_squares" else cure
         raise UsageError(Fault("E501", "method", f"there is no method {quoted(str(method))}.", cure))
+    check_installed(method, f'method="{method}"')
     if not isinstance(budget, int) or isinstance(budget, bool) or budget < 1:
         raise UsageError(Fault("E501", "budget", f"is {budget!r}.", "Give a number of candidates, such as 500."))
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:

@@ -14,6 +14,7 @@ import pytest
 from blocks import LESO, SMESO, Constant, Diagram, DiscreteESO
 from blocks.analysis import loop_report, observer_report
 from blocks.cli import main
+from blocks.frequency.margins import IN_JSON
 from blocks.text.errors import AnalysisError, UsageError
 from tests.support.places import ROOT
 
@@ -198,15 +199,22 @@ def test_linearize_prints_one_object(name: str, capsys: pytest.CaptureFixture[st
         "phase_deg",
         "crossover",
         "delay",
+        "modulus",
         "Ms",
         "Mt",
         "disk",
+        "bandwidth",
         "stable",
         "border",
     ]
     for key in ("gain", "phase_deg", "crossover", "Ms", "Mt"):
         assert made["margins"][key] == pytest.approx(LINEAR[name][key], rel=DIGITS)
     assert made["margins"]["gain_low"] is None
+    assert made["margins"]["modulus"] == pytest.approx(1.0 / LINEAR[name]["Ms"], rel=DIGITS)
+    assert made["bandwidth"] == made["margins"]["bandwidth"]
+    table = said(capsys, "linearize", str(FOLDER / f"{name}.json"), "--loop", "control.u")[1]
+    assert f"bandwidth of T  {made['bandwidth']:.5g} rad/s" in table
+    assert f"modulus margin  {made['margins']['modulus']:.5g} at" in table
     assert made["dc_gain"] is None  # an integrator
     assert made["margins"]["stable"] is True
 
@@ -219,7 +227,7 @@ def test_linearize_tells_a_transfer(capsys: pytest.CaptureFixture[str]) -> None:
     assert made["dc_gain"] == pytest.approx(1.0, rel=1e-12)
     assert made["bandwidth"] == pytest.approx(LINEAR["leso_pd"]["reference"], rel=DIGITS)
     assert made["margins"] == {
-        **dict.fromkeys(("gain", "gain_low", "phase_deg", "crossover", "delay", "Ms", "Mt", "disk")),
+        **dict.fromkeys(IN_JSON),
         "stable": True, "border": False,
     }  # fmt: skip
     status, out, _ = said(capsys, "linearize", path, "--from", "r", "--to", "motor.omega")

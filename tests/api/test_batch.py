@@ -1,5 +1,6 @@
 """Batches: each row is the run that it stands for, bit for bit, whatever runs beside it."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -30,7 +31,8 @@ from blocks import (
 )
 from blocks.api import batch as batches
 from blocks.api.batch import BatchRows
-from blocks.text.errors import BlocksError, UsageError
+from blocks.model.varied import columns_of
+from blocks.text.errors import BlocksError, ModelError, UsageError
 from tests.support.documents import SHIPPED, span
 
 pytestmark = pytest.mark.usefixtures("native")
@@ -58,13 +60,19 @@ def same(rows: BatchRows, i: int, diagram: Diagram, **given: Any) -> None:
 
 
 def varied(diagram: Diagram) -> dict[str, float]:
-    """Some parameters of a diagram that have one number each, with their values."""
-    found = {}
-    for block in diagram.flatten().blocks:
+    """Some parameters of a diagram that have one number each and are not bound, with their values."""
+    flat, found = diagram.flatten(), dict[str, float]()
+    for name in diagram.value.parameters:
+        with contextlib.suppress(ModelError):
+            found[name] = columns_of([name], diagram.value, flat)[0].value
+    found = {name: value for name, value in found.items() if np.isfinite(value)}
+    for block in flat.blocks:
         for key in block.interface.symbolic_parameters.keys() - {*block.interface.declaration.streams}:
             value = block.resolved.values[key].value
             if not isinstance(value, (str, bool)) and value is not None and not np.ndim(value):
-                found[f"{block.path}.{key}"] = float(value)
+                with contextlib.suppress(ModelError):
+                    columns_of([f"{block.path}.{key}"], diagram.value, flat)
+                    found[f"{block.path}.{key}"] = float(value)
     names = sorted(found)
     return {name: found[name] for name in names[:: max(1, len(names) // 5)]}
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Constant, Diagram, FirstOrder, Gain, ModelError, PMDCMotor, Step, UsageError, subdiagram
+from blocks import LESO, Constant, Diagram, FirstOrder, Gain, ModelError, PMDCMotor, Step, UsageError, subdiagram
 
 
 def motor(La: Any) -> Diagram:
@@ -53,6 +53,50 @@ def test_a_number_with_a_unit_is_a_quantity_wherever_a_value_is_given() -> None:
     outer.add("drive", subdiagram(other, load="1 N.m", mode="2 mH"))
     assert outer.value.blocks["drive"].parameters == {"load": {"value": 1, "unit": "N.m"}, "mode": "2 mH"}
     assert outer.flatten(parameters={"drive.motor.La": "2 mH"}).blocks[1].resolved.values["La"].value == 0.002
+
+
+def gains(*values: Any) -> Diagram:
+    """An observer with gains in 1/s, 1/s2 and 1/s3."""
+    d = Diagram("observer")
+    d.add("eso", LESO(gains=list(values), unit="rad/s", unit_u="V"))
+    d.add("y", Step(at=0.1, unit="rad/s"))
+    d.add("u", Constant(value=0.5, unit="V"))
+    d.wire("eso.y", "y.y")
+    d.wire("eso.u", "u.y")
+    d.settings(stop=0.5, every=0.05, log=["eso.z3"])
+    return d
+
+
+@pytest.mark.parametrize("given", [600, "600 1/s2", "0.0006 1/ms2", {"value": 600, "unit": "1/s2"}])
+def test_an_element_is_set_in_its_own_unit_where_units_differ(given: Any) -> None:
+    d, name = gains(30, 500, 1500), "eso.gains[1]"
+    expected = gains(30, 600, 1500).run()["eso.z3"]
+    assert np.array_equal(d.run(parameters={name: given})["eso.z3"], expected)
+    assert np.array_equal(d.prepare().run(parameters={name: given})["eso.z3"], expected)
+    rows = d.batch([name], log=["eso.z3"])([[given], [500.0]])
+    assert np.array_equal(rows.signals["eso.z3"][0], expected)
+    assert np.array_equal(rows.signals["eso.z3"][1], d.run()["eso.z3"])
+    assert d.sweep({name: [given]}).units[name] == "1/s2"
+    run = d.start()
+    run.set(name, given)
+    run.advance_to(0.5)
+    assert np.array_equal(run["eso.z3"], expected[-1])
+    assert run.given == {"eso.gains": "[30 1/s, 600 1/s2, 1500 1/s3]"}
+
+
+def test_an_element_takes_no_other_quantity_than_its_own() -> None:
+    with pytest.raises(ModelError, match=r"E104 eso.gains\[1\]: \[1/s\] is given where \[1/s2\] is needed"):
+        gains(30, 500, 1500).run(parameters={"eso.gains[1]": "600 1/s"})
+
+
+def test_a_single_number_that_fills_an_array_shows_how_many_elements_it_fills() -> None:
+    d = gains(30, 500, 1500)
+    run = d.start(parameters={"eso.gains": 20})
+    assert run.given == {"eso.gains": "20 (all 3 elements)"}
+    run.advance_to(0.5)
+    assert np.array_equal(run["eso.z3"], gains(20, 20, 20).run()["eso.z3"][-1])
+    assert d.sweep({"eso.gains": [20, 30]}).units["eso.gains"] == ""
+    assert d.start(parameters={"eso.b0": 2}).given == {"eso.b0": "2 rad/(s3.V)"}
 
 
 def test_a_sweep_tells_quantities_in_the_unit_of_the_parameter() -> None:

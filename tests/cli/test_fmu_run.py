@@ -2,16 +2,20 @@
 
 import re
 import zipfile
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from blocks import Diagram, FMUError, fmu
+from blocks import Diagram, FMUError, Results, fmu
 from blocks.cli import main
+from blocks.compile.coupling import couple
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
 from tests.support.given_fmus import INTERFACE, plant
 
 pytestmark = NEEDS_COMPILER
+FMUS = Path(__file__).resolve().parents[2] / "fmus"
 EVENT = FAULTS.index("event")
 Printed = pytest.CaptureFixture[str]
 
@@ -26,6 +30,47 @@ def ran(printed: Printed, *words: str, status: int = 0) -> tuple[str, str]:
     assert main(["fmu", "run", "plant.fmu", *words]) == status
     out, err = printed.readouterr()
     return out, err
+
+
+@pytest.mark.parametrize("kind", ["CS", "ME"])
+def test_each_output_is_recorded_once(kind: str, tmp_path: Path, capsys: Printed) -> None:
+    path = str(FMUS / "PMDCMotor.fmu")
+    assert main(["fmu", "run", path, "--kind", kind, "--stop", "0.1", "--out", "motor.csv"]) == 0
+    assert list(Results.load("motor.csv").columns) == ["v", "tau", "omega", "i"]
+    table = capsys.readouterr().out
+    assert (table.count("  omega  "), table.count("PMDCMotor.omega")) == (1, 0)
+    assert main(["fmu", "run", path, "--stop", "0.1", "--log", "PMDCMotor.omega", "--out", "motor.csv"]) == 0
+    assert list(Results.load("motor.csv").columns) == ["PMDCMotor.omega"]
+
+
+def test_the_default_step_is_the_same_by_itself_and_in_a_diagram(tmp_path: Path, capsys: Printed) -> None:
+    experiment = '<DefaultExperiment stopTime="2" stepSize="0.02"/>'
+    for size, own in (("0.05", ' fixedInternalStepSize="0.05"'), ("0.02", "")):
+        plant(
+            tmp_path, (INTERFACE, INTERFACE + own), ("<ModelVariables>", f"{experiment}<ModelVariables>")
+        )  # fmt: skip
+        assert f"every {size} s" in ran(capsys)[0]
+        diagram = Diagram.alone(fmu("plant.fmu"))
+        (unit,) = couple(diagram.flatten(settings={"stop": 2})).units
+        assert float(unit.step) == float(size)
+
+
+@pytest.mark.parametrize(
+    ("settings", "step"),
+    [
+        ({"stop": 2}, "1/500"),
+        ({"stop": 3}, "1/200"),
+        ({"stop": 2, "every": 0.01}, "1/300"),
+        ({"stop": 2, "every": 0.003}, "3/1000"),
+        ({"every": 0.25}, "1/4"),
+        ({}, "1/1000"),
+        ({"stop": 2, "master": {"step": 0.01}}, "1/100"),
+    ],
+)
+def test_the_default_step_is_a_part_of_the_run(settings: dict[str, Any], step: str) -> None:
+    diagram = Diagram.alone(fmu(str(FMUS / "PMDCMotor.fmu"), kind="CS"))
+    (unit,) = couple(diagram.flatten(settings=settings)).units
+    assert unit.step == Fraction(step)
 
 
 def test_the_names_that_the_fmu_gives_are_taken_by_all_options(capsys: Printed, tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from blocks import Diagram, Distribution, LogUniform, Normal, Sweep, TruncatedNo
 from blocks.cli import main
 from blocks.cli.sweep import scenarios_of, vary_of
 from blocks.compile.toolchain.compiler import find_compiler
-from blocks.studies.sampling import InUnit
 from tests.support.places import ROOT
 
 MOTOR = str(ROOT / "diagrams" / "motor_pid.json")
@@ -49,11 +48,11 @@ def test_numbers_of_ranges_and_distributions_have_units(capsys: pytest.CaptureFi
         "g=normal:20 degC,2 degC",
     ]  # fmt: skip
     assert vary_of(words) == {
-        "a": InUnit(Normal(160, 10), "mOhm"), "b": InUnit(Normal(160, 10), "mOhm"),
-        "c": InUnit(TruncatedNormal(160, 10, 0), "mOhm"),
-        "d": InUnit(Distribution("lognorm", s=0.3, scale=160), "mOhm"),
+        "a": Normal(160, 10).in_unit("mOhm"), "b": Normal(160, 10).in_unit("mOhm"),
+        "c": TruncatedNormal(160, 10, 0).in_unit("mOhm"),
+        "d": Distribution("lognorm", s=0.3, scale=160).in_unit("mOhm"),
         "e": [{"value": value, "unit": "mOhm"} for value in (100.0, 150.0, 200.0)],
-        "f": TruncatedNormal(1, 2, -np.inf, 3), "g": InUnit(Normal(20, 2), "degC"),
+        "f": TruncatedNormal(1, 2, -np.inf, 3), "g": Normal(20, 2).in_unit("degC"),
     }  # fmt: skip
     rows = ["--n", "3", "--seed", "5", "--measure", "ITAE", "--stop", "0.1", "--vary"]
     drawn = []

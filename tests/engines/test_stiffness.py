@@ -4,8 +4,10 @@ import math
 import re
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from blocks import (
@@ -77,6 +79,40 @@ def test_a_run_that_is_not_stiff_or_does_not_take_long_is_not_warned_about(
     assert not found(sampled, engine, piece=0.1, stop=10)
     assert found(lag(1e-3), engine, piece=0.1, stop=10)  # without the ticks it is
     assert not found(lag(1e-3), engine, piece=0.01, stop=0.5)  # no step may be longer than 0.01 s
+
+
+class Ran:
+    """A lag of 2e-6 s under dopri5, which a look finds after so many steps of a mean length."""
+
+    def __init__(self, step: float) -> None:
+        self.plan = SimpleNamespace(settings=SimpleNamespace(method="dopri5", stop=5.0))
+        self.step, self.steps = step, 0
+
+    @property
+    def t(self) -> float:
+        return self.step * self.steps
+
+    def state_rates(self) -> stiffness.StateRates:
+        x = np.array([1.0])
+        return stiffness.StateRates(("lag.y",), x, 1e-6 * x, lambda x: (1.0 - x) / 2e-6, 0, math.inf)
+
+
+@pytest.mark.parametrize(
+    ("looks", "step", "is_found"),
+    [
+        ([311_294], 6.6137e-6, True),  # what a second of C made of it before the first look
+        ([2_500, 3_200], 6.6137e-6, False),
+        ([2_500, 3_200, 4_100], 6.6137e-6, True),
+        ([60_000, 90_000, 120_000, 160_000], 3e-6, False),  # steps that the error keeps short
+    ],
+)
+def test_one_look_suffices_after_many_steps(looks: list[int], step: float, is_found: bool) -> None:
+    ran = Ran(step)
+    watch, said = stiffness.StiffWatch(ran), []
+    for ran.steps in looks:
+        said.append(watch.look(ran))
+    assert (said[-1] is not None) == is_found
+    assert said[:-1] == [None] * (len(looks) - 1)
 
 
 @pytest.mark.parametrize("engine", ENGINES)

@@ -475,7 +475,8 @@ def test_an_exact_delay_has_its_margins() -> None:
 
 
 def test_the_json_has_these_keys_and_no_infinity() -> None:
-    keys = ["gain", "gain_low", "phase_deg", "crossover", "delay", "Ms", "Mt", "disk", "stable", "border"]
+    keys = ["gain", "gain_low", "phase_deg", "crossover", "delay", "modulus", "Ms", "Mt", "disk", "bandwidth"]
+    keys += ["stable", "border"]
     for system in (loop(), control.tf([1], [1, 0]), control.ss([[-1.0]], [[1.0]], [[0.5]], 0)):
         shown = margins(system).as_json()
         assert list(shown) == keys
@@ -602,7 +603,8 @@ def test_the_table_of_a_loop_of_several_rates_tells_what_there_is_not() -> None:
 def test_the_json_of_a_loop_of_several_rates_has_null_for_what_there_is_not() -> None:
     shown = margins(OfTicks(control.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1), 2)).as_json()
     assert json.loads(json.dumps(shown, allow_nan=False)) == shown
-    assert [name for name, value in shown.items() if value is None] == ["gain_low", "delay", "Ms", "Mt", "disk"]
+    missing = ["gain_low", "delay", "modulus", "Ms", "Mt", "disk", "bandwidth"]
+    assert [name for name, value in shown.items() if value is None] == missing
 
 
 @pytest.mark.parametrize("seed", long_but(range(20), lambda seed: seed < 6))

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from blocks import Diagram, LookupTable, MatrixGain, ModelError, Ramp, UsageError
+from blocks import Diagram, FirstOrder, LookupTable, MatrixGain, ModelError, Ramp, UsageError
 from blocks.cli import main
 from blocks.compile.toolchain.compiler import find_compiler
+from blocks.engines.driver import Simulation
 
 native = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
 
@@ -109,6 +111,42 @@ def test_an_element_is_set_while_a_run_goes_on_and_when_it_is_resumed() -> None:
 def test_an_element_that_is_not_there_is_refused(name: str, said: str) -> None:
     with pytest.raises((ModelError, UsageError), match=said):
         tables().run(parameters={name: 1}, **GRID)
+
+
+def bound() -> Diagram:
+    """A lag whose time constant is that of the diagram."""
+    made = Diagram("lag")
+    made.parameter("delay", 0.2, unit="s")
+    made.add("plant", FirstOrder(T="=delay"))
+    made.wire(made["plant"].u, made.input("u", default=1.0))
+    made.measure("end", "peak", of="plant.y")
+    return made
+
+
+RUNS: dict[str, Callable[[Diagram, str], Any]] = {
+    "run": lambda made, name: made.run(parameters={name: 0.5}, stop=1),
+    "prepare": lambda made, name: made.prepare().run(parameters={name: 0.5}, stop=1),
+    "batch": lambda made, name: made.batch([name], stop=1),
+    "sweep": lambda made, name: made.sweep({name: [0.1, 0.2]}, stop=1),
+    "tune": lambda made, name: made.tune(minimize="end", over={name: (0.1, 1.0)}, budget=3, stop=1),
+    "fit": lambda made, name: made.fit(
+        {"time": [0.0, 0.5, 1.0], "y": [0.0, 0.9, 1.0]}, over={name: (0.1, 1.0)}, compare={"plant.y": "y"}
+    ),
+}
+
+
+@pytest.mark.parametrize("by", RUNS)
+@pytest.mark.parametrize("name", ["plant.T", "*.T", "all.plant.T"])
+def test_a_bound_parameter_is_refused_before_anything_runs(by: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = bound()
+    if name.startswith("all"):
+        made = Diagram("outer")
+        made.add("all", bound(), copies=2)
+        made.wire("all.u", made.input("u", default=1.0))
+        made.measure("end", "peak", of="all[0].plant.y")
+    monkeypatch.setattr(Simulation, "advance_to", lambda *_: pytest.fail("a run began"))
+    with pytest.raises(ModelError, match=r'E117 (all\.)?plant.T: is bound \("=delay"\) and cannot be set itself'):
+        RUNS[by](made, name)
 
 
 NO_NUMBERS: tuple[Any, ...] = ("x", "=length", [1, 2], None, True, {"value": [1], "unit": ""})

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from blocks import Diagram, Gain, Integrator, Relay, TransferFunction, ZeroOrderHold
 from blocks.server import deeper, gestures, knobs  # noqa: F401  # the messages that they answer
 from blocks.server.editor import Editor
 from blocks.server.messages import ASIDE, HANDLERS
@@ -133,6 +134,61 @@ def test_an_analysis_ends_when_nobody_waits_for_it_any_more(
         assert not session._aside.qsize()
     session.close()
     is_over.set()
+
+
+def searched(searches: str) -> Diagram:
+    """A loop of two rates, or of a relay, or a servo with a gain."""
+    if searches == "servo":
+        return loop(1.0)
+    made = Diagram(searches)
+    made.add("back", Gain(k=-1.0))
+    wires = {"back.u": "plant.y"}
+    if searches == "relay":
+        made.add("plant", TransferFunction(num=[1.0], den=[1.0, 3.0, 3.0, 1.0]))
+        made.add("switch", Relay(on_at=0.0, off_at=0.0, on=1.0, off=-1.0))
+        wires |= {"switch.u": "back.y", "plant.u": "switch.y"}
+    else:
+        made.add("plant", Integrator())
+        made.add("fast", ZeroOrderHold(period=0.1))
+        made.add("slow", ZeroOrderHold(period=0.25))
+        wires |= {"fast.u": "back.y", "slow.u": "fast.y", "plant.u": "slow.y"}
+    for sink, source in wires.items():
+        made.wire(sink, source)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("diagram", "message", "search"),
+    [
+        ("servo", {"do": "response", "input": "gain.y"}, "frequency/margins.py"),
+        ("servo", {"do": "response", "input": "r", "output": "angle.y"}, "frequency/figure_curves.py"),
+        ("servo", {"do": "modes", "at": "rest"}, "linear/operating_point.py"),
+        ("rates", {"do": "response", "input": "back.y"}, "frequency/lifted.py"),
+        ("relay", {"do": "cycles", "at": "start"}, "linear/limit_cycles.py"),
+    ],
+)
+def test_a_search_ends_when_it_is_cancelled(
+    diagram: str, message: dict[str, Any], search: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched(diagram).save(tmp_path / "searched.json")
+    session, searches = Session(Editor(tmp_path / "searched.json")), threading.Event()
+    page, check, is_over = Asking(session), Session.check_wanted, threading.Event()
+
+    def checked(self: Session) -> None:
+        if any(Path(frame.filename).as_posix().endswith(search) for frame in traceback.extract_stack()):
+            searches.set()
+            while self._job is not None and not self._job.is_dropped:  # as if the search took very long
+                if is_over.wait(0.01):
+                    break
+        check(self)
+
+    monkeypatch.setattr(Session, "check_wanted", checked)
+    asked = page.ask(**message)
+    assert searches.wait(60.0)
+    page.ask("cancel", of=asked)
+    told = page.answers()[asked]
+    is_over.set()
+    assert (told["is"], told.get("faults", [{}])[0].get("message")) == ("error", "was cancelled.")
 
 
 def test_what_a_closed_page_asked_for_is_dropped(page: Asking, monkeypatch: pytest.MonkeyPatch) -> None:

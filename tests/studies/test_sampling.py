@@ -6,6 +6,8 @@ import math
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,10 +15,11 @@ import pandas
 import pytest
 from scipy import stats
 
-from blocks import Distribution, LogUniform, Normal, Triangular, TruncatedNormal, Uniform, UsageError, each
+from blocks import Diagram, Distribution, LogUniform, Normal, Triangular, TruncatedNormal, Uniform, UsageError, each
 from blocks.studies import statistics
 from blocks.studies.sampling import Rows, rows_of, seed_of, unit_points
 
+DIAGRAMS = Path(__file__).resolve().parents[2] / "diagrams"
 LAWS = {
     "normal": (Normal(3, 0.5), stats.norm(3, 0.5)),
     "uniform": (Uniform(-1, 2), stats.uniform(-1, 3)),
@@ -178,3 +181,44 @@ def test_rows_without_a_number_do_not_count() -> None:
     assert math.isnan(statistics.correlation(x, np.ones(100)))
     assert statistics.quantiles(y, np.array([0.5]))[0] == np.median(y[kept])
     assert np.isnan(statistics.quantiles(np.full((3, 2), np.nan), np.array([0.5]))).all()
+
+
+@pytest.mark.parametrize(
+    ("law", "plain"),
+    [
+        (Normal("160 mOhm", "10 mOhm"), Normal(160, 10)),
+        (Normal("160 mOhm", {"value": 0.01, "unit": "Ohm"}), Normal(160, 10)),
+        (Uniform("150 mOhm", "0.17 Ohm"), Uniform(150, 170)),
+        (LogUniform("1 mOhm", "1 Ohm"), LogUniform(1, 1000)),
+        (Triangular("1 mOhm", "2 mOhm", "5 mOhm"), Triangular(1, 2, 5)),
+        (TruncatedNormal("160 mOhm", "10 mOhm", high="180 mOhm"), TruncatedNormal(160, 10, high=180)),
+        (Distribution("lognorm", s=0.3, scale="160 mOhm"), Distribution("lognorm", s=0.3, scale=160)),
+    ],
+)
+def test_numbers_of_distributions_have_units_in_python(law: Distribution, plain: Distribution) -> None:
+    points = np.array([0.1, 0.5, 0.9])
+    np.testing.assert_allclose(law.ppf(points), plain.ppf(points), rtol=1e-14)
+    assert (law.unit, plain.unit) == ("mOhm", "")
+    diagram = Diagram.load(DIAGRAMS / "motor_pid.json")
+    options: dict[str, Any] = {"n": 3, "seed": 5, "measures": [], "stop": 0.01}
+    sweep, other = diagram.sweep({"motor.Ra": law}, **options), diagram.sweep({"motor.Ra": plain}, **options)
+    np.testing.assert_allclose(sweep.varied["motor.Ra"], 1e-3 * other.varied["motor.Ra"], rtol=1e-14)
+    assert (sweep.units["motor.Ra"], list(sweep.status)) == ("Ohm", ["ok"] * 3)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Normal("160 mOhm", 10), "E501 Normal: '10' needs a unit, because others have one."),
+        (lambda: Uniform("1 V", "2 A"), "E501 Uniform: .*different quantities"),
+        (lambda: Uniform("low", "high"), "E501 Uniform: 'low' is not a number."),
+        (lambda: Triangular(0, None, 1), "E501 Triangular: 'None' is not a number."),
+        (lambda: Normal("20 degC", "2 K"), "E501 Normal: .*different zeros"),
+        (lambda: Normal("20 mops", "2 mops"), "E501 Normal: '20 mops' is not a number."),
+        (lambda: Distribution("lognorm", s="1 V", scale="2 V"), "E501 lognorm: '1 V' must be a number without a unit."),
+        (lambda: Distribution("norm", loc=[1]), "E501 norm: '\\[1\\]' is not a number."),
+    ],
+)
+def test_numbers_of_distributions_that_do_not_fit_are_refused(make: Callable[[], Any], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        make()

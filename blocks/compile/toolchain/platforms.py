@@ -25,7 +25,7 @@ from __future__ import annotations
 import platform as machines
 import struct
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -37,6 +37,7 @@ __all__ = [
     "INSTALL",
     "PLATFORMS",
     "Platform",
+    "check_compilers",
     "compiler_for",
     "folder_of",
     "folders",
@@ -163,6 +164,14 @@ def compiler_for(platform: str) -> Compiler:
     else:
         what, cure = "zig, which makes libraries for other platforms, is not installed.", f"Install it: {INSTALL}."
     raise CompilerError(Fault("E605", platform, what, cure))
+
+
+def check_compilers(platforms: Iterable[str] | None) -> tuple[str, ...]:
+    """Return the platforms, each once, or this one for None; raise as `compiler_for` if a compiler is missing."""
+    wanted = (this_platform(),) if platforms is None else tuple(dict.fromkeys(platforms))
+    for platform in wanted:
+        compiler_for(platform)
+    return wanted
 
 
 def _for_export(compiler: Compiler) -> Compiler:

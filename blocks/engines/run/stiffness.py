@@ -24,6 +24,7 @@ Array = np.ndarray[Any, Any]
 
 _FIRST, _PART = 2_000, 0.25  # steps before the first look, and between looks as a part of all before
 _LOOKS = 3  # in a row that must find the run stiff
+_LONG = 50_000  # steps since the last look after which one suffices: a short run in C has few looks
 _MANY = 200_000  # steps left; fewer are no reason to take another method
 _GAIN = 10  # a step as much longer must fit between instants and within the longest step
 _VECTORS = 16  # of the Krylov space in which the eigenvalue is estimated
@@ -90,7 +91,7 @@ class StiffWatch:
             self.count = 0
             return None
         self.count += 1
-        if self.count < _LOOKS:
+        if self.count < _LOOKS and taken < _LONG:
             return None
         self.is_over = True
         message = (
