@@ -273,8 +273,8 @@ def test_linearize_draws(kind: str, tmp_path: Path, capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ((), "needs --from and --to, or --loop alone"),
-        (("--from", "r"), "needs --from and --to"),
+        ((), "needs either --from and --to, or --loop alone"),
+        (("--from", "r"), "needs either --from and --to"),
         (("--loop", "control.u", "--from", "r"), "or --loop alone"),
         (("--loop", "control.w"), "there is no such signal. Did you mean"),
         (("--from", "r", "--to", "motor.omega", "--amplitude", "eso.e"), "is not NAME=VALUE"),

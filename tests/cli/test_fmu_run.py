@@ -93,7 +93,7 @@ def test_an_fmu_without_outputs_shows_its_local_variables(capsys: Printed, tmp_p
         ('<InitialUnknown valueReference="2" dependencies=""/>', ""),
     )  # fmt: skip
     out, err = ran(capsys, "--stop", "1", "--input", "u=2")
-    assert err == "plant.fmu has no outputs: its local variables are recorded; --log NAME records others.\n"
+    assert err == "plant.fmu has no outputs: its local variables are recorded; --log NAME records other variables.\n"
     assert re.search(r"^  plant\.y .* 2 ", out, re.MULTILINE)
 
 

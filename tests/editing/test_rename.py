@@ -405,7 +405,7 @@ def test_other_files_that_use_the_name_are_told_and_left_alone(
     told = set()
     for line in capsys.readouterr().err.splitlines():
         line = line.removesuffix(" (--project changes it as well)")
-        found = re.fullmatch(r"warning: not changed: (.*):(\d+):(\d+): (\S+) -> (\S+)", line)
+        found = re.fullmatch(r"warning: left unchanged: (.*):(\d+):(\d+): (\S+) -> (\S+)", line)
         assert found is not None
         name, at, column, old, new = found.groups()
         name = os.path.relpath(name, os.path.relpath(tmp_path))

@@ -120,8 +120,8 @@ def test_a_point_that_is_none_of_rest_is_told_where_something_is_not_linear() ->
     ("arguments", "says"),
     [
         (("--loop", "r"), "it is in no loop"),
-        (("--loop", "control.u", "--figure", "bode"), "no file to draw it to"),
-        (("--loop", "control.u", "--pade", "-1"), "is no order of a model"),
+        (("--loop", "control.u", "--figure", "bode"), "has no file to draw to"),
+        (("--loop", "control.u", "--pade", "-1"), "is not an order of a Padé model"),
         (("--loop", "control.u", "--input", "r=60 V"), "different quantities"),
     ],
 )
