@@ -195,7 +195,7 @@ def test_limits_and_bounds_of_a_tuning_take_units() -> None:
     quantity = lag().tune(over={"k": ("6 deg/s", "9 rpm")}, subject_to=["largest <= 5 rpm"], **options)
     assert quantity.values == plain.values
     assert quantity.is_feasible
-    with pytest.raises(UsageError, match=r'subject_to\[0\]: "5 V" is the limit of a measure in rad/s'):
+    with pytest.raises(UsageError, match=r'subject_to\[0\]: "5 V" limits a measure in rad/s'):
         lag().tune(over={"k": (1, 9)}, subject_to=["largest <= 5 V"], **options)
     with pytest.raises(UsageError, match="E501 k: V and rpm are different quantities"):
         lag().tune(over={"k": ("1 V", 9)}, **options)
