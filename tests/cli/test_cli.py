@@ -148,7 +148,7 @@ def test_values_with_units_on_the_command_line(text: str) -> None:
         ),
         (["--plot", "x.jpg"], "E501", "x.jpg: the ending '.jpg' is no format of pictures. Use .svg, .png or .pdf."),
         (["--plot", "x"], "E501", "x: a name without ending is no format of pictures. Use .svg, .png or .pdf."),
-        (["--plot", "no/such/folder/x.svg"], "E501", "--plot no/such/folder/x.svg: the folder no/such/folder is not"),
+        (["--plot", "no/such/folder/x.svg"], "E501", "--plot no/such/folder/x.svg: the folder no/such/folder does not exist"),
     ],
 )
 def test_what_cannot_be_meant_is_told_with_a_cure(
@@ -642,7 +642,7 @@ def test_another_tolerance_of_the_run_is_told_and_its_differences_are_small(
         ),
         ("time,m.w\n0,0\n", ["--tolerance", "-1"], "E501 tolerance: must be a number from 0 on, not -1.0."),
         ("time,m.w\n0,0\n", ["--tolerance", "few"], "E501 --tolerance: 'few' is not a number."),
-        ("time,m.w\n0,0\n", ["--absolute", "1 mV"], "E501 --absolute: '1 mV' is not a number without unit."),
+        ("time,m.w\n0,0\n", ["--absolute", "1 mV"], "E501 --absolute: '1 mV' must be a number without a unit."),
     ],
 )  # fmt: skip
 def test_compare_refuses_what_cannot_be_compared(
@@ -1041,7 +1041,9 @@ def test_a_quantizer_in_a_servo_is_taken_as_a_gain_where_the_command_line_says_s
     known = 90.0 - math.degrees(math.atan(crossover))
     assert main(["linearize", path, "--loop", "e.y"]) == 2
     told = capsys.readouterr().err
-    assert "E705 e.y: nothing of what is put in there comes back. q.y passes nothing on where it stands" in told
+    assert (
+        "E705 e.y: a signal that enters there does not come back. q.y passes nothing on at its operating point" in told
+    )
     assert "or --override q=1, or its describing function" in told
     assert "or --amplitude q.u=A." in told
     for options, gain in ((["--override", "q=1"], 1.0), (["--override", "q=[[0.5]]"], 0.5)):

@@ -72,7 +72,7 @@ def test_numbers_of_ranges_and_distributions_have_units(capsys: pytest.CaptureFi
         ("a=linspace:1,2,2.5", "is not linspace:FROM,TO,COUNT"),
         ("a=lognorm:0.3,2", "does not give values"),
         ("a=10:20:5", "E501 --vary a: '10:20:5' is neither a number nor .* Write a range as linspace:FROM,TO,COUNT"),
-        ("a=normal:20,-2", "E501 --vary a: 'normal:20,-2' is no distribution .*: the deviation -2 is not above 0"),
+        ("a=normal:20,-2", "E501 --vary a: 'normal:20,-2' is not a distribution .*: the deviation -2 is not above 0"),
         ("a=uniform:30,10", "E501 --vary a: 'uniform:30,10' .*: 30 is not below 10. Give LOW before HIGH"),
         ("a=normal:1,200 mOhm", "'1' needs a unit, because others have one"),
         ("a=normal:1 Ohm,b", "'b' is not a number. Write a number in the unit of the parameter, or add a unit"),
