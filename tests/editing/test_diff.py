@@ -495,7 +495,7 @@ def test_files_that_hold_each_other_many_times_are_compared_once_each(tmp_path: 
 
     a, b, c = tower(tmp_path / "a", 1), tower(tmp_path / "b", 1), tower(tmp_path / "c", 2)
     assert not differences(a, b)
-    with pytest.raises(ModelError, match=r"E008 there are more than 100,000 differences\."):
+    with pytest.raises(ModelError, match=r"E008 the diagrams have more than 100,000 differences\."):
         differences(a, c)
 
 

@@ -223,12 +223,12 @@ def test_a_port_that_is_used_and_has_no_partner_is_told_and_nothing_is_changed()
     with pytest.raises(ModelError) as caught:
         diagram.swap("motor", FirstOrder())
     assert [str(fault) for fault in caught.value.faults] == [
-        "E105 motor: the input v [V] (wires: motor.v) has no partner in what takes its place. "
-        "It has u; pairs can be given: ports={...}.",
-        "E105 motor: the output omega [rad/s] (wires: look.u) has no partner in what takes its place. "
-        "It has y; pairs can be given: ports={...}.",
-        "E105 motor: the output i [A] (run: log) has no partner in what takes its place. "
-        "It has y; pairs can be given: ports={...}.",
+        "E105 motor: the input v [V] (wires: motor.v) has no counterpart in the new block. "
+        "The new block has u. To pair ports with different names, give ports={...}.",
+        "E105 motor: the output omega [rad/s] (wires: look.u) has no counterpart in the new block. "
+        "The new block has y. To pair ports with different names, give ports={...}.",
+        "E105 motor: the output i [A] (run: log) has no counterpart in the new block. "
+        "The new block has y. To pair ports with different names, give ports={...}.",
     ]
     assert diagram.dumps() == before
     diagram.settings(log=["look.y"])

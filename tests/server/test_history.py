@@ -240,7 +240,7 @@ def test_a_gesture_that_is_refused_shows_what_another_program_wrote(tmp_path: Pa
             patch.setattr(Session, "tell_document", lambda session: told.append(session.document.revision))
             with pytest.raises(BlocksError, match="changed by another program"):
                 ask("edit", operations=[{"wire": "step.y", "to": "pid.y"}])
-            with pytest.raises(BlocksError, match="is driven by"):
+            with pytest.raises(BlocksError, match="is already driven by"):
                 ask("edit", operations=[{"wire": "step.y", "to": "pid.y"}])
         assert told == [editor.revision]
 
