@@ -65,7 +65,7 @@ def test_the_amplitudes_of_limit_cycles_are_in_the_unit_of_the_law(limits: Any) 
     assert cycle.omega == pytest.approx(1.0, rel=1e-6)  # |G(j)| = 1/2, and N = 4/(pi A)
     A = cycle.amplitudes["law.u"]
     assert pytest.approx(2.0 / math.pi, rel=1e-6) == A
-    with pytest.raises(UsageError, match="are no limits above 0"):
+    with pytest.raises(UsageError, match="must be two limits above 0"):
         limit_cycles(diagram, amplitude=("2 rpm", "1 rpm"))
     assert not limit_cycles(diagram, amplitude=(f"{A * 1.1} rad/s", "1e4 rpm"))
     assert not limit_cycles(diagram, amplitude=(A / RPM * 1.1, 1e4))

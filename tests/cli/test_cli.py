@@ -148,7 +148,8 @@ def test_values_with_units_on_the_command_line(text: str) -> None:
         ),
         (["--plot", "x.jpg"], "E501", "x.jpg: the ending '.jpg' is no format of pictures. Use .svg, .png or .pdf."),
         (["--plot", "x"], "E501", "x: a name without ending is no format of pictures. Use .svg, .png or .pdf."),
-        (["--plot", "no/such/folder/x.svg"], "E501", "--plot no/such/folder/x.svg: the folder no/such/folder does not exist"),
+        (["--plot", "no/such/folder/x.svg"], "E501", "--plot no/such/folder/x.svg: the folder no/such/folder "
+            "does not exist"),
     ],
 )
 def test_what_cannot_be_meant_is_told_with_a_cure(

@@ -102,7 +102,7 @@ def test_a_law_that_bends_beside_others_with_amplitudes_is_told() -> None:
     d = Diagram.load(FOLDER / "paper" / "iadrc.json")
     amplitude: dict[str, Any] = {"control_right.eso.e": 0.01, "control_right.nlsef.e[0]": 0.05}
     notes = {row.path: row.note for row in d.linearizer(amplitude=amplitude).loop("motor_right.v").report}
-    assert "law[1] bends too, and stands at e[1] = 0: give its amplitude" in notes["control_right.nlsef"]
+    assert "law[1] is nonlinear too, and works at e[1] = 0: give its amplitude" in notes["control_right.nlsef"]
     amplitude["control_right.nlsef.e[1]"] = 0.5
     notes = {row.path: row.note for row in d.linearizer(amplitude=amplitude).loop("motor_right.v").report}
     assert "law[1]" not in notes["control_right.nlsef"]
