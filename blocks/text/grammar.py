@@ -398,7 +398,7 @@ class Table(Kind):
                 names.check(name, (*path, name), told, is_key=True)
                 continue
             if self.reserved is not None and name == self.reserved[0]:
-                told.fault("E109", (*path, name), self.reserved[1], "Name it otherwise.", at_key=True)
+                told.fault("E109", (*path, name), self.reserved[1], "Choose another name.", at_key=True)
             if type(entry) not in simple:
                 self.kind.check(entry, (*path, name), told)
 

@@ -280,7 +280,7 @@ def test_linearize_draws(kind: str, tmp_path: Path, capsys: pytest.CaptureFixtur
         (("--from", "r", "--to", "motor.omega", "--amplitude", "eso.e"), "is not NAME=VALUE"),
         (("--from", "r", "--to", "motor.omega", "--amplitude", "eso.e=1"), "no nonlinear law reads this signal"),
         (("--from", "r", "--to", "motor.omega", "--amplitude", "eso.e=much"), "is not a number"),
-        (("--loop", "control.u", "--plot", "loop.bmp"), "is no format of pictures"),
+        (("--loop", "control.u", "--plot", "loop.bmp"), "is not a format of pictures"),
         (("--loop", "control.u", "--at", "-1"), "lies before the start"),
     ],
 )

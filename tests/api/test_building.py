@@ -57,7 +57,7 @@ add("a", Gain(k=math.inf))
 add("a", Gain(k=math.nan))
     ModelError: E004 blocks.a.parameters.k: JSON has no nan. Write a finite number.
 add("a", Gain(k=10**400))
-    ModelError: E004 blocks.a.parameters.k: an integer is too large: a float ends at 1.8e308.
+    ModelError: E004 blocks.a.parameters.k: an integer is too large: the largest float is 1.8e308.
 add("a", Gain(k={"value": 2.0, "unit": "Vv"}))
     ModelError: E114 a.k: the unit 'Vv' cannot be read at character 1: 'Vv' is not known. A unit is a product
     such as 'kg.m2/s3' of kg m s A K mol cd rad N J W Pa Hz C V Ohm S H F Wb T g t l L bar min h d deg rev rpm

@@ -143,9 +143,9 @@ def test_a_csv_file_gives_units_to_times_and_elements_and_may_not_give_others(tm
 @pytest.mark.parametrize(
     ("units", "said"),
     [
-        ('{"v": "deg/s"}', '"# units" names no column: v. Columns: time, u.'),
-        ('{"u": 3}', "\"# units\" gives 'u' a unit that is no text."),
-        ("{u: deg/s}", '"# units" is no JSON object.'),
+        ('{"v": "deg/s"}', '"# units" names columns that do not exist: v. Columns: time, u.'),
+        ('{"u": 3}', "\"# units\" gives 'u' a unit that is not a text."),
+        ("{u: deg/s}", '"# units" is not a JSON object.'),
     ],
 )
 def test_units_of_a_csv_file_that_cannot_be_meant_are_refused(units: str, said: str, tmp_path: Path) -> None:

@@ -144,10 +144,10 @@ def test_values_with_units_on_the_command_line(text: str) -> None:
         (
             ["--out", "x.txt"],
             "E501",
-            "x.txt: the ending '.txt' is no format of result files. Use .csv, .parquet or .mat.",
+            "x.txt: the ending '.txt' is not a format of result files. Use .csv, .parquet or .mat.",
         ),
-        (["--plot", "x.jpg"], "E501", "x.jpg: the ending '.jpg' is no format of pictures. Use .svg, .png or .pdf."),
-        (["--plot", "x"], "E501", "x: a name without ending is no format of pictures. Use .svg, .png or .pdf."),
+        (["--plot", "x.jpg"], "E501", "x.jpg: the ending '.jpg' is not a format of pictures. Use .svg, .png or .pdf."),
+        (["--plot", "x"], "E501", "x: a name without ending is not a format of pictures. Use .svg, .png or .pdf."),
         (["--plot", "no/such/folder/x.svg"], "E501", "--plot no/such/folder/x.svg: the folder no/such/folder "
             "does not exist"),
     ],
@@ -662,7 +662,7 @@ def test_compare_refuses_what_is_no_result_file(tmp_path: Path, capsys: pytest.C
     assert main(["compare", a, str(tmp_path / "none.csv")]) == 2
     assert capsys.readouterr().err == f"E503 {tmp_path / 'none.csv'}: cannot be read: No such file or directory.\n"
     assert main(["compare", a, MOTOR]) == 2
-    said = "the ending '.json' is no format of result files. Use .csv, .parquet or .mat."
+    said = "the ending '.json' is not a format of result files. Use .csv, .parquet or .mat."
     assert capsys.readouterr().err == f"E501 {MOTOR}: {said}\n"
 
 

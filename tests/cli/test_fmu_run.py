@@ -168,7 +168,7 @@ def test_archives_are_named_where_a_diagram_is_meant(capsys: Printed, tmp_path: 
     with zipfile.ZipFile(tmp_path / "system.ssp", "w") as archive:
         archive.writestr("SystemStructure.ssd", "<ssd/>")
     for words, said in {
-        ("run", "plant.fmu"): "E001 plant.fmu:1:1: is an archive, such as an FMU, .* blocks fmu run X.fmu\\.",
+        ("run", "plant.fmu"): "E001 plant.fmu:1:1: is an archive, for example an FMU, .* blocks fmu run X.fmu\\.",
         ("check", "plant.fmu"): "E001 plant.fmu:1:1: is an archive",
         ("run", "system.ssp"): "E001 system.ssp:1:1: is a package of SSP .* Unpack it",
         ("fmu", "run", "system.ssp"): "E202 system.ssp: it is a package of SSP .* Unpack it",

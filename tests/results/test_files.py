@@ -317,8 +317,8 @@ def test_a_mat_file_of_another_program_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("x.txt", "x.txt: the ending '.txt' is no format of result files. Use .csv, .parquet or .mat."),
-        ("x", "x: a name without ending is no format of result files. Use .csv, .parquet or .mat."),
+        ("x.txt", "x.txt: the ending '.txt' is not a format of result files. Use .csv, .parquet or .mat."),
+        ("x", "x: a name without ending is not a format of result files. Use .csv, .parquet or .mat."),
     ],
 )
 def test_another_ending_is_refused(name: str, said: str, tmp_path: Path) -> None:

@@ -157,7 +157,7 @@ def test_what_another_program_wrote_is_never_overwritten_and_can_be_undone(tmp_p
         with pytest.MonkeyPatch.context() as patch:  # it is written between our look at the file and our writing
             patch.setattr(Editor, "_catch_up", lambda self: None)
             path.write_text(ours)
-            with pytest.raises(UsageError, match="another program has changed it"):
+            with pytest.raises(UsageError, match="another program changed the file in the meantime"):
                 edit(editor, "set", [{"set": "run.stop", "to": 9}])
         assert path.read_text() == ours
         editor._catch_up()

@@ -178,7 +178,7 @@ def test_what_leads_out_of_the_folder_or_is_no_file_is_not_written(tmp_path: Pat
                 ask(do, **fields)
         path.unlink()
         os.mkfifo(path)
-        with pytest.raises(BlocksError, match="this is no file any more"):
+        with pytest.raises(BlocksError, match="the file is no longer an ordinary file"):
             ask("undo")
         path.unlink()
         assert other.read_bytes() == theirs

@@ -252,7 +252,7 @@ def test_many_events_give_a_mark_for_a_pixel_and_how_many_there_are() -> None:
     ("text", "wanted"),
     [
         ("x,y\n1,2\n", "E503 lab.csv: must have 'time' as its first column."),
-        ("time;x\n1;2\n", "E503 lab.csv: separates its columns by ';', where commas are needed."),
+        ("time;x\n1;2\n", "E503 lab.csv: separates its columns by ';'. Use commas."),
         (
             "time,x\n1,2\n0,3\n",
             "E503 lab.csv: row 2: the time is not a number, or lies before the time of the row above.",

@@ -303,7 +303,7 @@ def test_arguments_that_cannot_be_meant(tmp_path: Path) -> None:
     for given, said in (
         ({"scenarios": {"loud": {"k": 3}}}, "E501 k: is both a column and a parameter of all rows"),
         ({"scenarios": {"loud": 3}}, "scenarios.loud: must be a mapping from parameters to values"),
-        ({"out": tmp_path / "a.csv"}, "E501 .*a.csv.*is no format of sweeps. Use .parquet"),
+        ({"out": tmp_path / "a.csv"}, "E501 .*a.csv.*is not a format of sweeps. Use .parquet"),
         ({"measures": ["tip"]}, "no such measure. Did you mean 'top'"),
     ):
         with pytest.raises(UsageError, match=said):
