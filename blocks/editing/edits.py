@@ -245,7 +245,7 @@ def check_version(document: Document) -> None:
     if isinstance(version, Number) and not oldest <= float(version) <= newest:
         is_older = version < oldest
         message = f"version {version.text} " + ("must be updated first." if is_older else "cannot be read.")
-        cure = f"Run blocks fmt {document.file}" if is_older else "Update blocks (pip install -U blocks-cosim)."
+        cure = f"Run blocks fmt {document.file}" if is_older else "Update blocks."
         fault = Fault("E005", "version", message, cure, ("version",))
         raise ModelError(fault.at(document.file, *document.positions["version",]))
 

@@ -507,7 +507,7 @@ class _StudyReader:
             elif not isinstance(version, Number):
                 self.fault("E005", ("version",), "must be a number.", f'Write "version": {VERSION}.')
             else:
-                newer = "Update blocks (pip install -U blocks-cosim)."
+                newer = "Update blocks."
                 cure = newer if version > VERSION else f"This release reads version {VERSION}."
                 self.fault("E005", ("version",), f"version {version!r} cannot be read.", cure)
             raise ModelError(*self.faults)

@@ -337,7 +337,7 @@ def test_a_missing_package_is_told_with_its_cure(tmp_path: Path, monkeypatch: py
         made().save(path)
     assert str(caught.value) == (
         f"E504 {path}: the package pyarrow is needed and not installed. "
-        'Install it: pip install "blocks-cosim[tables]", or pip install pyarrow.'
+        'Install it: pip install pyarrow; or in a clone of blocks: pip install -e ".[tables]".'
     )
     with pytest.raises(UsageError, match="E504 to_pandas: the package pandas is needed and not installed"):
         made().to_pandas()
