@@ -77,7 +77,7 @@ class Sampled:
         ticks: dict[int, list[int]] = {}
         for number, (period, offset, *_) in enumerate(self.rates):
             if self.period // period > _MOST:
-                message = f"its rates repeat after {self.period // period} ticks only."
+                message = f"its rates repeat only after {self.period // period} ticks, too many for a model."
                 cure = "Choose periods with a shorter common multiple."
                 raise AnalysisError(Fault("E703", plan.name, message, cure))
             for k in range(self.period // period):

@@ -471,8 +471,8 @@ def test_names_that_python_control_takes_for_one_stay_apart() -> None:
         (("ghost", "b.y"), r'E501 "ghost": there is no such signal\. Signals: u, b\.y, b\.u\.'),
         (("u", ["b.y", "b.y"]), r"E501 b\.y: appears twice among the outputs\."),
         ((["u", "u"], "b.y"), r"E501 u: appears twice among the inputs\."),
-        (([], "b.y"), r"E501 inputs: there are none\. Name a signal\."),
-        (("u", []), r"E501 outputs: there are none\. Name a signal\."),
+        (([], "b.y"), r"E501 inputs: must not be empty\. Name a signal\."),
+        (("u", []), r"E501 outputs: must not be empty\. Name a signal\."),
         (("u[3]", "b.y"), r'E501 "u\[3\]": there is no such signal'),
     ],
 )
@@ -1323,7 +1323,7 @@ def test_delays_are_exact_in_responses_and_told_in_models() -> None:
     assert both[0, 1] == pytest.approx(-1 / (1 + L), rel=1e-11)
     for ask in (lambda: linearizer.model("r", "lag.y"), lambda: linearizer.loop("lag.y")):
         with pytest.raises(
-            AnalysisError, match=r"E707 delayed: exact delays contribute, .* lag\.past \(0\.3 s\)\. .* pade=3"
+            AnalysisError, match=r"E707 delayed: the transfer has exact delays, .* lag\.past \(0\.3 s\)\. .* pade=3"
         ):
             ask()
     # What does not pass through the delay has a model.
@@ -1568,7 +1568,7 @@ def test_programs_and_what_remembers_each_step_have_no_linear_model(block: Block
     d.wire(d.add("after", FirstOrder()).u, "b.y")
     d.wire(d.add("other", FirstOrder()).u, "u")
     for ends in (("u", "b.y"), ("b.u", "b.y"), ("u", "after.y")):
-        with pytest.raises(AnalysisError, match=r"E703 b: does something at each step, or is a program"):
+        with pytest.raises(AnalysisError, match=r"E703 b: acts at each step, or is a program"):
             d.linearize(*ends)
     # What does not pass through it has one, and a model can take its place.
     assert at(d.linearize("u", "other.y"))[0, 0] == pytest.approx(1 / (1j * OMEGA + 1), rel=1e-12)
@@ -1658,8 +1658,9 @@ def test_points_of_values_that_differ_in_their_last_digits_are_told_apart() -> N
 @pytest.mark.parametrize(
     ("ask", "message"),
     [
-        (lambda made: made.response("r", "lag.y", [1.0, math.nan]), r"E501 response: frequencies are finite numbers"),
-        (lambda made: made.response("r", "lag.y", [[1.0, 2.0]]), r"E501 response: frequencies are finite numbers"),
+        (lambda made: made.response("r", "lag.y", [1.0, math.nan]), r"E501 response: frequencies must be finite "
+            r"numbers"),
+        (lambda made: made.response("r", "lag.y", [[1.0, 2.0]]), r"E501 response: frequencies must be finite numbers"),
         (lambda made: made.model("r", "lag.y", pade=2.5), r"E501 pade: must be an order, 1 or more, not 2\.5\."),
         (lambda made: made.model("r", "lag.y", pade=-1), r"E501 pade: must be an order, 1 or more, not -1\."),
     ],

@@ -81,7 +81,7 @@ def test_what_limits_rates_has_no_linear_model_even_where_it_stands_still() -> N
     r = d.input("r", default=1.0)
     d.add("b", RateLimiter(rising=100.0, falling=100.0))
     d.wire("b.u", r)
-    with pytest.raises(AnalysisError, match="does something at each step"):
+    with pytest.raises(AnalysisError, match="acts at each step"):
         d.linearize("r", "b.y")
 
 
