@@ -1098,7 +1098,7 @@ def test_linearize_keeps_the_dead_time_of_a_loop_exact_without_pade(
     for kind in ("step", "poles"):
         drawn = str(tmp_path / f"{kind}.svg")
         assert main(["linearize", path, "--loop", "e.y", "--plot", drawn, "--figure", kind]) == 2
-        assert "E707 e.y: exact delays contribute, and this figure needs a state space." in capsys.readouterr().err
+        assert "E707 e.y: the loop has exact delays, but this figure needs a state space." in capsys.readouterr().err
     path = write(
         tmp_path / "smith.json",
         inputs={"r": {}},
