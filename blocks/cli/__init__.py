@@ -171,7 +171,7 @@ def _unforeseen(error: Exception) -> tuple[int, Fault]:
             silence(sys.stdout)
             return UsageError.exit_status, Fault("E501", STDOUT, f"cannot be written: {why}.", "")
         cure = "" if place else "Run it again with --debug to see where."
-        return UsageError.exit_status, Fault("E501", place, f"the system refused: {why}.", cure)
+        return UsageError.exit_status, Fault("E501", place, f"the operating system refused: {why}.", cure)
     message = f"blocks itself failed ({type(error).__name__}{': ' + what if what else ''})."
     return BROKEN, Fault("E901", "", message, "This is a fault of blocks: run it again with --debug, and report it.")
 

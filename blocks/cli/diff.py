@@ -52,9 +52,7 @@ def _diff(options: argparse.Namespace) -> int:
             Fault("E501", options.svg, "the format is not supported: diff draws SVG only.", "Name it FILE.svg.")
         )
     if options.depth is not None and not 1 <= options.depth <= 30:
-        raise UsageError(
-            Fault("E501", f"--depth {options.depth}", "must be 1 or more: the number of levels to open.", "")
-        )
+        raise UsageError(Fault("E501", f"--depth {options.depth}", "must be 1 to 30: the number of levels to open."))
     if options.git:
         return _for_git(options)
     if options.b is None:

@@ -40,9 +40,7 @@ def _draw(options: argparse.Namespace) -> int:
     from ..text.atomic_write import write_atomically
 
     if not 1 <= options.depth <= 30:
-        raise UsageError(
-            Fault("E501", f"--depth {options.depth}", "must be 1 or more: the number of levels to show.", "")
-        )
+        raise UsageError(Fault("E501", f"--depth {options.depth}", "must be 1 to 30: the number of levels to show."))
     if not options.html and (options.results or options.run):
         what = "--run" if options.run else "--results"
         raise UsageError(Fault("E501", what, "works for a page only.", "Add --html."))

@@ -223,7 +223,8 @@ def _master(items: Sequence[str]) -> dict[str, Any] | None:
         elif first == "steps":
             master.setdefault("steps", {})[block] = value
         else:
-            message, cure = "is not a setting of the master.", "To set the step of one block, write steps.BLOCK=0.001."
+            message = "is not a setting of the master: only steps.BLOCK has a point."
+            cure = "To set the step of one block, write steps.BLOCK=0.001."
             raise UsageError(Fault("E501", f"--master {key}", message, cure))
     return master or None
 

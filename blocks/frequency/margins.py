@@ -336,7 +336,7 @@ def _of_several_rates(loop: Any, check: Callable[[], None] | None) -> Margins:
     model = balanced(loop)
     seen = model.visible()
     if not np.any(model.d != 0) and not len(seen.a):
-        cure = "Open the loop at a signal that comes back to itself."
+        cure = "Open the loop at a signal that feeds back to itself."
         raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero at all frequencies.", cure))
     for direct in np.diag(seen.d).tolist():
         _well_posed(1.0 + direct, 1.0)
@@ -643,7 +643,7 @@ def _grid(
     values = both[0]
     usable = np.isfinite(values) & (values != 0)
     if np.count_nonzero(usable) < 2:
-        cure = hint or "Open the loop at a signal that comes back to itself."
+        cure = hint or "Open the loop at a signal that feeds back to itself."
         raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero or infinite at all frequencies.", cure))
     return omega[usable], values[usable]
 

@@ -315,7 +315,7 @@ def color(session: Session, *, by: str) -> Answer:
             message = "this method does not report the block for which a step was rejected; explicit methods do."
             raise UsageError(Fault("E501", live.prepared.plan.settings.method, message, 'Choose for example "dopri5".'))
     else:
-        cure = did_you_mean(by, ["rate", "rejected"])
+        cure = did_you_mean(by, ["rate", "rejected"]) or "Choose rate or rejected."
         raise UsageError(Fault("E501", "color.by", f"{by!r} is not a way to color.", cure))
     found: dict[str, Any] = {}
     for path in (block["path"] for block in blocks):

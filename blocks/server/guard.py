@@ -70,7 +70,7 @@ class Guard:
             return Refusal(405, "This server accepts GET and HEAD only.")
         host = one.get("host", "")
         if host not in self.hosts:
-            return Refusal(403, "This server answers requests to 127.0.0.1 only, under no other name.")
+            return Refusal(403, "Open this server as 127.0.0.1 or localhost: it has no other name.")
         if len(path) > LONGEST_PATH:
             return Refusal(414, "This path is too long.")
         route, is_known = self._route(path)

@@ -499,7 +499,7 @@ class Object(Kind):
             if key not in value:
                 told.fault("E009", path, f'the key "{key}" is missing.')
             elif not value[key] and needed.kind.is_void(value[key]):
-                told.fault("E009", path, f'"{key}" is empty.')
+                told.fault("E009", path, f'"{key}" must not be empty.')
                 passed.append(key)
         checks = self._checks
         for key, entry in value.items():

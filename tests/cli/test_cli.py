@@ -1063,7 +1063,7 @@ def test_a_quantizer_in_a_servo_is_taken_as_a_gain_where_the_command_line_says_s
         assert main(["linearize", path, "--loop", "e.y", "--override", option]) == 2
         assert says in capsys.readouterr().err
     assert main(["linearize", path, "--loop", "r"]) == 2
-    assert "it is in no loop. Open the loop at a signal that comes back to itself." in capsys.readouterr().err
+    assert "it is in no loop. Open the loop at a signal that feeds back to itself." in capsys.readouterr().err
 
 
 def test_linearize_keeps_the_dead_time_of_a_loop_exact_without_pade(
@@ -1230,7 +1230,8 @@ def test_an_error_of_the_system_that_names_no_file_is_not_one_of_stdout(
 
         monkeypatch.setattr(Diagram, "load", refuse)
         assert main(["run", "x.json"]) == 2, "also not what `| head` ends"
-        assert capsys.readouterr().err == f"E501 the system refused: {said}. Run it again with --debug to see where.\n"
+        told = f"E501 the operating system refused: {said}. Run it again with --debug to see where.\n"
+        assert capsys.readouterr().err == told
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is full")

@@ -848,7 +848,7 @@ def test_the_drawing_is_written_and_an_odd_place_is_refused(pair: Path, capsys: 
     for arguments, word in (
         (("--svg", "d.png"), "diff draws SVG only"),
         (("--svg", "no/d.svg"), "cannot be written"),
-        (("--depth", "0"), "must be 1 or more: the number of levels"),
+        (("--depth", "0"), "must be 1 to 30: the number of levels"),
         (("c.json",), "more than two files were given"),
         (("--git",), "2 arguments were given; git passes seven."),
     ):

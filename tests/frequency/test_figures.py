@@ -225,7 +225,7 @@ def test_what_cannot_be_drawn_is_refused() -> None:
         sigma([plant()] * 7)
     with pytest.raises(UsageError, match="cannot be distinguished"):
         bode([])
-    with pytest.raises(UsageError, match="positive numbers in rad/s"):
+    with pytest.raises(UsageError, match="positive numbers, in rad/s"):
         bode(plant(), [0.0, 1.0])
 
 

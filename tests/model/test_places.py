@@ -72,7 +72,7 @@ def test_behind_a_cut_a_signal_rests_under_all_of_its_names() -> None:
 @pytest.mark.parametrize("word", ["inputs", "openings"])
 def test_nothing_is_put_in_where_a_signal_is_only_passed_on(word: str) -> None:
     given: dict[str, Any] = {"inputs": "u", "outputs": "h.y", "openings": (), word: ["x.y1"]}
-    with pytest.raises(UsageError, match=r"only passed on.*Name g\.y"):
+    with pytest.raises(UsageError, match=r"is a copy of a signal.*Name g\.y"):
         passing_on().linearize(given["inputs"], given["outputs"], openings=given["openings"])
 
 

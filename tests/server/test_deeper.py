@@ -249,7 +249,7 @@ def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path, monk
     assert high == pytest.approx(5.8 * unit, rel=0.05)
     with pytest.raises(UsageError, match="2 to 500"):
         ask("band", **{**asked, "n": 501})
-    with pytest.raises(UsageError, match="lies outside of"):
+    with pytest.raises(UsageError, match="lies outside the"):
         ask("band", signal="plant.y", file="../sweep.parquet")
     with monkeypatch.context() as patch:
         patch.setattr(Session, "is_asked_more", True)
