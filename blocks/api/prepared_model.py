@@ -129,7 +129,10 @@ class PreparedModel:
         run = started(self._value, self._resolver, parameters, settings, options, likes=known)
         is_new = not any(form.alike is run.prepared.alike for form in known)
         if is_new and not self.is_current:  # a form of now beside forms of then
-            message = "its equations read outside values, which have changed since the model was prepared."
+            message = (
+                "its equations read Python values from outside the blocks, which have changed since the model was "
+                "prepared."
+            )
             cure = "Prepare the model again: the new parameters need other equations."
             raise UsageError(Fault("E501", self._value.name, message, cure))
         self._keep(run.prepared)

@@ -42,7 +42,7 @@ def swapped(
     variant = variant or kind
     check_name(variant)
     if variant == BASE or variant in block.variants:
-        message = f"there is a variant {quoted(variant)} already."
+        message = f"the variant {quoted(variant)} exists already."
         raise ModelError(Fault("E109", name, message, "Choose another name: variant=..."))
     before, after = port_units(value, name, base, resolver), port_units(value, name, entry, resolver)
     matched = _matched(value, name, before, after, dict(ports or {}))

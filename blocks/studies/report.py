@@ -292,7 +292,7 @@ def amplitude_spectrum(t: Array, y: Array) -> tuple[Array, Array]:
     step = float(np.median(np.diff(t)))
     if (t[-1] - t[0]) / step > MOST_POINTS:
         message = f"steps of {step:.3g} s over {t[-1] - t[0]:.3g} s make more than {MOST_POINTS:,} points."
-        raise UsageError(Fault("E501", "spectrum", message, 'Record the run on a coarser grid ("every").'))
+        raise UsageError(Fault("E501", "spectrum", message, 'Record the run on a grid, or on a coarser grid: "every".'))
     grid = np.arange(t[0], t[-1] + step / 2, step)
     even = y[np.clip(np.searchsorted(t, grid + step * 1e-6, side="right") - 1, 0, len(y) - 1)]
     window = np.hanning(len(even))

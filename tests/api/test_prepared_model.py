@@ -212,7 +212,9 @@ def test_a_run_sees_what_equations_read_from_outside(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("tests.api.test_prepared_model.OUTSIDE", 3.0)
     assert diagram.run()["scaled.y"][-1] == 3.0
     assert model.run()["scaled.y"][-1] == 2.0
-    with pytest.raises(BlocksError, match="E501 outside: its equations read outside values, which have changed"):
+    with pytest.raises(
+        BlocksError, match="E501 outside: its equations read Python values from outside the blocks, which"
+    ):
         model.run(log=[])
     assert model.run()["scaled.y"][-1] == 2.0
 
