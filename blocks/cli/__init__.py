@@ -51,7 +51,7 @@ first steps:
   blocks check diagrams/loop.json --library robot
                                           find all faults in it
   blocks list --search "rate limit"       find block types; `blocks list PID` describes one
-  blocks explain E102                     explain an error, and what to do
+  blocks explain E102                     explain an error and what to do about it
 
 `blocks COMMAND --help` shows the options of a command."""
 

@@ -86,12 +86,12 @@ def takes_point(verb: argparse.ArgumentParser) -> None:
 
 
 def takes_trust(verb: argparse.ArgumentParser) -> None:
-    help = "an FMU, or a folder of FMUs, outside the project that may run; may be repeated"
+    help = "allow an FMU, or a folder of FMUs, outside the project to run; may be repeated"
     takes_several(verb, "--trust", "PATH", help)
 
 
 def takes_parameters(verb: argparse.ArgumentParser) -> None:
-    help = 'a parameter by its path, or an element of it: torque=2, "motor.Ra=200 mOhm", "plant.A[1,0]=2"'
+    help = 'set a parameter by its path, or an element of it: torque=2, "motor.Ra=200 mOhm", "plant.A[1,0]=2"'
     takes_several(verb, "--set", "NAME=VALUE", help, dest="parameters")
 
 
