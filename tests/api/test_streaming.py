@@ -278,7 +278,7 @@ def test_a_short_run_has_no_part_and_any_format_is_written(tmp_path: Path, monke
         assert results.stored is None
         results.save(tmp_path / f"y.{ending}")
         assert (tmp_path / f"x.{ending}").read_bytes() == (tmp_path / f"y.{ending}").read_bytes()
-    with pytest.raises(UsageError, match=r"E501 .*no format of result files"):
+    with pytest.raises(UsageError, match=r"E501 .*not a format of result files"):
         noisy().run(out=tmp_path / "x.txt")
 
 
