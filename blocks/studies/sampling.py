@@ -53,7 +53,7 @@ class Distribution:
     def __init__(self, name: str, /, **parameters: Any) -> None:
         numbers, unit = in_one_unit(
             str(name), [*parameters.values()], [key in ("loc", "scale") for key in parameters],
-            'As in Distribution("lognorm", s=0.3, scale="160 mOhm").',
+            'Example: Distribution("lognorm", s=0.3, scale="160 mOhm").',
         )  # fmt: skip
         object.__setattr__(self, "name", name)
         object.__setattr__(self, "parameters", tuple(zip(parameters, numbers, strict=True)))
@@ -148,7 +148,7 @@ class TruncatedNormal(Distribution):
 
 def _numbers(name: str, *given: Any) -> tuple[list[float], str]:
     """Return the numbers of a distribution, all of which may have units."""
-    return in_one_unit(name, given, [True] * len(given), 'As in Normal("160 mOhm", "10 mOhm").')
+    return in_one_unit(name, given, [True] * len(given), 'Example: Normal("160 mOhm", "10 mOhm").')
 
 
 def in_one_unit(
@@ -169,7 +169,7 @@ def in_one_unit(
             own_units.append(str(quantity.get("unit", "")) if is_quantity else "")
             unit_texts.parse(own_units[-1] or "1")
         except (TypeError, ValueError, KeyError, ModelError):
-            cure = "Numbers are in the unit of the parameter, or have a unit, as in 160 mOhm."
+            cure = "Write a number in the unit of the parameter, or add a unit: 160 mOhm."
             raise _refused(place, f"{legible(repr(word))} is not a number.", cure) from None
     unit = next(filter(None, own_units), "")
     if not unit:
@@ -184,7 +184,7 @@ def in_one_unit(
         except ModelError as error:
             raise _refused(place, error.faults[0].message, f"Give all numbers in {unit}.") from None
         if offset:
-            message = f"{unit} and {own} have different zeros, so that a deviation in one of them is none in the other."
+            message = f"{unit} and {own} have different zeros, so that a deviation cannot be converted."
             raise _refused(place, message, f"Give all numbers in {unit}.")
     pairs = zip(numbers, own_units, strict=True)
     return [unit_texts.converted(x, own, unit) if own else x for x, own in pairs], unit

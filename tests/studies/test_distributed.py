@@ -235,7 +235,7 @@ def test_workers_write_the_rows_with_their_signals_and_a_sweep_goes_on_from_them
     again = noisy().sweep(VARY, **ASKED, on=client, out=str(place))
     assert sizes == [5]
     pandas.testing.assert_frame_equal(again.frame, whole.frame, check_exact=True)
-    with pytest.raises(UsageError, match=r"E506 .*rows-0-.*: it belongs to a sweep that differs in its budget"):
+    with pytest.raises(UsageError, match=r"E506 .*rows-0-.*because it belongs to a sweep that differs in its budget"):
         noisy().sweep(VARY, **ASKED, on=client, out=str(place), budget=1000)
     noisy().sweep(VARY, **ASKED, on=client, out=str(place), budget=1000, resume=False)
     assert len(list(place.glob("*.parquet"))) == 6
