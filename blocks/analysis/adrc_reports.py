@@ -115,13 +115,13 @@ def observer_report(
         declared = places(graph, signal)[0].declared if signal else ""
         given = [float(in_si(a, declared, "amplitudes", is_difference=True)) for a in amplitudes]
     except (TypeError, ValueError):
-        message = f"{str(amplitudes)[:80]} are no numbers."
+        message = f"must be numbers, not {str(amplitudes)[:80]}."
         raise UsageError(Fault("E501", "amplitudes", message, "Give a list of numbers.")) from None
     if not given:
-        raise UsageError(Fault("E501", "amplitudes", "there are none.", "Give some, or leave them out."))
+        raise UsageError(Fault("E501", "amplitudes", "must not be empty.", "Give amplitudes, or leave amplitudes out."))
     for amplitude in given:
         if not (math.isfinite(amplitude) and amplitude > 0):
-            raise UsageError(Fault("E501", "amplitudes", f"{amplitude:g} is not above 0."))
+            raise UsageError(Fault("E501", "amplitudes", f"must be above 0, not {amplitude:g}."))
         now = Linearizer(linearizer.slopes, amplitude={signal: f"={amplitude!r}"}) if signal else linearizer
         rows.append(_row(now, block, estimates, amplitude, laws))
     return ObserverReport(diagram.name, block, len(estimates), not signal, signal, tuple(rows))
@@ -131,15 +131,15 @@ def _estimates(graph: Interconnection, block: str) -> list[str]:
     known = [instance.path for instance in graph.plan.instances if not instance.hidden]
     if block not in known:
         inside = [path for path in known if path.startswith(f"{block}.")]
-        cure = f"It holds {', '.join(inside)}." if inside else f"Blocks: {', '.join(known[:20])}."
-        raise UsageError(Fault("E501", block, "is no block of the diagram.", cure))
+        cure = f"It contains {', '.join(inside)}." if inside else f"Blocks: {', '.join(known[:20])}."
+        raise UsageError(Fault("E501", block, "is not a block of the diagram.", cure))
     interface = graph.type_of[graph.at_path[block][0]].tape.interface
     names: list[str] = []
     while f"z{len(names) + 1}" in interface.outputs:
         names.append(f"{block}.z{len(names) + 1}")
     if len(names) < 2 or "y" not in interface.inputs:
         ports = f"Its inputs: {', '.join(interface.inputs)}; outputs: {', '.join(interface.outputs)}."
-        message = "is no observer: one has the input y and the outputs z1, z2, ..."
+        message = "is not an observer, which has the input y and the outputs z1, z2, ..."
         raise UsageError(Fault("E501", block, message, ports))
     return names
 
@@ -153,7 +153,7 @@ def _law_of(graph: Interconnection, block: str) -> tuple[list[int], str]:
     columns = set().union(*laws.values()) if laws else set()
     if len(columns) > 1:
         names = ", ".join(graph.node_name(node) for node in laws)
-        message = f"has laws of several signals ({names}), which no one amplitude describes."
+        message = f"has laws of several signals ({names}), which need more than one amplitude."
         raise AnalysisError(Fault("E704", block, message, "Use linearize with an amplitude for each."))
     read = [slot for node in laws for slot in nonlinear(graph, node)]
     return list(laws), graph.slot_name(read[0]) if read else ""

@@ -164,7 +164,7 @@ class Chirp:
         _band(self, self.low, self.high)
         _at_least(self, duration=0.0, count=2, settle=0.0)
         if not 0.0 < self.taper <= 0.5:
-            raise _refused(self, f"taper = {self.taper} is no part of the duration.", "Use 0.05 to 0.5.")
+            raise _refused(self, f"taper = {self.taper} must be a fraction of the duration.", "Use 0.05 to 0.5.")
 
     @property
     def time(self) -> float:
@@ -183,7 +183,7 @@ def _at_least(signal: object, **least: float) -> None:
     for name, bound in least.items():
         value = getattr(signal, name)
         if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not bound <= value < math.inf:
-            raise _refused(signal, f"{name} = {value!r} must be a number from {bound:g} on.")
+            raise _refused(signal, f"{name} = {value!r} must be a number, {bound:g} or more.")
         if isinstance(bound, int) and value != int(value):
             raise _refused(signal, f"{name} = {value!r} must be an integer.")
 
@@ -272,7 +272,7 @@ def _settling(model: Any, tolerance: float) -> float:
     scale = float(np.max(np.abs(values))) if period == 0.0 else 1.0 / float(period)
     if np.any(rates < -INTEGRATOR * scale):
         worst = values[int(np.argmin(rates))]
-        message = f"the model is unstable, with a pole at {worst:.6g}: what is simulated does not settle."
+        message = f"the model is unstable, with a pole at {worst:.6g}: a simulation does not settle."
         raise AnalysisError(Fault("E708", "model", message, "Estimate the response of the closed loop."))
     rates = rates[rates > INTEGRATOR * scale]
     return math.log(10.0 / tolerance) / float(np.min(rates)) if len(rates) else 0.0
@@ -339,7 +339,7 @@ class _Estimation:
         given = dict(settings or {})
         for key in RESERVED:
             if key in given:
-                cure = "The signal tells how long runs are; outputs are named."
+                cure = "The signal determines the length of the runs; name the outputs."
                 raise UsageError(Fault("E501", key, "is not a setting of an estimation.", cure))
         if not 0.0 < tolerance < 1.0:
             raise UsageError(Fault("E501", "tolerance", f"{tolerance!r} must be a number between 0 and 1."))
@@ -373,7 +373,7 @@ class _Estimation:
                 unit = signal.units[k] if len(signal.units) > 1 and k >= 0 else signal.units[0]
                 unit_of[name if k < 0 else f"{name}[{k}]"] = unit
         if not unit_of:
-            raise UsageError(Fault("E501", "output", "no signal is named.", "Name one or more."))
+            raise UsageError(Fault("E501", "output", "has no signal.", "Name one signal or more."))
         return tuple(unit_of), tuple(unit_of.values())
 
     def _amplitude(self, signal: Excitation) -> Array:
@@ -388,8 +388,8 @@ class _Estimation:
         ):
             raise _refused(signal, "the amplitude must be a number above 0, or one for each frequency.")
         if np.any(amplitudes < LEAST_AMPLITUDE):
-            message = f"amplitudes below {LEAST_AMPLITUDE:g} (in SI) drown in the tolerances of a run."
-            raise _refused(signal, message, "Take a larger one.")
+            message = f"amplitudes below {LEAST_AMPLITUDE:g} (in SI) are smaller than the errors of a run."
+            raise _refused(signal, message, "Give a larger amplitude.")
         return amplitudes
 
     def _atol(self, own: float) -> float:
@@ -432,10 +432,15 @@ class _Estimation:
         except (SimulationError, FMUError) as error:
             place = f"{self.name} at {omega:g} rad/s"
             if any(fault.place.startswith(f"{self.listener}.") for fault in error.faults):
-                message = f"what is excited grows without bound, up to t = {run.t:g} s: is the diagram stable?"
-                fault = Fault("E708", place, message, "See the poles of its linear model.")
+                message = f"the excited signals grow without bound, up to t = {run.t:g} s. Is the diagram stable?"
+                fault = Fault("E708", place, message, "Look at the poles of its linear model.")
                 raise AnalysisError(fault) from error
-            fault = Fault("E708", place, "the run failed, see below.", "Take a smaller amplitude, or other settings.")
+            fault = Fault(
+                "E708",
+                place,
+                "the run failed; the next error says why.",
+                "Give a smaller amplitude, or other settings.",
+            )
             raise AnalysisError(fault, *error.faults) from error
 
     # --- sines -------------------------------------------------------------------------------------------------
@@ -457,7 +462,7 @@ class _Estimation:
         for k, point in enumerate(points):
             if not np.all(np.isfinite(point.window.phasors)):
                 message = f"an output is not finite at {omega[k]:g} rad/s."
-                raise AnalysisError(Fault("E708", self.name, message, "Take a smaller amplitude."))
+                raise AnalysisError(Fault("E708", self.name, message, "Give a smaller amplitude."))
             collected.append(point)
             self.progress((k + 1) / len(omega))
         phasors = np.array([point.window.phasors for point in collected])  # (n, outputs, k)
@@ -583,10 +588,8 @@ class _Estimation:
     def _check_points(self, points: float, omega: float) -> None:
         """Refuse too few samples in a period of the highest line."""
         if points < 2.5:
-            message = (
-                f"{points:.3g} communication points in a period of what is looked for at {omega:g} rad/s are too few."
-            )
-            raise AnalysisError(Fault("E708", self.name, message, "Make the step of the master shorter."))
+            message = f"{points:.3g} communication points in a period at {omega:g} rad/s are too few."
+            raise AnalysisError(Fault("E708", self.name, message, "Shorten the step of the master."))
 
     def _waiting(self, signal: SineStream, period: float) -> float:
         return max(self.waiting, signal.settle, signal.settle_periods * period)
@@ -626,8 +629,8 @@ class _Estimation:
 
         def measured(n: int) -> _Window:
             if n * count > MOST_SAMPLES:
-                message = f"{n * count:,} samples are too many to be kept."
-                raise AnalysisError(Fault("E708", self.name, message, "Take a narrower band, or fewer periods."))
+                message = f"{n * count:,} samples do not fit into memory."
+                raise AnalysisError(Fault("E708", self.name, message, "Choose a narrower band, or fewer periods."))
             first, last = ends[-1], ends[-1] + n * count
             ends.append(last)
             self._advance(run, start + last * h, signal.high)
@@ -664,8 +667,8 @@ class _Estimation:
         first, steps = round((begin - start) / h), math.ceil(signal.time / float(h))
         end, chunk = first + steps, max(math.ceil(max(self.waiting, signal.time / 4.0) / float(h)), 1)
         if steps > MOST_SAMPLES:
-            message = f"{steps:,} samples are too many to be kept."
-            raise AnalysisError(Fault("E708", self.name, message, "Take a narrower band, or a shorter sweep."))
+            message = f"{steps:,} samples do not fit into memory."
+            raise AnalysisError(Fault("E708", self.name, message, "Choose a narrower band, or a shorter sweep."))
         rests = 16 if self.waiting == 0.0 else 1
         for _ in range(rests):
             end += chunk

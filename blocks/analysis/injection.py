@@ -61,14 +61,14 @@ def target(diagram: Diagram, flat: Flat, name: str) -> Target:
         raise _unknown(flat, name, scope.wires)
     signal, index = signal_element
     if signal.type != "real":
-        what = f"is of type {signal.type}: nothing can be added to it."
-        raise UsageError(Fault("E501", name, what, "Excite a signal of real numbers."))
+        what = f"is of type {signal.type}, to which a sine cannot be added."
+        raise UsageError(Fault("E501", name, what, "Choose a signal of real numbers."))
     if sink and sink not in scope.wires:  # an element of a sink that is wired as a whole
         sink, index = indexed(sink)
         return Target(path, base, sink, signal.shape[0], index or 0, signal.unit, signal.declared_unit)
     if signal.shape and index is None:
-        what = f"has {signal.shape[0]} elements, and one of them is excited."
-        raise UsageError(Fault("E501", name, what, f'Name it: "{name}[0]".'))
+        what = f"has {signal.shape[0]} elements, but only one element can be excited."
+        raise UsageError(Fault("E501", name, what, f'Name an element: "{name}[0]".'))
     if index is not None and not sink:
         return Target(path, base, sink, signal.shape[0], index, signal.unit, signal.declared_unit)
     return Target(path, source, sink, 0, 0, signal.unit, signal.declared_unit)

@@ -59,7 +59,7 @@ def find_operating_point(
     Raises AnalysisError (E702), which reports what remains by block, UsageError (E501).
     """
     if inputs is not None and not isinstance(inputs, Mapping):
-        raise UsageError(Fault("E501", "inputs", f"{inputs!r} is no mapping.", "As in inputs={name: value}."))
+        raise UsageError(Fault("E501", "inputs", f"must be a mapping, not {inputs!r}.", "Write inputs={name: value}."))
     flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
     chosen: dict[str, Any] = {"parameters": parameters, "variants": variants, "trust": trust}
     if _is_coupled(flat):
@@ -165,8 +165,8 @@ def _settled(
     """
     free = [name for name, value in inputs.items() if value is None or isinstance(value, (tuple, Free))]
     if free or is_more:
-        message = "with FMUs of Co-Simulation only numbers for inputs can be given: the diagram is left to settle."
-        raise AnalysisError(Fault("E702", (free or [diagram.name])[0], message, 'Import them as "kind": "ME".'))
+        message = "a diagram with Co-Simulation FMUs takes only numbers for its inputs: a run lets it settle."
+        raise AnalysisError(Fault("E702", (free or [diagram.name])[0], message, 'Import the FMUs as "kind": "ME".'))
     held = {**at_rest(diagram.value, flat), **inputs}
     span = float(flat.settings.stop or 1.0)
     # Communication steps follow from the length of a run, and this one may become longer than intended.
@@ -190,7 +190,7 @@ def _settled(
             return _as_told(diagram, run, names)
     worst = max(moved, key=lambda name: moved[name])
     message = f"does not settle within {run.t:g} s: it still changes by {moved[worst]:.2g}."
-    cure = "Give a longer stop=, inputs with which it rests, or a shorter step of the master."
+    cure = "Give a longer stop=, inputs at which the diagram can rest, or a shorter step of the master."
     raise AnalysisError(Fault("E702", worst, message, cure))
 
 

@@ -145,7 +145,7 @@ def _other(a: Response, b: Any) -> Array:
     """The values of a model at the frequencies of A, shape (outputs, n)."""
     if isinstance(b, Response):
         if b.value.shape != a.value.shape or not np.allclose(b.omega, a.omega, rtol=1e-6, atol=0.0):
-            message = "the responses differ in their frequencies or in how many outputs they have."
+            message = "the responses differ in their frequencies or in their number of outputs."
             raise UsageError(Fault("E501", "compare", message, "Estimate both with the same signal."))
         return b.value
     whole = response(b, a.omega)
@@ -162,5 +162,5 @@ def _picked(names: Sequence[str], labels: Any, count: int, what: str) -> list[in
             return [spelled.index(name) for name in known_]
     if len(names) == count:
         return list(range(count))
-    message = f"the model has {count} {what}s ({', '.join(spelled)}), and none of them is {', '.join(names)}."
+    message = f"the model has {count} {what}s ({', '.join(spelled)}), but {', '.join(names)} is missing."
     raise UsageError(Fault("E501", "compare", message, f"Give a model with the {what}s of the response."))

@@ -73,8 +73,8 @@ def check_loop(model: Transfer | DelayedModel, point: str) -> None:
     if isinstance(model, DelayedModel):
         return
     if not model.nstates and not model.D.any():
-        message = f"nothing of what is put in there comes back{'.' if model.hint else ': it is in no loop.'}"
-        cure = model.hint or "Open the loop at a signal that comes back to itself."
+        message = f"a signal that enters there does not come back{'.' if model.hint else ': it is in no loop.'}"
+        cure = model.hint or "Open the loop at a signal that feeds back to itself."
         raise AnalysisError(Fault("E705", point, message, cure))
 
 
@@ -154,14 +154,14 @@ def figure(model: Transfer | DelayedModel, kind: str, *, is_loop: bool) -> Any:
     from ..frequency import figures
 
     if isinstance(model, LoopOfRates) and kind != "poles":
-        message = "is a loop of several rates: one frequency comes back as several, and there is no one curve of it."
-        cure = "Draw its poles (--figure poles), or the closed loop: --from, --to."
+        message = "is a loop of several rates: one frequency comes back as several, so that it has no single curve."
+        cure = "Draw its poles (--figure poles), or the closed loop (--from, --to)."
         raise AnalysisError(Fault("E705", model.point, message, cure))
     ins, outs = (", ".join(names) for names in model.signals)
     name = f"{model.name}: loop at {ins}" if is_loop else f"{model.name}: {ins} to {outs}"
     if isinstance(model, DelayedModel) and kind not in ("bode", "nyquist", "nichols"):
-        message = "exact delays contribute, and this figure needs a state space."
-        raise AnalysisError(Fault("E707", ins, message, "Take Padé models of them: --pade 3."))
+        message = "the loop has exact delays, but this figure needs a state space."
+        raise AnalysisError(Fault("E707", ins, message, "Replace the delays by Padé models: --pade 3."))
     if isinstance(model, DelayedModel) or kind in ("bode", "nyquist", "nichols"):
         return getattr(figures, kind)({name: model}, margins=is_loop)
     if kind == "poles":

@@ -117,16 +117,16 @@ class Batch(Shown):
         settings = {"log": list(log), **(settings or {})}
         check_settings(settings)
         if "inputs" in settings:
-            message = "rows take the inputs that the diagram gives: its defaults, and those of its run."
+            message = "cannot be given: all rows use the inputs of the diagram, its defaults and its run settings."
             given = settings["inputs"]
             known = next(iter(given if isinstance(given, Mapping) else value.inputs), "u")
             cure = f'Put tables into the diagram first: Diagram.settings(inputs={{"{known}": {{"t": t, "u": u}}}}), '
-            cure += "with lists of numbers. Of a file: "
+            cure += "with lists of numbers. To read a file: "
             cure += 't, u = numpy.loadtxt(path, delimiter=",", skiprows=1, unpack=True).'
             raise UsageError(Fault("E501", "inputs", message, cure))
         if settings.get("jumps"):
-            message = "signals come out on one grid for all rows, without rows of their own for jumps."
-            raise UsageError(Fault("E501", "jumps", message, "Leave it out, or run a row by itself."))
+            message = "cannot be recorded in a batch: all rows record their signals on one common grid."
+            raise UsageError(Fault("E501", "jumps", message, "Leave jumps out, or run the row alone."))
         if value.run.get("jumps"):
             settings["jumps"] = False
         kept = _picked(value, measures)
@@ -137,7 +137,7 @@ class Batch(Shown):
         run = first.plan.settings
         if run.stop is None:
             cure = 'Give stop=..., or "stop" in the file\'s "run".'
-            raise UsageError(Fault("E501", value.name, "the runs have no end.", cure))
+            raise UsageError(Fault("E501", value.name, "the runs have no stop time.", cure))
         every = run.every
         if every is None and log:
             settings["every"] = float((run.stop - run.start) / GRID)
@@ -150,7 +150,7 @@ class Batch(Shown):
             for target in column.targets:
                 is_free = target.element is not None and (target.path, target.element) not in places
                 if target.path in parameters and not (is_free and target.path not in wholes):
-                    message = "is given as a parameter of all rows too."
+                    message = "is both a column and a parameter of all rows."
                     raise UsageError(Fault("E501", legible(target.path), message, "Give it once."))
         self.name = value.name
         self.columns = tuple(column.name for column in self._columns)
@@ -201,7 +201,7 @@ class Batch(Shown):
         """Run one row by itself, with all measures and with what the diagram records. Raises as `Diagram.run`."""
         values = self._rows({name: [value] for name, value in row.items()})[0] if isinstance(row, Mapping) else row
         if len(values) != len(self.columns):
-            message = f"there are {len(values)} values for {len(self.columns)} columns."
+            message = f"has {len(values)} values for {len(self.columns)} columns."
             raise UsageError(Fault("E501", "row", message, f"The columns: {', '.join(self.columns)}."))
         given = {} if seed is None else {"seed": seed}
         return self._whole.run(parameters=raw_values(self._columns, values), **given)  # type: ignore[arg-type]
@@ -251,7 +251,7 @@ class Batch(Shown):
             return counted(count, "thread") + more
         why_here = packed(self)[1]
         if why_here:
-            return f"this process alone: {self._why}, and {why_here}"
+            return f"this process only: {self._why}, and {why_here}"
         return f"{count} process{'' if count == 1 else 'es'}: {self._why}"
 
     def _given(self, rows: Sequence[Sequence[Any]], made: _Made) -> Iterator[dict[str, Any]]:
@@ -295,7 +295,7 @@ class Batch(Shown):
         """Raise UsageError (E501) where a row would record its signals on a grid of its own."""
         run = plan.settings
         if self.signals and (run.start, run.every, run.stop) != self._clock:
-            message = "the times of the run follow from its values, and signals come out on one grid for all rows."
+            message = "the row changes start, stop or every, but all rows record their signals on one grid."
             raise UsageError(Fault("E501", "row", message, "Log no signals, or give start, stop and every."))
 
     def _at_once(
@@ -452,13 +452,13 @@ class Batch(Shown):
                 raise UsageError(Fault("E501", "table", message, f"Its columns: {', '.join(self.columns)}."))
             columns = [_listed(name, table[name]) for name in self.columns]
             if len({len(column) for column in columns}) > 1:
-                message = "the columns have different lengths."
+                message = "has columns of different lengths."
                 raise UsageError(Fault("E501", "table", message, "Give each column a value for each row."))
             return [list(row) for row in zip(*columns, strict=True)]
         rows = [_listed(f"row {i}", row) for i, row in enumerate(_listed("table", table))]
         for i, row in enumerate(rows):
             if len(row) != len(self.columns):
-                message = f"row {i} has {len(row)} values, and the batch {len(self.columns)} columns."
+                message = f"row {i} has {len(row)} values, but the batch has {len(self.columns)} columns."
                 raise UsageError(Fault("E501", "table", message, f"The columns: {', '.join(self.columns)}."))
         return rows
 
@@ -551,25 +551,25 @@ def _why_processes(plan: Plan | Coupling, *, is_native: bool) -> str:
     if plan.foreign:
         return "it has FMUs"
     if plan.steppers:
-        return "it has programs in Python"
+        return "it has blocks with programs in Python"
     return "" if is_native else "the reference engine runs it"
 
 
 def _check_count(name: str, given: Any) -> None:
     """Raise UsageError (E501) for what is neither None nor an integer from 1 on."""
     if given is not None and (isinstance(given, bool) or not isinstance(given, (int, np.integer)) or given < 1):
-        raise UsageError(Fault("E501", name, f"must be an integer from 1 on, not {legible(repr(given))}."))
+        raise UsageError(Fault("E501", name, f"must be an integer, 1 or more, not {legible(repr(given))}."))
 
 
 def _checked_seeds(given: Any, n: int) -> list[int]:
     """The seeds of n rows. Raises UsageError (E501)."""
     seeds = [seed.item() if isinstance(seed, np.generic) else seed for seed in _listed("seeds", given)]
     if len(seeds) != n:
-        message = f"there are {len(seeds)} seeds for {counted(n, 'row')}."
-        raise UsageError(Fault("E501", "seeds", message, "Give one for each row, or none."))
+        message = f"has {counted(len(seeds), 'seed')} for {counted(n, 'row')}."
+        raise UsageError(Fault("E501", "seeds", message, "Give a seed for each row, or leave seeds out."))
     for i, seed in enumerate(seeds):
         if type(seed) is not int or not 0 <= seed <= LARGEST_SEED:
-            message = f"must be integers from 0 to 2^53, but that of row {i} is {legible(repr(seed))}."
+            message = f"must be integers from 0 to 2^53, but row {i} has {legible(repr(seed))}."
             raise UsageError(Fault("E501", "seeds", message))
     return seeds
 
@@ -582,7 +582,7 @@ def _listed(name: str, given: Any) -> list[Any]:
         return list(given)
     except TypeError:
         message = f"must be a list or an array, not {legible(repr(given))}."
-        cure = "A table is a list of rows, or a mapping of columns."
+        cure = "Write a table as a list of rows, or as a mapping of columns."
         raise UsageError(Fault("E501", name, message, cure)) from None
 
 
@@ -591,7 +591,8 @@ def _picked(value: DiagramValue, measures: Sequence[str] | None) -> DiagramValue
     if measures is None:
         return value
     if isinstance(measures, str):
-        raise UsageError(Fault("E501", "measures", "is one text.", f'Give a list: measures=["{legible(measures)}"].'))
+        raise UsageError(Fault("E501", "measures", "must be a list of texts, not one text.", f'Give a list: '
+            f'measures=["{legible(measures)}"].'))
     for name in measures:
         if name not in value.measures:
             cure = did_you_mean(str(name), value.measures) or f"Measures: {', '.join(value.measures) or 'none'}."

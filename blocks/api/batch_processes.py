@@ -90,18 +90,18 @@ def in_processes(
 def packed(batch: Rows) -> tuple[bytes, str]:
     """Return the bytes that start a process: its preparation and the batch; or b"" and why rows run in this process."""
     if getattr(multiprocessing.current_process(), "daemon", False) or getattr(sys, "frozen", False):
-        return b"", "it may have none of its own"  # as a worker of dask
+        return b"", "it may not start processes"  # as a worker of dask
     try:
         text = pickle.dumps(batch)
         prepared = spawn.get_preparation_data("blocks")
     except Exception as error:  # pickle raises what the types raise
-        return b"", f"what it runs cannot be sent to others: {str(error)[:200]}"
+        return b"", f"the diagram cannot be sent to other processes: {str(error)[:200]}"
     kept = {"sys_path": prepared["sys_path"], "sys_argv": prepared["sys_argv"]}
     if b"__main__" in text:
         script = str(getattr(sys.modules["__main__"], "__file__", None) or "")
         if not script.endswith(".py") or "__main__" not in Path(script).read_text("utf-8", "replace"):
-            cure = "define them in a module of their own, which is imported"
-            return b"", f"others do not know block types of __main__: {cure}"
+            cure = "define them in a separate module and import it"
+            return b"", f"other processes cannot load block types of __main__: {cure}"
         kept |= {key: value for key, value in prepared.items() if key.startswith("init_main")}
     return pickle.dumps(kept) + text, ""
 
@@ -153,7 +153,7 @@ class Worker:
             process.wait(5.0)
         message = f"the process of this row ended, with exit code {process.returncode}."
         self.end()
-        return Row(0, {}, Fault("E216", "row", message, "An FMU may have crashed: run the row by itself."), "failed")
+        return Row(0, {}, Fault("E216", "row", message, "An FMU may have crashed. Run the row alone."), "failed")
 
     def end(self) -> None:
         process, self.process = self.process, None
@@ -205,7 +205,7 @@ def _serve() -> None:
             spawn.prepare(pickle.load(text))
             batch = pickle.load(text)
         except Exception as error:  # the modules of the user raise what they raise
-            sys.exit(f"blocks: a process for rows cannot begin, so they run in the first one: {error}")
+            sys.exit(f"blocks: a worker process cannot start, so the rows run in this process: {error}")
         _send(ended, "ready")
         while True:
             values, seed, budget = pickle.load(given)

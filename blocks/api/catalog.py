@@ -92,7 +92,7 @@ class Catalog:
             return sheet_of(fmu_type(name))
         if name not in self.types:
             near = did_you_mean(name[:200], (*self.types, *self.groups(), *words()))
-            cure = f"{near} `blocks list --search WORD` finds types by what they say, `blocks list` names them all."
+            cure = f"{near} `blocks list --search WORD` searches the descriptions, `blocks list` shows all types."
             raise UsageError(Fault("E103", legible(name), "there is no such block type.", cure))
         return sheet_of(self.types[name])
 

@@ -50,8 +50,8 @@ def single_plan(flat: Flat) -> Plan:
     """Return the plan of a diagram. Raises ModelError (E118) if a master steps it."""
     coupled = coupled_block(flat)
     if coupled:
-        message = "is an FMU for Co-Simulation, which a master steps: the diagram has no single plan."
-        raise ModelError(Fault("E118", coupled, message, 'Import it as "kind": "ME", or take another variant.'))
+        message = "is a Co-Simulation FMU, which a master steps, so the diagram has no single system of equations."
+        raise ModelError(Fault("E118", coupled, message, 'Import it as "kind": "ME", or choose another variant.'))
     return plan(flat)
 
 
@@ -59,8 +59,13 @@ def refuse_fmus(flat: Flat) -> None:
     """Raise ModelError (E606) for a diagram that is to become an FMU, where FMUs are in it."""
     inside = [block.path for block in flat.one_of_each if block.interface.declaration.foreign is not None]
     if inside:
-        cure = "Take a variant with equations, or export the diagram without it."
-        raise ModelError(*(Fault("E606", path, "is an FMU, which an FMU cannot hold.", cure) for path in inside))
+        cure = "Choose a variant with equations, or export the diagram without this block."
+        raise ModelError(
+            *(
+                Fault("E606", path, "is an FMU, and an exported FMU cannot contain another FMU.", cure)
+                for path in inside
+            )
+        )
 
 
 def checked(value: DiagramValue, resolver: Resolver, variants: Mapping[str, str] | None) -> Plan | Coupling:

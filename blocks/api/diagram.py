@@ -272,7 +272,7 @@ class Diagram:
         text = sink_text(sink, source, self)
         wires = self._draft.section("wires")
         if text in wires:
-            message = f"is wired already, to {legible(wires[text])}."
+            message = f"is already wired to {legible(wires[text])}."
             raise ModelError(Fault("E109", legible(text), message, "Use Sum to add signals."))
         self._draft.put("wires", {text: source_text(source, self)})
 
@@ -335,7 +335,9 @@ class Diagram:
         older file, too: its measures are brought to version 3 first.
         """
         if name in self._draft.section("measures"):
-            raise ModelError(Fault("E109", legible(str(name)), "the name is taken by a measure."))
+            raise ModelError(
+                Fault("E109", legible(str(name)), "the name is already used by a measure.", "Choose another name.")
+            )
         check_name(name)
         if isinstance(type, str) and type not in MEASURES:
             cure = did_you_mean(type, MEASURES) or f"Measures: {', '.join(MEASURES)}."
@@ -710,7 +712,9 @@ class Diagram:
         """
         file = self._saved or self.value.file
         if not os.path.isfile(file):
-            raise UsageError(Fault("E501", self.name, "has no file that could be edited.", "Write one with save."))
+            raise UsageError(
+                Fault("E501", self.name, "has no file to edit.", "Write the file first: diagram.save(path).")
+            )
         return late("edit", file, library=tuple(self.types.values()), trust=trust, port=port)
 
     # --- linear models -----------------------------------------------------------------------------------------

@@ -86,7 +86,8 @@ class Draft:
         for what in seen.get(kind, ("input", "block", "parameter")):
             if name in self.section(what + "s"):
                 article = "an" if what[0] in "io" else "a"
-                raise ModelError(Fault("E109", name, f"the name is taken by {article} {what}."))
+                raise ModelError(Fault("E109", name, f"the name is already used by {article} {what}.", "Choose "
+                "another name."))
 
     def outline(self) -> str:
         """Describe the blocks, one line for each."""

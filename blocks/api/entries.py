@@ -98,8 +98,8 @@ def block_entry(name: str, block: object, folder: str) -> tuple[dict[str, Any], 
     Raises UsageError (E501) for what is no Block.
     """
     if inspect.isclass(block):
-        cure = f"Add a block of it: {block.__name__}()."
-        raise UsageError(Fault("E501", name, f"{block.__name__} is a class.", cure))
+        cure = f"Add an instance: {block.__name__}()."
+        raise UsageError(Fault("E501", name, f"{block.__name__} is a class, not a block.", cure))
     if not isinstance(block, Block):
         cure = "Add a Block, a Diagram or a subdiagram(...)."
         raise UsageError(Fault("E501", name, f"{quoted(repr(block))} is not a block.", cure))

@@ -109,10 +109,10 @@ class Health:
         else:
             yield "  compiler  none" + (" that works" if self.faults else "")
         if self.seconds is not None:
-            yield f"  self-test a small model was compiled, and ran as it should, in {self.seconds:.2f} s"
+            yield f"  self-test a small model was compiled and ran correctly in {self.seconds:.2f} s"
         elif self.compiler:
             yield "  self-test failed"
-        chosen = f"; {VARIABLE} says {self.named!r}" if self.named else ""
+        chosen = f"; {VARIABLE} is set to {self.named!r}" if self.named else ""
         yield f"  engine    auto takes {self.engine}: {self.reason}{chosen}"
         others = "" if len(self.platforms) == len(PLATFORMS) else f"; for others: {INSTALL}"
         yield f"  platforms FMUs can be exported for {', '.join(self.platforms) or 'none'}{others}"
@@ -179,7 +179,7 @@ def _tried(compiler: Compiler) -> float:
     if not is_right:
         last = (done.stderr.strip().splitlines() or [f"it ended with {done.returncode} and printed {said!r}"])[-1]
         cure = "Set CC to a compiler for this machine and this Python."
-        raise CompilerError(Fault("E603", str(compiler), f"what it makes does not run here: {last}.", cure))
+        raise CompilerError(Fault("E603", str(compiler), f"its output does not run on this machine: {last}.", cure))
     return time.perf_counter() - begun
 
 

@@ -31,8 +31,8 @@ class Lanes:
     def asked(cls, lanes: str, plan: Plan | Coupling, engine: str | None, why_not_threads: str) -> Lanes:
         """Those of the rows of a Plan. why_not_threads: why threads do not run them. Raises UsageError (E501)."""
         if lanes not in LANES:
-            cure = did_you_mean(str(lanes), LANES) or f"Lanes: {', '.join(LANES)}."
-            raise UsageError(Fault("E501", "lanes", f"{legible(repr(lanes))} is not known.", cure))
+            cure = did_you_mean(str(lanes), LANES) or f"Choose one of: {', '.join(LANES)}."
+            raise UsageError(Fault("E501", "lanes", f"{legible(repr(lanes))} is not a value of lanes.", cure))
         if lanes == "exact":
             return cls()
         why = (why_no_lanes(plan) if isinstance(plan, Plan) else "") or why_not_threads
@@ -55,7 +55,7 @@ class Lanes:
                 model = compiled_model(plan, engine=engine, lanes=self.machine)
                 return model, "" if model is None else model.why_no_lanes
             except CompilerError:
-                why = "the compiler refuses their code"
+                why = "the compiler rejected the code for lanes"
         return compiled_model(plan, engine=engine), why
 
     @property
@@ -74,4 +74,4 @@ class Lanes:
 
 def no_lanes(rows: str, why: str) -> Fault:
     """Return the warning that a run was to use lanes and cannot."""
-    return Fault("W504", "lanes", f"there are none for {rows}: {why}.", "The rows are those of lanes=\"exact\".")
+    return Fault("W504", "lanes", f"cannot be used for {rows}: {why}.", "The results are those of lanes=\"exact\".")

@@ -48,21 +48,23 @@ def point_of(value: DiagramValue, resolver: Resolver, options: PointOptions, las
     """Where a diagram stands. last: where its last point is kept."""
     at, held, parameters, variants = options.at, options.held, options.parameters, options.variants
     if isinstance(at, (OperatingPoint, Run)) and (held or parameters or variants or options.settings):
-        whose, cure = "an operating point has", "Give them where it is searched for."
+        whose, cure = "the operating point has", "Give them to find_operating_point."
         if isinstance(at, Run):
-            whose, cure = "a run has", "Give them where it begins, or set them."
+            whose, cure = "the run has", "Give them when you start the run, or set them in the run."
         raise UsageError(Fault("E501", "at", f"{whose} its inputs, parameters and settings already.", cure))
     if isinstance(at, Run):
         return _of_run(at, options.trust)
     if isinstance(at, OperatingPoint):
         if at.point is None:
-            message = "was found by a run with FMUs of Co-Simulation, which hide what they are made of."
+            message = "was found by a run with Co-Simulation FMUs, which hide their states: it has no linear model."
             cure = "Import them as Model Exchange, or estimate the response by simulation."
             raise AnalysisError(Fault("E703", at.name, message, cure))
         return at.point
     for word, table in (("held", held), ("parameters", parameters), ("variants", variants)):
         if table is not None and not isinstance(table, Mapping):
-            raise UsageError(Fault("E501", word, f"{table!r} is no mapping.", f"As in {word}={{name: value}}."))
+            raise UsageError(
+                Fault("E501", word, f"must be a mapping, not {table!r}.", f"Write {word}={{name: value}}.")
+            )
     plain = [{name: _plainly(given) for name, given in (table or {}).items()} for table in (held, parameters)]
     key = (id(value), value, at, repr((*(sorted(table.items()) for table in plain), variants, options.settings)))
     known: tuple[Point, tuple[Outside, ...]] | None = last.known("point", key)
@@ -88,15 +90,17 @@ def _of_run(run: Run, trust: Paths) -> Point:
         run = started(prepared.value, prepared.resolver, {}, {**settings, "log": []}, going, likes=[prepared])
     engine = engine_of(run)
     if not isinstance(engine, ReferenceEngine):
-        cure = 'Begin it with engine="reference".'
-        raise UsageError(Fault("E501", "at", "is a run with FMUs of an engine that cannot be looked into.", cure))
+        cure = 'Start the run with engine="reference".'
+        raise UsageError(
+            Fault("E501", "at", "is a run with FMUs on the native engine, whose states cannot be read.", cure)
+        )
     return Point.of(engine)
 
 
 def _refuse_coupled(flat: Flat) -> None:
     coupled = coupled_block(flat)
     if coupled:
-        message = "is an FMU for Co-Simulation: it hides its states, so that it has no linear model."
+        message = "is a Co-Simulation FMU, which hides its states, so that it has no linear model."
         cure = 'Import it as "kind": "ME", or estimate the response by simulation (estimate_response).'
         raise AnalysisError(Fault("E703", coupled, message, cure))
 

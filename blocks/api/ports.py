@@ -37,7 +37,7 @@ class PortName:
         text = f"{self.text}[{index}]"
         is_element = bool(named_element(text)[1]) if isinstance(index, str) else index >= 0
         if "[" in self.text or not is_element:
-            raise IndexError(f"{text}: an element of a port is counted from 0, or of a bus named.")
+            raise IndexError(f"{text}: give the index of an element, 0 or more, or the name of an element of a bus.")
         return replace(self, text=text)
 
     def __iter__(self) -> Any:
@@ -107,7 +107,9 @@ def text_of(port: PortName | str, diagram: Named) -> str:
 def source_text(source: PortName | str, diagram: Named) -> str:
     """Where a wire begins. Raises ModelError (E105, E112), UsageError (E501)."""
     if isinstance(source, PortName) and source.is_input:
-        raise ModelError(Fault("E112", source.text, "is an input, and a wire begins at an output."))
+        raise ModelError(
+            Fault("E112", source.text, "is an input, but a wire begins at an output or at an input of the diagram.")
+        )
     return text_of(source, diagram)
 
 
@@ -116,8 +118,8 @@ def sink_text(sink: PortName | str, source: PortName | str, diagram: Named) -> s
     text = text_of(sink, diagram)
     if isinstance(sink, PortName) and not sink.is_input:
         swapped = isinstance(source, PortName) and source.is_input
-        cure = f"The sink comes first: wire({source if swapped else 'sink'}, {sink if swapped else 'source'})."
-        raise ModelError(Fault("E112", text, "is a source, and a wire ends at an input.", cure))
+        cure = f"Put the sink first: wire({source if swapped else 'sink'}, {sink if swapped else 'source'})."
+        raise ModelError(Fault("E112", text, "is a source, but a wire ends at an input.", cure))
     return text
 
 
@@ -125,7 +127,9 @@ def signal_names(names: PortName | str | Sequence[PortName | str]) -> list[str]:
     """Names of signals, which may be given as ports."""
     name_list = [names] if isinstance(names, (str, PortName)) else names
     if not isinstance(name_list, (list, tuple)) or not all(isinstance(name, (str, PortName)) for name in name_list):
-        raise UsageError(Fault("E501", "linearize", f"{name_list!r} is no name of a signal, and no list of names."))
+        raise UsageError(
+            Fault("E501", "linearize", f"{name_list!r} is neither the name of a signal nor a list of names.")
+        )
     return [str(name) for name in name_list]
 
 

@@ -61,8 +61,8 @@ class PreparedModel:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         if "inputs" in (settings or {}):
-            message, cure = "are of a run.", "Give them to run: prepare().run(inputs=...)."
-            raise UsageError(Fault("E501", "inputs", message, cure))
+            cure = "Give them to the run: prepare().run(inputs=...)."
+            raise UsageError(Fault("E501", "inputs", "cannot be prepared: they belong to a run.", cure))
         self._value, self._types = value, dict(types)
         self._parameters, self._settings = _own(dict(parameters or {})), _own(dict(settings or {}))
         self._engine, self._trust = engine, trust
@@ -107,11 +107,12 @@ class PreparedModel:
             settings["stop"] = stop
         for name in ("engine", "variants", "trust"):
             if name in settings:
-                raise UsageError(Fault("E501", name, "is of the model.", f"Give it to prepare({name}=...)."))
+                raise UsageError(Fault("E501", name, "is fixed when the model is prepared.", f"Give it to "
+                f"prepare({name}=...)."))
         for name in ("out", "resume"):
             if name in settings:
-                cure = f"Use Diagram.run({name}=...), or save what this run gives."
-                raise UsageError(Fault("E501", name, "is not of a prepared model.", cure))
+                cure = f"Use Diagram.run({name}=...), or save the results of this run."
+                raise UsageError(Fault("E501", name, "is not available for runs of a prepared model.", cure))
         options = RunOptions(inputs=inputs, interpolation=interpolation, progress=progress)
         return self.run_of(parameters or {}, settings, options).finish()
 
@@ -128,8 +129,11 @@ class PreparedModel:
         run = started(self._value, self._resolver, parameters, settings, options, likes=known)
         is_new = not any(form.alike is run.prepared.alike for form in known)
         if is_new and not self.is_current:  # a form of now beside forms of then
-            message = "what its equations read from outside is not what it was when the model was prepared."
-            cure = "Prepare it again: these values need another form of it."
+            message = (
+                "its equations read Python values from outside the blocks, which have changed since the model was "
+                "prepared."
+            )
+            cure = "Prepare the model again: the new parameters need other equations."
             raise UsageError(Fault("E501", self._value.name, message, cure))
         self._keep(run.prepared)
         return run

@@ -88,8 +88,8 @@ def started(
     """
     check_settings(settings)
     if not isinstance(parameters, Mapping):
-        message = f"{type(parameters).__name__} is no mapping of values by path."
-        raise UsageError(Fault("E501", "parameters", message, 'As in parameters={"motor.Ra": 1.2}.'))
+        message = f"must be a mapping of values by path, not {type(parameters).__name__}."
+        raise UsageError(Fault("E501", "parameters", message, 'Example: parameters={"motor.Ra": 1.2}.'))
     raw = parameters
     parameters = given_values(value, resolver, raw)
     resume = options.resume
@@ -108,13 +108,13 @@ def started(
     given = dict(parameters)
     if saved is not None:
         if settings.get("start") is not None:
-            message, cure = "a run that goes on begins where the state is.", "Leave the start out."
-            raise UsageError(Fault("E501", "start", message, cure))
+            message = "cannot be set for a resumed run, which starts at the time of its state."
+            raise UsageError(Fault("E501", "start", message, "Leave start out."))
         parameters = {**saved.overrides, **given_values(value, resolver, raw, saved.overrides)}
         settings = _going_on(settings, saved, value.name)
     if options.interpolation not in ("linear", "hold"):
-        message = f"{options.interpolation!r} is not known."
-        raise UsageError(Fault("E501", "interpolation", message, 'Use "linear" or "hold".'))
+        message = f'must be "linear" or "hold", not {options.interpolation!r}.'
+        raise UsageError(Fault("E501", "interpolation", message))
     try:
         known = (made for like in likes if (made := like.with_values(parameters, settings)) is not None)
         prepared = next(known, None)
@@ -124,11 +124,11 @@ def started(
         foreign = [f.place for f in error.faults if f.code == "E106" and f.place not in given]
         if saved is None or not foreign:
             raise
-        message = f"the state does not fit the diagram: it has set {', '.join(foreign)}, which the diagram has not."
-        raise UsageError(Fault("E506", value.name, message, "Begin the run anew.")) from None
+        message = f"the state does not fit the diagram: it sets {', '.join(foreign)}, which the diagram does not have."
+        raise UsageError(Fault("E506", value.name, message, "Start the run from the beginning.")) from None
     if saved is not None and isinstance(prepared.plan, Coupling):
-        message = "a run with FMUs of Co-Simulation, or with blocks that are coupled one by one, cannot be resumed."
-        raise UsageError(Fault("E506", value.name, message, "Begin it anew."))
+        message = "a run with Co-Simulation FMUs, or with blocks that are coupled one by one, cannot be resumed."
+        raise UsageError(Fault("E506", value.name, message, "Start the run from the beginning."))
     return Run(prepared, options, saved, given, streaming)
 
 
@@ -145,7 +145,7 @@ def _by_one_thread(
     def guarded(run: Run, /, *arguments: _Given.args, **named: _Given.kwargs) -> _Made:
         turn = run._turn
         if not turn.acquire(blocking=False):
-            cure = "Use it in one thread at a time; other runs of the diagram may go on beside it."
+            cure = "Use a run in one thread at a time. Other threads may use other runs of the diagram."
             raise UsageError(Fault("E507", run.plan.name, "the run is in use by another thread.", cure))
         try:
             return method(run, *arguments, **named)
@@ -322,13 +322,20 @@ class Run:
         What was recorded is forgotten: the results begin there. Raises UsageError (E506) where it does not fit.
         """
         if not isinstance(state, (State, str, Path)):
-            what = f"{type(state).__name__} is neither a snapshot nor the file of one."
-            raise UsageError(Fault("E506", "restore", what, "Give what snapshot() gave, or the path of a saved state."))
+            what = f"{type(state).__name__} is neither a snapshot nor the path of a saved state."
+            raise UsageError(
+                Fault(
+                    "E506",
+                    "restore",
+                    what,
+                    "Give the return value of snapshot(), or the path of a file that save wrote.",
+                )
+            )
         if self._streaming is not None:
-            message = "a run that writes its rows to a file does not go back."
+            message = "a run that writes its rows to a file cannot go back to an earlier state."
             raise UsageError(Fault("E506", str(self._streaming.out), message, "Start another run with resume=..."))
         if target_of(state) is not None:
-            message = "is the part of a result file, from which a run of its own goes on."
+            message = "is a partial result file, which only a new run can continue."
             raise UsageError(Fault("E506", str(state), message, "Use resume= of Diagram.start or Diagram.run."))
         prepared = self._prepared
         settings = {key: value for key, value in prepared.settings.items() if key not in ("start", "seed")}
@@ -338,8 +345,8 @@ class Run:
         self.settings, self._exact, self._origin = again.settings, again._exact, None
 
     def __reduce__(self) -> NoReturn:
-        message = "a run cannot be copied or pickled: compiled code and FMUs hold a part of it."
-        cure = "Take snapshot(), or save(path), and let another run go on from there: start(resume=...)."
+        message = "a run cannot be copied or pickled, because compiled code and FMUs hold a part of its state."
+        cure = "Take snapshot() or save(path), and resume another run from it: start(resume=...)."
         raise _NotCopied(Fault("E501", self._prepared.plan.name, message, cure))
 
     @property
@@ -394,7 +401,7 @@ class Run:
         """Go on for a duration in s (a float stands for its shortest decimal). Raises SimulationError."""
         step = time_of("advance", duration)
         if step < 0:
-            raise UsageError(Fault("E501", "advance", f"cannot go back by {-float(step)} s."))
+            raise UsageError(Fault("E501", "advance", f"cannot go back by {-float(step)} s: a run only goes forward."))
         self.advance_to(self._exact + step)
 
     @_by_one_thread
@@ -436,8 +443,8 @@ class Run:
     def _advance(self, end: Fraction, until: Callable[[], bool] | None = None) -> bool:
         """Go on to `end`, or until that is enough; whether it was."""
         if self.ended is not None and end > self._exact:
-            message = f"the run is over since t = {self.t:.10g} s: an FMU ended it."
-            raise UsageError(Fault("E501", self._prepared.plan.name, message, "Begin it anew."))
+            message = f"the run is over: an FMU ended it at t = {self.t:.10g} s."
+            raise UsageError(Fault("E501", self._prepared.plan.name, message, "Start the run again."))
         for piece in (*(between for between in self.settings.stops if self._exact < between < end), end):
             try:
                 is_enough = self._simulation.advance_to(piece, until)
@@ -462,7 +469,7 @@ class Run:
         """
         if self.settings.stop is None:
             cure = 'Give stop=..., or "stop" in the file\'s "run".'
-            raise UsageError(Fault("E501", self._prepared.plan.name, "the run has no end.", cure))
+            raise UsageError(Fault("E501", self._prepared.plan.name, "the run has no stop time.", cure))
         start, stop = self.t, float(self.settings.stop)
         self._simulation.notice = self._options.notice or _warned
         try:
@@ -484,7 +491,9 @@ class Run:
         for index, (known, shape, unit, type_, _) in enumerate(self._prepared.plan.inputs):
             if known == name:
                 if isinstance(value, Mapping) and "value" not in value:
-                    raise UsageError(Fault("E502", name, 'a quantity is {"value": ..., "unit": "..."}.'))
+                    raise UsageError(
+                        Fault("E502", name, 'must be a number or a quantity {"value": ..., "unit": "..."}.')
+                    )
                 try:
                     self._simulation.set_input(index, constant(_given_input(value, type_), shape, unit, type_))
                 except ValueError as error:
@@ -547,7 +556,7 @@ def _named_inputs(given: Any, plan: Plan | Coupling) -> dict[str, Any]:
             named.update({name: _given_input(value, types.get(name, "")) for name, value in source.items()})
         elif source is not None:
             message = f"{type(source).__name__} is neither a mapping of values by name nor the path of a file."
-            raise UsageError(Fault("E501", "inputs", message, 'As in inputs={"r": 1.0}.'))
+            raise UsageError(Fault("E501", "inputs", message, 'Example: inputs={"r": 1.0}.'))
     return named
 
 
@@ -593,7 +602,7 @@ def _going_on(settings: Mapping[str, Any], saved: State | Kept, name: str) -> Ma
     if saved.seed is None:
         return continued
     if given is not None and given != saved.seed:
-        what = f"the state is of a run with the seed {saved.seed}"
-        message = f"{what}, and noise of another one would be mixed with its noise."
-        raise UsageError(Fault("E506", name, message, "Leave the seed out, or begin the run anew."))
+        what = f"the state comes from a run with the seed {saved.seed}"
+        message = f"{what}, and another seed would continue it with different noise."
+        raise UsageError(Fault("E506", name, message, "Leave the seed out, or start the run from the beginning."))
     return {**continued, "seed": saved.seed}

@@ -113,9 +113,9 @@ class Streaming:
         if releases[0] != releases[1]:
             different.append(f"release of blocks ({releases[0]}, and now {releases[1]})")
         if different:
-            cure = "Resume it with what it was begun with, or begin the run anew."
+            cure = "Resume the run with the same settings and files, or start it from the beginning."
             place = str(self.part.path)
-            told = [f"is of a run that differs in its {what}." for what in different]
+            told = [f"was written by a run that differs in its {what}." for what in different]
             raise UsageError(*(Fault("E506", place, message, cure) for message in told))
         return Origin(**{key: was[key] for key in Origin.kinds() if key in was})
 
@@ -132,16 +132,19 @@ def part_to_resume(
         return None
     place = str(resume)
     if out is not None and Path(out).absolute() != Path(target).absolute():
-        raise UsageError(Fault("E501", str(out), f"a run that goes on from {place} writes {target}.", "Leave it out."))
+        raise UsageError(Fault("E501", str(out), f"cannot be the output of a run that continues {place}: it "
+        f"writes {target}.", "Leave out= out."))
     for what, items in given.items():
         if items:
-            message = f"a run that goes on in its own file has its {what} from there."
-            raise UsageError(Fault("E506", place, message, f"Leave the {what} out, or begin the run anew."))
+            message = f"stores the {what} of its run, so that they cannot be given again."
+            raise UsageError(Fault("E506", place, message, f"Leave the {what} out, or start the run from the "
+            "beginning."))
     part = Part.found(resume)
     try:
         recorded = dict(json.loads(part.schema.metadata.get(b"settings", b"{}")))
     except (ValueError, TypeError):
         part.close()
-        raise UsageError(Fault("E506", place, "says no settings of its run.", "Begin the run anew.")) from None
+        raise UsageError(Fault("E506", place, "does not contain the settings of its run.", "Start the run from "
+        "the beginning.")) from None
     return part, Path(target), {**recorded, **{key: value for key, value in settings.items() if value is not None}}
 

@@ -49,11 +49,11 @@ first steps:
   blocks run diagrams/loop.json --library robot --plot loop.svg
                                           simulate a diagram, and draw its signals
   blocks check diagrams/loop.json --library robot
-                                          tell all that is wrong with it
-  blocks list --search "rate limit"       find block types; `blocks list PID` tells about one
-  blocks explain E102                     what an error means, and what to do
+                                          find all faults in it
+  blocks list --search "rate limit"       find block types; `blocks list PID` describes one
+  blocks explain E102                     explain an error and what to do about it
 
-`blocks COMMAND --help` tells what a command takes."""
+`blocks COMMAND --help` shows the options of a command."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -159,14 +159,19 @@ def _unforeseen(error: Exception) -> tuple[int, Fault]:
     """Return the exit code and the fault of an exception that no part of blocks expects."""
     what = " ".join(str(error).split())[:300]
     if isinstance(error, MemoryError):
-        return UsageError.exit_status, Fault("E008", "", "there is not enough memory for this.", "Make it smaller.")
+        return UsageError.exit_status, Fault(
+            "E008",
+            "",
+            "the memory does not suffice for this command.",
+            "Reduce the diagram, the recorded signals or the number of rows.",
+        )
     if isinstance(error, OSError):
         place, why = str(error.filename or ""), error.strerror or what
         if place == STDOUT:
             silence(sys.stdout)
             return UsageError.exit_status, Fault("E501", STDOUT, f"cannot be written: {why}.", "")
-        cure = "" if place else "`--debug` tells where."
-        return UsageError.exit_status, Fault("E501", place, f"the system refused: {why}.", cure)
+        cure = "" if place else "Run it again with --debug to see where."
+        return UsageError.exit_status, Fault("E501", place, f"the operating system refused: {why}.", cure)
     message = f"blocks itself failed ({type(error).__name__}{': ' + what if what else ''})."
     return BROKEN, Fault("E901", "", message, "This is a fault of blocks: run it again with --debug, and report it.")
 
@@ -179,13 +184,15 @@ class _Parser(argparse.ArgumentParser):
         if match := re.match(r"argument (.*?): invalid choice: '(.*?)' \(choose from (.*)\)$", message, re.DOTALL):
             choices = re.findall(r"[\w.-]+", match[3])
             noun = "command" if match[1] == "COMMAND" else f"value of {match[1]}"
-            message = f"{_short(match[2])} is no {noun}."
+            message = f"{_short(match[2])} is not a {noun}."
             near = did_you_mean(match[2][:200], choices)
-            cure = f"{near} There are {', '.join(choices)}." if near else f"There are {', '.join(choices)}."
+            cure = f"{near} Choose one of: {', '.join(choices)}." if near else f"Choose one of: {', '.join(choices)}."
         elif message.startswith("unrecognized arguments: "):
             first = message.removeprefix("unrecognized arguments: ")
             is_option = first.startswith("-")
-            message = f"{first[:60]} is not known here." if is_option else f"{_short(first)} is one argument too many."
+            message = f"{_short(first)} is one argument more than the command takes."
+            if is_option:
+                message = f"{first[:60]} is not an option of this command."
             every = (action for parser in _every(self) for action in parser._actions)
             known = [option for action in every for option in action.option_strings]
             cure = (did_you_mean(first.partition("=")[0], known) if first.startswith("-") else "") or cure

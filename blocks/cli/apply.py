@@ -21,15 +21,16 @@ def add(verbs: Any) -> None:
     apply = verbs.add_parser(
         "apply",
         help="edit a diagram or study file by a list of operations",
-        description="Edit a diagram or study file, and files that it names, by a list of operations: add, set, remove, "
-        "rename, wire, unwire, move, group, ungroup, swap, paste. Only the characters that must change do; all files "
-        "are written, or none.",
+        description="Edit a diagram or study file, and the files that it refers to, by a list of operations: "
+        "add, set, remove, "
+        "rename, wire, unwire, move, group, ungroup, swap, paste. Only the characters that must change are "
+        "changed; either all files are written, or none.",
     )
     apply.add_argument("file", metavar="FILE", help="a diagram or a study file (JSON)")
     apply.add_argument("operations", metavar="OPS.json", help="a JSON file with a list of operations, or - for stdin")
     apply.add_argument("--project", action="store_true", help="edit the other files of the project as well")
-    apply.add_argument("--dry-run", action="store_true", help="tell what would change, and write nothing")
-    apply.add_argument("--strict", action="store_true", help="write nothing where the diagram gets new faults")
+    apply.add_argument("--dry-run", action="store_true", help="show what would change, and write nothing")
+    apply.add_argument("--strict", action="store_true", help="write nothing if the diagram would get new faults")
     takes_json(apply)
     apply.set_defaults(verb=_apply)
     takes_library(apply)
@@ -69,7 +70,7 @@ def _apply(options: argparse.Namespace) -> int:
 def tell_elsewhere(edit: Edit) -> None:
     """Print on stderr the changes that other files would need."""
     for change in edit.elsewhere:
-        say(f"warning: not changed: {change_line(change)} (--project changes it as well)")
+        say(f"warning: left unchanged: {change_line(change)} (--project changes it as well)")
     if edit.note:
         say(f"warning: {edit.note}")
 

@@ -22,9 +22,11 @@ def add(verbs: Any) -> None:
         "check",
         help="find all static faults of a diagram",
         description="Check diagrams: all faults, the order of execution, rates, loops. Of a study: the faults of its "
-        "file, of its diagrams, and of what it asks of them.",
+        "file, of its diagrams, and of the measures, signals and parameters that the study uses.",
     )
-    check.add_argument("files", metavar="FILE", nargs="+", help="a diagram file (JSON), or a study; again for more")
+    check.add_argument(
+        "files", metavar="FILE", nargs="+", help="a diagram file (JSON) or a study; several may be given"
+    )
     takes_variants(check)
     takes_json(check)
     check.set_defaults(verb=_check)

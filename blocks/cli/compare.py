@@ -22,13 +22,15 @@ def add(verbs: Any) -> None:
     comparison = verbs.add_parser(
         "compare",
         help="compare two result files",
-        description="Compare the signals that two result files (.csv, .parquet, .mat) have in common. Exit code 0 "
-        "where all are within the tolerance, 1 where one is not. Where the times differ, rows are joined by lines.",
+        description="Compare the signals that two result files (.csv, .parquet, .mat) have in common. Exit code 0 if "
+        "all are within the tolerance, 1 if not. If the times differ, values between rows are interpolated linearly.",
     )
-    comparison.add_argument("a", metavar="A", help="a result file; ranges are those of its signals")
+    comparison.add_argument("a", metavar="A", help="a result file; tolerances refer to the ranges of its signals")
     comparison.add_argument("b", metavar="B", help="the file to compare it with")
     comparison.add_argument(
-        "--tolerance", metavar="X", help="how far a signal may be off, as a part of its range in A (default 1e-06)"
+        "--tolerance",
+        metavar="X",
+        help="the largest difference that passes, as a fraction of the signal's range in A (default 1e-06)",
     )
     comparison.add_argument(
         "--absolute", metavar="X", help="a difference up to this, in the signal's unit, passes as well (default 0)"
@@ -45,7 +47,7 @@ def _compare(options: argparse.Namespace) -> int:
     for name in limits:
         given = number_of(name, getattr(options, name))
         if isinstance(given, Mapping):
-            raise UsageError(Fault("E501", f"--{name}", f"{getattr(options, name)!r} is not a number without unit."))
+            raise UsageError(Fault("E501", f"--{name}", f"{getattr(options, name)!r} must be a number without a unit."))
         limits[name] = limits[name] if given is None else float(given)
     a, b = Results.load(options.a), Results.load(options.b)
     comparison = compare(a, b, **limits)
@@ -89,7 +91,7 @@ def _comparison_lines(options: argparse.Namespace, a: Results, b: Results, compa
         yield f"{path}  {results.diagram}  {span}  {counted(len(results.t), 'row')}"
     if comparison.is_interpolated:
         span = f"{comparison.start:.10g} ... {comparison.stop:.10g} s"
-        yield f"  the times differ: compared by lines between rows at {counted(comparison.rows, 'time')} of {span}"
+        yield f"  the times differ: compared by linear interpolation at {counted(comparison.rows, 'time')} of {span}"
     yield from (f"  {note}" for note in comparison.notes)
     yield comparison.table()
     for path, names in ((options.a, comparison.only_a), (options.b, comparison.only_b)):
@@ -99,4 +101,4 @@ def _comparison_lines(options: argparse.Namespace, a: Results, b: Results, compa
     if comparison.is_within:
         yield f"{total} within {limit}"
     else:
-        yield f"{len(comparison.beyond)} of {total} beyond {limit}, most of all {comparison.worst.name}"
+        yield f"{len(comparison.beyond)} of {total} beyond {limit}; the worst is {comparison.worst.name}"

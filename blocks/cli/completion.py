@@ -36,15 +36,17 @@ SIGNALS = ("log", "sources", "sinks", "loop", "openings", "amplitude", "sigma")
 
 
 def add(verbs: Any) -> None:
-    about = "Print the script by which a shell completes commands, options, files, block types, and names of a diagram."
+    about = "Print the script that lets a shell complete commands, options, files, block types and names in a diagram."
     completion = verbs.add_parser(
         "completion",
-        help="print the script by which bash, zsh or fish completes commands",
+        help="print the script with which bash, zsh or fish completes commands",
         description=f"{about} bash: eval \"$(blocks completion bash)\" in ~/.bashrc. zsh: the same after compinit in "
         "~/.zshrc. fish: blocks completion fish > ~/.config/fish/completions/blocks.fish.",
     )  # fmt: skip
     completion.add_argument("shell", metavar="SHELL", choices=(*SHELLS, "words"), help="bash, zsh or fish")
-    completion.add_argument("words", metavar="WORD", nargs="*", help="what is typed after `blocks`, for such a script")
+    completion.add_argument(
+        "words", metavar="WORD", nargs="*", help="the words typed after `blocks`: the script calls this"
+    )
     completion.set_defaults(verb=_completion)
 
 

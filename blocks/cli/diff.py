@@ -24,37 +24,44 @@ MOST_BYTES = 2**25  # of stdin; the reader refuses what is larger than 16 MiB
 def add(verbs: Any) -> None:
     diff = verbs.add_parser(
         "diff",
-        help="tell what differs between two diagrams",
-        description="Tell what differs from diagram A to diagram B: blocks, wires, inputs, outputs, parameters, run "
-        "settings, measures, and all that in subdiagrams. Layout, the order of entries and the spelling of numbers are "
-        "no differences. Exit code 0 where there is none, 1 where there are some.",
+        help="show the differences between two diagrams",
+        description="Show the differences between diagram A and diagram B: blocks, wires, inputs, outputs, "
+        "parameters, run "
+        "settings, measures, in subdiagrams too. Layout, the order of entries and the spelling of numbers do "
+        "not count. Exit code 0 if there are no differences, 1 if there are some.",
     )
-    diff.add_argument("a", metavar="A", help="a diagram file (JSON); - for stdin, in the folder of the other")
+    diff.add_argument(
+        "a", metavar="A", help="a diagram file (JSON); - for stdin, read as if it lay in the folder of the other file"
+    )
     diff.add_argument("b", metavar="B", nargs="?", help="the other diagram")
     diff.add_argument("rest", nargs="*", help=argparse.SUPPRESS)  # what git gives beyond its two files
-    diff.add_argument("--svg", metavar="FILE.svg", help="draw both in one, with what was added, removed and changed")
+    diff.add_argument(
+        "--svg", metavar="FILE.svg", help="draw both in one picture that marks what was added, removed and changed"
+    )
     diff.add_argument("--depth", metavar="N", type=int, help="levels of subdiagrams that --svg opens (default: all)")
     diff.add_argument("--doc", action="store_true", help="compare doc texts and keys x-... as well")
     takes_json(diff)
-    diff.add_argument("--git", action="store_true", help="take the arguments that git gives to its diff.NAME.command")
+    diff.add_argument("--git", action="store_true", help="take the arguments that git passes to its diff.NAME.command")
     takes_library(diff)
     diff.set_defaults(verb=_diff)
 
 
 def _diff(options: argparse.Namespace) -> int:
     if options.svg and not options.svg.lower().endswith(".svg"):
-        raise UsageError(Fault("E501", options.svg, "a drawing is an SVG.", "Name it FILE.svg."))
+        raise UsageError(
+            Fault("E501", options.svg, "the format is not supported: diff draws SVG only.", "Name it FILE.svg.")
+        )
     if options.depth is not None and not 1 <= options.depth <= 30:
-        raise UsageError(Fault("E501", f"--depth {options.depth}", "is not a number of levels.", "Use 1 or more."))
+        raise UsageError(Fault("E501", f"--depth {options.depth}", "must be 1 to 30: the number of levels to open."))
     if options.git:
         return _for_git(options)
     if options.b is None:
-        raise UsageError(Fault("E501", "blocks diff", "two diagrams are compared.", "Give two files."))
+        raise UsageError(Fault("E501", "blocks diff", "needs two diagrams to compare.", "Give two files."))
     if options.rest:
         place = f"blocks diff: {' '.join(options.rest)[:200]}"
-        raise UsageError(Fault("E501", place, "two diagrams are compared.", "Give two files."))
+        raise UsageError(Fault("E501", place, "more than two files were given.", "Give two files."))
     if options.a == options.b == STDIN:
-        raise UsageError(Fault("E501", "-", "only one of the two can come from stdin.", "Give a file as the other."))
+        raise UsageError(Fault("E501", "-", "both diagrams cannot come from stdin.", "Give a file for one of them."))
     folders = [os.path.dirname(path) if path != STDIN else "" for path in (options.b, options.a)]
     a, b = (_read(path, folder) for path, folder in zip((options.a, options.b), folders, strict=True))
     names = ["<stdin>" if path == STDIN else path for path in (options.a, options.b)]
@@ -72,8 +79,10 @@ def _for_git(options: argparse.Namespace) -> int:
         print(printable(f"{given[0]} is not merged"))
         return 0
     if len(given) not in (7, 8, 9):
-        cure = 'It is for git: git config diff.blocks.command "blocks diff --git".'
-        raise UsageError(Fault("E501", "--git", f"{counted(len(given), 'argument')} where git gives seven.", cure))
+        cure = 'Let git call it: git config diff.blocks.command "blocks diff --git".'
+        raise UsageError(
+            Fault("E501", "--git", f"{counted(len(given), 'argument')} were given; git passes seven.", cure)
+        )
     old, new = given[1], given[4]
     path = given[7] if len(given) > 7 else given[0]  # renamed
     try:
@@ -103,7 +112,7 @@ def _read(path: str, folder: str, *, shown: str = "") -> Readable:
     else:
         value, faults = readable(path)
     if faults:
-        say(f"{name} has {counted(len(faults), 'fault')}: compared as far as it can be read")
+        say(f"{name} has {counted(len(faults), 'fault')}: only the readable part is compared")
         for fault in faults[:3]:
             say(f"  {fault}")
         if len(faults) > 3:
@@ -138,7 +147,7 @@ def _tell(options: argparse.Namespace, a: Readable, b: Readable, names: tuple[st
     else:
         print(printable(str(diff)))
         if has_faults:
-            say("what could not be read was not compared")
+            say("the unreadable part was not compared")
         if options.svg:
             print(options.svg)
     return 1 if diff else 0

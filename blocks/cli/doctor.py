@@ -14,9 +14,9 @@ __all__ = ["add"]
 def add(verbs: Any) -> None:
     doctor = verbs.add_parser(
         "doctor",
-        help="tell what there is to run diagrams with",
-        description="Tell versions, the C compiler and whether it works, which engine is taken, and the cache of "
-        "compiled code. Exit code 2 where there is a compiler, or CC is set, and it does not work.",
+        help="show versions, the compiler and the cache, and test them",
+        description="Show the versions, the C compiler and whether it works, the engine that runs use, and the "
+        "cache of compiled code. Exit code 2 if a compiler is found, or CC is set, and it does not work.",
     )
     doctor.add_argument("--clear-cache", action="store_true", help="empty the cache of compiled code, and nothing else")
     takes_json(doctor)

@@ -23,7 +23,7 @@ def add(verbs: Any) -> None:
         "with its subdiagrams, its equations and the results of a run, that needs no network.",
     )
     drawing.add_argument("diagram", metavar="DIAGRAM")
-    drawing.add_argument("-o", "--out", metavar="FILE", help="where to write it (default: stdout)")
+    drawing.add_argument("-o", "--out", metavar="FILE", help="the file to write (default: stdout)")
     drawing.add_argument("--depth", metavar="N", type=int, default=1, help="levels of subdiagrams to show (default 1)")
     drawing.add_argument("--html", action="store_true", help="write a page that zooms and opens subdiagrams")
     given = drawing.add_mutually_exclusive_group()
@@ -40,10 +40,10 @@ def _draw(options: argparse.Namespace) -> int:
     from ..text.atomic_write import write_atomically
 
     if not 1 <= options.depth <= 30:
-        raise UsageError(Fault("E501", f"--depth {options.depth}", "is not a number of levels.", "Use 1 or more."))
+        raise UsageError(Fault("E501", f"--depth {options.depth}", "must be 1 to 30: the number of levels to show."))
     if not options.html and (options.results or options.run):
         what = "--run" if options.run else "--results"
-        raise UsageError(Fault("E501", what, "is of a page.", "Give --html too."))
+        raise UsageError(Fault("E501", what, "works for a page only.", "Add --html."))
     diagram = Diagram.load(options.diagram, library=options.library)
     text = _page(options, diagram) if options.html else _svg(options, diagram)
     if options.out in (None, "-"):
@@ -57,8 +57,8 @@ def _draw(options: argparse.Namespace) -> int:
 
 def _svg(options: argparse.Namespace, diagram: Diagram) -> str:
     if options.out not in (None, "-") and not options.out.lower().endswith(".svg"):
-        cure = "Name it FILE.svg; browsers and Inkscape turn it into others. --html writes a page."
-        raise UsageError(Fault("E501", options.out, "a drawing is an SVG.", cure))
+        cure = "Name it FILE.svg; browsers and Inkscape convert it. --html writes a page."
+        raise UsageError(Fault("E501", options.out, "the format is not supported: drawings are SVG.", cure))
     return diagram.draw(depth=options.depth, variants=variants_of(options.variants))
 
 
@@ -67,9 +67,16 @@ def _page(options: argparse.Namespace, diagram: Diagram) -> str:
     from ..server.static_page import page_of
 
     if options.out not in (None, "-") and not options.out.lower().endswith((".html", ".htm")):
-        raise UsageError(Fault("E501", options.out, "a page is HTML.", "Name it FILE.html."))
+        raise UsageError(Fault("E501", options.out, "a page must be an HTML file.", "Name it FILE.html."))
     if options.depth != 1:
-        raise UsageError(Fault("E501", f"--depth {options.depth}", "a page opens each subdiagram.", "Leave it out."))
+        raise UsageError(
+            Fault(
+                "E501",
+                f"--depth {options.depth}",
+                "has no effect on a page, which opens each subdiagram by a click.",
+                "Leave --depth out.",
+            )
+        )
     variants = variants_of(options.variants)
     results = Results.load(options.results) if options.results else None
     if options.run:

@@ -20,10 +20,12 @@ WIDEST = 100
 def add(verbs: Any) -> None:
     explain = verbs.add_parser(
         "explain",
-        help="tell what an error code means, and what to do",
-        description="Tell what a code such as E102 means: the cause, the cure, and an example. Without one: all codes.",
+        help="explain an error code: its cause and what to do",
+        description="Explain a code such as E102: the cause, the cure, and an example. Without a code: list all codes.",
     )
-    explain.add_argument("codes", metavar="CODE", nargs="*", help="a code that a message begins with; E1 for a group")
+    explain.add_argument(
+        "codes", metavar="CODE", nargs="*", help="the code at the beginning of a message; E1 for a group"
+    )
     takes_json(explain, "one JSON object, or one for each code")
     explain.set_defaults(verb=_explain)
 
@@ -63,7 +65,7 @@ def _explain_one(word: str, options: argparse.Namespace) -> None:
         else:
             print(printable("\n".join(_lines(code))))
     if groups and not options.json:
-        print(f"`blocks explain {groups[0].codes[0]}` tells the cause, the cure and an example.")
+        print(f"`blocks explain {groups[0].codes[0]}` shows the cause, the cure and an example.")
 
 
 def _entry(code: str) -> dict[str, Any]:

@@ -22,20 +22,20 @@ def add(verbs: Any) -> None:
         description="Write a diagram, or one block of the library, as an FMU, which needs no Python where it runs.",
     )
     export.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON), or the name of a block type")
-    export.add_argument("-o", "--out", metavar="X.fmu", required=True, help="where to write it")
-    export.add_argument("--name", metavar="N", default="", help="of the model (default: that of the diagram)")
+    export.add_argument("-o", "--out", metavar="X.fmu", required=True, help="the file to write")
+    export.add_argument("--name", metavar="N", default="", help="name of the model (default: the name of the diagram)")
     export.add_argument("--fmi", metavar="2|3", type=int, default=3, help="the version of FMI (default 3)")
-    kind = "Co-Simulation or Model Exchange, again for both (default: all that the diagram allows)"
+    kind = "Co-Simulation or Model Exchange; give it twice for both (default: all that the diagram allows)"
     takes_several(export, "--kind", "CS|ME", kind, type=str.upper, dest="kinds", default=None)
-    platform = "x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin or aarch64-darwin, again for more; none: "
+    platform = "x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin or aarch64-darwin; may be repeated; none: "
     platform += "sources only (default: this machine's)"
     takes_several(export, "--platform", "P", platform, dest="platforms", default=None)
-    export.add_argument("--method", metavar="M", help="dopri5, radau, auto, rk4 or euler, of Co-Simulation")
+    export.add_argument("--method", metavar="M", help="method of Co-Simulation: dopri5, radau, auto, rk4 or euler")
     export.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
     export.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5, radau and auto")
     export.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5, radau and auto")
-    export.add_argument("--seed", metavar="N", help="seed of the run, from which the noise of the FMU follows")
-    log = "show this signal (again for more) in place of the file's choice"
+    export.add_argument("--seed", metavar="N", help="seed of the noise in the FMU")
+    log = "show this signal instead of the file's choice; may be repeated"
     takes_several(export, "--log", "SIGNAL", log, default=None)
     takes_parameters(export)
     takes_variants(export)
@@ -60,14 +60,14 @@ def _export(options: argparse.Namespace) -> int:
         diagram, parameters = Diagram.alone(block(**parameters)), {}  # they fix its ports, too
     elif options.diagram.isidentifier() and not os.path.exists(options.diagram):
         cure = did_you_mean(options.diagram, types) or "`blocks list` names the block types."
-        raise UsageError(Fault("E103", options.diagram, "there is no such diagram file, and no such block type.", cure))
+        raise UsageError(Fault("E103", options.diagram, "is neither a diagram file nor a block type.", cure))
     else:
         diagram = Diagram.load(options.diagram, library=options.library)
     check_writable("-o", options.out, [options.diagram])
     platforms = [name for name in options.platforms or () if name != "none"] if options.platforms else None
     others = other_platforms(platforms or ())
     if others and not options.json:
-        say(f"building for {', '.join(others)}: the first time, a platform takes a minute or two")
+        say(f"building for {', '.join(others)}: the first build for a platform takes a minute or two")
     fmu = diagram.export(
         options.out,
         fmi=options.fmi,

@@ -18,11 +18,11 @@ def add(verbs: Any) -> None:
     fmt = verbs.add_parser(
         "fmt",
         help="write diagram and study files in their canonical form",
-        description="Write diagram and study files in their canonical form and in the newest version. What a file says "
-        "stays as it is; one whose structure has faults is left alone.",
+        description="Write diagram and study files in their canonical form and in the newest version. The "
+        "meaning of a file does not change; a file with faults in its structure is left alone.",
     )
     fmt.add_argument("files", metavar="FILE", nargs="+", help="a diagram or a study; - reads stdin and writes stdout")
-    fmt.add_argument("--check", action="store_true", help="write nothing; exit code 1 where a file is not canonical")
+    fmt.add_argument("--check", action="store_true", help="write nothing; exit code 1 if a file is not canonical")
     takes_library(fmt)
     takes_json(fmt)
     fmt.set_defaults(verb=_fmt)
@@ -33,7 +33,9 @@ def _fmt(options: argparse.Namespace) -> int:
     from ..text.atomic_write import write_atomically
 
     if "-" in options.files and (len(options.files) > 1 or options.json):
-        raise UsageError(Fault("E501", "-", "stdin stands alone.", "As in `blocks fmt - < FILE`."))
+        raise UsageError(
+            Fault("E501", "-", "cannot be combined with files: - reads stdin.", "Example: `blocks fmt - < FILE`.")
+        )
     status, changed = 0, 0
     for file in options.files:
         source = ("<stdin>", sys.stdin.buffer) if file == "-" else (file,)
@@ -57,7 +59,7 @@ def _fmt(options: argparse.Namespace) -> int:
         elif form.old != form.new:
             what = "is not canonical" if options.check else "formatted"
             if form.version != form.newest:
-                brought = f", brought from version {form.version} to {form.newest}"
+                brought = f", converted from version {form.version} to {form.newest}"
                 what += f", of version {form.version}" if options.check else brought
             print(printable(f"{file}: {what}"))
     if options.json:

@@ -25,31 +25,33 @@ _SHOWN = 30  # names
 
 
 def add(verbs: Any) -> None:
-    fmu = verbs.add_parser("fmu", help="tell about an FMU, run it, or compile its sources")
+    fmu = verbs.add_parser("fmu", help="inspect an FMU, run it, or compile its sources")
     parts = fmu.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for what, title, text in (
-        ("info", "tell what is inside an FMU", "Tell what is inside an FMU. Nothing is unpacked or loaded."),
+        ("info", "show the contents of an FMU", "Show the contents of an FMU. Nothing is unpacked or loaded."),
         (
             "check",
-            "tell whether an FMU would run here",
-            "Tell whether an FMU would run here, and why not. Nothing is unpacked or loaded. Exit code 4 where it "
-            "cannot.",
+            "check whether an FMU can run here",
+            "Check whether an FMU can run here, and show why not. Nothing is unpacked or loaded. Exit code 4 if "
+            "it cannot.",
         ),
     ):
         part = parts.add_parser(what, help=title, description=text)
         part.add_argument("fmu", metavar="X.fmu")
         if what == "info":
-            part.add_argument("--all", action="store_true", help="locals too, and all of each group (else 30)")
+            part.add_argument(
+                "--all", action="store_true", help="show locals too, and all variables of each group (otherwise 30)"
+            )
         takes_json(part, "one JSON object")
         part.set_defaults(verb=_fmu, what=what)
     alone = parts.add_parser(
         "run",
         help="run an FMU by itself",
-        description="Run an FMU by itself, as a diagram of one block: its inputs and outputs are those of the diagram. "
-        "This runs its code.",
+        description="Run an FMU by itself, as a diagram of one block: its inputs and outputs become those of "
+        "the diagram. This runs the FMU's code.",
     )
     alone.add_argument("fmu", metavar="X.fmu")
-    kind = "Co-Simulation or Model Exchange (default: CS where it has both)"
+    kind = "Co-Simulation or Model Exchange (default: Co-Simulation if it has both)"
     alone.add_argument("--kind", metavar="CS|ME", type=str.upper, help=kind)
     alone.add_argument("--isolate", action="store_true", help="run it in a process of its own")
     takes_run(alone)
@@ -57,12 +59,12 @@ def add(verbs: Any) -> None:
     compiling = parts.add_parser(
         "compile",
         help="compile the C sources in an FMU for this machine",
-        description="Compile the C sources that an FMU carries and put the binary into it. The file is replaced as a "
-        "whole.",
+        description="Compile the C sources that an FMU contains and add the binary to it. The whole file is "
+        "replaced at once.",
     )
     compiling.add_argument("fmu", metavar="X.fmu")
-    compiling.add_argument("-o", "--out", metavar="Y.fmu", help="where to write it (default: in its own place)")
-    platform = "x86_64-linux, aarch64-linux, x86_64-windows, ..., again for more (default: this machine's)"
+    compiling.add_argument("-o", "--out", metavar="Y.fmu", help="the file to write (default: replace the FMU)")
+    platform = "x86_64-linux, aarch64-linux, x86_64-windows, ...; may be repeated (default: this machine's)"
     takes_several(compiling, "--platform", "P", platform, dest="platforms", default=None)
     takes_json(compiling, "one JSON object")
     compiling.set_defaults(verb=_compile)
@@ -182,7 +184,7 @@ def _without_outputs(foreign: Foreign, inputs: list[str], readable: Container[st
     what = "states" if states else "local variables"
     if shown:
         more = f" (the first {_SHOWN})" if len(shown) == _SHOWN else ""
-        say(f"{foreign.path.name} has no outputs: its {what}{more} are recorded; --log NAME records others.")
+        say(f"{foreign.path.name} has no outputs: its {what}{more} are recorded; --log NAME records other variables.")
     else:
-        say(f"{foreign.path.name} has no outputs, and no other variable that can be recorded.")
+        say(f"{foreign.path.name} has no outputs, and no other variable can be recorded.")
     return [*inputs, *shown] if shown else None

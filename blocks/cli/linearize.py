@@ -31,21 +31,21 @@ def add(verbs: Any) -> None:
     takes_several(linear, "--to", "B", "an output of the transfer", dest="sinks")
     linear.add_argument("--loop", metavar="POINT", help="open the loop at this signal: L, with S = 1/(1 + L)")
     takes_several(linear, "--open", "C", "a signal to cut", dest="openings")
-    override = "a gain in the place of a block: q=1 takes a quantizer as unit gain; q=[[1,0],[0,1]] with more signals"
+    override = "replace a block by a gain: q=1 makes a quantizer a unit gain; q=[[1,0],[0,1]] for several signals"
     takes_several(linear, "--override", "BLOCK=GAIN", override, dest="overrides")
-    pade = "take Padé models of this order for delays; without it, the margins of a loop keep them exact"
+    pade = "replace delays by Padé models of this order; without it, margins of a loop use exact delays"
     linear.add_argument("--pade", metavar="N", type=int, default=0, help=pade)
     linear.add_argument("--plot", metavar="FILE", help="draw it: .svg, .png, .pdf")
     linear.add_argument(
-        "--figure", choices=FIGURES, help="what --plot draws (default bode); step of a loop: of the closed one"
+        "--figure", choices=FIGURES, help="the figure of --plot (default bode); step of a loop shows the closed loop"
     )
     linear.set_defaults(verb=_linearize)
 
     observer = verbs.add_parser(
         "observer",
         help="poles, bandwidth and noise gain of an observer",
-        description="An extended state observer against the amplitude of its error: poles, the bandwidth "
-        "from the total disturbance to its estimate, the noise gain.",
+        description="Show how an extended state observer depends on the amplitude of its error: poles, the "
+        "bandwidth from the total disturbance to its estimate, the noise gain.",
     )
     observer.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
     observer.add_argument("block", metavar="BLOCK", help="the observer: control_right.eso")
@@ -88,13 +88,13 @@ def _linearize(options: argparse.Namespace) -> int:
         check_writable("--plot", options.plot, [options.diagram])
         plots.check_format(options.plot)
     elif options.figure is not None:
-        raise UsageError(Fault("E501", "--figure", "there is no file to draw it to.", "Give one: --plot FILE.svg"))
+        raise UsageError(Fault("E501", "--figure", "has no file to draw to.", "Add --plot FILE.svg."))
     if options.pade < 0:
-        raise UsageError(Fault("E501", f"--pade {options.pade}", "is no order of a model.", "Use 1 to 10."))
+        raise UsageError(Fault("E501", f"--pade {options.pade}", "is not an order of a Padé model.", "Use 1 to 10."))
     is_loop = options.loop is not None
     if is_loop == bool(options.sources or options.sinks) or (not is_loop and not (options.sources and options.sinks)):
-        cure = "As in --from r --to motor.omega, or --loop control.u."
-        raise UsageError(Fault("E501", "linearize", "needs --from and --to, or --loop alone.", cure))
+        cure = "Example: --from r --to motor.omega, or --loop control.u."
+        raise UsageError(Fault("E501", "linearize", "needs either --from and --to, or --loop alone.", cure))
     diagram, point = _linearizer(options)
     given = assignments("--override", options.overrides, "q=1")
     linearizer = diagram.linearizer(overrides={name: raw_number(v) for name, v in given.items()}, **point)

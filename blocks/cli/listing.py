@@ -20,12 +20,15 @@ __all__ = ["add"]
 def add(verbs: Any) -> None:
     listing = verbs.add_parser(
         "list",
-        help="list the block library, or tell about one block",
-        description="List the block types, those of a group, or one type's ports and parameters; find types by words.",
+        help="list the block library, or describe one block",
+        description="List all block types or a group of them, show the ports and parameters of one type, or "
+        "search for words.",
     )
-    what = "a block type, a group of them, an FMU, `measures`, or a word of Simulink"
+    what = "a block type, a group of types, an FMU, `measures`, or a Simulink term"
     listing.add_argument("block", metavar="BLOCK", nargs="?", help=what)
-    listing.add_argument("--search", metavar="TEXT", help="block types that say these words, Simulink's among them")
+    listing.add_argument(
+        "--search", metavar="TEXT", help="find block types whose text contains these words; Simulink terms work too"
+    )
     takes_json(listing)
     listing.set_defaults(verb=_list)
     takes_library(listing)
@@ -65,11 +68,14 @@ def _list(options: argparse.Namespace) -> int:
 def _found(catalog: Catalog, options: argparse.Namespace) -> int:
     """Print what `--search` finds. Raises UsageError (E501) if it finds nothing."""
     if options.block is not None or not options.search.split():
-        what, cure = "takes one text, and no block type.", 'As in blocks list --search "rate limit".'
+        what, cure = (
+            "takes one text, and cannot be combined with a block type.",
+            'Example: blocks list --search "rate limit".',
+        )
         raise UsageError(Fault("E501", f"--search {options.search}", what, cure))
     found, words = catalog.search(options.search)
     if not found and not words:
-        message, cure = "no block type says this, and no word of Simulink.", "`blocks list` names all types."
+        message, cure = "matches no block type and no Simulink term.", "`blocks list` shows all types."
         raise UsageError(Fault("E501", f"--search {options.search}", message, cure))
     _rows(found, max((len(each.name) for each in found), default=0), options.json)
     _tell_words(words, options.json)
@@ -117,5 +123,5 @@ def _tell(sheet: Sheet, as_json: bool) -> None:
     lines.append("parameters:" if sheet.parameters else "parameters: none")
     lines += aligned([(row.name, row.unit, row.default, row.kind, row.doc) for row in sheet.parameters])
     if any(row.unit == "*" for row in sheet.parameters):
-        lines += ["", "* follows from the units that the structural parameters say"]
+        lines += ["", "* depends on the structural parameters, which set the unit"]
     print(printable("\n".join(lines)))

@@ -37,8 +37,8 @@ def add(verbs: Any) -> None:
     live = verbs.add_parser(
         "live",
         help="draw and run a diagram in the browser",
-        description="Draw a diagram in the browser, run it there, and turn its parameters while it runs. The server is "
-        "this command, for this machine alone; it ends with Ctrl-C.",
+        description="Draw a diagram in the browser, run it there, and change its parameters while it runs. This "
+        "command is the server, for this machine only; Ctrl-C ends it.",
     )
     live.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
     _takes(live)
@@ -46,10 +46,10 @@ def add(verbs: Any) -> None:
     edit = verbs.add_parser(
         "edit",
         help="draw a diagram in the browser, and run it there",
-        description="Edit a diagram file in the browser: every gesture is written into it at once, and can be undone. "
-        "It runs there, too. The server is this command, for this machine alone; it ends with Ctrl-C.",
+        description="Edit a diagram file in the browser: each change is written to the file at once, and can be "
+        "undone. It can run there, too. This command is the server, for this machine only; Ctrl-C ends it.",
     )
-    what = "a diagram file (JSON), which is made where there is none (default: the newest one in this folder and below)"
+    what = "a diagram file (JSON), created if it does not exist (default: the newest diagram in this folder and below)"
     edit.add_argument("diagram", metavar="DIAGRAM", nargs="?", help=what)
     _takes(edit)
     edit.set_defaults(verb=_live, edit=True)
@@ -57,13 +57,13 @@ def add(verbs: Any) -> None:
 
 def _takes(live: argparse.ArgumentParser) -> None:
     live.add_argument("--port", metavar="N", type=int, default=0, help="port of 127.0.0.1 (default: a free one)")
-    live.add_argument("--no-browser", action="store_true", help="print the address, and open no browser")
+    live.add_argument("--no-browser", action="store_true", help="print the address, and do not open a browser")
     takes_parameters(live)
     takes_several(live, "--input", "NAME=VALUE", "the value of an input of the diagram (default: its own, or 0)")
     takes_variants(live)
     takes_engine(live)
     takes_trust(live)
-    takes_json(live, "the address as a JSON object, and no browser")
+    takes_json(live, "print the address as a JSON object, and do not open a browser")
     live.add_argument("--host", help=argparse.SUPPRESS)
     takes_library(live)
 
@@ -71,8 +71,15 @@ def _takes(live: argparse.ArgumentParser) -> None:
 def _live(options: argparse.Namespace) -> int:
     if options.host is not None:
         port = options.port or 8000
-        cure = f"From another machine: ssh -L {port}:127.0.0.1:{port} HOST, and here --port {port}."
-        raise UsageError(Fault("E501", f"--host {options.host}", "the server is for this machine alone.", cure))
+        cure = f"To reach it from another machine: ssh -L {port}:127.0.0.1:{port} HOST there, and --port {port} here."
+        raise UsageError(
+            Fault(
+                "E501",
+                f"--host {options.host}",
+                "is refused: the server accepts connections from this machine only.",
+                cure,
+            )
+        )
     if options.diagram is None:
         options.diagram = _newest()
     # What cannot be is told before there is an address.
@@ -160,7 +167,9 @@ def _newest() -> str:
 
     found = [*diagrams_in(Path())]
     if not found:
-        raise UsageError(Fault("E501", "edit", "there is no diagram in this folder.", "Name one: blocks edit new.json"))
+        raise UsageError(
+            Fault("E501", "edit", "finds no diagram in this folder.", "Name a file to create: blocks edit new.json")
+        )
     return str(max(found, key=lambda path: path.stat().st_mtime))
 
 

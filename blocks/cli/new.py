@@ -30,8 +30,10 @@ def add(verbs: Any) -> None:
         description="Make a folder with a project that runs at once: a module with a block type, a diagram with it, "
         "tests, a place for FMUs, a README, and what GitHub and VS Code need.",
     )
-    new.add_argument("name", metavar="NAME", help="its name, or the path of its folder: new, or empty")
-    new.add_argument("--dry-run", action="store_true", help="name the files that would be made, and make none")
+    new.add_argument(
+        "name", metavar="NAME", help="the project's name, or the path of its folder, which must be new or empty"
+    )
+    new.add_argument("--dry-run", action="store_true", help="list the files, and create none")
     new.set_defaults(verb=_new)
 
 
@@ -39,8 +41,8 @@ def _new(options: argparse.Namespace) -> int:
     folder = Path(options.name)
     name = folder.name
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        what = "is there already, and it is not empty." if folder.is_dir() else "is a file."
-        raise UsageError(Fault("E501", legible(options.name), what, "Take another name; nothing was written."))
+        what = "exists, and is not empty." if folder.is_dir() else "exists, and is a file."
+        raise UsageError(Fault("E501", legible(options.name), what, "Choose another name. Nothing was written."))
     _check_name(name)
     files = {place.replace("NAME", name): text.replace("NAME", name) for place, text in _template()}
     if not options.dry_run:
@@ -59,14 +61,14 @@ def _new(options: argparse.Namespace) -> int:
 def _check_name(name: str) -> None:
     """Refuse what cannot be the name of a module of its own. Raises UsageError (E501)."""
     meant = re.sub(r"\W+", "_", name.lower(), flags=re.ASCII).strip("_")
-    cure = "Take another name, as in blocks new robot."
+    cure = "Choose another name. Example: blocks new robot."
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,99}", name) or keyword.iskeyword(name):
         cure = f"Did you mean {meant}?" if re.fullmatch(r"[a-z]\w*", meant) and meant != name else cure
-        what = "is no name of a module: small letters, digits and _, with a letter first."
+        what = "cannot name a Python module: use small letters, digits and _, and begin with a letter."
         raise UsageError(Fault("E501", legible(name), what, cure))
     found = util.find_spec(name)  # a folder without a module has no origin
     if name in ("tests", *sys.builtin_module_names) or (found is not None and found.origin):
-        raise UsageError(Fault("E501", name, "is the name of a module that is there already.", cure))
+        raise UsageError(Fault("E501", name, "is the name of an existing Python module.", cure))
 
 
 def _template() -> Iterator[tuple[str, str]]:

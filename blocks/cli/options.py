@@ -40,28 +40,26 @@ def takes_engine(run: argparse.ArgumentParser) -> None:
 def takes_run(run: argparse.ArgumentParser) -> None:
     takes_settings(run)
     run.add_argument("--seed", metavar="N", help="seed of the run, an integer; another seed gives other noise")
-    run.add_argument(
-        "--jumps", action="store_true", default=None, help="between the rows of the grid, those before and after jumps"
-    )
+    run.add_argument("--jumps", action="store_true", default=None, help="add rows before and after jumps to the grid")
     takes_parameters(run)
-    inputs = "inputs over time (columns time,NAME,...), or one constant input; again for more"
+    inputs = "inputs over time (columns time,NAME,...), or one constant input; may be repeated"
     takes_several(run, "--input", "FILE.csv|NAME=VALUE", inputs)
-    run.add_argument("--hold", action="store_true", help="hold the values of --input instead of joining them by lines")
-    log = "record this signal, or all that a pattern names (motor.*; again for more), in place of the file's choice"
+    run.add_argument("--hold", action="store_true", help="hold the values of --input instead of interpolating linearly")
+    log = "record this signal, or all that match a pattern (motor.*), instead of the file's choice; may be repeated"
     takes_several(run, "--log", "SIGNAL", log, default=None)
     master = "a setting of the master: step=0.001, steps.motor=0.002, algorithm=gauss-seidel, order=2, tolerance=1e-6, "
-    takes_several(run, "--master", "KEY=VALUE", f"{master}couple=each, iterations=50; again for more")
+    takes_several(run, "--master", "KEY=VALUE", f"{master}couple=each, iterations=50; may be repeated")
     run.add_argument(
         "-o", "--out", metavar="FILE", help="write the recorded signals: .csv, .parquet, .mat; - for stdout"
     )
     run.add_argument(
         "--plot", metavar="FILE", help="draw the first four signals, or those of --log, over time: .svg, .png, .pdf"
     )
-    run.add_argument("--save", metavar="STATE", help="write the state at the stop, from which --resume goes on")
+    run.add_argument("--save", metavar="STATE", help="write the state at the stop time, for --resume")
     run.add_argument(
         "--resume",
         metavar="STATE",
-        help="go on from a state that --save wrote, or from the FILE.parquet.part of a run that was killed",
+        help="continue from a state that --save wrote, or from the FILE.parquet.part of a killed run",
     )
     takes_engine(run)
     takes_json(run)
@@ -74,11 +72,13 @@ def takes_variants(verb: argparse.ArgumentParser) -> None:
 
 def takes_point(verb: argparse.ArgumentParser) -> None:
     """Where a diagram is linearized."""
-    verb.add_argument("--at", metavar="T", help="at the state of a run at this time in s (default: the start)")
+    verb.add_argument(
+        "--at", metavar="T", help="use the state that a run reaches at this time in s (default: the start)"
+    )
     held = "the value of an input of the diagram (default: its own, or 0)"
     takes_several(verb, "--input", "NAME=VALUE", held, dest="held")
     for option, what in (("amplitude", "amplitude of a sine"), ("sigma", "deviation of a random signal")):
-        help = f"{what} at a law without slope, whose describing function is taken: eso.e=0.1"
+        help = f"{what} at the input of an equation without a slope; its describing function is used: eso.e=0.1"
         takes_several(verb, f"--{option}", "SIGNAL=X", help)
     takes_parameters(verb)
     takes_variants(verb)
@@ -86,14 +86,14 @@ def takes_point(verb: argparse.ArgumentParser) -> None:
 
 
 def takes_trust(verb: argparse.ArgumentParser) -> None:
-    help = "an FMU, or a folder of FMUs, outside of the project that may run; again for more"
+    help = "allow an FMU, or a folder of FMUs, outside the project to run; may be repeated"
     takes_several(verb, "--trust", "PATH", help)
 
 
 def takes_parameters(verb: argparse.ArgumentParser) -> None:
-    help = 'a parameter by its path, or an element of it: torque=2, "motor.Ra=200 mOhm", "plant.A[1,0]=2"'
+    help = 'set a parameter by its path, or an element of it: torque=2, "motor.Ra=200 mOhm", "plant.A[1,0]=2"'
     takes_several(verb, "--set", "NAME=VALUE", help, dest="parameters")
 
 
 def takes_library(verb: argparse.ArgumentParser) -> None:
-    takes_several(verb, "--library", "MODULE", "a Python module with blocks of your own")
+    takes_several(verb, "--library", "MODULE", "a Python module with your own blocks; may be repeated")

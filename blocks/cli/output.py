@@ -80,7 +80,7 @@ class Progress:
         """Show how much is done, from 0 to 1. beside: stands beside a bar; line: in a line of its own."""
         if self.is_bar:
             bar = "█" * int(30 * share) + "░" * (30 - int(30 * share))
-            text = f"\r {bar} {share:4.0%}  {beside}  [Ctrl-C keeps what is there]\x1b[K"
+            text = f"\r {bar} {share:4.0%}  {beside}  [Ctrl-C keeps the results so far]\x1b[K"
             print(text, end="", file=sys.stderr, flush=True)
             self.is_drawn = True
         elif int(10 * share) > self.tenth or self.shown - self.said > 10:
@@ -125,7 +125,7 @@ def fault_lines(faults: Sequence[Fault], stream: TextIO, *, more: bool = True) -
             yield from excerpts.of(fault)
     codes = list(dict.fromkeys(fault.code for fault in faults if not fault.is_warning))
     if is_terminal and more and codes:
-        yield f"`blocks explain {codes[0]}` tells more."
+        yield f"`blocks explain {codes[0]}` explains it."
 
 
 def fault_entry(fault: Fault, file: str = "") -> dict[str, Any]:

@@ -22,13 +22,13 @@ def add(verbs: Any) -> None:
     plot = verbs.add_parser(
         "plot",
         help="draw signals of result files over each other",
-        description="Draw signals of result files (.csv, .parquet, .mat) over time, those of several files over each "
-        "other, in the units of the first one. Names in the legend are those of the files.",
+        description="Draw signals of result files (.csv, .parquet, .mat) over time, several files in one "
+        "figure, in the units of the first file. The legend shows the names of the files.",
     )
     plot.add_argument("files", metavar="FILE", nargs="+", help="a result file; NAME=FILE gives it a name")
-    signal = "draw this signal, or all that a pattern names (motor.*; again for more); without one, the first four"
+    signal = "draw this signal, or all that match a pattern (motor.*); may be repeated; without it, the first four"
     takes_several(plot, "--signal", "NAME", signal)
-    plot.add_argument("-o", "--out", metavar="FILE", required=True, help="where to: .svg, .png, .pdf")
+    plot.add_argument("-o", "--out", metavar="FILE", required=True, help="the file to write: .svg, .png, .pdf")
     plot.set_defaults(verb=_plot)
 
 
@@ -46,7 +46,7 @@ def _plot(options: argparse.Namespace) -> int:
         for (name, _, path), stem in zip(named, stems, strict=True)
     ]
     if len(set(labels)) < len(labels):
-        raise UsageError(Fault("E501", "FILE", "two files have one name in the legend.", "Call one NAME=FILE."))
+        raise UsageError(Fault("E501", "FILE", "two files have the same name in the legend.", "Rename one: NAME=FILE."))
     runs = {label: Results.load(path) for label, path in zip(labels, paths, strict=True)}
     first, *others = runs
     names: dict[str, None] = {}
@@ -56,7 +56,7 @@ def _plot(options: argparse.Namespace) -> int:
         names |= dict.fromkeys(found)
         if not found:
             cure = f"Signals: {', '.join(known[:20])}{', ...' if len(known) > 20 else ''}."
-            raise UsageError(Fault("E501", f"--signal {asked}", f"names no signal of {first}.", cure))
+            raise UsageError(Fault("E501", f"--signal {asked}", f"matches no signal of {first}.", cure))
     beside = {label: runs[label] for label in others}
     figure = runs[first].plot(*names, most=MOST if names else 4, label=first, beside=beside)
     plots.save(figure, options.out)

@@ -18,17 +18,17 @@ KINDS = ("block", "input", "parameter", "output")
 def add(verbs: Any) -> None:
     rename = verbs.add_parser(
         "rename",
-        help="rename a block, an input, a parameter or an output with all that refers to it",
-        description="Rename a block, an input, a parameter or an output of a diagram with all wires, expressions, "
+        help="rename a block, an input, a parameter or an output, and everything that refers to it",
+        description="Rename a block, an input, a parameter or an output of a diagram in all wires, expressions, "
         "measures and settings that name it. All other characters of the file stay as they are. Other diagrams and "
-        "studies of the project that use the name are told, and left alone unless --project is given.",
+        "studies of the project that use the name are listed, and changed only with --project.",
     )
     rename.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
-    rename.add_argument("old", metavar="OLD", help="its name; control.eso for what lies in the subdiagram control")
+    rename.add_argument("old", metavar="OLD", help="its name; control.eso for eso in the subdiagram control")
     rename.add_argument("new", metavar="NEW", help="its new name, without a path")
-    rename.add_argument("--kind", choices=KINDS, help="what is meant, where an output has the name of something else")
+    rename.add_argument("--kind", choices=KINDS, help="the kind, if an output shares its name with something else")
     rename.add_argument("--project", action="store_true", help="edit the other files of the project as well")
-    rename.add_argument("--dry-run", action="store_true", help="tell what would change, and write nothing")
+    rename.add_argument("--dry-run", action="store_true", help="show what would change, and write nothing")
     takes_json(rename)
     rename.set_defaults(verb=_rename)
     takes_library(rename)

@@ -68,7 +68,7 @@ def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None 
         run = _started(options, diagram, progress, inputs, parameters, settings)
     if run.settings.stop is None:
         raise UsageError(
-            Fault("E501", diagram.name, "the run has no end.", 'Give --stop T, or "stop" in the file\'s "run".')
+            Fault("E501", diagram.name, "the run has no stop time.", 'Give --stop T, or "stop" in the file\'s "run".')
         )
     shown = _shown(options, run.plan)
     for warning in run.plan.warnings:
@@ -112,7 +112,7 @@ def _started(
     from ..api.run import RunOptions
     from ..results.files import target_of
 
-    word = "compiling: a diagram is compiled the first time that it runs"
+    word = "compiling: this happens the first time that a diagram runs"
     late = f"still preparing the run; a compiler that hangs is stopped after {longest_compilation():g} s"
     with waiting(word, late=late, quiet=options.json):
         given = RunOptions(
@@ -141,7 +141,7 @@ def _concluded(
     """Write and report the results of a run; returns the exit code. told: the warnings that were printed already."""
     ended_at_once()
     if results.interrupted and options.out and results.rows > LONG:
-        say(f"interrupted: writing {results.rows} rows to {options.out}; once more, and they are lost")
+        say(f"interrupted: writing {results.rows} rows to {options.out}; a second Ctrl-C loses them")
     written, refused = _written(options, run, results, shown, is_whole=failure is None)
     known = (*run.warnings, *run.plan.warnings, *told)
     tell_faults([warning for warning in results.warnings if warning not in known], options.json)
@@ -150,13 +150,13 @@ def _concluded(
     tell_faults(refused, options.json)
     _report(options, run, results, seconds, written)
     if refused:
-        say(f"kept: {', '.join(written) or 'nothing but the table'}")
+        say(f"kept: {', '.join(written) or 'only the table'}")
     if failure is not None:
         return failure.exit_status
     if results.interrupted:
         state = options.save if options.save and not refused else run.part
         kept = f"; --resume {state} goes on from there" if state else ""
-        say(f"interrupted at t = {run.t:.10g} s; what was computed up to there is kept{kept}")
+        say(f"interrupted at t = {run.t:.10g} s; the results up to this time are kept{kept}")
         return INTERRUPTED
     return UsageError.exit_status if refused else 0
 
@@ -223,7 +223,8 @@ def _master(items: Sequence[str]) -> dict[str, Any] | None:
         elif first == "steps":
             master.setdefault("steps", {})[block] = value
         else:
-            message, cure = "is not known.", "A step of one block is steps.BLOCK=0.001."
+            message = "is not a setting of the master: only steps.BLOCK has a point."
+            cure = "To set the step of one block, write steps.BLOCK=0.001."
             raise UsageError(Fault("E501", f"--master {key}", message, cure))
     return master or None
 
@@ -253,12 +254,12 @@ def _shown(options: argparse.Namespace, plan: Any) -> list[str]:
         names += [f"{name}[{i}]" for i in range(shape[0])] if shape else [name]
     place = f"--plot {options.plot}"
     if not names:
-        raise UsageError(Fault("E501", place, "no signal is recorded.", "Choose some: --log SIGNAL."))
+        raise UsageError(Fault("E501", place, "no signal is recorded.", "Choose signals: --log SIGNAL."))
     if options.log is None:
         return names[:4]
     if len(names) > MOST_SHOWN:
-        message = f"{len(names)} signals are more than {MOST_SHOWN} in one figure."
-        raise UsageError(Fault("E501", place, message, "Choose fewer: --log SIGNAL."))
+        message = f"{len(names)} signals do not fit into one figure: the limit is {MOST_SHOWN}."
+        raise UsageError(Fault("E501", place, message, "Choose fewer signals: --log SIGNAL."))
     return names
 
 

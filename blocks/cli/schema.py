@@ -14,14 +14,14 @@ def add(verbs: Any) -> None:
     schema = verbs.add_parser(
         "schema",
         help="print the JSON Schema of diagram or study files, for editors",
-        description="Print the JSON Schema (draft 2020-12) by which editors complete and check diagram files, or study "
-        "files. It knows the block types of the library, and those of --library.",
+        description="Print the JSON Schema (draft 2020-12) with which editors complete and check diagram files, "
+        "or study files. It contains the block types of the library and of --library.",
     )
     schema.add_argument(
         "kind", metavar="diagram|study", nargs="?", choices=("diagram", "study"), default="diagram",
-        help="of which files (default: diagram)",
+        help="the kind of file (default: diagram)",
     )  # fmt: skip
-    schema.add_argument("-o", "--out", metavar="FILE", help="where to write it (default: stdout)")
+    schema.add_argument("-o", "--out", metavar="FILE", help="the file to write (default: stdout)")
     schema.set_defaults(verb=_schema)
     takes_library(schema)
 

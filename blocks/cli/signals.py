@@ -81,7 +81,7 @@ class Heard:
             silent = time.monotonic() - self.told if self.count else 0.0
             if self.count == 1 and silent > QUIET and not is_told:
                 is_told = True
-                say("interrupted: the run ends after its step; once more ends it at once")
+                say("interrupted: the run ends after this step; a second Ctrl-C ends it at once")
             if self.count > 1 and silent > PATIENCE:
                 end(self.status)
 

@@ -32,7 +32,8 @@ def add(verbs: Any) -> None:
     study = verbs.add_parser(
         "study",
         help="compare runs with published numbers",
-        description="Run a study: tables, figures, one report. Exit code 1 where a verdict is not the expected one.",
+        description="Run a study: tables, figures, one report. Exit code 1 if a verdict differs from the "
+        "expected verdict.",
     )
     study.add_argument("study", metavar="STUDY", help="a study file (JSON)")
     study.add_argument("--out", metavar="DIR", help="folder for report.html and the figures (default: out/NAME)")
@@ -196,7 +197,7 @@ def _saved(made: Results | Sweep | Tuning, path: Path) -> Path:
 def _tell_kept(options: argparse.Namespace, finished: Mapping[str, Results | Sweep | Tuning], folder: Path) -> None:
     kept = _kept(finished, folder)
     if kept:
-        say("no report was written; the runs that are done are kept")
+        say("no report was written; the finished runs are kept")
     for name, path in kept.items():
         say(f"  {name} is in {path}")
     if kept and options.json:

@@ -40,30 +40,34 @@ def add(verbs: Any) -> None:
     )
     verb.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
     vary = (
-        "what varies, in the unit of the parameter: 1,2,3, linspace:4,20,9 (geomspace), normal:0.27,0.02, "
-        "uniform:LOW,HIGH, loguniform, triangular, truncatednormal, or any continuous distribution of scipy.stats, "
-        "lognorm:s=0.3,scale=2. NAME may be an element, plant.A[1,0], a pattern (one value for all that match), or "
-        "each(PATTERN)"
+        "the values of a parameter, in its unit: 1,2,3, linspace:4,20,9 (geomspace), normal:0.27,0.02, "
+        "uniform:LOW,HIGH, loguniform, triangular, truncatednormal, or any continuous distribution of "
+        "scipy.stats, lognorm:s=0.3,scale=2. NAME may be an element, plant.A[1,0], or a pattern: all matches get "
+        "the same value; with each(PATTERN) each match gets its own"
     )
     takes_several(verb, "--vary", "NAME=VALUES", vary)
-    verb.add_argument("--n", metavar="N", help="draws of the distributions; lists are crossed with them")
+    verb.add_argument(
+        "--n", metavar="N", help="number of draws from the distributions; each is combined with all values of the lists"
+    )
     samplers = "random (the default), sobol, halton, lhs, or saltelli for Sobol indices"
     verb.add_argument("--sampler", metavar="S", default="random", help=samplers)
     verb.add_argument("--seed", metavar="N", help="seed of the draws and of all runs, an integer (default: 0)")
-    takes_several(verb, "--measure", "M", "take this measure (again for more; without one: all)", default=None)
-    log = "keep this signal, or all that a pattern names, on a grid, in the file; again for more"
+    takes_several(verb, "--measure", "M", "compute this measure; may be repeated (default: all)", default=None)
+    log = "keep this signal, or all that match a pattern, on a grid, in the file; may be repeated"
     takes_several(verb, "--log", "SIGNAL", log)
-    scenario = "parameters set on top, for which all rows run once more: heavy:load=2,torque=3; quiet: for none"
+    scenario = "run all rows again with these parameters set too: heavy:load=2,torque=3; quiet: sets nothing"
     takes_several(verb, "--scenario", "NAME:SETTINGS", scenario)
     takes_parameters(verb)
     takes_settings(verb)
-    verb.add_argument("--budget", metavar="STEPS", help="the most steps of a run (default: 1000 times the median)")
-    verb.add_argument("--threads", metavar="N", help="how many runs at once (default: all cores)")
-    lanes = "exact (the default), or fast: several runs at once in each core, equal within the tolerance"
+    verb.add_argument(
+        "--budget", metavar="STEPS", help="the largest number of steps of a run (default: 1000 times the median)"
+    )
+    verb.add_argument("--threads", metavar="N", help="number of runs at the same time (default: all cores)")
+    lanes = "exact (the default), or fast: several runs together on each core, equal within the tolerance"
     verb.add_argument("--lanes", metavar="L", default="exact", help=lanes)
-    out = "write all rows (.parquet); an interrupted sweep continues from its file"
+    out = "write all rows (.parquet); the same command continues an interrupted sweep from this file"
     verb.add_argument("-o", "--out", metavar="FILE", help=out)
-    address = "run the rows on the workers of this scheduler of dask; --out may be a folder or a URL that they write"
+    address = "run the rows on the workers of this dask scheduler; --out may be a folder or a URL that they write to"
     plot = "draw bands of --log over time, or histograms of the measures: .svg, .png, .pdf"
     verb.add_argument("--plot", metavar="FILE", help=plot)
     verb.add_argument("--dask", metavar="ADDRESS", help=address)
@@ -183,7 +187,7 @@ class _Progress:
 def _count(option: str, text: str | None) -> int | None:
     value = number_of(option, text)
     if value is not None and (isinstance(value, dict) or float(value) % 1 or value < 0):
-        raise UsageError(Fault("E501", f"--{option}", f"{text!r} is not an integer from 0 on."))
+        raise UsageError(Fault("E501", f"--{option}", f"{text!r} must be an integer, 0 or more."))
     return None if value is None else int(value)
 
 
@@ -195,12 +199,12 @@ def vary_of(items: Sequence[str]) -> dict[Any, Any]:
     for item in items:
         name, separator, text = item.partition("=")
         if not (separator and name.strip() and text.strip()):
-            cure = 'As in --vary "motor.Ra=normal:0.16,0.01".'
+            cure = 'Example: --vary "motor.Ra=normal:0.16,0.01".'
             raise UsageError(Fault("E501", f"--vary {item}", "is not NAME=VALUES.", cure))
         pattern = re.fullmatch(r"\s*each\((.*)\)\s*", name)
         key = each(pattern[1].strip()) if pattern else name.strip()
         if key in vary:
-            raise UsageError(Fault("E501", f"--vary {item}", "is varied twice.", "Vary each parameter once."))
+            raise UsageError(Fault("E501", f"--vary {item}", "appears twice.", "Vary each parameter once."))
         vary[key] = _values(f"--vary {name.strip()}", text.strip())
     return vary
 
@@ -215,7 +219,9 @@ def _values(place: str, text: str) -> Any:
     kind, words = called[1], called[2].split(",") if called[2].strip() else []
     named = dict(word.partition("=")[::2] for word in words if "=" in word)
     if named and len(named) != len(words):
-        raise UsageError(Fault("E501", place, f"{text!r} names some of its numbers only.", "Name all, or none."))
+        raise UsageError(
+            Fault("E501", place, f"{text!r} names only some of its numbers.", "Name all numbers, or none.")
+        )
     names = [*map(str.strip, named)] if named else [""] * len(words)
     numbers, unit = _in_one_unit(place, kind, names, [*named.values()] if named else words)
     by_name = dict(zip(names, numbers, strict=True)) if named else None
@@ -236,19 +242,19 @@ def _listed(place: str, text: str) -> list[Any]:
             return [_plain(value) for value in parsed(f"[{text}]")]
         except ModelError as error:
             message = f"{text!r} is not a list of vectors: {error.faults[0].message}"
-            raise UsageError(Fault("E501", place, message, "As in [1,2],[3,4].")) from None
+            raise UsageError(Fault("E501", place, message, "Example: [1,2],[3,4].")) from None
     if text.startswith("@"):
         cure = "List the values between commas; in Python, sweep(...) takes a table of rows (pandas.read_csv)."
-        raise UsageError(Fault("E501", place, f"{text!r}: values are not read from a file.", cure))
+        raise UsageError(Fault("E501", place, f"{text!r} is not a list of values: --vary reads no files.", cure))
     words = [word.strip() for word in text.split(",")]
     if not all(words):
-        message = f"{text!r} has no value {'behind its last comma' if all(words[:-1]) else 'between two commas'}."
-        raise UsageError(Fault("E501", place, message, "As in 1,2,3."))
+        message = f"{text!r} has no value {'after its last comma' if all(words[:-1]) else 'between two commas'}."
+        raise UsageError(Fault("E501", place, message, "Example: 1,2,3."))
     values = [_plain(_quantity(place, word)) for word in words]
     are_texts = [isinstance(value, str) and not value.startswith("=") for value in values]
     if any(are_texts) and any(isinstance(value, float | dict) for value in values):
-        message = f"{words[are_texts.index(True)]!r} is not a number, and others are."
-        raise UsageError(Fault("E501", place, message, "Give numbers, or texts."))
+        message = f"{words[are_texts.index(True)]!r} is a text, and other values are numbers."
+        raise UsageError(Fault("E501", place, message, "Give only numbers, or only texts."))
     return values
 
 
@@ -269,7 +275,7 @@ def _in_one_unit(place: str, kind: str, names: Sequence[str], words: Sequence[st
         name in ("loc", "scale") if name else not (kind in ("linspace", "geomspace") and k == 2)
         for k, name in enumerate(names)
     ]
-    example = "As in normal:160 mOhm,10 mOhm, or linspace:1 V,5 V,9."
+    example = "Example: normal:160 mOhm,10 mOhm, or linspace:1 V,5 V,9."
     return in_one_unit(place, given, may_have, example, words)
 
 
@@ -283,8 +289,10 @@ def _quantity(place: str, word: str) -> Any:
         if isinstance(value, dict):
             units.parse(str(value["unit"]))
     except ModelError:
-        cure = "A range is linspace:FROM,TO,COUNT; a unit stands after a space, as in 160 mOhm."
-        raise UsageError(Fault("E501", place, f"{word!r} is not a number, nor one with a unit.", cure)) from None
+        cure = "Write a unit after a space: 160 mOhm. Write a range as linspace:FROM,TO,COUNT."
+        raise UsageError(
+            Fault("E501", place, f"{word!r} is neither a number nor a number with a unit.", cure)
+        ) from None
     return value
 
 
@@ -302,7 +310,7 @@ def scenarios_of(items: Sequence[str]) -> dict[str, dict[str, Any]]:
     for item in items:
         name, separator, text = item.partition(":")
         if not separator or not name.strip():
-            cure = 'As in --scenario "heavy:load=2,torque=3"; "quiet:" sets nothing.'
+            cure = 'Example: --scenario "heavy:load=2,torque=3"; "quiet:" sets nothing.'
             raise UsageError(Fault("E501", f"--scenario {item}", "is not NAME:SETTINGS.", cure))
         given = re.split(r",(?=[A-Za-z_*][\w.\[\]*]*=)", text) if text.strip() else []
         scenarios.setdefault(name.strip(), {}).update(assignments(f"--scenario {name}:", given, "load=2"))

@@ -26,23 +26,28 @@ __all__ = ["add"]
 def add(verbs: Any) -> None:
     tune = verbs.add_parser(
         "tune",
-        help="find values of parameters that make measures small, under constraints, in several scenarios",
-        description="Find the values within bounds for which an expression over measures is least and all constraints "
-        "hold, by many runs. A scenario is named before a measure: noisy.variation; ITAE alone is the mean over all "
-        "scenarios, and a constraint on it holds in each. Exit code 1 if a constraint is violated at the end.",
+        help="find values of parameters that minimize measures, under constraints, in several scenarios",
+        description="Find the values within bounds that minimize an expression over measures and satisfy all "
+        "constraints, by many runs. Put the name of a scenario before a measure: noisy.variation. ITAE "
+        "alone is the mean over all scenarios, and a constraint on it must hold in each. Exit code 1 if a "
+        "constraint is violated at the end.",
     )
     tune.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
-    tune.add_argument("--minimize", metavar="EXPR", required=True, help='over measures: "ITAE_right + 1e-3*ISU_right"')
-    over = "the bounds of a parameter, a pattern (control_*.eso.Ka) or an element (pid.k[0]); again for more"
+    tune.add_argument(
+        "--minimize", metavar="EXPR", required=True, help='the expression over measures: "ITAE_right + 1e-3*ISU_right"'
+    )
+    over = "the bounds of a parameter, a pattern (control_*.eso.Ka) or an element (pid.k[0]); may be repeated"
     takes_several(tune, "--over", "NAME=LOW,HIGH", over, required=True)
-    scenario = "parameters under which every candidate runs, noisy:sigma=0.001,load=2; quiet: for none; again for more"
+    scenario = (
+        "parameters under which every candidate runs: noisy:sigma=0.001,load=2; quiet: sets nothing; may be repeated"
+    )
     takes_several(tune, "--scenario", "NAME:SETTINGS", scenario, dest="scenarios")
-    takes_several(tune, "--subject-to", "CONSTRAINT", 'such as "noisy.variation <= 75"; again for more')
+    takes_several(tune, "--subject-to", "CONSTRAINT", 'a limit such as "noisy.variation <= 75"; may be repeated')
     tune.add_argument("--method", metavar="M", default="cma", help="cma (CMA-ES) or de (differential evolution)")
-    tune.add_argument("--budget", metavar="N", default="500", help="how many candidates are run (default: 500)")
+    tune.add_argument("--budget", metavar="N", default="500", help="number of candidates to run (default: 500)")
     tune.add_argument("--seed", metavar="N", default="1", help="seed of the optimizer (default: 1)")
-    tune.add_argument("--threads", metavar="N", help="how many runs at once (default: all cores)")
-    lanes = "exact (the default), or fast: several runs at once in each core, equal within the tolerance"
+    tune.add_argument("--threads", metavar="N", help="number of runs at the same time (default: all cores)")
+    lanes = "exact (the default), or fast: several runs together on each core, equal within the tolerance"
     tune.add_argument("--lanes", metavar="L", default="exact", help=lanes)
     tune.add_argument("--stop", metavar="T", help="stop time in s")
     tune.add_argument("--write", action="store_true", help="write the values into DIAGRAM if all constraints hold")
@@ -149,7 +154,7 @@ def _told(options: argparse.Namespace, tuning: Tuning) -> int:
 def _whole(option: str, text: str) -> int:
     number = number_of(option, text)
     if isinstance(number, dict) or not float(number).is_integer():
-        raise UsageError(Fault("E501", f"--{option}", f"{text!r} is no integer."))
+        raise UsageError(Fault("E501", f"--{option}", f"{text!r} is not an integer."))
     return int(number)
 
 
@@ -176,5 +181,5 @@ def _bounds(item: str) -> tuple[str, tuple[Any, Any]]:
     are_plain = isinstance(low, float) and isinstance(high, float)
     if not are_numbers or not separator or not name.strip() or (are_plain and not low < high):
         message = "is not NAME=LOW,HIGH, the lower bound first."
-        raise UsageError(Fault("E501", f"--over {item}", message, 'As in --over "kp=1,100".'))
+        raise UsageError(Fault("E501", f"--over {item}", message, 'Example: --over "kp=1,100".'))
     return name.strip(), (low, high)

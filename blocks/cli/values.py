@@ -31,7 +31,7 @@ def time_of(option: str, text: str | None) -> Any:
     if text is None or text.startswith("="):
         return text
     if "/" in text or text[:1].isalpha():  # no unit of time has a slash
-        cure = f'An expression begins with "=": --{option} "={text}".'
+        cure = f'Begin an expression with "=": --{option} "={text}".'
         raise UsageError(Fault("E501", f"--{option}", f"{text!r} is not a number.", cure))
     return number_of(option, text)
 
@@ -55,9 +55,11 @@ def assignments(option: str, items: Sequence[str], example: str) -> dict[str, An
     for item in items:
         name, separator, text = item.partition("=")
         if not separator or not name.strip():
-            raise UsageError(Fault("E501", f"{option} {item}", "is not NAME=VALUE.", f'As in {option} "{example}".'))
+            raise UsageError(Fault("E501", f"{option} {item}", "is not NAME=VALUE.", f'Example: {option} "{example}".'))
         if name.strip() in values:
-            raise UsageError(Fault("E501", f"{option} {item}", f"gives {name.strip()} a second value."))
+            raise UsageError(
+                Fault("E501", f"{option} {item}", f"gives {name.strip()} a second value.", "Give each name once.")
+            )
         values[name.strip()] = _parsed(f"{option} {name.strip()}", text)
     return values
 
@@ -73,7 +75,7 @@ def _parsed(place: str, text: str) -> Any:
         if re.fullmatch(rf"\[{number}(,{number})+\]", several) and place.startswith(("--set", "--input")):
             ways.append(f"{several} for several values")
         cure = f"Write {', or '.join(ways)}." if ways else ""
-        raise UsageError(Fault("E501", place, f"{text!r} is not a number: decimals come after a point.", cure))
+        raise UsageError(Fault("E501", place, f"{text!r} is not a number: the decimal separator is a point.", cure))
     try:
         return parsed(text)
     except ModelError as error:
@@ -107,9 +109,16 @@ def variants_of(items: Sequence[str]) -> dict[str, str]:
     for item in items:
         path, separator, name = (part.strip() for part in item.partition("="))
         if not (separator and path and name):
-            raise UsageError(Fault("E501", f"--variant {item}", "is not BLOCK=NAME.", "As in --variant motor=fmu."))
+            raise UsageError(Fault("E501", f"--variant {item}", "is not BLOCK=NAME.", "Example: --variant motor=fmu."))
         if path in variants:
-            raise UsageError(Fault("E501", f"--variant {item}", f"chooses a second one for {path}."))
+            raise UsageError(
+                Fault(
+                    "E501",
+                    f"--variant {item}",
+                    f"chooses a second variant for {path}.",
+                    "Choose one variant for each block.",
+                )
+            )
         variants[path] = name
     return variants
 
@@ -119,15 +128,16 @@ def check_writable(option: str, path: str, read: Sequence[str]) -> None:
 
     what = ""
     if os.path.exists(path) and not os.path.isfile(path):
-        what = "is no ordinary file; - stands for stdout"
+        what = "is not an ordinary file; write - for stdout"
     elif os.path.exists(path) and any(os.path.exists(other) and os.path.samefile(path, other) for other in read):
-        what = "is a file that this run reads"
+        what = "is also an input of this command, which must not be overwritten"
     elif not os.path.isdir(os.path.dirname(path) or "."):
-        what = f"the folder {os.path.dirname(path)} is not there"
+        what = f"the folder {os.path.dirname(path)} does not exist"
     else:
         try:
             check_target(path)
         except OSError as error:
             what = f"cannot be written: {error.strerror}"
     if what:
-        raise UsageError(Fault("E501", f"{option} {path}", f"{what}.", "Nothing was run."))
+        raise UsageError(Fault("E501", f"{option} {path}", f"{what}.", "Nothing was run. Name a file that can "
+            "be written."))

@@ -43,7 +43,7 @@ def edit_file(
     ModelError and UsageError; faults that the files had before are none.
     """
     if isinstance(operations, (str, bytes, Mapping)) or not isinstance(operations, (Document, Iterable)):
-        what = f"operations are a list, not {type(operations).__name__}."
+        what = f"must be a list of operations, not {type(operations).__name__}."
         raise UsageError(Fault("E501", "operations", what, 'Give [{"set": "run.stop", "to": 5}].'))
     document = operations if isinstance(operations, Document) else _written([*operations])
     entries = checked(document)
@@ -77,14 +77,14 @@ def checked(document: Document) -> list[tuple[str, Mapping[str, Any]]]:
     reader = DocumentReader(document, document.file, "", Loading(), ())
     named: list[tuple[str, Mapping[str, Any]]] = []
     if not isinstance(document.value, list):
-        reader.fault("E004", (), 'operations stand in a list: [{"set": ..., "to": ...}].')
+        reader.fault("E004", (), 'operations must be a list: [{"set": ..., "to": ...}].')
     for index, entry in enumerate(document.value if isinstance(document.value, list) else ()):
         name = next((key for key in entry if key in OPERATIONS), None) if isinstance(entry, dict) else None
         if name is None:
             words = [key for key in entry if not key.startswith(OWN)] if isinstance(entry, dict) else []
             cure = next(filter(None, (did_you_mean(word[:200], OPERATIONS, quote='"') for word in words)), "")
             cure = cure or f"Operations: {', '.join(OPERATIONS)}."
-            reader.fault("E004", (index,), "is no operation.", cure)
+            reader.fault("E004", (index,), "is not an operation.", cure)
             continue
         OPERATIONS[name].kind.check(entry, (index,), reader)
         named.append((name, entry))

@@ -244,8 +244,8 @@ def check_version(document: Document) -> None:
     version, (oldest, newest) = value.get("version"), formats[format_]
     if isinstance(version, Number) and not oldest <= float(version) <= newest:
         is_older = version < oldest
-        message = f"version {version.text} " + ("must be brought up to date first." if is_older else "cannot be read.")
-        cure = f"blocks fmt {document.file}" if is_older else "Update blocks (pip install -U blocks-cosim)."
+        message = f"version {version.text} " + ("must be updated first." if is_older else "cannot be read.")
+        cure = f"Run blocks fmt {document.file}" if is_older else "Update blocks."
         fault = Fault("E005", "version", message, cure, ("version",))
         raise ModelError(fault.at(document.file, *document.positions["version",]))
 
@@ -280,7 +280,7 @@ def files_with(names: Collection[str], real: str, documents: Documents) -> Itera
         other = os.path.realpath(path)
         read, size = read + 1, size + _size(path)
         if folders > MOST_FOLDERS or read > MOST_FILES or size > MOST_BYTES:
-            yield "the project is large: not all of its files were looked through"
+            yield "the project is large: not all of its files were searched"
             return
         document = None if other == real else _with_names(path, names, documents)
         if document is not None:

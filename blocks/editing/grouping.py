@@ -44,7 +44,8 @@ def group(spot: Spot, entry: Mapping[str, Any]) -> None:
             raise spot.missing("block", block, body.names("block"))
     taken = [kind for kind in READ if name in body.names(kind)]
     if taken and name not in names:
-        raise ModelError(spot.fault("E109", name, f"is the name of another {taken[0]}.", "Choose another name."))
+        raise ModelError(spot.fault("E109", name, f"is already the name of another {taken[0]}.", "Choose "
+            "another name."))
     before = spot.workspace.flat(spot.file)
     inside = _Inside(spot, names, name, before)
     targets = {Target(spot.file, spot.scope, "block", block): f"{name}.{block}" for block in names}
@@ -68,7 +69,7 @@ def group(spot: Spot, entry: Mapping[str, Any]) -> None:
         is_one = text.startswith(prefix) and rest.partition(".")[0].partition("[")[0] in names
         return f"{prefix}{name}.{rest}" if is_one else text
 
-    _check(spot, before, path, name, "cannot be grouped so")
+    _check(spot, before, path, name, "these blocks cannot be grouped")
 
 
 def _check(spot: Spot, before: Flat | tuple[Fault, ...], path: Callable[[str], str], place: str, what: str) -> None:
@@ -76,8 +77,8 @@ def _check(spot: Spot, before: Flat | tuple[Fault, ...], path: Callable[[str], s
     after = spot.workspace.flat(spot.file)
     if isinstance(before, Flat) and not (isinstance(after, Flat) and same_flat(before, after, path)):
         told = "" if isinstance(after, Flat) else f" ({after[0].code} {after[0].place}: {after[0].message})"
-        cure = "Take other blocks, or do it step by step: add, wire, remove."
-        raise UsageError(spot.fault("E501", place, f"{what}: the diagram would not be the same{told}.", cure))
+        cure = "Choose other blocks, or make the change in steps: add, wire, remove."
+        raise UsageError(spot.fault("E501", place, f"{what}: the diagram would compute something else{told}.", cure))
 
 
 def _put_section(value: Any, scope: Steps, section: str, entries: Mapping[str, Any]) -> Any:
@@ -194,8 +195,8 @@ class _Inside:
         relative = {path[len(spot.scope) + 1 :]: stream for path, stream in drawn.items() if not stream.startswith("/")}
         if relative and self.is_used():
             name = min(relative)[0]
-            what = "draws random numbers, and the diagrams that use this file would get others."
-            cure = f'Name its stream first: {{"set": "blocks.{name}.stream", "to": "/{name}"}}.'
+            what = "draws random numbers, which would change in the diagrams that use this file."
+            cure = f'Set its stream first: {{"set": "blocks.{name}.stream", "to": "/{name}"}}.'
             raise UsageError(spot.fault("E501", str(name), what, cure))
         return {path: f"/{streams.joined(around, stream or str(path[0]))}" for path, stream in relative.items()}
 
@@ -277,8 +278,8 @@ def ungroup(spot: Spot, entry: Mapping[str, Any]) -> None:
     block = body.names("block")[name]
     diagram = block.get("diagram")
     if not isinstance(diagram, Mapping):
-        what = f"lies in another file, {quoted(diagram)}" if isinstance(diagram, str) else "is no subdiagram"
-        raise UsageError(spot.fault("E501", name, f"{what}.", "A subdiagram that stands in the file is ungrouped."))
+        what = f"lies in another file, {quoted(diagram)}" if isinstance(diagram, str) else "is not a subdiagram"
+        raise UsageError(spot.fault("E501", name, f"{what}.", "Only a subdiagram inside this file can be ungrouped."))
     place = (*spot.scope, "blocks", name)
     kept = {"name", "parameters", "inputs", "outputs", "blocks", "wires", "layout"}
     lost = [(*place, key) for key in block if key not in ("diagram", "parameters", "stream")]
@@ -341,7 +342,7 @@ class _Lifted:
         self.into: dict[str, str] = {}
         for inner in tree.table_at(self.diagram, ("inputs",)):
             if any(sink.startswith(f"{self.name}.{inner}[") for sink in wires):
-                what = f"the elements of its input {quoted(inner)} have wires of their own."
+                what = f"the elements of its input {quoted(inner)} have separate wires, which ungroup cannot keep."
                 raise UsageError(self.spot.fault("E501", self.name, what))
             if f"{self.name}.{inner}" in wires:
                 self.into[inner] = wires[f"{self.name}.{inner}"]
@@ -387,7 +388,7 @@ class _Lifted:
                 end = reference.end + 1 + len(whole)
                 cuts.append(replace(reference, end=end, targets=frozenset([target._replace(name=new)])))
             else:
-                what = f"{quoted(text)} means the subdiagram itself."
+                what = f"{quoted(text)} refers to the subdiagram itself, which would no longer exist."
                 place = (document.key_positions if reference.is_key else document.positions)[reference.path]
                 fault = Fault("E501", place_of(reference.path), what, "Remove it first.", reference.path)
                 raise UsageError(fault.at(document.file, *place))

@@ -50,8 +50,8 @@ _NAME = Text(pattern=NAMES.pattern, refusal=NAMES.refusal)
 _TABLES = [replace(field, required=False) for field in BODY.fields if isinstance(field.kind, Table)]
 _POSITION = ListOf(NUMBER, 2, 2, what="a position [x, y]", is_even=True)
 _COMMON = (
-    Field("in", FILLED, "The subdiagram that it is about, by its path; left out: the diagram itself."),
-    Field("file", FILLED, "Another file of the project, by its path from the folder of the first one on."),
+    Field("in", FILLED, "The path of the subdiagram to edit; without it, the diagram itself."),
+    Field("file", FILLED, "Another file of the project, by its path from the folder of the first file."),
 )
 
 
@@ -77,10 +77,10 @@ def _remove(spot: Spot, entry: Mapping[str, Any]) -> None:
         now, was = (
             quoted(value[:200]) if isinstance(value, str) else in_words(value) for value in (there, entry["was"])
         )
-        what = f"is {now} now, and not {was}."
-        raise UsageError(spot.fault("E501", place_of(steps), what, "Look at what stands there now.", steps))
+        what = f"is now {now}, not {was}."
+        raise UsageError(spot.fault("E501", place_of(steps), what, "Check the present value.", steps))
     if not steps:
-        raise UsageError(spot.fault("E501", "remove", "a file is not removed by an edit."))
+        raise UsageError(spot.fault("E501", "remove", "an edit cannot remove a whole file."))
     gone: dict[str, set[Steps]] = {spot.file: {steps}}
     others: dict[str, str] = {}
     while True:
@@ -109,8 +109,8 @@ def _remove(spot: Spot, entry: Mapping[str, Any]) -> None:
     if has_values and isinstance(before, Flat):
         after = workspace.flat(spot.file)
         if not isinstance(after, Flat) or not same_values(before, after):
-            what = "is read by expressions that would give something else without it."
-            raise UsageError(spot.fault("E501", place_of(steps), what, "Set what reads it first.", steps))
+            what = "is used by expressions, which would change their values without it."
+            raise UsageError(spot.fault("E501", place_of(steps), what, "Change these expressions first.", steps))
 
 
 def _put_values(spot: Spot, targets: set[Target], gone: set[Steps]) -> bool:
@@ -165,8 +165,8 @@ def _literal(spot: Spot, target: Target, raw: Any, path: Steps) -> str:
     except ValueError:
         si = float("nan")
     if not math.isfinite(si):
-        what = f"is read by {place_of(path)}, where its value cannot stand."
-        raise UsageError(spot.fault("E501", target.name, what, "Set that first.", path))
+        what = f"is used in {place_of(path)}, which cannot hold its value."
+        raise UsageError(spot.fault("E501", target.name, what, "Change that expression first.", path))
     text = number.text if isinstance(number, Number) and si == number else repr(si)
     return text if si >= 0 else f"({text})"
 
@@ -200,8 +200,10 @@ def _that_mean(
         if is_gone and not tree.is_within(reference.path, known):
             place = tree.holder_of(document.value, reference.path, is_key=reference.is_key)
             if not place:
-                what = f"is read by {place_of(reference.path)}, which cannot go alone."
-                fault = Fault("E501", min(targets).name, what, "Set that first.", reference.path, workspace.name(file))
+                what = f"is used in {place_of(reference.path)}, which cannot be removed alone."
+                fault = Fault(
+                    "E501", min(targets).name, what, "Change that entry first.", reference.path, workspace.name(file)
+                )
                 raise UsageError(fault.at(workspace.name(file), *document.positions[reference.path]))
             found.add(place)
     return found
@@ -215,7 +217,7 @@ def _rename(spot: Spot, entry: Mapping[str, Any]) -> None:
     target = None if kind is None else Target(spot.file, steps[:-2], kind, str(steps[-1]))
     if target is None or target not in _defined(workspace, spot.file, {steps}):
         if not isinstance(steps[-1], str):
-            raise UsageError(spot.fault("E501", place_of(steps), "has no name.", "Set it to another value."))
+            raise UsageError(spot.fault("E501", place_of(steps), "has no name.", "Set another value."))
         around = tree.entry_at(spot.value, steps[:-1], spot.name)
         if new in around:
             raise ModelError(spot.fault("E109", new, "exists already.", "Choose another name.", steps[:-1]))
@@ -247,12 +249,12 @@ def _wire(spot: Spot, entry: Mapping[str, Any]) -> None:
     if block not in body.names("block"):
         raise spot.missing("block", block, body.names("block"))
     if not dot:
-        cure = f'Name it: {{"wire": {quoted(source)}, "to": "{block}.PORT"}}.'
-        raise UsageError(spot.fault("E501", sink, "is a block; a wire ends at an input of one.", cure))
+        cure = f'Name the input: {{"wire": {quoted(source)}, "to": "{block}.PORT"}}.'
+        raise UsageError(spot.fault("E501", sink, "is a block, but a wire ends at an input of a block.", cure))
     wires = tree.table_at(spot.value, (*spot.scope, "wires"))
     if sink in wires:
         cure = f'Unwire it first: {{"unwire": {quoted(sink)}}}.'
-        raise ModelError(spot.fault("E109", sink, f"is driven by {quoted(str(wires[sink]))} already.", cure))
+        raise ModelError(spot.fault("E109", sink, f"is already driven by {quoted(str(wires[sink]))}.", cure))
     spot.put(tree.replaced(spot.value, (*spot.scope, "wires", sink), source))
 
 
@@ -394,52 +396,54 @@ OPERATIONS: Mapping[str, Operation] = {
     operation.kind.fields[0].key: operation
     for operation in (
         _operation(
-            _add, "A new entry: under a name that is free, or in a list: at its end, or before the entry of an index.",
-            _needed("add", _PLACE, "Where it stands."), _needed("value", ANY, "The entry."),
+            _add, "Add an entry: under an unused name, or in a list at its end or before the entry with an index.",
+            _needed("add", _PLACE, "The place of the entry."), _needed("value", ANY, "The entry."),
         ),
         _operation(
-            _set, "Another value of an entry, or a new entry.",
-            _needed("set", _PLACE, "Where it stands."), _needed("to", ANY, "The value."),
+            _set, "Change the value of an entry, or add an entry.",
+            _needed("set", _PLACE, "The place of the entry."), _needed("to", ANY, "The value."),
         ),
         _operation(
-            _remove, "Remove an entry, with all that means something of it: wires, outputs, log, measures, positions.",
-            _needed("remove", _PLACE, "Where it stands."),
-            Field("was", ANY, "What stands there: another entry stays, as where a list has changed meanwhile."),
+            _remove, "Remove an entry and everything that refers to it: wires, outputs, log, measures, positions.",
+            _needed("remove", _PLACE, "The place of the entry."),
+            Field("was", ANY, "The expected entry: if another entry is there, because a list has changed, it stays."),
         ),
         _operation(
-            _rename, "Another name of an entry, with all that refers to it.",
-            _needed("rename", _PLACE, "Where it stands."), _needed("to", FILLED, "The new name."),
+            _rename, "Rename an entry, and everything that refers to it.",
+            _needed("rename", _PLACE, "The place of the entry."), _needed("to", FILLED, "The new name."),
         ),
         _operation(
-            _wire, "A wire from a source to an input that has none.",
+            _wire, "Add a wire from a source to an input that has none.",
             _needed("wire", FILLED, 'The source, such as "pid.y".'),
             _needed("to", FILLED, 'The input, such as "motor.v".'),
         ),
         _operation(_unwire, "Remove a wire.", _needed("unwire", FILLED, 'The input, such as "motor.v".')),
         _operation(
-            _move, "Where a block, an input or an output stands in drawings.",
+            _move, "Move a block, an input or an output in drawings.",
             _needed("move", FILLED, "Its name."), _needed("to", _POSITION, "[x, y] in pixels, to the right and down."),
         ),
         _operation(
-            group, "Blocks as a subdiagram, with inputs, outputs and parameters for what leads across its edge.",
+            group, "Make a subdiagram of blocks, with inputs, outputs and parameters for everything that "
+                "crosses its edge.",
             _needed("group", ListOf(FILLED, 1, what="a list of names of blocks"), "The blocks."),
             _needed("as", _NAME, "The name of the subdiagram."),
         ),
         _operation(
-            ungroup, "The blocks of a subdiagram that stands in the file, in place of it.",
+            ungroup, "Replace a subdiagram inside the file by its blocks.",
             _needed("ungroup", FILLED, "The subdiagram."),
         ),
         _operation(
-            _swap, "Another block as one more variant of a block, which is chosen; wires and values go along.",
+            _swap, "Add another block as a variant of a block, and choose it; wires and values stay.",
             _needed("swap", FILLED, "The block."),
-            _needed("for", VARIANT, 'The other one, such as {"fmu": "motor.fmu"}.'),
+            _needed("for", VARIANT, 'The other block, such as {"fmu": "motor.fmu"}.'),
             Field("as", _NAME, "The name of the variant."),
-            Field("ports", Table(Text()), "Partners of ports with other names: those of the block to the other's."),
+            Field("ports", Table(Text()), "Ports with different names: from ports of the block to ports of the "
+                "other block."),
         ),
         _operation(
-            _paste, "Entries of a diagram: its blocks, wires, positions, parameters, inputs, outputs and measures.",
+            _paste, "Add entries of a diagram: blocks, wires, positions, parameters, inputs, outputs and measures.",
             _needed("paste", Object(*_TABLES), "The sections with the entries."),
-            Field("by", _POSITION, "By how much positions are moved."),
+            Field("by", _POSITION, "The distance [x, y] by which positions are moved."),
         ),
     )
 }  # fmt: skip

@@ -354,7 +354,7 @@ class _Finder:
         for inner, entry, ports in body.inside(name, self.documents):
             self.work += 1
             if self.work > MOST_WORK:
-                raise ModelError(Fault("E008", "", "the names of the file reach too many blocks to be followed."))
+                raise ModelError(Fault("E008", "", "the names in the file refer to more blocks than can be followed."))
             if last is not _PARAMETER and (rest in ports or rest.partition("[")[0] in ports):
                 continue  # a port of the block that this variant has under another name
             if inner is not None:

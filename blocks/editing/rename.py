@@ -191,7 +191,7 @@ def _targets(
             raise ModelError(Fault("E105", legible(old), f"there is no block {quoted(part)}.", cure, file=shown))
         inner = [inner_body for inner_body in inside.values() if inner_body is not None]
         if not inner:
-            message = f"{quoted('.'.join(parts[: index + 1]))} is no diagram: its names are those of its type."
+            message = f"{quoted('.'.join(parts[: index + 1]))} is not a subdiagram: its names belong to its block type."
             raise ModelError(Fault("E105", legible(old), message, file=shown))
         bodies = [inner_body for inner_body in inner if inner_body.file == real] or inner
         if bodies[0].file != real and not here:
@@ -220,7 +220,7 @@ def _targets(
         raise UsageError(Fault("E501", legible(old), message, f"blocks rename {other} {behind} {new}"))
     if len(kinds) > 1:
         message = f"is the name of more than one thing: {', '.join(kinds)}."
-        raise UsageError(Fault("E501", legible(old), message, f"Say which: --kind {' or --kind '.join(kinds)}."))
+        raise UsageError(Fault("E501", legible(old), message, f"Choose one: --kind {' or --kind '.join(kinds)}."))
     return frozenset(targets), "".join(f"{part}." for part in parts)
 
 
@@ -247,10 +247,10 @@ def _complete(
                 if strange:
                     places = document.key_positions if occurrence.is_key else document.positions
                     name = next(iter(targets)).name
-                    message = "means a port of another file, a type or an FMU as well, whose name stays."
-                    cure = f'Say so first, beside that variant or that "fmu": "ports": {{"{name}": "{name}"}}.'
+                    message = "is also a port of another file, of a type or of an FMU, which keeps its name."
+                    cure = f'First add to that variant, or beside that "fmu": "ports": {{"{name}": "{name}"}}.'
                     if next(iter(targets)).kind == "parameter":
-                        cure = "Rename that one as well, or leave the file alone: without --project."
+                        cure = "Rename the other name too, or leave out --project to keep this file unchanged."
                     fault = Fault("E501", legible(_text_of(document, occurrence)), message, cure, occurrence.path)
                     raise UsageError(fault.at(shown, *places[occurrence.path]))
         if more == targets:
@@ -372,7 +372,7 @@ class _Edited:
         """Refuse a name that is taken, or reserved (E109)."""
         for target in targets:
             if target.name == self.new:
-                raise self.refusal("is its name already.")
+                raise self.refusal("is already its name.")
             value = self.document.value
             for step in target.scope:
                 value = value[step]
@@ -381,13 +381,14 @@ class _Edited:
             for kind in rivals:
                 if self.new in body.names(kind):
                     article = "an" if kind in ("input", "output") else "a"
-                    raise self.refusal(f"is {article} {kind} already.", path=(*target.scope, SECTIONS[kind], self.new))
+                    place = (*target.scope, SECTIONS[kind], self.new)
+                    raise self.refusal(f"is already the name of {article} {kind}.", path=place)
             if self.new == "pi" and target.kind == "parameter":
                 raise self.refusal("is a constant in expressions.")
             if self.new == BASE and target.kind == "variant":
                 raise self.refusal("is the name of the block itself.")
             if self.new == "time" and target.kind in ("input", "output") and not target.scope:
-                raise self.refusal("is the name of the column of times.")
+                raise self.refusal("is the name of the time column of results.")
 
     def check_keys(self) -> None:
         """Refuse a name that would make a key appear twice (E109)."""
@@ -396,7 +397,7 @@ class _Edited:
             for step in path[:-1]:
                 around = around[step]
             if key in around and (*path[:-1], key) not in self.keys:
-                raise self.refusal(f"would make {quoted(key)} stand twice.", path=(*path[:-1], key))
+                raise self.refusal(f"would make {quoted(key)} appear twice.", path=(*path[:-1], key))
 
 
 def _stream_text(stream: str) -> str:
@@ -441,10 +442,10 @@ def _check_meanings(
     for (path, is_key), what in meanings(now, lambda path: path, lambda target: target).items():
         if was.get((path, is_key)) != what:
             line, column = (new_document.key_positions if is_key else new_document.positions)[path]
-            message = f"the text in line {line}, column {column} would mean something else then."
+            message = f"the text in line {line}, column {column} would then refer to something else."
             raise _refuse(old, edit.document.file, message)
     if len(now) != len(edit.found):
-        raise _refuse(old, edit.document.file, "some names would mean nothing then.")
+        raise _refuse(old, edit.document.file, "some names would then refer to nothing.")
 
 
 def _check_flat(
@@ -476,7 +477,7 @@ def _check_flat(
     else:
         is_same = was == now
     if not is_same:
-        raise _refuse(old, file, f"the diagram would not be the same with {quoted(new)}.")
+        raise _refuse(old, file, f"the diagram would compute something else with the name {quoted(new)}.")
 
 
 def _are_among(now: list[tuple[str, str, int]], was: list[tuple[str, str, int]]) -> bool:
@@ -602,6 +603,6 @@ def _elsewhere(real: str, documents: Documents, targets: frozenset[Target], new:
         try:
             edit = _Edited(document, other, references(document, other, documents), targets, new)
         except ModelError:
-            return edits, f"{document.file} names too much to be looked through"
+            return edits, f"{document.file} has too many names to be searched"
         edits += [edit] if edit.count else []
     return edits, ""

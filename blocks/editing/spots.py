@@ -40,7 +40,9 @@ class Spot:
     def body(self) -> Body:
         """The diagram. Raises UsageError (E501) for a study."""
         if self.value.get("format") != FORMAT:
-            raise UsageError(self.fault("E501", "", "is a study: it has runs, and no blocks.", "Name a diagram."))
+            raise UsageError(
+                self.fault("E501", "", "the file is a study, which has runs and no blocks.", "Name a diagram file.")
+            )
         return Body(self.file, self.scope, tree.entry_at(self.value, self.scope, self.name))
 
     def steps(self, place: Any) -> Steps:
@@ -61,7 +63,7 @@ class Spot:
             raise ModelError(*(replace(fault, file=self.name) for fault in faults))
 
     def missing(self, what: str, name: str, known: Any) -> ModelError:
-        cure = did_you_mean(name[:200], known) or f"There are {', '.join(list(known)[:20]) or 'none'}."
+        cure = did_you_mean(name[:200], known) or f"Known: {', '.join(list(known)[:20]) or 'none'}."
         return ModelError(self.fault("E105", name, f"there is no {what} {quoted(name)}.", cure))
 
 
@@ -79,7 +81,7 @@ def spot_of(workspace: Workspace, first: str, entry: Mapping[str, Any]) -> Spot:
         if inner is None:
             block = body.names("block")[name]
             what = next((str(block[key]) for key in ("type", "fmu", "diagram") if key in block), "block")
-            raise ModelError(spot.fault("E105", name, f"is a {what}, and no diagram that can be edited."))
+            raise ModelError(spot.fault("E105", name, f"is a {what}, not a subdiagram that can be edited."))
         spot = Spot(workspace, workspace.open(Path(inner.file)), inner.scope)
     return spot
 

@@ -19,7 +19,7 @@ def existing(value: DiagramValue, name: str) -> BlockEntry:
     """The block that is to be swapped. Raises ModelError (E105) where there is none."""
     if name not in value.blocks:
         cure = did_you_mean(str(name)[:200], value.blocks) or f"Blocks: {', '.join(value.blocks) or 'none'}."
-        raise ModelError(Fault("E105", legible(str(name)), "there is no such block to swap.", cure))
+        raise ModelError(Fault("E105", legible(str(name)), "there is no such block.", cure))
     return value.blocks[name]
 
 
@@ -42,8 +42,8 @@ def swapped(
     variant = variant or kind
     check_name(variant)
     if variant == BASE or variant in block.variants:
-        message = f"there is a variant {quoted(variant)} already."
-        raise ModelError(Fault("E109", name, message, "Name it otherwise: variant=..."))
+        message = f"the variant {quoted(variant)} exists already."
+        raise ModelError(Fault("E109", name, message, "Choose another name: variant=..."))
     before, after = port_units(value, name, base, resolver), port_units(value, name, entry, resolver)
     matched = _matched(value, name, before, after, dict(ports or {}))
     entry, kept, dropped = _with_values(value, name, base, entry, resolver)
@@ -99,7 +99,7 @@ def _matched(
         if key not in before[side]:
             faults.append(Fault("E105", name, f"has no port {quoted(str(key))}.", did_you_mean(str(key), before[side])))
         elif own not in after[side]:
-            what = f"what takes its place has no {('input', 'output')[side]} {quoted(str(own))}."
+            what = f"the new block has no {('input', 'output')[side]} {quoted(str(own))}."
             faults.append(Fault("E105", name, what, did_you_mean(str(own), after[side]) or _ports_listed(after[side])))
     matches: list[tuple[Match, ...]] = []
     for side, used in enumerate(used_ports(value, name)) if not faults else ():
@@ -114,7 +114,7 @@ def _matched(
             if port in partners or (port not in ports and (port in after[side] or place == "run: log")):
                 continue
             shown = f"{port} [{ports[port]}]" if ports.get(port) else port
-            message = f"the {word} {shown} ({place}) has no partner in what takes its place."
+            message = f"the {word} {shown} ({place}) has no counterpart in the new block."
             faults.append(Fault("E105", name, message, _ports_listed(after[side])))
     if faults:
         raise ModelError(*faults)
@@ -122,4 +122,4 @@ def _matched(
 
 
 def _ports_listed(ports: Mapping[str, str]) -> str:
-    return f"It has {listed(ports)}; pairs can be given: ports={{...}}."
+    return f"The new block has {listed(ports)}. To pair ports with different names, give ports={{...}}."

@@ -44,13 +44,17 @@ def steps_of(place: Any) -> Steps:
     while at < len(place):
         match = _STEP.match(place, at)
         if match is None:
-            cure = 'Write keys with points, other keys and indices in brackets: wires["motor.v"], run.log[0].'
-            raise ModelError(Fault("E105", legible(place), "is no place in a file.", cure))
+            cure = (
+                'Join keys by points, and put indices and keys with points in brackets: wires["motor.v"], run.log[0].'
+            )
+            raise ModelError(Fault("E105", legible(place), "is not a place in a file.", cure))
         name, index, key = match.groups()
         try:
             steps.append(name if name is not None else int(index) if index is not None else json.loads(key))
         except ValueError:
-            raise ModelError(Fault("E105", legible(place), "is no place in a file.", "An escape is wrong.")) from None
+            raise ModelError(
+                Fault("E105", legible(place), "is not a place in a file.", "Correct the escape in the key.")
+            ) from None
         at = match.end()
     return tuple(steps)
 
@@ -103,7 +107,7 @@ def _missing(value: Any, steps: Steps, count: int, file: str) -> ModelError:
     section = next(sections, "") if not count else ""
     cure = f"Write {place_of((*steps[:count], rest))}." if rest in known and rest != step else ""
     if isinstance(value, str) and end:
-        cure = f'It lies in another file. Count from there: "in": "{".".join(map(str, steps[1:count:3]))}".'
+        cure = f'The entry lies in another file. Name the subdiagram: "in": "{".".join(map(str, steps[1:count:3]))}".'
     cure = cure or (f"Did you mean {place_of((*steps[:count], section, step))}?" if section else "")
     cure = cure or did_you_mean(str(step)[:200], known, quote='"')
     where = f"in {place_of(steps[:count])}" if count else "in the file"
@@ -142,13 +146,15 @@ def _check(value: Any, steps: Steps, kinds: list[Kind], file: str) -> None:
         if isinstance(there, list):
             if not isinstance(step, int) or step >= len(there):
                 what = f"the list {place_of(steps[:count])} has {len(there)} entries, counted from 0."
-                raise ModelError(Fault("E105", place, what, "Name one of them, or add one.", steps[:count], file))
+                raise ModelError(
+                    Fault("E105", place, what, "Name an existing entry, or add an entry.", steps[:count], file)
+                )
         elif there is not None and not isinstance(there, Mapping):
-            what = f"nothing can stand in {place_of(steps[:count])}, which is {in_words(there)}."
-            raise ModelError(Fault("E105", place, what, "Set that first.", steps[:count], file))
+            what = f"{place_of(steps[:count])} is {in_words(there)}, which cannot hold entries."
+            raise ModelError(Fault("E105", place, what, "Set it to an object first.", steps[:count], file))
         elif not isinstance(step, str):
-            what = f"{place_of(steps[:count]) or 'the file'} is no list."
-            raise ModelError(Fault("E105", place, what, "Name a key.", steps[:count], file))
+            what = f"{place_of(steps[:count]) or 'the file'} is not a list."
+            raise ModelError(Fault("E105", place, what, "Write a key instead of an index.", steps[:count], file))
         elif not is_last and not _has(there, step) and not isinstance(kinds[count], Object):
             raise _missing(value, steps, count, file)
         there = _child(there, step)
@@ -168,7 +174,7 @@ def put_in(value: Any, steps: Steps, entry: Any, file: str) -> Any:
     if isinstance(kind, ListOf) and (there is None or isinstance(there, list)) and not is_whole:
         return _put(value, steps, [*(there or ()), entry], kinds)
     if _has(around, last):
-        cure = "Choose another place, or set it."
+        cure = 'Choose another place, or use "set".'
         raise ModelError(Fault("E109", place_of(steps), "exists already.", cure, steps, file))
     return _put(value, steps, entry, kinds)
 
@@ -278,7 +284,9 @@ def _with_names(value: Any, path: Steps, spots: Mapping[tuple[Steps, bool], list
     if isinstance(value, Mapping):
         new = {text(key, (*path, key), True): _with_names(entry, (*path, key), spots) for key, entry in value.items()}
         if len(new) < len(value):
-            raise ModelError(Fault("E109", place_of(path), "two keys would be the same then.", "Remove one.", path))
+            raise ModelError(
+                Fault("E109", place_of(path), "two keys would then be the same.", "Remove one of them first.", path)
+            )
         return new
     if isinstance(value, list):
         return [_with_names(entry, (*path, index), spots) for index, entry in enumerate(value)]

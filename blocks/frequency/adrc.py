@@ -97,7 +97,7 @@ def _binomial(m: int, w: float, name: str) -> tuple[float, ...]:
     except OverflowError:
         coefficients = (math.inf,)
     if not all(0 < gain < math.inf for gain in coefficients):
-        raise UsageError(Fault("E501", name, f"{w:g}: its powers up to {m} are no floats."))
+        raise UsageError(Fault("E501", name, f"{w:g} overflows a double, or vanishes, when raised to the power {m}."))
     return coefficients
 
 
@@ -243,8 +243,8 @@ class Controller:
         model = control.ss(plant)
         A, B, C, D = (np.asarray(m, dtype=float) for m in (model.A, model.B, model.C, model.D))
         if model.ninputs != 1 or model.noutputs != 1:
-            message = f"has {model.ninputs} inputs and {model.noutputs} outputs: a loop needs one of each."
-            raise UsageError(Fault("E501", "plant", message, "Take one channel: plant[0, 0]."))
+            message = f"has {model.ninputs} inputs and {model.noutputs} outputs, but a loop needs one of each."
+            raise UsageError(Fault("E501", "plant", message, "Choose one channel: plant[0, 0]."))
         of = self.system
         Ac, Bc, Cc = (np.asarray(m, dtype=float) for m in (of.A, of.B[:, 1:], of.C))
         whole = np.block([[A, np.zeros((len(A), len(Ac)))], [Bc @ C, Ac]])
@@ -274,7 +274,9 @@ def controller(n: int, feedback: Sequence[float], observer: Sequence[float], b0:
     product = np.polymul(delta, P)
     D, N = product[: n + 1], product[n + 1 :]
     if not N.any():
-        raise UsageError(Fault("E501", "controller", "all gains are 0: y does not reach u, and there is no C_pf."))
+        raise UsageError(
+            Fault("E501", "controller", "all gains are 0, so that y does not reach u and C_pf does not exist.")
+        )
     A = _chain(n + 1)
     A[:, 0] -= b
     A[n - 1, :n] -= k
@@ -319,10 +321,10 @@ def sampling_limits(poles: Iterable[complex], bandwidth: float | None = None) ->
     except (TypeError, ValueError):
         p = np.zeros(0, dtype=complex)
     if p.ndim != 1 or not len(p) or not np.all(np.isfinite(p)):
-        raise UsageError(Fault("E501", "poles", "are finite numbers in 1/s, one at least."))
+        raise UsageError(Fault("E501", "poles", "must be finite numbers in 1/s, at least one."))
     worst = p[np.argmax(p.real)]
     if worst.real >= 0:
-        message = f"{worst:.6g} 1/s does not decay, at any period."
+        message = f"the pole {worst:.6g} 1/s does not decay at any period."
         raise AnalysisError(Fault("E705", "poles", message, "Give poles with negative real parts."))
     w = float(np.max(np.abs(p))) if bandwidth is None else _positive(bandwidth, "bandwidth")
     euler = float(np.min(-2.0 * p.real / np.abs(p) ** 2))
@@ -362,7 +364,9 @@ def euler_cycles(
     b, Ts = _gains(gains, "gains"), _positive(period, "period")
     low, high = (_positive(a, "amplitude") for a in amplitude)
     if low >= high:
-        raise UsageError(Fault("E501", "amplitude", f"{low:g} is not below {high:g}."))
+        raise UsageError(
+            Fault("E501", "amplitude", f"the lower limit {low:g} must lie below the upper limit {high:g}.")
+        )
     powers = (0.5 * Ts) ** np.arange(1, len(b) + 1)
     S = float(np.sum(b * powers * (-1.0) ** np.arange(len(b))))
 
@@ -412,19 +416,19 @@ def _number(value: Any) -> float:
 
 def _order(n: int) -> int:
     if isinstance(n, bool) or not 1 <= _number(n) < math.inf or int(n) != n:
-        raise UsageError(Fault("E501", "n", f"{n!r} is no order: 1, 2, 3, ..."))
+        raise UsageError(Fault("E501", "n", f"must be an order, 1, 2, 3, ..., not {n!r}."))
     return int(n)
 
 
 def _positive(value: float, name: str) -> float:
     if not 0 < _number(value) < math.inf:
-        raise UsageError(Fault("E501", name, f"{value!r} is not above 0."))
+        raise UsageError(Fault("E501", name, f"must be above 0, not {value!r}."))
     return float(value)
 
 
 def _nonzero(b0: float) -> float:
     if not math.isfinite(_number(b0)) or b0 == 0:
-        raise UsageError(Fault("E501", "b0", f"{b0!r} is no gain: it must not be 0."))
+        raise UsageError(Fault("E501", "b0", f"must be a finite gain other than 0, not {b0!r}."))
     return float(b0)
 
 
@@ -434,13 +438,13 @@ def _gains(gains: Sequence[float], name: str) -> Array:
     except (TypeError, ValueError):
         numbers = np.array(math.nan)
     if numbers.ndim != 1 or not len(numbers) or not np.all(np.isfinite(numbers)):
-        raise UsageError(Fault("E501", name, "are finite numbers in one row."))
+        raise UsageError(Fault("E501", name, "must be finite numbers in one row."))
     return numbers
 
 
 def _count(gains: Array, count: int, name: str) -> None:
     if len(gains) != count:
-        raise UsageError(Fault("E501", name, f"there are {len(gains)}, and {count} are needed."))
+        raise UsageError(Fault("E501", name, f"has {len(gains)} values, but {count} are needed."))
 
 
 def _stable(gains: Sequence[float]) -> tuple[Array, float]:
@@ -454,4 +458,6 @@ def _stable(gains: Sequence[float]) -> tuple[Array, float]:
     p = np.roots([1.0, *b])
     worst = p[np.argmax(p.real)]
     message = f"the observer is not stable: it has the pole {worst:.6g} 1/s."
-    raise AnalysisError(Fault("E705", "gains", message, "bandwidth_gains gives gains of one that is."))
+    raise AnalysisError(
+        Fault("E705", "gains", message, "Use bandwidth_gains to compute the gains of a stable observer.")
+    )

@@ -44,7 +44,7 @@ def breaks_of(f: Law, low: float, high: float, switches: Law | None = None) -> t
     """
     low, high = finite(low, "lower end"), finite(high, "upper end")
     if not low < high:
-        raise refused(f"{low:g} ... {high:g} is no interval.", "Give the lower end first.")
+        raise refused(f"{low:g} ... {high:g} is not an interval.", "Give the lower end first.")
     if switches is None:
         return _rough(f, low, high)
     given = switches
@@ -240,9 +240,7 @@ def values(f: Law, u: Array, size: int | None = None) -> Array:
         return y if size is not None else y.reshape(u.shape)
     if y.ndim == 0:
         return np.full(u.shape if size is None else (count,), float(y))
-    raise refused(
-        f"the law gives an array of shape {y.shape} for {count} inputs.", "It must give one output for each input."
-    )
+    raise refused(f"the law gives an array of shape {y.shape} for {count} inputs.", "Return one output for each input.")
 
 
 def switched(switches: Law, u: Array, count: int) -> Array:
@@ -252,7 +250,9 @@ def switched(switches: Law, u: Array, count: int) -> Array:
     if g.ndim == 1 and g.shape == (count,):
         g = g[:, None]
     if g.ndim != 2 or len(g) != count:
-        raise refused(f"the switches give an array of shape {g.shape} for {count} inputs.", "They must give (n, k).")
+        raise refused(
+            f"the switches give an array of shape {g.shape} for {count} inputs.", "Return an array of shape (n, k)."
+        )
     return g
 
 

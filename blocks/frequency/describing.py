@@ -165,8 +165,8 @@ def relay(on_at: float, off_at: float, on: float, off: float, A: Any, bias: Any 
             need = np.max(np.maximum(on_at - bias, bias - off_at))
             raise undescribed(
                 f"a relay that goes on at {on_at:g} and off below {off_at:g} does not switch at {middle:g} + {some:g} "
-                "sin(theta): its output is constant, and which one depends on the past.",
-                f"Take an amplitude above {need:g}, or put a constant in its place.",
+                "sin(theta): its output is constant, and its value depends on the past.",
+                f"Give an amplitude above {need:g}, or replace the relay by a constant.",
             )
     rise, fall = _reach(on_at, A, bias), _reach(off_at, A, bias)
     step = on - off
@@ -196,8 +196,8 @@ def backlash(width: float, A: Any, bias: Any = 0.0) -> Described:
         raise refused(f"the width is {width:g}.", "Give a width of 0 or more.")
     A, bias = _signal(A, "amplitude", bias)
     if np.any(half >= A):
-        message = f"a backlash of {width:g} is not crossed by an amplitude of {np.min(A):g}: its output rests."
-        raise undescribed(message, f"Take an amplitude above {half:g}, or put a constant in its place.")
+        message = f"an amplitude of {np.min(A):g} does not cross a backlash of width {width:g}: its output rests."
+        raise undescribed(message, f"Give an amplitude above {half:g}, or replace the backlash by a constant.")
     x = 1.0 - 2.0 * half / A
     gain = 0.5 + (np.arcsin(x) + x * np.sqrt(1.0 - x * x)) / math.pi
     return _described(gain - 4.0j * half / (math.pi * A) * (1.0 - half / A), bias + 0.0 * A)

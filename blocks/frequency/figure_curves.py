@@ -35,8 +35,8 @@ def shown_of(systems: Any, place: str) -> list[Shown]:
     else:
         named = [(_own_name(systems), systems)]
     if not 0 < len(named) <= _MOST:
-        cure = f"Give one to {_MOST}."
-        raise UsageError(Fault("E501", place, f"{len(named)} systems cannot be told apart in one figure.", cure))
+        cure = f"Draw 1 to {_MOST} systems."
+        raise UsageError(Fault("E501", place, f"{len(named)} systems cannot be distinguished in one figure.", cure))
     return [Shown(name, system, source(system), index) for index, (name, system) in enumerate(named)]
 
 
@@ -53,7 +53,7 @@ def single_channels(systems: Any, place: str) -> list[Shown]:
     for trace in shown:
         if (trace.known.outputs, trace.known.inputs) != (1, 1):
             what = f"{trace.name or 'the system'} has {trace.known.outputs} outputs and {trace.known.inputs} inputs."
-            raise UsageError(Fault("E501", place, what, "Pick a channel, system[i, j], or draw sigma()."))
+            raise UsageError(Fault("E501", place, what, "Choose a channel, system[i, j], or draw sigma()."))
     return shown
 
 
@@ -62,7 +62,7 @@ def span_of(shown: Sequence[Shown], omega: Iterable[float] | None) -> tuple[floa
     if omega is not None:
         given = np.asarray(list(omega), dtype=float)
         if len(given) < 2 or not np.all(np.isfinite(given)) or np.min(given) <= 0 or np.min(given) == np.max(given):
-            raise UsageError(Fault("E501", "omega", "frequencies are positive numbers in rad/s, and two at least."))
+            raise UsageError(Fault("E501", "omega", "must be at least two positive numbers, in rad/s."))
         return float(np.min(given)), float(np.max(given))
     low, high = [], []
     for trace in shown:
@@ -149,7 +149,11 @@ def _state_space(trace: Shown) -> Any:
     if isinstance(trace.system, StateSpace):
         return trace.system
     cure = "Fit a model, or simulate."
-    raise AnalysisError(Fault("E705", "step_figure", "a response over frequency alone has no exact step.", cure))
+    raise AnalysisError(
+        Fault(
+            "E705", "step_figure", "a response that is known at some frequencies only has no exact step response.", cure
+        )
+    )
 
 
 def settling_time(one: Shown) -> float:

@@ -184,7 +184,9 @@ def gang_of_four(plant: Any, controller: Any, omega: Iterable[float] | None = No
     if len({trace.known.dt for trace in parts}) != 1:
         raise UsageError(Fault("E501", "gang_of_four", "the plant and the controller have different periods."))
     if any(trace.measured for trace in parts):
-        raise UsageError(Fault("E501", "gang_of_four", "measured data stand at their own points; give models."))
+        raise UsageError(
+            Fault("E501", "gang_of_four", "measured data are known at their own frequencies only; give models.")
+        )
     p, c = (trace.known.siso for trace in parts)
     span = span_of(parts, omega)
     laws: tuple[tuple[str, str, Callable[[Array, Array], Array]], ...] = (
@@ -236,7 +238,7 @@ def pole_map(systems: Any) -> Any:
     shown = shown_of(systems, "pole_map")
     is_sampled = shown[0].known.dt > 0
     if any((trace.known.dt > 0) != is_sampled for trace in shown):
-        raise UsageError(Fault("E501", "pole_map", "continuous and sampled systems have no plane in common."))
+        raise UsageError(Fault("E501", "pole_map", "continuous and sampled systems cannot share a plane (s or z)."))
     figure, axis = new_figure(1, 1, height=5.0, width=5.8)
     roots = [(trace, poles(trace.system), _known_zeros(trace)) for trace in shown]
     everything = np.concatenate([part for _, p, z in roots for part in (p, z)])
@@ -266,7 +268,7 @@ def step_figure(systems: Any, *, until: float | None = None) -> Any:
     figure, axis = new_figure(1, 1, height=3.4)
     last = until if until is not None else max(settling_time(trace) for trace in shown)
     if not (math.isfinite(last) and last > 0):
-        raise UsageError(Fault("E501", "step_figure", "until= is a positive time in s."))
+        raise UsageError(Fault("E501", "step_figure", "until= must be a positive time in s."))
     for trace in shown:
         t, y = step_response(trace, last)
         pattern = trace.pattern if len(shown) > 1 else "solid"

@@ -224,7 +224,7 @@ def _joined(crossings: list[tuple[float, float]], told: Callable[[float], str]) 
     """The first crossings, by frequency, and how many there are beyond."""
     parts = [f"{told(value)}{_at(w)}" for value, w in sorted(crossings[:_MOST], key=lambda crossing: crossing[1])]
     beyond = len(crossings) - _MOST
-    return "; ".join(parts) + (f"; and {beyond} farther ones" if beyond > 0 else "")
+    return "; ".join(parts) + (f"; and {beyond} farther away" if beyond > 0 else "")
 
 
 def _verdict(m: Margins) -> str:
@@ -235,7 +235,7 @@ def _verdict(m: Margins) -> str:
     if m.verdict == "border":
         return f"AT THE BORDER of stability within rounding ({', '.join(_number(p) for p in m.border)})"
     where = f" ({', '.join(_number(p) for p in m.unstable)})" if m.unstable else ""
-    return f"UNSTABLE{where}; what follows are distances to the border, no margins"
+    return f"UNSTABLE{where}; the values below are distances to the border of stability, not margins"
 
 
 def _number(p: complex) -> str:
@@ -275,7 +275,7 @@ def margins(
         return _with_dead_time(loop, *loop.dead_time, grid, check)
     known = source(loop).asking(check)
     if (known.outputs, known.inputs) != (1, 1):
-        what = f"{known.outputs} outputs and {known.inputs} inputs; a loop has one of each."
+        what = f"{known.outputs} outputs and {known.inputs} inputs, but a loop has one of each."
         raise UsageError(Fault("E501", "margins", what, "Open one loop at a time."))
     closed = _closed_loop(loop, known)
     at = curve(known)
@@ -336,7 +336,7 @@ def _of_several_rates(loop: Any, check: Callable[[], None] | None) -> Margins:
     model = balanced(loop)
     seen = model.visible()
     if not np.any(model.d != 0) and not len(seen.a):
-        cure = "Open the loop at a signal that comes back to itself."
+        cure = "Open the loop at a signal that feeds back to itself."
         raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero at all frequencies.", cure))
     for direct in np.diag(seen.d).tolist():
         _well_posed(1.0 + direct, 1.0)
@@ -513,7 +513,7 @@ def _closed_loop(loop: Any, known: Source) -> _Closed | None:
 
 def _well_posed(leading: float, scale: float) -> None:
     if abs(leading) <= 8 * _EPS * scale:
-        cure = "Such a loop has an algebraic loop without a solution; put a state or a delay into it."
+        cure = "Put a state or a delay into the loop: it is an algebraic loop without a solution."
         raise AnalysisError(Fault("E705", "margins", "1 + L vanishes at infinite frequency.", cure))
 
 
@@ -635,13 +635,15 @@ def _grid(
         more = np.asarray(list(grid), dtype=float)
         low = max(known.low, 0.0)
         if not np.all(np.isfinite(more)) or np.any(more <= 0):
-            raise UsageError(Fault("E501", "margins", "the frequencies of the grid are positive numbers, in rad/s."))
+            raise UsageError(
+                Fault("E501", "margins", "the frequencies of the grid must be positive numbers, in rad/s.")
+            )
         omega = np.unique(np.concatenate([omega, more[(more >= low) & (more < known.high)]]))
     omega, both = refined(lambda w: np.stack([values := at(w), 1.0 + values]), omega)
     values = both[0]
     usable = np.isfinite(values) & (values != 0)
     if np.count_nonzero(usable) < 2:
-        cure = hint or "Open the loop at a signal that comes back to itself."
+        cure = hint or "Open the loop at a signal that feeds back to itself."
         raise AnalysisError(Fault("E705", "margins", "the loop transfer is zero or infinite at all frequencies.", cure))
     return omega[usable], values[usable]
 

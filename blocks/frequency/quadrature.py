@@ -125,8 +125,8 @@ def gaussian(f: Law, sigma: float, bias: float = 0.0, *, breaks: Sequence[float]
     ends = values(f, bias + sigma * np.array([-_TAIL, _TAIL])) - middle
     if np.max(np.abs(ends)) * _TAIL * math.exp(-0.5 * _TAIL**2) > _TOLERANCE * float(np.max(np.abs(total) + error)):
         raise undescribed(
-            f"the law grows so fast that what lies beyond {_TAIL:g} deviations of {sigma:g} counts.",
-            "Take a smaller deviation, or describe the law for a sinusoid.",
+            f"the law grows so fast that inputs beyond {_TAIL:g} deviations of {sigma:g} matter.",
+            "Give a smaller deviation, or describe the law for a sinusoid.",
         )
     return Described(complex(total[1] / sigma), middle + float(total[0]), float(max(error[1], error[0]) / sigma))
 
@@ -308,7 +308,7 @@ def _sampled(sample: Sample, lo: Array, hi: Array, tell: Tell) -> tuple[Array, A
         if np.any(lost := ~(np.abs(y) < _HUGE)):
             raise undescribed(
                 f"the law gives {y[lost][0]:g} at {tell(float(places[lost][0]))}.",
-                "Take inputs at which it is defined, or estimate the response by simulation.",
+                "Give inputs at which the law is defined, or estimate the response by simulation.",
             )
     return y, kernels
 

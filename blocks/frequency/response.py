@@ -48,7 +48,7 @@ def response(system: Any, omega: Iterable[float] | float) -> Array:
     """
     wanted = np.atleast_1d(np.asarray(omega, dtype=float))
     if wanted.ndim != 1 or not np.all(np.isfinite(wanted)):
-        raise UsageError(Fault("E501", "response", "frequencies are finite numbers in one row, in rad/s."))
+        raise UsageError(Fault("E501", "response", "frequencies must be finite numbers in one row, in rad/s."))
     return source(system).at(wanted)
 
 
@@ -66,7 +66,7 @@ def poles(system: Any) -> Array:
         return _sorted(np.concatenate([np.zeros(0, complex), *roots]))
     source(system)
     cure = "Give a state space or a transfer function: a fitted model, or pade=3 for delays."
-    raise AnalysisError(Fault("E705", "poles", "of measured or delayed responses no poles are known.", cure))
+    raise AnalysisError(Fault("E705", "poles", "the poles of measured or delayed responses are unknown.", cure))
 
 
 def zeros(system: Any) -> Array:
@@ -82,7 +82,9 @@ def zeros(system: Any) -> Array:
         return _sorted(np.asarray(np.roots(polynomials(system)[0][0][0]), dtype=complex))
     source(system)
     cure = "Give a StateSpace."
-    raise AnalysisError(Fault("E705", "zeros", "no zeros are known of a response or a matrix of polynomials.", cure))
+    raise AnalysisError(
+        Fault("E705", "zeros", "the zeros of a response or of a matrix of polynomials are unknown.", cure)
+    )
 
 
 def _sorted(values: Array) -> Array:
@@ -145,23 +147,23 @@ def bandwidth(system: Any, *, drop: float = HALF_POWER, relative: str = "dc") ->
     """
     known = _single(system, "bandwidth")
     if relative not in ("dc", "peak", "unity"):
-        raise UsageError(Fault("E501", "bandwidth", f"relative={relative!r} is none of 'dc', 'peak', 'unity'."))
+        raise UsageError(Fault("E501", "bandwidth", f"relative= must be 'dc', 'peak' or 'unity', not {relative!r}."))
     if not drop > 0:
-        raise UsageError(Fault("E501", "bandwidth", f"drop={drop!r} is no positive number of dB."))
+        raise UsageError(Fault("E501", "bandwidth", f"drop= must be a positive number of dB, not {drop!r}."))
     begin = 0.0
     if relative == "dc":
         reference = abs(float(dc_gain(system)[0, 0]))
         if reference == 0 or math.isinf(reference):
-            what, cure = "zero", str(getattr(system, "hint", "")) or "Ask for relative='peak' or relative='unity'."
+            what, cure = "zero", str(getattr(system, "hint", "")) or "Use relative='peak' or relative='unity'."
             if reference:
-                what, cure = "infinite (there is an integrator)", "Ask for relative='unity'."
+                what, cure = "infinite (there is an integrator)", "Use relative='unity'."
             raise AnalysisError(Fault("E705", "bandwidth", f"the gain at zero frequency is {what}.", cure))
     elif relative == "peak":
         top = peak(system)
         reference, begin = top.value, top.frequency
         if math.isinf(reference) or reference == 0:
             what = "no largest value" if reference else "no value but zero"
-            raise AnalysisError(Fault("E705", "bandwidth", f"the gain has {what}.", "Ask for relative='unity'."))
+            raise AnalysisError(Fault("E705", "bandwidth", f"the gain has {what}.", "Use relative='unity'."))
         if begin >= known.high:
             return None
     else:
@@ -181,8 +183,8 @@ def bandwidth(system: Any, *, drop: float = HALF_POWER, relative: str = "dc") ->
 def _single(system: Any, place: str) -> Source:
     known = source(system)
     if (known.outputs, known.inputs) != (1, 1):
-        what = f"{known.outputs} outputs and {known.inputs} inputs; one of each is meant."
-        raise UsageError(Fault("E501", place, what, "Pick a channel: system[i, j]."))
+        what = f"{known.outputs} outputs and {known.inputs} inputs, but must have one of each."
+        raise UsageError(Fault("E501", place, what, "Choose a channel: system[i, j]."))
     return known
 
 
@@ -218,12 +220,12 @@ def _decaying(system: Any, place: str) -> Realization | None:
         model, dt = None, period(system.dt)
         modes = poles(system) - (1.0 if dt > 0 else 0.0)
     else:
-        raise AnalysisError(Fault("E705", place, "of a response alone no stability is known.", "Ask for peak()."))
+        raise AnalysisError(Fault("E705", place, "the stability of a response is unknown.", "Use peak()."))
     growing = modes[growth(modes, dt) >= 0]
     if len(growing):
         worst = growing[0] + (1.0 if dt > 0 else 0.0)
         message = f"the system is not stable: a pole at {complex(worst):.6g}."
-        raise AnalysisError(Fault("E705", place, message, "Take a closed loop, or ask for peak()."))
+        raise AnalysisError(Fault("E705", place, message, "Give a closed loop, or use peak()."))
     return model
 
 

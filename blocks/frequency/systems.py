@@ -105,7 +105,7 @@ def source(system: Any) -> Source:
     if callable(getattr(system, "frd", None)):  # a Response
         return _of_points(system.frd())
     cure = "Give a StateSpace, TransferFunction or FrequencyResponseData, or an object with .response and .dt."
-    raise UsageError(Fault("E501", "system", f"{type(system).__name__} is no linear system.", cure))
+    raise UsageError(Fault("E501", "system", f"{type(system).__name__} is not a linear system.", cure))
 
 
 def _ofbalanced(model: Realization) -> Source:
@@ -173,8 +173,8 @@ def _of_points(system: Any) -> Source:
         index = np.where(np.abs(omega[index - 1] - wanted) < np.abs(omega[index] - wanted), index - 1, index)
         off = np.abs(omega[index] - wanted) > 1e-12 * np.abs(wanted)
         if np.any(off):
-            cure = "Ask for its own frequencies, or fit a model first."
-            message = f"measured at {len(omega)} frequencies, and {wanted[off][0]:g} rad/s is none of them."
+            cure = "Use the measured frequencies, or fit a model first."
+            message = f"the data were measured at {len(omega)} frequencies, but not at {wanted[off][0]:g} rad/s."
             raise AnalysisError(Fault("E705", "response", message, cure))
         return np.asarray(values[:, :, index])
 
@@ -220,7 +220,7 @@ def interpolated(known: Source) -> Callable[[Array], Array]:
     values = known.siso(omega)
     if len(omega) < 2 or np.any(values == 0) or not np.all(np.isfinite(values)):
         cure = "Give at least two frequencies above zero, with finite values that are not zero."
-        raise AnalysisError(Fault("E705", "response", "measured data that cannot be interpolated.", cure))
+        raise AnalysisError(Fault("E705", "response", "the measured data cannot be interpolated.", cure))
     x = np.log(omega)
     logs = PchipInterpolator(x, np.stack([np.log(np.abs(values)), np.unwrap(np.angle(values))], axis=-1))
 

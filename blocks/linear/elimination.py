@@ -159,7 +159,7 @@ def _solved(N: Any, R: Any, label: Array, looped: Array, name: Callable[[int], s
         with np.errstate(all="ignore"):
             bad = not np.isfinite(matrix).all() or np.linalg.cond(matrix) > 1e14
         if bad:
-            message = "an algebraic loop through it has no one solution for small changes here."
+            message = "an algebraic loop through it has no unique solution for small changes at this operating point."
             raise AnalysisError(Fault("E701", name(group[0]), message, "Choose another operating point."))
         inverse = np.linalg.inv(matrix)
         grid = np.meshgrid(group, group, indexing="ij")

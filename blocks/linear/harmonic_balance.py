@@ -101,9 +101,9 @@ class Balance:
         """
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         if not (np.isfinite(amplitude) and amplitude > 0):
-            raise UsageError(Fault("E501", "amplitude", f"{amplitude} is not above 0."))
+            raise UsageError(Fault("E501", "amplitude", f"must be above 0, not {amplitude}."))
         if not (np.isfinite(omega) & (omega >= 0)).all():
-            raise UsageError(Fault("E501", "omega", "frequencies are numbers from 0 on, in rad/s."))
+            raise UsageError(Fault("E501", "omega", "must be numbers in rad/s, 0 or more."))
         values, sizes, means = self._at(float(amplitude), np.where(omega > 0, omega, self._slow))
         rests = np.nonzero(omega == 0)[0]
         if len(rests):
@@ -174,8 +174,8 @@ def solved(laws: Laws, free: Array, G: Array, near: Solution | None, where: str)
 
 
 def _without(laws: Laws, where: str) -> AnalysisError:
-    message = f"no amplitudes were found at {where} at which all laws and the rest of the diagram agree."
-    cure = "Try another amplitude; where a law jumps, the diagram may slide along the jump, or oscillate by itself."
+    message = f"no amplitudes were found at {where} that satisfy all laws and the rest of the diagram."
+    cure = "Try another amplitude. If a law jumps, the diagram may slide along the jump, or oscillate by itself."
     return AnalysisError(Fault("E706", laws.names[0], message, cure))
 
 

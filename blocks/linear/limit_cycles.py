@@ -122,8 +122,10 @@ def limit_cycles(
     cycles, unknown = list[LimitCycle](), list[tuple[str, float, float]]()
     loops = groups(rational, laws.spans) if isinstance(rational, Transfer) else []
     if model is None or not loops:
-        message = "no law that bends is in a loop, so that nothing keeps an oscillation at one amplitude."
-        raise AnalysisError(Fault("E705", linearizer.graph.plan.name, message, "See its poles: linearize."))
+        message = "no nonlinear law lies in a loop, so that no oscillation settles at an amplitude."
+        raise AnalysisError(
+            Fault("E705", linearizer.graph.plan.name, message, "Look at the poles of its linear model: linearize.")
+        )
     in_loops = [sorted({k for loop in loops for k in loop[part]}) for part in range(2)]
     _check_rest(cut, laws, *in_loops)
     for own, slots in loops:
@@ -137,7 +139,7 @@ def limit_cycles(
 
 def _check_limits(name: str, pair: Any) -> None:
     if pair is not None and not (len(pair) == 2 and 0 < pair[0] < pair[1] < math.inf):
-        raise UsageError(Fault("E501", name, f"{pair} are no limits above 0, the lower one first."))
+        raise UsageError(Fault("E501", name, f"must be two limits above 0, the lower one first, not {pair}."))
 
 
 def _limits_of(amplitude: Any, declared: str) -> tuple[float, float]:
@@ -196,9 +198,9 @@ def _check_rest(cut: Linearization, laws: Laws, own: Sequence[int], slots: Seque
     if moving:
         faults = []
         for k in moving[:3]:
-            message = f"is not at rest, where limit cycles are looked for: it changes by {moves[k]:.3g} {times[k]}."
+            message = f"is not at rest, as a search for limit cycles needs: it changes by {moves[k]:.3g} {times[k]}."
             faults.append(Fault("E705", names[k], message))
-        cure = "Take a point of rest: at=find_operating_point(diagram), other start values, or held={input: value}."
+        cure = "Choose a point of rest: at=find_operating_point(diagram), other start values, or held={input: value}."
         raise AnalysisError(*faults[:-1], replace(faults[-1], cure=cure))
 
 

@@ -99,7 +99,7 @@ class Linearization(ReplacedSlopes):
         for word, spots in zip(("inputs", "outputs"), ends, strict=True):
             names = [spot.name for spot in spots]
             if not names:
-                raise UsageError(Fault("E501", word, "there are none.", "Name a signal."))
+                raise UsageError(Fault("E501", word, "must not be empty.", "Name a signal."))
             for name in names:
                 if names.count(name) > 1:
                     raise UsageError(Fault("E501", name, f"appears twice among the {word}."))
@@ -186,7 +186,7 @@ class Linearization(ReplacedSlopes):
         wired, report = self.wired(ins, outs, cut)
         plan = self.graph.plan
         if not wired.d:
-            message = "nothing sampled contributes to this transfer."
+            message = "this transfer has no sampled part."
             raise UsageError(Fault("E501", plan.name, message, "Use model()."))
         matrices, names = matrices_of(wired, plan, pade)
         report = with_pade_models(report, wired, plan, pade)
@@ -236,7 +236,7 @@ class Linearization(ReplacedSlopes):
         plan = self.graph.plan
         held = [plan.discretes[sampled.slots[k]] for _, _, outputs, _ in sampled.rates for k in outputs]
         message = (
-            "changes between the ticks of sampled blocks, and acts there: the loop opened here is no transfer "
+            "changes and acts between the ticks of sampled blocks, so that a loop opened here has no transfer "
             "from tick to tick."
         )
         cure = f"Open it at a signal that is held: {', '.join(held[:8])}." if held else ""
@@ -265,7 +265,7 @@ class Linearization(ReplacedSlopes):
         whole = wiring(self, ins, outs, cut, (), ())
         wired = reduced(self, whole, contributing(self, whole))
         if wired.d or wired.h:
-            message = "sampled blocks or delays contribute, of which there is no sparse continuous model."
+            message = "the transfer has sampled blocks or delays, for which there is no sparse continuous model."
             raise AnalysisError(Fault("E703", self.graph.plan.name, message, "Use model()."))
         keys = (("x", "x"), ("x", "e"), ("y", "x"), ("y", "e"))
         A, B, C, D = (sparse.csr_matrix(wired.matrix[key]) for key in keys)
@@ -292,7 +292,9 @@ class Linearization(ReplacedSlopes):
             [wired.dense(row, "e")[:, len(inputs) :] for row in "xh"]
         )  # what acts on a plant or a delay
         if wired.d and np.any(between != 0):
-            message = "lies between the ticks of a sampled diagram, where its answer is no one number per tick."
+            message = (
+                "is read between the ticks of a sampled diagram, where its response is not a single number per tick."
+            )
             cure = "Estimate the response by simulation."
             bad = int(np.nonzero(np.any(between != 0, axis=0))[0][0])
             raise AnalysisError(Fault("E704", self.graph.node_name(nodes[bad]), message, cure))
@@ -308,7 +310,7 @@ class Linearization(ReplacedSlopes):
         wired, report = self.wired(ins, outs, cut)
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         if omega.ndim != 1 or not np.isfinite(omega).all():
-            raise UsageError(Fault("E501", "response", "frequencies are finite numbers in one row, in rad/s."))
+            raise UsageError(Fault("E501", "response", "frequencies must be finite numbers in one row, in rad/s."))
         if wired.d or not wired.h:
             return response(self._made(wired, report, ins, outs, 0), omega)
         return delayed_model(wired, self.graph.plan, ins, outs).response(omega)
@@ -321,7 +323,7 @@ class Linearization(ReplacedSlopes):
         (ins, outs), cut = self._ends(inputs, outputs), self._places(openings)
         wired, report = self.wired(ins, outs, cut)
         if not wired.h:
-            message = "no exact delay contributes to this transfer."
+            message = "this transfer has no exact delay."
             raise UsageError(Fault("E501", self.graph.plan.name, message, "Use model()."))
         return replace(delayed_model(wired, self.graph.plan, ins, outs), name=self.graph.plan.name, report=report)
 

@@ -86,7 +86,9 @@ def _notes(replaced: ReplacedSlopes, kept: Array, passes: set[int]) -> dict[int,
                 path = f"{graph.plan.instances[i].path}."
                 name, by = graph.node_name(node).removeprefix(path), graph.slot_name(slot).removeprefix(path)
                 value = replaced.slopes.everything_of(slot)
-                notes.setdefault(i, []).append(f"{name} bends too, and stands at {by} = {value:g}: give its amplitude")
+                notes.setdefault(i, []).append(
+                    f"{name} is nonlinear too, and works at {by} = {value:g}: give its amplitude"
+                )
     if is_bent:
         point, plan = replaced.slopes.point, graph.plan
         owner = [node.instance for node in plan.derivatives]
@@ -111,8 +113,8 @@ def _near_singular(replaced: ReplacedSlopes, node: int, slot: int) -> str:
     by, name = read.removeprefix(f"{law.path}."), law.name.removeprefix(f"{law.path}.")
     more = f"{abs(change):.0%} {'more' if change > 0 else 'less'}"
     return (
-        f"the slope of {name} holds at {by} = {law.inputs[0]:g} only, near {by} = {point:g}, where it is infinite: ten "
-        f"times as far from there it is {more}. Its describing function: "
+        f"the slope of {name} holds only at {by} = {law.inputs[0]:g}, near {by} = {point:g}, where it is "
+        f"infinite: at ten times the distance it is {more}. For its describing function give "
         f'amplitude={{"{read}": A}}, --amplitude {read}=A'
     )
 
@@ -138,14 +140,14 @@ def hints_of(
             if slope != 0.0 or nonlinear(graph, node)[slot] != {slot}:
                 continue
             if (node, slot) in replaced.described:
-                hint(f"The gain of {name} is 0 at the amplitude given for {read}: give a larger one.")
+                hint(f"The gain of {name} is 0 at the amplitude given for {read}: give a larger amplitude.")
                 continue
             value = replaced.slopes.everything_of(slot)
-            notes[path] = f"passes nothing on at {read.removeprefix(f'{path}.')} = {value:g}, where it stands"
+            notes[path] = f"passes nothing on at its operating point, {read.removeprefix(f'{path}.')} = {value:g}"
             how = f'its describing function, amplitude={{"{read}": A}} or --amplitude {read}=A'
             if is_of_one_signal(graph, graph.nodes[node][0]):
                 how = f'a gain in its place, overrides={{"{path}": 1.0}} or --override {path}=1, or {how}'
-            hint(f"{name} passes nothing on where it stands: take {how}.")
+            hint(f"{name} passes nothing on at its operating point: use {how}.")
     noted = tuple(replace(block, note=notes.get(block.path, block.note)) for block in report)
     told = ((texts[0], len({*texts}) - 1) for texts in hints.values())
-    return " ".join(f"{text} The same of {more:,} more copies." if more else text for text, more in told), noted
+    return " ".join(f"{text} The same holds for {more:,} more copies." if more else text for text, more in told), noted

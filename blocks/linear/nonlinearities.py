@@ -279,12 +279,19 @@ class StaticLaw:
                 if on_at != off_at:
                     message = "is a relay with hysteresis, which has no describing function for a random signal."
                     raise AnalysisError(
-                        Fault("E704", self.path, message, "Give an amplitude, or estimate the response.")
+                        Fault(
+                            "E704",
+                            self.path,
+                            message,
+                            "Give an amplitude instead of a sigma, or estimate the response.",
+                        )
                     )
                 return describing.gaussian_relay(on_at, self._parameter("on"), self._parameter("off"), sigma, bias)
             if self.remembers == "backlash":
                 message = "is a backlash, which has no describing function for a random signal."
-                raise AnalysisError(Fault("E704", self.path, message, "Give an amplitude, or estimate the response."))
+                raise AnalysisError(
+                    Fault("E704", self.path, message, "Give an amplitude instead of a sigma, or estimate the response.")
+                )
             if self.remembers == "quantizer":
                 return describing.gaussian_quantizer(self._parameter("interval"), sigma, bias)
             breaks = self.breaks(bias, 40 * sigma)

@@ -79,7 +79,7 @@ class OperatingPoint(Shown):
                 return quantity.value
         known = list(dict.fromkeys(quantity.name for quantity in (*self.inputs, *self.states, *self.outputs)))
         more = ", ..." if len(known) > 20 else ""
-        cure = f"Known: {', '.join(known[:20])}{more}." if known else "It has none."
+        cure = f"Known: {', '.join(known[:20])}{more}." if known else "The operating point has no quantities."
         near = did_you_mean(name[:200], known)
         raise UnknownName(f"there is no quantity {quoted(name)}. {near}{' ' if near else ''}{cure}")
 
@@ -148,8 +148,8 @@ def search(
     rates = {} if isinstance(steady, bool) else steady
     for word, table in (("inputs", inputs), ("states", states), ("outputs", outputs), ("steady", rates)):
         if table is not None and not isinstance(table, Mapping):
-            cure = f"As in {word}={{name: value}}."
-            raise UsageError(Fault("E501", word, f"{quoted(repr(table)[:80])} is no mapping.", cure))
+            cure = f"Write {word}={{name: value}}."
+            raise UsageError(Fault("E501", word, f"must be a mapping, not {quoted(repr(table)[:80])}.", cure))
     return _Search(point, inputs or {}, states or {}, outputs or {}, steady, told, check).found()
 
 
@@ -261,7 +261,7 @@ class _Search:
                 target = _as_free(label, each)
                 low, high = (target.min, target.max) if isinstance(target, Free) else (target, target)
                 if reference.row == "k":
-                    raise UsageError(Fault("E501", label, "is a constant, and cannot be asked for."))
+                    raise UsageError(Fault("E501", label, "is a constant, so that no other value can be required."))
                 self.outputs[label] = reference
                 self.targets.append((low, high))
 
@@ -369,8 +369,11 @@ class _Search:
         for part in self.plan.foreign:
             for j in part.crossings:
                 if point.memory[3][j] != self.point.memory[3][j]:
-                    message = "the FMU has an event between where the search began and where it ends."
-                    cure = "Begin where a run with these inputs stands: at= a time of it."
+                    message = (
+                        "the FMU has an event between the start and the end of the search, which a search "
+                        "cannot handle."
+                    )
+                    cure = "Start from the state of a run with these inputs: at=TIME."
                     raise AnalysisError(Fault("E702", part.path, message, cure))
 
     def _solved(self, least_squares: Any, start: Array, low: Array, high: Array) -> Array:
@@ -428,10 +431,14 @@ class _Search:
             if abs(remains[k]) <= RESIDUAL:
                 continue
             is_output = k >= missed
-            what = "misses what was asked for by" if is_output else "its rate still differs from what is wanted by"
+            what = (
+                "its value differs from the required value by"
+                if is_output
+                else "its rate differs from the required rate by"
+            )
             unit = self._unit(names[k], is_rate=not is_output and k < len(self.plan.states))
             faults.append(Fault("E702", names[k], f"no operating point was found: {what} {residual[k]:.3g}{unit}."))
-        cure = "Leave an input free (inputs={name: None}), let a state move (steady={name: None}), or begin elsewhere: "
+        cure = "Leave an input free (inputs={name: None}), let a state move (steady={name: None}), or start elsewhere: "
         cure += "Free(guess=...), at=."
         faults[-1] = Fault("E702", faults[-1].place, faults[-1].message, cure)
         raise AnalysisError(*faults)
@@ -461,14 +468,18 @@ def _moving(plan: Plan) -> list[Reference]:
 def _refuse(plan: Plan) -> None:
     """Raise AnalysisError (E702) for programs and for what each step replaces over time, which depend on the past."""
     for part in plan.steppers:
-        cure = "Take where a run stands: operating_points, or at=."
-        raise AnalysisError(Fault("E702", part.path, "is a program, whose memory no search finds.", cure))
+        cure = "Use the state of a run: operating_points, or at=."
+        raise AnalysisError(
+            Fault("E702", part.path, "is a program, and a search cannot find the values in its memory.", cure)
+        )
     for node, (_, place) in plan.projections:
         instance = plan.instances[node.instance]
         reads = {instance.tape.arguments[k].kind for k in instance.tape.read_by[node.key][node.element]}
         if "time" in reads:
-            message = f"moves on from step to step ({plan.discretes[place]}): where it comes to rest, no search finds."
-            cure = "Take where a run stands: operating_points, or at=."
+            message = (
+                f"changes with each step ({plan.discretes[place]}), so that a search cannot find its point of rest."
+            )
+            cure = "Use the state of a run: operating_points, or at=."
             raise AnalysisError(Fault("E702", instance.path, message, cure))
 
 
@@ -538,7 +549,7 @@ def _spread(given: Mapping[str, Any], known: Mapping[str, Reference], what: str)
             continue
         elements = [label for label in known if label.startswith(f"{name}[")]
         if not elements:
-            cure = did_you_mean(name[:200], known) or f"There are {', '.join(list(known)[:20]) or 'none'}."
+            cure = did_you_mean(name[:200], known) or f"Known: {', '.join(list(known)[:20]) or 'none'}."
             raise UsageError(Fault("E501", quoted(name[:200]), f"there is no {what} of this name.", cure))
         values.update(zip(elements, _each(name, value, len(elements)), strict=True))
     return values
@@ -549,7 +560,7 @@ def _each(name: str, value: Any, count: int) -> list[Any]:
     if not isinstance(value, (list, np.ndarray)):
         return [value] * count
     if len(value) != count:
-        raise UsageError(Fault("E501", name, f"has {count} elements, and {len(value)} values were given."))
+        raise UsageError(Fault("E501", name, f"has {count} elements, but {len(value)} values were given."))
     return list(value)
 
 
@@ -557,7 +568,7 @@ def _rate(name: str, value: Any) -> float:
     """A rate that was given. Raises UsageError (E501)."""
     if isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(value):
         return float(value)
-    message = f"{quoted(str(value)[:80])} is no rate."
+    message = f"{quoted(str(value)[:80])} is not a rate."
     raise UsageError(Fault("E501", name, message, "Give a number per second, or None for any."))
 
 
@@ -573,9 +584,9 @@ def _as_free(name: str, value: Any) -> float | Free:
         return float(value)
     else:
         cure = "Give a number, None, (low, high) or Free(guess, min, max)."
-        raise UsageError(Fault("E501", name, f"{quoted(str(value)[:80])} is no value here.", cure))
+        raise UsageError(Fault("E501", name, f"{quoted(str(value)[:80])} is not a value for this quantity.", cure))
     if not free.min <= free.max:
-        raise UsageError(Fault("E501", name, f"the bound {free.min} lies above {free.max}."))
+        raise UsageError(Fault("E501", name, f"the lower bound {free.min} lies above the upper bound {free.max}."))
     return free
 
 

@@ -64,10 +64,10 @@ def contributing(replaced: ReplacedSlopes, wiring: Wiring) -> Array:
     for row, column, instance in hidden:
         if kept[row] and kept[column]:
             path = graph.plan.instances[instance].path
-            message = "does something at each step, or is a program: it has no linear model."
-            cure = "Estimate the response by simulation, or leave it out by openings or overrides."
+            message = "acts at each step, or is a program, so that it has no linear model."
+            cure = "Estimate the response by simulation, or exclude the block by openings or overrides."
             if any(node.instance == instance and remembers(graph, n)[0] for n, node in enumerate(graph.nodes)):
-                cure = "Ask for its response at an amplitude, which harmonic_response takes."
+                cure = "Compute its response at an amplitude with harmonic_response."
                 cure += or_a_gain(graph, instance)
             raise AnalysisError(Fault("E703", path, message, cure))
     _refuse(replaced, laws, selects, kept)
@@ -150,7 +150,7 @@ def _refuse(replaced: ReplacedSlopes, laws: Sequence[Law], selects: Array, kept:
         name = replaced.graph.slot_name(law.slot)
         value = replaced.slopes.everything_of(law.slot)
         what = {"jump": "jumps", "corner": "has a corner"}.get(law.kind, "has an infinite slope")
-        message = f"{what} at {law.by} = {value:g}, where it stands: there is no linear model."
+        message = f"{what} at {law.by} = {value:g}, its operating point, so that it has no linear model."
         cure = f'Give the amplitude at which it works: amplitude={{"{name}": A}}, or --amplitude {name}=A.'
         cure += or_a_gain(replaced.graph, replaced.graph.nodes[law.node][0])
         faults.setdefault((law.block, law.equation), Fault("E701", f"{law.block}.{law.equation}", message, cure))
@@ -215,10 +215,10 @@ def matrices_of(wired: Wired, plan: Plan, pade: int) -> tuple[dict[str, Array], 
         return {row + column: wired.dense(row, column) for row in "xdhy" for column in "xdhe"}, names
     if pade < 1:
         delays = ", ".join(f"{plan.histories[k].name} ({plan.histories[k].delay:g} s)" for k in wired.h)
-        message = f"exact delays contribute, which no state space holds: {delays}."
+        message = f"the transfer has exact delays, which a state space cannot hold: {delays}."
         cure = (
-            "They stay exact in linearizer.response(...), delayed(inputs, outputs) and delayed_loop(signal), of which "
-            "margins() are taken; a state space has Padé models of them: pade=3 (--pade 3)."
+            "They stay exact in linearizer.response(...), delayed(inputs, outputs) and delayed_loop(signal), "
+            "which margins() accepts. For a state space, replace them by Padé models: pade=3 (--pade 3)."
         )
         raise AnalysisError(Fault("E707", plan.name, message, cure))
     import control

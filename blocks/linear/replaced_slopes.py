@@ -47,7 +47,9 @@ class ReplacedSlopes:
         self.gains: dict[tuple[int, int], float] = {}  # those of describing functions
         for word, mapping in (("amplitude", amplitude), ("sigma", sigma), ("overrides", overrides)):
             if mapping is not None and not isinstance(mapping, Mapping):
-                raise UsageError(Fault("E501", word, f"{mapping!r} is no mapping.", f"As in {word}={{name: value}}."))
+                raise UsageError(
+                    Fault("E501", word, f"must be a mapping, not {mapping!r}.", f"Write {word}={{name: value}}.")
+                )
         for given, is_random in ((amplitude or {}, False), (sigma or {}, True)):
             for name, values in given.items():
                 self._describe(name, values, is_random=is_random)
@@ -66,19 +68,20 @@ class ReplacedSlopes:
         count = 0
         for spot, size in zip(spots, sizes, strict=True):
             if not (np.isfinite(size) and size > 0):
-                raise UsageError(Fault("E501", f"{word} of {spot.name}", f"{size} is not above 0."))
+                raise UsageError(Fault("E501", f"{word} of {spot.name}", f"must be above 0, not {size}."))
             for node, slot, coupled in self._laws_reading(spot):
                 if (node, slot) in self.described:
-                    message = "is given twice: an amplitude and a sigma, or under two names."
+                    message = "is given twice: as an amplitude and as a sigma, or under two names."
                     raise UsageError(Fault("E501", f"{word} of {spot.name}", message))
                 self._only(node, slot, coupled)
                 law = StaticLaw(self.slopes, node, [slot])
                 gain = law.gain(size, is_random=is_random)
                 if abs(gain.imag) > 1e-9 * abs(gain):
                     message = (
-                        f"lags behind its input: at this amplitude its gain is {gain:.6g}, which no state space has."
+                        f"lags behind its input: at this amplitude its gain is complex, {gain:.6g}, which a "
+                        "state space cannot hold."
                     )
-                    cure = "Ask for its response: harmonic_response takes complex gains."
+                    cure = "Compute its response: harmonic_response works with complex gains."
                     cure += or_a_gain(graph, graph.nodes[node][0])
                     raise AnalysisError(Fault("E704", law.name, message, cure))
                 self._put(node, slot, gain.real)
@@ -90,8 +93,12 @@ class ReplacedSlopes:
                 count += 1
         if not count:
             known = sorted({graph.slot_name(law.slot) for law in self.slopes.laws})
-            cure = f"Laws without a slope here read {', '.join(known)}." if known else "No law here needs one."
-            raise UsageError(Fault("E501", f"{word} of {name}", "no law that bends reads this signal.", cure))
+            cure = (
+                f"The laws without a slope at this point read {', '.join(known)}."
+                if known
+                else "No law needs an amplitude at this point."
+            )
+            raise UsageError(Fault("E501", f"{word} of {name}", "no nonlinear law reads this signal.", cure))
 
     def _laws_reading(self, spot: SignalElement) -> Iterable[tuple[int, int, frozenset[int]]]:
         """Find the nodes that are not linear in a signal at a fixed time: node, slot, and what its slope depends on."""
@@ -109,8 +116,12 @@ class ReplacedSlopes:
         """Refuse a law of several signals. Raises AnalysisError (E704)."""
         if coupled != {slot}:
             names = ", ".join(sorted(self.graph.slot_name(s) for s in coupled | {slot}))
-            message = f"is a law of several signals: {names}. It has no describing function of one of them."
-            cure = "Write it as locals of one signal each, or use harmonic_response, which goes through their phases."
+            message = (
+                f"is a law of several signals ({names}), so that it has no describing function for one of them alone."
+            )
+            cure = (
+                "Split it into locals of one signal each, or use harmonic_response, which integrates over their phases."
+            )
             raise AnalysisError(Fault("E704", self.graph.node_name(node), message, cure))
 
     def _put(self, node: int, slot: int, value: float) -> None:
@@ -147,8 +158,12 @@ class ReplacedSlopes:
             matrices = state_space(given, path)
             if matrices[3].shape != (n_out, n_in):
                 rows, columns = matrices[3].shape
-                message = f"the model has {columns} inputs and {rows} outputs, and the block {n_in} and {n_out}."
-                raise UsageError(Fault("E501", path, message, "They go in the order in which the block declares them."))
+                message = f"the model has {columns} inputs and {rows} outputs, but the block has {n_in} and {n_out}."
+                raise UsageError(
+                    Fault(
+                        "E501", path, message, "Give inputs and outputs in the order in which the block declares them."
+                    )
+                )
             self.given[i] = outputs_of(graph, i)
             self.overridden[i] = matrices
 
@@ -174,12 +189,16 @@ def state_space(given: Any, path: str) -> tuple[Array, Array, Array, Array]:
         import control
 
         if given.dt not in (0, None):
-            raise UsageError(Fault("E501", path, "an override is a continuous model.", "Convert it (control.d2c)."))
+            raise UsageError(
+                Fault("E501", path, "the override is a sampled model.", "Give a continuous model, without dt.")
+            )
         try:
             system = control.ss(given) if isinstance(given, control.StateSpace) else _realized(given)
         except ValueError:
-            message = "the numerator is of a higher degree than the denominator: no state space has this response."
-            raise UsageError(Fault("E501", path, message, "Give it a pole far away.")) from None
+            message = (
+                "the numerator has a higher degree than the denominator, so that no state space has this response."
+            )
+            raise UsageError(Fault("E501", path, message, "Add a fast pole to the denominator.")) from None
         matrices = tuple(np.asarray(m, dtype=float) for m in (system.A, system.B, system.C, system.D))
     else:
         D = np.full((1, 1), np.nan)
@@ -189,7 +208,7 @@ def state_space(given: Any, path: str) -> tuple[Array, Array, Array, Array]:
         matrices = np.empty((0, 0)), np.empty((0, D.shape[-1])), np.empty((D.shape[0], 0)), D
     if not all(np.isfinite(matrix).all() for matrix in matrices) or matrices[3].ndim != 2:
         cure = "Give a StateSpace, a TransferFunction, or a matrix of gains, all numbers finite."
-        raise UsageError(Fault("E501", path, "is no linear model.", cure))
+        raise UsageError(Fault("E501", path, "is not a linear model.", cure))
     return matrices  # type: ignore[return-value]
 
 
@@ -222,8 +241,8 @@ def outputs_of(graph: Interconnection, i: int) -> list[int]:
     steppers = [part for part in plan.steppers if part.instance == i]
     own |= {Reference("d", k) for part in steppers for _, slots, _ in part.outputs for k in slots}
     if not own.issuperset(references):
-        message = "passes on what others give: there is nothing to replace."
-        raise UsageError(Fault("E501", path, message, "Override what stands before it, or behind."))
+        message = "only passes signals on, so that there is nothing to replace."
+        raise UsageError(Fault("E501", path, message, "Override the block before it, or the block after it."))
     return [graph.column(reference) for reference in references]
 
 
@@ -239,4 +258,4 @@ def or_a_gain(graph: Interconnection, i: int) -> str:
     path = graph.plan.instances[i].path
     if not is_of_one_signal(graph, i):
         return ""
-    return f' Or put a gain in its place: overrides={{"{path}": 1.0}}, or --override {path}=1.'
+    return f' Or replace the block by a gain: overrides={{"{path}": 1.0}}, or --override {path}=1.'

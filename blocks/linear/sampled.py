@@ -77,7 +77,7 @@ class Sampled:
         ticks: dict[int, list[int]] = {}
         for number, (period, offset, *_) in enumerate(self.rates):
             if self.period // period > _MOST:
-                message = f"its rates repeat after {self.period // period} ticks only."
+                message = f"its rates repeat only after {self.period // period} ticks, too many for a model."
                 cure = "Choose periods with a shorter common multiple."
                 raise AnalysisError(Fault("E703", plan.name, message, cure))
             for k in range(self.period // period):
@@ -165,7 +165,7 @@ class Sampled:
                 times.append(float(time) * self.base)
             values[time] = at, behind
         if (self.nx + self.nd + len(times)) ** 2 > MOST:
-            message = f"its pattern of ticks has {len(times)} of them: the loop over all of them is too large."
+            message = f"its pattern has {len(times)} ticks: the loop over all of them is too large."
             cure = "Choose periods with a shorter common multiple."
             raise AnalysisError(Fault("E703", self.plan.name, message, cure))
         begin = next((time for time, pair in values.items() if self.acts and pair != (None, None)), 0)

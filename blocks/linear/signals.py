@@ -44,7 +44,9 @@ class SignalElement:
 def places(graph: Interconnection, name: str) -> tuple[SignalElement, ...]:
     """The elements of a signal. Raises UsageError (E501) where there is none of this name."""
     if not isinstance(name, str):
-        raise UsageError(Fault("E501", "signal", f"{legible(repr(name))} is no name.", "Name signals as texts."))
+        raise UsageError(
+            Fault("E501", "signal", f"{legible(repr(name))} is not the name of a signal.", "Write names as texts.")
+        )
     elements = _found(graph, name)
     if elements is not None:
         return elements
@@ -61,10 +63,12 @@ def place(graph: Interconnection, name: str) -> SignalElement:
     """A signal of one element. Raises UsageError (E501)."""
     if not isinstance(name, str):
         message = f"{legible(repr(name))} is not the name of one signal."
-        raise UsageError(Fault("E501", "signal", message, "Name one signal, as a text; for several, ask for each."))
+        raise UsageError(
+            Fault("E501", "signal", message, "Give one name, as a text. For several signals, call once for each.")
+        )
     elements = places(graph, name)
     if len(elements) != 1:
-        raise UsageError(Fault("E501", name, f"has {len(elements)} elements.", f"Name one of them: {name}[0]."))
+        raise UsageError(Fault("E501", name, f"has {len(elements)} elements.", f"Name one element: {name}[0]."))
     return elements[0]
 
 
@@ -84,8 +88,8 @@ def _check_version(graph: Interconnection, name: str) -> None:
     path, _, port = name.rpartition(".")
     is_pid = any(graph.type_of[i].tape.interface.name == "PID" for i in graph.at_path.get(path, ()))
     if is_pid and port in ("u", "y") and is_of_older_version(graph.plan):
-        message = "of a PID is another signal than in version 1, the version of this file."
-        cure = f"Bring the file up to date (blocks fmt): {path}.u is the control then, {path}.r - {path}.y the error."
+        message = "of a PID has a different meaning in version 1, the version of this file."
+        cure = f"Update the file with blocks fmt: then {path}.u is the control, and {path}.r - {path}.y is the error."
         raise UsageError(Fault("E501", quoted(name), message, cure))
 
 
@@ -159,5 +163,7 @@ def _names(graph: Interconnection) -> Iterator[str]:
 def listed(names: Names) -> list[str]:
     """Return one name, or several, as a list. Raises UsageError (E501)."""
     if not isinstance(names, (str, Iterable)):
-        raise UsageError(Fault("E501", "signal", f"{legible(repr(names))} is no name.", "Name signals as texts."))
+        raise UsageError(
+            Fault("E501", "signal", f"{legible(repr(names))} is not the name of a signal.", "Write names as texts.")
+        )
     return [names] if isinstance(names, str) else list(names)

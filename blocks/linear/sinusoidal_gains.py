@@ -246,8 +246,8 @@ class Laws:
                     return n, b
         bad = int(np.argmax(np.where(moved, np.abs(shift), -1.0)))
         told = float(shift[bad] + reference[bad])
-        message = f"moves the mean: for a sine it gives {told:.6g} in the middle, and {reference[bad]:.6g} at rest."
-        cure = "Take a point about which it is odd, or a smaller amplitude; or estimate the response."
+        message = f"shifts the mean: its mean is {told:.6g} for a sine, but {reference[bad]:.6g} at rest."
+        cure = "Choose a point about which the law is odd, give a smaller amplitude, or estimate the response."
         raise AnalysisError(Fault("E704", self.items[bad].name, message, cure))
 
     def _unheard(self, n: Array, part: float) -> Array:

@@ -223,7 +223,8 @@ def partials_of_fmu(kind: TypePartials, point: Point, instance: int, values: Arr
                     path = point.plan.instances[instance].path
                     by = kind.tape.arguments[k].name
                     message = (
-                        f"differences of two steps by {by} give {coarse:.6g} and {fine:.6g}: it has no slope here."
+                        f"has no slope at this point: differences with two step sizes in {by} give {coarse:.6g} "
+                        f"and {fine:.6g}."
                     )
                     cure = "Choose another operating point, or estimate the response by simulation."
                     if row not in inner:

@@ -143,13 +143,15 @@ def _key(spot: SignalElement) -> Key:
 def _check(graph: Interconnection, spot: SignalElement) -> None:
     """Raise UsageError (E501) where nothing can be put in or cut."""
     if spot.column < 0 and spot.slots is None:
-        raise UsageError(Fault("E501", spot.name, "is a constant: nothing can be put in or cut there."))
+        raise UsageError(Fault("E501", spot.name, "is a constant, where a signal can neither enter nor be cut."))
     if spot.is_copy:
-        message = "is a signal that was only passed on: others read it in front of this place too."
+        message = "is a copy of a signal, which other blocks read before this place too."
         raise UsageError(Fault("E501", spot.name, message, f"Name {told(graph, spot.column)}, or an input."))
     if spot.slots is not None and passes_on(graph, spot):
-        message = "is the input of a block that only passes it on: what reads it stands behind."
-        raise UsageError(Fault("E501", spot.name, message, "Name the output of this block, or what is wired."))
+        message = "is the input of a block that only passes the signal on to its readers."
+        raise UsageError(
+            Fault("E501", spot.name, message, "Name the output of this block, or the signal that is wired to it.")
+        )
 
 
 def _overriding(replaced: ReplacedSlopes, selects: Array, begin: int) -> Iterator[tuple[int, int, float]]:

@@ -116,7 +116,7 @@ class DocumentReader:
             return True
         elif (migration := migrations.migrated(self.document, migrations.DIAGRAM, VERSION)) is None:
             newer = value["version"] > VERSION
-            cure = "Update blocks (pip install -U blocks-cosim)." if newer else f"This release reads version {VERSION}."
+            cure = "Update blocks." if newer else f"This release reads version {VERSION}."
             shown = in_words(value["version"]).removeprefix("the number ")
             self.fault("E005", ("version",), f"version {shown} cannot be read.", cure)
         else:

@@ -57,7 +57,7 @@ def optional(name: str, place: str, extra: str = "tables") -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        cure = f'Install it: pip install "blocks-cosim[{extra}]", or pip install {name}.'
+        cure = f'Install it: pip install {name}; or in a clone of blocks: pip install -e ".[{extra}]".'
         raise UsageError(Fault("E504", place, f"the package {name} is needed and not installed.", cure)) from None
 
 

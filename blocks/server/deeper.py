@@ -75,12 +75,14 @@ def _linearizer(
         )
         given, words = {"at": point}, ", where the diagram rests"
     elif isinstance(at, str) and at != "start":
-        raise UsageError(Fault("E501", "at", f"{at!r} is no place.", 'It is "start", "rest", or a time in s.'))
+        raise UsageError(
+            Fault("E501", "at", f"{at!r} is not a point of the run.", 'Choose "start", "rest", or a time in s.')
+        )
     elif isinstance(at, str):
         given["at"] = None
     elif live is None or at > live.t:  # who simulated up to it first would not come back from 1e9 s
-        message = f"there is no run that got to t = {at:g} s" + (f": it is at {live.t:g} s." if live else ".")
-        raise UsageError(Fault("E501", "at", message, "Run up to there, or choose an earlier time."))
+        message = f"no run has reached t = {at:g} s" + (f": it is at {live.t:g} s." if live else ".")
+        raise UsageError(Fault("E501", "at", message, "Run to this time, or choose an earlier time."))
     elif isinstance(live.prepared.plan, Coupling):  # which has no linear model
         given["at"] = at
     else:
@@ -128,9 +130,9 @@ def _answer(
         return told | made()
     except AnalysisError as error:  # whose cures name arguments of the library
         known = {name for law in laws for name in law["laws"]}
-        cures = {"E704": "Choose another amplitude by its slider, or look at its limit cycles."}
+        cures = {"E704": "Choose another amplitude with the slider, or look at the limit cycles."}
         if laws:
-            cures["E705"] = "Give the amplitude at which the loop works, by its slider."
+            cures["E705"] = "Set the amplitude at which the loop works with the slider."
         faults = []
         for f in error.faults:
             cure = cures["E705"] if f.code == "E701" and f.place in known else cures.get(f.code, f.cure)
@@ -275,13 +277,13 @@ def cycles(session: Session, *, at: str | float = "rest") -> Answer:
         linearizer, where, _ = _linearizer(session, at, None)
         found = limit_cycles(linearizer, check=session.check_wanted)
     except AnalysisError as error:  # whose cures name arguments of the library
-        cures = {"E702": 'Look "at the start".'} if at == "rest" else {"E705": 'Look "where it rests".'}
+        cures = {"E702": 'Look "at the start".'} if at == "rest" else {"E705": 'Choose "where it rests".'}
         raise AnalysisError(*(replace(f, cure=cures.get(f.code, f.cure)) for f in error.faults)) from None
     rows: list[list[Any]] = []
     for c in found:
         amplitudes = ", ".join(f"{name} {a:.4g}" for name, a in c.amplitudes.items())
         rows.append([c.omega, c.period, "yes" if c.stable else "no", amplitudes, c.kind])
-    notes = [f"{name}: not judged at amplitudes of {low:.4g} to {high:.4g}." for name, low, high in found.unknown]
+    notes = [f"{name}: not examined at amplitudes of {low:.4g} to {high:.4g}." for name, low, high in found.unknown]
     head = ["frequency [rad/s]", "period [s]", "stable", "amplitudes", "found by"]
     return {
         "is": "analysis", "title": f"{len(rows) or 'No'} limit cycles. {where}", "laws": [], "faults": [],
@@ -303,18 +305,18 @@ def color(session: Session, *, by: str) -> Answer:
     if by == "rate":
         planned = session.document.planned
         if planned is None:
-            raise UsageError(Fault("E501", "rate", "the diagram has faults.", "Mend them first."))
+            raise UsageError(Fault("E501", "rate", "the diagram has faults.", "Fix them first."))
         leaves = [block["path"] for block in blocks if block["kind"] != "diagram"]
         known = {path: planned.rate_labels.get(path, "continuous") for path in leaves}
     elif by == "rejected":
         live = session.running
         known = live.rejected_by_block()
         if live.rejected and not known:
-            message = "this method does not tell for which block a step was rejected; explicit ones do."
-            raise UsageError(Fault("E501", live.prepared.plan.settings.method, message, 'As "dopri5".'))
+            message = "this method does not report the block for which a step was rejected; explicit methods do."
+            raise UsageError(Fault("E501", live.prepared.plan.settings.method, message, 'Choose for example "dopri5".'))
     else:
-        cure = did_you_mean(by, ["rate", "rejected"])
-        raise UsageError(Fault("E501", "color.by", f"{by!r} is no way to color.", cure))
+        cure = did_you_mean(by, ["rate", "rejected"]) or "Choose rate or rejected."
+        raise UsageError(Fault("E501", "color.by", f"{by!r} is not a way to color.", cure))
     found: dict[str, Any] = {}
     for path in (block["path"] for block in blocks):
         own: list[Any] = [value for inner, value in known.items() if f"{inner}.".startswith(f"{path}.")]
@@ -340,8 +342,8 @@ def band(
     folder = session.document.folder
     sweep = Sweep.load(inside(folder, file)) if file else _swept(session, signal, parameter, (low, high), n)
     if signal not in sweep.signals:
-        cure = did_you_mean(signal, sweep.signals) or f"It has {', '.join(sweep.signals) or 'none'}."
-        raise UsageError(Fault("E502", signal, "is no signal of this sweep.", cure))
+        cure = did_you_mean(signal, sweep.signals) or f"Signals: {', '.join(sweep.signals) or 'none'}."
+        raise UsageError(Fault("E502", signal, "is not a signal of this sweep.", cure))
     values = sweep.signals[signal].reshape(len(sweep), len(sweep.t), -1)
     rows = np.moveaxis(quantiles(values, np.array(QUANTILES)), 1, 0)  # time, quantile, element
     times, told = thinned(sweep.t, rows.reshape(len(rows), -1), MOST_POINTS)
@@ -359,15 +361,17 @@ def band(
 
 def _swept(session: Session, signal: str, parameter: str, limits: tuple[float, float], n: int) -> Sweep:
     if not 2 <= n <= MOST_ROWS:
-        raise UsageError(Fault("E501", "band.n", f"{n} rows: 2 to {MOST_ROWS} can be run here.", "Use blocks sweep."))
+        raise UsageError(
+            Fault("E501", "band.n", f"must be 2 to {MOST_ROWS} rows, not {n}.", "For more rows use blocks sweep.")
+        )
     if not limits[0] < limits[1]:
-        raise UsageError(Fault("E501", parameter, f"{limits} are no limits, the lower one first."))
+        raise UsageError(Fault("E501", parameter, f"must be two limits, the lower one first, not {limits}."))
 
     def look(done: int, rows: int) -> None:
         session.check_wanted()
         if session.is_asked_more:
-            message = f"another question came when {done} of {rows} rows were done."
-            raise UsageError(Fault("E501", "band", message, "Ask for it again."))
+            message = f"another request stopped this one when {done} of {rows} rows were done."
+            raise UsageError(Fault("E501", "band", message, "Request it again."))
 
     shown = session.document.shown.copy()
     if session.inputs:

@@ -70,7 +70,7 @@ class Document:
         """The diagram of the file with its chosen variants. Raises BlocksError where the file says none."""
         if self.error is not None or self.diagram is None:
             cause = "" if self.error is None else f": {self.error.faults[0]}"
-            cure = "Mend its faults first."
+            cure = "Fix the faults of the file first."
             raise UsageError(Fault("E501", self.name, f"the file cannot be read as a diagram{cause}", cure))
         return self.diagram.with_variants(self.variants) if self.variants else self.diagram
 
@@ -321,12 +321,12 @@ def inside(folder: Path, name: str) -> Path:
     """The path, without links, of a file that a page names, in a folder or below it. Raises UsageError (E501)."""
     target = real(folder / name)
     if not target.is_relative_to(real(folder)) or target == real(folder) or not name.isprintable():
-        cure = f"Name a file in {legible(folder.name)}, as in results/run.csv."
-        raise UsageError(Fault("E501", legible(name[:200]), "lies outside of the diagram's folder.", cure))
+        cure = f"Name a file inside the folder {legible(folder.name)}. Example: results/run.csv."
+        raise UsageError(Fault("E501", legible(name[:200]), "lies outside the diagram's folder.", cure))
     try:
         os.lstat(target)
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG:
             what = "is too long for the name of a file."
-            raise UsageError(Fault("E501", legible(name[:200]), what, "Shorten it.")) from None
+            raise UsageError(Fault("E501", legible(name[:200]), what, "Choose a shorter name.")) from None
     return target

@@ -40,8 +40,8 @@ FARTHEST = 1e6
 def write_blank(path: Path) -> None:
     """Write an empty diagram where there is no file. Raises UsageError (E501), also for an empty file."""
     if path.is_file() and path.stat().st_size == 0:
-        cure = "Another program may be writing it; where it is to be a new diagram, delete it."
-        raise UsageError(Fault("E501", legible(str(path)), "is empty, and no diagram.", cure))
+        cure = "Another program may be writing the file. To create a new diagram, delete the file first."
+        raise UsageError(Fault("E501", legible(str(path)), "is empty, and is therefore not a diagram.", cure))
     if not path.exists():
         name = re.sub(r"\W", "_", path.stem, flags=re.ASCII).lstrip("_0123456789") or "diagram"
         with write_atomically(path) as stream:
@@ -127,13 +127,13 @@ class Editor(Document):
         """What is written is made of what stands there. Raises UsageError (E501) where that is not what was shown."""
         is_new = self._catch_up()
         if self.is_gone:
-            what = "was deleted, emptied or renamed by another program; what is shown is in no file."
-            raise UsageError(Fault("E501", self.file.name, what, "Undo writes it again."))
+            what = "was deleted, emptied or renamed by another program; the diagram on the page is in no file."
+            raise UsageError(Fault("E501", self.file.name, what, "Undo to write the file again."))
         if self.error is not None:
             self.shown  # noqa: B018  # says why no edit can be made
         if is_new:
-            what = "was written by another program; what it says now is shown, and nothing else was done."
-            raise UsageError(Fault("E501", self.file.name, what, "Do it again where it still fits."))
+            what = "was changed by another program; the page now shows the new text, and your change was not made."
+            raise UsageError(Fault("E501", self.file.name, what, "Repeat the change if it still fits."))
 
     def edit(self, what: str, operations: Operations) -> Edit:
         """Apply operations and write the file. what: the gesture, in words.
@@ -181,8 +181,8 @@ class Editor(Document):
             if (left := step.but(others)).parts:
                 steps.append(left)
             names = ", ".join(Path(file).name for file in others)
-            message = f'was written by another program after "{step.what}", and stays as it is.'
-            raise UsageError(Fault("E501", names, message, f"The next {what} goes on without it."))
+            message = f'was changed by another program after "{step.what}", and stays as it is.'
+            raise UsageError(Fault("E501", names, message, f"To {what} the rest, {what} again."))
         self._write(edit)
         steps.pop()
         (self.undone if is_undo else self.done).append(step.undone)
@@ -196,8 +196,8 @@ class Editor(Document):
 
     def _catch_up(self) -> bool:
         if str(real(self.file)) != self._real:
-            what = "is a link to another file now, which is not written."
-            raise UsageError(Fault("E501", self.file.name, what, "Open that one, or put the file back."))
+            what = "now links to another file, and was not written."
+            raise UsageError(Fault("E501", self.file.name, what, "Open the other file, or restore this file."))
         revision = self.revision
         if self.has_changed():
             self.read()
@@ -353,6 +353,6 @@ def _is_json(text: str) -> bool:
 def move(level: str, name: str, at: Sequence[float]) -> dict[str, Any]:
     """The operation that places a block or a terminal. Raises UsageError (E501)."""
     if any(abs(x) > FARTHEST for x in at):
-        raise UsageError(Fault("E501", name, f"would stand farther away than {FARTHEST:g} pixels."))
+        raise UsageError(Fault("E501", name, f"cannot be placed farther than {FARTHEST:g} pixels from the origin."))
     to = [int(x) if float(x).is_integer() else x for x in at]
     return {"move": name, "to": to, **({"in": level} if level else {})}

@@ -53,7 +53,7 @@ def _editor(session: Session) -> Editor:
     """The document. Raises UsageError (E501) where it cannot be edited."""
     if not isinstance(session.document, Editor):
         name = session.document.name
-        raise UsageError(Fault("E501", name, "is shown, and cannot be edited here.", "Open it by `blocks edit`."))
+        raise UsageError(Fault("E501", name, "is open for viewing only.", "To edit it, open it with `blocks edit`."))
     return session.document
 
 
@@ -114,7 +114,7 @@ def edit(session: Session, *, operations: list[dict[str, Any]], level: str = "",
     """Apply operations of `blocks apply` on a level. what: the gesture, in words."""
     for operation in operations:
         if "file" in operation or "in" in operation:
-            raise UsageError(Fault("E501", "edit", "a page edits the level that it shows.", "Give the level."))
+            raise UsageError(Fault("E501", "edit", "does not name the level that the page shows.", "Give the level."))
     first = next((key for key in operations[0] if key in OPERATIONS), "edit") if operations else "edit"
     return _done(session, what[:100] or first, [_in(level, operation) for operation in operations])
 
@@ -163,7 +163,7 @@ def insert(
     editor = _begun(session)
     kind = next((key for key in ("type", "diagram", "fmu") if isinstance(entry.get(key), str)), None)
     if kind is None:
-        raise UsageError(Fault("E501", "insert.entry", "has no type, diagram or fmu."))
+        raise UsageError(Fault("E501", "insert.entry", 'must have a "type", "diagram" or "fmu".'))
     body, said = editor.body(level), str(entry[kind])
     base = said if kind == "type" else Path(said).stem
     name = _free(body, re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|\W+", "_", base).lower().strip("_"))
@@ -189,7 +189,7 @@ def _free(body: Mapping[str, Any], base: str) -> str:
 def _place(editor: Editor, level: str, of: str, at: Sequence[float]) -> list[int]:
     x, y = editor.positions(level).get(of, (0, 0)) if of else (0, 0)
     if len(at) != 2:
-        raise UsageError(Fault("E501", "insert.at", "is no place.", "Give [x, y]."))
+        raise UsageError(Fault("E501", "insert.at", "is not a position.", "Give [x, y]."))
     return [round((x + at[0]) / 10) * 10, round((y + at[1]) / 10) * 10]
 
 
@@ -214,7 +214,9 @@ def _typed(text: str, known: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
     first = next(iter((*of_kind, *own)), "")
     for name, said in ((first, parts[0]), *zip(parts[1::2], parts[2::2], strict=True)):
         if said.strip() and not name:
-            raise UsageError(Fault("E501", legible(said[:80]), "is a value of no parameter.", 'Write "name=value".'))
+            raise UsageError(
+                Fault("E501", legible(said[:80]), "is a value without the name of a parameter.", 'Write "name=value".')
+            )
         if said.strip():
             yield name, _raw(said, name, known.get(name, ""))
 
@@ -234,7 +236,7 @@ def _wired(editor: Editor, level: str, name: str, entry: Mapping[str, Any], sour
     inputs, outputs = port_units(around, name, around.blocks[name], editor.resolver)
     if (source and not inputs) or (sink and not outputs):
         what = "input" if source else "output"
-        raise UsageError(Fault("E501", name, f"has no {what} that could be wired.", "Choose another block."))
+        raise UsageError(Fault("E501", name, f"has no {what} to wire.", "Choose another block."))
     if source:
         return _in(level, {"wire": source, "to": f"{name}.{next(iter(inputs))}"})
     return _in(level, {"wire": f"{name}.{next(iter(outputs))}", "to": sink})
@@ -245,7 +247,7 @@ def place(session: Session, *, names: list[str], by: list[float], level: str = "
     """Move blocks and terminals. The first move on a level that was laid out automatically writes all its positions."""
     editor = _begun(session)
     if len(by) != 2:
-        raise UsageError(Fault("E501", "place.by", "is no distance.", "Give [x, y]."))
+        raise UsageError(Fault("E501", "place.by", "is not a distance.", "Give [x, y]."))
     standing = editor.positions(level)
     missing = [name for name in names if name not in standing]
     if missing:
@@ -277,7 +279,7 @@ def delete(session: Session, *, names: list[str], sinks: list[str], level: str =
     for section in ("inputs", "blocks"):  # a parameter of this name is not in the drawing
         operations += [{"remove": [section, name]} for name in dict.fromkeys(names) if name in body.get(section, {})]
     if not operations:
-        raise UsageError(Fault("E501", "delete", "nothing of this is there.", "Select what to delete."))
+        raise UsageError(Fault("E501", "delete", "the selected entries do not exist.", "Select the entries to delete."))
     what = ", ".join([*names, *sinks][:3])
     return _done(session, f"delete {what}", [_in(level, one) for one in operations])
 
@@ -341,14 +343,14 @@ def _pasted(session: Session, what: str, text: str, level: str, at: list[float] 
     try:
         value = json_text.read(text, file="<pasted>").value
     except ModelError as error:
-        cure = "Copy blocks of a diagram, or their entries from a file."
-        raise UsageError(Fault("E501", what, f"the text is no JSON: {error.faults[0].message}", cure)) from None
+        cure = "Copy blocks from a diagram, or their entries from a file."
+        raise UsageError(Fault("E501", what, f"the text is not JSON: {error.faults[0].message}", cure)) from None
     fields = {field.key for field in BODY.fields}
     if isinstance(value, Mapping) and not value.keys() & fields and value.keys() & {"type", "diagram", "fmu"}:
         value = {"blocks": {_free(editor.body(level), "pasted"): value}}
     found = {key: value[key] for key in SECTIONS if value.get(key)} if isinstance(value, Mapping) else {}
     if not found:
-        raise UsageError(Fault("E501", what, "the text holds nothing of a diagram.", "Copy some blocks first."))
+        raise UsageError(Fault("E501", what, "the text contains no part of a diagram.", "Copy some blocks first."))
     operation: dict[str, Any] = {"paste": found}
     layout = found.get("layout")  # the grammar of the operation says what is wrong with it
     placed = (
@@ -424,7 +426,7 @@ def put(session: Session, *, name: str, text: str | list[str | None], level: str
         if section == "inputs":
             steps, is_there = [*steps, "default"], "default" in entry
         elif is_empty:
-            raise UsageError(Fault("E501", legible(name[:200]), "has no default: it needs a value.", "As in 20 V."))
+            raise UsageError(Fault("E501", legible(name[:200]), "has no default: it needs a value.", "Example: 20 V."))
         elif isinstance(entry, Mapping) and "value" in entry:
             raw = _value(text, name, "", fact, entry)
             more: Mapping[str, Any] = raw if _is_quantity(raw) else {"value": raw}
@@ -452,7 +454,7 @@ def _value(
     if isinstance(text, str):
         return _raw(text, name, type_)
     if not all(each is None or each.strip() for each in text):
-        raise UsageError(Fault("E501", legible(name[:200]), "has no value for one of its elements.", "As in 2 mH."))
+        raise UsageError(Fault("E501", legible(name[:200]), "needs a value for each element.", "Example: 2 mH."))
     fact, typed = of(), {k: _raw(each, name, type_) for k, each in enumerate(text) if each is not None}
     given = [each["unit"] for each in typed.values() if _is_quantity(each)]
     kept: Any = [] if len(typed) == len(text) else was
@@ -467,10 +469,12 @@ def _value(
                  for k, each in typed.items()}  # fmt: skip
     if given and (fact is None or None in typed.values()):
         needed = "numbers are needed while the diagram has faults" if fact is None else f"[{fact.unit}] is needed"
-        message = f"is given in {legible(', '.join(given)[:80])} where {needed}."
+        message = f"is given in {legible(', '.join(given)[:80])}, but {needed}."
         raise UsageError(Fault("E501", legible(name[:200]), message))
     if len(typed) < len(text) and (fact is None or not isinstance(kept, list) or len(kept) != len(text)):
-        raise UsageError(Fault("E501", legible(name[:200]), "has other elements now.", "Write all of them."))
+        raise UsageError(
+            Fault("E501", legible(name[:200]), "now has other elements.", "Write the values of all elements.")
+        )
     elements = [typed[k] if k in typed else kept[k] for k in range(len(text))]
     return elements if unit is None else {"value": elements, "unit": unit}
 
@@ -514,7 +518,7 @@ def define(session: Session, *, kind: str, text: str, level: str = "", source: s
     elif kind == "output":
         raw = value or source
     elif raw is None:
-        raise UsageError(Fault("E501", legible(said[:200]), "has no value.", "As in kp=20 V."))
+        raise UsageError(Fault("E501", legible(said[:200]), "needs a value.", "Example: kp=20 V."))
     return _done(session, f"add {kind} {said}", [_in(level, {"add": [sections[kind], said], "value": raw})])
 
 
@@ -578,7 +582,7 @@ def tab(session: Session, *, file: str) -> Answer:
     editor = _editor(session)
     path = inside(editor.project, os.path.relpath(editor.folder / file, editor.project))
     if editor.opens is None or not is_diagram(path):
-        raise UsageError(Fault("E501", legible(file[:200]), "is no diagram that can be opened here."))
+        raise UsageError(Fault("E501", legible(file[:200]), "is not a diagram that can be opened here."))
     return {"is": "tab", "url": editor.opens(path)}
 
 
@@ -593,7 +597,9 @@ def upload(session: Session, *, name: str, text: str) -> Answer:
     editor = _editor(session)
     target = inside(editor.folder, name)
     if target.suffix.lower() != ".fmu" or target.parent != editor.folder.resolve():
-        raise UsageError(Fault("E501", quoted(name[:200]), "is no name of an FMU.", "Drop a file that ends with .fmu."))
+        raise UsageError(
+            Fault("E501", quoted(name[:200]), "is not the name of an FMU.", "Drop a file whose name ends with .fmu.")
+        )
     try:
         check_target(target)
     except OSError as error:
@@ -601,15 +607,15 @@ def upload(session: Session, *, name: str, text: str) -> Answer:
     try:
         data = base64.b64decode(text, validate=True)
     except binascii.Error:
-        raise UsageError(Fault("E501", "upload.text", "is no base64.")) from None
+        raise UsageError(Fault("E501", "upload.text", "is not base64.")) from None
     if not target.exists():
         if not is_zipfile(io.BytesIO(data)):
-            raise UsageError(Fault("E501", legible(name[:200]), "holds no FMU, which is a zip archive."))
+            raise UsageError(Fault("E501", legible(name[:200]), "is not an FMU: it is not a zip archive."))
         if not is_trusted(target, session.trust):
             return _asked(session, target, data)
         _write_new(target, data)
     elif target.read_bytes() != data:
-        message = "is there already, and holds something else."
+        message = "exists already, with other contents."
         raise UsageError(Fault("E501", legible(name[:200]), message, "Rename one of the two."))
     return {"is": "uploaded", "fmu": target.name, "waits": False}
 
@@ -618,15 +624,15 @@ def _asked(session: Session, target: Path, data: bytes) -> Answer:
     """Ask at the terminal whether an FMU that came through the page may be written. Raises UsageError (E501)."""
     name = legible(target.name)
     if session.asks is None:
-        cure = "Put it into the folder by hand, or begin with --trust FOLDER, or trust= in Python."
-        message = "came through the page, and holds code; there is no terminal to ask whether it may be written."
+        cure = "Copy it into the folder by hand, or start with --trust FOLDER (in Python trust=)."
+        message = "came through the page and contains code, and there is no terminal to ask for permission to write it."
         raise UsageError(Fault("E501", name, message, cure))
     if session.waits_for:
-        message = f"must wait: {legible(session.waits_for)} waits for an answer at the terminal."
-        raise UsageError(Fault("E501", name, message, "Answer there first."))
+        message = f"must wait: the terminal still asks about {legible(session.waits_for)}."
+        raise UsageError(Fault("E501", name, message, "Answer at the terminal first."))
 
     def decide(is_wanted: bool) -> None:
-        why = "" if is_wanted else "it was refused at the terminal"
+        why = "" if is_wanted else "it was declined at the terminal"
         try:
             if is_wanted:
                 _write_new(target, data)
@@ -649,6 +655,6 @@ def _asked(session: Session, target: Path, data: bytes) -> Answer:
 def _write_new(target: Path, data: bytes) -> None:
     """Write a file where there is none. Raises UsageError (E501)."""
     if os.path.lexists(target):  # also a link to nowhere, which would lead out of the folder
-        raise UsageError(Fault("E501", legible(target.name), "is there already.", "Rename one of the two."))
+        raise UsageError(Fault("E501", legible(target.name), "exists already.", "Rename one of the two."))
     with write_atomically(target) as stream:
         stream.buffer.write(data)

@@ -64,26 +64,26 @@ class Guard:
             given.setdefault(name.lower(), []).append(value)
         for name in ("host", "origin", "sec-fetch-site", "sec-fetch-mode", "sec-fetch-dest"):
             if len(given.get(name, ())) > 1:
-                return Refusal(400, f"There is more than one header {name}.")
+                return Refusal(400, f"The request has more than one header {name}.")
         one = {name: values[0] for name, values in given.items()}
         if method not in ("GET", "HEAD"):
-            return Refusal(405, "There is nothing here but to read: GET and HEAD.")
+            return Refusal(405, "This server accepts GET and HEAD only.")
         host = one.get("host", "")
         if host not in self.hosts:
-            return Refusal(403, "This is the server of 127.0.0.1, and not of another name.")
+            return Refusal(403, "Open this server as 127.0.0.1 or localhost: it has no other name.")
         if len(path) > LONGEST_PATH:
             return Refusal(414, "This path is too long.")
         route, is_known = self._route(path)
         origin = one.get("origin")
         if origin != f"http://{host}" and (origin is not None or route == SOCKET):
-            return Refusal(403, "Pages of other sites do not get in.")
+            return Refusal(403, "Pages of other sites may not use this server.")
         is_ticket = is_known and path.startswith(TICKET)
         if not self._is_own(one, route, is_known, is_ticket):
-            return Refusal(403, "Pages of other sites do not get in.")
+            return Refusal(403, "Pages of other sites may not use this server.")
         if not is_known:
-            return Refusal(401, "Open the address with the token that `blocks live` printed when it began.")
+            return Refusal(401, "Open the address with the token that `blocks live` printed at its start.")
         if route not in self.routes:
-            return Refusal(404, "There is nothing here.")
+            return Refusal(404, "There is no such page.")
         if is_ticket:
             self.tickets.remove(path.removeprefix(TICKET))
         return Admitted(route, enters=is_ticket)

@@ -112,8 +112,8 @@ def keep(session: Session, *, names: list[str] | None = None) -> Answer:
     """
     document = session.document
     if document.path is None or document.diagram is None:
-        message = "has no file that could keep the values." if document.path is None else "cannot be read."
-        cure = "Write one with Diagram.save, and open it; or copy the script."
+        message = "has no file to store the values in." if document.path is None else "cannot be read."
+        cure = "Write a file with Diagram.save, and open it. Or copy the script."
         raise UsageError(Fault("E501", document.name, message, cure))
     parameters, inputs, variants = (
         {name: value for name, value in known.items() if names is None or name in names}
@@ -131,8 +131,10 @@ def keep(session: Session, *, names: list[str] | None = None) -> Answer:
     except UsageError as error:
         if not document.has_changed():
             raise
-        cure = "It is read again, and the values stay: look at them, and keep them again."
-        raise UsageError(Fault("E501", str(document.path.name), "has changed since it was read.", cure)) from error
+        cure = "The file was read again, and your values are kept. Check them, and store them again."
+        raise UsageError(
+            Fault("E501", str(document.path.name), "has changed since it was read, and was not written.", cure)
+        ) from error
     for kept, known in ((parameters, session.values), (inputs, session.inputs), (variants, document.variants)):
         for name in kept:
             del known[name]
@@ -146,8 +148,8 @@ def script(session: Session) -> Answer:
     """A Python script that repeats the run, bit for bit."""
     document = session.document
     if document.path is None:
-        cure = "Write one with Diagram.save, and open it."
-        raise UsageError(Fault("E501", document.name, "has no file that a script could load.", cure))
+        cure = "Write a file with Diagram.save, and open it."
+        raise UsageError(Fault("E501", document.name, "has no file for a script to load.", cure))
     items = [document.library] if isinstance(document.library, (str, ModuleType, type)) else document.library
     library = [each if isinstance(each, str) else each.__name__ for each in items]
     if any(isinstance(each, type) for each in items):
@@ -163,7 +165,7 @@ def script(session: Session) -> Answer:
 def _fact(session: Session, name: str) -> Fact:
     facts = session.document.facts
     if name not in facts:
-        cure = did_you_mean(name[:200], facts) or "Mend the faults of the diagram, or reset what the file has lost."
+        cure = did_you_mean(name[:200], facts) or "Fix the faults of the diagram, or reset the value."
         raise UsageError(Fault("E502", legible(name[:200]), "there is no such input or parameter.", cure))
     return facts[name]
 
@@ -174,11 +176,11 @@ def _raw(fact: Fact, value: Any) -> Any:
         return [_raw(fact, item) for item in value]
     if not isinstance(value, str):
         if not isinstance(value, (bool, int, float)):
-            raise UsageError(Fault("E501", fact.name, f"{quoted(json.dumps(value)[:80])} is no value."))
+            raise UsageError(Fault("E501", fact.name, f"{quoted(json.dumps(value)[:80])} is not a value."))
         return value
     text = value.strip()
     if not text and fact.type != "text":
-        raise UsageError(Fault("E501", fact.name, "has no value.", f"As in {fact.was}."))
+        raise UsageError(Fault("E501", fact.name, "needs a value.", f"Example: {fact.was}."))
     return value if fact.type == "text" else value_in(text, file=fact.name)
 
 

@@ -188,12 +188,12 @@ class LiveRun:
     @property
     def busy(self) -> Fault:
         """The fault that it comes to no moment."""
-        message = f"has been in one step for more than {PATIENCE:g} s."
-        cure = "Wait, or end the server: an FMU may hang (isolate, timeout)."
+        message = f"has been computing one step for more than {PATIENCE:g} s."
+        cure = 'Wait, or stop the server. If an FMU hangs, run it with "isolate" and "timeout".'
         return Fault("E501", self.prepared.plan.name, message, cure)
 
     def _no_more(self) -> UsageError:
-        return UsageError(Fault("E501", self.prepared.plan.name, "the run is over.", "Begin another one."))
+        return UsageError(Fault("E501", self.prepared.plan.name, "the run is over.", "Start another run."))
 
     # --- in the thread of the run ------------------------------------------------------------------------------------
 
@@ -414,14 +414,14 @@ class LiveRun:
 def check_pace(pace: float | None) -> None:
     """Raise UsageError (E501) for what is no pace."""
     if pace is not None and not (isinstance(pace, (int, float)) and 0.0 < pace < math.inf):
-        raise UsageError(Fault("E501", "pace", f"{pace!r} is no number above 0.", "1 is real time."))
+        raise UsageError(Fault("E501", "pace", f"must be a number above 0, not {pace!r}.", "Use 1 for real time."))
 
 
 def own_fault(error: Exception) -> Fault:
     """The fault that an exception is: of blocks itself (E901), or that there is no memory (E311)."""
     if isinstance(error, MemoryError):
-        cure = "Forget earlier runs, record fewer signals (log), or on a coarser grid (every)."
-        return Fault("E311", "", "there is not enough memory for this.", cure)
+        cure = "Forget earlier runs, record fewer signals (log), or record on a coarser grid (every)."
+        return Fault("E311", "", "the memory does not suffice for this.", cure)
     return Fault("E901", "", f"blocks itself failed ({type(error).__name__}: {error}).", "Please report it.")
 
 

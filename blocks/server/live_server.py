@@ -129,7 +129,7 @@ class LiveServer:
         url = html.escape(self.url)
         if any(name in os.environ for name in FAR):
             return (
-                "<p>This notebook runs on another machine than its browser, which cannot reach 127.0.0.1 there: "
+                "<p>This notebook runs on another machine, whose 127.0.0.1 your browser cannot reach: "
                 "run <code>blocks live</code> on your own machine, or forward the port by "
                 f"<code>ssh -L {self.port}:127.0.0.1:{self.port} HOST</code> and open <code>{url}</code>.</p>"
             )

@@ -44,9 +44,9 @@ class Measured:
         """name: of the file. Raises UsageError (E503), with all faults of its heads."""
         refuse = refusal(name)
         if len(text) > LARGEST:
-            raise refuse(f"is larger than {LARGEST // 2**20} MiB.", "Leave out columns or rows.")
+            raise refuse(f"exceeds the limit of {LARGEST // 2**20} MiB.", "Leave out columns or rows.")
         if (comma := _DECIMAL_COMMA.search(text)) is not None:
-            raise refuse(f"{comma[0]} has a decimal comma, where a point is needed.")
+            raise refuse(f"{comma[0]} has a decimal comma. Write a decimal point.")
         try:
             heads, table = read_columns(io.StringIO(text.removeprefix("\ufeff"), newline=""), ())
         except ValueError as error:
@@ -55,7 +55,10 @@ class Measured:
         names = [match[1] if match else head for match, head in zip(found, heads, strict=True)]
         given = {match[1]: match[2].strip() for match in found if match}
         if names[0].lower() not in TIMES:
-            raise refuse("has no column 'time' in front.", "The first line is: time,NAME,... or time [ms],NAME [V],...")
+            raise refuse(
+                "must have 'time' as its first column.",
+                "Begin the file with the line time,NAME,... or time [ms],NAME [V],...",
+            )
         own = re.search(r"^# units: (.*)$", text, re.MULTILINE)
         told, _ = sizes_of({"units": parsed(own[1], refuse)} if own else {}, refuse)
         faults = []
@@ -75,7 +78,7 @@ class Measured:
         t = table[:, 0] * units.scale(given.get(names[0], "s"), "s")
         wrong = np.flatnonzero(~np.isfinite(t) | (np.diff(t, prepend=-np.inf) < 0))
         if len(wrong):
-            raise refuse(f"row {wrong[0] + 1}: the time is no number, or lies before that of the row above.")
+            raise refuse(f"row {wrong[0] + 1}: the time is not a number, or lies before the time of the row above.")
         if not table[:, 1:].size:
-            raise refuse("has no rows, or no column but its times.")
+            raise refuse("has no rows, or no column except the times.")
         return cls(t, table[:, 1:], columns_of(without_twins(names[1:], refuse), given, told, {}))

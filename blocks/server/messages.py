@@ -57,9 +57,9 @@ def message_of(sent: str | bytes) -> dict[str, Any]:
     except (ValueError, RecursionError):
         message = None
     if not isinstance(message, dict):
-        raise UsageError(Fault("E501", "message", "is not an object of JSON."))
+        raise UsageError(Fault("E501", "message", "must be a JSON object."))
     if not isinstance(message.get("do"), str) or type(message.get("id", 0)) is not int:
-        raise UsageError(Fault("E501", "message", "needs a name as its `do`, and a whole number as its `id`."))
+        raise UsageError(Fault("E501", "message", "must have a name as `do` and an integer as `id`."))
     return message
 
 
@@ -75,8 +75,8 @@ def answer(session: Any, message: Mapping[str, Any], page: Any = None) -> Answer
     name = message.get("do")
     function = HANDLERS.get(name) if isinstance(name, str) else None
     if function is None:
-        cure = did_you_mean(str(name)[:60], HANDLERS) or "Load the page again: it is of another version."
-        raise UsageError(Fault("E501", "message", f"{quoted(str(name)[:60])} is not known.", cure))
+        cure = did_you_mean(str(name)[:60], HANDLERS) or "Reload the page: it belongs to another version of blocks."
+        raise UsageError(Fault("E501", "message", f"{quoted(str(name)[:60])} is not a known request.", cure))
     fields = {key: value for key, value in message.items() if key not in _ENVELOPE}
     hints = typing.get_type_hints(function)
     known = {p.name: p for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY}
@@ -84,10 +84,10 @@ def answer(session: Any, message: Mapping[str, Any], page: Any = None) -> Answer
     for key, value in fields.items():
         place = f"{name}.{key[:40]}"
         if key not in known:
-            faults.append(Fault("E501", place, "is not known.", did_you_mean(key[:LONGEST], known)))
+            faults.append(Fault("E501", place, "is not a known key.", did_you_mean(key[:LONGEST], known)))
         elif not _fits(value, hints[key]) or not _is_moderate(value, DEEPEST, is_file=key == "text"):
             kind = inspect.formatannotation(hints[key]).replace("None", "null")
-            faults.append(Fault("E501", place, f"is no {kind} of a permitted size."))
+            faults.append(Fault("E501", place, f"must be {kind}, of a permitted size."))
     for key, parameter in known.items():
         if parameter.default is parameter.empty and key not in fields:
             faults.append(Fault("E501", f"{name}.{key}", "is missing."))

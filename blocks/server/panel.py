@@ -147,7 +147,7 @@ def _found(root: DiagramScope, path: str) -> tuple[DiagramScope, BlockEntry, Lea
         scope, entry, found = found, found.value.blocks[name], found.children.get(name)
         number, fleet = indexed(part)[1], None if found is None else found.fleet
         if number is not None and fleet is not None and number >= fleet.count:
-            message = f"there is no such copy: there are {fleet.count}, from 0."
+            message = f"there is no such copy: the copies have the numbers 0 to {fleet.count - 1}."
             raise UsageError(Fault("E502", quoted(path[:200]), message))
     return scope, entry, found
 
@@ -177,7 +177,7 @@ def _notes(entry: BlockEntry) -> Iterator[str]:
     enable, trigger = entry.control.get("enable"), entry.control.get("trigger")
     if enable is not None:
         how = ", ".join(f"{key} {_text(raw)}" for key, raw in enable.items()) or "states held, outputs held"
-        yield f"Enabled by its input enable; while it is off: {how}."
+        yield f"Enabled by its input enable. While disabled: {how}."
     if trigger is not None and "every" in trigger:
         yield f"Triggered every {_text(trigger['every'])}."
     elif trigger is not None:

@@ -68,7 +68,9 @@ def runs(session: Session, page: Page) -> Answer:
 def ghost(session: Session, page: Page, *, run: int, on: bool, forget: bool = False) -> Answer:
     """Show an earlier run beside the one under way, or no more; or forget it, with its rows."""
     if run not in session.runs or session.runs[run] is session.live:
-        raise UsageError(Fault("E501", f"run {run}", "is no earlier run that is kept.", "Choose one of the list."))
+        raise UsageError(
+            Fault("E501", f"run {run}", "is not in the list of earlier runs.", "Choose a run from the list.")
+        )
     (page.ghosts.add if on else page.ghosts.discard)(run)
     if forget:
         del session.runs[run]
@@ -85,7 +87,9 @@ def overlay(session: Session, page: Page, *, name: str, text: str | None) -> Ans
         page.files.pop(name, None)
         return {"is": "overlay", "name": name, "columns": []}
     if len(page.files) >= MOST_FILES and name not in page.files:
-        raise UsageError(Fault("E501", quoted(name), f"is one more than {MOST_FILES} files.", "Remove one."))
+        raise UsageError(
+            Fault("E501", quoted(name), f"cannot be added: the limit is {MOST_FILES} files.", "Remove a file first.")
+        )
     read = Measured.read(name, text)
     page.add(name, read)
     columns = [{"name": column, "unit": unit} for column, (_, unit) in elements(read).items()]
@@ -100,6 +104,6 @@ def save(session: Session, *, path: str, replaces: bool = False) -> Answer:
     """
     target = inside(session.document.folder, path)
     if target.exists() and not replaces:
-        raise UsageError(Fault("E501", legible(path), "is there already.", "Choose another name, or replace it."))
+        raise UsageError(Fault("E501", legible(path), "exists already.", "Choose another name, or replace it."))
     session.running.results().save(target)
     return {"is": "saved", "path": path}

@@ -113,12 +113,14 @@ class Page:
         """Open a scope, or change it. Raises UsageError (E501), and E505 where units do not fit."""
         own, length = self._units(scope, self.files), scope.window.length
         if len(self.scopes) >= MOST_SCOPES and scope.name not in self.scopes:
-            raise UsageError(Fault("E501", "scope", f"more than {MOST_SCOPES} scopes cannot be open.", "Close some."))
+            raise UsageError(
+                Fault("E501", "scope", f"no more than {MOST_SCOPES} scopes can be open.", "Close a scope first.")
+            )
         if length is not None and not length > 0.0:
-            raise UsageError(Fault("E501", "scope", f"{length:g} s is no span of time."))
+            raise UsageError(Fault("E501", "scope", f"{length:g} s is not a span of time."))
         if len(own) > MOST_SIGNALS:
-            message = f"{len(own)} signals are more than {MOST_SIGNALS} in one scope."
-            raise UsageError(Fault("E501", "scope", message, "Open another one for some of them."))
+            message = f"{len(own)} signals do not fit into one scope: the limit is {MOST_SIGNALS}."
+            raise UsageError(Fault("E501", "scope", message, "Open another scope for some of them."))
         scope.show(self.sources, own)
         self.scopes[scope.name] = scope
 
@@ -134,8 +136,8 @@ class Page:
         for name, file in files.items():
             for column, (_, unit) in elements(file).items():
                 if not units.same_quantity(unit, own.get(column, "")):
-                    message = f"is in {own[column]}, and in {unit} in {name}, which are different quantities."
-                    faults.append(Fault("E505", column, message, "Mend the unit in the head of its column."))
+                    message = f"is in {own[column]} in the run, but in {unit} in {name}: different quantities."
+                    faults.append(Fault("E505", column, message, "Correct the unit in the heading of its column."))
         if faults:
             raise UsageError(*faults)
         return own

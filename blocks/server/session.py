@@ -222,7 +222,7 @@ class Session:
     def check_wanted(self) -> None:
         """Raise UsageError (E501) where nobody waits any more for what this session, as it stood, is asked."""
         if self._job is not None and self._job.is_dropped:
-            raise UsageError(Fault("E501", str(self._job.message.get("do")), "was cancelled.", "Ask for it again."))
+            raise UsageError(Fault("E501", str(self._job.message.get("do")), "was cancelled.", "Request it again."))
 
     def _as_it_stands(self) -> Session:
         """The same, with a document and values that do not change any more."""
@@ -318,7 +318,7 @@ class Session:
     def running(self) -> LiveRun:
         """The run. Raises UsageError (E501) where there is none."""
         if self.live is None:
-            raise UsageError(Fault("E501", self.document.name, "there is no run.", "Begin one first."))
+            raise UsageError(Fault("E501", self.document.name, "there is no run.", "Start a run first."))
         return self.live
 
     def run_told(self) -> dict[str, Any]:

@@ -84,10 +84,8 @@ def _signals(document: Mapping[str, Any], results: Results) -> list[dict[str, An
         for name, (_, shape, unit) in results.columns.items()
     ]
     if not any(one["block"] or one["name"] in inputs for one in signals):
-        message = f"they hold no signal of {quoted(document['name'])}: {', '.join(results.names[:8])}."
-        raise UsageError(
-            Fault("E501", "results", message, "Take a file that `blocks run` has written of this diagram.")
-        )
+        message = f"they contain no signal of {quoted(document['name'])}, only {', '.join(results.names[:8])}."
+        raise UsageError(Fault("E501", "results", message, "Give a file that `blocks run` wrote for this diagram."))
     return signals
 
 
@@ -161,7 +159,7 @@ def _zoomed(name: str, figure: Figure, most: int) -> dict[str, Any]:
         panels.append(
             {"ylabel": part.ylabel, "log": part.log, "height": part.height, "band": part.band, "groups": told}
         )
-    words = "drag or + to zoom in, double click or 0 to see all"
+    words = "drag or press + to zoom in; double-click or press 0 to see all"
     if is_thin:
         words += f"; of each of {most // 2:,} stretches the least and the largest value"
     return {"name": name, "along": figure.along, "panels": panels, "told": words}

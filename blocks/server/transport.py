@@ -106,7 +106,7 @@ class Client:
             self._ready.clear()
             while item := self._next():
                 await self._connection.send(item)
-        await self._connection.close(1013, "the page is too slow")
+        await self._connection.close(1013, "the page reads too slowly")
 
     def _next(self) -> str | bytes | None:
         with self._lock:
@@ -142,9 +142,9 @@ class Transport:
     ) -> None:
         """Raises UsageError (E501) where the port is taken."""
         self._received, self._connected, self._disconnected = received, connected, disconnected
-        cure = "Choose another one, or none: then a free one is found."
+        cure = "Choose another port, or leave --port out to get a free port."
         if not 0 <= port <= 65535:
-            raise UsageError(Fault("E501", f"--port {port}", "is no port: these are numbers up to 65535.", cure))
+            raise UsageError(Fault("E501", f"--port {port}", "is not a port: use a number from 0 to 65535.", cure))
         try:
             self._listening = socket.create_server(("127.0.0.1", port))
         except OSError as error:

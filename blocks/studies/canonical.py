@@ -78,9 +78,11 @@ def _up_to_date(value: DiagramValue, text: str, file: str, library: Library, war
     except BlocksError as error:  # an older version keeps its meaning
         name = next(name for name, raw in value.measures.items() if is_plain_number(raw.get("against")))
         first = error.faults[0]
-        message = f'the file stays at version {value.version}: the unit of the number at "against" is not known, '
+        message = f'the file stays at version {value.version}: the unit of the number in "against" is unknown, '
         message += f"because of {first.code} {first.place}."
-        cure = "Mend the faults that `blocks check` finds (--library MODULE for blocks of your own), then format it."
+        cure = (
+            "Fix the faults that `blocks check` finds (add --library MODULE for your own blocks), then format the file."
+        )
         warnings.append(value.fault("W104", f"measures.{name}", message, cure, ("measures", name, "against")))
         return value
     return converted(value, found) if found else value

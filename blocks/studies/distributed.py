@@ -167,8 +167,11 @@ class Job:
         own = [block for name, block in used.items() if known.get(name) is not block]
         for block in own:
             if block.__module__ == "__main__" or "." in block.__qualname__:
-                message = f"stands in {block.__module__}, from which no worker can import it."
-                cure = "Put it at the top of a module, and give that to the workers: client.upload_file(...)."
+                message = f"is defined in {block.__module__}, from which workers cannot import it."
+                cure = (
+                    "Define it at the top level of a module, and send the module to the workers: "
+                    "client.upload_file(...)."
+                )
                 raise UsageError(Fault("E501", block.__qualname__, message, cure))
         library = tuple(sorted((block.__module__, block.__name__) for block in own))
         job = cls(
@@ -185,16 +188,20 @@ class Job:
                 types.append(getattr(importlib.import_module(module), name))
             except Exception as error:  # a module may raise anything
                 message = f"{here} cannot import it: {type(error).__name__}: {one_line(str(error)).rstrip('.')}."
-                raise UsageError(Fault("E501", f"{module}.{name}", message, "Try client.upload_file(...).")) from None
+                raise UsageError(
+                    Fault(
+                        "E501", f"{module}.{name}", message, "Send the module to the workers: client.upload_file(...)."
+                    )
+                ) from None
         for path, digest in self.fmus.items():
             if not os.path.exists(path) or _sha256(path) != digest:
-                what = "another FMU than that of the sweep" if os.path.exists(path) else "no file"
-                cure = "Put FMUs where all machines find them under one path."
-                raise FMUError(Fault("E202", legible(path), f"for {here} this is {what}.", cure))
+                what = "a different FMU" if os.path.exists(path) else "missing"
+                cure = "Put the FMU at the same path on all machines."
+                raise FMUError(Fault("E202", legible(path), f"is {what} on {here}.", cure))
         diagram = Diagram.from_json(self.text, folder=self.folder, library=types)
         if self.computed and self.digests(diagram) != self.computed:
-            message = f"{here} has another release, or other equations or values."
-            raise UsageError(Fault("E501", diagram.name, message, "Install there what is installed here."))
+            message = f"{here} has another release of blocks, or other equations or values."
+            raise UsageError(Fault("E501", diagram.name, message, "Install the same packages on the worker as here."))
         return diagram
 
     def digests(self, diagram: Diagram) -> tuple[str, ...]:
@@ -220,7 +227,9 @@ class Job:
 
     def failed(self, status: int) -> BatchRows:
         """A row whose process ended with a status."""
-        message = f"E216 row: its process ended with status {status}. An FMU may crash, or memory be short."
+        message = (
+            f"E216 row: its process ended with status {status}. An FMU may have crashed, or the memory did not suffice."
+        )
         names = (*self.options["measures"], *(margin.name for margin in self.margins))
         measures = {name: np.full(1, np.nan) for name in names}
         return BatchRows(np.array(["failed"]), (message,), measures, np.empty(0), {}, np.zeros(1, np.int64))
@@ -326,12 +335,12 @@ def run_on(
         try:
             client = distributed.Client(on, timeout=20)
         except (OSError, ValueError) as error:
-            cure = "Begin one: dask scheduler, and on each machine: dask worker ADDRESS."
-            message = f"no scheduler answers: {one_line(str(error)).rstrip('.')}."
+            cure = "Start one: dask scheduler; then on each machine: dask worker ADDRESS."
+            message = f"no dask scheduler answers: {one_line(str(error)).rstrip('.')}."
             raise UsageError(Fault("E501", legible(on), message, cure)) from None
     elif not isinstance(on, distributed.Client) or on.asynchronous:
-        cure = "Give a distributed.Client that waits, or the address of a scheduler."
-        raise UsageError(Fault("E501", "on", f"{on!r} is no client of dask.distributed.", cure))
+        cure = "Give a synchronous distributed.Client, or the address of a scheduler."
+        raise UsageError(Fault("E501", "on", f"{on!r} is not a client of dask.distributed.", cure))
 
     def submit(at: Array, task: Callable[..., Any]) -> Any:
         scenario, numbers = int(at[0]) // made.n, at % made.n
@@ -372,8 +381,8 @@ def run_on(
                     continue
                 ended = [job.failed(-9)] * len(at)  # not even processes of their own help
             except (distributed.CancelledError, OSError) as error:
-                cure = "Begin it again: with out=, it goes on with the rows that are left."
-                message = f"dask gave rows up: {one_line(str(error)).rstrip('.')}."
+                cure = "Start the sweep again: with out=, it continues with the rows that are left."
+                message = f"dask gave up some rows: {one_line(str(error)).rstrip('.')}."
                 raise UsageError(Fault("E501", "on", message, cure)) from None
             if isinstance(ended, tuple):
                 made.keep(at, ended[0])

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Found", "Value", "changes", "edit_of", "written"]
 
-_GIVE_THE_FILE = "Give the file that the diagram was loaded from; or give the values to run(parameters=...)."
+_GIVE_THE_FILE = "Give the file that the diagram was loaded from, or pass the values to run(parameters=...)."
 CLOSE = 1e-12
 """By how much a value may be off, which is written in another unit, with 13 digits."""
 
@@ -167,7 +167,7 @@ def _spot(workspace: Workspace, first: str, blocks: Iterable[str], variants: Map
         choice = _choice(path, entry, variants)
         inner = body.inside(name, workspace.documents)[known.index(choice)][0] if choice in known else None
         if inner is None:
-            raise UsageError(Fault("E501", legible(path), "holds no diagram in the file.", _GIVE_THE_FILE))
+            raise UsageError(Fault("E501", legible(path), "is not a diagram in the file.", _GIVE_THE_FILE))
         spot = Spot(workspace, workspace.open(Path(inner.file)), inner.scope)
     return spot
 
@@ -184,8 +184,10 @@ def _place(workspace: Workspace, first: str, target: str, variants: Mapping[str,
         place: Steps = ("parameters", name)
         return first, place, tree.table_at(workspace.value(first), ("parameters",)).get(name)
     if any("[" in block for block in blocks):
-        cure = "Set it in all copies, or write a list with a value for each."
-        raise UsageError(Fault("E501", target, "is of one copy, for which the file has no place.", cure))
+        cure = "Set the parameter in all copies, or write a list with a value for each copy."
+        raise UsageError(
+            Fault("E501", target, "belongs to one copy only, and the file holds no values for single copies.", cure)
+        )
     spot = _spot(workspace, first, blocks[:-1], variants)
     variant = _choice(".".join(blocks), spot.body.names("block").get(blocks[-1], {}), variants)
     owner = ("variants", variant) if variant != BASE else ()
@@ -200,7 +202,7 @@ def _input_place(value: Any, name: str) -> tuple[Steps, Any]:
     if name in of_run or "default" not in entry:
         known = of_run.get(name)
         if isinstance(known, Mapping) and "value" not in known:
-            message = "is a table over time in the file, which one value would replace."
+            message = "is a table over time in the file, and a single value would replace it."
             raise UsageError(Fault("E501", f"run.inputs.{name}", message, "Edit the file, or reset the input."))
         return ("run", "inputs", name), known
     return ("inputs", name, "default"), entry["default"]
@@ -266,8 +268,10 @@ def _check(
     names = {**made, **wanted}
     wrong = [n for n in names if not ({n} <= made.keys() & wanted.keys() and _same(made[n], wanted[n]))]
     if wrong:
-        message = f"the file would not give the diagram with these values: {', '.join(map(legible, wrong[:5]))}."
-        cure = "Blocks that share a file have one value there: change all of them alike, or tune them by one pattern. "
+        message = f"the file cannot store these values: {', '.join(map(legible, wrong[:5]))}."
+        cure = (
+            "Blocks that share a file share its values: give all of them the same value, or tune them by one pattern. "
+        )
         raise UsageError(Fault("E501", str(path), message, cure + _GIVE_THE_FILE))
 
 

@@ -142,9 +142,13 @@ def fit(
 
     space = Space.of(over, units_of_parameters(diagram, parameters, variants))
     if not isinstance(compare, Mapping):
-        raise UsageError(Fault("E501", "compare", "must map signals to columns.", 'As in {"motor.omega": "omega"}.'))
+        raise UsageError(
+            Fault("E501", "compare", "must be a mapping from signals to columns.", 'Example: {"motor.omega": "omega"}.')
+        )
     if isinstance(level, bool) or not isinstance(level, (int, float)) or not 0 < level < 1:
-        raise UsageError(Fault("E501", "level", f"is {legible(repr(level))}.", "Give a share of 1, such as 0.95."))
+        raise UsageError(
+            Fault("E501", "level", f"must be a number between 0 and 1, such as 0.95, not {legible(repr(level))}.")
+        )
     columns, given = _columns(data, diagram, compare)
     value = taken(diagram.value, variants)
     flat = diagram.flatten(parameters=parameters, variants=variants)
@@ -170,13 +174,16 @@ def fit(
     known = {name: np.isfinite(data) for name, data in measured.items()}
     for name in compare:
         if before[name].ndim != 1:
-            message, cure = "is a vector.", f'Compare its elements, as in "{name}[0]".'
+            message, cure = (
+                "is a vector, but only single numbers can be compared.",
+                f'Compare its elements: "{name}[0]".',
+            )
             raise UsageError(Fault("E501", legible(str(name)), message, cure))
     for name, column in compare.items():
         count = sum(map(np.count_nonzero, known.values())) if known[name].any() else 0
         if count < len(over):
-            message = f"has {count} numbers for {len(over)} parameters."
-            raise UsageError(Fault("E501", legible(str(column)), message, "Give more rows."))
+            message = f"has {count} values, too few for {len(over)} parameters."
+            raise UsageError(Fault("E501", legible(str(column)), message, "Give data with more rows."))
     weights = {name: 1.0 / (float(np.std(data[known[name]])) or 1.0) for name, data in measured.items()}
 
     def residuals(cube: Array) -> Array:
@@ -224,15 +231,15 @@ def fit(
     reach = np.where(degrees > 0, stats.t.ppf(0.5 + level / 2, np.where(degrees > 0, degrees, 1.0)), math.inf)
     warnings = [*early, *alike_faults(names, alike)]
     if not is_at_rest:
-        message = f"the weights of the signals still change after {MOST_ROUNDS} fits: intervals may be too narrow."
-        cure = "Compare fewer signals, or begin nearer to the truth."
+        message = f"the weights of the signals did not converge in {MOST_ROUNDS} fits: the intervals may be too narrow."
+        cure = "Compare fewer signals, or start nearer to the solution."
         warnings.append(Fault("W502", "compare", message, cure))
     ends_of = zip(names, values, space.low, space.high, found.active_mask.tolist(), strict=True)
     for name, value, low, high, bound in ends_of:
         if bound or value in (low, high):
             end = "lower" if bound < 0 or value == low else "upper"
-            message = f"its best value is its {end} bound, and its interval means nothing."
-            warnings.append(Fault("W502", name, message, "Widen the bounds, or fix the value."))
+            message = f"the best value lies at the {end} bound, so that the interval is meaningless."
+            warnings.append(Fault("W502", name, message, "Widen the bounds, or fix the parameter."))
     given = raw_values(varied, values.tolist())
     return Fit(
         diagram=diagram, values=dict(zip(names, values.tolist(), strict=True)),
@@ -328,10 +335,12 @@ def alike_faults(names: Sequence[str], groups: Sequence[Sequence[int]]) -> list[
     for group in groups:
         told = [names[i] for i in group]
         if len(told) == 1:
-            message = "has no effect on what is compared."
-            faults.append(Fault("W502", told[0], message, "Leave it out, or compare another signal."))
+            message = "has no effect on the compared signals."
+            faults.append(Fault("W502", told[0], message, "Leave the parameter out, or compare another signal."))
             continue
-        message = f"cannot be told apart from {', '.join(told[1:])}: other values of them give nearly the same data."
+        message = (
+            f"cannot be determined separately from {', '.join(told[1:])}: different values give nearly the same data."
+        )
         cure = "Fix one of them, compare another signal too, or excite the diagram in another way."
         faults.append(Fault("W502", told[0], message, cure))
     return faults
@@ -346,14 +355,16 @@ def _early(diagram: Diagram, t: Array, recorded: Sequence[str], settings: Mappin
         return []
     start, first = float(diagram.flatten().settings.start), float(t[0])
     wait, length = first - start, float(t[-1] - t[0])
-    cure = f"Give start={first!r}, or subtract the first time from all; start={start:g} says that it is meant."
+    cure = f"Give start={first!r}, subtract the first time from all times, or give start={start:g} to confirm."
     if wait > LONG * length:
-        message = f"the data begin at {first:.12g} s and last {length:g} s, and the run begins at {start:g} s."
+        message = (
+            f"the data begin at {first:.12g} s and last {length:g} s, but the run begins at {start:g} s, long before."
+        )
         raise UsageError(Fault("E501", "time", message, cure))
     if not recorded or wait <= 1.5 * float(np.max(np.diff(t))):
         return []
     message = (
-        f"the data begin at {first:.12g} s and the run at {start:g} s: it holds the first value of "
+        f"the data begin at {first:.12g} s and the run at {start:g} s: until then the run holds the first value of "
         f"{legible(', '.join(recorded[:3]))} for {wait:g} s."
     )
     return [Fault("W505", "time", message, cure)]
@@ -363,13 +374,13 @@ def _grid(diagram: Diagram, t: Array, settings: Mapping[str, Any]) -> dict[str, 
     """Settings by which a run hits the times of the data. Raises UsageError (E501)."""
     for key in ("stop", "every", "stops", "log", "inputs"):
         if key in settings:
-            raise UsageError(Fault("E501", key, "follows from the data.", "Leave it out."))
+            raise UsageError(Fault("E501", key, "cannot be given: the data determine it.", f"Leave {key} out."))
     given = {"start": settings["start"]} if "start" in settings else {}
     start = float(diagram.flatten(settings=given).settings.start)
     step = np.diff(t)
     if t[0] < start or not np.all(step > 0):
-        message = f"times must increase, and begin at {start:g} s or later, when the run begins."
-        raise UsageError(Fault("E501", "time", message, "Sort the rows; give start=... for an earlier one."))
+        message = f"times must increase, and the first must not lie before the start of the run at {start:g} s."
+        raise UsageError(Fault("E501", "time", message, "Sort the rows, or give an earlier start=..."))
     stop = float(t[-1])
     every = _period(t)
     first = (float(t[0]) - start) / (every or 1.0)
@@ -427,24 +438,26 @@ def _columns(data: Any, diagram: Diagram, compare: Mapping[str, str]) -> tuple[d
             cure = did_you_mean(name, known) or f"Columns: {', '.join(known[:20])}."
             faults.append(Fault("E501", place, f"has no column {legible(name)}.", cure))
     if not compare:
-        faults.append(Fault("E501", "compare", "names no signal.", 'As in compare={"motor.omega": "omega"}.'))
+        faults.append(Fault("E501", "compare", "contains no signal.", 'Example: compare={"motor.omega": "omega"}.'))
     if faults:
         raise UsageError(*faults)
     wanted = {*needed, *(name for name in diagram.value.inputs if name in known)}
     try:
         columns = {name: np.asarray(table[name], dtype=float) for name in known if name in wanted}
     except (TypeError, ValueError) as error:
-        raise UsageError(Fault("E501", place, f"holds what is no number: {legible(str(error))}.")) from None
+        raise UsageError(
+            Fault("E501", place, f"contains a value that is not a number: {legible(str(error))}.")
+        ) from None
     for name, column in columns.items():
         if column.shape != columns["time"].shape or column.ndim != 1:
-            message = f"has {column.shape} numbers in its column {legible(name)}, and {columns['time'].shape} times."
-            raise UsageError(Fault("E501", place, message, "Give one number for each time."))
+            message = f"has {column.shape} values in its column {legible(name)}, but {columns['time'].shape} times."
+            raise UsageError(Fault("E501", place, message, "Give one value for each time."))
     for name, column in columns.items():
         wrong = np.flatnonzero(np.isinf(column) | (np.abs(column) > LARGEST))
         if len(wrong) and name != "time":
             message = f"has {column[wrong[0]]:g} in its column {legible(name)}, row {wrong[0] + 1}."
-            cure = f"Leave out what was not measured, or write nan; numbers may be up to {LARGEST:g}."
+            cure = f"Values must not exceed {LARGEST:g}. Write nan for missing values, or leave out these rows."
             raise UsageError(Fault("E501", place, message, cure))
     if len(columns["time"]) < 2 or not np.isfinite(columns["time"]).all():
-        raise UsageError(Fault("E501", place, "has fewer than two rows, or a time that is no number."))
+        raise UsageError(Fault("E501", place, "has fewer than two rows, or a time that is not a number."))
     return columns, given

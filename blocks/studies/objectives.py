@@ -131,8 +131,8 @@ def constraints_of(
         place = f"subject_to[{k}]"
         signs = _COMPARED.findall(text) if isinstance(text, str) else []
         if len(signs) != 1 or signs[0] not in ("<=", ">=", "<", ">"):
-            message = f"{quoted(str(text))} is no comparison of two sides by <= or >=."
-            faults.append(Fault("E501", place, message, 'As in "noisy.variation <= 75".'))
+            message = f"{quoted(str(text))} is not a comparison of two sides with <= or >=."
+            faults.append(Fault("E501", place, message, 'Example: "noisy.variation <= 75".'))
             continue
         left, right = (_parsed(place, side) for side in text.split(signs[0]))
         wrong = _faults(place, text, (*left.names, *right.names), measures, scenarios, unknown)
@@ -148,13 +148,14 @@ def constraints_of(
 
 def _parsed(place: str, text: str) -> Expression:
     if not isinstance(text, str):
-        raise UsageError(Fault("E501", place, f"is a text, not {type(text).__name__}.", 'As in "ITAE + 1e-3*ISU".'))
+        raise UsageError(Fault("E501", place, f"must be a text, not {type(text).__name__}.", 'Example: "ITAE + '
+            '1e-3*ISU".'))
     try:
         return parse(text.strip(), has_parts=True)
     except ModelError as error:
         if (quantity := _quantity(text)) is not None:
             if units.has_offset(quantity[1]):
-                message = f"{quantity[1]} has an offset, and measures are differences."
+                message = f"{quantity[1]} has an offset, but measures are differences, which have none."
                 fault = Fault("E501", place, message, f"Write {units.difference(quantity[1])}.")
                 raise UsageError(fault) from None
             return parse(repr(units.to_si(*quantity)))  # measures are in SI
@@ -179,7 +180,7 @@ def _misfits(
         if quantity is not None and other.name is not None:
             unit = unit_of(other.name.rpartition(".")[2])
             if not units.same_quantity(quantity[1], unit):
-                message = f"{quoted(text.strip())} is the limit of a measure in {unit}: different quantities."
+                message = f"{quoted(text.strip())} limits a measure in {unit}, which is a different quantity."
                 faults.append(Fault("E501", place, message))
     return faults
 
@@ -198,7 +199,7 @@ def _faults(
             cure = did_you_mean(measure, measures) or f"Measures: {', '.join(measures) or 'none'}."
             faults.append(Fault(unknown, place, f"the diagram has no measure {quoted(measure)}.", cure))
     if not names:
-        faults.append(Fault("E501", place, f"{quoted(text)} reads no measure.", f"Measures: {', '.join(measures)}."))
+        faults.append(Fault("E501", place, f"{quoted(text)} contains no measure.", f"Measures: {', '.join(measures)}."))
     return faults
 
 

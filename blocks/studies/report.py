@@ -59,7 +59,7 @@ def summary_line(made: StudyResults) -> str:
     parts = [reproduced] if judged or not limits else []
     parts += [f"{sum(v.verdict == 'holds' for v in limits)} of {len(limits)} limits kept"] if limits else []
     unexpected = sum(not v.is_expected for v in made.verdicts)
-    tail = "each verdict is the expected one" if not unexpected else f"{unexpected} unlike what the study expects"
+    tail = "all verdicts are as expected" if not unexpected else f"{unexpected} not as the study expects"
     return "; ".join([*parts, tail])
 
 
@@ -191,7 +191,7 @@ def _drawn(study_results: StudyResults, folder: Path, made_of: dict[str, Any]) -
             drawn[name] = replace(error.faults[0], place=f"{place_of(path)} {error.faults[0].place}")
         except Exception as error:  # whatever it is, the rest of the report is written
             message = f"{name} cannot be drawn ({type(error).__name__}: {' '.join(str(error).split())[:200]})."
-            cure = "Change what it shows, or leave it out."
+            cure = "Change the figure, or leave it out."
             drawn[name] = study_results.study.fault("E501", place_of(path), message, cure, path)
     return drawn
 
@@ -292,7 +292,7 @@ def amplitude_spectrum(t: Array, y: Array) -> tuple[Array, Array]:
     step = float(np.median(np.diff(t)))
     if (t[-1] - t[0]) / step > MOST_POINTS:
         message = f"steps of {step:.3g} s over {t[-1] - t[0]:.3g} s make more than {MOST_POINTS:,} points."
-        raise UsageError(Fault("E501", "spectrum", message, 'Record the run on a grid ("every").'))
+        raise UsageError(Fault("E501", "spectrum", message, 'Record the run on a grid, or on a coarser grid: "every".'))
     grid = np.arange(t[0], t[-1] + step / 2, step)
     even = y[np.clip(np.searchsorted(t, grid + step * 1e-6, side="right") - 1, 0, len(y) - 1)]
     window = np.hanning(len(even))

@@ -22,7 +22,7 @@ def folder_for(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(Fault("E501", str(folder), f"cannot be made: {error.strerror}.")) from None
+        raise UsageError(Fault("E501", str(folder), f"cannot be created: {error.strerror}.")) from None
 
 
 def written(folder: Path, title: str, parts: Sequence[str], *, policy: str = "") -> Path:

@@ -53,7 +53,7 @@ class Distribution:
     def __init__(self, name: str, /, **parameters: Any) -> None:
         numbers, unit = in_one_unit(
             str(name), [*parameters.values()], [key in ("loc", "scale") for key in parameters],
-            'As in Distribution("lognorm", s=0.3, scale="160 mOhm").',
+            'Example: Distribution("lognorm", s=0.3, scale="160 mOhm").',
         )  # fmt: skip
         object.__setattr__(self, "name", name)
         object.__setattr__(self, "parameters", tuple(zip(parameters, numbers, strict=True)))
@@ -73,11 +73,11 @@ class Distribution:
         """Why one of those that have names of their own has no values, and the cure; None where it has some."""
         known = {"loc": 0.0, "scale": 1.0, **dict(self.parameters)}
         if self.name in ("norm", "truncnorm") and known["scale"] <= 0:
-            return f"the deviation {known['scale']:g} is not above 0", "Give one above 0."
+            return f"the deviation {known['scale']:g} is not above 0", "Give a deviation above 0."
         if self.name in ("uniform", "triang") and known["scale"] <= 0:
             return f"{known['loc']:g} is not below {known['loc'] + known['scale']:g}", "Give LOW before HIGH."
         if self.name == "loguniform" and not 0 < known.get("a", 1.0) < known.get("b", math.inf):
-            return f"{known['a']:g} is not above 0 and below {known['b']:g}", "Give LOW before HIGH, both above 0."
+            return f"{known['a']:g} must be above 0 and below {known['b']:g}", "Give LOW before HIGH, both above 0."
         return None
 
     def ppf(self, points: Array) -> Array:
@@ -87,13 +87,13 @@ class Distribution:
         law = getattr(stats, self.name, None) if isinstance(self.name, str) else None
         if not isinstance(law, stats.rv_continuous):
             names = [name for name in dir(stats) if isinstance(getattr(stats, name), stats.rv_continuous)]
-            cure = did_you_mean(str(self.name)[:200], names) or 'As in Distribution("lognorm", s=0.3, scale=2).'
+            cure = did_you_mean(str(self.name)[:200], names) or 'Example: Distribution("lognorm", s=0.3, scale=2).'
             raise _refused(repr(self), "scipy.stats has no such continuous distribution.", cure)
         try:
             frozen = law(**dict(self.parameters))
         except TypeError:
             wanted = [*(law.shapes or "").replace(",", " ").split(), "loc", "scale"]
-            raise _refused(repr(self), f"its parameters are {', '.join(wanted)}.") from None
+            raise _refused(repr(self), f"has other parameters: {', '.join(wanted)}.") from None
         if not math.isfinite(frozen.ppf(0.5)):
             cause, cure = self.cause() or ("", "See its page in scipy.stats.")
             raise _refused(repr(self), f"has no values for these parameters{cause and ': ' + cause}.", cure)
@@ -148,7 +148,7 @@ class TruncatedNormal(Distribution):
 
 def _numbers(name: str, *given: Any) -> tuple[list[float], str]:
     """Return the numbers of a distribution, all of which may have units."""
-    return in_one_unit(name, given, [True] * len(given), 'As in Normal("160 mOhm", "10 mOhm").')
+    return in_one_unit(name, given, [True] * len(given), 'Example: Normal("160 mOhm", "10 mOhm").')
 
 
 def in_one_unit(
@@ -169,7 +169,7 @@ def in_one_unit(
             own_units.append(str(quantity.get("unit", "")) if is_quantity else "")
             unit_texts.parse(own_units[-1] or "1")
         except (TypeError, ValueError, KeyError, ModelError):
-            cure = "Numbers are in the unit of the parameter, or have a unit, as in 160 mOhm."
+            cure = "Write a number in the unit of the parameter, or add a unit: 160 mOhm."
             raise _refused(place, f"{legible(repr(word))} is not a number.", cure) from None
     unit = next(filter(None, own_units), "")
     if not unit:
@@ -184,7 +184,7 @@ def in_one_unit(
         except ModelError as error:
             raise _refused(place, error.faults[0].message, f"Give all numbers in {unit}.") from None
         if offset:
-            message = f"{unit} and {own} have different zeros, so that a deviation in one of them is none in the other."
+            message = f"{unit} and {own} have different zeros, so that a deviation cannot be converted."
             raise _refused(place, message, f"Give all numbers in {unit}.")
     pairs = zip(numbers, own_units, strict=True)
     return [unit_texts.converted(x, own, unit) if own else x for x, own in pairs], unit
@@ -241,10 +241,10 @@ def rows_of(vary: Any, *, n: int | None, sampler: str, seed: int, expand: Callab
     UsageError (E501).
     """
     if sampler not in SAMPLERS:
-        cure = did_you_mean(str(sampler), SAMPLERS) or f"There are {', '.join(SAMPLERS)}."
-        raise _refused(legible(str(sampler)), "is no sampler.", cure)
+        cure = did_you_mean(str(sampler), SAMPLERS) or f"Choose one of: {', '.join(SAMPLERS)}."
+        raise _refused(legible(str(sampler)), "is not a sampler.", cure)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise _refused("seed", f"must be an integer from 0 on, not {seed!r}.")
+        raise _refused("seed", f"must be an integer, 0 or more, not {seed!r}.")
     if n is not None and (isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 1):
         raise _refused("n", f"must be an integer above 0, not {n!r}.")
     if not isinstance(vary, Mapping):
@@ -254,22 +254,22 @@ def rows_of(vary: Any, *, n: int | None, sampler: str, seed: int, expand: Callab
     for key, what in vary.items():
         for name in expand(key.pattern) if isinstance(key, Each) else [key]:
             if name in drawn or name in listed:
-                raise _refused(legible(str(name)), "is varied twice.", "Vary each parameter once.")
+                raise _refused(legible(str(name)), "appears twice.", "Vary each parameter once.")
             if callable(getattr(what, "ppf", None)):
                 drawn[name] = what
             else:
                 listed[name] = _column(str(name), what)
                 if not len(listed[name]):
-                    raise _refused(legible(str(name)), "has no value.", "Give a list of some, or a distribution.")
+                    raise _refused(legible(str(name)), "has no values.", "Give a list with values, or a distribution.")
     base = check_draws({**drawn, **listed}, n, sampler)
     points, warnings = unit_points(n or 1, len(drawn), sampler, int(seed))
     columns = {name: np.asarray(law.ppf(points[:, k]), dtype=float) for k, (name, law) in enumerate(drawn.items())}
     for name, column in columns.items():
         if not np.all(np.isfinite(column)):
-            raise _refused(legible(str(name)), f"{drawn[name]!r} gives values that are not finite.")
+            raise _refused(legible(str(name)), f"{drawn[name]!r} has values that are not finite.")
     draws, sizes = len(points), [len(column) for column in listed.values()]
     if (combinations := math.prod(sizes)) * draws > MOST_ROWS:
-        raise _refused("vary", f"makes {combinations * draws} rows; {MOST_ROWS} are the most.")
+        raise _refused("vary", f"makes {combinations * draws} rows; the limit is {MOST_ROWS}.")
     for name, picked in zip(listed, np.unravel_index(np.arange(combinations), sizes) if sizes else (), strict=True):
         columns[name] = np.repeat(listed[name][picked], draws)
     if combinations > 1:
@@ -308,7 +308,7 @@ def unit_points(n: int, dimensions: int, sampler: str, seed: int) -> tuple[Array
             m = (n - 1).bit_length()
             points = engine.random_base2(m)[:n]
             if n != 2**m:
-                message = f"{n} is no power of 2: its points fill the space less evenly than {2**m} would."
+                message = f"{n} is not a power of 2: its points fill the space less evenly than {2**m} points would."
                 warnings = (Fault("W503", "sobol", message),)
         else:
             points = engine.random(n)
@@ -324,34 +324,38 @@ def check_draws(vary: Mapping[Any, Any], n: int | None, sampler: str) -> int:
     drawn = {name: what for name, what in vary.items() if callable(getattr(what, "ppf", None))}
     listed = {name: what for name, what in vary.items() if name not in drawn}
     if drawn and n is None:
-        raise _refused("n", f"says how many rows are drawn for {', '.join(map(str, drawn))}.", "As in n=1000.")
+        raise _refused(
+            "n", f"is missing: the number of rows to draw for {', '.join(map(str, drawn))}.", "Example: n=1000."
+        )
     if (n or 1) * max(1, len(drawn)) > MOST_ROWS:
-        raise _refused("n", f"asks for {n} draws of {len(drawn)} values; {MOST_ROWS} numbers are the most.")
+        raise _refused("n", f"asks for {n} draws of {len(drawn)} values; the limit is {MOST_ROWS} numbers.")
     return _saltelli_base(n, drawn, listed) if sampler == "saltelli" else 0
 
 
 def _saltelli_base(n: int | None, drawn: Mapping[str, Any], listed: Mapping[str, Array]) -> int:
     if listed or not drawn:
-        cure = "Give Uniform(low, high) in place of lists."
-        raise _refused("saltelli", "draws for Sobol indices, which need a distribution for each parameter.", cure)
+        cure = "Give Uniform(low, high) instead of a list."
+        raise _refused("saltelli", "needs a distribution for each parameter, because it draws for Sobol indices.", cure)
     if n is None or n & (n - 1):
         below = 2 ** max(0, (n or 1000).bit_length() - 1)
         message = f"n is the number of rows of each of {len(drawn) + 2} samples, and must be a power of 2, not {n}."
-        raise _refused("saltelli", message, f"n={below} makes {below * (len(drawn) + 2)} rows in all.")
+        raise _refused("saltelli", message, f"n={below} makes {below * (len(drawn) + 2)} rows in total.")
     return int(n)
 
 
 def _of_table(given: Any, n: int | None) -> Rows:
     """A DataFrame, or a list of mappings, as it is."""
     if n is not None:
-        raise _refused("n", "the rows are given, and there is nothing to draw.", "Leave n out.")
+        raise _refused("n", "has no effect: the table gives the rows, so that nothing is drawn.", "Leave n out.")
     if getattr(given, "columns", None) is not None:
         columns = {str(name): _column(str(name), list(given[name])) for name in given.columns}
         return Rows(columns, len(given))
     rows = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else None
     if not rows or not all(isinstance(row, Mapping) and list(row) == list(rows[0]) for row in rows):
-        cure = 'As in {"motor.Ra": Normal(0.16, 0.01)}, or [{"motor.Ra": 0.15}, {"motor.Ra": 0.16}].'
-        raise _refused("vary", "is neither a mapping of what is varied nor a table of rows with equal names.", cure)
+        cure = 'Example: {"motor.Ra": Normal(0.16, 0.01)}, or [{"motor.Ra": 0.15}, {"motor.Ra": 0.16}].'
+        raise _refused(
+            "vary", "must be a mapping from parameters to values, or a table whose rows have the same names.", cure
+        )
     return Rows({str(name): _column(str(name), [row[name] for row in rows]) for name in rows[0]}, len(rows))
 
 
@@ -360,7 +364,7 @@ def _column(name: str, given: Any) -> Array:
     given = given.tolist() if callable(getattr(given, "tolist", None)) else given
     if isinstance(given, (str, bytes, Mapping)) or not isinstance(given, Sequence):
         cure = "Give a list of values, or a distribution: Normal, Uniform, Distribution(...)."
-        raise _refused(legible(name), f"{legible(repr(given))} gives no values.", cure)
+        raise _refused(legible(name), f"{legible(repr(given))} does not give values.", cure)
     values = [item.item() if isinstance(item, np.generic) else item for item in given]
     if all(isinstance(item, (int, float)) and not isinstance(item, bool) for item in values):
         return np.array(values, dtype=float)
@@ -383,18 +387,18 @@ def named_values(place: str, kind: str, given: Sequence[float] | Mapping[str, fl
         low, high, count = given if len(given) == 3 else (0.0, 0.0, 0.0)
         if not 1 <= count <= MOST_ROWS or count % 1 or (kind == "geomspace" and low * high <= 0):
             what = f"{text!r} is not {kind}:FROM,TO,COUNT{' with numbers of one sign' if kind == 'geomspace' else ''}."
-            raise _refused(place, what, f"As in {kind}:1,20,9.")
+            raise _refused(place, what, f"Example: {kind}:1,20,9.")
         return (np.linspace if kind == "linspace" else np.geomspace)(low, high, int(count))
     if kind.lower() not in _NAMED:
-        cure = "As in normal:0.27,0.02, uniform:0.1,0.2, or lognorm:s=0.3,scale=2 for those of scipy.stats."
-        raise _refused(place, f"{text!r} gives no values.", cure)
+        cure = "Example: normal:0.27,0.02, uniform:0.1,0.2, or lognorm:s=0.3,scale=2 for a distribution of scipy.stats."
+        raise _refused(place, f"{text!r} does not give values.", cure)
     law, wanted = _NAMED[kind.lower()]
     try:
         made = law(*given)
     except TypeError:
         raise _refused(place, f"{text!r} is not {kind}:{wanted}.") from None
     if (told := made.cause()) is not None:
-        raise _refused(place, f"{text!r} is no distribution with these numbers: {told[0]}.", told[1])
+        raise _refused(place, f"{text!r} is not a distribution with these numbers: {told[0]}.", told[1])
     return made
 
 

@@ -56,7 +56,11 @@ class Space:
         Raises UsageError (E501) with all bounds that are none.
         """
         if not isinstance(over, Mapping):
-            raise UsageError(Fault("E501", "over", "must map names to bounds.", 'As in over={"motor.Ra": (0.1, 0.2)}.'))
+            raise UsageError(
+                Fault(
+                    "E501", "over", "must be a mapping from names to bounds.", 'Example: over={"motor.Ra": (0.1, 0.2)}.'
+                )
+            )
         faults, bounds = [], []
         for name, given in over.items():
             try:
@@ -67,11 +71,15 @@ class Space:
             except (TypeError, ValueError):
                 low = high = math.nan
             if not -math.inf < low < high < math.inf:
-                cure = "Give the least and the largest value: (50, 600)."
-                faults.append(Fault("E501", legible(str(name)), f"has no two bounds, but {given!r}.", cure))
+                cure = "Give the smallest and the largest value: (50, 600)."
+                faults.append(
+                    Fault(
+                        "E501", legible(str(name)), f"must have two bounds, the lower one first, not {given!r}.", cure
+                    )
+                )
             bounds.append((low, high))
         if not over:
-            faults.append(Fault("E501", "over", "names no parameter.", 'As in over={"motor.Ra": (0.1, 0.2)}.'))
+            faults.append(Fault("E501", "over", "contains no parameter.", 'Example: over={"motor.Ra": (0.1, 0.2)}.'))
         if faults:
             raise UsageError(*faults)
         low, high = np.array(bounds, dtype=float).T

@@ -301,8 +301,8 @@ def _by_run(study: Study, parameters: Mapping[str, Any]) -> dict[str, dict[str, 
     for key, value in parameters.items():
         name, _, path = key.partition(".")
         if name not in names or not path:
-            cure = did_you_mean(name, names) or "Name a run and a parameter, as in IADRC.torque."
-            raise ModelError(Fault("E106", legible(key), "there is no such run to set a parameter of.", cure))
+            cure = did_you_mean(name, names) or "Write RUN.PARAMETER. Example: IADRC.torque."
+            raise ModelError(Fault("E106", legible(key), "does not begin with the name of a run.", cure))
         values.setdefault(name, {})[path] = value
     return values
 
@@ -391,7 +391,7 @@ def _prepared(study: Study, library: Any, parameters: Mapping[str, Any] | None) 
     for place, item in _drawn(study):
         known = recorded.get(item.get("run", ""), {})
         if known and "signal" in item and element_of(item["signal"], known) is None:
-            cure = did_you_mean(item["signal"], known) or 'Name it in the "log" of the diagram or of the run.'
+            cure = did_you_mean(item["signal"], known) or 'Add it to the "log" of the diagram or of the run.'
             message = f"the run {item['run']} does not record {quoted(item['signal'])}."
             faults[study.fault("E105", place_of(place), message, cure, (*place, "signal"))] = None
     if faults:
@@ -407,7 +407,7 @@ def _factor(claim: Claim, measured: _Units) -> float:
     known = measured.get(claim.many or next(iter(claim.runs), ""), {})
     measure = claim.measure.rpartition(".")[2] if claim.tuning else claim.measure  # of a scenario
     if units.has_offset(claim.unit):
-        message = f"{claim.unit} has an offset, and measures are differences."
+        message = f"{claim.unit} has an offset, but measures are differences, which have none."
         raise ModelError(Fault("E104", "", message, f"Write {units.difference(claim.unit)}."))
     return units.scale("%" if claim.change else known.get(measure, ""), claim.unit)
 
@@ -495,8 +495,8 @@ class _StudyReader:
             self.fault(
                 "E006",
                 ("format",),
-                "this is not a study.",
-                f'A study begins with {{"format": "{FORMAT}", "version": {VERSION}.',
+                "the file is not a study.",
+                f'Begin a study with {{"format": "{FORMAT}", "version": {VERSION}.',
             )
             raise ModelError(*self.faults)
         migration = migrations.migrated(self.document, migrations.STUDY, VERSION)
@@ -507,7 +507,7 @@ class _StudyReader:
             elif not isinstance(version, Number):
                 self.fault("E005", ("version",), "must be a number.", f'Write "version": {VERSION}.')
             else:
-                newer = "Update blocks (pip install -U blocks-cosim)."
+                newer = "Update blocks."
                 cure = newer if version > VERSION else f"This release reads version {VERSION}."
                 self.fault("E005", ("version",), f"version {version!r} cannot be read.", cure)
             raise ModelError(*self.faults)
@@ -570,7 +570,7 @@ class _StudyReader:
                 self.fault("E111", path, f"{quoted(name)} is not a name.", "Use letters, digits and _.")
             if name in taken:
                 what = "run" if name in _object(self.document.value, "runs") else "sweep"
-                self.fault("E109", path, f"the name is taken by a {what}.", "Name it otherwise.")
+                self.fault("E109", path, f"the name is already used by a {what}.", "Choose another name.")
             if kind.fits(entry):
                 yield name, entry, " ".join(_lines(entry))
 

@@ -172,8 +172,8 @@ def names_missing(entry: StudySweep, diagram: Diagram, figure: Mapping[str, Any]
 
 
 def _unknown(name: str, known: Collection[str], what: str) -> Fault:
-    cure = did_you_mean(name[:200], known) or f"There are {', '.join([*known][:20]) or 'none'}."
-    return Fault("E105", name, f"{quoted(name)} is no {what}.", cure)
+    cure = did_you_mean(name[:200], known) or f"Known: {', '.join([*known][:20]) or 'none'}."
+    return Fault("E105", name, f"{quoted(name)} is not a {what}.", cure)
 
 
 def run_sweep(entry: StudySweep, diagram: Diagram, parameters: Mapping[str, Any], trust: Paths) -> Sweep:

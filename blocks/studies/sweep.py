@@ -77,7 +77,7 @@ class Sweep(Shown):
             known = f"Scenarios: {', '.join(self.scenarios) or 'none'}."
             cure = did_you_mean(str(scenario), self.scenarios)
             if isinstance(scenario, int | np.integer):
-                cure = f"Row {scenario} is run again by single({scenario})."
+                cure = f"To run row {scenario} again, call single({scenario})."
             raise UnknownName(f"there is no scenario {scenario!r}. {cure}{' ' if cure else ''}{known}")
         rows = np.flatnonzero(self.scenario == self.scenarios.index(scenario))
         first = np.zeros(len(rows), dtype=np.int64)
@@ -100,10 +100,14 @@ class Sweep(Shown):
         Raises as `Diagram.run`; UsageError (E501) for a sweep that was read from a file.
         """
         if not -len(self) <= i < len(self):
-            raise UsageError(Fault("E501", str(i), "there is no such row.", f"The rows are 0 to {len(self) - 1}."))
+            raise UsageError(
+                Fault("E501", str(i), "there is no such row.", f"Rows have the numbers 0 to {len(self) - 1}.")
+            )
         if self.again is None:
-            cure = "Take the values and the seed of the row: diagram.run(parameters=..., seed=...)."
-            raise UsageError(Fault("E501", self.name, "the sweep was read from a file, which holds no diagram.", cure))
+            cure = "Run the diagram with the values and the seed of the row: diagram.run(parameters=..., seed=...)."
+            raise UsageError(
+                Fault("E501", self.name, "the sweep was read from a file, which does not contain the diagram.", cure)
+            )
         scenario = self.scenarios[int(self.scenario[i])] if self.scenarios else ""
         return self.again(scenario, int(self.number[i]))
 
@@ -172,7 +176,9 @@ class Sweep(Shown):
         """
         self._one_scenario("correlations")
         if kind not in ("pearson", "spearman"):
-            raise UsageError(Fault("E501", legible(str(kind)), "is no kind.", "There are pearson and spearman."))
+            raise UsageError(
+                Fault("E501", legible(str(kind)), "is not a kind of correlation.", "Choose pearson or spearman.")
+            )
         by_rank = kind == "spearman"
         columns = {name: column for name, column in self.varied.items() if column.dtype.kind == "f"}
         return {
@@ -187,7 +193,7 @@ class Sweep(Shown):
         """
         self._one_scenario("sobol")
         if not self.base or len(self) != self.base * (len(self.varied) + 2):
-            cure = 'Draw them so: sweep(..., n=1024, sampler="saltelli").'
+            cure = 'Draw the rows with sampler="saltelli": sweep(..., n=1024, sampler="saltelli").'
             raise UsageError(Fault("E501", self.name, "its rows were not drawn for Sobol indices.", cure))
         return {
             name: dict(zip(self.varied, statistics.sobol_indices(y, self.base, len(self.varied)), strict=True))
@@ -200,13 +206,15 @@ class Sweep(Shown):
             if name in known:
                 return known[name]
         names = [*self.measures, *self.signals, *self.varied]
-        cure = did_you_mean(str(name), names) or f"There are {', '.join(names)}."
-        raise UnknownName(f"the sweep has no {name!r}. {cure} A signal must be logged: sweep(..., log=[...]).")
+        cure = did_you_mean(str(name), names) or f"Known: {', '.join(names)}."
+        raise UnknownName(f"the sweep has no {name!r}. {cure} To keep a signal, log it: sweep(..., log=[...]).")
 
     def _one_scenario(self, what: str) -> None:
         if len(self.scenarios) > 1:
-            cure = f'Take one: sweep["{self.scenarios[0]}"].{what}().'
-            raise UsageError(Fault("E501", what, f"is of one scenario, and there are {len(self.scenarios)}.", cure))
+            cure = f'Choose one scenario: sweep["{self.scenarios[0]}"].{what}().'
+            raise UsageError(
+                Fault("E501", what, f"works for one scenario, but the sweep has {len(self.scenarios)}.", cure)
+            )
 
     # --- figures and tables --------------------------------------------------------------------------------------
 
@@ -317,7 +325,7 @@ class Sweep(Shown):
         for name, count in self.counts().items():
             speaking = [k for k in np.flatnonzero(self.status == name).tolist() if self.messages[k]]
             if speaking:
-                rows = f"{len(speaking)} ok, but" if name == "ok" else f"{count} {name}, as"
+                rows = f"{len(speaking)} ok, but" if name == "ok" else f"{count} {name}; for example"
                 told.append(f"{rows} row {speaking[0]}: {self.messages[speaking[0]]}")
         return told
 

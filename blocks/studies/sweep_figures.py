@@ -78,12 +78,19 @@ def plot(
 ) -> Any:
     """What `Sweep.plot` does. kind: of SWEEP_FIGURES, where it does not follow from the names."""
     if bins is not None and (isinstance(bins, bool) or not isinstance(bins, int | np.integer) or not 0 < bins <= 1000):
-        raise UsageError(Fault("E501", "bins", f"is {legible(repr(bins))}.", "Give an integer from 1 to 1000."))
+        raise UsageError(Fault("E501", "bins", f"must be an integer from 1 to 1000, not {legible(repr(bins))}."))
     wanted = _names(sweep.signals or sweep.measures if what is None else what)
     others = _names(() if against is None else against)
     chosen = _kind(sweep, wanted, others, kind)
     if not wanted:
-        raise UsageError(Fault("E501", sweep.name, "there is nothing to draw.", "Give the sweep measures=, or log=."))
+        raise UsageError(
+            Fault(
+                "E501",
+                sweep.name,
+                "the sweep has no measures and no signals to draw.",
+                "Run the sweep with measures= or log=.",
+            )
+        )
     rows = _scenarios(sweep)
     if chosen == "bands":
         return _bands(sweep, wanted, rows, singles)
@@ -99,12 +106,12 @@ def column(sweep: Sweep, name: str) -> Array:
     for table in (sweep.measures, sweep.varied):
         if name in table:
             return np.asarray(table[name])
-    raise _unknown(name, [*sweep.measures, *sweep.varied], "measure and no parameter")
+    raise _unknown(name, [*sweep.measures, *sweep.varied], "neither a measure nor a parameter")
 
 
 def _drawn(sweep: Sweep, name: str) -> None:
     if name not in sweep.measures and name not in sweep.varied:
-        raise _unknown(name, [*sweep.measures, *sweep.varied], "measure and no parameter", _LOGGED)
+        raise _unknown(name, [*sweep.measures, *sweep.varied], "neither a measure nor a parameter", _LOGGED)
 
 
 def told_rows(sweep: Sweep) -> str:
@@ -119,8 +126,8 @@ def _names(given: str | Sequence[str] | Any) -> list[str]:
 
 
 def _unknown(name: str, known: Sequence[str], what: str, more: str = "") -> UsageError:
-    cure = did_you_mean(name[:200], known) or f"There are {', '.join(known) or 'none'}."
-    return UsageError(Fault("E501", legible(name), f"is no {what} of the sweep.", cure + more))
+    cure = did_you_mean(name[:200], known) or f"Known: {', '.join(known) or 'none'}."
+    return UsageError(Fault("E501", legible(name), f"is {what} of the sweep.", cure + more))
 
 
 def _kind(sweep: Sweep, what: Sequence[str], against: Sequence[str], kind: str | None) -> str:
@@ -129,16 +136,18 @@ def _kind(sweep: Sweep, what: Sequence[str], against: Sequence[str], kind: str |
     if kind is None:
         kind = "bands" if what and all(is_signal) else ("histogram", "scatter", "heat map")[min(len(against), 2)]
     if kind not in SWEEP_FIGURES:
-        cure = f"There are {', '.join(SWEEP_FIGURES)}."
-        raise UsageError(Fault("E501", "kind", f"{kind!r} is no kind of figure.", cure))
+        cure = f"Choose one of: {', '.join(SWEEP_FIGURES)}."
+        raise UsageError(Fault("E501", "kind", f"{kind!r} is not a kind of figure.", cure))
     least, most = {"scatter": (1, 99), "heat map": (2, 2)}.get(kind, (0, 0))
     if not least <= len(against) <= most:
-        needs = {(0, 0): "is against nothing", (2, 2): "is against two names"}.get((least, most), "needs a name")
-        cure = 'As in plot("ITAE", against="motor.Ra"), or against=("b0", "omega_o").'
+        needs = {(0, 0): "takes no against=", (2, 2): "needs two names in against="}.get(
+            (least, most), "needs at least one name in against="
+        )
+        cure = 'Example: plot("ITAE", against="motor.Ra"), or against=("b0", "omega_o").'
         raise UsageError(Fault("E501", "against", f"the figure ({kind}) {needs}.", cure))
     for name, fits in zip(what, is_signal, strict=True):
         if kind == "bands" and not fits:
-            raise _unknown(name, list(sweep.signals), "logged signal", _LOGGED)
+            raise _unknown(name, list(sweep.signals), "not a logged signal", _LOGGED)
         if kind != "bands":
             _drawn(sweep, name)
     for name in against:
@@ -213,7 +222,7 @@ def _elements(sweep: Sweep, name: str) -> list[tuple[str, Array]]:
     flat = values.reshape(*values.shape[:2], -1)
     elements = {each: flat[:, :, k] for k, each in enumerate(element_names(whole, values.shape[2:]))}
     if bracket and name not in elements:
-        raise _unknown(name, list(elements), "logged signal")
+        raise _unknown(name, list(elements), "not a logged signal")
     return [(each, elements[each]) for each in ([name] if bracket else elements)]
 
 

@@ -77,14 +77,14 @@ def read(path: str | Path) -> dict[str, Any]:
         raise
     except (pa.ArrowException, OSError, LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
         said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise refuse(f"is no file of a sweep: {one_line(said).rstrip(' .')}.") from None
+        raise refuse(f"is not a sweep file: {one_line(said).rstrip(' .')}.") from None
 
 
 def _read_folder(folder: Path, refuse: Refuse) -> dict[str, Any]:
     """The rows of all files of a folder, in their order; those that are missing are left out."""
     files = sorted(folder.glob("rows-*.parquet"))
     if not files:
-        raise refuse("holds no rows of a sweep (rows-*.parquet).", "Name a file, or the folder that workers wrote.")
+        raise refuse("holds no rows of a sweep (rows-*.parquet).", "Name a file, or a folder that workers wrote.")
     pieces = [read(file) for file in files]
     first = next((piece for piece in pieces if len(piece["t"])), pieces[0])
     shapes = {name: values.shape[1:] for name, values in first["signals"].items()}
@@ -94,7 +94,7 @@ def _read_folder(folder: Path, refuse: Refuse) -> dict[str, Any]:
             piece["t"] = first["t"]
         is_same = all(list(piece[key]) == list(first[key]) for key in ("varied", "measures", "signals", "scenarios"))
         if not (is_same and piece["name"] == first["name"] and np.array_equal(piece["t"], first["t"])):
-            raise refuse(f"holds files of several sweeps: {file.name} differs.", "Load one of its files.")
+            raise refuse(f"holds files of several sweeps: {file.name} differs.", "Load a single file of the folder.")
     number, scenario = (np.concatenate([piece[key] for piece in pieces]) for key in ("number", "scenario"))
     _, rows = np.unique(np.stack([scenario, number]), axis=1, return_index=True)
 
@@ -126,7 +126,7 @@ def read_rows(stream: BinaryIO, path: str, told: Mapping[str, Any]) -> dict[str,
         names = [field.name for field in file.schema_arrow if field.metadata[b"kind"] != b"signal"]
         return _sweep_of(file.read(columns=names), refuse)
     except (pa.ArrowException, OSError) as error:
-        raise refuse(f"it is no file of a sweep: {one_line(str(error)).rstrip(' .')}.") from None
+        raise refuse(f"is not a sweep file: {one_line(str(error)).rstrip(' .')}.") from None
 
 
 def _check_same(notes: Mapping[str, Any], told: Mapping[str, Any], refuse: Refuse) -> None:
@@ -136,14 +136,16 @@ def _check_same(notes: Mapping[str, Any], told: Mapping[str, Any], refuse: Refus
     if different:
         if "n" in different and "varied rows" in different:
             different.remove("varied rows")  # they are others with another n
-        cure = "Give what it was begun with; or begin anew (resume=False, --anew), which replaces it."
-        raise refuse(f"it is of a sweep that differs in its {', '.join(different)}.", cure)
+        cure = (
+            "Repeat the call with which it was started, or start over (resume=False, --anew), which replaces the file."
+        )
+        raise refuse(f"belongs to a sweep that differs in its {', '.join(different)}.", cure)
 
 
 def _in_the_way(path: str | Path) -> Refuse:
     def refuse(message: str, cure: str = "") -> UsageError:
-        cure = cure or "Move it away, or name another file."
-        return UsageError(Fault("E506", legible(str(path)), f"stands in the way: {message}", cure))
+        cure = cure or "Move the file away, or name another file."
+        return UsageError(Fault("E506", legible(str(path)), f"cannot be continued, because it {message}", cure))
 
     return refuse
 
@@ -232,9 +234,9 @@ def _sweep_of(table: Any, refuse: Refuse) -> dict[str, Any]:
 def _notes(schema: Any, refuse: Refuse) -> dict[str, Any]:
     notes = parsed((schema.metadata or {}).get(b"blocks", b"{}"), refuse)
     if notes.get("format") != FORMAT:
-        raise refuse("is no file of a sweep.", "Results of one run are read by Results.load.")
+        raise refuse("is not a sweep file.", "To read the results of one run, use Results.load.")
     if notes.get("version") != VERSION:
-        raise refuse(f"is of version {notes.get('version')}; this release reads version {VERSION}.")
+        raise refuse(f"has the version {notes.get('version')}, but this release of blocks reads version {VERSION}.")
     return notes
 
 
@@ -248,7 +250,7 @@ def _chunks(stream: BinaryIO, refuse: Refuse) -> tuple[Any, Iterator[tuple[Any, 
     except UsageError:
         raise
     except (pa.ArrowException, ValueError, OSError) as error:
-        raise refuse(f"is not the part of a sweep: {one_line(str(error)).rstrip(' .')}.") from None
+        raise refuse(f"is not a partial sweep file: {one_line(str(error)).rstrip(' .')}.") from None
 
     def chunks() -> Iterator[tuple[Any, int]]:
         while True:

@@ -75,8 +75,8 @@ class Margin:
             return np.inf if width is None else float(width)
         known = seen.margins(self)
         if known.stable is None:
-            message = "whether the closed loop is stable is not known, as delays are on several of its ways."
-            raise AnalysisError(Fault("E705", self.loop, message, 'Take Padé models of them: "pade": 3.'))
+            message = "the stability of the closed loop is unknown, because delays lie on several of its paths."
+            raise AnalysisError(Fault("E705", self.loop, message, 'Replace the delays by Padé models: "pade": 3.'))
         if not known.stable:
             shown = ", ".join(f"{pole:.4g}" for pole in (known.unstable or known.border)[:3])
             words = "at the border of stability within rounding" if known.verdict == "border" else "not stable"
@@ -86,8 +86,12 @@ class Margin:
         if value is None and self.type in _ENDLESS and not (known.several_rates and self.type == "delay_margin"):
             return np.inf
         if value is None or np.isnan(value):
-            what = "a loop of several rates has none" if known.several_rates else "the loop has none"
-            raise AnalysisError(Fault("E705", self.loop, f"{what} ({self.type}).", "Ask for another margin."))
+            what = (
+                "a loop of several rates does not have this margin"
+                if known.several_rates
+                else "the loop does not have this margin"
+            )
+            raise AnalysisError(Fault("E705", self.loop, f"{what} ({self.type}).", "Choose another margin."))
         return float(value)
 
 
@@ -132,7 +136,14 @@ class RowMargins:
         self._diagram, self._chosen, self._asked = diagram, tuple(chosen), dict(asked)
         for margin in chosen:
             if margin.name in diagram.value.measures:
-                raise UsageError(Fault("E501", f"margins.{margin.name}", "the diagram has a measure of this name."))
+                raise UsageError(
+                    Fault(
+                        "E501",
+                        f"margins.{margin.name}",
+                        "the diagram has a measure of this name.",
+                        "Choose another name.",
+                    )
+                )
             with suppress(AnalysisError, ModelError, SimulationError):  # other values may have one
                 margin.value(_Row(diagram, self._asked, {}, None))
 
@@ -151,7 +162,10 @@ class RowMargins:
                         fault = error.faults[0]
                         why = f"{margin.name}: {fault.code} {fault.place}: {fault.message}"
                         if fault.code == "E707":  # its own cure is for linear models in Python and by commands
-                            why += f' Give the margin Padé models of them: {{"type": "{margin.type}", "pade": 3, ...}}.'
+                            why += (
+                                f" Give the margin Padé models of the delays: "
+                                f'{{"type": "{margin.type}", "pade": 3, ...}}.'
+                            )
                         messages[i] = f"{messages[i]} {why}".lstrip()
         except KeyboardInterrupt:
             status[i:], interrupted = "left", True
@@ -206,8 +220,8 @@ def _of_poles(kind: str, model: Transfer) -> float:
         with np.errstate(divide="ignore", invalid="ignore"):
             roots = np.log(roots) / model.dt
     if not len(roots):
-        cure = "Name an input that passes a state on its way."
-        raise AnalysisError(Fault("E705", model.name, "there are no poles on the way.", cure))
+        cure = "Name an input and an output with a state between them."
+        raise AnalysisError(Fault("E705", model.name, "there are no poles between these signals.", cure))
     if kind == "slowest_pole":
         return float(roots.real.max())
     sizes = np.abs(roots)

@@ -78,11 +78,16 @@ def sweep(
 ) -> Sweep:
     """What `Diagram.sweep` does."""
     if on is not None and threads is not None:
-        cure = "Begin the workers with as many as they shall have: dask worker ADDRESS --nworkers 4 --nthreads 1."
-        raise UsageError(Fault("E501", "threads", "are those of the workers.", cure))
+        cure = "Set the threads when you start the workers: dask worker ADDRESS --nworkers 4 --nthreads 1."
+        raise UsageError(
+            Fault("E501", "threads", "cannot be combined with on=: each worker sets its own threads.", cure)
+        )
     if on is not None and lanes != "exact":
-        message = f"{legible(repr(lanes))} is for this machine: workers may have other lanes, in which rows differ."
-        raise UsageError(Fault("E501", "lanes", message, "Leave it out where workers run the rows."))
+        message = (
+            f"{legible(repr(lanes))} works on this machine only: the lanes of workers may differ, and with them "
+            "the results."
+        )
+        raise UsageError(Fault("E501", "lanes", message, "Leave lanes out if workers run the rows."))
     folder = "" if on is None or out is None or str(out).lower().endswith(".parquet") else str(out)
     if out is not None and not folder:
         check_target(out)
@@ -174,8 +179,8 @@ def _scenarios(
     for name, on_top in scenarios.items():
         check_name(name)
         if not isinstance(on_top, Mapping):
-            cure = 'As in scenarios={"heavy": {"load": 2}}.'
-            raise UsageError(Fault("E501", f"scenarios.{name}", "must map parameters to values.", cure))
+            cure = 'Example: scenarios={"heavy": {"load": 2}}.'
+            raise UsageError(Fault("E501", f"scenarios.{name}", "must be a mapping from parameters to values.", cure))
     return dict(scenarios)
 
 
@@ -293,7 +298,7 @@ class _Made:
             shapes = {name: values.shape[1:] for name, values in rows.signals.items()}
             self.signals = {name: np.full((len(self.status), *shape), np.nan) for name, shape in shapes.items()}
         elif not np.array_equal(self.t, rows.t):
-            message, cure = "the times of its rows differ.", "Give every=... and stop=... that hold for all of them."
+            message, cure = "its rows differ in their recorded times.", "Give every=... and stop=... for all rows."
             raise UsageError(Fault("E501", self.begun.name, message, cure))
         for name, values in rows.signals.items():
             self.signals[name][at] = values
@@ -350,7 +355,7 @@ class _Rounds:
         more = f" and {len(left) - SHOWN} more" if len(left) > SHOWN else ""
         rows = f"row{'s' if len(left) > 1 else ''} {', '.join(names)}{more}"
         end = f", up to {budget:,} steps" if is_last else ""
-        return f"more than {before:,} steps: {rows}. All other rows are done; now it goes on with these{end}."
+        return f"more than {before:,} steps: {rows}. All other rows are done; the sweep continues with these rows{end}."
 
     def _round(self, budget: int | None, *, is_last: bool = True) -> None:
         """Run the rows that are "left"; where there is a file, in chunks that take about CHUNK seconds.

@@ -28,7 +28,7 @@ def table(sweep: Sweep, by: str | Sequence[str], q: Sequence[float]) -> list[lis
     for name in names:
         if name not in sweep.varied:
             cure = did_you_mean(name[:200], sweep.varied) or f"Varied: {', '.join(sweep.varied)}."
-            raise UsageError(Fault("E501", legible(name), "is not varied in the sweep.", cure))
+            raise UsageError(Fault("E501", legible(name), "is not a varied parameter of the sweep.", cure))
     return [*(_by_values(sweep, names) if names else _by_measure(sweep, np.asarray(q, dtype=float)))]
 
 

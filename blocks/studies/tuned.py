@@ -203,15 +203,15 @@ class Tuning(Found):
 
     def parts(self) -> list[Part]:
         tables = (Table([head, *rows]) for head, rows in self.tables() if rows)
-        kept = [f"{self.kept} Its values are kept."] if self.is_kept else []
+        kept = [f"{self.kept} The values of the diagram are kept."] if self.is_kept else []
         return [self.head, *tables, *map(str, self.warnings), *kept]
 
     @property
     def kept(self) -> str:
         """That nothing better was found, and why."""
         if self.why:
-            return f"No candidate has numbers to compare with those of the diagram itself: {self.why}"
-        return "No candidate was better than the diagram itself."
+            return f"No candidate has an objective to compare with that of the diagram: {self.why}"
+        return "No candidate was better than the values of the diagram."
 
 
 def short(value: float) -> str:

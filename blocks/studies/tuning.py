@@ -51,7 +51,7 @@ PENALTY = 10.0
 """What an excess of a constraint by all of its limit adds to the fitness, in parts of the objective of the diagram."""
 CHANGE = 0.05
 """The relative change of each value for the sensitivities."""
-_SCENARIOS = 'As in scenarios={"quiet": {}, "noisy": {"sigma": 0.001}}.'
+_SCENARIOS = 'Example: scenarios={"quiet": {}, "noisy": {"sigma": 0.001}}.'
 EFFORT = ("ISU", "total_variation")
 """Measures that limit a control, of whatever signal."""
 
@@ -150,17 +150,19 @@ def problem_of(
     if method not in METHODS:
         cure = did_you_mean(str(method), METHODS) or f"Methods: {', '.join(METHODS)}."
         cure = "Use Diagram.fit, which compares with measured data." if method == "least_squares" else cure
-        raise UsageError(Fault("E501", "method", f"there is no method {quoted(str(method))}.", cure))
+        raise UsageError(Fault("E501", "method", f"{quoted(str(method))} is not a method.", cure))
     check_installed(method, f'method="{method}"')
     if not isinstance(budget, int) or isinstance(budget, bool) or budget < 1:
-        raise UsageError(Fault("E501", "budget", f"is {budget!r}.", "Give a number of candidates, such as 500."))
+        raise UsageError(Fault("E501", "budget", f"must be a number of candidates, such as 500, not {budget!r}."))
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        raise UsageError(Fault("E501", "seed", f"must be an integer from 0 on, not {legible(repr(seed))}."))
+        raise UsageError(Fault("E501", "seed", f"must be an integer, 0 or more, not {legible(repr(seed))}."))
     if scenarios is not None and not isinstance(scenarios, Mapping):
-        raise UsageError(Fault("E501", "scenarios", "must map names to parameters.", _SCENARIOS))
+        raise UsageError(Fault("E501", "scenarios", "must be a mapping from names to parameters.", _SCENARIOS))
     for name, on_top in (scenarios or {}).items():
         if not isinstance(on_top, Mapping):
-            raise UsageError(Fault("E501", f"scenarios.{name}", "must map parameters to values.", _SCENARIOS))
+            raise UsageError(
+                Fault("E501", f"scenarios.{name}", "must be a mapping from parameters to values.", _SCENARIOS)
+            )
     scenarios = dict(scenarios) if scenarios else {"nominal": {}}
     measures = tuple(diagram.value.measures)
     objective = objective_of(minimize, measures, tuple(scenarios))
@@ -184,7 +186,7 @@ def problem_of(
     problem = Problem(diagram, objective, constraints, scenarios, batches, space, {}, method, budget, seed, given, ())
     before = {name: problem.run(name, {}) for name in scenarios}
     faults = [
-        Fault("E501", f"{name}.{measure}", f"can have no number: {warning.message}", warning.cure)
+        Fault("E501", f"{name}.{measure}", warning.message, warning.cure)
         for name, results in before.items()
         for warning in results.warnings
         for measure in needed[name]
@@ -215,20 +217,21 @@ def _warnings(problem: Problem, needed: Mapping[str, Sequence[str]]) -> tuple[Fa
         return ()
     if is_limited:
         message = (
-            "no scenario has noise that reaches the objective or a constraint: the best gains may be useless with it."
+            "no scenario has noise that reaches the objective or a constraint: the best gains may be useless if "
+            "there is noise."
         )
         cure = f"Add {scenario}."
     elif has_noise:
         message = (
-            "nothing in the objective or the constraints limits or weighs what the tuned blocks put out: "
-            "the best values may turn the noise into a control that chatters."
+            "nothing in the objective or the constraints limits or weighs the outputs of the tuned blocks: with "
+            "the best values the noise may make the control chatter."
         )
         cure = f"Add {limit}."
     else:
         message = (
-            "no scenario has noise that reaches the objective or a constraint, and nothing in them limits or weighs "
-            "what the tuned blocks put out: the best values are then those of the highest gains, which noise makes "
-            "useless."
+            "no scenario has noise that reaches the objective or a constraint, and nothing in them limits or "
+            "weighs the outputs of the tuned blocks: the best values are then the highest gains, which noise "
+            "makes useless."
         )
         cure = f"Add {scenario}, and {limit}."
     return (Fault("W501", problem.diagram.name, message, cure),)
@@ -363,8 +366,11 @@ class _Search:
         excess = sum(float(each.excess(before, scale)[0]) for each, scale in scaled)
         index, has_own = history.best, not np.isnan(nominal).any()
         if index is None and not has_own:
-            message = f"none of {len(history.objective)} candidates has a number{f': {self.why}' if self.why else '.'}"
-            cure = "Move the bounds towards values with which the diagram runs."
+            message = (
+                f"none of {len(history.objective)} candidates has a value of the "
+                f"objective{f': {self.why}' if self.why else '.'}"
+            )
+            cure = "Move the bounds towards values at which the diagram runs."
             raise UsageError(Fault("E501", problem.diagram.name, message, cure))
         found = (math.inf, math.inf) if index is None else (history.excess[index], history.objective[index])
         # A pattern whose values differ has none of its own to show, but they may be the best.

@@ -49,8 +49,8 @@ class TuningPart:
             return None
         candidates = self.found.pop()
         if not np.array_equal(candidates.values, values):
-            message = "stands in the way: its candidates are others, as those of another release of the optimiser."
-            raise UsageError(Fault("E506", legible(str(self.part.path)), message, "Begin anew (resume=False, --anew)."))
+            message = "cannot be continued: it holds other candidates, for example of another release of the optimizer."
+            raise UsageError(Fault("E506", legible(str(self.part.path)), message, "Start over (resume=False, --anew)."))
         self.count += len(values)
         return candidates
 

@@ -63,7 +63,7 @@ def known_ending(path: str | Path, endings: Iterable[str], what: str) -> str:
     if ending not in (*others, last):
         this = f"the ending {legible(ending)!r} is" if ending else "a name without ending is"
         cure = f"Use {', '.join(others)}{' or ' if others else ''}{last}."
-        raise UsageError(Fault("E501", legible(str(path)), f"{this} no format of {what}.", cure))
+        raise UsageError(Fault("E501", legible(str(path)), f"{this} not a format of {what}.", cure))
     return ending
 
 
@@ -86,7 +86,7 @@ def write_atomically(path: str | Path, *, was: bytes | None = None) -> Iterator[
     try:
         is_device = _is_device(target)
         if is_device and was is not None:
-            raise OSError(errno.EINVAL, "this is no file any more", str(target))
+            raise OSError(errno.EINVAL, "the file is no longer an ordinary file", str(target))
         with _device(target) if is_device else _part(target, was) as stream:
             yield stream
     except OSError as error:
@@ -142,7 +142,7 @@ def _is_device(target: Path) -> bool:
     try:
         os.fsencode(target)
     except UnicodeEncodeError:
-        what = f"names of files are in {sys.getfilesystemencoding()} here, which lacks characters of this one"
+        what = f"file names use the encoding {sys.getfilesystemencoding()} here, which lacks characters of this name"
         raise OSError(errno.EILSEQ, what, str(target)) from None
     try:
         mode = os.stat(target).st_mode
@@ -211,7 +211,7 @@ def _unchanged(target: Path, was: bytes | None) -> Iterator[None]:
                 raise OSError(errno.EBUSY, f"another program has locked it for more than {PATIENCE:g} s", str(target))
             time.sleep(0.01)
         if target.read_bytes() != was:
-            raise OSError(errno.EBUSY, "another program has changed it meanwhile", str(target))
+            raise OSError(errno.EBUSY, "another program changed the file in the meantime", str(target))
         yield
 
 

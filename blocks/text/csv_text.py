@@ -47,10 +47,12 @@ def read_columns(
             if not header:
                 header = [name.strip() for name in cells]
                 if len(header) == 1 and ";" in header[0]:
-                    raise ValueError("separates its columns by ';', where commas are needed.")
+                    raise ValueError("separates its columns by ';'. Use commas.")
                 if units and not any(column.partition("[")[0] in units or column in units for column in header):
                     names = ", ".join(name[:40] for name in units)
-                    raise ValueError(f'"# units" names no column: {names}. Columns: {", ".join(header[:20])}.')
+                    raise ValueError(
+                        f'"# units" names columns that do not exist: {names}. Columns: {", ".join(header[:20])}.'
+                    )
                 continue
             if len(cells) != len(header):
                 raise ValueError(f"line {reader.line_num}: {len(cells)} cells for {len(header)} columns.")
@@ -63,7 +65,7 @@ def read_columns(
                     numbers.append(known[cell.strip()] if cell.strip() in known else _number(cell))
                 except ValueError:
                     if wanted is None or name in wanted:
-                        text = f"{cell[:40]!r} in the column {name[:40]!r} is no number"
+                        text = f"{cell[:40]!r} in the column {name[:40]!r} is not a number"
                         text += f", nor one of {', '.join([*known][:20])}" if known else ""
                         raise ValueError(f"line {reader.line_num}: {text}.") from None
                     numbers.append(math.nan)
@@ -72,7 +74,7 @@ def read_columns(
     if not header:
         raise ValueError("is empty.")
     if len(set(header)) < len(header):
-        raise ValueError("has two columns of one name.")
+        raise ValueError("has two columns with the same name.")
     return header, np.array(numbers).reshape(count, len(header))
 
 
@@ -89,10 +91,10 @@ def _noting_units(lines: Iterable[str], found: dict[str, str]) -> Iterator[str]:
                 units = None
             if isinstance(units, dict):
                 if bad := next((name for name, unit in units.items() if not isinstance(unit, str)), None):
-                    raise ValueError(f'"# units" gives {bad[:40]!r} a unit that is no text.')
+                    raise ValueError(f'"# units" gives {bad[:40]!r} a unit that is not a text.')
                 found.update(units)
             elif match[1].lstrip().startswith("{"):
-                raise ValueError('"# units" is no JSON object. Write # units: {"omega": "rpm"}.')
+                raise ValueError('"# units" is not a JSON object. Write # units: {"omega": "rpm"}.')
         yield line
 
 

@@ -38,10 +38,12 @@ __all__ = [
     "did_you_mean",
 ]
 
-NOT_FINITE = "See what it is computed from there: a division by 0, or a root or a logarithm of a negative number."
+NOT_FINITE = "Check its inputs at this time: look for a division by 0, or a root or logarithm of a negative number."
 """What to do about a value that is not finite (E303), whoever finds it."""
 
-OVERFLOW = "It overflowed, beyond 1.8e308: see what grows without a bound, as an unstable loop or one with long steps."
+OVERFLOW = (
+    "It overflowed beyond 1.8e308. Look for a signal that grows without bound: an unstable loop, or too long steps."
+)
 """The same, where it was computed from finite numbers, and each operation was defined."""
 
 

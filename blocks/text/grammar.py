@@ -398,7 +398,7 @@ class Table(Kind):
                 names.check(name, (*path, name), told, is_key=True)
                 continue
             if self.reserved is not None and name == self.reserved[0]:
-                told.fault("E109", (*path, name), self.reserved[1], "Name it otherwise.", at_key=True)
+                told.fault("E109", (*path, name), self.reserved[1], "Choose another name.", at_key=True)
             if type(entry) not in simple:
                 self.kind.check(entry, (*path, name), told)
 
@@ -499,7 +499,7 @@ class Object(Kind):
             if key not in value:
                 told.fault("E009", path, f'the key "{key}" is missing.')
             elif not value[key] and needed.kind.is_void(value[key]):
-                told.fault("E009", path, f'"{key}" is empty.')
+                told.fault("E009", path, f'"{key}" must not be empty.')
                 passed.append(key)
         checks = self._checks
         for key, entry in value.items():

@@ -32,17 +32,17 @@ class Number(float):
 
     def __new__(cls, text: str) -> Self:
         if len(text) > LONGEST_NUMBER:
-            message = f"a number of {len(text)} characters: at most {LONGEST_NUMBER} are read."
-            raise ModelError(Fault("E004", "", message, "Round it; a float holds 17 digits."))
+            message = f"the number has {len(text)} characters; the limit is {LONGEST_NUMBER}."
+            raise ModelError(Fault("E004", "", message, "Round it: a float has 17 digits."))
         if _is_number(text) is None:
-            raise ModelError(Fault("E004", "", f"{quoted(text)} is not a number of JSON.", number_cure(text)))
+            raise ModelError(Fault("E004", "", f"{quoted(text)} is not a JSON number.", number_cure(text)))
         number = super().__new__(cls, text)
         if not isfinite(number):
-            message = f"{quoted(text)[1:-1]} is too large: a float ends at 1.8e308."
+            message = f"{quoted(text)[1:-1]} is too large: the largest float is 1.8e308."
             raise ModelError(Fault("E004", "", message, "Write a smaller number."))
         if not number and text.lower().partition("e")[0].strip("-0."):
-            message = f"{quoted(text)[1:-1]} is too small: a float would hold 0."
-            raise ModelError(Fault("E004", "", message, "Write 0, or a number from 5e-324 on."))
+            message = f"{quoted(text)[1:-1]} is too small: a float would round it to 0."
+            raise ModelError(Fault("E004", "", message, "Write 0, or at least 5e-324."))
         number._text = text
         return number
 
@@ -77,4 +77,4 @@ def number_cure(text: str) -> str:
     if re.fullmatch(r"0[xX][0-9a-fA-F]{1,13}", text):
         return f"Write {int(text, 16)}."
     is_meant = len(text) <= 60 and re.fullmatch(r"[+-]?(?=.?[0-9])[0-9_]*\.?[0-9_]*(?:[eE][+-]?[0-9]+)?", text)
-    return f"Write {spelled(text)}." if is_meant else "A number is written like 12, -0.5 or 1e-6."
+    return f"Write {spelled(text)}." if is_meant else "Write a number like 12, -0.5 or 1e-6."

@@ -25,7 +25,7 @@ _word = re.compile(r"[\w$.+-]+").match
 _whole_part = re.compile(r".*?([0-9]+), ?", re.DOTALL).fullmatch
 _EXPECTED = {"value": "a value", "key": "a key in double quotes", "colon": "a colon", "end": "the end of the text"}
 _THINGS = {",": "a comma", ":": "a colon", ";": "a semicolon", "#": "a comment", "//": "a comment", "/*": "a comment"}
-_NO_COMMENTS = 'JSON has no comments: take it out, or keep it as an entry "x-note": "...".'
+_NO_COMMENTS = 'JSON has no comments: remove it, or keep it as an entry "x-note": "...".'
 _ENTRY = 'An entry of an object is "key": value.'
 _Q = r"'`\u00b4\u2018\u2019\u201c\u201d\u201e\u00ab\u00bb"
 # What is wanted, inside which bracket, before what: the cure, and what is read: "" nobody knows, " " nothing, "< " that
@@ -35,25 +35,25 @@ _SLIPS = [
     ("", "", r"/\*|//|#", _NO_COMMENTS, ""),
     ("value key", "", rf'[{_Q}]([^{_Q}"\\\x00-\x1f\ud800-\udfff]*+)[{_Q}]', "Write {inside}.", '"'),
     ("", "", rf"[{_Q}]([^{_Q}\n]*+)", "Write {inside}.", ""),
-    ("value", "{", "", "Write {key}: and its value, or take the key out.", ""),
-    ("value", "", "[,:;]", "Take it out.", ""),
+    ("value", "{", "", "Write {key}: and its value, or remove the key.", ""),
+    ("value", "", "[,:;]", "Remove it.", ""),
     ("value", "", "", 'A value is "text", 1.5, true, false, null, [...] or {{...}}.', ""),
     ("key", "", r"[\w$.+-]", "Write {word}.", ""),
-    ("key", "", "[,;]", "Take it out.", ""),
+    ("key", "", "[,;]", "Remove it.", ""),
     ("colon", "", "=", "Write : instead.", ":"),
     ("colon", "", r'(?<=")[\w$.+-]', 'Is a " missing at the end of the key, or one too many?', ""),
     ("colon", "", r'[\w$.+"{[-]', "Put a colon before it.", ""),
     ("key colon", "", "", _ENTRY, ""),
-    ("comma", "", r";(?=[ \t\n\r]*+[\]}])", "Take it out.", " "),
+    ("comma", "", r";(?=[ \t\n\r]*+[\]}])", "Remove it.", " "),
     ("comma", "", ";", "Write a comma instead.", ","),
     ("comma", "[", r"\d", "Put a comma before it, if it is another number; digits are not grouped.", "<,"),
-    ("comma", "", "[+*/^%-]", 'An expression is a text that begins with =, such as "=2*kp".', ""),
-    ("comma", "[", ":", "Entries with keys stand in {{ }}.", ""),
+    ("comma", "", "[+*/^%-]", 'Write an expression as a text that begins with =, such as "=2*kp".', ""),
+    ("comma", "[", ":", "Put entries with keys into {{ }}.", ""),
     ("comma", "", ":", "An entry has one key and one value.", ""),
     ("comma", "", r'[\w$."{[]', "Put a comma before it.", "<,"),
-    ("end", "", r"[\]}]", "No bracket is open: take it out.", ""),
-    ("end", "", "", "A text holds one value: take the rest out.", ""),
-    ("", "", "", "Take it out.", ""),
+    ("end", "", r"[\]}]", "No bracket is open: remove it.", ""),
+    ("end", "", "", "The text must hold one value: remove the rest.", ""),
+    ("", "", "", "Remove it.", ""),
 ]
 
 
@@ -86,11 +86,11 @@ def slip(text: str, at: int, wanted: Wanted, path: Path, open_at: int, position:
     if char == '"' and wanted in ("key", "value"):
         return _broken_string(text, at, opened.format("string", *position(at)))
     if char in "]}" and bracket and char != closer:
-        message = f"{opened.format(bracket, *position(open_at))} is closed by {closer}, but {char} stands here."
+        message = f"{opened.format(bracket, *position(open_at))} is closed by {closer}, but {char} is here."
         return Slip(at, message, f"Write {closer} here, or close the {bracket} before.")
     if char in "]}" and (wanted == "key" or (wanted == "value" and bracket == "[")):
         comma = text.rindex(",", 0, at)
-        return Slip(comma, f"there is a comma before the closing {char}.", "Take the comma out.", comma, " ")
+        return Slip(comma, f"there is a comma before the closing {char}.", "Remove the comma.", comma, " ")
     if wanted == "value" and word:
         return _odd_value(word[0], at)
     shown = quoted(word[0]) if word else ""
@@ -98,8 +98,8 @@ def slip(text: str, at: int, wanted: Wanted, path: Path, open_at: int, position:
     if char == '"':
         thing = f"the string {quoted(text[at + 1 : _plain(text, at + 1).end()])}"
     if not char.isprintable():
-        return Slip(at, f"{expected}the invisible character U+{ord(char):04X} stands here.", "Take it out.")
-    message = f"{expected}{thing} stands here."
+        return Slip(at, f"{expected}the invisible character U+{ord(char):04X} is here.", "Remove it.")
+    message = f"{expected}{thing} is here."
     if wanted == "key" and word and char.isdigit() and (whole := _whole_part(text[max(0, at - 30) : at])):
         return Slip(at, message, f"Decimals follow a point: {whole[1]}.{word[0]}.")
     match, cure, piece = next(
@@ -128,17 +128,17 @@ def _broken_string(text: str, opened_at: int, opened: str) -> Slip:
     if char == "\\":
         shown = f"\\{behind}" if behind.isprintable() else f"a backslash before U+{ord(behind):04X}"
         cure = r"Write a backslash as \\; a code has four digits: \u00e9."
-        return Slip(at, f"{shown} begins no escape of JSON.", cure)
+        return Slip(at, f"{shown} is not an escape of JSON.", cure)
     if char >= " ":
-        return Slip(at, f"U+{ord(char):04X} in {opened} is one half of a character.", "Take it out.")
-    cure = r"Write \t." if char == "\t" else rf"Write \u{ord(char):04x}, or take it out."
-    return Slip(at, f"the control character U+{ord(char):04X} stands in {opened}.", cure)
+        return Slip(at, f"U+{ord(char):04X} in {opened} is one half of a character.", "Remove it.")
+    cure = r"Write \t." if char == "\t" else rf"Write \u{ord(char):04x}, or remove it."
+    return Slip(at, f"the control character U+{ord(char):04X} is in {opened}.", cure)
 
 
 def _odd_value(word: str, at: int) -> Slip:
     """A word where a value is wanted."""
     shown, name = quoted(word)[1:-1], word.strip("+-").lower()
-    message, cure = f"expected a value, but {shown} stands here.", f"Write {quoted(word)}, if it is a string."
+    message, cure = f"expected a value, but {shown} is here.", f"Write {quoted(word)}, if it is a string."
     if name in ("true", "false", "null", "none"):
         literal = name.replace("none", "null")
         return Slip(at, message, f"Write {literal}.", at, literal.ljust(len(word)), is_certain=name == word.lower())
@@ -147,6 +147,6 @@ def _odd_value(word: str, at: int) -> Slip:
         if name != "nan":
             cure = f'Write a finite number; for a missing limit, "{"-" * word.startswith("-")}inf" in quotes.'
     elif word[0] in "+-.0123456789":
-        message = f"{shown} is not a number of JSON."
+        message = f"{shown} is not a JSON number."
         cure = f"Write {quoted('=' + word)}, if it is an expression." if name.isidentifier() else number_cure(word)
     return Slip(at, message, cure, at, "0".ljust(len(word)), is_certain=False)

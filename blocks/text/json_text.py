@@ -143,7 +143,7 @@ class _Scan:
         if first != at:
             line, column = self.position(first)
             message = f"the key {quoted(key)} appears twice, first at line {line}, column {column}."
-            self.fault("E002", at, message, "Rename one, or take one out.")
+            self.fault("E002", at, message, "Rename or remove one of them.")
         return key
 
     def number(self, token: str, at: int) -> None:
@@ -165,7 +165,7 @@ class _Scan:
                     self.put(at + match.start(), r"\ufffd")
             string = json.loads(self.meant[at : at + len(token)])
         if len(string) > limits.LONGEST_STRING:
-            message = f"a string of {len(string):,} characters: at most {limits.LONGEST_STRING:,} are read."
+            message = f"the string has {len(string):,} characters; the limit is {limits.LONGEST_STRING:,}."
             self.fault("E008", at, message, "Shorten it.")
         return string
 
@@ -193,8 +193,8 @@ class _Scan:
         if is_last:
             raise ModelError(*self.faults)
         if len(self.faults) == limits.MOST_FAULTS:
-            message = f"the reading ends after {limits.MOST_FAULTS:,} faults."
-            self.fault("E008", at, message, "Mend these first.", is_last=True)
+            message = f"reading stops after {limits.MOST_FAULTS:,} faults."
+            self.fault("E008", at, message, "Fix these faults first.", is_last=True)
 
 
 class _Places(Mapping[Path, Position]):
@@ -249,7 +249,7 @@ def read(text: str | bytes, *, file: str = "") -> Document:
     text = _decoded(text, file or "<text>")
     scan = _Scan(text, text, file)
     if text.startswith("\ufeff"):
-        scan.fault("E001", 0, "the text begins with a byte-order mark.", "Save the file as UTF-8 without one.")
+        scan.fault("E001", 0, "the text begins with a byte-order mark.", "Save the file as UTF-8 without this mark.")
         scan.text = scan.meant = text = " " + text[1:]
     try:
         value = _quick(text)
@@ -356,15 +356,15 @@ def _decoded(text: str | bytes, file: str) -> str:
     if isinstance(text, str) and size <= limits.LARGEST_TEXT and not text.isascii():
         size = len(text.encode("utf-8", "surrogatepass"))
     if size > limits.LARGEST_TEXT:
-        message = f"the text has {size:,} bytes: at most {limits.LARGEST_TEXT:,} are read."
+        message = f"the text has {size:,} bytes; the limit is {limits.LARGEST_TEXT:,}."
         raise ModelError(Fault("E008", "", message, "Keep tables of data in files of their own.", file=file))
     if isinstance(text, str):
         return text
     if text.startswith(_ARCHIVE):
-        message = "is an archive, such as an FMU, and not a diagram."
-        cure = 'An FMU runs by: blocks fmu run X.fmu. In a diagram it is a block: {"fmu": "X.fmu"}.'
+        message = "is an archive, for example an FMU, not a diagram."
+        cure = 'To run an FMU: blocks fmu run X.fmu. To use it as a block of a diagram: {"fmu": "X.fmu"}.'
         if file.lower().endswith(".ssp"):
-            message = "is a package of SSP (System Structure and Parameterization), which is not read."
+            message = "is a package of SSP (System Structure and Parameterization), which blocks cannot read."
             cure = 'Unpack it: each FMU in its folder "resources" can be a block of a diagram, {"fmu": "X.fmu"}.'
         raise ModelError(Fault("E001", "", message, cure, (), file, 1, 1))
     line, column, message = 1, 1, "the text is in UTF-16 or UTF-32, or not a text."
@@ -374,5 +374,5 @@ def _decoded(text: str | bytes, file: str) -> str:
         except UnicodeDecodeError as error:
             before = text[: error.start].decode("utf-8")
             line, column = _Scan(before, "").position(len(before))
-            message = f"the byte 0x{text[error.start]:02x} stands here, and it is not UTF-8."
+            message = f"the byte 0x{text[error.start]:02x} is not UTF-8."
     raise ModelError(Fault("E001", "", message, "Save the file as UTF-8.", (), file, line, column))

@@ -102,13 +102,13 @@ class _Writer:
             case int() if abs(value) < _INTEGERS_END:
                 self.pieces.append(int.__repr__(value))
             case int():
-                self.fault("E004", path, "an integer is too large: a float ends at 1.8e308.")
+                self.fault("E004", path, "an integer is too large: the largest float is 1.8e308.")
             case _:
-                self.fault("E004", path, f"a value of the type {type(value).__name__} has no form in JSON.")
+                self.fault("E004", path, f"a value of the type {type(value).__name__} cannot be written as JSON.")
 
     def string(self, value: str, path: Path) -> None:
         if len(value) > limits.LONGEST_STRING:
-            message = f"a string of {len(value):,} characters: at most {limits.LONGEST_STRING:,} are written."
+            message = f"a string has {len(value):,} characters; the limit is {limits.LONGEST_STRING:,}."
             self.fault("E008", path, message)
         self.pieces.append(string(value))
 
@@ -126,7 +126,7 @@ class _Writer:
                 self.string(key, path)
                 self.pieces.append(": ")
             elif is_object:
-                self.fault("E004", path, f"a key is of the type {type(key).__name__}.", "Keys are strings.")
+                self.fault("E004", path, f"a key is of the type {type(key).__name__}.", "Use strings as keys.")
                 continue
             self.put(entry, (*path, key), inner)
         self.pieces.append(("" if value else separator) + (margin if lines else "") + ("}" if is_object else "]"))

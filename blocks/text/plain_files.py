@@ -25,6 +25,6 @@ def opened(path: str | Path) -> BufferedReader:
         os.set_blocking(descriptor, True)
     elif not stat.S_ISREG(mode):
         os.close(descriptor)
-        what = "it is a folder" if stat.S_ISDIR(mode) else "it is a device or a pipe, and no file"
+        what = "it is a folder" if stat.S_ISDIR(mode) else "it is a device or a pipe, not a file"
         raise OSError(0, what, str(path))
     return open(descriptor, "rb")

@@ -362,8 +362,8 @@ def _plain(text: str) -> Factors:
     """Return the symbols of a unit that can be a part of others. Raises ModelError (E114)."""
     factor, _, origin = _split(text)
     if factor is not None or origin:
-        message = f"{text!r} stands alone: it cannot be a part of another unit."
-        raise ModelError(Fault("E114", "", message, f"Use {si_text(text)}, which differences are in."))
+        message = f"{text!r} has a factor or an offset, so that it cannot be a part of another unit."
+        raise ModelError(Fault("E114", "", message, f"Use {si_text(text)}, the unit of differences."))
     return _factors(text)
 
 
@@ -384,11 +384,11 @@ _EXPONENT = re.compile(r"[+-]?[0-9]+")
 def _read(text: str) -> Factors:
     """The symbols of a text with their exponents, each symbol once."""
     if text in _ALONE:
-        raise ModelError(Fault("E114", "", f"the unit {text!r} stands alone."))
+        raise ModelError(Fault("E114", "", f"the unit {text!r} cannot be a part of another unit."))
     if not text:
         raise ModelError(Fault("E114", "", "the unit is empty."))
     if len(text) > _LENGTH:
-        raise ModelError(Fault("E114", "", f"a unit of {len(text)} characters; the limit is {_LENGTH}."))
+        raise ModelError(Fault("E114", "", f"the unit has {len(text)} characters; the limit is {_LENGTH}."))
     factors, end = _read_product(text, 0, 0)
     if end < len(text):
         raise _wrong(text, end, "expected '.', '/' or the end")
@@ -463,7 +463,7 @@ def _cure(text: str) -> str:
     if text.strip() in _OFFSETS:
         return f"Did you mean '{_OFFSETS[text.strip()]}'?"
     if any(word in _OFFSETS for word in _LETTERS.findall(text)):
-        return "Temperatures are in degC or degF, which stand alone; in products, differences are in K."
+        return "For a temperature use degC or degF alone. In products use K, the unit of differences."
     plain = text.strip().replace("**", "^").translate(_SPELLINGS)
     plain = re.sub(r"\s+", ".", re.sub(r"\s*([./()])\s*", r"\1", plain))
     better = _LETTERS.sub(_respelled, plain)

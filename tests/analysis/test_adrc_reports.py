@@ -157,12 +157,12 @@ def test_a_sampled_observer_is_told_in_continuous_poles() -> None:
 @pytest.mark.parametrize(
     ("block", "given", "code", "says"),
     [
-        ("motor", {}, "E501", "is no observer"),
-        ("esoo", {}, "E501", "is no block"),
+        ("motor", {}, "E501", "is not an observer"),
+        ("esoo", {}, "E501", "is not a block"),
         ("control", {}, "E501", "control.law"),
-        ("eso", {"amplitudes": [0.0]}, "E501", "not above 0"),
-        ("eso", {"amplitudes": [math.nan]}, "E501", "not above 0"),
-        ("eso", {"amplitudes": []}, "E501", "there are none"),
+        ("eso", {"amplitudes": [0.0]}, "E501", "must be above 0"),
+        ("eso", {"amplitudes": [math.nan]}, "E501", "must be above 0"),
+        ("eso", {"amplitudes": []}, "E501", "must not be empty"),
     ],
 )
 def test_what_is_no_observer_is_refused(block: str, given: dict[str, Any], code: str, says: str) -> None:
@@ -273,14 +273,14 @@ def test_linearize_draws(kind: str, tmp_path: Path, capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ((), "needs --from and --to, or --loop alone"),
-        (("--from", "r"), "needs --from and --to"),
+        ((), "needs either --from and --to, or --loop alone"),
+        (("--from", "r"), "needs either --from and --to"),
         (("--loop", "control.u", "--from", "r"), "or --loop alone"),
         (("--loop", "control.w"), "there is no such signal. Did you mean"),
         (("--from", "r", "--to", "motor.omega", "--amplitude", "eso.e"), "is not NAME=VALUE"),
-        (("--from", "r", "--to", "motor.omega", "--amplitude", "eso.e=1"), "no law that bends reads this signal"),
+        (("--from", "r", "--to", "motor.omega", "--amplitude", "eso.e=1"), "no nonlinear law reads this signal"),
         (("--from", "r", "--to", "motor.omega", "--amplitude", "eso.e=much"), "is not a number"),
-        (("--loop", "control.u", "--plot", "loop.bmp"), "is no format of pictures"),
+        (("--loop", "control.u", "--plot", "loop.bmp"), "is not a format of pictures"),
         (("--loop", "control.u", "--at", "-1"), "lies before the start"),
     ],
 )

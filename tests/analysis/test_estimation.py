@@ -343,7 +343,7 @@ def test_one_element_of_a_vector_is_excited_and_all_are_listened_to():
     assert apart(response, [[2.0, 2.0], [4.0, 4.0]]) < EXACT
     response = estimate_response(diagram, "gain.u[0]", "gain.y[1]", signal, inputs={"x": [5.0, 6.0]})
     assert apart(response, [3.0, 3.0]) < EXACT
-    with pytest.raises(UsageError, match=r"E501 x: has 2 elements.*Name it: \"x\[0\]\""):
+    with pytest.raises(UsageError, match=r"E501 x: has 2 elements.*Name an element: \"x\[0\]\""):
         estimate_response(diagram, "x", "gain.y", signal)
 
 
@@ -428,7 +428,7 @@ def test_the_step_of_the_master_is_taken_where_it_is_given_and_refused_where_it_
 
     errors = [compare(swept(step), own).worst_degrees for step in (0.01, 0.005)]
     assert errors[1] < errors[0] / 3.0  # inputs follow parabolas
-    with pytest.raises(AnalysisError, match=r"E708 y: .* communication points in a period of .* are too few"):
+    with pytest.raises(AnalysisError, match=r"E708 y: .* communication points in a period at .* are too few"):
         swept(0.1)
     many = estimate_response(diagram, "y", "eso.z1", OddMultisine(5.0, 50.0, 3, 0.1), trust=[exported])
     assert many.settled.all()
@@ -514,7 +514,7 @@ def test_a_response_is_shown_as_a_table(lag):
             'E501 "v": there is no such signal. Signals: u, FirstOrder.y, y, FirstOrder.u.',
         ),
         (("u", "x", SineStream([1.0])), 'E501 "x": there is no such signal.'),
-        (("u", [], SineStream([1.0])), "E501 output: no signal is named."),
+        (("u", [], SineStream([1.0])), "E501 output: has no signal."),
         (("u", "y", SineStream([1.0], [1.0, 2.0])), "E501 SineStream: the amplitude must be"),
         (("u", "y", SineStream([1.0], -1.0)), "E501 SineStream: the amplitude must be"),
     ],
@@ -530,10 +530,10 @@ def test_what_cannot_be_meant_is_refused(arguments, message):
     [
         (lambda: SineStream([]), "frequencies must be a list of numbers above 0"),
         (lambda: SineStream([0.0, 1.0]), "frequencies must be a list of numbers above 0"),
-        (lambda: SineStream([1.0], periods=1), "periods = 1 must be a number from 2 on"),
+        (lambda: SineStream([1.0], periods=1), "periods = 1 must be a number, 2 or more"),
         (lambda: SineStream([1.0], periods=2.5), "periods = 2.5 must be an integer"),
         (lambda: OddMultisine(2.0, 1.0), "must be frequencies in rad/s, low first"),
-        (lambda: Chirp(1.0, 2.0, taper=0.6), "is no part of the duration"),
+        (lambda: Chirp(1.0, 2.0, taper=0.6), "must be a fraction of the duration"),
     ],
 )
 def test_signals_that_cannot_be_meant_are_refused(make, message):

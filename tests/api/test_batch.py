@@ -227,7 +227,7 @@ def test_rows_with_times_of_their_own_record_no_signals() -> None:
     d.settings(stop="=T")
     rows = d.batch(["T"], log=["lag.y"])([[2.0], [1.0]])
     assert rows.status.tolist() == ["ok", "refused"]
-    assert rows.messages[1].startswith("E501 row: the times of the run follow")
+    assert rows.messages[1].startswith("E501 row: the row changes start, stop or every")
     rows = d.batch(["T"])([[2.0], [1.0]])
     for i, T in enumerate((2.0, 1.0)):
         same(rows, i, d, parameters={"T": T})
@@ -287,7 +287,7 @@ def test_programs_run_in_processes_and_one_that_dies_takes_its_row_alone() -> No
     d = Diagram("doomed")
     d.add("program", Doomed())
     batch = d.batch(["program.k"], stop=1.0, log=["program.y"], every=0.5)
-    assert batch.how(4, 2) == "2 processes: it has programs in Python"
+    assert batch.how(4, 2) == "2 processes: it has blocks with programs in Python"
     rows = batch([[1.0], [3.0], [4.0], [2.0]], threads=2)
     assert rows.status.tolist() == ["ok", "failed", "failed", "ok"]
     assert "exit code 7" in rows.messages[1]
@@ -326,8 +326,13 @@ class Program:
 @pytest.mark.parametrize(
     ("inside", "begin", "how"),
     [
-        (False, "main()", "1 process: it has programs in Python"),
-        (True, "main()", "this process alone: it has programs in Python, and others do not know block types of __main"),
+        (False, "main()", "1 process: it has blocks with programs in Python"),
+        (
+            True,
+            "main()",
+            "this process only: it has blocks with programs in Python, and other processes cannot "
+            "load block types of __main",
+        ),
         pytest.param(True, 'if __name__ == "__main__": main()', "1 process: it has", marks=pytest.mark.long),
     ],
     ids=["of a module", "of the script", "of a script with a guard"],
@@ -386,10 +391,10 @@ def test_what_cannot_be_a_batch_is_refused(given: dict[str, Any], told: str) -> 
         ("abc", {}, "table: must be a list or an array"),
         ({"lag.T": 1.0}, {}, "lag.T: must be a list or an array"),
         ([[1.0]], {"seeds": [1, 2]}, "2 seeds for 1 row"),
-        ([[1.0], [1.0]], {"seeds": [1, -2]}, "integers from 0 to 2.53, but that of row 1 is -2"),
-        ([[1.0]], {"seeds": [1.5]}, "integers from 0 to 2.53, but that of row 0 is 1.5"),
-        ([[1.0]], {"threads": 0}, "threads: must be an integer from 1 on"),
-        ([[1.0]], {"budget": -5}, "budget: must be an integer from 1 on"),
+        ([[1.0], [1.0]], {"seeds": [1, -2]}, "integers from 0 to 2.53, but row 1 has -2"),
+        ([[1.0]], {"seeds": [1.5]}, "integers from 0 to 2.53, but row 0 has 1.5"),
+        ([[1.0]], {"threads": 0}, "threads: must be an integer, 1 or more"),
+        ([[1.0]], {"budget": -5}, "budget: must be an integer, 1 or more"),
     ],
 )
 def test_a_table_that_does_not_fit_is_refused(table: Any, more: dict[str, Any], told: str) -> None:

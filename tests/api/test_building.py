@@ -32,13 +32,13 @@ REFUSED = r"""
 add("1a", Gain())
     ModelError: E111 "1a": is not a name. Write "_1a": letters, digits and _, not beginning with a digit.
 add("g", Gain())
-    ModelError: E109 g: the name is taken by a block.
+    ModelError: E109 g: the name is already used by a block. Choose another name.
 add("r", Gain())
-    ModelError: E109 r: the name is taken by an input.
+    ModelError: E109 r: the name is already used by an input. Choose another name.
 add("p", Gain())
-    ModelError: E109 p: the name is taken by a parameter.
+    ModelError: E109 p: the name is already used by a parameter. Choose another name.
 add("a", Gain)
-    UsageError: E501 a: Gain is a class. Add a block of it: Gain().
+    UsageError: E501 a: Gain is a class, not a block. Add an instance: Gain().
 add("a", 3.0)
     UsageError: E501 a: "3.0" is not a block. Add a Block, a Diagram or a subdiagram(...).
 add("a", Gain(k="fast"))
@@ -57,7 +57,7 @@ add("a", Gain(k=math.inf))
 add("a", Gain(k=math.nan))
     ModelError: E004 blocks.a.parameters.k: JSON has no nan. Write a finite number.
 add("a", Gain(k=10**400))
-    ModelError: E004 blocks.a.parameters.k: an integer is too large: a float ends at 1.8e308.
+    ModelError: E004 blocks.a.parameters.k: an integer is too large: the largest float is 1.8e308.
 add("a", Gain(k={"value": 2.0, "unit": "Vv"}))
     ModelError: E114 a.k: the unit 'Vv' cannot be read at character 1: 'Vv' is not known. A unit is a product
     such as 'kg.m2/s3' of kg m s A K mol cd rad N J W Pa Hz C V Ohm S H F Wb T g t l L bar min h d deg rev rpm
@@ -159,17 +159,17 @@ add("a", subdiagram(Diagram("inner")), enable={"states": "off"})
 add("a", subdiagram(Diagram("inner")), trigger={"every": 0.1, "direction": "up"})
     ModelError: E009 blocks.a.trigger: a trigger has "direction" (of a signal) or "every" (a tick).
 wire(g.y, "r")
-    ModelError: E112 g.y: is a source, and a wire ends at an input. The sink comes first: wire(sink, source).
+    ModelError: E112 g.y: is a source, but a wire ends at an input. Put the sink first: wire(sink, source).
 wire(g.y, g.u)
-    ModelError: E112 g.y: is a source, and a wire ends at an input. The sink comes first: wire(g.u, g.y).
+    ModelError: E112 g.y: is a source, but a wire ends at an input. Put the sink first: wire(g.u, g.y).
 wire(g.u, other.y)
     ModelError: E105 g.y: belongs to the diagram other, not to x.
 wire(3, "r")
     UsageError: E501 wire: "3" is not a port. Use block.port, or its name as a text.
 wire("h.u", "r")
-    ModelError: E109 h.u: is wired already, to r. Use Sum to add signals.
+    ModelError: E109 h.u: is already wired to r. Use Sum to add signals.
 output("y", g.u)
-    ModelError: E112 g.u: is an input, and a wire begins at an output.
+    ModelError: E112 g.u: is an input, but a wire begins at an output or at an input of the diagram.
 parameter("a", math.nan)
     ModelError: E004 parameters.a: JSON has no nan. Write a finite number.
 input("a", unit="V", default="x")

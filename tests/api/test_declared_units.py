@@ -65,7 +65,7 @@ def test_the_amplitudes_of_limit_cycles_are_in_the_unit_of_the_law(limits: Any) 
     assert cycle.omega == pytest.approx(1.0, rel=1e-6)  # |G(j)| = 1/2, and N = 4/(pi A)
     A = cycle.amplitudes["law.u"]
     assert pytest.approx(2.0 / math.pi, rel=1e-6) == A
-    with pytest.raises(UsageError, match="are no limits above 0"):
+    with pytest.raises(UsageError, match="must be two limits above 0"):
         limit_cycles(diagram, amplitude=("2 rpm", "1 rpm"))
     assert not limit_cycles(diagram, amplitude=(f"{A * 1.1} rad/s", "1e4 rpm"))
     assert not limit_cycles(diagram, amplitude=(A / RPM * 1.1, 1e4))
@@ -143,9 +143,9 @@ def test_a_csv_file_gives_units_to_times_and_elements_and_may_not_give_others(tm
 @pytest.mark.parametrize(
     ("units", "said"),
     [
-        ('{"v": "deg/s"}', '"# units" names no column: v. Columns: time, u.'),
-        ('{"u": 3}', "\"# units\" gives 'u' a unit that is no text."),
-        ("{u: deg/s}", '"# units" is no JSON object.'),
+        ('{"v": "deg/s"}', '"# units" names columns that do not exist: v. Columns: time, u.'),
+        ('{"u": 3}', "\"# units\" gives 'u' a unit that is not a text."),
+        ("{u: deg/s}", '"# units" is not a JSON object.'),
     ],
 )
 def test_units_of_a_csv_file_that_cannot_be_meant_are_refused(units: str, said: str, tmp_path: Path) -> None:
@@ -195,7 +195,7 @@ def test_limits_and_bounds_of_a_tuning_take_units() -> None:
     quantity = lag().tune(over={"k": ("6 deg/s", "9 rpm")}, subject_to=["largest <= 5 rpm"], **options)
     assert quantity.values == plain.values
     assert quantity.is_feasible
-    with pytest.raises(UsageError, match=r'subject_to\[0\]: "5 V" is the limit of a measure in rad/s'):
+    with pytest.raises(UsageError, match=r'subject_to\[0\]: "5 V" limits a measure in rad/s'):
         lag().tune(over={"k": (1, 9)}, subject_to=["largest <= 5 V"], **options)
     with pytest.raises(UsageError, match="E501 k: V and rpm are different quantities"):
         lag().tune(over={"k": ("1 V", 9)}, **options)

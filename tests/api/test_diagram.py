@@ -208,7 +208,7 @@ def test_elements_of_ports_are_counted_from_zero() -> None:
     assert made.to_json()["wires"] == {"demux.u[0]": "v[2]", "demux.u[1]": "v[0]"}
     made.check()
     for wrong in (lambda: vector[-1], lambda: vector[0][0]):
-        with pytest.raises(IndexError, match="counted from 0"):
+        with pytest.raises(IndexError, match="give the index of an element, 0 or more"):
             wrong()
     with pytest.raises(TypeError, match=r"its elements are v\[0\]"):
         list(vector)
@@ -247,8 +247,8 @@ def test_a_block_that_is_there_is_found_by_name() -> None:
 def test_wires_are_written_sink_first() -> None:
     made = Diagram("d")
     r, gain, other = made.input("r"), made.add("gain", Gain()), made.add("other", Gain())
-    assert "The sink comes first: wire(gain.u, r)." in message(ModelError, lambda: made.wire(r, gain.u))
-    assert "a wire ends at an input." in message(ModelError, lambda: made.wire(gain.y, other.y))
+    assert "Put the sink first: wire(gain.u, r)." in message(ModelError, lambda: made.wire(r, gain.u))
+    assert "but a wire ends at an input." in message(ModelError, lambda: made.wire(gain.y, other.y))
     assert "E112 other.u: is an input" in message(ModelError, lambda: made.wire(gain.u, other.u))
     assert "E112 other.u: is an input" in message(ModelError, lambda: made.output("o", other.u))
 
@@ -268,7 +268,7 @@ def test_a_second_source_is_refused() -> None:
     gain, a, b = made.add("gain", Gain()), made.add("a", Constant()), made.add("b", Constant())
     made.wire(gain.u, a.y)
     text = message(ModelError, lambda: made.wire("gain.u", b.y))
-    assert text == "E109 gain.u: is wired already, to a.y. Use Sum to add signals."
+    assert text == "E109 gain.u: is already wired to a.y. Use Sum to add signals."
 
 
 def test_names_are_taken_once() -> None:
@@ -283,10 +283,10 @@ def test_names_are_taken_once() -> None:
             lambda name=name: made.input(name),
             lambda name=name: made.parameter(name, 1),
         ):
-            assert message(ModelError, call) == f"E109 {name}: the name is taken by {what}."
-    assert "taken by an output" in message(ModelError, lambda: made.output("o", "b.y"))
-    assert "taken by an output" in message(ModelError, lambda: made.input("o"))
-    assert "taken by an input" in message(ModelError, lambda: made.output("i", "b.y"))
+            assert message(ModelError, call) == f"E109 {name}: the name is already used by {what}. Choose another name."
+    assert "already used by an output" in message(ModelError, lambda: made.output("o", "b.y"))
+    assert "already used by an output" in message(ModelError, lambda: made.input("o"))
+    assert "already used by an input" in message(ModelError, lambda: made.output("i", "b.y"))
     made.add("o", Constant())
     made.output("b", "b.y")
 
@@ -311,7 +311,7 @@ def test_what_is_no_name_is_refused(name: Any) -> None:
 
 def test_a_class_is_not_a_block() -> None:
     text = message(UsageError, lambda: Diagram("d").add("g", Gain))  # type: ignore[arg-type]
-    assert text == "E501 g: Gain is a class. Add a block of it: Gain()."
+    assert text == "E501 g: Gain is a class, not a block. Add an instance: Gain()."
 
 
 @pytest.mark.parametrize("thing", [5, "Gain", None, [Gain()], Diagram])
@@ -382,14 +382,16 @@ def test_settings_are_those_of_a_run() -> None:
     assert text == "E501 stopp: is not a setting of a run. Did you mean 'stop'?"
     assert "not a setting of a run" in message(UsageError, lambda: made.run(toll=1))
     assert "not a setting of a run" in message(UsageError, lambda: made.plan(settings={"raw": 1}))
-    assert "E501 d: the run has no end." in message(UsageError, made.run)
+    assert "E501 d: the run has no stop time." in message(UsageError, made.run)
     assert "E501 interpolation" in message(UsageError, lambda: made.run(stop=1, interpolation="cubic"))
     assert "E115 run.stop" in message(ModelError, lambda: made.run(stop="1"))  # type: ignore[arg-type]
 
 
 def test_measures_are_checked() -> None:
     made = loop()
-    assert "the name is taken by a measure" in message(ModelError, lambda: made.measure("ITAE", "IAE", "motor.omega"))
+    assert "the name is already used by a measure" in message(
+        ModelError, lambda: made.measure("ITAE", "IAE", "motor.omega")
+    )
     assert "E116 measures.m" in message(ModelError, lambda: made.measure("m", "IEA", "motor.omega"))
     assert "m" not in made.to_json()["measures"]
 
@@ -607,7 +609,7 @@ def test_going_back_is_refused() -> None:
 def test_finish_needs_an_end() -> None:
     _, run = stepped(stop=None)
     run.advance(1)
-    assert "has no end" in message(UsageError, run.finish)
+    assert "has no stop time" in message(UsageError, run.finish)
     assert run.results.t[-1] == 1.0
 
 

@@ -314,7 +314,7 @@ def programmed() -> Diagram:
     [
         (looped, {}, "it has algebraic loops"),
         (delayed, {}, "it has delays"),
-        (programmed, {}, "it has programs in Python"),
+        (programmed, {}, "it has blocks with programs in Python"),
         (square, {"method": "radau", "stop": 0.5}, "radau"),
         (lambda: Diagram.load(ROOT / "diagrams/gallery/cart_pole.json"), {}, "each step is looked at closely"),
         (lambda: Diagram.load(ROOT / "diagrams/paper/control_iadrc_sampled.json"), {"stop": 0.1}, "it has no states"),
@@ -354,7 +354,7 @@ def test_rows_whose_form_has_no_lanes_say_so_and_are_exact(tmp_path: Path) -> No
     rows = batch(table)
     assert batch.lanes
     assert not batch.warnings
-    told = "W504 lanes: there are none for this row: it has algebraic loops."
+    told = "W504 lanes: cannot be used for this row: it has algebraic loops."
     assert rows.messages == ("", told, "")
     same(rows, 1, d, parameters={"law.num": table[1][0]})
     path = tmp_path / "rows.parquet"
@@ -364,9 +364,9 @@ def test_rows_whose_form_has_no_lanes_say_so_and_are_exact(tmp_path: Path) -> No
 
 
 def test_what_cannot_be_meant_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"E501 lanes: 'fats' is not known\. Did you mean 'fast'"):
+    with pytest.raises(UsageError, match=r"E501 lanes: 'fats' is not a value of lanes\. Did you mean 'fast'"):
         square().batch([], lanes="fats", stop=1.0)
-    with pytest.raises(UsageError, match="E501 lanes: 'fast' is for this machine"):
+    with pytest.raises(UsageError, match="E501 lanes: 'fast' works on this machine only"):
         square().sweep({"gain.k": [-1.0]}, stop=1.0, lanes="fast", on="tcp://nowhere:1")
 
 
@@ -391,10 +391,10 @@ def test_a_sweep_tells_its_lanes_and_goes_on_in_no_others(tmp_path: Path, monkey
             raise KeyboardInterrupt
 
     assert sweep("fast", threads=1, progress=interrupt).interrupted
-    with pytest.raises(UsageError, match=r"E506.*it is of a sweep that differs in its lanes"):
+    with pytest.raises(UsageError, match=r"E506.*it belongs to a sweep that differs in its lanes"):
         sweep("exact")
     monkeypatch.setattr(Machine, "own", lambda: replace(own, functions=frozenset()))
-    with pytest.raises(UsageError, match=r"E506.*it is of a sweep that differs in its lanes"):
+    with pytest.raises(UsageError, match=r"E506.*it belongs to a sweep that differs in its lanes"):
         sweep("fast")
     monkeypatch.setattr(Machine, "own", lambda: own)
     assert sweep("fast").measures["last"].tobytes() == whole.measures["last"].tobytes()

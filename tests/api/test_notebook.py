@@ -298,5 +298,5 @@ def test_a_measure_that_is_misspelled_is_refused_where_it_is_asked_for() -> None
 def test_a_row_in_place_of_a_scenario_is_told_how_it_is_run() -> None:
     d = Diagram("x")
     d.add("a", Constant())
-    with pytest.raises(KeyError, match=r"there is no scenario 1\. Row 1 is run again by single\(1\)\."):
+    with pytest.raises(KeyError, match=r"there is no scenario 1\. To run row 1 again, call single\(1\)\."):
         d.sweep({"a.value": [1.0, 2.0]}, log=["a.y"], every=0.5, stop=1)[1]

@@ -212,7 +212,9 @@ def test_a_run_sees_what_equations_read_from_outside(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("tests.api.test_prepared_model.OUTSIDE", 3.0)
     assert diagram.run()["scaled.y"][-1] == 3.0
     assert model.run()["scaled.y"][-1] == 2.0
-    with pytest.raises(BlocksError, match="E501 outside: what its equations read from outside is not what it was"):
+    with pytest.raises(
+        BlocksError, match="E501 outside: its equations read Python values from outside the blocks, which"
+    ):
         model.run(log=[])
     assert model.run()["scaled.y"][-1] == 2.0
 
@@ -373,7 +375,7 @@ def test_computed_defaults_are_of_what_is_outside_now(monkeypatch: pytest.Monkey
     try:
         assert model.run(parameters={"s.k": 1.0})["s.y"][-1] == 2.0
     except BlocksError as error:
-        assert "is not what it was when the model was prepared" in str(error)  # noqa: PT017
+        assert "which have changed since the model was prepared" in str(error)  # noqa: PT017
     fresh = diagram.run(stop=1.0, parameters={"s.k": 1.0}).origin
     assert known is not None
     assert fresh is not None
@@ -420,7 +422,7 @@ def test_a_start_value_cannot_be_set_in_a_run_though_another_run_had_it() -> Non
 
 
 def test_what_cannot_be_prepared_or_read_is_told() -> None:
-    with pytest.raises(BlocksError, match="E501 inputs: are of a run"):
+    with pytest.raises(BlocksError, match="E501 inputs: cannot be prepared"):
         loop().prepare(inputs={"u": 3.0})
     diagram = loop()
     for given in ({"parameters": {"k": 10**5000}}, {"stop": 10**5000}):

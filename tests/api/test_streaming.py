@@ -165,8 +165,8 @@ CHANGES: dict[str, tuple[dict[str, Any], str]] = {
     "signals": ({"log": ["sine.y"]}, "E506 recorded signals: .*other signals are recorded"),
     "seed": ({"seed": 4}, "E506 .*seed"),
     "engine": ({"engine": "reference"}, "differs in its engine"),
-    "parameters": ({"parameters": {"sine.omega": 2.0}}, "has its parameters from there"),
-    "inputs": ({"inputs": {"r": 1.0}}, "has its inputs from there"),
+    "parameters": ({"parameters": {"sine.omega": 2.0}}, "stores the parameters of its run"),
+    "inputs": ({"inputs": {"r": 1.0}}, "stores the inputs of its run"),
     "file": ({"out": "y.parquet"}, r"E501 .*writes .*x\.parquet"),
 }
 
@@ -278,7 +278,7 @@ def test_a_short_run_has_no_part_and_any_format_is_written(tmp_path: Path, monke
         assert results.stored is None
         results.save(tmp_path / f"y.{ending}")
         assert (tmp_path / f"x.{ending}").read_bytes() == (tmp_path / f"y.{ending}").read_bytes()
-    with pytest.raises(UsageError, match=r"E501 .*no format of result files"):
+    with pytest.raises(UsageError, match=r"E501 .*not a format of result files"):
         noisy().run(out=tmp_path / "x.txt")
 
 
@@ -415,7 +415,7 @@ def test_a_run_does_not_go_back_to_a_part(tmp_path: Path) -> None:
     part = killed(noisy(), tmp_path / "x.parquet")
     before = part.read_bytes()
     run = noisy().start()
-    with pytest.raises(UsageError, match=r"E506 .*is the part of a result file"):
+    with pytest.raises(UsageError, match=r"E506 .*is a partial result file"):
         run.restore(part)
     run.advance(0.5)
     assert part.read_bytes() == before

@@ -127,9 +127,9 @@ def test_values_with_units_on_the_command_line(text: str) -> None:
         (["--set", "motor.Ra=much"], "E107", "number"),
         (["--set", "motor.Ra=1 furlong"], "E114", "furlong"),
         (["--set", "motor.Ra=1,5"], "E501", "Write 1.5, or [1,5] for several values."),
-        (["--set", "motor.Ra=1,5 Ohm"], "E501", "decimals come after a point. Write 1.5 Ohm."),
+        (["--set", "motor.Ra=1,5 Ohm"], "E501", "the decimal separator is a point. Write 1.5 Ohm."),
         (["--set", "motor.Ra=1,2,3"], "E501", "Write [1,2,3] for several values."),
-        (["--stop", "1,5"], "E501", "--stop: '1,5' is not a number: decimals come after a point. Write 1.5."),
+        (["--stop", "1,5"], "E501", "--stop: '1,5' is not a number: the decimal separator is a point. Write 1.5."),
         (["--method", "rk5"], "E115", "rk4"),
         (["--method", "rk4"], "E115", "--step"),
         (["--step", "0.1"], "E115", "dopri5"),
@@ -144,11 +144,12 @@ def test_values_with_units_on_the_command_line(text: str) -> None:
         (
             ["--out", "x.txt"],
             "E501",
-            "x.txt: the ending '.txt' is no format of result files. Use .csv, .parquet or .mat.",
+            "x.txt: the ending '.txt' is not a format of result files. Use .csv, .parquet or .mat.",
         ),
-        (["--plot", "x.jpg"], "E501", "x.jpg: the ending '.jpg' is no format of pictures. Use .svg, .png or .pdf."),
-        (["--plot", "x"], "E501", "x: a name without ending is no format of pictures. Use .svg, .png or .pdf."),
-        (["--plot", "no/such/folder/x.svg"], "E501", "--plot no/such/folder/x.svg: the folder no/such/folder is not"),
+        (["--plot", "x.jpg"], "E501", "x.jpg: the ending '.jpg' is not a format of pictures. Use .svg, .png or .pdf."),
+        (["--plot", "x"], "E501", "x: a name without ending is not a format of pictures. Use .svg, .png or .pdf."),
+        (["--plot", "no/such/folder/x.svg"], "E501", "--plot no/such/folder/x.svg: the folder no/such/folder "
+            "does not exist"),
     ],
 )
 def test_what_cannot_be_meant_is_told_with_a_cure(
@@ -459,14 +460,15 @@ def test_plot_refuses_too_many_signals_and_none_before_the_run(
     target = tmp_path / "x.svg"
     logged = [word for i in range(25) for word in ("--log", f"c{i}.y")]
     assert main(["run", path, "--plot", str(target), *logged]) == 2
-    said = f"E501 --plot {target}: 25 signals are more than 24 in one figure. Choose fewer: --log SIGNAL.\n"
+    said = f"E501 --plot {target}: 25 signals do not fit into one figure: the limit is 24. "
+    said += "Choose fewer signals: --log SIGNAL.\n"
     assert capsys.readouterr().err == said
     assert main(["run", path, "--plot", str(target), *logged[:-2]]) == 0
     capsys.readouterr()  # a slow machine tells how far a run is
     target.unlink()
     silent = write(tmp_path / "silent.json", blocks={"c": {"type": "Constant"}}, run={"stop": 1, "log": []})
     assert main(["run", silent, "--plot", str(target)]) == 2
-    assert capsys.readouterr().err == f"E501 --plot {target}: no signal is recorded. Choose some: --log SIGNAL.\n"
+    assert capsys.readouterr().err == f"E501 --plot {target}: no signal is recorded. Choose signals: --log SIGNAL.\n"
     assert not target.exists()
 
 
@@ -563,13 +565,13 @@ def test_compare_prints_a_table_and_a_verdict(tmp_path: Path, capsys: pytest.Cap
     assert captured.out.splitlines() == [
         f"{a}  first  0 ... 2 s  3 rows",
         f"{b}  b  0 ... 2 s  2 rows",
-        "  the times differ: compared by lines between rows at 3 times of 0 ... 2 s",
+        "  the times differ: compared by linear interpolation at 3 times of 0 ... 2 s",
         "  diagrams: first | b",
         "  signal  unit   difference  of range  at t",
         "  m.w     rad/s  3           0.75      1     ✗",
         "  m.i     A      1           0.5       1     ✗",
         f"  only in {b}: extra",
-        "2 of 2 signals beyond 1e-06 of the range in A, most of all m.w",
+        "2 of 2 signals beyond 1e-06 of the range in A; the worst is m.w",
     ]
     assert main(["compare", a, b, "--tolerance", "0.75"]) == 0
     assert capsys.readouterr().out.endswith("\n2 signals within 0.75 of the range in A\n")
@@ -641,7 +643,7 @@ def test_another_tolerance_of_the_run_is_told_and_its_differences_are_small(
         ),
         ("time,m.w\n0,0\n", ["--tolerance", "-1"], "E501 tolerance: must be a number from 0 on, not -1.0."),
         ("time,m.w\n0,0\n", ["--tolerance", "few"], "E501 --tolerance: 'few' is not a number."),
-        ("time,m.w\n0,0\n", ["--absolute", "1 mV"], "E501 --absolute: '1 mV' is not a number without unit."),
+        ("time,m.w\n0,0\n", ["--absolute", "1 mV"], "E501 --absolute: '1 mV' must be a number without a unit."),
     ],
 )  # fmt: skip
 def test_compare_refuses_what_cannot_be_compared(
@@ -660,7 +662,7 @@ def test_compare_refuses_what_is_no_result_file(tmp_path: Path, capsys: pytest.C
     assert main(["compare", a, str(tmp_path / "none.csv")]) == 2
     assert capsys.readouterr().err == f"E503 {tmp_path / 'none.csv'}: cannot be read: No such file or directory.\n"
     assert main(["compare", a, MOTOR]) == 2
-    said = "the ending '.json' is no format of result files. Use .csv, .parquet or .mat."
+    said = "the ending '.json' is not a format of result files. Use .csv, .parquet or .mat."
     assert capsys.readouterr().err == f"E501 {MOTOR}: {said}\n"
 
 
@@ -679,7 +681,7 @@ def test_settings_of_the_master_are_given_one_by_one(capsys: pytest.CaptureFixtu
     for item, text in (
         ("step", "is not NAME=VALUE"),
         ("step=0.02", "gives step a second value"),
-        ("speed.motor=1", "A step of one block is steps.BLOCK=0.001."),
+        ("speed.motor=1", "To set the step of one block, write steps.BLOCK=0.001."),
         (
             "algorithm=gauss_seidel",
             'E115 run.master.algorithm: "gauss_seidel" is not known. Did you mean "gauss-seidel"?',
@@ -740,7 +742,7 @@ def test_a_terminal_shows_the_faulty_lines_and_a_file_does_not(
     code, told = on_a_terminal("check", str(path))
     assert code == 2
     assert marked(told) == [(3, '"Gian"'), (4, '"parametres"'), (7, '"b.w"')]
-    assert "`blocks explain E103` tells more." in told
+    assert "`blocks explain E103` explains it." in told
     assert main(["check", str(path)]) == 2
     assert "|" not in capsys.readouterr().out
 
@@ -823,13 +825,13 @@ def test_what_follows_from_a_fault_of_structure_is_not_told_beside_it() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["rnu", "x.json"], "'rnu' is no command. Did you mean 'run'?"),
+        (["rnu", "x.json"], "'rnu' is not a command. Did you mean 'run'?"),
         (["run"], "the following arguments are required: DIAGRAM. `blocks run --help`"),
-        (["run", "x.json", "y.json"], "blocks run: 'y.json' is one argument too many."),
-        (["run", "x.json", "--stpo", "3"], "--stpo is not known here. Did you mean '--stop'?"),
-        (["run", "x.json", "--engine", "natve"], "'natve' is no value of --engine. Did you mean 'native'?"),
+        (["run", "x.json", "y.json"], "blocks run: 'y.json' is one argument more than the command takes."),
+        (["run", "x.json", "--stpo", "3"], "--stpo is not an option of this command. Did you mean '--stop'?"),
+        (["run", "x.json", "--engine", "natve"], "'natve' is not a value of --engine. Did you mean 'native'?"),
         (["draw", "x.json", "--depth", "many"], "invalid int value: 'many'."),
-        (["fmu", "chek", "x.fmu"], "'chek' is no command. Did you mean 'check'?"),
+        (["fmu", "chek", "x.fmu"], "'chek' is not a command. Did you mean 'check'?"),
     ],
 )
 def test_a_command_line_that_cannot_be_meant_is_told_with_the_nearest_word(
@@ -1040,7 +1042,9 @@ def test_a_quantizer_in_a_servo_is_taken_as_a_gain_where_the_command_line_says_s
     known = 90.0 - math.degrees(math.atan(crossover))
     assert main(["linearize", path, "--loop", "e.y"]) == 2
     told = capsys.readouterr().err
-    assert "E705 e.y: nothing of what is put in there comes back. q.y passes nothing on where it stands" in told
+    assert (
+        "E705 e.y: a signal that enters there does not come back. q.y passes nothing on at its operating point" in told
+    )
     assert "or --override q=1, or its describing function" in told
     assert "or --amplitude q.u=A." in told
     for options, gain in ((["--override", "q=1"], 1.0), (["--override", "q=[[0.5]]"], 0.5)):
@@ -1059,7 +1063,7 @@ def test_a_quantizer_in_a_servo_is_taken_as_a_gain_where_the_command_line_says_s
         assert main(["linearize", path, "--loop", "e.y", "--override", option]) == 2
         assert says in capsys.readouterr().err
     assert main(["linearize", path, "--loop", "r"]) == 2
-    assert "it is in no loop. Open the loop at a signal that comes back to itself." in capsys.readouterr().err
+    assert "it is in no loop. Open the loop at a signal that feeds back to itself." in capsys.readouterr().err
 
 
 def test_linearize_keeps_the_dead_time_of_a_loop_exact_without_pade(
@@ -1094,7 +1098,7 @@ def test_linearize_keeps_the_dead_time_of_a_loop_exact_without_pade(
     for kind in ("step", "poles"):
         drawn = str(tmp_path / f"{kind}.svg")
         assert main(["linearize", path, "--loop", "e.y", "--plot", drawn, "--figure", kind]) == 2
-        assert "E707 e.y: exact delays contribute, and this figure needs a state space." in capsys.readouterr().err
+        assert "E707 e.y: the loop has exact delays, but this figure needs a state space." in capsys.readouterr().err
     path = write(
         tmp_path / "smith.json",
         inputs={"r": {}},
@@ -1226,7 +1230,8 @@ def test_an_error_of_the_system_that_names_no_file_is_not_one_of_stdout(
 
         monkeypatch.setattr(Diagram, "load", refuse)
         assert main(["run", "x.json"]) == 2, "also not what `| head` ends"
-        assert capsys.readouterr().err == f"E501 the system refused: {said}. `--debug` tells where.\n"
+        told = f"E501 the operating system refused: {said}. Run it again with --debug to see where.\n"
+        assert capsys.readouterr().err == told
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is full")

@@ -126,4 +126,4 @@ def test_the_scripts_complete_in_their_shells(shell: str, folder: Path) -> None:
 
 def test_a_shell_that_is_not_known_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", "tcsh"]) == 2
-    assert "There are bash, zsh, fish, words." in capsys.readouterr().err
+    assert "Choose one of: bash, zsh, fish, words." in capsys.readouterr().err

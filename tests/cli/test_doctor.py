@@ -60,7 +60,7 @@ def test_versions_compiler_engine_and_cache_are_told(
     compiler = driver.find_compiler()
     assert compiler is not None
     assert f"  compiler  {compiler.command[0]} [{compiler.version}], from {compiler.origin}\n" in out
-    assert "a small model was compiled, and ran as it should" in out
+    assert "a small model was compiled and ran correctly" in out
     assert "auto takes native: the compiler works" in out
     assert f"  cache     {folder}: 0 entries, 0.0 MiB (at most 1000 entries, 512 MiB)\n" in out
     assert list(tmp_path.iterdir()) == [folder]
@@ -169,5 +169,7 @@ def test_an_engine_that_the_environment_names_is_told(monkeypatch: pytest.Monkey
     assert installation.examine().entry()["engine_named"] is None
     monkeypatch.setenv("BLOCKS_ENGINE", "reference")
     health = installation.examine()
-    assert "  engine    auto takes native: the compiler works; BLOCKS_ENGINE says 'reference'" in list(health.lines())
+    assert "  engine    auto takes native: the compiler works; BLOCKS_ENGINE is set to 'reference'" in list(
+        health.lines()
+    )
     assert health.entry()["engine_named"] == "reference"

@@ -340,7 +340,7 @@ def test_a_file_that_another_program_changes_meanwhile_is_left_as_that_left_it(
 
     monkeypatch.setattr("blocks.model.document.dumps", late)
     assert main(["fmt", str(path)]) == 2
-    assert "another program has changed it meanwhile" in capsys.readouterr().err
+    assert "another program changed the file in the meantime" in capsys.readouterr().err
     assert path.read_text(encoding="utf-8") == changed
     assert [one.name for one in tmp_path.iterdir()] == ["x.json"]
 

@@ -93,7 +93,7 @@ def test_an_fmu_without_outputs_shows_its_local_variables(capsys: Printed, tmp_p
         ('<InitialUnknown valueReference="2" dependencies=""/>', ""),
     )  # fmt: skip
     out, err = ran(capsys, "--stop", "1", "--input", "u=2")
-    assert err == "plant.fmu has no outputs: its local variables are recorded; --log NAME records others.\n"
+    assert err == "plant.fmu has no outputs: its local variables are recorded; --log NAME records other variables.\n"
     assert re.search(r"^  plant\.y .* 2 ", out, re.MULTILINE)
 
 
@@ -168,7 +168,7 @@ def test_archives_are_named_where_a_diagram_is_meant(capsys: Printed, tmp_path: 
     with zipfile.ZipFile(tmp_path / "system.ssp", "w") as archive:
         archive.writestr("SystemStructure.ssd", "<ssd/>")
     for words, said in {
-        ("run", "plant.fmu"): "E001 plant.fmu:1:1: is an archive, such as an FMU, .* blocks fmu run X.fmu\\.",
+        ("run", "plant.fmu"): "E001 plant.fmu:1:1: is an archive, for example an FMU, .* blocks fmu run X.fmu\\.",
         ("check", "plant.fmu"): "E001 plant.fmu:1:1: is an archive",
         ("run", "system.ssp"): "E001 system.ssp:1:1: is a package of SSP .* Unpack it",
         ("fmu", "run", "system.ssp"): "E202 system.ssp: it is a package of SSP .* Unpack it",

@@ -70,12 +70,15 @@ def test_all_that_the_first_steps_and_the_readme_of_a_new_project_say_works(tmp_
 @pytest.mark.parametrize(
     ("name", "told"),
     [
-        ("My-Plant", "My-Plant: is no name of a module: small letters, digits and _, with a letter first."),
-        ("class", "class: is no name of a module"),
-        ("math", "math: is the name of a module that is there already."),
-        ("numpy", "numpy: is the name of a module that is there already."),
-        ("full", "full: is there already, and it is not empty. Take another name; nothing was written."),
-        ("file", "file: is a file."),
+        (
+            "My-Plant",
+            "My-Plant: cannot name a Python module: use small letters, digits and _, and begin with a letter.",
+        ),
+        ("class", "class: cannot name a Python module"),
+        ("math", "math: is the name of an existing Python module."),
+        ("numpy", "numpy: is the name of an existing Python module."),
+        ("full", "full: exists, and is not empty. Choose another name. Nothing was written."),
+        ("file", "file: exists, and is a file."),
     ],
 )
 def test_a_name_or_a_place_that_is_taken_is_refused(

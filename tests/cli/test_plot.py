@@ -63,8 +63,9 @@ def test_the_command_names_files_in_the_legend(tmp_path: Path, capsys: pytest.Ca
     assert {"a", "b", "motor.omega [rad/s]", "motor.i [A]"} <= set(drawn())
     capsys.readouterr()
     for command, told in [
-        (["--signal", "pump.*", "-o", str(out)], "E501 --signal pump.*: names no signal of a. Signals: motor.omega, "),
-        ([f"a={b}", "-o", str(out)], "E501 FILE: two files have one name in the legend. Call one NAME=FILE."),
+        (["--signal", "pump.*", "-o", str(out)], "E501 --signal pump.*: matches no signal of a. Signals: "
+            "motor.omega, "),
+        ([f"a={b}", "-o", str(out)], "E501 FILE: two files have the same name in the legend. Rename one: NAME=FILE."),
         (["-o", str(b)], "E501"),
     ]:
         assert main(["plot", str(a), *command]) == 2

@@ -70,27 +70,27 @@ def test_numbers_of_ranges_and_distributions_have_units(capsys: pytest.CaptureFi
         ("a=linspace:1,2", "is not linspace:FROM,TO,COUNT"),
         ("a=geomspace:-1,2,3", "with numbers of one sign"),
         ("a=linspace:1,2,2.5", "is not linspace:FROM,TO,COUNT"),
-        ("a=lognorm:0.3,2", "gives no values"),
-        ("a=10:20:5", "E501 --vary a: '10:20:5' is not a number, nor .* A range is linspace:FROM,TO,COUNT"),
-        ("a=normal:20,-2", "E501 --vary a: 'normal:20,-2' is no distribution .*: the deviation -2 is not above 0"),
+        ("a=lognorm:0.3,2", "does not give values"),
+        ("a=10:20:5", "E501 --vary a: '10:20:5' is neither a number nor .* Write a range as linspace:FROM,TO,COUNT"),
+        ("a=normal:20,-2", "E501 --vary a: 'normal:20,-2' is not a distribution .*: the deviation -2 is not above 0"),
         ("a=uniform:30,10", "E501 --vary a: 'uniform:30,10' .*: 30 is not below 10. Give LOW before HIGH"),
         ("a=normal:1,200 mOhm", "'1' needs a unit, because others have one"),
-        ("a=normal:1 Ohm,b", "'b' is not a number. Numbers are in the unit of the parameter, or have a unit"),
+        ("a=normal:1 Ohm,b", "'b' is not a number. Write a number in the unit of the parameter, or add a unit"),
         ("a=linspace:1 V,2 V,3 V", "'3 V' must be a number without a unit"),
         ("a=lognorm:s=0.3 V,scale=2 V", "'0.3 V' must be a number without a unit"),
         ("a=normal:20 degC,2 K", "degC and K have different zeros"),
         ("a=normal:1 rpm,1 Ohm", "E501 --vary a: Ohm and rpm are different quantities. Give all numbers in rpm"),
         ("a=1,,2", "E501 --vary a: '1,,2' has no value between two commas"),
-        ("a=1,2,", "has no value behind its last comma"),
+        ("a=1,2,", "has no value after its last comma"),
         ("a=[1],,[2]", r"E501 --vary a: '\[1\],,\[2\]' is not a list of vectors"),
-        ("a=@x.csv", "E501 --vary a: '@x.csv': values are not read from a file"),
-        ("a=1,two,3", "E501 --vary a: 'two' is not a number, and others are"),
+        ("a=@x.csv", "E501 --vary a: '@x.csv' is not a list of values: --vary reads no files"),
+        ("a=1,two,3", "E501 --vary a: 'two' is a text, and other values are numbers"),
     ],
 )
 def test_words_that_say_nothing_are_refused(word: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         vary_of([word])
-    with pytest.raises(UsageError, match="varied twice"):
+    with pytest.raises(UsageError, match="appears twice"):
         vary_of(["a=1", "a=2"])
 
 
@@ -100,7 +100,7 @@ def test_scenarios_are_read_from_words() -> None:
         "quiet": [], "heavy": ["load", "pid.k", "torque"],
     }  # fmt: skip
     for word in ("noisy", "heavy torque=6", ":torque=6"):
-        with pytest.raises(UsageError, match=f"--scenario {word}: is not NAME:SETTINGS. As in "):
+        with pytest.raises(UsageError, match=f"--scenario {word}: is not NAME:SETTINGS. Example: "):
             scenarios_of([word])
 
 
@@ -147,7 +147,7 @@ def test_a_sweep_without_a_row_that_ran_says_so(capsys: pytest.CaptureFixture[st
     status, entries = told(capsys, "--vary", "motor.Ra=1", "--n", "1.5")
     assert (status, entries[0]["place"]) == (2, "--n")
     status, entries = told(capsys, "--vary", "kp=normal:1,0.1")
-    assert [entries[0][key] for key in ("place", "cure")] == ["--n", "As in --n 1000."]
+    assert [entries[0][key] for key in ("place", "cure")] == ["--n", "Example: --n 1000."]
     assert told(capsys, "--vary", "kp=1", "--log", "nope")[1][0]["place"] == "--log"
 
 

@@ -582,4 +582,4 @@ def test_a_default_in_a_unit_that_is_refused_has_the_code_of_that(values: dict[s
     (fault,) = caught.value.faults
     assert (fault.code, fault.place) == ("E114", "Gain.k")
     assert "E1" not in fault.message
-    assert fault.cure == "Use K, which differences are in."
+    assert fault.cure == "Use K, the unit of differences."

@@ -495,7 +495,7 @@ def test_files_that_hold_each_other_many_times_are_compared_once_each(tmp_path: 
 
     a, b, c = tower(tmp_path / "a", 1), tower(tmp_path / "b", 1), tower(tmp_path / "c", 2)
     assert not differences(a, b)
-    with pytest.raises(ModelError, match=r"E008 there are more than 100,000 differences\."):
+    with pytest.raises(ModelError, match=r"E008 the diagrams have more than 100,000 differences\."):
         differences(a, c)
 
 
@@ -825,7 +825,7 @@ def test_a_diagram_may_come_from_stdin(
         assert run(*arguments) == 0, "its subdiagrams lie where those of the other file do"
     assert "<stdin>: no difference" in capsys.readouterr().out
     assert run("-", "-") == 2
-    assert "only one of the two can come from stdin" in capsys.readouterr().err
+    assert "both diagrams cannot come from stdin" in capsys.readouterr().err
 
 
 def test_json_is_a_line_for_each_change_and_one_for_all(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -846,11 +846,11 @@ def test_the_drawing_is_written_and_an_odd_place_is_refused(pair: Path, capsys: 
     assert capsys.readouterr().out.endswith("\nd.svg\n")
     ElementTree.parse(pair / "d.svg")
     for arguments, word in (
-        (("--svg", "d.png"), "a drawing is an SVG"),
+        (("--svg", "d.png"), "diff draws SVG only"),
         (("--svg", "no/d.svg"), "cannot be written"),
-        (("--depth", "0"), "is not a number of levels"),
-        (("c.json",), "two diagrams are compared"),
-        (("--git",), "2 arguments where git gives seven"),
+        (("--depth", "0"), "must be 1 to 30: the number of levels"),
+        (("c.json",), "more than two files were given"),
+        (("--git",), "2 arguments were given; git passes seven."),
     ):
         assert run("a.json", "b.json", *arguments) == 2
         assert word in capsys.readouterr().err
@@ -863,7 +863,7 @@ def test_a_merge_that_is_not_settled_is_told_to_git(pair: Path, capsys: pytest.C
 
 def test_one_file_is_not_enough(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("a.json") == 2
-    assert capsys.readouterr().err == "E501 blocks diff: two diagrams are compared. Give two files.\n"
+    assert capsys.readouterr().err == "E501 blocks diff: needs two diagrams to compare. Give two files.\n"
 
 
 def test_a_file_with_faults_is_compared_as_far_as_it_can_be_read(
@@ -874,10 +874,10 @@ def test_a_file_with_faults_is_compared_as_far_as_it_can_be_read(
     assert run("a.json", "faulty.json") == 2
     out, err = capsys.readouterr()
     assert '  + extra: diagram "gone.json"\n' in out
-    assert "faulty.json has 2 faults: compared as far as it can be read" in err
+    assert "faulty.json has 2 faults: only the readable part is compared" in err
     assert "E003" in err
     assert "E007" in err
-    assert "what could not be read was not compared" in err
+    assert "the unreadable part was not compared" in err
     assert run("faulty.json", "faulty.json", "--json") == 2  # what cannot be read may differ
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["equal"] is None
 

@@ -145,7 +145,7 @@ def test_pasted_copies_bring_the_version_that_has_them(tmp_path: Path) -> None:
 
 
 def test_what_is_removed_is_what_was_meant(tmp_path: Path) -> None:
-    with pytest.raises(BlocksError, match=r'log\[0\]: is "lag" now, and not "gain.y". Look at what stands there now'):
+    with pytest.raises(BlocksError, match=r'log\[0\]: is now "lag", not "gain.y". Check the present value'):
         edited(tmp_path, LOOP, {"remove": "run.log[0]", "was": "gain.y"})
 
 
@@ -189,11 +189,11 @@ def test_what_would_compute_something_else_is_refused(tmp_path: Path) -> None:
     )
     fault = refused(tmp_path, text, {"in": "part", "remove": "parameters.k"})
     assert fault.code == "E501"
-    assert "would give something else" in fault.message
+    assert "which would change their values" in fault.message
     value = json.loads(text)
     value["parameters"] = {"h": {"value": "=2*3", "unit": "mV"}}
     value["blocks"]["part"]["parameters"]["k"] = "=h*2"
-    assert "its value cannot stand" in refused(tmp_path, json.dumps(value), {"remove": "parameters.h"}).message
+    assert "which cannot hold its value" in refused(tmp_path, json.dumps(value), {"remove": "parameters.h"}).message
 
 
 STUDY = {
@@ -494,27 +494,27 @@ def test_all_files_are_written_or_none(how: str, tmp_path: Path, monkeypatch: py
     [
         ({"set": "blocks.log.parameters.T", "to": 1}, "E105", 'Did you mean "lag"?'),
         ({"set": "blocks.lag.parameters.T"}, "E009", '"to" is missing'),
-        ({"set": "run[", "to": 1}, "E105", "is no place"),
+        ({"set": "run[", "to": 1}, "E105", "is not a place"),
         ({"set": "", "to": 1}, "E004", "empty"),
-        ({"set": "run.stop.x", "to": 1}, "E105", "nothing can stand"),
+        ({"set": "run.stop.x", "to": 1}, "E105", "which cannot hold entries"),
         ({"set": "blocks.lag.doc", "to": True}, "E004", "after the edit"),
         ({"set": "run.log[7]", "to": "r"}, "E105", "3 entries"),
         ({"set": "version", "to": 4}, "E005", "after the edit"),
         ({"set": "run.stop", "to": float("nan")}, "E004", "finite"),
         ({"add": "blocks.lag", "value": {"type": "Gain"}}, "E109", "exists already"),
-        ({"add": "blocks.a b", "value": {"type": "Gain"}}, "E105", "is no place"),
+        ({"add": "blocks.a b", "value": {"type": "Gain"}}, "E105", "is not a place"),
         ({"add": ["blocks", "a b"], "value": {"type": "Gain"}}, "E111", "is not a name"),
         ({"add": "blocks.x", "value": {"tipe": "Gain"}}, "E009", "after the edit"),
         ({"add": "run.log[9]", "value": "r"}, "E105", "entries"),
         ({"remove": "wires.lag.u"}, "E105", 'Write wires["lag.u"].'),
         ({"remove": "format"}, "E009", "after the edit"),
-        ({"rename": "blocks.lag", "to": "gain"}, "E109", "is a block already"),
+        ({"rename": "blocks.lag", "to": "gain"}, "E109", "is already the name of a block"),
         ({"rename": "blocks.lag", "to": "1"}, "E111", "is not a name"),
         ({"rename": "run.log[0]", "to": "x"}, "E501", "has no name"),
-        ({"rename": "measures.itae", "to": "effort"}, "E109", "is a measure already"),
+        ({"rename": "measures.itae", "to": "effort"}, "E109", "is already the name of a measure"),
         ({"wire": "lg.y", "to": "gain.k"}, "E105", "Did you mean 'lag'?"),
         ({"wire": "lag.y", "to": "lag"}, "E501", "is a block"),
-        ({"wire": "lag.y", "to": "lag.u"}, "E109", "is driven by"),
+        ({"wire": "lag.y", "to": "lag.u"}, "E109", "is already driven by"),
         ({"unwire": "lag.v"}, "E105", "Did you mean 'lag.u'?"),
         ({"move": "nothing", "to": [1, 2]}, "E105", "there is no block"),
         ({"move": "lag", "to": [1]}, "E004", "position"),
@@ -522,23 +522,23 @@ def test_all_files_are_written_or_none(how: str, tmp_path: Path, monkeypatch: py
         ({"group": ["lag", "x"], "as": "x"}, "E105", "there is no block"),
         ({"group": ["lag"], "as": "gain"}, "E109", "another block"),
         ({"group": ["lag"], "as": "k"}, "E109", "another parameter"),
-        ({"ungroup": "lag"}, "E501", "is no subdiagram"),
-        ({"swap": "lag", "for": {"type": "Constant"}}, "E105", "no partner"),
+        ({"ungroup": "lag"}, "E501", "is not a subdiagram"),
+        ({"swap": "lag", "for": {"type": "Constant"}}, "E105", "no counterpart"),
         ({"swap": "lag", "for": {"type": "Nothing"}}, "E103", "Nothing"),
         ({"paste": {"run": {"stop": 1}}}, "E003", "run"),
         ({"sett": "run.stop", "to": 1}, "E004", 'Did you mean "set"?'),
         ({"set": "run.stop", "to": 1, "x": 2}, "E003", "not known here"),
         ({"in": "part", "set": "run.stop", "to": 1}, "E105", "there is no block"),
-        ({"in": "lag", "set": "run.stop", "to": 1}, "E105", "is a FirstOrder, and no diagram"),
+        ({"in": "lag", "set": "run.stop", "to": 1}, "E105", "is a FirstOrder, not a subdiagram"),
         ({"file": "../other.json", "set": "run.stop", "to": 1}, "E007", "outside"),
         ({"file": "none.json", "set": "run.stop", "to": 1}, "E007", "does not exist"),
-        (["set"], "E004", "is no operation"),
-        ({"set": 'x["\\x"]', "to": 1}, "E105", "is no place"),
-        ({"set": 'x["a\nb"]', "to": 1}, "E105", "is no place"),
+        (["set"], "E004", "is not an operation"),
+        ({"set": 'x["\\x"]', "to": 1}, "E105", "is not a place"),
+        ({"set": 'x["a\nb"]', "to": 1}, "E105", "is not a place"),
         ({"set": ["run", "log", 1e300], "to": "r"}, "E004", "from 0 to 1,000,000"),
         ({"file": "a\0b", "set": "run.stop", "to": 1}, "E007", ""),
-        ({"set": "parameters.k.unit", "to": "V"}, "E105", "parameters.k, which is the number 2.50"),
-        ({"set": "blocks[0]", "to": 1}, "E105", "blocks is no list"),
+        ({"set": "parameters.k.unit", "to": "V"}, "E105", "parameters.k is the number 2.50"),
+        ({"set": "blocks[0]", "to": 1}, "E105", "blocks is not a list"),
         ({"remove": "lag"}, "E105", "Did you mean blocks.lag?"),
     ],
 )
@@ -620,7 +620,7 @@ def test_random_numbers_stay_where_streams_are_named_and_where_files_are_used(tm
     again = {"group": ["m"], "as": "p"}
     assert '"/x"' in edited(tmp_path, text, {"rename": "blocks.n", "to": "m"}, again, {"ungroup": "p"}, again)
     project(tmp_path, d=text, top={**value, "blocks": {"p": {"diagram": "d.json"}}, "outputs": {}, "run": {}})
-    with pytest.raises(UsageError, match="the diagrams that use this file would get others"):
+    with pytest.raises(UsageError, match="which would change in the diagrams that use"):
         edit_file(tmp_path / "top.json", [{"in": "p", **group}])
 
 
@@ -655,7 +655,7 @@ def test_studies_of_another_version_and_blocks_of_studies_are_refused(tmp_path: 
 def test_what_is_no_list_is_told(tmp_path: Path) -> None:
     path = project(tmp_path, d=LOOP)
     for wrong in (None, 5, "[]", {"set": "run.stop", "to": 1}):
-        with pytest.raises(UsageError, match="operations are a list"):
+        with pytest.raises(UsageError, match="must be a list of operations"):
             edit_file(path, wrong)  # type: ignore[arg-type]
     broken = LOOP.replace('["lag", "gain.y", "error.y"]', "5")
     assert refused(tmp_path, broken, {"add": "run.log", "value": "r"}).code == "E109"
@@ -754,7 +754,7 @@ def test_after_removing_any_entries_nothing_names_them(path: Path, chance: rando
     try:
         text = edit_file(path, [{"remove": [section, name]}]).texts[str(path)]
     except UsageError as error:
-        if section == "parameters" and "where its value cannot stand" in str(error):  # as b0 in "=1/b0"
+        if section == "parameters" and "which cannot hold its value" in str(error):  # as b0 in "=1/b0"
             return
         raise
     assert documents.canonical(read(text))[0] == text

@@ -125,7 +125,7 @@ def test_a_name_inside_of_a_subdiagram_is_mended_outside_as_well(kind: str, tmp_
 
 def test_the_output_of_a_subdiagram_and_its_block_of_the_same_name_are_told_apart(tmp_path: Path) -> None:
     fault = refused(tmp_path, filled(INNER), "part.lag", "fresh")
-    assert (fault.code, fault.cure) == ("E501", "Say which: --kind block or --kind output.")
+    assert (fault.code, fault.cure) == ("E501", "Choose one: --kind block or --kind output.")
     made = renamed(tmp_path, filled(INNER), "part.lag", "fresh", kind="output")
     was = filled(INNER)
     assert made == was.replace('"lag": "sum.y"', '"fresh": "sum.y"').replace(
@@ -207,20 +207,20 @@ def test_expressions_are_edited_by_names_and_not_by_letters(tmp_path: Path) -> N
     [
         ("lag", "1st", "E111", "is not a name"),
         ("lag", "part.lag", "E111", "Give the name alone, without its path: lag."),
-        ("lag", "Gain", "E109", "is a block already"),
-        ("lag", "r", "E109", "is an input already"),
-        ("r", "Kp", "E109", "is a parameter already"),
-        ("Kp", "lag", "E109", "is a block already"),
-        ("speed", "r_out", "E109", "is an output already"),
-        ("speed", "r", "E109", "is an input already"),
-        ("r", "speed", "E109", "is an output already"),
-        ("speed", "time", "E109", "column of times"),
+        ("lag", "Gain", "E109", "is already the name of a block"),
+        ("lag", "r", "E109", "is already the name of an input"),
+        ("r", "Kp", "E109", "is already the name of a parameter"),
+        ("Kp", "lag", "E109", "is already the name of a block"),
+        ("speed", "r_out", "E109", "is already the name of an output"),
+        ("speed", "r", "E109", "is already the name of an input"),
+        ("r", "speed", "E109", "is already the name of an output"),
+        ("speed", "time", "E109", "time column of results"),
         ("Kp", "pi", "E109", "constant"),
-        ("lag", "lag", "E109", "its name already"),
+        ("lag", "lag", "E109", "is already its name"),
         ("lga", "x", "E105", "Did you mean 'lag'?"),
         ("prat.lag", "x", "E105", "Did you mean 'part'?"),
         ("part.lga", "x", "E105", "Did you mean 'lag'?"),
-        ("lag.y", "x", "E105", "is no diagram"),
+        ("lag.y", "x", "E105", "is not a subdiagram"),
         ("lag", "x\ny", "E111", r"x\ny"),
         ("lag\x1b", "x", "E105", r"\u001b"),
         ("", "x", "E105", "there is no"),
@@ -242,12 +242,12 @@ def test_a_name_that_would_make_another_one_mean_something_else_is_refused(tmp_p
      "run": {"log": ["g", "o"]}, "layout": {"o": [1, 2]%s}}"""
     assert '"o": [1, 2]' in renamed(tmp_path, text % ("", ""), "g", "h")
     # The place of the output would be that of the block, and the log would not name the block any more.
-    assert "would mean something else" in refused(tmp_path, text % ("", ""), "g", "o").message
+    assert "would then refer to something else" in refused(tmp_path, text % ("", ""), "g", "o").message
     fault = refused(tmp_path, text % ("", ', "g": [0, 0]'), "g", "o")
-    assert (fault.code, fault.message) == ("E109", 'would make "o" stand twice.')
+    assert (fault.code, fault.message) == ("E109", 'would make "o" appear twice.')
     # What is not there yet would be found.
     open_end = (text % (', "h": {"type": "Gain"}', "")).replace('"run"', '"wires": {"h.u": "new.y"}, "run"')
-    assert "would mean something else" in refused(tmp_path, open_end, "g", "new").message
+    assert "would then refer to something else" in refused(tmp_path, open_end, "g", "new").message
 
 
 def test_the_input_of_an_enabled_subdiagram_cannot_take_the_name_of_its_switch(tmp_path: Path) -> None:
@@ -349,7 +349,7 @@ def test_a_refused_renaming_leaves_the_file_and_says_why(tmp_path: Path, capsys:
     path.write_text(filled(LOOP), encoding="utf-8")
     before = os.stat(path).st_mtime_ns
     assert main(["rename", str(path), "lag", "Gain"]) == 2
-    assert f"E109 {path}:8:3 Gain: is a block already." in capsys.readouterr().err
+    assert f"E109 {path}:8:3 Gain: is already the name of a block." in capsys.readouterr().err
     assert os.stat(path).st_mtime_ns == before
 
 
@@ -405,7 +405,7 @@ def test_other_files_that_use_the_name_are_told_and_left_alone(
     told = set()
     for line in capsys.readouterr().err.splitlines():
         line = line.removesuffix(" (--project changes it as well)")
-        found = re.fullmatch(r"warning: not changed: (.*):(\d+):(\d+): (\S+) -> (\S+)", line)
+        found = re.fullmatch(r"warning: left unchanged: (.*):(\d+):(\d+): (\S+) -> (\S+)", line)
         assert found is not None
         name, at, column, old, new = found.groups()
         name = os.path.relpath(name, os.path.relpath(tmp_path))
@@ -457,7 +457,11 @@ def test_a_project_in_which_a_name_would_be_lost_is_left_alone(tmp_path: Path) -
     # A variant that has a port of the same name, and does not say so.
     middle = before["sub/middle.json"].replace('{"k": 5}}', '{"k": 5}, "variants": {"v": {"type": "Gain"}}}')
     (tmp_path / "sub" / "middle.json").write_text(middle, encoding="utf-8")
-    with pytest.raises(UsageError, match=r"sub/middle.json:3:12 p.u: means a port of another file, a type or an FMU"):
+    with pytest.raises(
+        UsageError,
+        match=r"sub/middle.json:3:12 p.u: is also a port of another file, of a type "
+        r"or of an FMU",
+    ):
         renaming(tmp_path / "part.json", "u", "fresh", project=True)
     assert renaming(tmp_path / "part.json", "u", "fresh").texts.keys() == {str(tmp_path / "part.json")}
 
@@ -628,7 +632,7 @@ def test_what_would_take_too_long_is_refused(tmp_path: Path) -> None:
     document["run"] = {}
     path = tmp_path / "d.json"
     path.write_text(json.dumps(document), encoding="utf-8")
-    assert "big.json names too much" in renaming(path, "a", "b").note
+    assert "big.json has too many names" in renaming(path, "a", "b").note
 
 
 def test_a_missing_file_is_told(tmp_path: Path) -> None:
@@ -679,7 +683,7 @@ def test_a_parameter_that_a_variant_does_not_share_is_not_taken_for_a_port(
     assert main(["rename", str(tmp_path / "p.json"), "k", "K", "--project"]) == 2
     told = capsys.readouterr().err
     assert "E501" in told
-    assert "without --project" in told
+    assert "leave out --project" in told
     assert (tmp_path / "st.json").read_text(encoding="utf-8") == study
 
 

@@ -280,8 +280,8 @@ def test_what_a_run_writes_another_reads(tmp_path: Path) -> None:
         ("time,r\n", "has no rows"),
         ("time,r\n0,1\n1\n", "line 3: 1 cells for 2 columns"),
         ("time,r\n0,1\n1,2,3\n", "line 3: 3 cells for 2 columns"),
-        ("time,r\n0,one\n", "line 2: 'one' in the column 'r' is no number"),
-        ("time,r,r\n0,1,2\n", "two columns of one name"),
+        ("time,r\n0,one\n", "line 2: 'one' in the column 'r' is not a number"),
+        ("time,r,r\n0,1,2\n", "two columns with the same name"),
         ("time,r,rr\n0,1,2\n", "column 'rr' is no input of the diagram. Did you mean 'r'?"),
         ("time,q9\n0,1\n", "column 'q9' is no input of the diagram. Inputs: r."),
         ("time,r\n0,nan\n", "must be finite"),
@@ -309,7 +309,7 @@ def test_members_and_bools_in_a_csv_file_go_by_word_or_number(tmp_path: Path) ->
     for name, first, last in (("gear", 1, 4), ("on", 0, 1)):
         assert runs[0][name].tolist() == runs[1][name].tolist()
         assert (runs[0][name][0], runs[0][name][-1]) == (first, last)
-    with pytest.raises(UsageError, match="'Fast' in the column 'gear' is no number, nor one of Low speed, High"):
+    with pytest.raises(UsageError, match="'Fast' in the column 'gear' is not a number, nor one of Low speed, High"):
         made.run(stop=2.0, inputs=csv(tmp_path, "time,gear,on\n0,Fast,true\n"))
 
 
@@ -324,7 +324,7 @@ def test_a_csv_file_that_is_not_there_is_told(tmp_path: Path) -> None:
 
 
 def test_lines_are_counted_as_an_editor_counts_them(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="line 5: 'x' in the column 'time' is no number"):
+    with pytest.raises(UsageError, match="line 5: 'x' in the column 'time' is not a number"):
         integrated().run(stop=1.0, inputs=csv(tmp_path, "time,r\n0,1\n\n1,2\nx,y\n"))
 
 

@@ -377,7 +377,7 @@ class TestTheZoo:
             assert told == run.ended
             assert re.match(r"W206 z: zoo\d\.fmu ended the run at t = 0\.5 s\.", str(told))
             assert results.interrupted is False
-            with pytest.raises(UsageError, match=r"E501 .*the run is over since t = 0\.5 s: an FMU ended it"):
+            with pytest.raises(UsageError, match=r"E501 .*the run is over: an FMU ended it at t = 0\.5 s"):
                 run.advance(0.1)
             assert np.array_equal(run.finish().t, results.t)
 

@@ -225,7 +225,7 @@ def test_one_block_in_two_diagrams_and_twice_in_one_is_three_blocks() -> None:
     assert block == Integrator(y_start=1.0)
     first_only = first.run(stop=0.5, method="euler", step=0.25, parameters={"z.y_start": 5.0})
     assert [first_only["x.y"][0], first_only["z.y"][0]] == [1.0, 5.0]
-    assert text(lambda: first.add("x", block)) == "E109 x: the name is taken by a block."
+    assert text(lambda: first.add("x", block)) == "E109 x: the name is already used by a block. Choose another name."
 
 
 def test_one_diagram_twice_in_another_is_two_parts() -> None:
@@ -251,7 +251,7 @@ def test_a_second_source_of_one_input_is_refused_and_the_first_one_stays() -> No
     d = pair()
     other = d.add("other", Constant(value=-7.0))
     d.wire("g.u", "c.y")
-    taken = "E109 g.u: is wired already, to c.y. Use Sum to add signals."
+    taken = "E109 g.u: is already wired to c.y. Use Sum to add signals."
     assert text(lambda: d.wire("g.u", other.y)) == taken
     assert text(lambda: d.wire(d["g"].u, d["c"].y)) == taken, "also where it is the same wire again"
     assert d.run(**SHORT)["g.y"][-1] == 6.0
@@ -264,7 +264,7 @@ def test_one_output_may_go_to_two_blocks() -> None:
         d.wire(sink, "c.y")
     results = d.run(**SHORT)
     assert [results["g.y"][-1], results["h.y"][-1]] == [6.0, -3.0]
-    assert "E109 h.u: is wired already, to c.y." in text(lambda: d.wire("h.u", "g.y"))
+    assert "E109 h.u: is already wired to c.y." in text(lambda: d.wire("h.u", "g.y"))
 
 
 @pytest.mark.parametrize(("whole", "element"), [(0, 1), (1, 0)])
@@ -298,7 +298,7 @@ def test_a_port_of_another_diagram_is_refused_also_where_the_names_are_the_same(
 def test_a_wire_that_runs_backwards_is_refused_with_its_turn() -> None:
     d = pair()
     said = text(lambda: d.wire(d["c"].y, d["g"].u))
-    assert said == "E112 c.y: is a source, and a wire ends at an input. The sink comes first: wire(g.u, c.y)."
+    assert said == "E112 c.y: is a source, but a wire ends at an input. Put the sink first: wire(g.u, c.y)."
 
 
 @pytest.mark.parametrize("thing", [1.0, None, True, ["c.y"], Gain()], ids=repr)

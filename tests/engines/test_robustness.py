@@ -510,7 +510,7 @@ def test_a_signal_keeps_what_was_computed(engine: str, name: str, folder: Path) 
     assert np.all(np.diff(results.t) > 0)
     for text in ("x.y", f"{len(results.t)} rows in out.csv", "figure in plot.svg", "in state"):
         assert text in out
-    assert "what was computed up to there is kept; --resume state goes on from there" in said
+    assert "the results up to this time are kept; --resume state goes on from there" in said
     assert {path.name for path in folder.iterdir()} == {"out.csv", "plot.svg", "state", "temporary", "wave.json"}
     reached = Diagram.load(folder / "wave.json").start(stop=3000.0, resume=folder / "state").t
     assert 0.0 <= reached - results.t[-1] <= 1.0
@@ -630,7 +630,7 @@ def test_an_fmu_that_hangs_is_ended_by_a_second_signal(engine: str, folder: Path
     wait_for(lambda: [*command.temporary.iterdir()])
     time.sleep(2.0)
     command.send("SIGTERM")
-    command.until("interrupted: the run ends after its step; once more ends it at once\n")
+    command.until("interrupted: the run ends after this step; a second Ctrl-C ends it at once\n")
     begin = time.monotonic()
     command.send("SIGINT")
     status, out, _ = command.ended()
@@ -674,7 +674,7 @@ def test_a_signal_while_an_fmu_says_something_is_heard(kind: str, engine: str, f
     more = ("--master", "step=0.001") if kind == "CS" else ("--method", "rk4", "--step", "0.001")
     status, said, _ = interrupted_pair(folder, engine, "SIGTERM", *more)
     assert status == 143, said
-    assert "what was computed up to there is kept" in said
+    assert "the results up to this time are kept" in said
     assert "Traceback" not in said
     assert "ignored" not in said
     assert Results.load(folder / "out.csv").interrupted
@@ -687,7 +687,7 @@ def test_a_signal_in_the_background_is_heard_while_an_fmu_says_something(folder:
     ignore = lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)  # noqa: E731
     status, said, _ = interrupted_pair(folder, "native", "SIGTERM", "--master", "step=0.001", preexec_fn=ignore)
     assert status == 143, said
-    assert "what was computed up to there is kept" in said
+    assert "the results up to this time are kept" in said
     assert "Traceback" not in said
     assert Results.load(folder / "out.csv").interrupted
 
@@ -731,7 +731,7 @@ def test_a_signal_is_heard_after_one_step_of_slow_fmus(master: tuple[str, ...], 
     more = [word for one in master for word in ("--master", one)]
     status, said, seconds = interrupted_pair(folder, engine, "SIGTERM", *more)
     assert status == 143, said
-    assert "what was computed up to there is kept" in said
+    assert "the results up to this time are kept" in said
     assert seconds < 10.0  # six steps of FMUs at most, and what is written
 
 
@@ -819,7 +819,7 @@ def test_without_room_for_anything_the_table_is_kept(folder: Path) -> None:
     status, out, said = small(folder, 100, "--out", "out.csv", "--save", "state", "--plot", "plot.svg")
     assert status == 2
     assert said.count("File too large") == 3
-    assert "kept: nothing but the table" in said
+    assert "kept: only the table" in said
     assert "x.y" in out
     assert sorted(os.listdir(folder)) == ["temporary", "wave.json"]
 
@@ -897,9 +897,9 @@ def test_what_cannot_be_written_is_told_before_the_run(
     ending = {"--out": ".csv", "--save": "", "--plot": ".svg"}[option]
     cases = {
         "x" * 300 + ending: "cannot be written: File name too long",
-        f"none/x{ending}": "the folder none is not there",
-        "folder": "is no ordinary file",
-        "wave.json": "is a file that this run reads",
+        f"none/x{ending}": "the folder none does not exist",
+        "folder": "is not an ordinary file",
+        "wave.json": "is also an input of this command",
     }
     (tmp_path / "folder").mkdir()
     for path, why in cases.items():

@@ -262,7 +262,7 @@ def test_what_is_given_anew_counts_from_the_state_on(settings: dict[str, Any]) -
 def test_a_start_beside_a_state_is_refused() -> None:
     run = mixed().start()
     run.advance_to(0.5)
-    with pytest.raises(UsageError, match="E501 start: a run that goes on begins where the state is"):
+    with pytest.raises(UsageError, match="E501 start: cannot be set for a resumed run"):
         mixed().run(resume=run.snapshot(), start=0.1)
 
 
@@ -273,7 +273,7 @@ def test_a_parameter_that_was_set_must_be_in_the_diagram(tmp_path: Path) -> None
     run.advance_to(0.5)
     other = Diagram("other")
     other.add("sine", Sine())
-    with pytest.raises(UsageError, match=r"E506 other: the state does not fit the diagram: it has set gain\.value"):
+    with pytest.raises(UsageError, match=r"E506 other: the state does not fit the diagram: it sets gain\.value"):
         other.run(stop=1.0, resume=run.snapshot())
 
 

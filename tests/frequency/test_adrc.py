@@ -421,7 +421,7 @@ def test_the_usual_periods_are_a_twentieth_to_a_fortieth_of_that_of_the_bandwidt
     made = sampling_limits([-1.0, -3.0], bandwidth=2 * math.pi)
     assert made.usual == pytest.approx((0.025, 0.05), rel=EXACT)
     assert made.euler == pytest.approx(2 / 3, rel=EXACT)
-    with pytest.raises(AnalysisError, match="E705 poles: 1"):
+    with pytest.raises(AnalysisError, match="E705 poles: the pole 1"):
         sampling_limits([-1.0, 1.0])
 
 
@@ -491,27 +491,33 @@ def test_the_cycle_of_the_formula_is_that_of_the_sampled_diagram() -> None:
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda: bandwidth_gains(0, 1.0), "E501 n: 0 is no order"),
-        (lambda: adrc_gains(1.5, 1.0), "E501 n: 1.5 is no order"),  # type: ignore[arg-type]
-        (lambda: adrc_gains(math.nan, 1.0), "E501 n: nan is no order"),  # type: ignore[arg-type]
-        (lambda: adrc_gains("2", 1.0), "E501 n: '2' is no order"),  # type: ignore[arg-type]
-        (lambda: bandwidth_gains(2, 1e200), "E501 wo: 1e+200: its powers up to 3 are no floats"),
-        (lambda: adrc_gains(2, 1e-200), "E501 wc: 1e-200: its powers up to 2 are no floats"),
-        (lambda: equivalent_bandwidth(2, None), "E501 w3db: None is not above 0"),  # type: ignore[arg-type]
-        (lambda: noise_gain("abc"), "E501 gains: are finite numbers in one row"),  # type: ignore[arg-type]
+        (lambda: bandwidth_gains(0, 1.0), "E501 n: must be an order, 1, 2, 3, ..., not 0"),
+        (lambda: adrc_gains(1.5, 1.0), "E501 n: must be an order, 1, 2, 3, ..., not 1.5"),  # type: ignore[arg-type]
+        (lambda: adrc_gains(math.nan, 1.0), "E501 n: must be an order, 1, 2, 3, ..., not nan"),  # type: ignore[arg-type]
+        (lambda: adrc_gains("2", 1.0), "E501 n: must be an order, 1, 2, 3, ..., not '2'"),  # type: ignore[arg-type]
+        (
+            lambda: bandwidth_gains(2, 1e200),
+            "E501 wo: 1e+200 overflows a double, or vanishes, when raised to the power 3",
+        ),
+        (lambda: adrc_gains(2, 1e-200), "E501 wc: 1e-200 overflows a double, or vanishes, when raised to the power 2"),
+        (lambda: equivalent_bandwidth(2, None), "E501 w3db: must be above 0, not None"),  # type: ignore[arg-type]
+        (lambda: noise_gain("abc"), "E501 gains: must be finite numbers in one row"),  # type: ignore[arg-type]
         (lambda: controller(1, [0.0], [0.0, 0.0], 1.0), "E501 controller: all gains are 0"),
-        (lambda: observer(1, [1.0, 1.0], "b0"), "E501 b0: 'b0' is no gain"),  # type: ignore[arg-type]
-        (lambda: sampling_limits(["a"]), "E501 poles: are finite numbers"),  # type: ignore[list-item]
-        (lambda: bandwidth_gains(2, -1.0), "E501 wo: -1.0 is not above 0"),
-        (lambda: adrc_gains(2, math.nan), "E501 wc: nan is not above 0"),
-        (lambda: controller(2, [1.0], [1.0, 1.0, 1.0], 1.0), "E501 feedback: there are 1, and 2 are needed"),
-        (lambda: controller(2, [1.0, 1.0], [1.0, 1.0], 1.0), "E501 observer: there are 2, and 3 are needed"),
-        (lambda: observer(1, [1.0, 1.0], 0.0), "E501 b0: 0.0 is no gain"),
-        (lambda: observer(1, [1.0, math.inf], 1.0), "E501 gains: are finite numbers in one row"),
-        (lambda: sampling_limits([]), "E501 poles: are finite numbers"),
-        (lambda: euler_cycles([1.0], math.tanh, 0.0), "E501 period: 0.0 is not above 0"),
+        (lambda: observer(1, [1.0, 1.0], "b0"), "E501 b0: must be a finite gain other than 0, not 'b0'"),  # type: ignore[arg-type]
+        (lambda: sampling_limits(["a"]), "E501 poles: must be finite numbers"),  # type: ignore[list-item]
+        (lambda: bandwidth_gains(2, -1.0), "E501 wo: must be above 0, not -1.0"),
+        (lambda: adrc_gains(2, math.nan), "E501 wc: must be above 0, not nan"),
+        (lambda: controller(2, [1.0], [1.0, 1.0, 1.0], 1.0), "E501 feedback: has 1 values, but 2 are needed"),
+        (lambda: controller(2, [1.0, 1.0], [1.0, 1.0], 1.0), "E501 observer: has 2 values, but 3 are needed"),
+        (lambda: observer(1, [1.0, 1.0], 0.0), "E501 b0: must be a finite gain other than 0, not 0.0"),
+        (lambda: observer(1, [1.0, math.inf], 1.0), "E501 gains: must be finite numbers in one row"),
+        (lambda: sampling_limits([]), "E501 poles: must be finite numbers"),
+        (lambda: euler_cycles([1.0], math.tanh, 0.0), "E501 period: must be above 0, not 0.0"),
         (lambda: euler_cycles([1.0], lambda e: math.nan, 1.0), "E501 law: is not finite"),
-        (lambda: euler_cycles([1.0], math.tanh, 1.0, amplitude=(1.0, 1.0)), "E501 amplitude: 1 is not below 1"),
+        (
+            lambda: euler_cycles([1.0], math.tanh, 1.0, amplitude=(1.0, 1.0)),
+            "E501 amplitude: the lower limit 1 must lie below the upper limit 1",
+        ),
     ],
 )
 def test_what_cannot_be_meant_is_refused(call: Callable[[], Any], text: str) -> None:

@@ -271,10 +271,10 @@ def test_hysteresis_that_is_not_crossed_has_no_gain() -> None:
         describing.relay(0.1, -0.1, 1.0, -1.0, np.array([1.0, 0.05]))
     assert str(raised.value) == (
         "E704 describing function: a relay that goes on at 0.1 and off below -0.1 does not switch at"
-        " 0 + 0.05 sin(theta): its output is constant, and which one depends on the past."
-        " Take an amplitude above 0.1, or put a constant in its place."
+        " 0 + 0.05 sin(theta): its output is constant, and its value depends on the past."
+        " Give an amplitude above 0.1, or replace the relay by a constant."
     )
-    with pytest.raises(AnalysisError, match=r"E704 .* a backlash of 2 is not crossed by an amplitude of 1"):
+    with pytest.raises(AnalysisError, match=r"E704 .* an amplitude of 1 does not cross a backlash of width 2"):
         describing.backlash(2.0, 1.0)
     # Without hysteresis the output does not depend on the past.
     assert describing.relay(0.1, 0.1, 1.0, -1.0, 0.05) == Described(0.0, -1.0)
@@ -487,7 +487,7 @@ def test_the_tracking_differentiator_of_han_has_its_bandwidth() -> None:
         (lambda: harmonics(np.tanh, 1.0, 0.0, 0), "0 harmonics were asked for. Ask for 1 or more."),
         (
             lambda: sinusoidal(lambda u: u[:3], 1.0),
-            "the law gives an array of shape (3,) for 206 inputs. It must give one output for each input.",
+            "the law gives an array of shape (3,) for 206 inputs. Return one output for each input.",
         ),
         (
             lambda: fundamental(lambda u: u[0], [1.0], [0.0, 1.0]),
@@ -511,10 +511,10 @@ def test_the_tracking_differentiator_of_han_has_its_bandwidth() -> None:
         ),
         (lambda: describing.quantizer(0.0, 1.0), "the interval is 0. Give an interval above 0."),
         (lambda: describing.backlash(-1.0, 1.0), "the width is -1. Give a width of 0 or more."),
-        (lambda: breaks_of(np.sign, 1.0, 1.0), "1 ... 1 is no interval. Give the lower end first."),
+        (lambda: breaks_of(np.sign, 1.0, 1.0), "1 ... 1 is not an interval. Give the lower end first."),
         (
             lambda: breaks_of(np.sign, 0.0, 1.0, lambda u: u[:2]),
-            "the switches give an array of shape (2,) for 1265 inputs. They must give (n, k).",
+            "the switches give an array of shape (2,) for 1265 inputs. Return an array of shape (n, k).",
         ),
     ],
 )
@@ -529,11 +529,11 @@ def test_a_law_that_is_not_finite_is_refused_with_the_input() -> None:
         sinusoidal(np.sqrt, 1.0)
     assert str(raised.value) == (
         "E704 describing function: the law gives nan at u = -1."
-        " Take inputs at which it is defined, or estimate the response by simulation."
+        " Give inputs at which the law is defined, or estimate the response by simulation."
     )
     with pytest.raises(AnalysisError, match=r"the law gives inf at u = 0\.\d+\."):
         harmonics(lambda u: np.where(u > 0.3, np.inf, u), 1.0)
     with pytest.raises(AnalysisError, match=r"the law gives nan at u = \(.*, .*\)\."):
         fundamental(lambda u: np.log(u[0] + u[1]), [1.0, 1.0], [0.0, 0.0])
-    with pytest.raises(AnalysisError, match="grows so fast that what lies beyond 13 deviations of 1 counts"):
+    with pytest.raises(AnalysisError, match="grows so fast that inputs beyond 13 deviations of 1 matter"):
         gaussian(lambda u: np.exp(u**2), 1.0)

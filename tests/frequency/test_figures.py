@@ -180,7 +180,7 @@ def test_a_pole_map_shows_poles_zeros_and_the_border() -> None:
     assert len(shown["T: zeros"].get_xdata()) == 2
     sampled = pole_map(control.c2d(closed, 0.05)).axes[0]
     assert any(len(one.get_xdata()) == 361 for one in sampled.get_lines())
-    with pytest.raises(UsageError, match="no plane in common"):
+    with pytest.raises(UsageError, match="cannot share a plane"):
         pole_map([closed, control.c2d(closed, 0.05)])
 
 
@@ -219,13 +219,13 @@ def test_an_exact_delay_is_drawn() -> None:
 
 def test_what_cannot_be_drawn_is_refused() -> None:
     many = control.ss([[-1.0]], [[1.0, 2.0]], [[1.0]], [[0.0, 0.0]])
-    with pytest.raises(UsageError, match=r"E501 bode: .* 1 outputs and 2 inputs\. Pick a channel"):
+    with pytest.raises(UsageError, match=r"E501 bode: .* 1 outputs and 2 inputs\. Choose a channel"):
         bode(many)
-    with pytest.raises(UsageError, match="cannot be told apart"):
+    with pytest.raises(UsageError, match="cannot be distinguished"):
         sigma([plant()] * 7)
-    with pytest.raises(UsageError, match="cannot be told apart"):
+    with pytest.raises(UsageError, match="cannot be distinguished"):
         bode([])
-    with pytest.raises(UsageError, match="positive numbers in rad/s"):
+    with pytest.raises(UsageError, match="positive numbers, in rad/s"):
         bode(plant(), [0.0, 1.0])
 
 

@@ -372,7 +372,7 @@ def test_an_unstable_loop_says_so_first() -> None:
     assert found.unstable[0].real == pytest.approx(expected.real)
     first, *_ = str(found).splitlines()
     assert first.startswith("closed loop     UNSTABLE (0.077217")
-    assert first.endswith("what follows are distances to the border, no margins")
+    assert first.endswith("the values below are distances to the border of stability, not margins")
 
 
 def test_what_lies_beside_the_loop_does_not_count_unless_it_grows() -> None:

@@ -116,12 +116,16 @@ def test_at_the_nyquist_frequency_a_sampled_response_is_real() -> None:
 def test_measured_data_answer_at_their_own_frequencies_only() -> None:
     data = control.frd(np.array([1 + 1j, 2 + 0j]), np.array([1.0, 2.0]))
     assert response(data, [2.0])[0, 0, 0] == 2
-    with pytest.raises(AnalysisError, match=r"E705 response: measured at 2 frequencies, and 1\.5 rad/s is none"):
+    with pytest.raises(
+        AnalysisError,
+        match=r"E705 response: the data were measured at 2 frequencies, but not "
+        r"at 1\.5 rad/s",
+    ):
         response(data, [1.5])
 
 
 def test_what_is_no_system_is_refused() -> None:
-    with pytest.raises(UsageError, match="E501 system: float is no linear system"):
+    with pytest.raises(UsageError, match="E501 system: float is not a linear system"):
         response(1.0, [1.0])
     with pytest.raises(UsageError, match="finite numbers"):
         response(disturbance(LESO), [math.inf])
@@ -358,9 +362,9 @@ def test_what_never_falls_has_no_bandwidth() -> None:
 
 
 def test_a_zero_or_infinite_gain_at_zero_frequency_is_no_reference() -> None:
-    with pytest.raises(AnalysisError, match=r"E705 bandwidth: .* is zero\. Ask for relative='peak' or"):
+    with pytest.raises(AnalysisError, match=r"E705 bandwidth: .* is zero\. Use relative='peak' or"):
         bandwidth(observer(LESO, to=3))
-    with pytest.raises(AnalysisError, match=r"infinite .*\. Ask for relative='unity'\."):
+    with pytest.raises(AnalysisError, match=r"infinite .*\. Use relative='unity'\."):
         bandwidth(control.tf([5], [1, 0]))
     assert bandwidth(control.tf([5], [1, 0]), relative="unity", drop=20 * math.log10(2)) == pytest.approx(10.0)
     band_pass = control.tf([0.2, 0], [1, 0.2, 1])

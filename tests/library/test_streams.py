@@ -293,7 +293,7 @@ def test_a_run_that_is_resumed_goes_on_with_its_noise(engine: str, tmp_path: Pat
             rest = d.run(stop=5, resume=state, engine=engine, **given)
             rows = np.searchsorted(rest.t, 0.25 * np.arange(10, 20) + 0.125)
             assert np.asarray(rest["left.noise.y"])[rows].tolist() == whole[10:]
-        with pytest.raises(UsageError, match=r"E506 robot: the state is of a run with the seed 4"):
+        with pytest.raises(UsageError, match=r"E506 robot: the state comes from a run with the seed 4"):
             d.run(stop=5, resume=state, engine=engine, seed=5)
     other = d.start(seed=7, engine=engine)
     other.restore(tmp_path / "state")

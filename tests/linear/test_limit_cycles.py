@@ -72,7 +72,7 @@ def test_a_start_that_moves_is_refused_with_the_states_their_rates_and_the_cure(
     assert {fault.place for fault in caught.value.faults} == set(rates)
     for fault in caught.value.faults:
         assert fault.code == "E705"
-        told = f"is not at rest, where limit cycles are looked for: it changes by {rates[fault.place]:.3g} a second."
+        told = f"is not at rest, as a search for limit cycles needs: it changes by {rates[fault.place]:.3g} a second."
         assert fault.message == told
     assert "at=find_operating_point(diagram)" in caught.value.faults[-1].cure
 
@@ -219,11 +219,12 @@ def test_a_servo_of_low_gain_has_no_cycle_and_comes_to_rest_within_its_play() ->
 
 def test_a_backlash_has_no_linear_model_and_says_what_it_has_instead() -> None:
     alone = Diagram.alone(Backlash(width=0.2))
-    with pytest.raises(AnalysisError, match=r"E703 Backlash: .* Ask for its response at an amplitude, .* overrides="):
+    with pytest.raises(AnalysisError, match=r"E703 Backlash: .* its response at an amplitude.* overrides="):
         alone.linearize("u", "y")
     with pytest.raises(AnalysisError, match=r"E704 Backlash.y: lags behind its input"):
         alone.linearize("u", "y", amplitude={"Backlash.u": 1.0})
-    with pytest.raises(AnalysisError, match=r"E704 Backlash.y: a backlash of 0.2 is not crossed by .* of 0.1"):
+    with pytest.raises(AnalysisError, match=r"E704 Backlash.y: an amplitude of 0.1 does not cross a backlash of "
+        r"width 0.2"):
         alone.linearize("u", "y", amplitude={"Backlash.u": 0.1})
     with pytest.raises(AnalysisError, match=r"E704 Backlash: is a backlash, which has no describing function for"):
         alone.linearize("u", "y", sigma={"Backlash.u": 1.0})

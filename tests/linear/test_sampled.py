@@ -421,7 +421,11 @@ def test_a_lifted_model_of_one_rate_is_the_model_and_what_never_ticks_has_none()
     omega = np.geomspace(0.1, 30.0, 5)
     assert np.allclose(lifted.fundamental(omega), response(model, omega), rtol=SAME)
     alone = Diagram.alone(blocks.FirstOrder())
-    with pytest.raises(UsageError, match=r"E501 FirstOrder: nothing sampled contributes to this transfer\. Use model"):
+    with pytest.raises(
+        UsageError,
+        match=r"E501 FirstOrder: this transfer has no sampled part\. "
+        r"Use model",
+    ):
         alone.linearizer().lifted("u", "y")
 
 
@@ -582,7 +586,10 @@ def test_the_closed_loop_over_all_ticks_has_the_poles_of_the_diagram() -> None:
 
 def test_a_sampled_loop_is_not_opened_where_its_signal_changes_between_ticks_and_acts_there() -> None:
     """With its input held from tick to tick it would be another loop, of one rate as of several."""
-    told = r"E705 motor\.y: changes between the ticks of sampled blocks, and acts there.*held: outer\.y, computing\.y"
+    told = (
+        r"E705 motor\.y: changes and acts between the ticks of sampled blocks.*held: outer\.y, "
+        r"computing\.y"
+    )
     with pytest.raises(AnalysisError, match=told):
         of_two_rates().linearizer().loop("motor.y")
     one = Diagram("one")
@@ -594,7 +601,7 @@ def test_a_sampled_loop_is_not_opened_where_its_signal_changes_between_ticks_and
         "gain.u": "hold.y", "first.u": "gain.y", "second.u": "first.y", "hold.u": "second.y",
     }.items():  # fmt: skip
         one.wire(target, source)
-    with pytest.raises(AnalysisError, match=r"E705 first\.y: changes between the ticks.*held: hold\.y"):
+    with pytest.raises(AnalysisError, match=r"E705 first\.y: changes and acts between the ticks.*held: hold\.y"):
         one.linearizer().loop("first.y")
     before, behind = (margins(one.linearizer().loop(name)) for name in ("second.y", "gain.y"))
     assert before.gain == pytest.approx(behind.gain, rel=1e-10)
@@ -745,7 +752,7 @@ def test_a_delay_behind_a_hold_is_a_hold_with_an_offset(delay: float) -> None:
 
 def test_delays_have_no_state_space_but_pade_models() -> None:
     linearizer = delayed_loop(0.4).linearizer()
-    with pytest.raises(AnalysisError, match=r"E707 late: exact delays contribute.*late\.past \(0\.4 s\)") as told:
+    with pytest.raises(AnalysisError, match=r"E707 late: the transfer has exact delays.*late\.past \(0\.4 s\)") as told:
         linearizer.model("r", "plant.y")
     assert "pade=3" in str(told.value)
     omega = np.geomspace(0.01, 3.0, 10)

@@ -104,7 +104,7 @@ def test_a_bus_in_python() -> None:
     assert d.to_json()["wires"]["g.u"] == "part.y[b]"
     assert list(d.run(stop=1.0, log=[bus.y["b"]])) == ["bus.y[b]"]
     for wrong in ("", "a b", "a]", "0x"):
-        with pytest.raises(IndexError, match="or of a bus named"):
+        with pytest.raises(IndexError, match="the name of an element of a bus"):
             _ = bus.y[wrong]
 
 

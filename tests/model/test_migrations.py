@@ -308,7 +308,7 @@ def test_check_warns_of_an_older_file_and_fmt_brings_it_up_to_date(
     assert main(["rename", str(path), "g", "h"]) == 2
     assert f"blocks fmt {path}" in capsys.readouterr().err
     assert main(["fmt", str(path)]) == 0
-    assert capsys.readouterr().out == f"{path}: formatted, brought from version 0 to 2\n"
+    assert capsys.readouterr().out == f"{path}: formatted, converted from version 0 to 2\n"
     assert path.read_text(encoding="utf-8") == NEW
     assert main(["check", str(path)]) == 0
     assert "W103" not in capsys.readouterr().out

@@ -109,7 +109,11 @@ def test_a_limit_of_a_measure_is_a_difference(tmp_path: Path) -> None:
     diagram = body()
     diagram.measure("far", "peak", of="body.T", against=20)
     options: dict[str, Any] = {"minimize": "far", "over": {"body.tau": (5, 20)}, "budget": 3, "method": "de", "seed": 1}
-    with pytest.raises(UsageError, match=r"E501 .*degC has an offset, and measures are differences. Write K"):
+    with pytest.raises(
+        UsageError,
+        match=r"E501 .*degC has an offset, but measures are differences, which have "
+        r"none. Write K",
+    ):
         diagram.tune(subject_to=["far <= 40 degC"], **options)
     assert diagram.tune(subject_to=["far <= 40 K"], **options).is_feasible
 

@@ -72,7 +72,7 @@ def test_behind_a_cut_a_signal_rests_under_all_of_its_names() -> None:
 @pytest.mark.parametrize("word", ["inputs", "openings"])
 def test_nothing_is_put_in_where_a_signal_is_only_passed_on(word: str) -> None:
     given: dict[str, Any] = {"inputs": "u", "outputs": "h.y", "openings": (), word: ["x.y1"]}
-    with pytest.raises(UsageError, match=r"only passed on.*Name g\.y"):
+    with pytest.raises(UsageError, match=r"is a copy of a signal.*Name g\.y"):
         passing_on().linearize(given["inputs"], given["outputs"], openings=given["openings"])
 
 
@@ -81,7 +81,7 @@ def test_what_limits_rates_has_no_linear_model_even_where_it_stands_still() -> N
     r = d.input("r", default=1.0)
     d.add("b", RateLimiter(rising=100.0, falling=100.0))
     d.wire("b.u", r)
-    with pytest.raises(AnalysisError, match="does something at each step"):
+    with pytest.raises(AnalysisError, match="acts at each step"):
         d.linearize("r", "b.y")
 
 
@@ -102,7 +102,7 @@ def test_a_law_that_bends_beside_others_with_amplitudes_is_told() -> None:
     d = Diagram.load(FOLDER / "paper" / "iadrc.json")
     amplitude: dict[str, Any] = {"control_right.eso.e": 0.01, "control_right.nlsef.e[0]": 0.05}
     notes = {row.path: row.note for row in d.linearizer(amplitude=amplitude).loop("motor_right.v").report}
-    assert "law[1] bends too, and stands at e[1] = 0: give its amplitude" in notes["control_right.nlsef"]
+    assert "law[1] is nonlinear too, and works at e[1] = 0: give its amplitude" in notes["control_right.nlsef"]
     amplitude["control_right.nlsef.e[1]"] = 0.5
     notes = {row.path: row.note for row in d.linearizer(amplitude=amplitude).loop("motor_right.v").report}
     assert "law[1]" not in notes["control_right.nlsef"]
@@ -120,8 +120,8 @@ def test_a_point_that_is_none_of_rest_is_told_where_something_is_not_linear() ->
     ("arguments", "says"),
     [
         (("--loop", "r"), "it is in no loop"),
-        (("--loop", "control.u", "--figure", "bode"), "no file to draw it to"),
-        (("--loop", "control.u", "--pade", "-1"), "is no order of a model"),
+        (("--loop", "control.u", "--figure", "bode"), "has no file to draw to"),
+        (("--loop", "control.u", "--pade", "-1"), "is not an order of a Padé model"),
         (("--loop", "control.u", "--input", "r=60 V"), "different quantities"),
     ],
 )

@@ -213,4 +213,4 @@ def test_a_time_that_looks_like_an_expression_says_how_one_is_written(
 ) -> None:
     (tmp_path / "d.json").write_text('{"format": "blocks-diagram", "version": 2, "inputs": {"r": {"default": 1}}}')
     assert main(["run", str(tmp_path / "d.json"), "--every", text]) != 0
-    assert f'An expression begins with "=": --every "={text}".' in capsys.readouterr().err
+    assert f'Begin an expression with "=": --every "={text}".' in capsys.readouterr().err

@@ -402,14 +402,14 @@ def test_a_variant_is_chosen_on_the_command_line(tmp_path: Path, capsys: pytest.
     assert (tmp_path / "a.svg").read_text() != (tmp_path / "b.svg").read_text()
     for words, code, text in (
         (["--variant", "motor_right"], 2, "is not BLOCK=NAME"),
-        (["--variant", "motor_right=base", "--variant", "motor_right=fmu"], 2, "chooses a second one"),
+        (["--variant", "motor_right=base", "--variant", "motor_right=fmu"], 2, "chooses a second variant"),
         (["--variant", "motor_right=fmi"], 2, 'E122 motor_right: there is no variant "fmi". Did you mean "fmu"?'),
         (["--variant", "robot.motor=fmu"], 2, "there is no block of this path"),
     ):
         assert main(["run", robot, *words]) == code
         assert text in capsys.readouterr().err
     assert main(["export", robot, "-o", str(tmp_path / "x.fmu")]) == 2
-    assert "E606 motor_right: is an FMU, which an FMU cannot hold." in capsys.readouterr().err
+    assert "E606 motor_right: is an FMU, and an exported FMU cannot contain another FMU." in capsys.readouterr().err
 
 
 def test_check_warns_of_what_run_refuses_and_says_how_to_trust_it(

@@ -98,7 +98,7 @@ def test_a_results_file_does_not_replace_what_the_run_reads(tmp_path: Path, caps
     through_gain(unit="V", default=1.0).save(path)
     before = path.read_bytes()
     assert main(["run", str(path), "--stop", "1", "--out", str(path)]) == 2
-    assert "a file that this run reads" in capsys.readouterr().err
+    assert "is also an input of this command" in capsys.readouterr().err
     assert path.read_bytes() == before
 
 

@@ -223,12 +223,12 @@ def test_a_port_that_is_used_and_has_no_partner_is_told_and_nothing_is_changed()
     with pytest.raises(ModelError) as caught:
         diagram.swap("motor", FirstOrder())
     assert [str(fault) for fault in caught.value.faults] == [
-        "E105 motor: the input v [V] (wires: motor.v) has no partner in what takes its place. "
-        "It has u; pairs can be given: ports={...}.",
-        "E105 motor: the output omega [rad/s] (wires: look.u) has no partner in what takes its place. "
-        "It has y; pairs can be given: ports={...}.",
-        "E105 motor: the output i [A] (run: log) has no partner in what takes its place. "
-        "It has y; pairs can be given: ports={...}.",
+        "E105 motor: the input v [V] (wires: motor.v) has no counterpart in the new block. "
+        "The new block has u. To pair ports with different names, give ports={...}.",
+        "E105 motor: the output omega [rad/s] (wires: look.u) has no counterpart in the new block. "
+        "The new block has y. To pair ports with different names, give ports={...}.",
+        "E105 motor: the output i [A] (run: log) has no counterpart in the new block. "
+        "The new block has y. To pair ports with different names, give ports={...}.",
     ]
     assert diagram.dumps() == before
     diagram.settings(log=["look.y"])
@@ -251,9 +251,9 @@ def test_a_port_that_is_used_and_has_no_partner_is_told_and_nothing_is_changed()
             "has no port \"omga\". Did you mean 'omega'?",
         ),
         (lambda d: d.swap("motor", Motor(), ports={"omega": "x"}), "E105", 'has no output "x".'),
-        (lambda d: d.swap("motor", Motor(), variant="base"), "E109", 'a variant "base" already'),
+        (lambda d: d.swap("motor", Motor(), variant="base"), "E109", 'the variant "base" exists already'),
         (lambda d: d.swap("motor", Motor(), variant="a b"), "E111", "is not a name"),
-        (lambda d: (d.swap("motor", Motor()), d.swap("motor", Motor())), "E109", 'a variant "Motor" already'),
+        (lambda d: (d.swap("motor", Motor()), d.swap("motor", Motor())), "E109", 'the variant "Motor" exists already'),
         (lambda d: d.swap("motor", PMDCMotor), "E501", "is a class"),
         (lambda d: d.run(variants={"motor": "fmu"}), "E122", "It has none."),
         (lambda d: d.run(variants={"moter": "fmu"}), "E122", "there is no block of this path"),

@@ -71,7 +71,7 @@ def test_rows_of_a_batch_keep_the_elements_that_all_rows_are_given() -> None:
     rows = tables().batch(["k[1]"], **given)([[7], [8]])
     assert rows.signals["bound.y"].tolist() == [[5, 7, 3], [5, 8, 3]]
     for name in ("k", "k[0]"):
-        with pytest.raises(UsageError, match="is given as a parameter of all rows too"):
+        with pytest.raises(UsageError, match="is both a column and a parameter of all rows"):
             tables().batch([name], **given)
 
 

@@ -151,9 +151,9 @@ def test_a_linear_model_of_an_old_file_does_not_take_the_ports_of_now_for_those_
     }  # fmt: skip
     old = Diagram.from_json(document)
     for asked in ("c.y", "c.u"):
-        with pytest.raises(UsageError, match="another signal than in version 1"):
+        with pytest.raises(UsageError, match="has a different meaning in version 1"):
             old.linearize("r", asked)
-        with pytest.raises(UsageError, match="another signal than in version 1"):
+        with pytest.raises(UsageError, match="has a different meaning in version 1"):
             old.linearizer().loop(asked)
     new = Diagram.from_json(old.to_json())
     assert new.linearize("r", "c.u").dcgain() == pytest.approx(2 / 3)  # in a process that has the graph of the old one

@@ -317,8 +317,8 @@ def test_a_mat_file_of_another_program_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("x.txt", "x.txt: the ending '.txt' is no format of result files. Use .csv, .parquet or .mat."),
-        ("x", "x: a name without ending is no format of result files. Use .csv, .parquet or .mat."),
+        ("x.txt", "x.txt: the ending '.txt' is not a format of result files. Use .csv, .parquet or .mat."),
+        ("x", "x: a name without ending is not a format of result files. Use .csv, .parquet or .mat."),
     ],
 )
 def test_another_ending_is_refused(name: str, said: str, tmp_path: Path) -> None:
@@ -337,7 +337,7 @@ def test_a_missing_package_is_told_with_its_cure(tmp_path: Path, monkeypatch: py
         made().save(path)
     assert str(caught.value) == (
         f"E504 {path}: the package pyarrow is needed and not installed. "
-        'Install it: pip install "blocks-cosim[tables]", or pip install pyarrow.'
+        'Install it: pip install pyarrow; or in a clone of blocks: pip install -e ".[tables]".'
     )
     with pytest.raises(UsageError, match="E504 to_pandas: the package pandas is needed and not installed"):
         made().to_pandas()

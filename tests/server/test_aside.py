@@ -228,4 +228,4 @@ def test_a_time_that_the_run_did_not_reach_is_refused_at_once(page: Asking) -> N
     later = page.ask("modes", at=1e9)
     told = page.answers()
     assert [told[number]["faults"][0]["place"] for number in (before, later)] == ["at", "at"]
-    assert "there is no run that got to t = 1e+09 s: it is at" in told[later]["faults"][0]["message"]
+    assert "no run has reached t = 1e+09 s: it is at" in told[later]["faults"][0]["message"]

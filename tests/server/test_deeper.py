@@ -147,12 +147,12 @@ def test_what_has_no_loop_or_no_slope_is_refused_in_words_with_what_helps(asking
     assert "in no loop" in fault["message"]
     with pytest.raises(UsageError, match="no such signal"):
         ask("response", input="motor.omgea")
-    with pytest.raises(UsageError, match="is no place"):
+    with pytest.raises(UsageError, match="is not a point of the run"):
         ask("response", input="control.u", at="end")
     ask, _ = asking(DIAGRAMS / "analysis/smeso_pd.json")
     told = ask("response", input="control.u")
     (law,) = told["laws"]
-    assert [(fault["code"], "its slider" in fault["cure"]) for fault in told["faults"]] == [("E701", True)]
+    assert [(fault["code"], "slider" in fault["cure"]) for fault in told["faults"]] == [("E701", True)]
     assert (law["signal"], law["rough"], law["laws"]) == ("eso.e", True, ["eso.g"])
     told = ask("response", input="control.u", amplitude={"eso.e": 0.001})
     assert told["margins"]["gain"] == pytest.approx(5.94, abs=0.005)  # the table of docs/frequency.md
@@ -213,7 +213,7 @@ def test_blocks_are_colored_by_their_rates(asking: Any) -> None:
     assert leaves == {path: rates[path] for path in leaves}
     assert told["blocks"]["motor_right"] == "continuous"
     assert told["legend"][0] == "continuous"
-    with pytest.raises(UsageError, match="no way to color"):
+    with pytest.raises(UsageError, match="not a way to color"):
         asking(DIAGRAMS / "motor_pid.json")[0]("color", by="speed")
 
 
@@ -249,11 +249,11 @@ def test_a_band_holds_the_quantiles_of_a_sweep(asking: Any, tmp_path: Path, monk
     assert high == pytest.approx(5.8 * unit, rel=0.05)
     with pytest.raises(UsageError, match="2 to 500"):
         ask("band", **{**asked, "n": 501})
-    with pytest.raises(UsageError, match="lies outside of"):
+    with pytest.raises(UsageError, match="lies outside the"):
         ask("band", signal="plant.y", file="../sweep.parquet")
     with monkeypatch.context() as patch:
         patch.setattr(Session, "is_asked_more", True)
-        with pytest.raises(UsageError, match="another question came when 0 of 40"):
+        with pytest.raises(UsageError, match="another request stopped this one when 0 of 40"):
             ask("band", **asked)
     two = {"measures": [], "log": ["plant.y"], "engine": "reference", "out": tmp_path / "two.parquet"}
     session.document.shown.sweep({"gain.k": [1.0, 2.0]}, **two)
@@ -266,7 +266,7 @@ def test_an_amplitude_without_a_linear_model_is_refused_and_can_be_chosen_anew(a
     made.swap("gain", Relay(on_at=0.5, off_at=-0.5, on=1.0, off=-1.0))
     ask, _ = asking(made)
     told = ask("response", input="gain.y", amplitude={"gain.u": 0.6})
-    assert [(fault["code"], "its slider" in fault["cure"]) for fault in told["faults"]] == [("E704", True)]
+    assert [(fault["code"], "slider" in fault["cure"]) for fault in told["faults"]] == [("E704", True)]
     assert [(law["signal"], law["laws"]) for law in told["laws"]] == [("gain.u", ["gain.y"])]
 
 

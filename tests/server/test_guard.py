@@ -81,7 +81,7 @@ def test_each_route_is_refused_to_anybody_else(
 
 
 def test_a_web_socket_tells_from_which_page_it_comes() -> None:
-    assert asked("GET", f"{BELOW}/ws", OWN) == Refusal(403, "Pages of other sites do not get in.")
+    assert asked("GET", f"{BELOW}/ws", OWN) == Refusal(403, "Pages of other sites may not use this server.")
     assert asked("GET", f"{BELOW}/{2000 * 'x'}", OWN) == Refusal(414, "This path is too long.")
 
 

@@ -133,7 +133,7 @@ def test_a_file_that_was_emptied_is_written_again_and_not_taken_for_a_new_one(tm
         ours = path.read_text()
         path.write_text("")
         assert (editor.read(), editor.read()) == (True, False)
-        with pytest.raises(BlocksError, match=r"emptied.*Undo writes it again"):
+        with pytest.raises(BlocksError, match=r"emptied.*Undo to write the file again"):
             ask("put", name="pid.kp", text="1")
         ask("undo")
         assert path.read_text() == ours
@@ -156,7 +156,7 @@ def test_a_step_on_a_file_that_another_program_wrote_since_is_told_and_passed_ov
         sub.write_text(theirs)  # which nobody reads any more
         ask("undo")
         for what in ("set g.k", "rename"):
-            with pytest.raises(BlocksError, match=f'sub.json: was written by another program after "{what}".*goes on'):
+            with pytest.raises(BlocksError, match=f'sub.json: was changed by another program after "{what}".*the rest'):
                 ask("undo")
         assert [ask("undo")["what"] for _ in range(2)] == ["undone: rename", "undone: insert sub"]
         assert (path.read_text(), sub.read_text()) == (ours, theirs)
@@ -174,11 +174,11 @@ def test_what_leads_out_of_the_folder_or_is_no_file_is_not_written(tmp_path: Pat
         path.symlink_to(other)
         editor.read()
         for do, fields in (("undo", {}), ("define", {"kind": "parameter", "text": "k=1"})):
-            with pytest.raises(BlocksError, match="is a link to another file now"):
+            with pytest.raises(BlocksError, match="now links to another file"):
                 ask(do, **fields)
         path.unlink()
         os.mkfifo(path)
-        with pytest.raises(BlocksError, match="this is no file any more"):
+        with pytest.raises(BlocksError, match="the file is no longer an ordinary file"):
             ask("undo")
         path.unlink()
         assert other.read_bytes() == theirs
@@ -209,7 +209,7 @@ def test_a_change_of_equal_size_and_time_is_read(tmp_path: Path) -> None:
         ours, found = path.read_text(), path.stat()
         path.write_text(ours.replace('"kp": 20', '"kp": 21'))
         os.utime(path, ns=(found.st_atime_ns, found.st_mtime_ns))
-        with pytest.raises(BlocksError, match="written by another program"):
+        with pytest.raises(BlocksError, match="changed by another program"):
             ask("put", name="pid.ki", text="31")
         ask("put", name="pid.ki", text="31")
         assert '"kp": 21, "ki": 31' in path.read_text()
@@ -238,9 +238,9 @@ def test_a_gesture_that_is_refused_shows_what_another_program_wrote(tmp_path: Pa
         told: list[int] = []
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(Session, "tell_document", lambda session: told.append(session.document.revision))
-            with pytest.raises(BlocksError, match="written by another program"):
+            with pytest.raises(BlocksError, match="changed by another program"):
                 ask("edit", operations=[{"wire": "step.y", "to": "pid.y"}])
-            with pytest.raises(BlocksError, match="is driven by"):
+            with pytest.raises(BlocksError, match="is already driven by"):
                 ask("edit", operations=[{"wire": "step.y", "to": "pid.y"}])
         assert told == [editor.revision]
 
@@ -289,7 +289,7 @@ def test_a_subdiagram_that_another_program_changed_counts_after_a_move(tmp_path:
         ask("insert", entry={"diagram": "sub.json"}, source="step.y")
         assert editor.facts["sub.g.k"].nominal == 2.0
         sub.write_text(sub.read_text().replace('"k": 2', '"k": 3'))
-        with pytest.raises(BlocksError, match="written by another program"):
+        with pytest.raises(BlocksError, match="changed by another program"):
             ask("place", names=["step"], by=[10, 0])
         ask("place", names=["step"], by=[10, 0])
         assert editor.facts["sub.g.k"].nominal == 3.0

@@ -116,13 +116,17 @@ def test_a_command_prints_its_address_serves_and_ends_by_a_signal() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([MOTOR, "--host", "0.0.0.0"], "E501 --host 0.0.0.0: the server is for this machine alone. From another"),
-        ([MOTOR, "--port", "70000"], "E501 --port 70000: is no port: these are numbers up to 65535."),
+        (
+            [MOTOR, "--host", "0.0.0.0"],
+            "E501 --host 0.0.0.0: is refused: the server accepts connections from this machine only. To reach "
+            "it from another",
+        ),
+        ([MOTOR, "--port", "70000"], "E501 --port 70000: is not a port: use a number from 0 to 65535."),
         (["no/such.json"], 'E007 "no/such.json" does not exist.'),
         ([str(ROOT)], f'E007 "{ROOT}" is a folder.'),
         ([MOTOR, "--set", "kp"], "E501 --set kp: is not NAME=VALUE."),
         ([MOTOR, "--variant", "kp"], "E501 --variant kp"),
-        ([MOTOR, "--stop", "1"], "E501 blocks live: --stop is not known here."),
+        ([MOTOR, "--stop", "1"], "E501 blocks live: --stop is not an option of this command."),
     ],
 )
 def test_a_command_that_cannot_serve_says_why(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -187,7 +191,7 @@ def test_a_notebook_shows_a_diagram_that_has_no_file(monkeypatch: pytest.MonkeyP
             assert asked(page, do="step", stop=1.0)["is"] == "run"
             assert asked(page, do="values", t=0.0)["values"]["gain.y"] == 15.0
             refused = asked(page, do="keep")
-            assert refused["faults"][0]["message"] == "has no file that could keep the values."
+            assert refused["faults"][0]["message"] == "has no file to store the values in."
     finally:
         server.stop()
 
@@ -267,7 +271,7 @@ def test_a_second_signal_ends_a_command_whose_fmu_hangs(tmp_path: Path) -> None:
             refused = asked(page, do="run")  # as there would be two of the FMU
             assert "in one step" in refused["faults"][0]["message"]
             process.send_signal(signal.SIGINT)
-            assert "once more ends it at once" in process.stderr.readline()
+            assert "a second Ctrl-C ends it at once" in process.stderr.readline()
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=60)
     assert process.returncode == 130

@@ -288,7 +288,7 @@ def test_who_asks_a_run_that_hangs_in_a_step_does_not_wait_for_ever(
     live.go()
     assert hangs.wait(PATIENCE)
     for ask in (lambda: live.set("gain.k", 1.0), live.results, live.rejected_by_block):
-        with pytest.raises(UsageError, match=r"has been in one step for more than"):
+        with pytest.raises(UsageError, match=r"has been computing one step for more than"):
             ask()
     goes_on.set()
     assert bits(live.finished()) == bits(Diagram.load(mixed).run())  # what was refused does not come later

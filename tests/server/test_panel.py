@@ -180,5 +180,5 @@ def test_what_triggers_or_enables_a_part_is_said() -> None:
     diagram.add("off", inner, enable={"states": "reset"})
     document = Session(Document(diagram))
     assert panel_of(document, "slow")["notes"] == ["Triggered every 10 ms."]
-    assert panel_of(document, "off")["notes"] == ["Enabled by its input enable; while it is off: states reset."]
+    assert panel_of(document, "off")["notes"] == ["Enabled by its input enable. While disabled: states reset."]
     assert "enable" in rows(panel_of(document, "off"), "Inputs")

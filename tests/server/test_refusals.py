@@ -25,8 +25,8 @@ from tests.support.places import ROOT
 
 Row = tuple[dict[str, Any], str]
 NO_RUN = "there is no run"
-SHOWN = "cannot be edited here"
-OUTSIDE = "lies outside of the diagram's folder"
+SHOWN = "is open for viewing only"
+OUTSIDE = "lies outside the diagram's folder"
 PLACES = (
     "../run.csv", "/tmp/run.csv", "a/../../run.csv", "out/run.csv", "out", "", ".", "..", "run\0.csv", "run\n.csv",
     "link.csv",
@@ -125,16 +125,16 @@ def session(tmp_path: Path) -> Iterator[Session]:
 EMPTY_ZIP = "UEsFBgAAAAAAAAAAAAAAAAAAAAAAAA=="
 EDITED: dict[str, list[Row]] = {
     "insert": [
-        ({"entry": {}}, "has no type"),
+        ({"entry": {}}, 'must have a "type"'),
         ({"entry": {"type": "os.system"}}, "no such block type"),
         ({"entry": {"diagram": "../other/file.json"}}, "outside the project|cannot be read"),
-        ({"entry": {"type": "Gain"}, "at": [1.0]}, "is no place"),
-        ({"entry": {"type": "Gain"}, "at": [1e300, 0.0]}, "farther away"),
+        ({"entry": {"type": "Gain"}, "at": [1.0]}, "is not a position"),
+        ({"entry": {"type": "Gain"}, "at": [1e300, 0.0]}, "farther than"),
         ({"entry": {"type": "Gain"}, "level": "nothing"}, "no block"),
         ({"entry": {"type": "Gain"}, "source": "nothing.y"}, "nothing"),
     ],
     "edit": [
-        ({"operations": [{"file": "../other/x.json", "set": "name", "to": "x"}]}, "level that it shows"),
+        ({"operations": [{"file": "../other/x.json", "set": "name", "to": "x"}]}, "level that the page shows"),
         ({"operations": [{"set": "blocks.gain", "to": {"diagram": "/etc/passwd"}}]}, "outside the project"),
         ({"operations": [{"remove": "format"}]}, "format"),
     ],
@@ -142,12 +142,12 @@ EDITED: dict[str, list[Row]] = {
         ({"names": ["nothing"], "by": [1.0, 1.0]}, "nothing"),
         ({"names": ["gain"], "by": [1e300, 0.0]}, "farther"),
     ],
-    "delete": [({"names": ["nothing"], "sinks": []}, "nothing of this")],
+    "delete": [({"names": ["nothing"], "sinks": []}, "do not exist")],
     "paste": [
-        ({"text": "{}"}, "holds nothing"),
+        ({"text": "{}"}, "contains no part"),
         ({"text": '{"layout": [1], "blocks": {"g": {"type": "Gain"}}}'}, "layout"),
         ({"text": '{"layout": [1], "blocks": {"g": {"type": "Gain"}}}', "at": [1.0, 1.0]}, "layout"),
-        ({"text": "[" * 1000}, "no JSON"),
+        ({"text": "[" * 1000}, "not JSON"),
     ],
     "put": [
         ({"name": "nothing.k", "text": "1"}, "no such block"),
@@ -159,13 +159,15 @@ EDITED: dict[str, list[Row]] = {
     ],
     "describe": [({"of": "nothing", "text": "x"}, "nothing")],
     "targets": [({"end": "nothing.y"}, "no such port")],
-    "tab": [({"file": path}, "lies outside|no diagram that can be opened") for path in (*PLACES, "/etc/passwd", "~")],
+    "tab": [
+        ({"file": path}, "lies outside|not a diagram that can be opened") for path in (*PLACES, "/etc/passwd", "~")
+    ],
     "upload": [
-        *(({"name": path, "text": ""}, "outside|no name of an FMU") for path in PLACES),
+        *(({"name": path, "text": ""}, "outside|not the name of an FMU") for path in PLACES),
         ({"name": "out/x.fmu", "text": ""}, "outside"),
-        ({"name": "below/x.fmu", "text": ""}, "no name of an FMU"),
-        ({"name": "x.fmu", "text": "?"}, "no base64"),
-        ({"name": "x.fmu", "text": "bm90aGluZw=="}, "is a zip archive"),
+        ({"name": "below/x.fmu", "text": ""}, "not the name of an FMU"),
+        ({"name": "x.fmu", "text": "?"}, "not base64"),
+        ({"name": "x.fmu", "text": "bm90aGluZw=="}, "is not a zip archive"),
         ({"name": "x.fmu", "text": EMPTY_ZIP}, "no terminal to ask"),
     ],
 }
@@ -220,7 +222,7 @@ def test_fields_are_what_the_message_declares(name: str, session: Session) -> No
         return fine[typing.get_origin(options[0]) or options[0]]
 
     whole = {key: some(kind) for key, (kind, must) in fields.items() if must}
-    wrong: list[tuple[dict[str, Any], str]] = [({**whole, "library": ["os"]}, f"{name}.library: is not known")]
+    wrong: list[tuple[dict[str, Any], str]] = [({**whole, "library": ["os"]}, f"{name}.library: is not a known key")]
     for key, (kind, must) in fields.items():
         if must:
             wrong.append(({k: v for k, v in whole.items() if k != key}, f"{name}.{key}: is missing"))
@@ -233,8 +235,10 @@ def test_fields_are_what_the_message_declares(name: str, session: Session) -> No
             deep = [deep]
         if key == "text":
             values = [value for value in values if not isinstance(value, str)]
-        wrong += [({**whole, key: value}, f"{name}.{key}: is no") for value in (*values, deep) if kind is not Any]
-        wrong += [({**whole, key: value}, f"{name}.{key}: is no") for value in (deep, 1e301, 501 * "x") if kind is Any]
+        wrong += [({**whole, key: value}, f"{name}.{key}: must be") for value in (*values, deep) if kind is not Any]
+        wrong += [
+            ({**whole, key: value}, f"{name}.{key}: must be") for value in (deep, 1e301, 501 * "x") if kind is Any
+        ]
     for given, said in wrong:
         with pytest.raises(UsageError) as refused:
             answer(session, {"do": name, **given}, None)

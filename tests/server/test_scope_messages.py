@@ -105,7 +105,7 @@ def test_earlier_runs_are_named_by_what_was_turned_shown_and_forgotten(motor: tu
     shown = [unpacked(frame) for frame in quiet.frames(made.runs, made.live)]
     ghost = next(columns for header, _, columns in shown if header["kind"] == "ghost")
     assert ghost[0].max() == np.float32(first["motor.omega"].max())
-    with pytest.raises(UsageError, match=re.escape("E501 run 3: is no earlier run that is kept.")):
+    with pytest.raises(UsageError, match=re.escape("E501 run 3: is not in the list of earlier runs.")):
         do("ghost", run=3, on=True)
     do("ghost", run=1, on=False, forget=True)
     assert page.ghosts == set()
@@ -146,10 +146,10 @@ def test_results_are_saved_in_the_folder_of_the_diagram_alone(motor: tuple[Sessi
         do("save", path="a.csv")
     results = run(made)
     for path in ("../a.csv", "/tmp/a.csv", "x/../../a.csv", "", ".", "a\n.csv"):
-        with pytest.raises(UsageError, match=re.escape("lies outside of the diagram's folder.")):
+        with pytest.raises(UsageError, match=re.escape("lies outside the diagram's folder.")):
             do("save", path=path)
     (made.document.folder / "link").symlink_to(made.document.folder.parent)
-    with pytest.raises(UsageError, match=re.escape("lies outside of the diagram's folder.")):
+    with pytest.raises(UsageError, match=re.escape("lies outside the diagram's folder.")):
         do("save", path="link/a.csv")
     with pytest.raises(UsageError, match="is too long for the name of a file"):
         do("save", path="a" * 300 + ".csv")
@@ -159,7 +159,7 @@ def test_results_are_saved_in_the_folder_of_the_diagram_alone(motor: tuple[Sessi
     assert do("save", path="a.csv") == {"is": "saved", "path": "a.csv"}
     again = Results.load(made.document.folder / "a.csv")
     assert np.array_equal(again.values, results.values)
-    with pytest.raises(UsageError, match="is there already"):
+    with pytest.raises(UsageError, match="exists already"):
         do("save", path="a.csv")
     do("save", path="a.csv", replaces=True)
     assert inside(made.document.folder, "new/a.csv") == made.document.folder / "new" / "a.csv"
@@ -171,7 +171,7 @@ def test_a_measured_file_is_told_by_its_columns(motor: tuple[Session, Page, Do])
     assert told["columns"] == [{"name": "motor.omega", "unit": "rpm"}, {"name": "temperature", "unit": ""}]
     for k in range(7):
         do("overlay", name=f"{k}.csv", text="t,x\n0,1\n")
-    with pytest.raises(UsageError, match="is one more than 8 files"):
+    with pytest.raises(UsageError, match="cannot be added: the limit is 8 files"):
         do("overlay", name="9.csv", text="t,x\n0,1\n")
     do("overlay", name="lab.csv", text=None)
     assert len(page.files) == 7

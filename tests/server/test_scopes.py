@@ -251,19 +251,22 @@ def test_many_events_give_a_mark_for_a_pixel_and_how_many_there_are() -> None:
 @pytest.mark.parametrize(
     ("text", "wanted"),
     [
-        ("x,y\n1,2\n", "E503 lab.csv: has no column 'time' in front."),
-        ("time;x\n1;2\n", "E503 lab.csv: separates its columns by ';', where commas are needed."),
-        ("time,x\n1,2\n0,3\n", "E503 lab.csv: row 2: the time is no number, or lies before that of the row above."),
-        ("time,x\nnan,2\n", "E503 lab.csv: row 1: the time is no number"),
+        ("x,y\n1,2\n", "E503 lab.csv: must have 'time' as its first column."),
+        ("time;x\n1;2\n", "E503 lab.csv: separates its columns by ';'. Use commas."),
+        (
+            "time,x\n1,2\n0,3\n",
+            "E503 lab.csv: row 2: the time is not a number, or lies before the time of the row above.",
+        ),
+        ("time,x\nnan,2\n", "E503 lab.csv: row 1: the time is not a number"),
         ("time,x\n1,2,3\n", "E503 lab.csv: line 2: 3 cells for 2 columns."),
-        ('time,x,y\n0,1,"-2,5"\n', 'E503 lab.csv: "-2,5" has a decimal comma, where a point is needed.'),
+        ('time,x,y\n0,1,"-2,5"\n', 'E503 lab.csv: "-2,5" has a decimal comma. Write a decimal point.'),
         ("time,x [rdps]\n1,2\n", "E503 lab.csv: x: "),
         ("time [kg],x\n1,2\n", "E503 lab.csv: time: "),
         ("time,x [V],x [A]\n1,2,3\n", "E503 lab.csv: has two columns of the name 'x'."),
-        ("time,x\n", "E503 lab.csv: has no rows, or no column but its times."),
-        ("time\n1\n", "E503 lab.csv: has no rows, or no column but its times."),
+        ("time,x\n", "E503 lab.csv: has no rows, or no column except the times."),
+        ("time\n1\n", "E503 lab.csv: has no rows, or no column except the times."),
         ("", "E503 lab.csv: is empty."),
-        ("time,x\n" + " " * LARGEST, "E503 lab.csv: is larger than 8 MiB."),
+        ("time,x\n" + " " * LARGEST, "E503 lab.csv: exceeds the limit of 8 MiB."),
     ],
 )
 def test_measured_files_that_cannot_be_shown_are_refused(text: str, wanted: str) -> None:
@@ -290,9 +293,9 @@ def test_a_file_that_blocks_wrote_is_read_as_results_are(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("signals", "window", "wanted"),
     [
-        (["s0"], {"t0": 2.0, "t1": 2.0}, "E501 scope: 0 s is no span of time."),
-        (["s0"], {"span": 0.0}, "E501 scope: 0 s is no span of time."),
-        ([f"s{k}" for k in range(65)], {}, "E501 scope: 65 signals are more than 64 in one scope."),
+        (["s0"], {"t0": 2.0, "t1": 2.0}, "E501 scope: 0 s is not a span of time."),
+        (["s0"], {"span": 0.0}, "E501 scope: 0 s is not a span of time."),
+        ([f"s{k}" for k in range(65)], {}, "E501 scope: 65 signals do not fit into one scope: the limit is 64."),
     ],
 )
 def test_scopes_that_cannot_be_are_refused(signals: list[str], window: dict[str, float], wanted: str) -> None:
@@ -305,11 +308,11 @@ def test_scopes_that_cannot_be_are_refused(signals: list[str], window: dict[str,
 def test_measured_columns_of_another_quantity_than_their_signal_are_refused() -> None:
     page, scope = page_of(Rows([0.0], [[1.0]]), "s0")
     file = Measured.read("lab.csv", "t,s0 [A]\n0,1\n")
-    with pytest.raises(UsageError, match=re.escape("E505 s0: is in V, and in A in lab.csv")):
+    with pytest.raises(UsageError, match=re.escape("E505 s0: is in V in the run, but in A in lab.csv")):
         page.add("lab.csv", file)
     assert page.files == {}
     page.files["lab.csv"] = file
-    with pytest.raises(UsageError, match=re.escape("E505 s0: is in V, and in A in lab.csv")):
+    with pytest.raises(UsageError, match=re.escape("E505 s0: is in V in the run, but in A in lab.csv")):
         page.open(scope)
 
 

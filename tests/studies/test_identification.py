@@ -211,11 +211,19 @@ def test_data_of_a_file_with_uneven_times_and_gaps_are_fitted_and_written(tmp_pa
         ({"time": [0, 2, 1], "v": [0, 1, 2], "speed": [0, 1, 2]}, {"motor.omega": "speed"}, "times must increase"),
         ({"time": [0.0], "speed": [0.0]}, {"motor.omega": "speed"}, "fewer than two rows"),
         ("nowhere.csv", {"motor.omega": "speed"}, "cannot be read"),
-        ({"time": [0, 1]}, {}, "names no signal"),
-        ({"time": [0, 1]}, ["motor.omega"], "compare: must map"),
-        ({"time": [0, 1], "v": [0, 1], "speed": [np.nan] * 2}, {"motor.omega": "speed"}, "speed: has 0 numbers for 1"),
-        ({"time": [0, 1], "v": [0, 1], "speed": [1]}, {"motor.omega": "speed"}, "one number for each time"),
-        ({"time": [0, 1], "v": [0, 1], "speed": ["a", 1]}, {"motor.omega": "speed"}, "holds what is no number"),
+        ({"time": [0, 1]}, {}, "contains no signal"),
+        ({"time": [0, 1]}, ["motor.omega"], "compare: must be a mapping"),
+        (
+            {"time": [0, 1], "v": [0, 1], "speed": [np.nan] * 2},
+            {"motor.omega": "speed"},
+            "speed: has 0 values, too few for 1",
+        ),
+        ({"time": [0, 1], "v": [0, 1], "speed": [1]}, {"motor.omega": "speed"}, "one value for each time"),
+        (
+            {"time": [0, 1], "v": [0, 1], "speed": ["a", 1]},
+            {"motor.omega": "speed"},
+            "contains a value that is not a number",
+        ),
         (
             {"time": [0, 1], "v": [0, 1], "speed": [1, np.inf]},
             {"motor.omega": "speed"},
@@ -232,7 +240,7 @@ def test_data_that_cannot_be_compared_are_refused(data: Any, compare: dict[str, 
 
 
 def test_a_level_is_a_share() -> None:
-    with pytest.raises(UsageError, match="level: is 95"):
+    with pytest.raises(UsageError, match="level: must be a number between 0 and 1"):
         plant().fit({"time": [0, 1]}, over={"motor.Ra": (0.1, 1)}, compare={}, level=95)
 
 
@@ -265,7 +273,9 @@ def test_the_clock_of_the_data_changes_no_estimate(first: float, dt: float) -> N
 def test_a_run_that_holds_the_first_input_before_the_data_is_told_unless_it_is_meant() -> None:
     (warning,) = lag_fit(lag_data(100.0)).warnings
     assert (warning.code, warning.place) == ("W505", "time")
-    assert "begin at 100 s and the run at 0 s: it holds the first value of u for 100 s" in warning.message
+    assert (
+        "begin at 100 s and the run at 0 s: until then the run holds the first value of u for 100 s" in warning.message
+    )
     for meant in ({"start": 100}, {"start": 0}):
         assert not lag_fit(lag_data(100.0), **meant).warnings
     assert not lag_fit(lag_data(0.05)).warnings, "the first sample comes after a period"

@@ -121,7 +121,7 @@ def test_a_perturbed_parameter_turns_a_verdict_and_the_exit_code(
     assert main(["study", path, "--out", str(tmp_path / "out"), "--set", "stiff.kp=12"]) == 1
     out = capsys.readouterr().out
     assert re.search(r"stiff .* ✗ not reproduced  <- unexpected", out)
-    assert "unlike what the study expects" in out
+    assert "not as the study expects" in out
 
 
 class _Reader(HTMLParser):

@@ -138,9 +138,9 @@ def claim(**entry: Any) -> dict[str, Any]:
     [
         (changed(vary={"plant.mm": [1]}), "E106", "sweeps.many.vary", "plant.m"),
         (changed(vary={"mass": {"normal": [1]}}), "E501", "sweeps.many.vary", "MEAN,DEVIATION"),
-        (changed(vary={"mass": {"norml": [1, 2]}}), "E501", "sweeps.many.vary", "gives no values"),
-        (changed(vary={"mass": {"normal": [1, -1]}}), "E501", "sweeps.many.vary.mass", "no distribution with these"),
-        (changed(n=10**15), "E501", "sweeps.many.n", "numbers are the most"),
+        (changed(vary={"mass": {"norml": [1, 2]}}), "E501", "sweeps.many.vary", "does not give values"),
+        (changed(vary={"mass": {"normal": [1, -1]}}), "E501", "sweeps.many.vary.mass", "not a distribution with these"),
+        (changed(n=10**15), "E501", "sweeps.many.n", "the limit is 100000000 numbers"),
         (changed(n=3, sampler="saltelli"), "E501", "sweeps.many.n", "Sobol indices"),
         (changed(vary={"mass": 3}), "E004", "sweeps.many.vary.mass", '{"normal": [0.27, 0.02]}'),
         (changed(vary={}), "E009", "sweeps.many", "vary"),
@@ -161,7 +161,7 @@ def claim(**entry: Any) -> dict[str, Any]:
         ({"claims": [{"run": "one", "measure": "dip", "at_most": 1}]}, "E009", "claims.0", '"holds" or "fails"'),
         ({"figures": [{"name": "f", "sweep": "many", "of": "dpi"}]}, "E105", "figures[0]", "dip"),
         ({"figures": [{"name": "f", "sweep": "may"}]}, "E105", "figures.0.sweep", "many"),
-        ({"runs": {"many": {"diagram": MASS}}, "claims": []}, "E109", "sweeps.many", "taken"),
+        ({"runs": {"many": {"diagram": MASS}}, "claims": []}, "E109", "sweeps.many", "already used"),
     ],
 )  # fmt: skip
 def test_faults_are_found_before_the_first_run_with_their_places(

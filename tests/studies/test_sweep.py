@@ -117,7 +117,7 @@ def test_files_hold_all_of_a_sweep(whole: Sweep, tmp_path: Path) -> None:
     assert_same(loaded, whole)
     assert loaded.units["k"] == "V"
     assert loaded.scenarios == ("quiet", "loud")
-    with pytest.raises(UsageError, match="holds no diagram"):
+    with pytest.raises(UsageError, match="does not contain the diagram"):
         loaded.single(0)
     frame = pandas.read_parquet(tmp_path / "a.parquet")
     np.testing.assert_array_equal(frame["ITAE"], whole.measures["ITAE"])
@@ -195,7 +195,7 @@ def test_a_part_of_another_sweep_is_not_gone_on_from(tmp_path: Path, monkeypatch
     anew = noisy().sweep(VARY, **{**asked, "seed": 4}, out=out, resume=False)
     assert anew.counts() == {"ok": 24}
     Path(f"{out}.part").write_text("not ours")
-    with pytest.raises(UsageError, match="stands in the way"):
+    with pytest.raises(UsageError, match="cannot be continued"):
         noisy().sweep(VARY, **asked, out=out, resume=False)
     assert Path(f"{out}.part").read_text() == "not ours"
 
@@ -209,7 +209,7 @@ def test_refused_rows_leave_the_others_untouched() -> None:
     assert np.isnan(bad.measures["top"][1])
     for i in (0, 2):
         assert bad.measures["top"][i] == good.measures["top"][i]
-    assert "1 refused, as row 1: E107 lag_a.T" in bad.table()
+    assert "1 refused; for example row 1: E107 lag_a.T" in bad.table()
 
 
 def test_each_has_a_column_for_each() -> None:
@@ -301,9 +301,9 @@ def test_what_is_not_installed_is_told_with_its_cure(
 
 def test_arguments_that_cannot_be_meant(tmp_path: Path) -> None:
     for given, said in (
-        ({"scenarios": {"loud": {"k": 3}}}, "E501 k: is given as a parameter of all rows too"),
-        ({"scenarios": {"loud": 3}}, "scenarios.loud: must map parameters to values"),
-        ({"out": tmp_path / "a.csv"}, "E501 .*a.csv.*is no format of sweeps. Use .parquet"),
+        ({"scenarios": {"loud": {"k": 3}}}, "E501 k: is both a column and a parameter of all rows"),
+        ({"scenarios": {"loud": 3}}, "scenarios.loud: must be a mapping from parameters to values"),
+        ({"out": tmp_path / "a.csv"}, "E501 .*a.csv.*is not a format of sweeps. Use .parquet"),
         ({"measures": ["tip"]}, "no such measure. Did you mean 'top'"),
     ):
         with pytest.raises(UsageError, match=said):

@@ -103,7 +103,7 @@ def test_one_outlier_does_not_take_the_colors_of_a_heat_map() -> None:
 
 @pytest.mark.parametrize("bins", [0, -3, 2.5, True, 10_000])
 def test_a_number_of_bins_is_refused_where_it_is_none(bins: Any) -> None:
-    with pytest.raises(UsageError, match="bins: is"):
+    with pytest.raises(UsageError, match="bins: must be an integer from 1 to 1000"):
         made().plot("ITAE", bins=bins)
 
 
@@ -208,9 +208,9 @@ def test_scenarios_stand_beside_each_other_and_all_figures_are_written(tmp_path:
     [
         ({"what": "ITEA"}, "Did you mean 'ITAE'?"),
         ({"what": "ITAE", "against": "Jeg"}, "Did you mean 'Jeq'?"),
-        ({"what": "ITAE", "kind": "pie"}, "There are bands"),
-        ({"what": "ITAE", "kind": "heat map"}, "is against two names"),
-        ({"what": "ITAE", "kind": "bands"}, "is no logged signal"),
+        ({"what": "ITAE", "kind": "pie"}, "Choose one of: bands"),
+        ({"what": "ITAE", "kind": "heat map"}, "needs two names in against="),
+        ({"what": "ITAE", "kind": "bands"}, "is not a logged signal"),
         ({"what": "eso.z[2]"}, "eso.z[1]"),
         ({"what": "plant.u"}, "Add a signal to `log` to draw it."),
     ],
@@ -246,7 +246,7 @@ def test_tables_tell_means_and_quantiles_by_scenario_and_medians_by_value() -> N
     assert tex[2] == r"measure & unit & mean & 5 \% & runs & without \\"
     assert tex[5].startswith(r"\_gm &  & $\infty$ &")
     assert tex[-1] == r"\end{tabular}"
-    with pytest.raises(UsageError, match="is not varied"):
+    with pytest.raises(UsageError, match="is not a varied parameter"):
         sweep.markdown(by="load")
 
 

@@ -49,7 +49,8 @@ def test_one_row_that_does_not_end_is_cut_short_after_all_others_are_done() -> N
     ((_, said),) = named
     end = f"up to {most:,} steps"
     assert said == (
-        f"more than 500 steps: row 2 (lag.T = 1e-06). All other rows are done; now it goes on with these, {end}."
+        f"more than 500 steps: row 2 (lag.T = 1e-06). All other rows are done; the sweep continues with these "
+        f"rows, {end}."
     )
     alone = swept(T[:2] + T[3:])
     assert np.delete(sweep.measures["top"], 2).tobytes() == alone.measures["top"].tobytes()

@@ -122,7 +122,7 @@ STEP = Object(
     [
         (5, ["E004 must be an object {...}, not the number 5."]),
         ({}, ['E009 the key "of" is missing.']),
-        ({"of": ""}, ['E009 "of" is empty.']),
+        ({"of": ""}, ['E009 "of" must not be empty.']),
         ({"of": "a", "x-a": None}, []),
         ({"of": "a", "sise": 1}, ['E003 sise the key "sise" is not known here. Guess.']),
         ({"of": "a", "size": 0}, ["E004 size must be a number above 0, not the number 0."]),

@@ -160,7 +160,7 @@ def test_the_exact_value_is_kept_where_the_float_is_rounded() -> None:
     "text", ["", " 1", "1\n", "01", "+1", ".5", "1.", "0x1", "1_0", "nan", "inf", "Infinity", "\u0661"]
 )
 def test_a_number_is_only_made_of_a_json_number(text: str) -> None:
-    with pytest.raises(ModelError, match=r"^E004 .* is not a number of JSON\."):
+    with pytest.raises(ModelError, match=r"^E004 .* is not a JSON number\."):
         Number(text)
 
 
@@ -248,84 +248,84 @@ def test_escapes_are_read() -> None:
 SYNTAX = {
     "": "1:1: the text is empty. Write one JSON value.",
     " \n": "2:1: the text is empty. Write one JSON value.",
-    '{"a": 1,}': "1:8: there is a comma before the closing }. Take the comma out.",
-    "[1,\n 2,\n]": "2:3: there is a comma before the closing ]. Take the comma out.",
-    '{\n "a": 1\n "b": 2}': '3:2: expected a comma or }, but the string "b" stands here. Put a comma before it.',
-    "[1 2]": "1:4: expected a comma or ], but 2 stands here. Put a comma before it, if it is another number; digits "
+    '{"a": 1,}': "1:8: there is a comma before the closing }. Remove the comma.",
+    "[1,\n 2,\n]": "2:3: there is a comma before the closing ]. Remove the comma.",
+    '{\n "a": 1\n "b": 2}': '3:2: expected a comma or }, but the string "b" is here. Put a comma before it.',
+    "[1 2]": "1:4: expected a comma or ], but 2 is here. Put a comma before it, if it is another number; digits "
     "are not grouped.",
-    "[1 [2]]": "1:4: expected a comma or ], but [ stands here. Put a comma before it.",
-    "[1 @]": "1:4: expected a comma or ], but @ stands here. Take it out.",
-    '{"a": 1; "b": 2}': "1:8: expected a comma or }, but a semicolon stands here. Write a comma instead.",
-    "[1: 2]": "1:3: expected a comma or ], but a colon stands here. Entries with keys stand in { }.",
-    '{"a": 1: 2}': "1:8: expected a comma or }, but a colon stands here. An entry has one key and one value.",
-    "[1,,2]": "1:4 [1]: expected a value, but a comma stands here. Take it out.",
-    "[@]": '1:2 [0]: expected a value, but @ stands here. A value is "text", 1.5, true, false, null, [...] or {...}.',
-    "{,}": "1:2: expected a key in double quotes, but a comma stands here. Take it out.",
-    "{kp: 1}": '1:2: expected a key in double quotes, but kp stands here. Write "kp".',
-    "{1: 2}": '1:2: expected a key in double quotes, but 1 stands here. Write "1".',
-    "{[1]: 2}": '1:2: expected a key in double quotes, but [ stands here. An entry of an object is "key": value.',
-    "{'a b': 1}": '1:2: expected a key in double quotes, but \' stands here. Write "a b".',
-    "[“a”]": '1:2 [0]: expected a value, but “ stands here. Write "a".',
-    '{"a" 1}': "1:6: expected a colon, but 1 stands here. Put a colon before it.",
-    '{"a" = 1}': "1:6: expected a colon, but = stands here. Write : instead.",
-    '{"a"}': '1:5: expected a colon, but } stands here. An entry of an object is "key": value.',
-    '{"kp": }': '1:8 kp: expected a value, but } stands here. Write "kp": and its value, or take the key out.',
-    '{"kp":, 1}': '1:7 kp: expected a value, but a comma stands here. Write "kp": and its value, or take the key out.',
+    "[1 [2]]": "1:4: expected a comma or ], but [ is here. Put a comma before it.",
+    "[1 @]": "1:4: expected a comma or ], but @ is here. Remove it.",
+    '{"a": 1; "b": 2}': "1:8: expected a comma or }, but a semicolon is here. Write a comma instead.",
+    "[1: 2]": "1:3: expected a comma or ], but a colon is here. Put entries with keys into { }.",
+    '{"a": 1: 2}': "1:8: expected a comma or }, but a colon is here. An entry has one key and one value.",
+    "[1,,2]": "1:4 [1]: expected a value, but a comma is here. Remove it.",
+    "[@]": '1:2 [0]: expected a value, but @ is here. A value is "text", 1.5, true, false, null, [...] or {...}.',
+    "{,}": "1:2: expected a key in double quotes, but a comma is here. Remove it.",
+    "{kp: 1}": '1:2: expected a key in double quotes, but kp is here. Write "kp".',
+    "{1: 2}": '1:2: expected a key in double quotes, but 1 is here. Write "1".',
+    "{[1]: 2}": '1:2: expected a key in double quotes, but [ is here. An entry of an object is "key": value.',
+    "{'a b': 1}": '1:2: expected a key in double quotes, but \' is here. Write "a b".',
+    "[“a”]": '1:2 [0]: expected a value, but “ is here. Write "a".',
+    '{"a" 1}': "1:6: expected a colon, but 1 is here. Put a colon before it.",
+    '{"a" = 1}': "1:6: expected a colon, but = is here. Write : instead.",
+    '{"a"}': '1:5: expected a colon, but } is here. An entry of an object is "key": value.',
+    '{"kp": }': '1:8 kp: expected a value, but } is here. Write "kp": and its value, or remove the key.',
+    '{"kp":, 1}': '1:7 kp: expected a value, but a comma is here. Write "kp": and its value, or remove the key.',
     "[1, 2": "1:6: expected a comma or ], but the text ends before the [ opened at line 1, column 1 is closed. "
     "Close it with ].",
     '{"blocks":\n {"a": 1': "2:9 blocks: expected a comma or }, but the text ends before the { opened at line 2, "
     "column 2 is closed. Close it with }.",
     '{"a": 1,': "1:9: expected a key in double quotes, but the text ends before the { opened at line 1, column 1 is "
     "closed. Close it with }.",
-    '{"a": [1, 2}': "1:12 a: the [ opened at line 1, column 7 is closed by ], but } stands here. "
+    '{"a": [1, 2}': "1:12 a: the [ opened at line 1, column 7 is closed by ], but } is here. "
     "Write ] here, or close the [ before.",
-    '{"a": 1]': "1:8: the { opened at line 1, column 1 is closed by }, but ] stands here. "
+    '{"a": 1]': "1:8: the { opened at line 1, column 1 is closed by }, but ] is here. "
     "Write } here, or close the { before.",
-    "[1]]": "1:4: expected the end of the text, but ] stands here. No bracket is open: take it out.",
-    "{} {}": "1:4: expected the end of the text, but { stands here. A text holds one value: take the rest out.",
-    "# x\n{}": "1:1: expected a value, but a comment stands here. "
-    'JSON has no comments: take it out, or keep it as an entry "x-note": "...".',
-    '{"a": 1 // one\n}': "1:9: expected a comma or }, but a comment stands here. "
-    'JSON has no comments: take it out, or keep it as an entry "x-note": "...".',
-    "{/* c */}": "1:2: expected a key in double quotes, but a comment stands here. "
-    'JSON has no comments: take it out, or keep it as an entry "x-note": "...".',
+    "[1]]": "1:4: expected the end of the text, but ] is here. No bracket is open: remove it.",
+    "{} {}": "1:4: expected the end of the text, but { is here. The text must hold one value: remove the rest.",
+    "# x\n{}": "1:1: expected a value, but a comment is here. "
+    'JSON has no comments: remove it, or keep it as an entry "x-note": "...".',
+    '{"a": 1 // one\n}': "1:9: expected a comma or }, but a comment is here. "
+    'JSON has no comments: remove it, or keep it as an entry "x-note": "...".',
+    "{/* c */}": "1:2: expected a key in double quotes, but a comment is here. "
+    'JSON has no comments: remove it, or keep it as an entry "x-note": "...".',
     "[NaN]": "1:2 [0]: JSON has no NaN. Write a finite number, or leave the entry out.",
     "-Infinity": "1:1: JSON has no -Infinity. Write a finite number; for a missing limit, \"-inf\" in quotes.",
-    "[True]": "1:2 [0]: expected a value, but True stands here. Write true.",
-    "[None]": "1:2 [0]: expected a value, but None stands here. Write null.",
-    "[yes]": '1:2 [0]: expected a value, but yes stands here. Write "yes", if it is a string.',
-    "[nullable]": '1:2 [0]: expected a value, but nullable stands here. Write "nullable", if it is a string.',
-    "007": "1:1: 007 is not a number of JSON. Write 7.",
-    "[00]": "1:2 [0]: 00 is not a number of JSON. Write 0.",
-    "+1": "1:1: +1 is not a number of JSON. Write 1.",
-    "-.5E3": "1:1: -.5E3 is not a number of JSON. Write -0.5e3.",
-    ".5": "1:1: .5 is not a number of JSON. Write 0.5.",
-    "5.": "1:1: 5. is not a number of JSON. Write 5.",
-    "5.e3": "1:1: 5.e3 is not a number of JSON. Write 5e3.",
-    "0x1F": "1:1: 0x1F is not a number of JSON. Write 31.",
-    "1_000": "1:1: 1_000 is not a number of JSON. Write 1000.",
-    "-": "1:1: - is not a number of JSON. A number is written like 12, -0.5 or 1e-6.",
-    ".e1": "1:1: .e1 is not a number of JSON. A number is written like 12, -0.5 or 1e-6.",
-    "1.2.3": "1:1: 1.2.3 is not a number of JSON. A number is written like 12, -0.5 or 1e-6.",
-    '["a\tb"]': "1:4 [0]: the control character U+0009 stands in the string opened at line 1, column 2. Write \\t.",
-    '["\x1b[31m"]': "1:3 [0]: the control character U+001B stands in the string opened at line 1, column 2. "
-    "Write \\u001b, or take it out.",
+    "[True]": "1:2 [0]: expected a value, but True is here. Write true.",
+    "[None]": "1:2 [0]: expected a value, but None is here. Write null.",
+    "[yes]": '1:2 [0]: expected a value, but yes is here. Write "yes", if it is a string.',
+    "[nullable]": '1:2 [0]: expected a value, but nullable is here. Write "nullable", if it is a string.',
+    "007": "1:1: 007 is not a JSON number. Write 7.",
+    "[00]": "1:2 [0]: 00 is not a JSON number. Write 0.",
+    "+1": "1:1: +1 is not a JSON number. Write 1.",
+    "-.5E3": "1:1: -.5E3 is not a JSON number. Write -0.5e3.",
+    ".5": "1:1: .5 is not a JSON number. Write 0.5.",
+    "5.": "1:1: 5. is not a JSON number. Write 5.",
+    "5.e3": "1:1: 5.e3 is not a JSON number. Write 5e3.",
+    "0x1F": "1:1: 0x1F is not a JSON number. Write 31.",
+    "1_000": "1:1: 1_000 is not a JSON number. Write 1000.",
+    "-": "1:1: - is not a JSON number. Write a number like 12, -0.5 or 1e-6.",
+    ".e1": "1:1: .e1 is not a JSON number. Write a number like 12, -0.5 or 1e-6.",
+    "1.2.3": "1:1: 1.2.3 is not a JSON number. Write a number like 12, -0.5 or 1e-6.",
+    '["a\tb"]': "1:4 [0]: the control character U+0009 is in the string opened at line 1, column 2. Write \\t.",
+    '["\x1b[31m"]': "1:3 [0]: the control character U+001B is in the string opened at line 1, column 2. "
+    "Write \\u001b, or remove it.",
     '["ab\n"]': "1:5 [0]: the line ends before the string opened at line 1, column 2 is closed. "
     'Close it with ", or write \\n.',
     '["ab': '1:5 [0]: the text ends before the string opened at line 1, column 2 is closed. Close it with ".',
     '["ab\\': '1:5 [0]: the text ends before the string opened at line 1, column 2 is closed. Close it with ".',
-    '["\\x41"]': "1:3 [0]: \\x begins no escape of JSON. Write a backslash as \\\\; a code has four digits: \\u00e9.",
-    '["\\u12"]': "1:3 [0]: \\u begins no escape of JSON. Write a backslash as \\\\; a code has four digits: \\u00e9.",
-    '["\\\x1b"]': "1:3 [0]: a backslash before U+001B begins no escape of JSON. "
+    '["\\x41"]': "1:3 [0]: \\x is not an escape of JSON. Write a backslash as \\\\; a code has four digits: \\u00e9.",
+    '["\\u12"]': "1:3 [0]: \\u is not an escape of JSON. Write a backslash as \\\\; a code has four digits: \\u00e9.",
+    '["\\\x1b"]': "1:3 [0]: a backslash before U+001B is not an escape of JSON. "
     "Write a backslash as \\\\; a code has four digits: \\u00e9.",
     '["\\ud800x"]': "1:3 [0]: \\ud800 is one half of a character. "
     "Write both halves, as in \\ud83d\\ude00, or the character.",
     '{"\\uDC00": 1}': "1:3: \\uDC00 is one half of a character. "
     "Write both halves, as in \\ud83d\\ude00, or the character.",
-    '["\ud800"]': "1:3 [0]: U+D800 in the string opened at line 1, column 2 is one half of a character. Take it out.",
-    "[1\u00a0]": "1:3: expected a comma or ], but the invisible character U+00A0 stands here. Take it out.",
-    "\x1b[31m": "1:1: expected a value, but the invisible character U+001B stands here. Take it out.",
-    "\ufeff{}": "1:1: the text begins with a byte-order mark. Save the file as UTF-8 without one.",
+    '["\ud800"]': "1:3 [0]: U+D800 in the string opened at line 1, column 2 is one half of a character. Remove it.",
+    "[1\u00a0]": "1:3: expected a comma or ], but the invisible character U+00A0 is here. Remove it.",
+    "\x1b[31m": "1:1: expected a value, but the invisible character U+001B is here. Remove it.",
+    "\ufeff{}": "1:1: the text begins with a byte-order mark. Save the file as UTF-8 without this mark.",
 }
 
 
@@ -335,12 +335,12 @@ def test_a_slip_is_told_with_its_place_and_its_cure(text: str) -> None:
 
 
 BYTES = {
-    b"\xef\xbb\xbf{}": "1:1: the text begins with a byte-order mark. Save the file as UTF-8 without one.",
+    b"\xef\xbb\xbf{}": "1:1: the text begins with a byte-order mark. Save the file as UTF-8 without this mark.",
     "{}".encode("utf-16"): "1:1: the text is in UTF-16 or UTF-32, or not a text. Save the file as UTF-8.",
     "{}".encode("utf-16-le"): "1:1: the text is in UTF-16 or UTF-32, or not a text. Save the file as UTF-8.",
     "{}".encode("utf-32-be"): "1:1: the text is in UTF-16 or UTF-32, or not a text. Save the file as UTF-8.",
-    '{\n"é": "'.encode() + b'\xe9"}': "2:7: the byte 0xe9 stands here, and it is not UTF-8. Save the file as UTF-8.",
-    b'"\xed\xa0\x80"': "1:2: the byte 0xed stands here, and it is not UTF-8. Save the file as UTF-8.",
+    '{\n"é": "'.encode() + b'\xe9"}': "2:7: the byte 0xe9 is not UTF-8. Save the file as UTF-8.",
+    b'"\xed\xa0\x80"': "1:2: the byte 0xed is not UTF-8. Save the file as UTF-8.",
 }
 
 
@@ -352,14 +352,14 @@ def test_bytes_that_are_not_utf_8_are_refused(text: bytes) -> None:
 def test_all_faults_of_one_pass_come_together_in_the_order_of_the_text() -> None:
     text = '{"a": 1, "b": {"c": 1, "\\u0063": 1e999, "c": [1e-999]},\n"a": "\\ud800"} x'
     assert faults(text, file="d.json") == [
-        'E002 d.json:1:24 b: the key "c" appears twice, first at line 1, column 16. Rename one, or take one out.',
-        "E004 d.json:1:34 b.c: 1e999 is too large: a float ends at 1.8e308. Write a smaller number.",
-        'E002 d.json:1:41 b: the key "c" appears twice, first at line 1, column 16. Rename one, or take one out.',
-        "E004 d.json:1:47 b.c[0]: 1e-999 is too small: a float would hold 0. Write 0, or a number from 5e-324 on.",
-        'E002 d.json:2:1: the key "a" appears twice, first at line 1, column 2. Rename one, or take one out.',
+        'E002 d.json:1:24 b: the key "c" appears twice, first at line 1, column 16. Rename or remove one of them.',
+        "E004 d.json:1:34 b.c: 1e999 is too large: the largest float is 1.8e308. Write a smaller number.",
+        'E002 d.json:1:41 b: the key "c" appears twice, first at line 1, column 16. Rename or remove one of them.',
+        "E004 d.json:1:47 b.c[0]: 1e-999 is too small: a float would round it to 0. Write 0, or at least 5e-324.",
+        'E002 d.json:2:1: the key "a" appears twice, first at line 1, column 2. Rename or remove one of them.',
         "E001 d.json:2:7 a: \\ud800 is one half of a character. "
         "Write both halves, as in \\ud83d\\ude00, or the character.",
-        "E001 d.json:2:16: expected the end of the text, but x stands here. A text holds one value: take the rest out.",
+        "E001 d.json:2:16: expected the end of the text, but x is here. The text must hold one value: remove the rest.",
     ]
 
 
@@ -381,14 +381,14 @@ def test_without_a_file_the_faults_name_the_text() -> None:
 def test_a_number_of_more_than_400_characters_is_refused() -> None:
     assert read("0." + "1" * 398).value == Number("0." + "1" * 398)
     assert faults("0." + "1" * 399) == [
-        "E004 <text>:1:1: a number of 401 characters: at most 400 are read. Round it; a float holds 17 digits."
+        "E004 <text>:1:1: the number has 401 characters; the limit is 400. Round it: a float has 17 digits."
     ]
 
 
 def test_after_a_thousand_faults_the_reading_ends() -> None:
     found = faults("[" + "1e999," * 5000 + "1]")
     assert len(found) == 1001
-    assert found[-1] == "E008 <text>:1:5996 [999]: the reading ends after 1,000 faults. Mend these first."
+    assert found[-1] == "E008 <text>:1:5996 [999]: reading stops after 1,000 faults. Fix these faults first."
 
 
 # Limits.
@@ -429,7 +429,7 @@ def test_hostile_texts_are_refused_at_once(text: str | bytes, code: str) -> None
 
 def test_a_text_that_is_too_large_is_told_with_its_size() -> None:
     assert faults(b" " * 50_000_000, file="d.json") == [
-        "E008 d.json: the text has 50,000,000 bytes: at most 16,777,216 are read. "
+        "E008 d.json: the text has 50,000,000 bytes; the limit is 16,777,216. "
         "Keep tables of data in files of their own."
     ]
 
@@ -438,8 +438,8 @@ def test_a_string_may_have_100_000_characters() -> None:
     long = "x" * 100_000
     assert read(f'{{"{long}": "{long}"}}').value == {long: long}
     assert faults(f'["{long}y", "\\t{long}"]') == [
-        "E008 <text>:1:2 [0]: a string of 100,001 characters: at most 100,000 are read. Shorten it.",
-        "E008 <text>:1:100007 [1]: a string of 100,001 characters: at most 100,000 are read. Shorten it.",
+        "E008 <text>:1:2 [0]: the string has 100,001 characters; the limit is 100,000. Shorten it.",
+        "E008 <text>:1:100007 [1]: the string has 100,001 characters; the limit is 100,000. Shorten it.",
     ]
 
 
@@ -491,7 +491,7 @@ def test_a_place_is_looked_for_up_to_where_it_stands() -> None:
 def test_a_string_of_escapes_is_given_up_where_it_is_too_long() -> None:
     assert read('"' + "\\t" * 100_000 + '"').value == "\t" * 100_000
     first = faults('["' + '\\"' * 100_001 + '", 1')[0]
-    assert first.startswith("E008 <text>:1:2 [0]: a string of 100,001 characters")
+    assert first.startswith("E008 <text>:1:2 [0]: the string has 100,001 characters")
 
 
 def test_more_than_a_million_values_are_not_made_to_be_counted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -597,22 +597,22 @@ def test_what_json_cannot_say_is_refused_all_at_once() -> None:
         "E004 a[2]: JSON has no nan. Write a finite number.",
         "E004 a[3]: JSON has no nan. Write a finite number.",
         "E004 a[4]: JSON has no inf. Write a finite number.",
-        "E004 b: a key is of the type int. Keys are strings.",
-        "E004 b: a key is of the type NoneType. Keys are strings.",
-        "E004 c: a value of the type set has no form in JSON.",
-        "E004 d: an integer is too large: a float ends at 1.8e308.",
-        "E004 e: a value of the type type has no form in JSON.",
-        "E004 f: a value of the type complex has no form in JSON.",
-        "E004 g: a value of the type longdouble has no form in JSON.",
+        "E004 b: a key is of the type int. Use strings as keys.",
+        "E004 b: a key is of the type NoneType. Use strings as keys.",
+        "E004 c: a value of the type set cannot be written as JSON.",
+        "E004 d: an integer is too large: the largest float is 1.8e308.",
+        "E004 e: a value of the type type cannot be written as JSON.",
+        "E004 f: a value of the type complex cannot be written as JSON.",
+        "E004 g: a value of the type longdouble cannot be written as JSON.",
     ]
 
 
 def test_the_largest_integer_written_is_the_largest_that_is_read() -> None:
     largest = (1 << 1024) - (1 << 970) - 1
     assert read(one_line(largest)).value.exact == largest
-    assert write_faults(largest + 1) == ["E004 an integer is too large: a float ends at 1.8e308."]
+    assert write_faults(largest + 1) == ["E004 an integer is too large: the largest float is 1.8e308."]
     assert faults(str(largest + 1))[0].startswith("E004")
-    assert write_faults(-(10**5000)) == ["E004 an integer is too large: a float ends at 1.8e308."]
+    assert write_faults(-(10**5000)) == ["E004 an integer is too large: the largest float is 1.8e308."]
 
 
 def test_a_value_that_holds_itself_is_refused() -> None:
@@ -624,7 +624,7 @@ def test_a_value_that_holds_itself_is_refused() -> None:
 
 def test_what_could_not_be_read_again_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
     assert write_faults({"a": "x" * 100_001}) == [
-        "E008 a: a string of 100,001 characters: at most 100,000 are written."
+        "E008 a: a string has 100,001 characters; the limit is 100,000."
     ]
     monkeypatch.setattr(json_document, "LARGEST_TEXT", 10)
     assert one_line("é" * 3) == '"ééé"\n'

@@ -140,8 +140,8 @@ class _Comparison:
         for change in changes:
             self.made.changes.append(change)
             if len(self.made.changes) > MOST:
-                message = f"there are more than {MOST:,} differences."
-                raise ModelError(Fault("E008", "", message, "These are different diagrams: compare parts of them."))
+                message = f"the diagrams have more than {MOST:,} differences."
+                raise ModelError(Fault("E008", "", message, "Compare parts of the diagrams instead."))
 
     # --- names -------------------------------------------------------------------------------------------------
 
