@@ -66,7 +66,7 @@ def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, 
         for pattern in patterns:
             for path in named(pattern, known, fleets) or [pattern]:
                 if path in by:
-                    message = f"is given by {legible(by[path])} and by {legible(pattern)}."
+                    message = f"is given twice: by {legible(by[path])} and by {legible(pattern)}."
                     raise UsageError(Fault("E501", legible(path), message, "Give it once."))
                 by[path] = pattern
         own = {name: name for name in given if "*" not in str(name)}

@@ -352,10 +352,10 @@ def test_stiff_rows_are_those_of_runs_and_run_in_threads(method: str) -> None:
     {
         "none": ({"names": ["lag.tau"]}, "E106 lag.tau"),
         "pattern": ({"names": ["la*.z"]}, "E106 .*names no parameter"),
-        "twice": ({"names": ["lag.T", "l*.T"]}, "E501 .*is varied by lag.T already"),
+        "twice": ({"names": ["lag.T", "l*.T"]}, "E501 .*is already varied by lag.T"),
         "element": ({"names": ["lag.T[0]"]}, "E501 .*name it alone"),
         "measure": ({"names": [], "measures": ["effor"]}, "E501 effor.*effort"),
-        "one name": ({"names": "lag.T"}, "E501 lag.T: is one name"),
+        "one name": ({"names": "lag.T"}, "E501 lag.T: is a single name"),
         "text": ({"names": [], "measures": "ise"}, "E501 measures"),
         "inputs": ({"names": [], "inputs": {"u": 1.0}}, "E501 inputs"),
         "jumps": ({"names": [], "jumps": True}, "E501 jumps"),

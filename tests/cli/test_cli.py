@@ -122,7 +122,7 @@ def test_values_with_units_on_the_command_line(text: str) -> None:
     [
         (["--set", "motor.Rx=1"], "E106", "motor.Ra"),
         (["--set", "motor.Ra"], "E501", "NAME=VALUE"),
-        (["--set", "control.kp=1"], "E117", "Set what it is computed from"),
+        (["--set", "control.kp=1"], "E117", "Set the parameters that it is computed from"),
         (["--set", "motor.Ra=2 V"], "E104", "different quantities"),
         (["--set", "motor.Ra=much"], "E107", "number"),
         (["--set", "motor.Ra=1 furlong"], "E114", "furlong"),
@@ -938,7 +938,7 @@ def test_a_wrong_setting_hides_no_loop_and_a_misspelt_key_is_told_once(
     assert main(["check", path]) == 2
     told_text = capsys.readouterr().out
     assert [line.split()[0] for line in told_text.splitlines() if line.startswith("  E")] == ["E115", "E102"]
-    assert 'What comes nearest is "dopri5".' in told_text
+    assert 'The nearest method is "dopri5".' in told_text
 
 
 def path_without(path: str, section: str) -> str:
@@ -1138,8 +1138,8 @@ def test_units_that_are_the_parameter_s_or_the_case_s_fault_are_told_so(
     assert main(["check", path]) == 2
     told = capsys.readouterr().out
     assert "Did you mean [s]?" in told
-    assert "Mend the unit of k where it stands" in told
-    assert 'Check the wire and the "unit" of e, or put a Gain' in told
+    assert "Correct the unit of k" in told
+    assert 'Check the wire and the "unit" of e, or insert a Gain' in told
 
 
 def test_no_command_at_all_prints_the_help(capsys: pytest.CaptureFixture[str]) -> None:

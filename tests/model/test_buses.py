@@ -69,7 +69,7 @@ def test_a_bus_is_the_vector_that_it_was() -> None:
     ("text", "said"),
     [
         ("pose.y[thet]", "E105 far.u: pose.y has no element \"thet\". Did you mean 'theta'? Elements: x, y, theta."),
-        ("x.y[theta]", 'x.y has no element "theta". Its elements have no names: a Mux gives them, with "names".'),
+        ("x.y[theta]", 'x.y has no element "theta". Its elements have no names: give them with the parameter "names" of a Mux.'),
         ("pose.z[theta]", 'E105 far.u: pose has no output "z".'),
         ("nobody.y[theta]", 'E105 far.u: the source "nobody.y[theta]" is not there.'),
         ("pose.y[theta]", "E104 far.u [m] <- pose.y[theta] [rad]: m and rad are different quantities."),

@@ -316,7 +316,7 @@ def test_a_missing_file_is_told_with_its_neighbor(tmp_path: Path) -> None:
     assert "does not exist" in fault.message
     assert fault.line == 1
     fault = refused(project(tmp_path, top=using("diagrams/adrc/adrc_2.json")))
-    assert fault.cure == "A path counts from the folder of the file that names it."
+    assert fault.cure == "Paths are relative to the folder of the file that contains them."
 
 
 @pytest.mark.parametrize("name", ["", "http://example.org/a.json", "a\0b.json", "x" * 5000, "."])
@@ -385,8 +385,8 @@ def test_home_and_what_is_above_it_is_no_project(tmp_path: Path, monkeypatch: py
     project(home / "work", inner=INNER)
     fault = refused(home / "top.json")
     assert fault.code == "E007"
-    assert f"lies outside the project ({home} is none, as it is the home folder)" in fault.message
-    assert fault.cure == f"Put both into a folder of their own below {home}."
+    assert f"lies outside the project ({home} is not a project, because it is the home folder)" in fault.message
+    assert fault.cure == f"Put both into their own folder below {home}."
     assert not project_of(Path(home.anchor) / "x.json").is_whole
 
 
@@ -488,7 +488,7 @@ def test_a_key_of_the_run_that_stands_at_the_top_is_told_where_it_belongs() -> N
 def test_files_that_use_each_other_twice_are_refused_before_they_fill_the_memory(tmp_path: Path) -> None:
     made = {f"f{k}": using(*[f"f{k + 1}.json"] * 4) for k in range(20)} | {"f20": INNER}
     value = load(project(tmp_path, **made))
-    with pytest.raises(ModelError, match=r"E008 .*blocks, but 1,000,000 are the most"):
+    with pytest.raises(ModelError, match=r"E008 .*blocks, but the limit is 1,000,000"):
         flatten(value, resolver_of(LIBRARY))
 
 
