@@ -185,9 +185,7 @@ class Running(Called):
         except OSError as error:  # as Windows reports a crash
             self.lose()
             message = f"{name} of {self.place} crashed{self.when}: {error}."
-            raise FMUError(
-                Fault("E213", self.name, message, 'Run it in its own process: "isolate": true.')
-            ) from None
+            raise FMUError(Fault("E213", self.name, message, 'Run it in its own process: "isolate": true.')) from None
         if self.raised is not None:
             error_inside, self.raised = self.raised, None
             raise error_inside

@@ -75,9 +75,7 @@ def isolated(
     if fmi not in (2, 3) or not timeout > 0:
         raise ValueError(f"fmi must be 2 or 3, and timeout above 0, not {fmi} and {timeout}")
     if not sys.platform.startswith("linux") or struct.calcsize("P") != 8:
-        message = (
-            f"it cannot run in its own process on {libraries.this_machine()}: this needs 64-bit Linux."
-        )
+        message = f"it cannot run in its own process on {libraries.this_machine()}: this needs 64-bit Linux."
         raise FMUError(Fault("E217", place, message, 'Run it without "isolate", or on Linux.'))
     path = path.absolute()
     order = libraries.with_neighbors(path, place)

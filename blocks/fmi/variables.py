@@ -402,9 +402,7 @@ class Variables:
                 message = f"{other} has the same reference {variable.reference}, but another type or size."
                 self.told.error(place, message, line)
             elif self.fmi == 3:
-                self.told.warn(
-                    place, f"{other} has the same reference; blocks treats the two as one variable.", line
-                )
+                self.told.warn(place, f"{other} has the same reference; blocks treats the two as one variable.", line)
             lead = leading.get(key, first)
             if _is_settable(variable) and not _is_settable(lead):
                 leading[key] = variable

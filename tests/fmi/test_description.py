@@ -526,7 +526,10 @@ Y3 = '<Float64 name="y" valueReference="1" causality="output"/>'
             ),
             "it is the derivative of n, but their types",
         ),
-        (text2(X, '<Derivatives><Unknown index="1"/></Derivatives>', interfaces=ME), "has no attribute derivative that names its state"),
+        (
+            text2(X, '<Derivatives><Unknown index="1"/></Derivatives>', interfaces=ME),
+            ("has no attribute derivative that names its state"),
+        ),
         (text3('<Float64 name="y" valueReference="1"><Alias name="y"/></Float64>'), "name of the variable itself"),
         (
             text3(TIME + '<Float64 name="y" valueReference="1"><Alias name="time"/></Float64>'),
@@ -539,9 +542,15 @@ Y3 = '<Float64 name="y" valueReference="1" causality="output"/>'
             ),
             "name of another variable",
         ),
-        (text3('<Float64 name="y" valueReference="1"><Dimension start="-1"/></Float64>'), "not a valid size of an array"),
+        (
+            text3('<Float64 name="y" valueReference="1"><Dimension start="-1"/></Float64>'),
+            "not a valid size of an array",
+        ),
         (text3('<Float64 name="y" valueReference="1"><Dimension/></Float64>'), "one of its dimensions has no size"),
-        (text3('<Float64 name="y" valueReference="1"><Dimension valueReference="5"/></Float64>'), "valueReference is '5'"),
+        (
+            text3('<Float64 name="y" valueReference="1"><Dimension valueReference="5"/></Float64>'),
+            "valueReference is '5'",
+        ),
         (text3('<Float64 name="y" valueReference="1"><Dimension valueReference="1"/></Float64>'), "its size is y"),
         (
             text3('<Float64 name="y" valueReference="1"><Dimension start="9999"/><Dimension start="9999"/></Float64>'),
@@ -655,7 +664,10 @@ def test_annotations_are_not_read_and_not_counted() -> None:
         (text2(real2("x", 1, 'nominal="0"')), "x: nominal is not above 0"),
         (text2(real2("x", 1, 'unbounded="yes"')), "x: unbounded is neither true nor false, and is ignored."),
         (text2(real2("u", 1, causality="input")), "u: its start value is missing"),
-        (text2(real2("u", 1, 'start="1"', causality="input", initial="calculated")), "u: a variable with causality input cannot have the"),
+        (
+            text2(real2("u", 1, 'start="1"', causality="input", initial="calculated")),
+            ("u: a variable with causality input cannot have the"),
+        ),
         (text2(real2("p", 1, 'start="1"', causality="parameter")), "p: a parameter cannot be continuous"),
         (
             text2('<ScalarVariable name="n" valueReference="1"><Integer/></ScalarVariable>'),
@@ -663,7 +675,10 @@ def test_annotations_are_not_read_and_not_counted() -> None:
         ),
         (text2(real2("u", 1, 'start="1"', causality="input", variability="fixed")), "u: a variable with causality"),
         (text2(real2("y", 1, causality="output")), "y: this output is not listed in ModelStructure; blocks assumes"),
-        (text2(X, '<Outputs><Unknown index="1"/></Outputs>'), "x: it is listed as an output, but its causality is not output; the entry is ignored."),
+        (
+            text2(X, '<Outputs><Unknown index="1"/></Outputs>'),
+            ("x: it is listed as an output, but its causality is not output; the entry is ignored."),
+        ),
         (text2(X, '<InitialUnknowns><Unknown index="9"/></InitialUnknowns>'), "ModelStructure: Unknown has the index"),
         (
             text2(X, '<InitialUnknowns><Unknown index="1" dependencies="9"/></InitialUnknowns>'),
@@ -682,10 +697,19 @@ def test_annotations_are_not_read_and_not_counted() -> None:
             text2(real2("x", 1) + real2("d", 2, 'derivative="1"'), interfaces=ME),
             "d: this derivative is not listed in ModelStructure, so blocks does not integrate its state.",
         ),
-        (text3(Y3 + Y3.replace('"y"', '"z"')), "z: y (line 1) has the same reference; blocks treats the two as one variable."),
+        (
+            text3(Y3 + Y3.replace('"y"', '"z"')),
+            ("z: y (line 1) has the same reference; blocks treats the two as one variable."),
+        ),
         (text2(X + X), "x: the name appears twice, first in line 1."),
-        (text2(interfaces='<CoSimulation modelIdentifier="a-b"/>'), "CoSimulation: modelIdentifier is not a valid identifier"),
-        (text2().replace(b'"2.0"', b'"2.1"'), ": FMI '2.1' is not a published version; blocks reads the file as FMI 2.0."),
+        (
+            text2(interfaces='<CoSimulation modelIdentifier="a-b"/>'),
+            ("CoSimulation: modelIdentifier is not a valid identifier"),
+        ),
+        (
+            text2().replace(b'"2.0"', b'"2.1"'),
+            (": FMI '2.1' is not a published version; blocks reads the file as FMI 2.0."),
+        ),
         (text3().replace(b'"3.0"', b'"3.0-beta.2"'), ": FMI '3.0-beta.2' is not a published version"),
         (
             text2(real2("u", 1, 'start="1"', causality="input") + real2("v", 1, 'start="1"', causality="input")),

@@ -307,7 +307,10 @@ def test_what_an_fmu_refuses_is_an_error_that_names_the_variable(files: dict[int
     with open_fmu(files[fmi], "CS") as loaded, Instance(loaded, "one") as one:
         text = refused("E213", one.set, named(one, "y"), [1.0])
         real = "Real" if fmi == 2 else "Float64"
-        assert text.startswith(f"E213 one: fmi{fmi}Set{real} (y) of faulty{fmi}.fmu returned an error. Its initialization failed. The FMU reported nothing.")
+        assert text.startswith(
+            f"E213 one: fmi{fmi}Set{real} (y) of faulty{fmi}.fmu returned an "
+            "error. Its initialization failed. The FMU reported nothing."
+        )
 
 
 # --- what steps come to ----
@@ -322,7 +325,8 @@ def test_a_warning_is_remembered_once(files: dict[int, Path], fmi: int) -> None:
         (fault,) = one.warnings
         assert fault.is_warning
         expected = (
-            f'fmi{fmi}DoStep of faulty{fmi}.fmu returned a warning at t = 0 s. The FMU reported: "a fault at 0.5 of 100%, u = 1".'
+            f"fmi{fmi}DoStep of faulty{fmi}.fmu returned a warning at t "
+            '= 0 s. The FMU reported: "a fault at 0.5 of 100%, u = 1".'
         )
         assert fault.message == expected
 

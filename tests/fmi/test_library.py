@@ -155,9 +155,15 @@ def test_folders_are_looked_for_by_the_names_of_both_standards(
         (["binaries/win64/m.dll"], "it holds binaries for win64 only; this machine is linux64. Export it"),
         (
             ["binaries/win64/m.dll", "binaries/darwin64/m.dylib", "sources/m.c"],
-            "binaries for darwin64, win64 only; this machine is linux64. It contains sources. Run: blocks fmu compile x.fmu",
+            (
+                "binaries for darwin64, win64 only; this machine is linux64. "
+                "It contains sources. Run: blocks fmu compile x.fmu"
+            ),
         ),
-        (["binaries/linux64/n.so"], "binaries/linux64 does not hold m.so, the binary that its modelIdentifier names; it holds n.so."),
+        (
+            ["binaries/linux64/n.so"],
+            ("binaries/linux64 does not hold m.so, the binary that its modelIdentifier names; it holds n.so."),
+        ),
         (["binaries/linux64/m.dll"], "binaries/linux64 does not hold m.so, the binary that its modelIdentifier names."),
     ],
 )
@@ -211,7 +217,9 @@ def test_what_speaks_against_an_fmu_is_told_without_loading_it(tmp_path: Path) -
             told.append([str(fault) for fault in faults(archive, parse(description), kind)])
     assert told[0] == []
     assert told[1] == ["E205 x.fmu: it is an FMU for Co-Simulation, not for Model Exchange. Choose another kind."]
-    assert told[2][0].startswith("W202 x.fmu: it declares that it needs an external program to run, usually the tool that exported it (Tool 1).")
+    assert told[2][0].startswith(
+        "W202 x.fmu: it declares that it needs an external program to run, usually the tool that exported it (Tool 1)."
+    )
     assert "E207 x.fmu: binaries/" in told[3][0]
     assert "truncated" in told[3][0]
     assert "is built for aarch64-linux; this Python is" in told[4][0]
@@ -413,7 +421,10 @@ AT_LOAD = "__attribute__((constructor)) static void at_load(void)"
     ("body", "what"),
     [
         ("*(volatile int *)0 = 0;", "crashed (SIGSEGV) while it was loading"),
-        ('fputs("out of luck\\n", stderr); abort();', "crashed (SIGABRT) while it was loading. It printed: out of luck"),
+        (
+            'fputs("out of luck\\n", stderr); abort();',
+            ("crashed (SIGABRT) while it was loading. It printed: out of luck"),
+        ),
         ("exit(0);", "ended the process (exit status 0) while it was loading"),
         ("_exit(7);", "ended the process (exit status 7) while it was loading"),
         ("raise(SIGKILL);", "crashed (SIGKILL)"),

@@ -101,7 +101,12 @@ def test_an_fmu_that_says_that_it_needs_a_program_is_counted_among_the_warnings(
             made.writestr(name, data)
     assert cli.main(["fmu", "check", str(path)]) == 0
     text = capsys.readouterr().out
-    assert text.count("W202 x.fmu: it declares that it needs an external program to run, usually the tool that exported it") == 2  # once for each kind
+    assert (
+        text.count(
+            "W202 x.fmu: it declares that it needs an external program to run, usually the tool that exported it"
+        )
+        == 2
+    )  # once for each kind
     assert text.endswith("0 errors, 1 warning; nothing was loaded\n")
 
 
