@@ -28,8 +28,6 @@ from tests.support.places import ROOT
 GAIN = {"type": "Gain"}
 
 
-
-
 def text(*lines: str) -> str:
     """A diagram's text from the lines behind its header: the first one given is line 3."""
     return "\n".join(['{"format": "blocks-diagram",', ' "version": 2,', *lines]) + "\n"
@@ -97,13 +95,16 @@ def test_a_fault_of_the_first_two_keys_hides_no_other() -> None:
 
 
 def test_slips_of_the_text_hide_no_fault_of_the_structure() -> None:
-    text = "\ufeff" + """{"format": "blocks-diagram", "version": 2, // a loop
+    text = (
+        "\ufeff"
+        + """{"format": "blocks-diagram", "version": 2, // a loop
  "blocks": {
   "g": {"type": "Gain", "k": 1,},
   "h": {"typ": "Gain", 'parameters': {"k": 1e999}}
   "i": {"type": "Gain"}
  },
 }"""
+    )
     assert faults(text) == [
         ("E001", "", 1, 1),
         ("E001", "", 1, 45),
@@ -519,8 +520,6 @@ def test_faults_of_several_files_stand_together(tmp_path: Path) -> None:
 # --- writing ---------------------------------------------------------------------------------------------------
 
 
-
-
 def test_a_canonical_file_is_written_back_byte_for_byte() -> None:
     assert dumps(loads(NESTED)) == NESTED
 
@@ -589,12 +588,6 @@ def test_a_place_that_cannot_be_written_to_is_a_usage_error(tmp_path: Path, name
 # --- random files ----------------------------------------------------------------------------------------------
 
 
-
-
-
-
-
-
 def pruned(body: Any) -> Any:
     """Without what a canonical file leaves out."""
     if not isinstance(body, dict):
@@ -603,8 +596,6 @@ def pruned(body: Any) -> Any:
     if "blocks" in kept:
         kept["blocks"] = {name: pruned(block) for name, block in kept["blocks"].items()}
     return {key: value for key, value in kept.items() if key.startswith(("x-", "diagram")) or value not in ("", [], {})}
-
-
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
@@ -616,8 +607,6 @@ def test_a_random_diagram_that_is_written_and_read_is_identical(body: dict[str, 
     assert again == value
     assert dumps(again) == written
     assert json.loads(written) == pruned(document(**body))
-
-
 
 
 @settings(max_examples=300, deadline=None)

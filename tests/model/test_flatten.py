@@ -662,7 +662,7 @@ def test_cycles_of_parameters_are_told_once_with_the_cycle() -> None:
     [
         ("=a+", "column 3: expected a number"),
         ("=", "expected a number"),
-        ("=zz", "reads 'zz', which is not known here"),
+        ("=zz", "reads 'zz', which is not a known name here"),
         ("=1/0", "division by zero"),
         ("=v+1", "'v' is a list, not a number."),
         ("=t+1", "'t' is the text \"abc\", not a number."),
@@ -698,7 +698,9 @@ def test_vectors_texts_and_bools_are_passed_whole() -> None:
 
 def test_a_list_that_holds_an_expression_is_bound_and_waits_for_what_it_reads() -> None:
     sections = {"parameters": {"v": {"value": [1, ["=a"]]}, "a": "=b+1", "b": 1}}
-    assert only({"v": [1]}, **sections).message == 'is computed from other parameters ("=a"), so it cannot be set itself.'
+    assert (
+        only({"v": [1]}, **sections).message == 'is computed from other parameters ("=a"), so it cannot be set itself.'
+    )
     assert only(parameters={"v": [1, "=w"], "w": "=v"}).message.startswith("needs itself: ")
 
 
@@ -964,7 +966,11 @@ def test_a_measure_may_be_taken_against_a_number(raw: Any, value: float) -> None
         ({"type": "zzz", "of": "a.y"}, "E116", "Measures: ITAE, IAE"),
         ({"type": "IAE", "of": "a.z"}, "E105", "there is no signal \"a.z\". Did you mean 'a.y'?"),
         ({"type": "IAE", "of": "a.y", "against": "zz"}, "E105", 'there is no signal "zz".'),
-        ({"type": "IAE", "of": "m.y"}, "E110", 'm.y has 2 elements, but a measure needs one. Measure one element, as in "m.y[0]".'),
+        (
+            {"type": "IAE", "of": "m.y"},
+            "E110",
+            'm.y has 2 elements, but a measure needs one. Measure one element, as in "m.y[0]".',
+        ),
         ({"type": "IAE", "of": "a.y", "against": "b.y"}, "E104", "a.y [V] and b.y [A] are different quantities."),
         (
             {"type": "IAE", "of": "a.y", "against": {"value": 1, "unit": "A"}},
@@ -977,11 +983,15 @@ def test_a_measure_may_be_taken_against_a_number(raw: Any, value: float) -> None
         ({"type": "IAE", "of": "a.y", "from": "1"}, "E116", '"from" must be a number.'),
         ({"type": "IAE", "of": "a.y", "from": {"value": 1, "unit": "V"}}, "E104", "[V] is given, but [s] is needed"),
         ({"type": "IAE", "of": "a.y", "from": 2, "to": 2}, "E116", "the window ends before it begins."),
-        ({"type": "IAE", "of": "a.y", "to": "=zz"}, "E108", "'zz', which is not known here"),
+        ({"type": "IAE", "of": "a.y", "to": "=zz"}, "E108", "'zz', which is not a known name here"),
         ({"type": "IAE", "of": "a.y", "band": 0.1}, "E116", "IAE has no band."),
         ({"type": "settling_time", "of": "a.y", "against": 1, "band": 0}, "E116", "between 0 and 1, not 0.0."),
         ({"type": "settling_time", "of": "a.y", "against": 1, "band": -1}, "E116", "between 0 and 1"),
-        ({"type": "overshoot", "of": "a.y"}, "E116", 'overshoot needs the target value. Add "against": a number or a signal.'),
+        (
+            {"type": "overshoot", "of": "a.y"},
+            "E116",
+            'overshoot needs the target value. Add "against": a number or a signal.',
+        ),
     ],
 )
 def test_a_measure_that_cannot_be_taken_is_told(measure: dict[str, Any], code: str, part: str) -> None:
@@ -1206,8 +1216,8 @@ def test_what_is_spelled_apart_is_apart() -> None:
         ("-1.5e-3", "Write it without quotes: -1.5e-3."),
         ("200 ms", 'Write {"value": 200, "unit": "ms"}.'),
         ("12V", 'Write {"value": 12, "unit": "V"}.'),
-        ("2*gain", 'An expression begins with =, as in "=2*gain".'),
-        ("fast", 'An expression begins with =, as in "=2*gain".'),
+        ("2*gain", 'Begin an expression with =, as in "=2*gain".'),
+        ("fast", 'Begin an expression with =, as in "=2*gain".'),
     ],
 )
 def test_a_text_in_place_of_a_number_is_told_with_what_was_meant(value: str, cure: str) -> None:

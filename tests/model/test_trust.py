@@ -145,7 +145,9 @@ def test_a_folder_that_others_may_write_to_is_no_project(tmp_path: Path, mode: i
     check_trust(diagram.value)
     folder.chmod(mode)
     text = refused(diagram)
-    assert f"outside the project {folder / 'diagrams'} ({folder} is not a project, because it is writable by other users)" in text
+    assert (
+        f"outside the project {folder / 'diagrams'} ({folder} is not a project, because it is writable by other users)"
+    ) in text
     check_trust(diagram.value, folder)
     (folder / "diagrams").chmod(mode)
     assert "lies in no project" in refused(diagram)

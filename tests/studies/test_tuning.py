@@ -251,7 +251,7 @@ def test_a_tuning_that_noise_and_effort_do_not_hold_back_is_told(given: dict[str
         ({"minimize": "IAE", "subject_to": ["variation == 3"]}, 'subject_to[0]: "variation == 3" is no comparison'),
         ({"minimize": "IAE", "subject_to": ["variation <= 2 bananas"]}, "subject_to[0]: '=2 bananas'"),
         ({"minimize": "IAE", "subject_to": ["1 <= 2"]}, 'subject_to[0]: "1 <= 2" reads no measure'),
-        ({"minimize": "2 IAE"}, "A product is written with *."),
+        ({"minimize": "2 IAE"}, "Write a product with *."),
         ({"minimize": "IAE", "over": {"k": (5, 1)}}, "k: has no two bounds"),
         ({"minimize": "IAE", "over": {"gain": (1, 5)}}, "there is no such parameter"),
         ({"minimize": "IAE", "method": "least_squares"}, "Use Diagram.fit"),
