@@ -513,7 +513,9 @@ def test_a_missing_package_is_told_before_the_run(
     assert main(["run", MOTOR, "--out", str(target)]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert captured.err.startswith(f"E504 {target}: the package pyarrow is needed and not installed. Install it: pip")
+    assert captured.err.startswith(
+        f"E504 {target}: this needs the package pyarrow, which is not installed. Install it: pip"
+    )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -639,7 +641,7 @@ def test_another_tolerance_of_the_run_is_told_and_its_differences_are_small(
             '# blocks results 1\n# units: {"m.w": "V"}\ntime,m.w\n0,0\n', [],
             "E505 m.w: is in rad/s in A and in V in B, which are different quantities.",
         ),
-        ("time,m.w\n0,0\n", ["--tolerance", "-1"], "E501 tolerance: must be a number from 0 on, not -1.0."),
+        ("time,m.w\n0,0\n", ["--tolerance", "-1"], "E501 tolerance: must be a number of at least 0, not -1.0."),
         ("time,m.w\n0,0\n", ["--tolerance", "few"], "E501 --tolerance: 'few' is not a number."),
         ("time,m.w\n0,0\n", ["--absolute", "1 mV"], "E501 --absolute: '1 mV' is not a number without unit."),
     ],

@@ -85,7 +85,7 @@ def test_steps_are_told_in_all_their_digits(capsys: Printed, tmp_path: Path) -> 
         (' canHandleVariableCommunicationStepSize="true"', ""),
     )  # fmt: skip
     _, err = ran(capsys)
-    assert "takes steps of 0.1000000001 s only, and the stop at 1 s is no multiple of them" in err
+    assert "takes steps of 0.1000000001 s only, and the stop at 1 s is not a multiple of them" in err
 
 
 @pytest.mark.parametrize("engine", ["native", "reference"])
