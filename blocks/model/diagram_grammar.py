@@ -545,7 +545,7 @@ MEASURE = Object(
     Field("against", AnyOf(SCALAR, SIGNAL_NAME), (
         "A signal, or a number in the unit of `of`, that is taken off."
     ), 0, is_later=True),
-    Field("from", MOMENT, "Begin of the window, in s; left out: the start of the run.", is_later=True),
+    Field("from", MOMENT, "Start of the window, in s; left out: the start of the run.", is_later=True),
     Field("to", MOMENT, "End of the window, in s; left out: the end of the run.", is_later=True),
     Field("band", AnyOf(Scalar(above=0, below=1), COMPUTED, QUANTITY_TEXT), (
         "Of settling_time: a part of the step's size."

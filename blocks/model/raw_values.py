@@ -42,7 +42,8 @@ def raw_of(value: Any) -> Any:
         return {str(key): raw_of(item) for key, item in value.items()}
     if isinstance(value, (Rational, Decimal)):
         return float(value)
-    raise UsageError(Fault("E501", "", f"{quoted(repr(value))} is not a value that a diagram can hold."))
+    message = f"{quoted(repr(value))} is not a value that a diagram can hold."
+    raise UsageError(Fault("E501", "", message, "Give a number, a text, a bool or a list."))
 
 
 def given_value(value: Any, parameter: Any) -> Any:

@@ -388,11 +388,13 @@ FIGURE = Object(
     DOC,
     Field("kind", Choice(("time", "spectrum")), "Signals over time, or their amplitude spectra.", "time"),
     Field("panels", _objects(PANEL, 1), "Axes, from the top.", required=True),
-    Field("from", NUMBER, "Begin of the window, in s."),
+    Field("from", NUMBER, "Start of the window, in s."),
     Field("to", NUMBER, "End of the window, in s."),
-    Field("windows", ListOf(_numbers(2), 1, what="a list of [from, to]"), (
-        "Stretches [from, to] of the horizontal axis, beside each other; left out: all of it."
-    )),
+    Field(
+        "windows",
+        ListOf(_numbers(2), 1, what="a list of [from, to]"),
+        ("Stretches [from, to] of the horizontal axis, beside each other; left out: all of it."),
+    ),
     Field("xlabel", TEXT, "The label of the horizontal axis."),
     rules=[Rule(_named), Rule(_rising)],
     name="figure",
