@@ -168,7 +168,7 @@ def test_a_recording_that_cannot_fit_is_refused_before_the_run(
     (fault,) = caught.value.faults
     assert fault.code == "E311"
     needed = available_memory.told(8.0 * rows * 3 * (2 if "master" in settings else 1.1))
-    assert fault.message == f"{rows:,} rows of 2 signals take {needed} of memory, and 5.33 GB are there for it."
+    assert fault.message == f"{rows:,} rows of 2 signals need {needed} of memory, and 5.33 GB are available."
     assert fault.cure == "Record fewer signals (--log), or on a coarser grid (--every)."
 
 

@@ -117,7 +117,7 @@ def test_a_state_of_a_library_with_another_equation_is_refused_with_the_block_an
     run.advance_to(1.0)
     run.save(tmp_path / "state")
     state = tmp_path / "state" if is_file else run.snapshot()
-    assert refused(of_library("two", "-2 * rate * x"), state) == ["tank: 'derivative x' is another equation."]
+    assert refused(of_library("two", "-2 * rate * x"), state) == ["tank: 'derivative x' is a different equation."]
     again = of_library("three", "-rate*x  # the same")
     rest = again.run(resume=state)
     assert rest.warnings == ()
@@ -223,7 +223,7 @@ def test_a_wire_that_leads_from_elsewhere_is_named(tmp_path: Path) -> None:
 def test_a_block_of_another_type_is_named_with_both(tmp_path: Path) -> None:
     state = halfway(chain(), tmp_path / "state")
     (text,) = refused(chain(source=Constant(value=1.0)), state)
-    assert text.startswith("source: it is a Constant, and was a Sine; 'output y' is another equation")
+    assert text.startswith("source: it is a Constant, and was a Sine; 'output y' is a different equation")
 
 
 def test_a_structural_value_that_changes_an_equation_is_named(tmp_path: Path) -> None:
@@ -234,7 +234,7 @@ def test_a_structural_value_that_changes_an_equation_is_named(tmp_path: Path) ->
         return d
 
     state = halfway(sums("++"), tmp_path / "state")
-    assert refused(sums("+-"), state) == ["sum: 'output y' is another equation; signs is +-, and was ++."]
+    assert refused(sums("+-"), state) == ["sum: 'output y' is a different equation; signs is +-, and was ++."]
 
 
 def test_ticks_and_delays_are_named_with_their_block(tmp_path: Path) -> None:
@@ -263,7 +263,7 @@ def test_many_differences_are_counted(tmp_path: Path) -> None:
     state = halfway(many(lambda k: Sine()), tmp_path / "state")
     text = refused(many(lambda k: Constant()), state)
     assert len(text) == 9
-    assert text[-1] == "blocks: 'b8', 'b9', 'b10' and 19 more compute something else too."
+    assert text[-1] == "blocks: 'b8', 'b9', 'b10' and 19 more compute different values too."
 
 
 # --- values that may differ ---------------------------------------------------------------------------------------
@@ -470,7 +470,7 @@ def test_an_fmu_counts_by_its_file(tmp_path: Path) -> None:
     assert origins[0] == origins[1] != origins[2]
     state = halfway(motor(given), tmp_path / "state", 0.005)
     assert motor(copied).run(resume=state).warnings == ()
-    assert refused(motor(changed), state) == ["motor: 'fmu' is another equation."]
+    assert refused(motor(changed), state) == ["motor: 'fmu' is a different equation."]
 
 
 def test_what_enables_a_subdiagram_and_resets_it_counts(tmp_path: Path) -> None:
@@ -617,4 +617,4 @@ def test_the_command_line_tells_it(of_library: Any, tmp_path: Path, capsys: pyte
     of_library("one", "-2 * rate * x")
     assert main([*common, "--resume", str(tmp_path / "state")]) == 2
     said = capsys.readouterr().err
-    assert "E506 tank: the state does not fit the diagram: 'derivative x' is another equation." in said
+    assert "E506 tank: the state does not fit the diagram: 'derivative x' is a different equation." in said

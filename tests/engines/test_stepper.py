@@ -227,10 +227,10 @@ def stepping(function: Any) -> Any:
     [
         (lambda: 1 / 0, "E310 odd: its stepper could not be created: ZeroDivisionError (test_stepper.py:"),
         (lambda: 3.0, "its stepper is 3.0, which has no step(t, **inputs)."),
-        (stepping(lambda t, u: {}), "its stepper gave nothing, but its outputs are y."),
-        (stepping(lambda t, u: {"x": 1.0}), "its stepper gave x, but its outputs are y."),
-        (stepping(lambda t, u: math.nan), "its stepper gave nan for 'y' at t = 0.0 s."),
-        (stepping(lambda t, u: [1.0, 2.0]), "its stepper gave [1.0, 2.0] for 'y' at t = 0.0 s."),
+        (stepping(lambda t, u: {}), "its stepper returned nothing, but its outputs are y."),
+        (stepping(lambda t, u: {"x": 1.0}), "its stepper returned x, but its outputs are y."),
+        (stepping(lambda t, u: math.nan), "its stepper returned nan for 'y' at t = 0.0 s."),
+        (stepping(lambda t, u: [1.0, 2.0]), "its stepper returned [1.0, 2.0] for 'y' at t = 0.0 s."),
         (stepping(lambda t: 1.0), "its stepper raised TypeError at t = 0.0 s: "),
         (
             stepping(lambda t, u: 1.0 if t < 0.25 else 1 / 0),
@@ -365,7 +365,7 @@ def test_what_a_program_gives_has_its_type() -> None:
 
     d = Diagram("typed")
     d.add("typed", Typed())
-    with pytest.raises(SimulationError, match=r"E310 typed: its stepper gave 2\.5 for 'n', which is int"):
+    with pytest.raises(SimulationError, match=r"E310 typed: its stepper returned 2\.5 for 'n', which is int"):
         d.run(stop=1.0)
 
 

@@ -245,7 +245,7 @@ def test_what_draws_nothing_has_no_stream_and_the_number_is_given_by_nobody() ->
     ]
     assert refused({"a": {"type": "Noise", "stream": 3}}) == ["E004 blocks.a.stream: must be a text, not the number 3."]
     (message,) = refused({"a": {"type": "Noise", "parameters": {"stream": "x"}}})
-    assert message.startswith("E106 a.stream: Noise has no such parameter")
+    assert message.startswith("E106 a.stream: Noise has no parameter of this name")
     with pytest.raises(ModelError, match=r'E106 .*add\("x", Noise\(\), stream="..."\)'):
         Noise(stream="x")
     with pytest.raises(ModelError, match=r"E106 noise\.stream"):
