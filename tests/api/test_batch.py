@@ -351,7 +351,7 @@ def test_stiff_rows_are_those_of_runs_and_run_in_threads(method: str) -> None:
     ("given", "told"),
     {
         "none": ({"names": ["lag.tau"]}, "E106 lag.tau"),
-        "pattern": ({"names": ["la*.z"]}, "E106 .*names no parameter"),
+        "pattern": ({"names": ["la*.z"]}, "E106 .*matches no parameter"),
         "twice": ({"names": ["lag.T", "l*.T"]}, "E501 .*is already varied by lag.T"),
         "element": ({"names": ["lag.T[0]"]}, "E501 .*name it alone"),
         "measure": ({"names": [], "measures": ["effor"]}, "E501 effor.*effort"),

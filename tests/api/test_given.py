@@ -78,7 +78,7 @@ def test_a_text_stays_a_text_where_the_parameter_is_one() -> None:
     [
         ("2 mX", "E114 motor.La: the unit 'mX' cannot be read at character 1: 'mX' is not known."),
         ("2 V", "E104 motor.La: [V] is given, but [H] is needed: they are different quantities."),
-        ("2,5 mH", "E107 motor.La: must be a number, not the text '2,5 mH'. Decimals stand after a point: 2.5 mH."),
+        ("2,5 mH", "E107 motor.La: must be a number, not the text '2,5 mH'. Write decimals after a point: 2.5 mH."),
         ("big", "E107 motor.La: must be a number, not the text 'big'."),
         ("=nothing", "E108 motor.La:"),
     ],

@@ -162,7 +162,7 @@ def test_a_grid_with_less_than_two_rows_for_a_turn_is_told(engine: str) -> None:
 
 def test_what_was_not_seen_stands_below_the_table_of_results() -> None:
     d = wired(("sine", Sine(omega=300.0)), ("lag", FirstOrder()))
-    assert repr(d.run(stop=1.0, every=0.05, engine="reference")).splitlines()[-1].startswith("W304 sine: turns more")
+    assert repr(d.run(stop=1.0, every=0.05, engine="reference")).splitlines()[-1].startswith("W304 sine: turns by more")
 
 
 def test_hundreds_of_turns_in_a_step_are_measured_behind_their_delay() -> None:

@@ -241,7 +241,7 @@ def test_what_is_no_name_of_a_stream_is_refused_with_its_place(stream: str) -> N
 
 def test_what_draws_nothing_has_no_stream_and_the_number_is_given_by_nobody() -> None:
     assert refused({"a": {"type": "Gain", "stream": "x"}, "k": {"type": "Constant"}}, wires={"a.u": "k.y"}) == [
-        "E003 a.stream: draws no random numbers, so that it has no stream."
+        "E003 a.stream: draws no random numbers, so it has no stream."
     ]
     assert refused({"a": {"type": "Noise", "stream": 3}}) == ["E004 blocks.a.stream: must be a text, not the number 3."]
     (message,) = refused({"a": {"type": "Noise", "parameters": {"stream": "x"}}})
