@@ -61,8 +61,8 @@ TUNABLE, FIXED, CONSTANT = range(3)
 _VARIABILITY = ("tunable", "fixed", "constant")
 _UNMOVED = (
     "",
-    "what it is computed from can be set before the start only",
-    "nothing that it is computed from can be set",
+    "its value is computed from parameters that can be set before the start only",
+    "its value is computed from parameters that cannot be set",
 )
 
 

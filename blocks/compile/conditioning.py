@@ -37,10 +37,10 @@ def unsure(path: str, block: Resolved) -> Fault | None:
         return None
     worst = ", ".join(f"{p:.4g}" if p.imag else f"{p.real:.4g}" for p in poles[:3])
     message = (
-        f"the coefficients of den do not hold its poles: rounding in their last digits moves poles ({worst}"
-        f"{', ...' if len(poles) > 3 else ''}) over the border of stability."
+        f"the coefficients of den do not determine its poles: rounding in their last digits moves poles ({worst}"
+        f"{', ...' if len(poles) > 3 else ''}) across the stability limit."
     )
-    cure = "Use sections in a row: a Biquad, or a DiscreteStateSpace." if is_sampled else ""
+    cure = "Use sections in series (Biquad), or a DiscreteStateSpace." if is_sampled else ""
     return Fault("W105", path, message, cure or "Use a ZeroPoleGain, or a StateSpace.")
 
 

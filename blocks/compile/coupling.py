@@ -332,7 +332,7 @@ class _Coupler:
             for b in flat.blocks
         ]
         if each and flat.enabled:
-            message = "lies in a diagram whose blocks are coupled one by one, and its blocks are turned on together."
+            message = "is enabled, so its blocks must run together, but the diagram couples blocks one by one."
             raise ModelError(Fault("E118", flat.enabled[0].path, message, 'Use "couple": "together".'))
         together = [k for k, is_alone in enumerate(alone) if not is_alone and not each]
         parts = {part for of_one in flat.parts.values() for part in of_one} if each else ()
@@ -343,8 +343,8 @@ class _Coupler:
         ]
         for block, is_alone in zip(flat.blocks, alone, strict=True):
             if is_alone and (block.condition is not None or block.time is not None):
-                message = "is an FMU for Co-Simulation in a subdiagram that is turned on and off."
-                raise ModelError(Fault("E118", block.path, message, "Take it out of the subdiagram."))
+                message = "is an FMU for Co-Simulation, which cannot be in an enabled subdiagram."
+                raise ModelError(Fault("E118", block.path, message, "Move it out of the subdiagram."))
         if together:
             groups.append(tuple(together))
         return sorted(groups)
@@ -515,10 +515,10 @@ class _Coupler:
         if end == stop:
             return self.settings
         step = next(unit.step for unit in rigid if unit.path == path)
-        message = f"takes steps of {_digits(step)} s only, and the stop at {_digits(stop)} s is no multiple of them"
+        message = f"takes steps of {_digits(step)} s only, and the stop at {_digits(stop)} s is not a multiple of them"
         if end == start:
             cure = 'Make the run longer, or set "step" in "run": {"master": ...} (--master step=H).'
-            raise ModelError(Fault("E115", path, f"{message}: not one step fits.", cure))
+            raise ModelError(Fault("E115", path, f"{message}: the run is shorter than one step.", cure))
         cure = f"Set the stop to {_digits(end)} s, or choose another step."
         self.warnings.append(Fault("W209", path, f"{message}; the run ends at {_digits(end)} s.", cure))
         return replace(self.settings, stop=end)
@@ -535,20 +535,20 @@ class _Coupler:
                 continue
             if self.master.tolerance is not None:
                 if unit.is_rigid:
-                    message = "says that its communication steps must not differ, and a tolerance makes them differ."
-                    faults.append(Fault("E115", unit.path, message, "Use a fixed step."))
+                    message = "requires communication steps of equal size, but a tolerance of the master varies them."
+                    faults.append(Fault("E115", unit.path, message, "Use a fixed step of the master."))
                 continue
             fixed, step = unit.foreign.interface.fixed_step, unit.step
             if fixed and unit.is_rigid:
                 ratio = float(step) / fixed
                 if abs(ratio - round(ratio)) > 1e-9 * max(ratio, 1.0) or round(ratio) < 1:
-                    own = f"its own of {_digits(fixed)} s"
-                    message = f"its communication step of {_digits(step)} s is no multiple of {own}."
+                    own = f"its own step of {_digits(fixed)} s"
+                    message = f"its communication step of {_digits(step)} s is not a multiple of {own}."
                     faults.append(Fault("E115", unit.path, message, 'Set "step" in "run": {"master": ...}.'))
         every = self.settings.every
         shortest = coupling.shortest
         if every is not None and self.master.tolerance is None and (every / shortest).denominator != 1:
-            message = f"rows every {_digits(every)} s do not fit communication steps of {_digits(shortest)} s."
+            message = f"{_digits(every)} s is not a multiple of the communication step of {_digits(shortest)} s."
             faults.append(Fault("E115", "run.every", message, "Make it a multiple of the communication step."))
         if faults:
             raise ModelError(*faults)
@@ -694,8 +694,8 @@ def _stages(
     cycles = circles(needs)
     if cycles and loops != "solve" and not circles(needs_of(assumed=False)):
         unsure = sorted({elements[g].unit for group in cycles for g in group if not units[elements[g].unit].is_sure})
-        message = "does not say what its outputs depend on at once; they are taken to follow its inputs after a step."
-        cure = 'Set "loops": "solve" in "run" where they depend on them at once.'
+        message = "does not declare which outputs depend on its inputs at once; blocks assumes that none does."
+        cure = 'If some do, set "loops": "solve" in "run".'
         warnings += [Fault("W204", units[k].place, message, cure) for k in unsure]
         needs, cycles = needs_of(assumed=False), []
     if cycles and loops != "solve":

@@ -133,7 +133,7 @@ def _scalar_of(operand: Any) -> Scalar:
         return operand.scalar
     number = operand.item() if isinstance(operand, np.generic) else operand
     if not isinstance(number, (int, float)) or float(number) != number:
-        raise Untraceable(f"{type(operand).__name__} is no number that C has")
+        raise Untraceable(f"C has no number of the type {type(operand).__name__}")
     return _constant(number)
 
 
@@ -257,7 +257,7 @@ def _traced(
     function: Any, names: Sequence[str], known: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], size: int
 ) -> tuple[Program, ...]:
     if not isinstance(function, FunctionType):
-        raise Untraceable("it is no plain function")
+        raise Untraceable("it is not a plain function")
     lifted = _lifted(function, {})
     ways = 0
 
@@ -266,7 +266,7 @@ def _traced(
         nonlocal ways
         ways += 1
         if ways > MOST_WAYS:
-            raise Untraceable(f"it has more than {MOST_WAYS} ways")
+            raise Untraceable(f"it has more than {MOST_WAYS} branches")
         way = _Way(taken)
         given, place = dict(known), 0
         for name, shape in shapes.items():
@@ -332,4 +332,4 @@ def _check(
         expected = np.broadcast_to(np.array(raw, dtype=float).ravel(), len(programs))
         computed = [evaluated(program, flat) for program in programs]
         if np.all(np.isfinite(expected)) and np.array(computed).tobytes() != expected.tobytes():
-            raise Untraceable("C computes other bits")
+            raise Untraceable("C computes a different value")

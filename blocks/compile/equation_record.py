@@ -190,7 +190,7 @@ def _check(record: Any) -> None:
     except (KeyError, TypeError, AttributeError):
         is_valid = False
     if not is_valid:
-        raise ValueError("what it says of its equations cannot be read")
+        raise ValueError("its record of the equations cannot be read")
 
 
 class _Recorder:

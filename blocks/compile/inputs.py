@@ -148,23 +148,23 @@ def _track(raw: Any, shape: tuple[int, ...], unit: str, type_: str, interpolatio
     if isinstance(raw, Mapping) and "value" not in raw:
         unknown = {key for key in raw if key not in TABLE and not str(key).startswith("x-")}
         if unknown or not set(TABLE[:2]) <= set(raw):
-            raise ValueError('a table is {"t": [...], "u": [...], "interpolation": "hold" or "linear"}.')
+            raise ValueError('a table needs the form {"t": [...], "u": [...], "interpolation": "hold" or "linear"}.')
         values = {"value": raw["u"], "unit": raw["unit"]} if "unit" in raw else raw["u"]
         raw = (raw["t"], values, *((raw["interpolation"],) if "interpolation" in raw else ()))
     if not isinstance(raw, tuple):
         return Track(np.zeros(1), _values(raw, shape, unit, type_, rows=False), False)
     if len(raw) not in (2, 3) or (len(raw) == 3 and raw[2] not in INTERPOLATIONS):
-        raise ValueError('a table is (t, u) or (t, u, "hold" or "linear").')
+        raise ValueError('a table must have the form (t, u) or (t, u, "hold" or "linear").')
     t = np.array(raw[0], dtype=float)
     u = _values(raw[1], shape, unit, type_, rows=True)
     if t.ndim != 1 or len(t) == 0 or len(t) != len(u):
-        raise ValueError(f"a table needs as many values as times, not {len(u)} for {t.size}.")
+        raise ValueError(f"a table needs one value for each time, but has {len(u)} values and {t.size} times.")
     if not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0):
         raise ValueError("the times of a table must be finite and must not decrease.")
     explicit = len(raw) == 3 and raw[2] == "linear"
     if explicit and type_ != "real":
         what = f"{type_}s" if type_ in ("int", "bool") else "members of an enumeration"
-        raise ValueError(f'holds {what}, between which there are no lines. Use "hold".')
+        raise ValueError(f'has {what}, which cannot be interpolated by lines. Use "hold".')
     linear = type_ == "real" and (raw[2] if len(raw) == 3 else interpolation) == "linear"
     return Track(t, u, linear)
 
@@ -175,7 +175,7 @@ def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bo
     if isinstance(raw, Mapping):
         given = str(raw.get("unit", ""))
         if given and not units.same_quantity(given, unit):
-            raise ValueError(f"[{given}] is given where [{unit}] is needed: they are different quantities.")
+            raise ValueError(f"[{given}] is given, but [{unit}] is needed: they are different quantities.")
         unit, raw = given or unit, raw.get("value")
     # A bare number is in the unit that the input declares.
     factor, offset = (units.parse(unit).factor, units.parse(unit).offset) if unit else (1.0, 0.0)
@@ -192,11 +192,11 @@ def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bo
     if array.dtype == object or array.dtype.kind not in "biuf":
         raise ValueError("must be numbers.")
     if type_ != "bool" and array.dtype == bool:
-        raise ValueError("is a number, not true or false.")
+        raise ValueError("must be a number, not true or false.")
     if type_ == "int" and not np.all((array == np.floor(array)) & (np.abs(array) <= 2**53)):
         raise ValueError("must be integers up to 2^53.")
     if type_ == "bool" and not np.all((array == 0) | (array == 1)):
-        raise ValueError("is a bool: true or false.")
+        raise ValueError("must be true or false.")
     size = math.prod(shape)
     wanted = (len(array) if array.ndim else 0, *shape) if rows else shape
     if array.shape != wanted and not (array.shape == () and not rows):
@@ -251,7 +251,7 @@ def read_csv(path: str | Path, plan: Plan) -> dict[str, Any]:
     except ValueError as error:
         raise refuse(str(error)) from None
     if not header or header[0] not in ("time", "t"):
-        raise refuse("has no column 'time' in front.", "The first line is: time,NAME,...")
+        raise refuse("does not begin with a column 'time'.", "Begin the first line with: time,NAME,...")
     if not len(data):
         raise refuse("has no rows.")
     try:
@@ -261,7 +261,7 @@ def read_csv(path: str | Path, plan: Plan) -> dict[str, Any]:
     stop = plan.settings.stop
     if stop is not None and data[0, 0] > stop:
         message = f"begins at {data[0, 0]:.10g} s, after the end of the run at {float(stop):.10g} s."
-        raise refuse(message, "Its times are those of the run, in s: shift them, or run for longer (--stop).")
+        raise refuse(message, "Its times must be times of the run, in s: shift them, or extend the run (--stop).")
     return _columns(header, data, plan, given, refuse)
 
 
@@ -275,9 +275,7 @@ def _words(plan: Plan) -> dict[str, Mapping[str, float]]:
     return words
 
 
-def _columns(
-    header: Sequence[str], data: Array, plan: Plan, given: Mapping[str, str], refuse: Any
-) -> dict[str, Any]:
+def _columns(header: Sequence[str], data: Array, plan: Plan, given: Mapping[str, str], refuse: Any) -> dict[str, Any]:
     """Return the inputs by name, in the units that the file gives, or the inputs declare."""
     inputs: dict[str, Any] = {}
     used = {0}
@@ -304,5 +302,5 @@ def _columns(
     if unused:
         known = [name for name, *_ in plan.inputs]
         cure = did_you_mean(unused[0], known) or f"Inputs: {', '.join(known) or 'none'}."
-        raise refuse(f"the column {unused[0]!r} is no input of the diagram.", cure)
+        raise refuse(f"the column {unused[0]!r} is not an input of the diagram.", cure)
     return inputs

@@ -287,8 +287,8 @@ class _PlanBuilder:
                 continue
             opaque = footprint.tape.opaque
             if block.condition is not None or block.time is not None:
-                message = "is an FMU for Model Exchange, which cannot stand still as an enabled subdiagram does."
-                raise ModelError(Fault("E121", block.path, message, "Take it out of the subdiagram."))
+                message = "is an FMU for Model Exchange, which cannot be in an enabled subdiagram."
+                raise ModelError(Fault("E121", block.path, message, "Move it out of the subdiagram."))
             arguments = self.arguments(index, block)
             parameters = []
             for name, parameter in interface.symbolic_parameters.items():
@@ -374,7 +374,7 @@ class _PlanBuilder:
         )
         if any(max(rate.period, rate.offset) > 2**53 for rate in rates) or max(base.as_integer_ratio()) > 2**53:
             periods = ", ".join(f"{float(period)} s" for period, _ in self.sampled)
-            message = f"ticks of {periods} have no common base that can be counted."
+            message = f"ticks of {periods} have no common base that is coarse enough to count them exactly."
             cure = 'Round them to a common base, such as 1 us, or write them as fractions: "=1/3".'
             finest = max(self.sampled, key=lambda clock: max(time.denominator for time in clock))
             blocks = (block.path for block in self.flat.blocks if finest in block.resolved.clocks.values())
@@ -386,8 +386,8 @@ class _PlanBuilder:
         for block, footprint in zip(self.flat.blocks, self.memory.footprints, strict=True):
             for target, names in footprint.clashes.items():
                 causes = " and ".join(f"'{name}'" for name in names)
-                message = f"is reset by {causes}; where they fire at once, that of '{names[-1]}' wins."
-                cure = "The reset that is declared later wins."
+                message = f"is reset by {causes}; if they fire at the same instant, the reset of '{names[-1]}' wins."
+                cure = "To change this, declare the resets in another order: the last one wins."
                 yield self.flat.placed(Fault("W102", f"{block.path}.{target}", message, cure))
             if (fault := unsure(block.path, block.resolved)) is not None:
                 yield self.flat.placed(fault)

@@ -200,7 +200,7 @@ class _Scheduler:
         for node in nodes:
             result = self.result(node)
             if plan.instances[node.instance].tape.type_of(result.target) != "real" or result.role == "crossing":
-                raise self.loop(inside, f"it goes through '{plan.node_name(node)}', which is no real number")
+                raise self.loop(inside, f"it goes through '{plan.node_name(node)}', which is not a real number")
         of_one_block = len({node.instance for node in nodes}) == 1
         has_residual = any(self.result(node).role == "residual" for node in nodes)
         if plan.settings.loops != "solve" and not (of_one_block and has_residual):

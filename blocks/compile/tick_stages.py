@@ -145,13 +145,13 @@ class _Needs:
             return
         steppers = [key for key in loop if key < 0]
         if steppers:
-            message = "its outputs come back to its inputs at one tick, and a stepper cannot be solved for."
+            message = "its outputs reach its inputs at the same tick, and blocks cannot solve a loop through a stepper."
         elif len({self.condition(key) for key in loop}) > 1:
-            message = "is in an algebraic loop at one tick that passes the edge of an enabled subdiagram."
+            message = "is in an algebraic loop at one tick that crosses the border of an enabled subdiagram."
         else:
             return
         path = self.plan.instances[self.instance(steppers[0] if steppers else loop[0])].path
-        raise ModelError(Fault("E102", path, message, "Put a UnitDelay or a state in between."))
+        raise ModelError(Fault("E102", path, message, "Put a UnitDelay or a state into the loop."))
 
 
 def unit_key(plan: Plan, number: int) -> int:

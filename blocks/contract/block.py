@@ -68,7 +68,7 @@ class BlockMeta(type):
         entries = merged(name, above, body) if above or abstract else {}
         if abstract:
             if describing:
-                refuse("E405", name, "is abstract, and describing= is for final classes.", "Say it of each of those.")
+                refuse("E405", name, "is abstract, but describing= is for final classes.", "Add it to final classes.")
             check_parts(name, body)
             return super().__new__(mcs, name, bases, {**body, "__slots__": (), _ENTRIES: MappingProxyType(entries)})
         if above:
@@ -120,7 +120,7 @@ def _above(bases: Iterable[type]) -> list[Mapping[str, Entry]]:
 
 
 def _check_bases(name: str, bases: tuple[type, ...]) -> None:
-    cure = "Derive from Block or from abstract blocks, or put the blocks together in a diagram."
+    cure = "Derive from Block or from abstract blocks, or combine the blocks in a diagram."
     for base in bases:
         if isinstance(base, BlockMeta) and "declaration" in vars(base):
             refuse("E406", name, f"{base.__name__} is a concrete block and cannot be subclassed.", cure)
@@ -130,7 +130,7 @@ def _check_bases(name: str, bases: tuple[type, ...]) -> None:
         type.__new__(BlockMeta, name, bases, {"__slots__": ()})
     except TypeError as error:
         cure = "Name each base once, and none before a base that derives from it."
-        refuse("E406", name, f"its bases have no order: {error}.", cure)
+        refuse("E406", name, f"its bases cannot be ordered: {error}.", cure)
 
 
 def _signature(parameters: Iterable[Parameter]) -> inspect.Signature:
@@ -176,14 +176,14 @@ class Block(metaclass=BlockMeta):
     def __init__(self, *unnamed: Any, **parameters: Any) -> None:
         cls = type(self)
         if cls is Block:
-            raise TypeError("Block is what block classes derive from; it has no equations itself.")
+            raise TypeError("Block is the base of block classes and has no equations.")
         if is_abstract(cls):
             cure = f"Derive a block from it, as in class Own({cls.__name__})."
-            refuse("E409", cls.__name__, "is abstract: it holds what blocks share, and is no block itself.", cure)
+            refuse("E409", cls.__name__, "is abstract, so it cannot be used as a block.", cure)
         known = cls.declaration.settable
         if unnamed:
             example = f"{cls.__name__}({_by_name(known, unnamed[0])})"
-            raise UsageError(Fault("E501", cls.__name__, "takes parameters by name only.", f"As in {example}."))
+            raise UsageError(Fault("E501", cls.__name__, "takes parameters by name only.", f"Write {example}."))
         faults = [
             Fault(
                 "E106",
@@ -191,7 +191,7 @@ class Block(metaclass=BlockMeta):
                 "there is no such parameter.",
                 did_you_mean(name, known) or f"Parameters: {', '.join(known) or 'none'}."
                 if name not in cls.declaration.streams
-                else f'A stream is named where the block is added: add("x", {cls.__name__}(), {name}="...").',
+                else f'Name the stream when you add the block: add("x", {cls.__name__}(), {name}="...").',
             )
             for name in parameters
             if name not in known
@@ -207,21 +207,19 @@ class Block(metaclass=BlockMeta):
         variable = {**d.readable, **d.event_times}.get(name)
         if variable is not None:
             raise AttributeError(
-                f"'{name}' of {block} is {variable.kind}: a block holds parameter values only. "
-                "Add the block to a diagram and take the port of what `add` returns."
+                f"'{name}' of {block} is {variable.kind}, but a block holds parameter values only. "
+                "Add the block to a diagram and use the port of the object that `add` returns."
             )
         cure = did_you_mean(name, d.parameters) or f"Parameters: {', '.join(d.parameters) or 'none'}."
         raise UnknownPort(f"{block} has no parameter '{name}'. {cure}")
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(
-            f"{type(self).__name__} holds the parameters it was made with; '{name}' cannot be set. Make another one."
+            f"the parameters of a {type(self).__name__} cannot change; '{name}' cannot be set. Create another block."
         )
 
     def __delattr__(self, name: str) -> None:
-        raise AttributeError(
-            f"{type(self).__name__} holds the parameters it was made with; '{name}' cannot be deleted."
-        )
+        raise AttributeError(f"the parameters of a {type(self).__name__} cannot change; '{name}' cannot be deleted.")
 
     def __reduce__(self) -> Any:
         return _made, (type(self), dict(self.parameters))

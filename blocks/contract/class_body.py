@@ -56,15 +56,15 @@ class Body(dict[str, Any]):
         place = f"{self.block}.{name}"
         if name.startswith("__") and name.endswith("__"):
             if name not in _PYTHON_SETS:
-                refuse("E401", place, "a block has variables and equations, and no methods of its own.")
+                refuse("E401", place, "a block class cannot have methods of its own, only variables and equations.")
         else:
             self._check(name, value, place)
         is_placed = any(value is entry.value for entry in self.above.get(name, ()))
         if isinstance(value, (Variable, Open)) and not is_placed:
             if value.is_declared:
-                refuse("E401", place, f"{value!r} belongs to another class.", "Declare one for each class.")
+                refuse("E401", place, f"{value!r} belongs to another class.", "Declare it in each class.")
             if value.name:
-                refuse("E401", place, f"is another name for '{value.name}'.", "Declare it once.")
+                refuse("E401", place, f"is a second name for '{value.name}'.", "Declare the variable once.")
             value.name = name
         super().__setitem__(name, value)
 
@@ -74,7 +74,7 @@ class Body(dict[str, Any]):
         if name in RESERVED or keyword.iskeyword(name):
             refuse("E401", place, "the name is reserved.", "Choose another.")
         if name.startswith("_") or not name.isascii():
-            refuse("E401", place, "names of variables and equations are plain letters, digits and inner _.")
+            refuse("E401", place, "a name must begin with a letter, and have only ASCII letters, digits and _.")
         is_part = isinstance(value, (Variable, Equation, Requirement, Stepper)) and not isinstance(value, Given)
         if not is_part and not (isinstance(value, Open) and self.is_abstract):
             what = "a function without a role" if inspect.isfunction(value) else f"{type(value).__name__} {value!r}"
@@ -83,7 +83,7 @@ class Body(dict[str, Any]):
             refuse(
                 "E401",
                 place,
-                f"a class body lists variables and equations, not {what}.",
+                f"a class body may only have variables and equations, not {what}.",
                 "Decorate it (@output, @local, @x.derivative, ...) or move it out of the class.",
             )
         if isinstance(value, Computed) and value.fills is not None:
@@ -113,8 +113,8 @@ def _check_finite(variable: Variable, place: str) -> None:
     numbers = np.array([x for x in np.ravel(np.array(given, dtype=object)) if isinstance(x, (float, np.floating))])
     wrong = numbers[~np.isfinite(numbers.astype(float))]
     if len(wrong):
-        cure = "Leave it out, and it must be given." if isinstance(variable, Parameter) else ""
-        refuse("E405", place, f"the {word} is {wrong[0]}, which is no finite number.", cure)
+        cure = "Leave it out: then each block must give a value." if isinstance(variable, Parameter) else ""
+        refuse("E405", place, f"the {word} is {wrong[0]}, which is not a finite number.", cure)
 
 
 def declare(name: str, doc: str, body: Mapping[str, Any], foreign: Any = None, describing: str = "") -> Declaration:
@@ -172,7 +172,7 @@ def declare(name: str, doc: str, body: Mapping[str, Any], foreign: Any = None, d
         describing,
     )
     if len(steppers) > 1:
-        refuse("E403", f"{name}.{steppers[1].name}", "is a second stepper.", "A block has one at most.")
+        refuse("E403", f"{name}.{steppers[1].name}", "is a second stepper.", "Declare one stepper at most.")
     check_declaration(declaration)
     for variable in (*declaration.readable.values(), *declaration.event_times.values()):
         variable.is_declared = True
@@ -193,7 +193,7 @@ def _add_starts(
             continue
         start = f"{key}_start"
         if start in body:
-            refuse("E401", f"{name}.{start}", f"is the start value of '{key}' by its name.", "Rename it.")
+            refuse("E401", f"{name}.{start}", f"is reserved for the start value of '{key}'.", "Rename it.")
         parameter = Parameter(variable.start, unit=variable.unit, shape=variable.shape)
         parameter.type, parameter.members = variable.type, variable.members
         parameter.name = start
@@ -210,6 +210,7 @@ def _sizes(name: str, parameters: Mapping[str, Parameter], body: Mapping[str, An
         for size in parameter.shape if isinstance(parameter.shape, tuple) else (parameter.shape,):
             if isinstance(size, str):
                 if size in body or size in RESERVED:
-                    refuse("E401", f"{name}.{parameter.name}", f"the size '{size}' is also another name.")
+                    cure = "Rename one of them."
+                    refuse("E401", f"{name}.{parameter.name}", f"the size '{size}' has a name that is in use.", cure)
                 sizes[size] = None
     return tuple(sizes)

@@ -19,7 +19,7 @@ def check_declaration(declaration: Declaration) -> None:
     """Refuse what can be refused without numbers. Raises DeclarationError (E402 to E405)."""
     if declaration.stepped and declaration.stepper is None:
         place = f"{declaration.name}.{next(iter(declaration.stepped))}"
-        refuse("E403", place, "has no stepper that gives it.", "Add @stepper.")
+        refuse("E403", place, "has no stepper that computes it.", "Add @stepper.")
     known = _Known(declaration)
     _check_defaults(declaration, known)
     _check_types(declaration, known)
@@ -114,7 +114,7 @@ def _check_times(declaration: Declaration, known: _Known) -> None:
         for read in declaration.stepper.reads:
             if read not in known.everything:
                 cure = did_you_mean(read, known.everything)
-                cure = cure or "A stepper is made from parameters; step() gets the inputs."
+                cure = cure or "A stepper is created from parameters; its step() receives the inputs."
                 refuse("E402", place, f"reads '{read}', which is not a parameter.", cure)
             if read in known.parameters:
                 known.parameters[read].fixed = True
@@ -138,10 +138,10 @@ def _check_equations(declaration: Declaration) -> None:
     for equation in declaration.equations:
         place = f"{name}.{equation.name}"
         if not equation.roles:
-            refuse("E403", place, "an equation without a role.")
+            refuse("E403", place, "this equation has no role.")
         clocks = [role.clock for role in equation.roles if role.clock is not None]
         if any((clock.every, clock.offset) != (clocks[0].every, clocks[0].offset) for clock in clocks):
-            refuse("E405", place, "has two clocks.", "Write one equation for each.")
+            refuse("E405", place, "has two clocks.", "Write one equation for each clock.")
         for role in equation.roles:
             for variable in (role.target, role.cause):
                 if variable is not None and id(variable) not in own:
@@ -174,14 +174,12 @@ def _check_equations(declaration: Declaration) -> None:
             refuse(
                 "E405",
                 f"{name}.{key}",
-                "a ticked discrete cannot be an output as it is.",
+                "a ticked discrete cannot be an output directly.",
                 'Add visible="after", or write a sampled output that reads it.',
             )
 
 
-def _check_read(
-    declaration: Declaration, readable: Mapping[str, Variable], equation: Equation, read: str
-) -> None:
+def _check_read(declaration: Declaration, readable: Mapping[str, Variable], equation: Equation, read: str) -> None:
     place = f"{declaration.name}.{equation.name}"
     kinds = {role.kind for role in equation.roles}
     unsampled = {role.kind for role in equation.roles if not role.ticks}
@@ -189,25 +187,25 @@ def _check_read(
         return
     if read == "tick":
         if unsampled - {"initial"} or unsampled == kinds:
-            refuse("E402", place, "reads 'tick', which only sampled equations have.", "Add every=, or read t.")
+            refuse("E402", place, "reads 'tick', which only sampled equations can read.", "Add every=, or read t.")
         return
     variable = readable.get(read)
     if variable is None:
         extra = " It is an event time, which has no value." if read in declaration.event_times else ""
         known = (*readable, "t", "tick")
         cure = did_you_mean(read, known) or f"Names: {', '.join(known)}."
-        refuse("E402", place, f"reads '{read}', which is no name of this class.{extra}", cure)
+        refuse("E402", place, f"reads '{read}', which is not a name of this class.{extra}", cure)
     if "event_time" in kinds and not isinstance(variable, (Parameter, Discrete)):
         refuse("E402", place, f"an event time may read t, parameters and discretes, not {variable!r}.")
     if "event_time" in kinds and isinstance(variable, Parameter):
         variable.fixed = True  # what edges left behind in memory could not follow a change during a run
     if isinstance(variable, Output) and variable.wiring:
-        refuse("E402", place, f"reads '{read}', which is only wiring.")
+        refuse("E402", place, f"reads '{read}', which is a wiring output: equations cannot read it.")
     wires = isinstance(equation.roles[0].target, Output) and equation.roles[0].target.wiring
     if wires and not (isinstance(variable, Input) or (isinstance(variable, Parameter) and variable.structural)):
         refuse("E402", place, f"wiring re-arranges inputs only; it cannot read {variable!r}.")
     if isinstance(variable, Crossing) and variable.start is None and variable in [r.target for r in equation.roles]:
-        refuse("E405", place, "reads its own side.", "Say from which side it starts: @crossing(start=False).")
+        refuse("E405", place, "reads its own side.", "Set its side at the start: @crossing(start=False).")
     # A local may serve sampled and unsampled equations alike; where it does, it may not read what they see differently.
     if (
         isinstance(variable, Discrete)
@@ -257,9 +255,9 @@ def _check_describing(d: Declaration) -> None:
         return
     needs = DESCRIBING.get(d.describing) if isinstance(d.describing, str) else None
     if needs is None:
-        refuse("E405", d.name, f"describing={d.describing!r} is none of {', '.join(DESCRIBING)}.")
+        refuse("E405", d.name, f"describing= must be one of {', '.join(DESCRIBING)}, not {d.describing!r}.")
     numbers = {key: p for key, p in d.parameters.items() if p.type == "real" and not p.structural}
-    cure = f"It says what y does for a sine u, by {', '.join(needs)}."
+    cure = f"It describes y for a sine u, by {', '.join(needs)}."
     parts: list[tuple[str, str, Mapping[str, Variable]]] = [("input", "u", d.inputs), ("output", "y", d.outputs)]
     for word, name, group in [*parts, *(("parameter", name, numbers) for name in needs)]:
         if name not in group or group[name].shape != ():
@@ -267,5 +265,5 @@ def _check_describing(d: Declaration) -> None:
     for role in (role for equation in d.equations for role in equation.roles):
         if role.kind == "derivative" or (role.kind == "next" and role.ticks):
             name = role.target.name if role.target is not None else ""
-            message = f"describing={d.describing!r} is of a block without dynamics of its own, and '{name}' has such."
-            refuse("E405", d.name, message, "Put what changes over time or at ticks into another block.")
+            message = f"describing={d.describing!r} is for a block without dynamics, but '{name}' is dynamic."
+            refuse("E405", d.name, message, "Move the dynamics and the ticks into another block.")

@@ -62,7 +62,7 @@ class Open:
     def __call__(self, function: Function | None = None, **given: Any) -> Computed:
         if given or function is None:
             message = f"takes a function and nothing else{', not ' + ', '.join(given) if given else ''}."
-            refuse("E405", self.name, message, "Unit, shape and clock are those that the abstract class says.")
+            refuse("E405", self.name, message, "The abstract class sets unit, shape and clock.")
         computed = self.make(function)
         if self.name:
             computed.fills = self
@@ -114,7 +114,7 @@ class _Cause(Computed):
     def reset(self, target: State | Discrete) -> Callable[[Function | Equation], Equation]:
         """Decorator: the target's value after it fired, computed from the values before."""
         if not isinstance(target, (State, Discrete)):
-            refuse("E405", "", f"a reset is for a State or a Discrete, not for {target!r}.")
+            refuse("E405", "", f"reset() needs a State or a Discrete, not {target!r}.")
         return lambda equation: Equation.of(equation).having(Role("reset", target, cause=self))
 
 
@@ -152,7 +152,7 @@ def output(
 ) -> Any:
     """Decorator: an output. With `every` it is sampled: computed at its ticks and held, at first from `start`."""
     if every is None and (offset != 0 or start != 0):
-        refuse("E405", "", "offset= and start= belong to a sampled output.", "Add every=.")
+        refuse("E405", "", "offset= and start= are for sampled outputs.", "Add every=.")
     if every == "step":
         refuse("E405", "", "an output cannot be sampled at steps.", 'Let it read a Discrete with .next(every="step").')
     clock = None if every is None else Clock(every, offset)
@@ -185,7 +185,8 @@ def local(
     """
     for word, given in (("type", type), ("shape", shape)):
         if given is not None:
-            refuse("E405", "local", f"a local has the {word} of what its function returns.", f"Leave {word}= out.")
+            message = f"a local takes its {word} from the value that its function returns."
+            refuse("E405", "local", message, f"Leave {word}= out.")
 
     def declare(function: Function) -> Local:
         return Local(function, unit, (), "", doc)
@@ -231,7 +232,7 @@ def stepper(*, every: Any, offset: Any = 0) -> Callable[[Function], Stepper]:
     """
     clock = Clock(every, offset)
     if every == "step":
-        refuse("E405", "", "a stepper has ticks.", "Use every=period.")
+        refuse("E405", "", "a stepper needs ticks.", "Add every=period.")
     return lambda function: Stepper(function.__name__, function, arguments(function, function.__name__), clock)
 
 
@@ -246,5 +247,6 @@ class Requirement:
 def requires(message: str) -> Callable[[Function], Requirement]:
     """Decorator: a condition over parameters; where it is false, `message` says what must hold."""
     if not isinstance(message, str):
-        refuse("E405", "", "requires() takes the sentence that a user reads.", 'As in @requires("a must be below b").')
+        cure = 'Write, for example, @requires("a must be below b").'
+        refuse("E405", "", "requires() needs the sentence that a user reads.", cure)
     return lambda function: Requirement(message, Equation(function))

@@ -109,7 +109,7 @@ def exact_decimal(x: float) -> Fraction:
         ValueError: where x is not finite.
     """
     if not math.isfinite(x):
-        raise ValueError(f"is {x}, which is no finite number.")
+        raise ValueError(f"is {x}, which is not a finite number.")
     return Fraction(repr(float(x)))
 
 
@@ -178,13 +178,13 @@ def _check_names(expression: Expression, values: Mapping[str, Scalar]) -> None:
     faults = []
     for name in expression.names:
         if name not in values:
-            message = f"{_quoted(expression.text)} reads '{name}', which is not known here."
+            message = f"{_quoted(expression.text)} reads '{name}', which is not a known name here."
             faults.append(Fault("E108", "", message, _cure_of_name(name, values)))
         elif not math.isfinite(values[name].value):
             message = f"{_quoted(expression.text)} reads '{name}', which is {values[name].value}."
             faults.append(Fault("E108", "", message, "Give it a finite value."))
     if "pi" in values and any(step.word == "pi" for step in expression.steps):
-        message = f"in {_quoted(expression.text)}, 'pi' is the constant, but a value here has that name too."
+        message = f"in {_quoted(expression.text)}, 'pi' is the constant, but a value here also has this name."
         faults.append(Fault("E108", "", message, "Rename the value."))
     if faults:
         raise ModelError(*faults)
@@ -192,7 +192,7 @@ def _check_names(expression: Expression, values: Mapping[str, Scalar]) -> None:
 
 def _cure_of_name(name: str, values: Mapping[str, Scalar]) -> str:
     if name in FUNCTIONS:
-        return f"A function takes its argument in brackets: {name}(...)."
+        return f"Write the argument of a function in brackets: {name}(...)."
     near = did_you_mean(name, values)
     if near or not values:
         return near or f"No names are known here: declare the parameter '{name}' first."
@@ -264,8 +264,8 @@ def parse(text: str, *, has_parts: bool = False) -> Expression:
         ModelError: E108, with the column of the first thing that does not fit, and what was expected there.
     """
     if len(text) > _LENGTH:
-        message = f"an expression of {len(text)} characters; the limit is {_LENGTH}."
-        raise ModelError(Fault("E108", "", message, "Split it with parameters of its parts."))
+        message = f"the expression has {len(text)} characters; the limit is {_LENGTH}."
+        raise ModelError(Fault("E108", "", message, "Split it into several parameters."))
     reader = _ExpressionParser(text, _TOKEN_OF_PARTS if has_parts else _TOKEN)
     reader.read_operand(0, 0)
     reader.expect_end()
@@ -285,15 +285,15 @@ _BINDING = {"+": (10, 10), "-": (10, 10), "*": (20, 20), "/": (20, 20), "**": (4
 # A sign binds looser than a power and tighter than a product.
 _SIGN = 30
 _FOREIGN = {
-    "^": "A power is written **.",
-    "=": "The leading = stands once; there is no comparison.",
-    ".": "A name has no parts: only parameters of this diagram can be read.",
+    "^": "Write a power with **.",
+    "=": "Write one = at the start only; there are no comparisons.",
+    ".": "A name cannot contain a point: only parameters of this diagram can be read.",
     "[": "Elements of a vector cannot be read here.",
-    "×": "A product is written *.",
-    "·": "A product is written *.",
-    "−": "The minus sign is '-'.",
+    "×": "Write a product with *.",
+    "·": "Write a product with *.",
+    "−": "Write the minus sign as '-'.",
 }
-_ALLOWED = "Allowed are numbers, names, + - * / ** ( ) and " + ", ".join(FUNCTIONS) + "."
+_ALLOWED = "Use numbers, names, + - * / ** ( ) and " + ", ".join(FUNCTIONS) + "."
 
 
 class _ExpressionParser:
@@ -317,7 +317,7 @@ class _ExpressionParser:
                 break
         if match is None and self.at < len(self.text):
             character = self.text[self.at]
-            raise self._wrong(f"{character!r} cannot stand in an expression", _FOREIGN.get(character, _ALLOWED))
+            raise self._wrong(f"{character!r} is not allowed in an expression", _FOREIGN.get(character, _ALLOWED))
         self.match = match
         self.token = match[0] if match else ""
 
@@ -333,12 +333,12 @@ class _ExpressionParser:
         match, before = self.match, self.text[: self.column - 1]
         if match and match["name"] and before.rstrip()[-1:].isdigit():
             is_group = self.token.startswith("_") and before[-1:].isdigit()
-            return "Digits are not grouped by _." if is_group else "A product is written with *."
+            return "Write digits without _." if is_group else "Write a product with *."
         if self.token == "," and before[-1:].isdigit():
-            return "Decimals follow a point."
+            return "Write decimals after a point."
         if self.token.startswith("."):
-            return "A number has one decimal point." if before[-1:].isdigit() or before[-1:] == "." else _FOREIGN["."]
-        return "A product is written with *." if self.token == "(" else ""
+            return "Write only one decimal point." if before[-1:].isdigit() or before[-1:] == "." else _FOREIGN["."]
+        return "Write a product with *." if self.token == "(" else ""
 
     def expect_end(self) -> None:
         if self.match:
@@ -347,7 +347,7 @@ class _ExpressionParser:
     def read_operand(self, binding: int, depth: int) -> None:
         """Read an operand, and the operators after it that bind tighter than `binding`."""
         if depth > _DEPTH:
-            raise self._wrong(f"nested more than {_DEPTH} deep", "Split it with parameters of its parts.")
+            raise self._wrong(f"nested more than {_DEPTH} deep", "Split it into several parameters.")
         if self.token in ("+", "-"):
             step = PostfixStep("neg" if self.token == "-" else "pos", self.column, 1)
             self._advance()
@@ -393,7 +393,7 @@ class _ExpressionParser:
         """Read the arguments of a function, from its bracket on."""
         if word not in FUNCTIONS:
             self.column = column
-            cure = did_you_mean(word, FUNCTIONS) or f"Functions: {', '.join(FUNCTIONS)}. A product is written with *."
+            cure = did_you_mean(word, FUNCTIONS) or f"Functions: {', '.join(FUNCTIONS)}. Write a product with *."
             raise self._wrong(f"there is no function '{_shortened(word)}'", cure)
         bracket, count = self.column, 0
         while not count or self.token == ",":
@@ -407,13 +407,13 @@ class _ExpressionParser:
                         "atan2": ("two arguments", count == 2)}.get(word, ("one argument", count == 1))  # fmt: skip
         if not holds:
             self.column = column
-            raise self._wrong(f"{word} takes {takes}, not {count}", "Arguments are separated by commas.")
+            raise self._wrong(f"{word} takes {takes}, not {count}", "Separate arguments with commas.")
         if word not in ("min", "max"):
             self.steps.append(PostfixStep(word, column, count))
 
     def _close(self, bracket: int) -> None:
         if self.token != ")":
-            raise self._expected(f"an operator or the ')' of column {bracket}")
+            raise self._expected(f"an operator or the ')' for the '(' in column {bracket}")
         self._advance()
 
 

@@ -65,7 +65,8 @@ def merged(block: str, above: Iterable[Mapping[str, Entry]], body: Mapping[str, 
         if len(known) > 1:
             owners = " and ".join(entry.owner for entry in known)
             cure = f"Declare it in the class, or choose one: {name} = {known[0].owner}.{name}."
-            refuse("E401", f"{block}.{name}", f"the name stands in {owners}, which know nothing of each other.", cure)
+            message = f"{owners} declare this name, and none derives from another."
+            refuse("E401", f"{block}.{name}", message, cure)
     return entries
 
 
@@ -79,7 +80,8 @@ def completed(block: str, entries: Mapping[str, Entry]) -> dict[str, Any]:
     for name, entry in entries.items():
         if isinstance(entry.value, Open):
             cure = f"Write @{entry.owner}.{name} above a function of this name."
-            refuse("E403", f"{block}.{name}", f"is {entry.value.kind.kind} that {entry.owner} leaves open.", cure)
+            message = f"is {entry.value.kind.kind} that {entry.owner} declares without a function."
+            refuse("E403", f"{block}.{name}", message, cure)
         body[name] = entry.value.copied() if isinstance(entry.value, Variable) else entry.value
 
     def own(value: Any) -> Any:
@@ -117,7 +119,7 @@ def _check_kind(place: str, value: Any, entry: Entry) -> None:
     if here != there:
         refuse("E401", place, f"is {here} here and {there} in {entry.owner}.", "Give it another name.")
     if isinstance(value, Computed) and value.fills is not None and not _is_in(value.fills, entry.values):
-        refuse("E402", place, f"gives {value.fills!r}, which is not that of {entry.owner}.")
+        refuse("E402", place, f"fills {value.fills!r}, which is not the variable of {entry.owner}.")
 
 
 def _kind(value: Any) -> str:

@@ -73,7 +73,7 @@ def check_differences(units: Iterable[str], place: str) -> None:
     for unit in dict.fromkeys(units):
         if unit and has_offset(unit):
             message = f"the unit {unit!r} has an offset, but the values of this block are differences, which have none."
-            cure = f"Use {difference(unit)!r}; a value may be given in {unit} all the same."
+            cure = f"Use {difference(unit)!r}; values can still be given in {unit}."
             raise ModelError(Fault("E114", place, message, cure))
 
 
@@ -137,13 +137,13 @@ class Interface:
                 size = self.structural.get(size, size)
             if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 0:
                 raise ModelError(
-                    Fault("E110", f"{self.name}.{variable.name}", f"the size {size!r} is not an integer from 0 on.")
+                    Fault("E110", f"{self.name}.{variable.name}", f"a size must be an integer from 0 on, not {size!r}.")
                 )
             sizes.append(int(size))
         most = LARGEST_MEMORY if isinstance(variable, (State, Discrete)) else LARGEST
         most = min(most, MOST_PORTS) if getattr(variable, "ports", "") else most
         if math.prod(sizes) > most:
-            message = f"would have {math.prod(sizes):,} elements; {most:,} are the most."
+            message = f"would have {math.prod(sizes):,} elements; the limit is {most:,}."
             raise ModelError(Fault("E110", f"{self.name}.{variable.name}", message, "Make the block smaller."))
         return tuple(sizes)
 

@@ -41,7 +41,7 @@ def arguments(function: Function, place: str) -> tuple[str, ...]:
             refuse(
                 "E405",
                 place,
-                f"argument '{parameter}' is not a plain name: the arguments of an equation are what it reads.",
+                f"argument '{parameter}' is not a plain name: the arguments of an equation name its variables.",
                 "Write each name once, without * or a default.",
             )
     return tuple(parameter.name for parameter in parameters)

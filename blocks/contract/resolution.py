@@ -107,13 +107,13 @@ class _Resolving:
                 both = (given.get(name), given.get(parameter.excludes))
                 if all(value is not None and value.value is not None for value in both):
                     message = f"cannot be given together with '{parameter.excludes}'."
-                    self.fault("E107", name, message, "Give one of the two.")
+                    self.fault("E107", name, message, "Give only one of the two.")
             if parameter.default is REQUIRED and name not in given:
                 self.fault("E107", name, "must be given: it has no default.", f'Add "{name}" to its parameters.')
         for name in sorted(_sizing(self.declaration) & self.values.keys()) if self.values else ():
             size = self.values[name].value
             if isinstance(size, int) and abs(size) > LARGEST:
-                self.fault("E107", name, f"must be at most {LARGEST:,}, not {size:,}: sizes follow from it.")
+                self.fault("E107", name, f"must be at most {LARGEST:,}, not {size:,}: it determines sizes.")
 
     def default(self) -> None:
         """The values that are not given, and with them all structural values and sizes."""
@@ -139,7 +139,7 @@ class _Resolving:
                 self.faults += error.faults
                 continue
             if value.value.shape == () and parameter.table:
-                self.fault("E110", name, "is a table, which a single number does not fill.", "Give a list.")
+                self.fault("E110", name, "is a table, but a single number is given.", "Give a list.")
             elif value.value.shape == ():  # a scalar fills an array
                 self.values[name] = Value(np.broadcast_to(value.value, shape), value.exact, value.unit)
             elif value.value.shape != shape:
@@ -201,8 +201,10 @@ class _Resolving:
                     continue
                 period, offset = clocks[equation.name] = clock
                 if period <= 0 or offset < 0:
-                    message = f"ticks every {float(period)} s from {float(offset)} s on are not possible."
-                    self.fault("E107", equation.name, message)
+                    message = f"cannot tick every {float(period)} s from {float(offset)} s on."
+                    self.fault(
+                        "E107", equation.name, message, "The period must be above 0 s, and the offset 0 s or more."
+                    )
         stepper = self.declaration.stepper
         if stepper is not None and (clock := self._clock(stepper.name, stepper.clock)) is not None:
             clocks[stepper.name] = clock
@@ -242,7 +244,7 @@ class _Resolving:
                 continue
             # No step is longer than a delay: a run of a second would take more than 1e15 of them.
             if not (math.isfinite(delay) and delay >= LEAST_DELAY):
-                cure = f"A delay is {LEAST_DELAY} s or more."
+                cure = f"Use a delay of {LEAST_DELAY} s or more."
                 self.fault("E107", name, f"a delay of {delay} s is not possible.", cure)
             delays[name] = (delay, before)
         return delays
@@ -300,9 +302,9 @@ class _NoNumber(ValueError):
             return "Only limits such as those of Saturation may be infinite."
         match = re.fullmatch(r"([-+]?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]+)?) *([^\W\d_]\S*|%)?", self.text[:60])
         if re.match(r"[-+]?[0-9]+,[0-9]", self.text[:60]):
-            return f"Decimals stand after a point: {self.text[:60].replace(',', '.', 1)}."
+            return f"Write decimals after a point: {self.text[:60].replace(',', '.', 1)}."
         if match is None:
-            return 'An expression begins with =, as in "=2*gain".'
+            return 'Begin an expression with =, as in "=2*gain".'
         quantity = f'{{"value": {match[1]}, "unit": "{match[2]}"}}'
         return f"Write {quantity}." if match[2] else f"Write it without quotes: {match[1]}."
 
@@ -314,11 +316,11 @@ def _typed(parameter: Parameter, value: Value) -> Value:
         return value
     if isinstance(raw, SparseMatrix):
         if not (parameter.zeros and isinstance(parameter.shape, tuple) and len(parameter.shape) == 2):
-            raise ValueError("takes no sparse matrix.")
+            raise ValueError("cannot be a sparse matrix.")
         if parameter.sparse:
             return value
         if math.prod(raw.shape) > LARGEST:
-            message = f"is {_shape(raw.shape)}, all elements of which are needed here; {LARGEST:,} are the most."
+            message = f"is {_shape(raw.shape)}, and all of its elements are needed here; the limit is {LARGEST:,}."
             raise ValueError(message)
         return Value(_frozen(raw.dense()), None, value.unit)
     if parameter.type == "string":
@@ -412,7 +414,7 @@ class _Defaults:
         self.stop_at_clashes()
         self.take_computed()
         self.clashes += [
-            Fault("E110", self.place, f"the size {size} cannot be known.", "Give an array that has it.")
+            Fault("E110", self.place, f"the size {size} is not known.", "Give an array that determines it.")
             for size in self.declaration.sizes
             if size not in self.sizes
         ]
@@ -470,7 +472,7 @@ class _Defaults:
             rest = [name for name in waiting if not self.compute(name)]
             if len(rest) == len(waiting):
                 missing = {r for n in rest for r in arguments(parameters[n].default, n)} - set(self.values)
-                message = f"{', '.join(sorted(missing))} cannot be known."
+                message = f"{', '.join(sorted(missing))} cannot be determined."
                 raise ModelError(Fault("E110", f"{self.place}.{rest[0]}", message))
             waiting = rest
 

@@ -27,15 +27,15 @@ class SparseMatrix:
     def __init__(self, edges: Array, shape: tuple[int, int]) -> None:
         """Raises ModelError (E107) for an edge that lies outside, appears twice, or is no finite number."""
         places = edges[:, :2]
-        _refuse_first(edges, ~np.isfinite(edges).all(axis=1), "is not of finite numbers.")
+        _refuse_first(edges, ~np.isfinite(edges).all(axis=1), "must have finite numbers.")
         _refuse_first(edges, (places % 1 != 0).any(axis=1), "must begin with two integers, a row and a column.")
         size = f"the matrix is {shape[0]} x {shape[1]}, and indices count from 0."
-        _refuse_first(edges, ((places < 0) | (places >= shape)).any(axis=1), f"lies outside: {size}")
+        _refuse_first(edges, ((places < 0) | (places >= shape)).any(axis=1), f"is outside the matrix: {size}")
         order = np.lexsort((places[:, 1], places[:, 0]))
         sorted_places = places[order].astype(np.int64)
         again = np.zeros(len(edges), dtype=bool)
         again[order[1:]] = (sorted_places[1:] == sorted_places[:-1]).all(axis=1)
-        _refuse_first(edges, again, "appears twice.", "Give the sum of both values once.")
+        _refuse_first(edges, again, "appears twice.", "Give one edge with the sum of both values.")
         kept = edges[order, 2] != 0
         rows, self.columns = sorted_places[kept].T
         self.values: Array = edges[order, 2][kept]

@@ -64,7 +64,7 @@ def returned(value: Any) -> Symbols:
     symbols = as_symbols(value)
     if _REFUSALS:
         text = _REFUSALS.pop()
-        raise SymbolError(f"{text} It was caught by an `except` on the way, which would fix one branch for the run.")
+        raise SymbolError(f"{text} An `except` caught this error, which would fix one branch for the whole run.")
     return symbols
 
 
@@ -107,7 +107,7 @@ class SymbolicTable(TracedTable):
 
     def search(self, x: Any) -> Symbols:
         if self.ndim != 1:
-            _refuse("points to search in are a table of one dimension.")
+            _refuse("search() needs a table of one dimension.")
         return self._looked_up("search", x)
 
     def pick(self, index: Any) -> Symbols:
@@ -116,7 +116,7 @@ class SymbolicTable(TracedTable):
     def _looked_up(self, op: str, operand: Any) -> Symbols:
         places = as_symbols(operand)
         if places.logical:
-            _refuse("a bool is no place in a table.")
+            _refuse("a bool cannot be an index of a table.")
         return _each(lambda item: record(op, item, self.symbol), places)
 
     def __getitem__(self, index: Any) -> Symbols:
@@ -124,7 +124,7 @@ class SymbolicTable(TracedTable):
             if not -len(self) <= index < len(self):
                 raise IndexError(f"index {index} of a table of {len(self)}")
             return self.pick(float(index % len(self)))
-        _refuse("a table is read with pick(table, index), search(table, x), np.interp, or table[0].")
+        _refuse("this is not a way to read a table. Use pick(table, index), search(table, x), np.interp, or table[0].")
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> Array:
         _refuse("a table is not an array of numbers. Read it with pick, search or np.interp.")
@@ -165,7 +165,7 @@ def as_symbols(value: Any) -> Symbols:
             items[index] = part.items[()]
         return Symbols(items, bool(parts) and all(part.logical for part in parts))
     if value is None:
-        raise SymbolError("None is not a number. Does a `return` miss?")
+        raise SymbolError("None is not a number. Is a `return` missing?")
     if isinstance(value, (str, bytes)):
         raise SymbolError(f"{value!r} is not a number.")
     array = np.asarray(value)
@@ -237,7 +237,7 @@ class Symbols(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __float__(self) -> NoReturn:
         _refuse("a symbol is not a number: math.sin, float() and item assignment cannot take it. "
-                "Use np.sin and its like, and np.stack in place of item assignment.")  # fmt: skip
+                "Use np.sin and the like, and np.stack instead of item assignment.")  # fmt: skip
 
     def __int__(self) -> NoReturn:
         _refuse("a symbol is not an integer. Use np.floor or np.round.")
@@ -277,7 +277,7 @@ class Symbols(np.lib.mixins.NDArrayOperatorsMixin):
         if method == "reduce" and ufunc in _REDUCTIONS:
             return _called(f"{ufunc.__name__}.reduce", _REDUCTIONS[ufunc], inputs, {"axis": 0, **options})
         if "out" in options:
-            _refuse("nothing can be written into a symbol or from a symbol into an array (+= or out=). Use x = x + 1.")
+            _refuse("a symbol cannot be changed or written into an array (+= or out=). Use x = x + 1.")
         if method != "__call__" or options:
             _refuse(f"np.{ufunc.__name__}.{method} with {', '.join(options) or 'these arguments'} cannot be traced.")
         if ufunc is np.matmul:
@@ -335,7 +335,7 @@ def _real(function: Callable[..., Scalar]) -> Callable[..., Symbols]:
 
     def rule(*arrays: Symbols) -> Symbols:
         if all(array.logical for array in arrays):
-            _refuse("a bool is no number here. Use &, |, ~, or np.where(condition, 1.0, 0.0) to make a number of it.")
+            _refuse("a bool is not a number here. Use &, |, ~, or np.where(condition, 1.0, 0.0) for a number.")
         return _each(function, *arrays)
 
     return rule
@@ -510,7 +510,7 @@ def _fold(
         shape = tuple(1 if k in axes else n for k, n in enumerate(symbols.shape)) if keepdims else rest
         if count == 0:
             if start is None:
-                _refuse("the smallest or largest of nothing.")
+                _refuse("np.min and np.max need at least one element.")
             return constant(np.full(shape, start))
         total = Symbols(_array(items[0]))
         for item in items[1:]:
@@ -527,7 +527,7 @@ def _mean(a: Any, axis: Axis = None, *, keepdims: bool = False) -> Symbols:
     symbols = as_symbols(a)
     total = _sum(symbols, axis, keepdims=keepdims)
     if symbols.size == 0:
-        _refuse("the mean of nothing.")
+        _refuse("np.mean needs at least one element.")
     return _UFUNCS[np.divide](total, constant(symbols.size / total.size))
 
 
@@ -645,7 +645,7 @@ def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Sy
     if points.ndim != 1 or values.shape != points.shape or len(points) == 0:
         _refuse(f"np.interp needs as many values as points, not {values.shape} and {points.shape}.")
     if len(points) > 64:
-        message = f"np.interp over {len(points)} points would make an expression of that size; 64 is the most."
+        message = f"np.interp over {len(points)} points would become an expression of this size; the limit is 64."
         _refuse(f"{message} Declare them as Parameter(..., table=True).")
     if not np.all(np.diff(points) > 0):
         _refuse("np.interp needs points that increase.")

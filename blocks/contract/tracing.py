@@ -62,8 +62,8 @@ def fine(tape: Tape) -> Tape:
     """
     with _LOCK:
         if tape.outside is not None and not tape.outside.holds():
-            message = "what its equations read from outside has changed since the diagram was prepared."
-            raise DeclarationError(Fault("E407", tape.interface.name, message, "Prepare it anew."))
+            message = "values outside the class that its equations read have changed since the diagram was prepared."
+            raise DeclarationError(Fault("E407", tape.interface.name, message, "Prepare the diagram again."))
         return _traced(tape.interface, is_fine=True)
 
 
@@ -78,15 +78,15 @@ def _traced(interface: Interface, *, is_fine: bool) -> Tape:
     if read.is_opaque or not read.holds():  # they may give something else each time
         equation = _differing(tape, _Tracer(interface, is_fine=is_fine).tape())
         if equation:
-            raise DeclarationError(_impure(interface, equation, "it gives something else each time that it is asked"))
+            raise DeclarationError(_impure(interface, equation, "it returns something else at each call"))
     tape = replace(tape, outside=outside(interface.declaration))  # the equations may have changed it themselves
     _TAPES[interface, is_fine] = tape
     return tape
 
 
 def _impure(interface: Interface, equation: str, why: str) -> Fault:
-    message = f"is not pure: {why}, and equations are run once, so that it would be a constant of the run."
-    cure = "Use t, tick, a parameter, an input or a table. Noise makes noise, and a @stepper may do what it likes."
+    message = f"is not pure: {why}, but blocks runs an equation once, so the value would stay constant in the run."
+    cure = "Use t, tick, a parameter, an input, a table or a Noise block. A @stepper may call any code."
     return Fault("E408", f"{interface.name}.{equation}", message, cure)
 
 
@@ -238,7 +238,7 @@ class _Tracer:
             if not all(whole[node] for node in outputs[first:last]):
                 roles = [(e, role) for e in d.equations for role in e.roles]
                 equation = next(e for e, role in roles if role.kind == result.role and role.target is variable)
-                message = f"'{variable.name}' takes integers only, and what the equation gives may lie between two."
+                message = f"'{variable.name}' takes integers only, but the equation may return other numbers."
                 raise refusal(self.interface, equation, f"{message} Use np.floor or np.round.")
 
     def _fitted(
@@ -254,11 +254,11 @@ class _Tracer:
         else:
             wants_bool = isinstance(variable, (Discrete, Output)) and variable.type == "bool"
         if wants_bool and not logical:
-            raise refusal(self.interface, equation, f"'{variable.name}' is a bool, but the equation gives a number.")
+            raise refusal(self.interface, equation, f"'{variable.name}' is a bool, but the equation returns a number.")
         wants_whole = variable.type not in ("real", "bool") and isinstance(variable, (Discrete, Output))
         if wants_whole and logical:
             what = "an int" if variable.type == "int" else "an enumeration"
-            message = f"'{variable.name}' is {what}, but the equation gives a bool. Use np.where(condition, 1, 0)."
+            message = f"'{variable.name}' is {what}, but the equation returns a bool. Use np.where(condition, 1, 0)."
             raise refusal(self.interface, equation, message)
         if role.kind == "event_time" and logical:
             raise refusal(self.interface, equation, "an event time is a time in s, not a bool.")
@@ -266,7 +266,7 @@ class _Tracer:
             raise refusal(
                 self.interface,
                 equation,
-                "a crossing gives a number whose sign is the side, not a bool. Return a difference.",
+                "a crossing must return a number whose sign is the side, not a bool. Return a difference.",
             )
         if shape == needed:
             return scalars
@@ -275,5 +275,5 @@ class _Tracer:
         raise refusal(
             self.interface,
             equation,
-            f"gives the shape {shape or 'of a scalar'}, but '{variable.name}' has {needed or 'a scalar'}.",
+            f"returns the shape {shape}, but '{variable.name}' has the shape {needed} (a scalar: ()).",
         )

@@ -51,7 +51,7 @@ class UnitExpression:
 
     def __pow__(self, exponent: Any) -> UnitExpression:
         if isinstance(exponent, bool) or not isinstance(exponent, int):
-            raise _refused(f"{exponent!r} is no exponent of a unit.", "Take a whole number.")
+            raise _refused(f"the exponent of a unit must be a whole number, not {exponent!r}.", "")
         return UnitExpression(self.parameters, lambda known: units.power(self.compute(known), exponent))
 
     def __repr__(self) -> str:
@@ -81,8 +81,8 @@ def _unit(value: Any) -> UnitExpression:
     if isinstance(value, UnitExpression):
         return value
     if not isinstance(value, _UnitParameter):
-        cure = 'A unit is a text such as "s", or a text parameter of the class.'
-        raise _refused(f"{value!r} is no unit.", cure)
+        cure = 'Use a text such as "s", or a text parameter of the class.'
+        raise _refused(f"{value!r} is not a unit.", cure)
     return value.as_unit()
 
 

@@ -179,7 +179,8 @@ class Parameter(Variable):
         if stream:
             others = (default is not REQUIRED, unit, shape != (), type != "real", structural, zeros, table, choices)
             if any(others):
-                refuse("E405", "", "the number of a stream is a real that nobody gives.", "Leave out all but doc=.")
+                message = "the number of a stream is a real that blocks computes."
+                refuse("E405", "", message, "Leave out all arguments but doc=.")
             default, fixed = 0.0, True
         self.stream = stream
         if choices and type == "real":
@@ -191,23 +192,23 @@ class Parameter(Variable):
             )
         self.type, self.members = checked_type(type, allowed, "parameters")
         if self.members and structural:
-            refuse("E405", "", "an enumeration does not fix the type of a block.", 'Use choices=("a", "b").')
+            refuse("E405", "", "an enumeration cannot be structural.", 'Use choices=("a", "b").')
         self.default, self.structural, self.fixed, self.zeros = plain_value(default), structural, fixed or table, zeros
         self.table, self.sparse, self.is_limit = table, sparse, is_limit
         if is_limit and isinstance(self.default, float) and math.isinf(self.default):
             self.default = f"{self.default:f}"  # as a file has it
         if is_limit and (structural or zeros or table or shape != () or self.type != "real"):
-            refuse("E405", "", "a limit is one real number that does not fix the type.", "Leave is_limit= out.")
+            refuse("E405", "", "is_limit= is for one real number that is not structural.", "Leave is_limit= out.")
         if sparse and not (zeros and isinstance(shape, tuple) and len(shape) == 2):
-            refuse("E405", "", "only a matrix whose zeros fix the type can be sparse.", "Say zeros=True and its sizes.")
+            refuse("E405", "", "only a matrix with structural zeros can be sparse.", "Add zeros=True and its sizes.")
         if table and (structural or zeros or shape == () or type != "real"):
-            refuse("E405", "", "a table is an array of real numbers.", 'Give it a size, as in shape="n".')
+            refuse("E405", "", "a table must be an array of real numbers.", 'Give it a size, as in shape="n".')
         self.min, self.max, self.positive, self.choices, self.excludes = min, max, positive, choices, excludes
         if structural and not (shape == () or (isinstance(shape, str) and type in ("real", "int"))):
             refuse(
                 "E405",
                 "",
-                "a structural parameter is one value or a list of numbers.",
+                "a structural parameter must be one value or a list of numbers.",
                 'Give it a size, as in shape="m", or use zeros=True.',
             )
 
@@ -223,7 +224,7 @@ class Parameter(Variable):
         """The unit that this text names. Raises DeclarationError (E405) for a parameter that is no text."""
         if self.type != "string":
             cure = 'Declare it Parameter("", structural=True, type="string"), or write a function of parameters.'
-            refuse("E405", self.name, "is no unit: a unit is a structural text.", cure)
+            refuse("E405", self.name, "cannot be a unit: a unit must be a structural text.", cure)
         return UnitExpression((self,), lambda known: known[self.name])
 
     def __mul__(self, other: object) -> UnitExpression:
@@ -249,7 +250,7 @@ class Parameter(Variable):
         if self.choices and plain and self.default not in self.choices:
             refuse("E405", place, f"the default {self.default!r} is not one of {', '.join(self.choices)}.")
         if self.min is not None and self.max is not None and self.min > self.max:
-            refuse("E405", place, f"min={self.min!r} is above max={self.max!r}.", "The smaller one is min.")
+            refuse("E405", place, f"min={self.min!r} is above max={self.max!r}.", "Swap them.")
 
 
 class Input(Variable):
@@ -315,7 +316,7 @@ class State(Memory):
         if callable(nominal):
             return
         if isinstance(nominal, bool) or not isinstance(nominal, (int, float, np.integer, np.floating)):
-            cure = "A function of parameters may give one for each element."
+            cure = "A function of parameters may return one for each element."
             refuse("E405", "", f"nominal={nominal!r} is neither a number nor a function of parameters.", cure)
         if not 0 < nominal < math.inf:
             refuse("E405", "", f"nominal={nominal!r} must be above 0 and finite.")
@@ -409,7 +410,7 @@ class History(Variable):
 
     def __init__(self, of: Input, *, delay: Any, before: Any = 0.0, doc: str = "") -> None:
         if not isinstance(of, Input) or of.type != "real":
-            refuse("E405", "", f"a history is that of a real Input, not of {of!r}.")
+            refuse("E405", "", f"a history needs a real Input, not {of!r}.")
         super().__init__(of.unit, of.shape, "", doc)
         self.of, self.delay, self.before = of, delay, before
         if not (isinstance(delay, Parameter) or callable(delay)):
@@ -475,7 +476,7 @@ class Clock:
     def __post_init__(self) -> None:
         if self.every == "step":
             if self.offset != 0:
-                refuse("E405", "", 'every="step" has no offset.')
+                refuse("E405", "", 'every="step" cannot have an offset.')
             return
         for word, value in (("every", self.every), ("offset", self.offset)):
             number = isinstance(value, (int, float)) and not isinstance(value, bool)

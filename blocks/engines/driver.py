@@ -201,5 +201,5 @@ class Simulation:
         """Raise ModelError (E119) where ticks could not be counted up to t."""
         plan = self.engine.plan
         if isinstance(plan, Plan) and plan.rates and abs(t / plan.base) > 2**53:
-            message = f"{float(t)} s are more than 2^53 base steps of {float(plan.base)} s."
-            raise ModelError(Fault("E119", plan.name, message, "Choose periods with a coarser common base."))
+            message = f"{float(t)} s is more than 2^53 times {float(plan.base)} s, the common base of all ticks."
+            raise ModelError(Fault("E119", plan.name, message, "Choose periods with a larger common base."))

@@ -179,7 +179,7 @@ class Prepared:
             raise
         why = _frozen_by(self.flat, flat)
         if why:
-            raise UsageError(Fault("E117", name, f"cannot change during a run: {why}.", "Start another run with it."))
+            raise UsageError(Fault("E117", name, f"cannot change during a run: {why}.", "Start a new run with it."))
         if isinstance(self.plan, Plan):
             new = plan(flat)
             compiled_plan: Plan | Coupling = replace(self.plan, parameters=new.parameters, nominal=new.nominal)
@@ -263,7 +263,8 @@ class Prepared:
         for b in self.flat.blocks:
             hidden = b.interface.declaration.streams
             known += [f"{b.path}.{p}" for p in b.interface.symbolic_parameters if p not in hidden]
-        cure = did_you_mean(name, known) or f"Inputs: {', '.join(inputs) or 'none'}; parameters go by path."
+        inputs_are = f"Inputs: {', '.join(inputs) or 'none'}"
+        cure = did_you_mean(name, known) or f"{inputs_are}; a parameter needs its path, as in motor.Ra."
         return UsageError(Fault("E502", legible(name), "there is no such input or parameter.", cure))
 
 
@@ -315,11 +316,11 @@ def _frozen_by(old: Flat, new: Flat) -> str:
             if key in memories:
                 return f"{path}.{key} is a start value"
         if before.interface != after.interface:
-            return f"the zeros in the parameters of {path} are its structure"
+            return f"the zeros in the parameters of {path} define its structure"
         for key, (delay, past) in after.delays.items():
             known = before.delays[key]
             if known[0] != delay or not _equal(known[1], past):
-                return f"the past of {path} is what it was"
+                return f"the past of {path} cannot change"
         for key, held in after.starts.items():
             if not _equal(before.starts[key], held):
                 return f"{path}.{key} starts at it"

@@ -193,6 +193,6 @@ def _loaded(unit: CoupledUnit) -> Loaded:
         loaded = open_fmu(foreign.path, foreign.kind, notes=of_user())
     if loaded.description.token != foreign.description.token:
         loaded.close()
-        message = f"{foreign.path.name} is another FMU than when the diagram was made."
+        message = f"the file {foreign.path.name} has changed since the diagram was loaded."
         raise FMUError(Fault("E205", unit.place, message, "Load the diagram again."))
     return loaded

@@ -101,7 +101,7 @@ def build_description(model: Model) -> str:
         UsageError: E501 where the model has no sources: the FMU must then have no such file.
     """
     if not model.sources:
-        raise UsageError(Fault("E501", model.name, "there are no sources to describe."))
+        raise UsageError(Fault("E501", model.name, "the model has no sources to describe."))
     files = tuple(_Element("SourceFile", {"name": name}) for name in model.sources)
     sources = _Element("SourceFileSet", {"language": "C11"}, files)
     libm = _Element("Library", {"name": "m", "external": "true"})
@@ -479,25 +479,25 @@ def _faults_of_variables(model: Model, fmi: int) -> Iterator[Fault]:
     for variable in model.variables:
         name, size = variable.name, _size(variable)
         if not references.isdisjoint(_references(variable)):
-            yield Fault("E501", name, f"the value reference {variable.reference} is taken twice.")
+            yield Fault("E501", name, f"the value reference {variable.reference} is used twice.")
         references.update(_references(variable))
         allowed = _INITIAL.get((variable.causality, variable.variability))
         if variable.variability == "continuous" and variable.type != "real":
             yield Fault("E501", name, f"a variable of type {variable.type} cannot be continuous.")
         if allowed is None or (allowed[0] and variable.initial not in ("", *allowed)):
             combination = " ".join(filter(None, (variable.causality, variable.variability, variable.initial)))
-            yield Fault("E501", name, f"FMI does not know the combination {combination}.")
+            yield Fault("E501", name, f"FMI does not allow the combination {combination}.")
             continue
         if _has_start(variable):
             if len(variable.start) != size:
-                yield Fault("E501", name, f"{len(variable.start)} start values for {size} elements.")
+                yield Fault("E501", name, f"it has {len(variable.start)} start values for {size} elements.")
             yield from _faults_of_start(variable, fmi)
         if variable.type == "enum" and not variable.members:
-            yield Fault("E501", name, "an enumeration without members.")
+            yield Fault("E501", name, "its enumeration has no members.")
     if sum(variable.causality == "independent" for variable in model.variables) != 1:
-        yield Fault("E501", "", "an FMU has one independent variable.")
+        yield Fault("E501", "", "an FMU must have exactly one independent variable.")
     if not model.kinds or not set(model.kinds) <= {"CS", "ME"}:
-        yield Fault("E501", "", f"the kinds {model.kinds} are not CS, ME or both.")
+        yield Fault("E501", "", f"the kinds must be CS, ME or both, not {model.kinds}.")
 
 
 def _faults_of_start(variable: ExportedVariable, fmi: int) -> Iterator[Fault]:
@@ -510,7 +510,7 @@ def _faults_of_start(variable: ExportedVariable, fmi: int) -> Iterator[Fault]:
             if not math.isfinite(value) or value != int(value):
                 yield Fault("E501", variable.name, f"the start value {value!r} is not a whole number.")
             elif not -(2 ** (bits - 1)) <= value < 2 ** (bits - 1):
-                message = f"the start value {int(value)} does not fit the {bits} bits of an integer of FMI {fmi}."
+                message = f"the start value {int(value)} exceeds the {bits} bits of an integer of FMI {fmi}."
                 yield Fault("E118", variable.name, message, "Export with fmi=3." if fmi == 2 else "")
 
 
@@ -534,7 +534,7 @@ def _faults_of_structure(model: Model) -> Iterator[Fault]:
     }
     named = {k for listed in lists.values() for unknown, knowns in listed.items() for k in (unknown, *(knowns or ()))}
     if missing := sorted(named - set(owner)):
-        yield Fault("E501", "", f"the references {missing} are those of no variable.")
+        yield Fault("E501", "", f"no variable has the references {missing}.")
         return
     rates = {element: owner[element] for element in model.derivatives}
     states = {variable.derivative_of for variable in rates.values()}
@@ -542,14 +542,14 @@ def _faults_of_structure(model: Model) -> Iterator[Fault]:
         state = owner.get(-1 if variable.derivative_of is None else variable.derivative_of)
         fits = state is not None and state.reference == variable.derivative_of and state.shape == variable.shape
         if variable.derivative_of is not None and not fits:
-            yield Fault("E501", variable.name, "it is the derivative of no variable of its shape.")
+            yield Fault("E501", variable.name, "it is not the derivative of a variable of the same shape.")
         elif variable.derivative_of is None and variable.reference in rates:
-            yield Fault("E501", variable.name, "a listed derivative does not say of which state.")
+            yield Fault("E501", variable.name, "it is listed as a derivative, but no state is named.")
         if variable.is_state and variable.reference not in states and "ME" in model.kinds:
             yield Fault("E501", variable.name, "the derivative of this state is not listed.")
         is_dynamic = variable.is_state or variable.reference in rates or variable.reference in lists["event indicators"]
         if is_dynamic and (variable.variability != "continuous" or variable.causality not in ("local", "output")):
-            message = "states, derivatives and indicators are continuous local variables or outputs."
+            message = "states, derivatives and indicators must be continuous local variables or outputs."
             yield Fault("E501", variable.name, message)
     expected = {
         "outputs": {k for k, v in owner.items() if v.causality == "output"},
@@ -557,18 +557,18 @@ def _faults_of_structure(model: Model) -> Iterator[Fault]:
     }
     for name, references in expected.items():
         for place in dict.fromkeys(owner[k].name for k in sorted(references ^ set(lists[name]))):
-            yield Fault("E501", place, f"the list of {name} misses it, or must not have it.")
+            yield Fault("E501", place, f"it is missing in the list of {name}, or must not be in it.")
     # An entry of FMI 3 is a whole array: its elements stand together, in order, or the vector means something else.
     for name in ("derivatives", "event indicators"):
         firsts = dict.fromkeys(owner[k].reference for k in lists[name])
         whole = [k for first in firsts for k in _references(owner[first])]
         if whole != list(lists[name]):
-            yield Fault("E501", "", f"the {name} are not whole variables one after the other.")
+            yield Fault("E501", "", f"the {name} are not whole variables in sequence.")
     for name, listed in lists.items():
         for unknown, knowns in listed.items():
             for known in knowns or ():
                 if not _may_be_known(owner[known], initial=name == "initial unknowns"):
-                    message = f"it depends on {owner[known].name}, which is itself unknown then."
+                    message = f"it depends on {owner[known].name}, which is itself unknown at that time."
                     yield Fault("E501", owner[unknown].name, message)
 
 

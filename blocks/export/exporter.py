@@ -108,9 +108,9 @@ def export(
     (E501), ModelError (E606), CompilerError (E60x).
     """
     if not isinstance(fmi, int) or fmi not in (2, 3):
-        raise UsageError(Fault("E501", "fmi", f"{fmi!r} is no version of FMI that can be written.", "Use 2 or 3."))
+        raise UsageError(Fault("E501", "fmi", f"must be 2 or 3, the versions of FMI, not {fmi!r}."))
     if Path(path).suffix != ".fmu":
-        raise UsageError(Fault("E501", str(path), "the name of an FMU ends in .fmu."))
+        raise UsageError(Fault("E501", str(path), "the name of an FMU must end in .fmu."))
     allowed, notes = _allowed(plan, kinds)
     wanted = check_compilers(platforms)
     fmu_files = _Made(_Order(value, flat, plan, fmi, allowed, name, overrides or {}, version, drawing))
@@ -133,7 +133,7 @@ def export(
         return tuple(f"{v.name} [{v.unit}]" if v.unit else v.name for v in selected)
 
     if not any(ports := (shown("input"), shown("output"))):
-        notes += ("without inputs and outputs nothing of it is seen outside: give the diagram some (Diagram.output)",)
+        notes += ("it has no inputs and no outputs, so it cannot be connected: add some (Diagram.output)",)
     settable = tuple(v.name for v in variables if v.causality == "parameter")
     return Exported(Path(path), fmi, allowed, wanted, *ports, settable, len(plan.states), (*notes, *fmu_files.notes))
 
@@ -148,33 +148,33 @@ def _allowed(plan: Plan, kinds: Sequence[str] | None) -> tuple[tuple[str, ...], 
     for kind in kinds or ():
         if kind not in KINDS:
             cure = did_you_mean(kind, KINDS) or 'Kinds: "CS" (Co-Simulation), "ME" (Model Exchange).'
-            raise UsageError(Fault("E501", "kinds", f"{kind!r} is no kind of FMU.", cure))
+            raise UsageError(Fault("E501", "kinds", f"{kind!r} is not a kind of FMU.", cure))
     if kinds is not None and not kinds:
-        raise UsageError(Fault("E501", "kinds", "an FMU needs a kind.", 'Kinds: "CS", "ME".'))
+        raise UsageError(Fault("E501", "kinds", "an FMU needs at least one kind.", 'Kinds: "CS", "ME".'))
     faults = [
         Fault(
-            "E606", part.path, "is a program in Python, which an FMU cannot hold.",
+            "E606", part.path, "is a program in Python, which an FMU cannot contain.",
             "Replace it by a block with equations, or export the diagram without it.",
         )
         for part in plan.steppers
     ]  # fmt: skip
     faults += [
         Fault(
-            "E606", part.path, "is an FMU, which the FMU of a diagram cannot hold.",
+            "E606", part.path, "is an FMU, which the FMU of a diagram cannot contain.",
             "Replace it by a block with equations, or export the diagram without it.",
         )
         for part in plan.foreign
     ]  # fmt: skip
     why = why_not(plan)
     if why:
-        cure = "Use periods and steps that are rounder."
+        cure = "Use rounder periods and steps, such as multiples of 1 us."
         faults.append(Fault("E606", plan.name, f"cannot be exported: {why}.", cure))
     if faults:
         raise ModelError(*faults)
     refused: dict[str, tuple[str, str, str]] = {}
     if plan.histories:
         cure = "Export for Co-Simulation alone (CS)."
-        message = "a delay needs the past, which Model Exchange does not give"
+        message = "a delay needs past values, which Model Exchange does not provide"
         refused["ME"] = (plan.histories[0].name.rpartition(".")[0] or plan.histories[0].name, message, cure)
     for kind in KINDS if kinds is None else kinds:
         if kind in refused and (kinds is not None or len(refused) == len(KINDS)):

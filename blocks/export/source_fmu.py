@@ -123,17 +123,17 @@ def _is_utf8(data: bytes) -> bool:
 def _jobs(archive: Archive, description: Description, platform: str) -> list[_Job]:
     """The libraries of an FMU, one for each name of a binary."""
     if not any(name.startswith("sources/") for name in archive.files):
-        raise _refused(archive.place, "it carries no sources.", "Export it for this machine.")
+        raise _refused(archive.place, "it contains no sources.", "Export it for this machine.")
     if description.fmi == 3:
         if BUILD not in archive.files:
-            raise _refused(archive.place, f"it has no {BUILD}, which says what is compiled.")
+            raise _refused(archive.place, f"it has no {BUILD}, which lists the files to compile.")
         root = xmltree.parse(archive.read(BUILD), f"{archive.place}/{BUILD}")
         return list(_jobs_3(archive.place, description, root, platform))
     sources_of: dict[str, dict[str, None]] = {}
     for interface in description.interfaces:
         sources_of.setdefault(interface.identifier, {}).update(dict.fromkeys(interface.sources))
     if not all(sources_of.values()):
-        message = f"its {DESCRIPTION} lists no SourceFiles, so that nobody knows what is compiled."
+        message = f"its {DESCRIPTION} lists no SourceFiles, so the files to compile are not known."
         raise _refused(archive.place, message)
     return [_Job(identifier, tuple(sources)) for identifier, sources in sources_of.items()]
 
@@ -147,7 +147,7 @@ def _jobs_3(place: str, description: Description, root: Element, platform: str) 
         fitting += [entry for entry in mine if "platform" not in entry[1]]
         if not fitting:
             others = ", ".join(sorted({entry[1].get("platform", "") for entry in mine})) or "nothing"
-            raise _refused(place, f"{BUILD} tells how {identifier} is built for {others}, not for {platform}.")
+            raise _refused(place, f"{BUILD} describes how to build {identifier} for {others}, not for {platform}.")
         yield _configured(place, identifier, fitting[0])
 
 
@@ -162,7 +162,7 @@ def _configured(place: str, identifier: str, configuration: Element) -> _Job:
         if element[1].get("optional") in ("true", "1"):
             notes.append(f"without the optional definition {name}")
         elif not _NAME.fullmatch(name) or "\n" in value or "\r" in value or value.endswith("\\"):
-            raise _refused(place, f"{BUILD} defines {name!r} as {value!r}, which is no definition of C.")
+            raise _refused(place, f"{BUILD} defines {name!r} as {value!r}, which is not a valid definition in C.")
         elif definitions.setdefault(name, value) != value:
             raise _refused(place, f"{BUILD} defines {name} differently for parts of {identifier}.")
 
@@ -170,9 +170,10 @@ def _configured(place: str, identifier: str, configuration: Element) -> _Job:
         if tag == "SourceFileSet":
             language = attributes.get("language", "C")
             if not re.fullmatch(r"C(89|90|95|99|11|17|18)?", language):
-                raise _refused(place, f"sources of {identifier} are written in {language}; only C is compiled here.")
+                raise _refused(place, f"sources of {identifier} are written in {language}; blocks compiles C only.")
             if attributes.get("compilerOptions"):
-                message = f"{BUILD} asks for the compiler options {attributes['compilerOptions']!r}."
+                options = attributes["compilerOptions"]
+                message = f"{BUILD} requires the compiler options {options!r}, which blocks does not use."
                 raise _refused(place, message)
             for child in children:
                 if child[0] == "SourceFile":
@@ -186,7 +187,8 @@ def _configured(place: str, identifier: str, configuration: Element) -> _Job:
         elif tag == "IncludeDirectory":
             include.append(attributes.get("name", ""))
         elif tag == "Library" and attributes.get("name") not in USUAL:
-            raise _refused(place, f"{identifier} is linked with the library {attributes.get('name', '')!r}.")
+            name = attributes.get("name", "")
+            raise _refused(place, f"{identifier} needs the library {name!r}, which blocks does not link.")
     return _Job(identifier, tuple(sources), tuple(definitions.items()), tuple(include), tuple(notes))
 
 
@@ -196,15 +198,15 @@ def _configured(place: str, identifier: str, configuration: Element) -> _Job:
 def _library(place: str, description: Description, job: _Job, texts: Mapping[str, str], platform: str) -> bytes:
     for name in job.sources:
         if name not in texts:
-            raise _refused(place, f"the source {name!r} of {job.identifier} is not in it.", "Export it again.")
+            raise _refused(place, f"the source {name!r} of {job.identifier} is not in the FMU.", "Export it again.")
         if not name.endswith(".c"):
-            raise _refused(place, f"{name} of {job.identifier} is no C file; only C is compiled here.")
+            raise _refused(place, f"{name} of {job.identifier} is not a C file; blocks compiles C only.")
     if not job.sources:
         raise _refused(place, f"no sources are listed for {job.identifier}.")
     included = {PurePosixPath(word).name for text in texts.values() for word in _INCLUDE.findall(text)}
     for name in texts:
         if not _PATH.fullmatch(name) and (name in job.sources or PurePosixPath(name).name in included):
-            raise _refused(place, f"sources/{name} is a name that is not compiled here.")
+            raise _refused(place, f"the name sources/{name} has characters other than A-Z, a-z, 0-9, _ and the point.")
     texts = {name: text for name, text in texts.items() if _PATH.fullmatch(name)}
     # Names of functions without a prefix, as a library of its own has them.
     lines = [f"#define FMI{description.fmi}_OVERRIDE_FUNCTION_PREFIX 1"]
@@ -226,7 +228,7 @@ def _library(place: str, description: Description, job: _Job, texts: Mapping[str
     given = functions(io.BytesIO(binary), len(binary))
     needed = "fmi2Instantiate" if description.fmi == 2 else "fmi3GetVersion"
     if given is not None and needed not in given:
-        raise _refused(place, f"its sources were compiled, but give no function {needed}.")
+        raise _refused(place, f"its sources were compiled, but do not define the function {needed}.")
     return binary
 
 
@@ -253,7 +255,7 @@ def _standard(place: str, name: str) -> str:
     try:
         return (Path(spec.origin).parent / "c-code" / name).read_text(encoding="utf-8")
     except OSError:
-        raise _refused(place, f"it does not carry the header {name}, and the standard has none of that name.") from None
+        raise _refused(place, f"it does not contain the header {name}, and FMI has no header of this name.") from None
 
 
 def _for_others(compiler: Compiler) -> Compiler:

@@ -116,7 +116,7 @@ class Variables:
         reference = len(self.places)
         name = self.free(variable.name)
         if name != variable.name and places and places[0].row != "indicator":
-            self.notes.append(f"{variable.name} is called {name}, as another variable has its name")
+            self.notes.append(f"{variable.name} is named {name}, because another variable has its name")
         self.all.append(replace(variable, reference=reference, name=name))
         self.variable_at[reference] = self.all[-1]
         self.names.add(name)

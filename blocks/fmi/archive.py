@@ -195,21 +195,21 @@ class Archive:
         elif begin.lstrip().lower().startswith((b"<!doctype html", b"<html")):
             message, cure = "this is a web page, not an archive.", "Fetch the raw file behind that page."
         elif begin.startswith(b"PK\3\4"):
-            message = f"the archive is truncated: it has {size:,} bytes, and its list of files, which is last, is gone."
+            message = f"the archive is truncated: after {size:,} bytes it ends without the list of its files."
         else:
-            message = "this is no zip archive."
+            message = "this is not a zip archive."
         return FMUError(Fault("E202", self.place, message, cure))
 
     def _no_description(self) -> FMUError:
         inside = [name for name in self.files if PurePosixPath(name).name == DESCRIPTION]
         if inside:
             message = f"{DESCRIPTION} lies in the folder {PurePosixPath(inside[0]).parent}, not at the top."
-            return FMUError(Fault("E202", self.place, message, "Pack what is in the folder, without the folder."))
+            return FMUError(Fault("E202", self.place, message, "Pack the content of the folder, without the folder."))
         if "SystemStructure.ssd" in self.files:
-            message = "it is a package of SSP (System Structure and Parameterization), and not an FMU."
-            cure = 'Unpack it: each FMU in its folder "resources" runs by itself, or as a block of a diagram.'
+            message = "it is a package of SSP (System Structure and Parameterization), not an FMU."
+            cure = 'Unpack it. Each FMU in its folder "resources" runs alone, or as a block of a diagram.'
             return FMUError(Fault("E202", self.place, message, cure))
-        message = f"the archive holds no {DESCRIPTION}: it is no FMU."
+        message = f"the archive holds no {DESCRIPTION}, so it is not an FMU."
         return FMUError(Fault("E202", self.place, message, "Export the model again."))
 
     def _faults(self) -> Iterator[Fault]:
@@ -225,13 +225,13 @@ class Archive:
             yield Fault("E203", self.place, f"{_shown(names[0])}{more}: {what}.", cure)
         total = sum(entry.file_size for entry in entries)
         if total > MAX_BYTES:
-            yield Fault("E203", self.place, f"unpacked it has {total:,} bytes; the limit is {MAX_BYTES:,}.", cure)
+            yield Fault("E203", self.place, f"it unpacks to {total:,} bytes; the limit is {MAX_BYTES:,}.", cure)
         if any(entry.flag_bits & 1 for entry in entries):
             yield Fault("E202", self.place, "the archive is encrypted.", "Pack it without a password.")
         elif methods := {entry.compress_type for entry in entries} - _METHODS:
             names_of = zipfile.compressor_names  # type: ignore[attr-defined]
             method = names_of.get(min(methods), f"method {min(methods)}")
-            message = f"files are compressed by {method}; in an FMU they are stored or deflated."
+            message = f"files are compressed by {method}; FMI allows the methods stored and deflate only."
             yield Fault("E202", self.place, message, "Pack it again: zip -r x.fmu *")
 
     def _odd(self, entries: list[zipfile.ZipInfo]) -> dict[str, list[str]]:
@@ -249,7 +249,7 @@ class Archive:
         for entry in entries:
             for parent in PurePosixPath(os.path.normcase(entry.filename).replace("\\", "/")).parents:
                 if str(parent) in files:
-                    odd.setdefault("a file stands where its folder should be", []).append(entry.filename)
+                    odd.setdefault("the archive has a file with the name of its folder", []).append(entry.filename)
         # Entries that share bytes are how a small file becomes a large one (D. Fifield, A better zip bomb, 2019).
         end, before = 0, None
         for entry in sorted(entries, key=lambda info: info.header_offset):
@@ -312,7 +312,7 @@ def _wrong_kind(entry: zipfile.ZipInfo) -> str:
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
         return "neither a file nor a folder"
     if entry.file_size > RATIO_FROM and entry.file_size > MAX_RATIO * entry.compress_size:
-        return f"it grows from {entry.compress_size:,} to {entry.file_size:,} bytes"
+        return f"it unpacks from {entry.compress_size:,} to {entry.file_size:,} bytes, more than any real file"
     return ""
 
 
@@ -341,12 +341,12 @@ def _opened(path: Path) -> BufferedReader:
         stream = open(descriptor, "rb")  # noqa: SIM115
     except (OSError, ValueError) as error:
         if isinstance(error, OSError) and path.is_dir():
-            cure = "An FMU is one file: pack what is in the folder." if (path / DESCRIPTION).exists() else cure
+            cure = "An FMU is one file: pack the content of the folder." if (path / DESCRIPTION).exists() else cure
             raise ModelError(Fault("E007", str(path), "this is a folder.", cure)) from None
         raise ModelError(Fault("E007", str(path), f"the file cannot be read: {_sentence(error)}", cure)) from None
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         stream.close()
-        raise ModelError(Fault("E007", str(path), "this is no plain file.", cure))
+        raise ModelError(Fault("E007", str(path), "this is not a regular file.", cure))
     return stream
 
 
@@ -364,9 +364,9 @@ def _shown(text: str) -> str:
 def _unwritable(place: str, folder: Path, error: OSError) -> FMUError:
     message = f"it cannot be unpacked into {folder.parent}: {_sentence(error)}"
     if error.errno in (errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ):
-        cure = "This machine does not take the names in it."
+        cure = "This machine does not allow some of the file names in the FMU: use another machine."
     else:
-        cure = "Make room there, or name another folder for temporary files by TMPDIR."
+        cure = "Make room there, or set TMPDIR to another folder for temporary files."
     return FMUError(Fault("E210", place, message, cure))
 
 
@@ -512,7 +512,7 @@ def drop_folders() -> None:
 def _fill(process: _Process, shared: _Folder, file: Path, parents: tuple[str, ...]) -> None:
     with Archive(file) as archive:
         if archive.digest() != shared.key[0]:
-            message = "the file was changed while it was read."
+            message = "the file changed while blocks read it."
             raise FMUError(Fault("E202", file.name, message, "Try again when it is complete."))
         try:
             path = process.fresh()

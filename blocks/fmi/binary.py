@@ -63,8 +63,8 @@ def inspect(stream: BinaryIO, size: int) -> Binary:
         if begin[:4] in (b"\xcf\xfa\xed\xfe", b"\xce\xfa\xed\xfe", b"\xca\xfe\xba\xbe"):
             return _darwin(stream)
     except (_Truncated, struct.error):
-        return Binary(problem=f"it is truncated: its headers go on behind its end at {size:,} bytes.")
-    return Binary(problem="it is empty." if not size else "it is no shared library.")
+        return Binary(problem=f"it is truncated: its headers refer to bytes beyond its end at {size:,} bytes.")
+    return Binary(problem="it is empty." if not size else "it is not a shared library.")
 
 
 def functions(stream: BinaryIO, size: int) -> frozenset[str] | None:
@@ -136,7 +136,7 @@ class _Elf:
         if end > self.size:
             return Binary(machines, f"it is truncated: it has {self.size:,} of {end:,} bytes.")
         if self.kind != _SHARED:
-            what = {1: "an object file", 2: "a program", 4: "a core dump"}.get(self.kind, "no library")
+            what = {1: "an object file", 2: "a program", 4: "a core dump"}.get(self.kind, "another kind of file")
             return Binary(machines, f"it is {what}, not a shared library.")
         return Binary(machines, "", *self._dynamic())
 
@@ -186,7 +186,7 @@ def _windows(stream: BinaryIO, size: int) -> Binary:
     (at,) = struct.unpack("<I", _at(stream, 0x3C, 4))
     mark, machine = struct.unpack("<4sH", _at(stream, at, 6))
     if mark != b"PE\0\0":
-        return Binary(problem="it is no shared library.")
+        return Binary(problem="it is not a shared library.")
     return Binary((f"{_PE_MACHINES.get(machine, f'machine{machine}')}-windows",))
 
 
@@ -197,7 +197,7 @@ def _darwin(stream: BinaryIO) -> Binary:
     else:
         (count,) = struct.unpack(">I", begin[4:])
         if count > 30:  # the same mark begins a Java class, whose version stands there
-            return Binary(problem="it is no shared library.")
+            return Binary(problem="it is not a shared library.")
         table = _at(stream, 8, 20 * count)
         kinds = tuple(struct.unpack_from(">I", table, 20 * k)[0] for k in range(count))
     return Binary(tuple(f"{_MACHO_MACHINES.get(kind, f'machine{kind}')}-darwin" for kind in kinds))

@@ -171,7 +171,7 @@ class Running(Called):
         """What a function returns, whatever it means. Raises FMUError (E208; E213 after a fatal error)."""
         binding = self.binding
         if self.is_lost:
-            message = f"{name} of {self.place} is not called: an instance of it told of a fatal error."
+            message = f"{name} of {self.place} cannot be called: an instance of the FMU has reported a fatal error."
             raise FMUError(Fault("E213", self.name, message, "Begin a new run."))
         c_function = binding.functions.get(name) or binding.bind(name, self._call_type)
         self.said_before = self.said
@@ -185,9 +185,7 @@ class Running(Called):
         except OSError as error:  # as Windows reports a crash
             self.lose()
             message = f"{name} of {self.place} crashed{self.when}: {error}."
-            raise FMUError(
-                Fault("E213", self.name, message, 'Give it a process of its own: "isolate": true.')
-            ) from None
+            raise FMUError(Fault("E213", self.name, message, 'Run it in its own process: "isolate": true.')) from None
         if self.raised is not None:
             error_inside, self.raised = self.raised, None
             raise error_inside
@@ -207,7 +205,7 @@ class Running(Called):
             return
         what = f"{name}{about and f' ({about})'} of {self.place}"
         if status == WARNING:
-            self.warn(f"{what} gave a warning{self.when}.{self.words(status=WARNING)}")
+            self.warn(f"{what} returned a warning{self.when}.{self.words(status=WARNING)}")
             return
         self.has_failed = True
         if status == FATAL:
@@ -219,17 +217,17 @@ class Running(Called):
         if status == ERROR and said == f"its binary has no function {name}":  # as host.c says it
             raise FMUError(lacks(name, self.place))
         if status == PENDING or not OK <= status <= FATAL:
-            word = "pending" if status == PENDING else f"the status {status}, which does not exist"
-            message = f"{what} gave {word}{self.when}.{self.words()}"
-            raise FMUError(Fault("E214", self.name, message, "Tell its maker; another export may do better."))
-        message = f"{what} gave {WORDS[status]}{self.when}.{self.words()}"
-        cure = "smaller steps or other values" if self.has_begun else "other parameters or start values"
-        begin = "Read what it said" if self.has_begun else "Its initialization failed: read what it said"
+            word = "pending" if status == PENDING else f"the undefined status {status}"
+            message = f"{what} returned {word}{self.when}.{self.words()}"
+            raise FMUError(Fault("E214", self.name, message, "Report it to the FMU's vendor, or try another export."))
+        begin = "" if self.has_begun else " Its initialization failed."
+        message = f"{what} returned {WORDS[status]}{self.when}.{begin}{self.words()}"
+        cure = "Smaller steps or other values" if self.has_begun else "Other parameters or start values"
         if name == "fmi3EnterEventMode" and self.binding.interface.kind == "CS":
-            maker = f"Tell its maker, or take hasEventMode out of its modelDescription.xml: {WITHOUT}."
-            message = f"{message} Its description declares event mode."
+            maker = f"Report it to the FMU's vendor, or remove hasEventMode from its modelDescription.xml: {WITHOUT}."
+            message = f"{message} Its modelDescription.xml declares event mode (hasEventMode)."
             raise FMUError(Fault("E213", self.name, message, maker))
-        raise FMUError(Fault("E213", self.name, message, f"{begin}; {cure} may help."))
+        raise FMUError(Fault("E213", self.name, message, f"{cure} may help."))
 
     def warn(self, message: str) -> None:
         """Keeps one entry for warnings that differ in numbers only."""
@@ -255,16 +253,16 @@ class Running(Called):
         during = min(self.said - self.said_before, len(self.messages))
         own = [message for message in self.messages if not (told and told.startswith(message.text))]
         heard = [message for message in list(self.messages)[len(self.messages) - during :] if message in own]
-        begin = " It said:"
+        begin = " The FMU reported:"
         if not heard:
-            heard, begin = own, " It said nothing then, but before:"
+            heard, begin = own, " The FMU reported nothing in this call, but earlier:"
         statuses = {message.status for message in heard}
         chosen = status if status in statuses else max(statuses, default=0)
         texts: dict[str, str] = {}  # one of those that differ in numbers only
         for message in heard if status is None else reversed(heard):
             if message.text and (message.status == chosen or chosen == PENDING):
                 texts[_blank(message.text)] = message.text
-        return f'{begin} "{" / ".join(list(texts.values())[-3:])}".' if texts else " It said nothing."
+        return f'{begin} "{" / ".join(list(texts.values())[-3:])}".' if texts else " The FMU reported nothing."
 
     # --- its beginning and its end ----
 
@@ -301,10 +299,10 @@ class Running(Called):
         if not component:
             if ended := self._ended(None):
                 raise FMUError(ended)
-            message = f"{call} of {self.place} gave no instance.{self.words()}"
-            cure = "Its binary and its description may be of two exports; or a file, program or license is missing."
+            message = f"{call} of {self.place} returned no instance.{self.words()}"
+            cure = "Its binary and its description may belong to different exports, or a file or license is missing."
             if self.fmi == 3 and binding.interface.kind == "CS" and arguments[0]:
-                cure += f" Or it refuses event mode, which its description declares (hasEventMode): {WITHOUT}."
+                cure += f" Or it rejects event mode: remove hasEventMode from its description; {WITHOUT}."
             raise FMUError(Fault("E212", self.name, message, cure))
         self.component = component
         if not listens:

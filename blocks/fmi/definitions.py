@@ -33,7 +33,8 @@ class Definitions:
         for tag, attributes, children, line in elements:
             name = attributes.get("name", "")
             if tag != "Unit" or not name:
-                self.told.warn("UnitDefinitions", f"the element {quoted(tag)} is no unit with a name.", line)
+                message = f"the element {quoted(tag)} is not a unit with a name, and is ignored."
+                self.told.warn("UnitDefinitions", message, line)
                 continue
             exponents, factor, offset = None, 1.0, 0.0
             displays = []
@@ -54,11 +55,12 @@ class Definitions:
                     )
             text, si, agree = quantities.spelled(name, exponents, factor, offset)
             if not agree:
-                self.told.warn(name, "this unit has the base units of another quantity, which count.", line)
+                message = "its base units are not those of the unit with this name; blocks uses the base units."
+                self.told.warn(name, message, line)
             unit = UnitDefinition(name, text, si, factor, offset, exponents, tuple(displays))
             if name in self.units:
-                what = "the same" if self.units[name] == unit else "different; the first one counts"
-                self.told.warn(name, f"this unit is defined twice, both times {what}.", line)
+                what = "equally" if self.units[name] == unit else "differently; blocks uses the first definition"
+                self.told.warn(name, f"this unit is defined twice, {what}.", line)
             self.units.setdefault(name, unit)
 
     def unit(self, name: str, place: str, line: int) -> str:
@@ -76,14 +78,14 @@ class Definitions:
             inner = attributes
             if self.told.fmi == 2:
                 if tag != "SimpleType" or not children:
-                    self.told.warn(name or "TypeDefinitions", "a type that says nothing.", line)
+                    self.told.warn(name or "TypeDefinitions", "this type has no definition, and is ignored.", line)
                     continue
                 kind, inner, children, _ = children[0]
                 type_ = TYPES[2].get(kind)
             else:
                 type_ = TYPES[3].get(tag.removesuffix("Type")) if tag.endswith("Type") else None
             if type_ is None or not name:
-                self.told.warn(name or "TypeDefinitions", "a type that FMI does not have.", line)
+                self.told.warn(name or "TypeDefinitions", "this is not a type of FMI, and is ignored.", line)
                 continue
             self.told.strange(inner, ATTRIBUTES, name, line)
             members = []
@@ -95,9 +97,9 @@ class Definitions:
                     else:
                         members.append((values["name"], value))
             if len({value for _, value in members}) < len(members):
-                self.told.warn(name, "two members of the enumeration have one value.", line)
+                self.told.warn(name, "two members of the enumeration have the same value.", line)
             if name in self.types:
-                self.told.warn(name, "this type is defined twice; the first one counts.", line)
+                self.told.warn(name, "this type is defined twice; blocks uses the first definition.", line)
                 continue
             self.types[name] = Type(
                 name,

@@ -38,7 +38,8 @@ class Dependencies:
             tag, _, children, at = element
             key = names.get(tag)
             if key is None or (self.fmi == 2) != tag.endswith("s"):
-                self.told.warn("ModelStructure", f"{quoted(tag)} is not one of FMI {self.fmi}, and is ignored.", at)
+                message = f"FMI {self.fmi} has no element {quoted(tag)} here; it is ignored."
+                self.told.warn("ModelStructure", message, at)
             elif key:
                 seen = lists[key]
                 known = {entry.variable.name for entry in seen} if self.fmi == 2 else None
@@ -82,13 +83,13 @@ class Dependencies:
         for reference in listed.split():
             dependency = self.variables.at(reference)
             if dependency is None:
-                message = f"its dependencies hold {quoted(reference)}, which is the {what} of no variable."
+                message = f"its dependencies list the {what} {quoted(reference)}, which no variable has."
                 tell(variable.name, message, line)
                 return Unknown(variable)
             dependencies.append(dependency)
         kinds = tuple(attributes.get("dependenciesKind", "").split())
         if kinds and (len(kinds) != len(dependencies) or not _KINDS.issuperset(kinds)):
-            self.told.warn(variable.name, "dependenciesKind does not fit the dependencies, and is ignored.", line)
+            self.told.warn(variable.name, "dependenciesKind does not match dependencies, and is ignored.", line)
             kinds = ()
         return Unknown(variable, tuple(dependencies), kinds or ("dependent",) * len(dependencies))
 
@@ -98,11 +99,10 @@ class Dependencies:
             variable = unknown.variable
             if variable.derivative_of:
                 yield unknown
-            elif has_me:
-                message = "it is listed as a derivative and does not say of which state."
-                self.told.error(variable.name, message, variable.line)
             else:
-                self.told.warn(variable.name, "it is listed as a derivative and does not say of what.", variable.line)
+                message = "it is listed as a derivative, but has no attribute derivative that names its state."
+                tell = self.told.error if has_me else self.told.warn
+                tell(variable.name, message, variable.line)
         known = {unknown.variable.name for unknown in listed}
         if has_me:
             for variable in self.variables.listed:
@@ -111,20 +111,21 @@ class Dependencies:
                     and variable.name not in known
                     and variable.name not in self.variables.aliases
                 ):
-                    self.told.warn(variable.name, "a derivative that is not listed; its state is none.", variable.line)
+                    message = "this derivative is not listed in ModelStructure, so blocks does not integrate its state."
+                    self.told.warn(variable.name, message, variable.line)
 
     def outputs(self, listed: list[Unknown], line: int) -> tuple[Unknown, ...]:
         """The outputs in the order of the list; those that it leaves out depend on all."""
         for unknown in listed:
             if unknown.variable.causality != "output":
-                self.told.warn(unknown.variable.name, "it is listed as an output and is none.", unknown.variable.line)
+                message = "it is listed as an output, but its causality is not output; the entry is ignored."
+                self.told.warn(unknown.variable.name, message, unknown.variable.line)
         known = {unknown.variable.name for unknown in listed}
         kept = [unknown for unknown in listed if unknown.variable.causality == "output"]
         for variable in self.variables.listed:
             if variable.causality == "output" and variable.name not in known:
-                self.told.warn(
-                    variable.name, "an output that is not listed; it counts as one that depends on all.", line
-                )
+                message = "this output is not listed in ModelStructure; blocks assumes that it depends on everything."
+                self.told.warn(variable.name, message, line)
                 kept.append(Unknown(variable))
         return tuple(kept)
 
@@ -142,4 +143,5 @@ class Dependencies:
         wanted += [derivative.variable for derivative in derivatives if derivative.variable.initial in calculated]
         for variable in wanted:
             if variable.name not in known and variable.type != "Clock":
-                self.told.warn(variable.name, "it is computed at the start and not listed as an initial unknown.", line)
+                message = "it is computed at the start, but not listed as an initial unknown."
+                self.told.warn(variable.name, message, line)

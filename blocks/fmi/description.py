@@ -123,7 +123,7 @@ def _fmi(attributes: Mapping[str, str], file: str, line: int) -> int:
     elif version:
         message, cure = f"FMI {quoted(version)} is not supported.", "This release reads FMI 2.0 and 3.0."
     else:
-        message, cure = "the file does not say which version of FMI it is written in.", "Export the model again."
+        message, cure = "the file has no fmiVersion.", "Export the model again."
     raise FMUError(Fault("E205", "", message, cure).at(file, line, 1))
 
 
@@ -145,8 +145,8 @@ class _DescriptionReader:
         version, token = self.version_and_token(attributes, line)
         interfaces = tuple(self.interface(element) for tag in _INTERFACES for element in sections.get(tag, ()))
         if not interfaces:
-            cure = "It may be a file of FMI 1.0, or none for exchange; export the model again."
-            self.told.error("", "there is neither ModelExchange nor CoSimulation: nothing to run.", line, cure)
+            cure = "It may be an FMU of FMI 1.0. Export the model again."
+            self.told.error("", "there is neither ModelExchange nor CoSimulation, so nothing can run.", line, cure)
         self.defined.read_units(_children(sections, "UnitDefinitions"))
         self.defined.read_types(_children(sections, "TypeDefinitions"))
         if "ModelVariables" not in sections:
@@ -193,11 +193,12 @@ class _DescriptionReader:
         """The version as it is written, and the token, None where there is none."""
         version = attributes["fmiVersion"].strip()
         if not re.fullmatch(r"2\.0|3\.\d+(\.\d+)?", version):
-            self.told.warn("", f"FMI {quoted(version)} is no published version; it is read as FMI {self.fmi}.0.", line)
+            message = f"FMI {quoted(version)} is not a published version; blocks reads the file as FMI {self.fmi}.0."
+            self.told.warn("", message, line)
         token_name = "guid" if self.fmi == 2 else "instantiationToken"
         token = attributes.get(token_name)
         if token is None:
-            self.told.error("", f"{token_name} is missing, without which an FMU refuses to start.", line)
+            self.told.error("", f"{token_name} is missing; an FMU does not start without it.", line)
         elif not token:
             self.told.warn("", f"{token_name} is empty.", line)
         return version, token
@@ -209,11 +210,11 @@ class _DescriptionReader:
         for child in children:
             tag, line = child[0], child[3]
             if tag not in _ORDER:
-                self.told.warn("", f"the element {quoted(tag)} is not one of FMI {self.fmi}, and is ignored.", line)
+                self.told.warn("", f"FMI {self.fmi} has no element {quoted(tag)} here; it is ignored.", line)
                 continue
             at = _ORDER.index(tag)
             if at < last:
-                self.told.warn("", f"{tag} stands behind {_ORDER[last]}; the standard has another order.", line)
+                self.told.warn("", f"{tag} comes after {_ORDER[last]}; the standard requires it before.", line)
             if tag in sections:
                 self.told.warn("", f"{tag} appears twice.", line)
             last = max(at, last)
@@ -229,7 +230,7 @@ class _DescriptionReader:
             )
             if stop is not None and stop <= (start or 0.0):
                 begin = attributes.get("startTime", "0")
-                message = f"stopTime {attributes['stopTime']} does not lie after startTime {begin}, and is ignored."
+                message = f"stopTime {attributes['stopTime']} is not after startTime {begin}, and is ignored."
                 self.told.warn(EXPERIMENT, message, line)
                 stop = None
             if tolerance is not None and tolerance <= 0.0:
@@ -246,11 +247,11 @@ class _DescriptionReader:
         self.told.strange(attributes, _INTERFACE, tag, line)
         identifier = attributes.get("modelIdentifier", "")
         if not identifier:
-            self.told.error(tag, "modelIdentifier is missing, which names the binary.", line)
+            self.told.error(tag, "modelIdentifier, the name of the binary, is missing.", line)
         elif identifier in (".", "..") or len(identifier) > 200 or re.search(r"[/\\\x00-\x1f]", identifier):
-            self.told.error(tag, "modelIdentifier is no name of a file.", line)
+            self.told.error(tag, "modelIdentifier is not a valid file name.", line)
         elif not re.fullmatch(r"[A-Za-z_]\w*", identifier, re.ASCII):
-            self.told.warn(tag, "modelIdentifier is no identifier of C.", line)
+            self.told.warn(tag, "modelIdentifier is not a valid identifier of C.", line)
 
         def flag(*names: str) -> bool:
             return any(self.told.boolean(attributes, name, tag, line) for name in names)

@@ -138,7 +138,7 @@ def _error(folder: str) -> FMUError:
     place = _watched[folder]
     names = {instance.name for instance in ended}
     message = f"{place} ended the process: its code called exit."
-    cure = 'Give it a process of its own: "isolate": true (--isolate).'
+    cure = 'Run it in its own process: "isolate": true (--isolate).'
     return FMUError(Fault("E216", names.pop() if len(names) == 1 else place, message, cure))
 
 

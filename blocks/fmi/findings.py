@@ -40,7 +40,7 @@ class Findings:
 
     def warnings(self) -> Iterator[Fault]:
         if len(self._warned) > MOST_FAULTS:
-            message = f"{len(self._warned):,} warnings, of which the first {MOST_FAULTS} are told."
+            message = f"{len(self._warned):,} warnings, of which the first {MOST_FAULTS} are shown."
             yield Fault("W201", "", message, file=self.file)
         for message, places in list(self._warned.items())[:MOST_FAULTS]:
             place, line = places[0]
@@ -55,7 +55,7 @@ class Findings:
         """Warns of attributes that the standard does not know; those of other name spaces are ignored."""
         for name in attributes.keys() - known:
             if ":" not in name and name != "xmlns":
-                self.warn(place, f"the attribute {quoted(name)} is not one of FMI {self.fmi}, and is ignored.", line)
+                self.warn(place, f"FMI {self.fmi} has no attribute {quoted(name)} here; it is ignored.", line)
 
     def boolean(self, attributes: Mapping[str, str], name: str, place: str, line: int) -> bool:
         text = attributes.get(name)
@@ -76,7 +76,7 @@ class Findings:
         if value is None or not math.isfinite(value):
             # Tools write the largest double, or infinity, for "no bound".
             if value is None or math.isnan(value) or name not in ("min", "max"):
-                self.warn(place, f"{name} is no number, and is ignored.", line)
+                self.warn(place, f"{name} is not a number, and is ignored.", line)
             return None
         return value
 
@@ -86,7 +86,7 @@ class Findings:
             return None
         value = whole_number(text)
         if value is None or abs(value) > 2**63:
-            self.warn(place, f"{name} is no whole number, and is ignored.", line)
+            self.warn(place, f"{name} is not a whole number, and is ignored.", line)
             return None
         return value
 

@@ -85,7 +85,7 @@ class Events(NamedTuple):
 def ended(name: str, place: str, t: float, words: str) -> Fault:
     """That an FMU ended the run, as the standards let it (W206). words: its own, as sentences to append."""
     message = f"{place} ended the run at t = {t:.10g} s.{words}"
-    return Fault("W206", name, message, "What was computed up to there holds.")
+    return Fault("W206", name, message, "The results up to this time are valid.")
 
 
 @dataclass(slots=True, eq=False)
@@ -235,7 +235,7 @@ class Instance:
             raw.judge(call, status)
         return True
 
-    def _cannot(self, what: str, cure: str = "Export the model so that the FMU can do it.") -> FMUError:
+    def _cannot(self, what: str, cure: str = "Export the model with this capability.") -> FMUError:
         return FMUError(Fault("E215", self.name, f"{self.place} {what}.", cure))
 
     # --- variables ----
@@ -318,7 +318,7 @@ class Instance:
 
         Raises FMUError (E213; E215 for FMI 2)."""
         if self.fmi == 2:
-            raise self._cannot("is of FMI 2, where arrays have fixed sizes")
+            raise self._cannot("is an FMU of FMI 2, in which arrays have fixed sizes", "Export it as FMI 3.")
         self.call("EnterConfigurationMode")
         self.set(variables, values)
         self.call("ExitConfigurationMode")
@@ -337,7 +337,7 @@ class Instance:
         for variable in row:
             call = call_of(variable.type, self.fmi)
             if not call:
-                what = f"has the {variable.type} {variable.name}, which is not moved"
+                what = f"has the {variable.type} {variable.name}, a type that blocks cannot set or read"
                 raise self._cannot(what, "Leave it out, or export the model without it.")
             group = groups.setdefault(call, _VariableGroup(call))
             size = self.size(variable)
@@ -388,16 +388,16 @@ class Instance:
                 raise OverflowError
             return whole
         except OverflowError:
-            message = f"{variable.name} of {self.place} is of type {kind}, which does not hold {value!r}."
-            raise SimulationError(Fault("E309", self.name, message, "Limit the value.")) from None
+            message = f"{variable.name} of {self.place} is of type {kind}, whose range does not include {value!r}."
+            raise SimulationError(Fault("E309", self.name, message, "Limit the value with a Saturation.")) from None
         except (TypeError, ValueError):
-            message = f"{variable.name} of {self.place} is of type {kind}, and {value!r} is not."
+            message = f"{variable.name} of {self.place} is of type {kind}, but {value!r} is not."
             raise UsageError(Fault("E501", self.name, message, "Give a value of that type.")) from None
 
     def set_input_derivatives(self, variables: Sequence[ModelVariable], order: int, values: Sequence[float]) -> None:
         """Derivatives of inputs of FMI 2 by time, for the next step. Raises FMUError (E213; E215 in FMI 3)."""
         if self.fmi == 3:
-            raise self._cannot("is of FMI 3, which has no derivatives of inputs", "Use the intermediate update.")
+            raise self._cannot("is an FMU of FMI 3, which has no derivatives of inputs", "Use the intermediate update.")
         n = len(variables)
         references = (ctypes.c_uint * n)(*(variable.reference for variable in variables))
         self.call("SetRealInputDerivatives", references, n, (ctypes.c_int * n)(*[order] * n), _doubles(values))
@@ -500,15 +500,15 @@ class Instance:
             if not _within(t, last, h):
                 if not is_discarded:
                     raise self.broken(
-                        "fmi3DoStep", f"ended at {last:.10g} s, which is not in the step to {t + h:.10g} s"
+                        "fmi3DoStep", f"ended at {last:.10g} s, which is outside the step to {t + h:.10g} s"
                     )
                 return StepResult(None, event.value, terminate.value, False, True)
             if early.value and not is_discarded and not (self.early_return or terminate.value):
-                raise self.broken("fmi3DoStep", f"ended early, at {last:.10g} s, which was not allowed")
+                raise self.broken("fmi3DoStep", f"ended early, at {last:.10g} s, although early return was not allowed")
         else:
             last = t + h
         if event.value and not self.event_mode:
-            raw.warn(f"fmi3DoStep of {self.place} asked for event mode{raw.when}, which is not used.")
+            raw.warn(f"fmi3DoStep of {self.place} requested event mode{raw.when}, which this run does not use.")
             event.value = False
         raw.t = last
         return StepResult(last, event.value, terminate.value, early.value and not is_discarded, is_discarded)
@@ -551,7 +551,7 @@ class Instance:
         raw = self._raw
         raw.has_failed = True
         message = f"{name} of {self.place}{raw.when} {what}.{raw.words()}"
-        return FMUError(Fault("E214", self.name, message, "Tell its maker; another export may do better."))
+        return FMUError(Fault("E214", self.name, message, "Report it to the FMU's vendor, or try another export."))
 
     def still_pending(self, seconds: float) -> FMUError:
         """The error (E214) of a step that was not done after so long."""
@@ -671,7 +671,7 @@ class Instance:
         try:
             self._kept(name, ctypes.byref(saved.state))
             if saved.state.value is None:
-                raise self._cannot(f"cannot be rolled back: {name} gave nothing", _NO_ROLLBACK)
+                raise self._cannot(f"cannot be rolled back: {name} returned nothing", _NO_ROLLBACK)
         except BaseException:
             if saved.state.value is None:
                 raw.saved.discard(saved)

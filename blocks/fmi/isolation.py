@@ -73,11 +73,9 @@ def isolated(
         CompilerError: as `compiled` does.
     """
     if fmi not in (2, 3) or not timeout > 0:
-        raise ValueError(f"no FMU of FMI {fmi} with a timeout of {timeout} s")
+        raise ValueError(f"fmi must be 2 or 3, and timeout above 0, not {fmi} and {timeout}")
     if not sys.platform.startswith("linux") or struct.calcsize("P") != 8:
-        message = (
-            f"it cannot have a process of its own on {libraries.this_machine()}: that is made for Linux of 64 bits."
-        )
+        message = f"it cannot run in its own process on {libraries.this_machine()}: this needs 64-bit Linux."
         raise FMUError(Fault("E217", place, message, 'Run it without "isolate", or on Linux.'))
     path = path.absolute()
     order = libraries.with_neighbors(path, place)
@@ -93,7 +91,7 @@ def isolated(
     words = [os.fsencode(host), *(str(wait).encode() for wait in waits), *map(os.fsencode, order)]
     texts = b"\0".join(words) + b"\0\0"
     if len(texts) > SETTINGS or len(order) > MOST_LIBRARIES:
-        message = f"it comes with {len(order)} libraries, too many for a process of its own."
+        message = f"its {len(order)} libraries, with their paths, are too many for a process of its own."
         raise FMUError(Fault("E217", place, message, 'Run it without "isolate".'))
     filled_proxy = _filled(proxy, texts)
     target = folder.absolute() / f"{path.stem}-{_digest(filled_proxy)}{path.suffix}"
@@ -103,7 +101,7 @@ def isolated(
         _write(target, filled_proxy, 0o600)
     except OSError as error:
         message = f"{folder} cannot be written to: {error.strerror or error}."
-        cure = "Make room, or name another folder for temporary files by TMPDIR."
+        cure = "Make room, or set TMPDIR to another folder for temporary files."
         raise FMUError(Fault("E210", place, message, cure)) from None
     return target
 
@@ -126,13 +124,13 @@ def failure(said: str, path: Path, place: str) -> Fault:
         (fault,) = libraries.refused(said.removeprefix(_REFUSED), path, place).faults
         return fault
     if said.startswith(_NOT_STARTED):
-        cure = "Name a folder for temporary files by TMPDIR where programs may run, and see how many processes may."
+        cure = "Set TMPDIR to a folder in which programs may run, and check the limit of processes (ulimit -u)."
         return Fault("E210", place, f"{said}.", cure)
-    cure = "The FMU is broken, or was used in a way that it does not expect: what it printed may tell more."
+    cure = "The FMU has a defect, or does not expect this call. Its printed output may show the reason."
     if f" in {_LOADING}" in said or f" before {_LOADING}" in said:
-        return Fault("E209", place, f"{path.name}: {said}.", "Ask its maker; nothing here was harmed.")
+        return Fault("E209", place, f"{path.name}: {said}.", "Report it to the FMU's vendor. The run was not affected.")
     if said.startswith("no answer"):
-        cure = 'Give it more time by "timeout", or leave it out: the FMU hangs.'
+        cure = 'Give it more time with "timeout". If that does not help, the FMU hangs: replace it or leave it out.'
     return Fault("E216", place, f"{said}.", cure)
 
 
@@ -150,9 +148,8 @@ def _filled(proxy: bytes, texts: bytes) -> bytes:
     """The library with its settings."""
     at = proxy.find(MARK)
     if at < 0 or proxy.find(MARK, at + 1) >= 0 or any(proxy[at + len(MARK) : at + SETTINGS]):
-        raise CompilerError(
-            Fault("E603", "proxy", "it does not hold its settings where they belong.", "Set CC to gcc.")
-        )
+        message = "the compiled library does not have its settings at the expected place."
+        raise CompilerError(Fault("E603", "proxy", message, "Set CC to gcc."))
     return proxy[:at] + texts.ljust(SETTINGS, b"\0") + proxy[at + SETTINGS :]
 
 
@@ -180,7 +177,7 @@ def _told(fault: Fault, place: str) -> Fault:
     """A fault of compiling, worded for a process of its own."""
     if fault.code != "E605":
         return replace(fault, place=fault.place or place)
-    message = 'a process of its own ("isolate": true) is compiled, and no C compiler was found that makes programs.'
+    message = '"isolate": true needs a C compiler that can build programs, and none was found.'
     return replace(fault, place=place, message=message, cure='Install gcc or clang, or run the FMU without "isolate".')
 
 

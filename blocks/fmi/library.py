@@ -134,14 +134,14 @@ def find(files: Mapping[str, int], description: Description, interface: Interfac
         if wanted in there[name]:
             return f"binaries/{name}/{wanted}"
     has_sources = any(name.startswith("sources/") and name.endswith((".c", ".cpp", ".cc")) for name in files)
-    cure = f"It carries sources: blocks fmu compile {place}" if has_sources else "Export it for this machine."
+    cure = f"It contains sources. Run: blocks fmu compile {place}" if has_sources else "Export it for this machine."
     here = folders(description.fmi)[0]
     if mine:
         libraries = [name for name in there[mine[0]] if name.endswith(suffix())]
-        what = f"binaries/{mine[0]} holds no {wanted}, which its modelIdentifier asks for"
+        what = f"binaries/{mine[0]} does not hold {wanted}, the binary that its modelIdentifier names"
         if libraries:
-            what += f", but {', '.join(libraries[:3])}"
-            cure = "Its description and its binaries are of two models; export it again."
+            what += f"; it holds {', '.join(libraries[:3])}"
+            cure = "Its description and its binaries belong to different models; export it again."
     elif there:
         what = f"it holds binaries for {', '.join(sorted(there))} only; this machine is {here}"
     else:
@@ -158,7 +158,8 @@ def faults(archive: Archive, description: Description, kind: str) -> tuple[Fault
     interface = description.interface(kind)
     if kind == "SE" and interface is not None:
         cure = "Export it for Co-Simulation or Model Exchange."
-        return (Fault("E205", archive.place, "it is for Scheduled Execution alone, which is not run here.", cure),)
+        message = "it is for Scheduled Execution only, which blocks does not support."
+        return (Fault("E205", archive.place, message, cure),)
     if interface is None:
         return (no_kind(description, kind, archive.place),)
     try:
@@ -176,8 +177,8 @@ def faults(archive: Archive, description: Description, kind: str) -> tuple[Fault
     verdict += clock_faults(description, interface, archive.place)
     if interface.needs_tool:
         tool = f" ({description.tool})" if description.tool else ""
-        message = f"it says that it needs the program that made it{tool}, or another one."
-        verdict.append(Fault("W202", archive.place, message, "Have it installed on this machine."))
+        message = f"it declares that it needs an external program to run, usually the tool that exported it{tool}."
+        verdict.append(Fault("W202", archive.place, message, "Install that program on this machine."))
     return tuple(verdict)
 
 
@@ -198,15 +199,15 @@ def clock_faults(description: Description, interface: Interface, place: str) -> 
     if not names:
         return ()
     shown = ", ".join(names[:3]) + (f" and {len(names) - 3:,} more" if len(names) > 3 else "")
-    message = f"its clock{'s' if len(names) > 1 else ''} {shown} would have to be ticked from outside."
-    return (Fault("E205", place, message, "Clocks are not supported yet: export it without them."),)
+    message = f"the importing tool must tick its clock{'s' if len(names) > 1 else ''} {shown}."
+    return (Fault("E205", place, message, "blocks does not support such clocks yet: export the FMU without them."),)
 
 
 def no_kind(description: Description, kind: str, place: str) -> Fault:
     """That an FMU has no interface of that kind (E205)."""
     names = {"ME": "Model Exchange", "CS": "Co-Simulation", "SE": "Scheduled Execution"}
     have = ", ".join(names[interface.kind] for interface in description.interfaces)
-    return Fault("E205", place, f"it is no FMU for {names.get(kind, kind)}, but for {have}.", "Take another kind.")
+    return Fault("E205", place, f"it is an FMU for {have}, not for {names.get(kind, kind)}.", "Choose another kind.")
 
 
 def _unfit(binary: Binary, name: str, place: str) -> Fault | None:
@@ -216,8 +217,8 @@ def _unfit(binary: Binary, name: str, place: str) -> Fault | None:
         return Fault("E207", place, f"{name}: {binary.problem}", again)
     # Only what runs natively: a process of one kind cannot load a library of another.
     if this_machine() not in binary.machines:
-        message = f"{name} is made for {', '.join(binary.machines)}; this Python is {this_machine()}."
-        return Fault("E207", place, message, "Export it for this machine, or use a Python of that kind.")
+        message = f"{name} is built for {', '.join(binary.machines)}; this Python is {this_machine()}."
+        return Fault("E207", place, message, "Export it for this machine, or use a Python for that platform.")
     return None
 
 
@@ -350,8 +351,8 @@ def function(library: ctypes.CDLL, name: str, place: str) -> Any:
 
 def lacks(name: str, place: str) -> Fault:
     """That a library has no function of that name (E208)."""
-    message = f"its binary has no function {name}, which is needed here."
-    return Fault("E208", place, message, "Export the model again, by another tool or version.")
+    message = f"its binary lacks the function {name}, which this run needs."
+    return Fault("E208", place, message, "Export the model again, with another tool or version.")
 
 
 @contextlib.contextmanager
@@ -362,8 +363,8 @@ def claimed(key: str, place: str) -> Iterator[None]:
     """
     with _lock:
         if key in _claims:
-            message = "it can be there only once in a process, and there is one already."
-            raise FMUError(Fault("E211", place, message, 'Give the others a process of their own: "isolate": true.'))
+            message = "it allows only one instance in a process, and this process has one already."
+            raise FMUError(Fault("E211", place, message, 'Run the others in their own processes: "isolate": true.'))
         _claims.add(key)
     try:
         yield
@@ -511,14 +512,14 @@ def _probe(order: list[Path], place: str, timeout: float) -> None:
         printed.seek(0)
         said = printed.read(1 << 20).decode("utf-8", "replace").strip().splitlines()
     last = f" It printed: {_shown(said[-1])}" if said else ""
-    cure = "Nothing can be done here; have the FMU made for this system, or with its libraries linked in."
+    cure = "The FMU does not work on this system: ask for one built for it, or with all of its libraries linked in."
     if answer is None:
-        message = f"{path.name} had not loaded after {time.monotonic() - begun:.0f} s: it hangs, or it is slow.{last}"
-        cure = 'Where it is only slow, give it a process of its own, and more time: "isolate": true, "timeout": 60.'
+        message = f"{path.name} did not load within {time.monotonic() - begun:.0f} s: it hangs, or it is slow.{last}"
+        cure = 'If it is only slow, run it in its own process with more time: "isolate": true, "timeout": 60.'
         raise FMUError(Fault("E209", place, message, cure))
     told = _told(answer)
     if told is None:
-        message = f"{path.name} {_ending(process.returncode)} while it was loaded.{last}"
+        message = f"{path.name} {_ending(process.returncode)} while it was loading.{last}"
         raise FMUError(Fault("E209", place, message, cure))
     if "error" in told:
         raise refused(str(told["error"]), path, place, [str(name) for name in told.get("missing", ())])
@@ -579,26 +580,27 @@ def refused(text: str, path: Path, place: str, missing: list[str] | None = None)
     if missing:
         return FMUError(_missing(name, missing, place))
     if match := _VERSION.search(text):
-        message = f"{name} needs {match['version']} of {match['name']}; the one of this machine is older."
-        return FMUError(Fault("E208", place, message, "Use a newer system, or have the FMU built on an older one."))
+        message = f"{name} needs {match['version']} of {match['name']}; this machine has an older version."
+        return FMUError(Fault("E208", place, message, "Use a newer system, or build the FMU on an older system."))
     for pattern in _SYMBOL:
         if match := pattern.search(text):
-            message = f"{name} needs the symbol {match['name']}, which no library here has."
+            message = f"{name} needs the symbol {match['name']}, which no library on this machine has."
             return FMUError(Fault("E208", place, message, "Export the FMU with all of its code linked in."))
     if "failed to map segment" in text or "Operation not permitted" in text:
-        message = f"{name} must not be run from {path.parent}: programs are not allowed there (mounted noexec?)."
-        return FMUError(Fault("E210", place, message, "Name another folder for temporary files by TMPDIR."))
+        message = f"{name} cannot run from {path.parent}: the system allows no programs there (mounted noexec?)."
+        return FMUError(Fault("E210", place, message, "Set TMPDIR to another folder for temporary files."))
     if "Could not find module" in text:  # Windows
         message = f"{name}, or a library that it needs, is missing."
-        return FMUError(Fault("E208", place, message, "Install what it needs: often the Visual C++ Redistributable."))
+        cure = "Install the libraries that it needs, often the Visual C++ Redistributable."
+        return FMUError(Fault("E208", place, message, cure))
     message = f"{name} cannot be loaded: {_shown(text.replace(str(path), name))}."
-    return FMUError(Fault("E208", place, message, "Have the FMU made for this system."))
+    return FMUError(Fault("E208", place, message, "Ask for an FMU that is built for this system."))
 
 
 def _missing(name: str, missing: list[str], place: str) -> Fault:
     what = "the library" if len(missing) == 1 else "libraries"
     message = f"{name} needs {what} {', '.join(missing)}, which this machine does not have."
-    return Fault("E208", place, message, "Install it, or name its folder by LD_LIBRARY_PATH before Python starts.")
+    return Fault("E208", place, message, "Install it, or add its folder to LD_LIBRARY_PATH before Python starts.")
 
 
 def _shown(text: str) -> str:

@@ -144,7 +144,7 @@ def open_fmu(
         CompilerError: E60x where it is to be isolated and that cannot be compiled.
     """
     if isolate and compiled is None:
-        raise ValueError("a process of its own is compiled, and it is not said by what")
+        raise ValueError("isolate= needs compiled=, the function that compiles the process")
     file = Path(path)
     place = place or file.name
     files = unpack(file)

@@ -93,7 +93,7 @@ class Variables:
             if value is None:
                 value = next((child for child in children if child[0] in TYPES[2]), None)
             if tag != "ScalarVariable" or value is None:
-                self.told.error(attributes.get("name", tag), "a variable without a type of FMI 2.", line)
+                self.told.error(attributes.get("name", tag), "this variable has no type of FMI 2.", line)
                 continue
             if not attributes.keys() <= _VARIABLE:
                 self.told.strange(attributes, _VARIABLE, attributes.get("name", ""), line)
@@ -109,7 +109,7 @@ class Variables:
             name = self.listed[at].name
             if not 1 <= index <= len(self.listed):
                 self.told.error(
-                    name, f"derivative is no index of a variable; there are 1 ... {len(self.listed)}.", line
+                    name, f"derivative is not the index of a variable; the indices are 1 to {len(self.listed)}.", line
                 )
             else:
                 self.listed[at] = replace(self.listed[at], derivative_of=self.listed[index - 1].name)
@@ -120,7 +120,7 @@ class Variables:
             tag, attributes, children, line = element
             type_ = TYPES[3].get(tag)
             if type_ is None:
-                self.told.error(attributes.get("name", tag), f"{quoted(tag)} is no type of FMI 3.", line)
+                self.told.error(attributes.get("name", tag), f"{quoted(tag)} is not a type of FMI 3.", line)
                 continue
             if not attributes.keys() <= _VALUE_3:
                 self.told.strange(attributes, _VALUE_3, attributes.get("name", ""), line)
@@ -156,7 +156,7 @@ class Variables:
             return ""
         target = self.at(text)
         if target is None:
-            self.told.error(place, f"{name} holds {quoted(text)}, which is no reference of a variable.", line)
+            self.told.error(place, f"{name} is {quoted(text)}, which is not the value reference of a variable.", line)
             return ""
         return target.name
 
@@ -166,22 +166,23 @@ class Variables:
         if "start" in attributes:
             size = whole_number(attributes["start"])
             if size is None or not 0 <= size <= LARGEST_ARRAY:
-                self.told.error(variable.name, f"{quoted(attributes['start'])} is no size of an array.", line)
+                self.told.error(variable.name, f"{quoted(attributes['start'])} is not a valid size of an array.", line)
                 return 0, 0
             return size, size
         name = self.linked(attributes, "valueReference", variable.name, line)
         if not name:
             if "valueReference" not in attributes:
-                self.told.error(variable.name, "a dimension without a size.", line)
+                self.told.error(variable.name, "one of its dimensions has no size.", line)
             return 0, 0
         held = self.at(attributes["valueReference"]) or variable
         held_size = held.start[0] if held.type in INTEGERS and len(held.start) == 1 else None
         if not isinstance(held_size, int) or not 0 <= held_size <= LARGEST_ARRAY:
-            message = f"its size is {shown(held.name)}, which is no whole number with a start value."
+            message = f"its size is {shown(held.name)}, which is not a whole number with a start value."
             self.told.error(variable.name, message, line)
             return name, 0
         if held.causality != "structuralParameter" and held.variability != "constant":
-            self.told.warn(variable.name, "its size is a variable that is neither structural nor constant.", line)
+            message = "its size is a variable that is neither a structural parameter nor a constant."
+            self.told.warn(variable.name, message, line)
         return name, held_size
 
     def variable(
@@ -201,7 +202,7 @@ class Variables:
         get = values.get
         start = self.start(get("start"), name, type_, line, children)
         if not start and initial == "exact" and type_ != "Clock":
-            self.told.warn(name, "a start value is missing; what the FMU itself begins with counts.", line)
+            self.told.warn(name, "its start value is missing; the FMU's own start value applies.", line)
         return variable_of(
             name,
             reference,
@@ -234,10 +235,10 @@ class Variables:
         """Name, reference and causality of a variable."""
         name = attributes.get("name", "")
         if not name:
-            self.told.error("", "a variable without a name.", line)
+            self.told.error("", "this variable has no name.", line)
         reference = whole_number(attributes.get("valueReference", ""))
         if reference is None or not 0 <= reference < 2**32:
-            self.told.error(name, "valueReference is missing, or no whole number of 32 bits.", line)
+            self.told.error(name, "valueReference is missing, or not a whole number of 32 bits.", line)
             reference = 0
         causality = attributes.get("causality", "local")
         if causality not in _CAUSALITIES or (self.fmi == 2 and causality == "structuralParameter"):
@@ -273,7 +274,8 @@ class Variables:
         if declared and inherited is None:
             self.told.warn(name, f"the type {quoted(declared)} is not defined.", line)
         elif inherited is not None and inherited.type != type_:
-            self.told.warn(name, f"the type {quoted(declared)} is one of {inherited.type}, and is ignored.", line)
+            message = f"the type {quoted(declared)} is for variables of type {inherited.type}, and is ignored."
+            self.told.warn(name, message, line)
             inherited = None
         unit, display, quantity = get("unit", ""), get("displayUnit", ""), get("quantity", "")
         low = self.told.real(values, "min", name, line) if "min" in values else None
@@ -292,7 +294,7 @@ class Variables:
         if unit and unit not in self.defined.units:
             self.defined.unit(unit, name, line)
         if nominal is not None and nominal <= 0:
-            self.told.warn(name, "nominal is not above 0; its absolute value counts, and 0 counts as 1.", line)
+            self.told.warn(name, "nominal is not above 0; blocks uses its absolute value, or 1 if it is 0.", line)
             nominal = abs(nominal) or None
         return low, high, nominal, unit, display, declared, quantity, relative, unbounded
 
@@ -305,10 +307,10 @@ class Variables:
         elif text not in ("constant", "fixed", "tunable", "discrete", "continuous"):
             self.told.error(name, f"the variability {quoted(text)} does not exist.", line)
         if text == "continuous" and is_parameter:
-            self.told.warn(name, "a parameter is not continuous; it counts as fixed.", line)
+            self.told.warn(name, "a parameter cannot be continuous; blocks treats it as fixed.", line)
             return "fixed"
         if text == "continuous" and type_ not in FLOATS:
-            self.told.warn(name, f"a variable of type {type_} is not continuous; it counts as discrete.", line)
+            self.told.warn(name, f"the type {type_} cannot be continuous; blocks treats it as discrete.", line)
             return "discrete"
         return text
 
@@ -316,17 +318,18 @@ class Variables:
         """How the variable gets its first value."""
         default = _INITIAL.get((causality, variability))
         if default is None:
-            self.told.warn(name, f"a variable with causality {causality} is not {variability}.", line)
+            self.told.warn(name, f"a variable with causality {causality} cannot have variability {variability}.", line)
             default = "exact" if causality in ("parameter", "structuralParameter", "input") else "calculated"
         if type_ == "Clock":
             return ""
         if text is None:
             return default
         if text not in ("exact", "approx", "calculated"):
-            self.told.error(name, f"initial is {quoted(text)}: neither exact, approx nor calculated.", line)
+            self.told.error(name, f"initial must be exact, approx or calculated, not {quoted(text)}.", line)
             return default
         if causality in ("input", "independent") and text != default:
-            self.told.warn(name, f"an {causality} variable has no attribute initial; it is ignored.", line)
+            message = f"a variable with causality {causality} cannot have the attribute initial; it is ignored."
+            self.told.warn(name, message, line)
             return default
         return text
 
@@ -343,7 +346,7 @@ class Variables:
             try:
                 return tuple(bytes.fromhex(digits) for digits in texts)
             except ValueError:
-                self.told.error(name, "a start value is not hexadecimal.", line)
+                self.told.error(name, "its start value is not hexadecimal.", line)
                 return ()
         if text is None or type_ == "Clock":
             return ()
@@ -359,7 +362,7 @@ class Variables:
             numbers = [whole_number(word) for word in text.split()]
             values = [number if number is not None and low <= number <= high else None for number in numbers]
         if not values or (self.fmi == 2 and len(values) != 1) or None in values:
-            what = "start has no value" if not text.strip() else f"the start value {quoted(text)} is none"
+            what = "start has no value" if not text.strip() else f"the start value {quoted(text)} is not"
             self.told.error(name, f"{what} of type {type_}.", line)
             return ()
         return tuple(value for value in values if value is not None)
@@ -367,7 +370,7 @@ class Variables:
     def clock(self, values: Mapping[str, str], name: str, line: int) -> Clock:
         interval = values.get("intervalVariability", "")
         if interval not in ("constant", "fixed", "tunable", "changing", "countdown", "triggered"):
-            self.told.warn(name, "intervalVariability is missing, or does not exist.", line)
+            self.told.warn(name, "intervalVariability is missing, or is not a value that FMI defines.", line)
         return Clock(
             interval,
             self.told.boolean(values, "canBeDeactivated", name, line),
@@ -396,17 +399,15 @@ class Variables:
             place, line = variable.name, variable.line
             other = f"{shown(first.name)} (line {first.line})"
             if first.type != variable.type or first.shape != variable.shape:
-                message = f"the reference {variable.reference} is that of {other} too, which has another type or size."
+                message = f"{other} has the same reference {variable.reference}, but another type or size."
                 self.told.error(place, message, line)
             elif self.fmi == 3:
-                self.told.warn(
-                    place, f"one reference for two variables, the other is {other}; they count as one.", line
-                )
+                self.told.warn(place, f"{other} has the same reference; blocks treats the two as one variable.", line)
             lead = leading.get(key, first)
             if _is_settable(variable) and not _is_settable(lead):
                 leading[key] = variable
             elif _is_settable(variable) and variable.name != lead.name:
-                self.told.warn(place, f"it can be set, and so can {shown(lead.name)}, which is the same value.", line)
+                self.told.warn(place, f"{shown(lead.name)} is the same value, and both can be set.", line)
             shared.append((key, variable))
         for key, variable in shared:
             lead = leading.get(key, seen[key])
@@ -427,10 +428,10 @@ class Variables:
         for variable in self.listed:
             for alias in variable.aliases:
                 if not alias.name:
-                    self.told.warn(variable.name, "an alias without a name.", variable.line)
+                    self.told.warn(variable.name, "it has an alias without a name.", variable.line)
                 elif alias.name in self.by_name:
-                    what = "the variable itself" if alias.name == variable.name else "another variable, too"
-                    message = f"its alias {shown(alias.name)} is the name of {what}."
+                    what = "the variable itself" if alias.name == variable.name else "another variable"
+                    message = f"its alias {shown(alias.name)} is also the name of {what}."
                     self.told.error(variable.name, message, variable.line)
                 else:
                     self.by_name[alias.name] = variable
@@ -445,21 +446,22 @@ class Variables:
                 if at.derivative_of and at.name in chain:
                     names = list(chain)
                     circle = [*names[names.index(at.name) :][:8], at.name]
-                    self.told.error(at.name, f"derivatives in a circle: {' -> '.join(map(shown, circle))}.", at.line)
+                    message = f"derivatives form a circle: {' -> '.join(map(shown, circle))}."
+                    self.told.error(at.name, message, at.line)
             settled.update(chain)
             if variable.derivative_of:
                 state = self.by_name.get(variable.derivative_of, variable)
                 if variable.type not in FLOATS or state.type not in FLOATS or state.shape != variable.shape:
-                    message = f"the derivative of {shown(state.name)}, which has another type or size."
+                    message = f"it is the derivative of {shown(state.name)}, but their types or sizes do not match."
                     self.told.error(variable.name, message, variable.line)
 
     def check_array(self, variable: ModelVariable) -> None:
         size = math.prod(variable.shape)
         if size > LARGEST_ARRAY:
-            message = f"an array of {size:,} elements; the limit is {LARGEST_ARRAY:,}."
+            message = f"the array has {size:,} elements; the limit is {LARGEST_ARRAY:,}."
             self.told.error(variable.name, message, variable.line)
         elif len(variable.start) > 1 and len(variable.start) != size:
-            message = f"{len(variable.start):,} start values for {size:,} elements."
+            message = f"it has {len(variable.start):,} start values for {size:,} elements."
             self.told.error(variable.name, message, variable.line)
 
 

@@ -52,9 +52,9 @@ def parse(text: bytes, file: str) -> Element:
         stack.append(children)
         left -= 1
         if left < 0:
-            raise _Refused(f"it has more than {ELEMENTS:,} elements.")
+            raise _Refused(f"the XML has more than {ELEMENTS:,} elements.")
         if len(stack) > DEPTH:
-            raise _Refused(f"elements lie more than {DEPTH} deep in each other.")
+            raise _Refused(f"the XML elements are nested more than {DEPTH} deep.")
 
     def end(_: str) -> None:
         stack.pop()
@@ -70,7 +70,7 @@ def parse(text: bytes, file: str) -> Element:
             parser.StartElementHandler, parser.EndElementHandler = start, end
 
     def refuse(*_: object) -> None:
-        raise _Refused("it holds a document type or an entity, which can name other files and grow without end.")
+        raise _Refused("the XML declares a document type or an entity, which can read files or expand without limit.")
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = parser.UnparsedEntityDeclHandler = refuse
@@ -86,6 +86,6 @@ def parse(text: bytes, file: str) -> Element:
         raise FMUError(Fault("E204", "", message, cure).at(file, error.lineno, error.offset + 1)) from None
     except (LookupError, ValueError) as error:  # an encoding that does not exist, or that takes several bytes
         message = f"the text cannot be decoded: {str(error)[:120]}."
-        raise FMUError(Fault("E204", "", message, "Write it in UTF-8.", file=file)) from None
+        raise FMUError(Fault("E204", "", message, "Save the file in UTF-8.", file=file)) from None
     root: Element = top[0]
     return root

@@ -39,13 +39,13 @@ def library_types(library: Library = ()) -> dict[str, type[Block]]:
         classes = _types_of(_imported(item) if isinstance(item, str) else item)
         if not classes:
             name = getattr(item, "__name__", str(item))
-            message, cure = "holds no block class.", "Derive one from blocks.Block."
+            message, cure = "contains no block class.", "Derive one from blocks.Block."
             if isinstance(item, type) and issubclass(item, Block) and is_abstract(item):
                 message, cure = "is an abstract block.", f"Derive a block from it, as in class Own({name})."
             raise UsageError(Fault("E501", legible(name), message, cure))
         for key, cls in classes.items():
             if types.get(key, cls) is not cls:
-                message = f"there is a block type of this name already, in {types[key].__module__}."
+                message = f"{types[key].__module__} already has a block type of this name."
                 raise UsageError(Fault("E501", f"{cls.__module__}.{key}", message, "Give yours another name."))
         types.update(classes)
     return types
@@ -97,7 +97,7 @@ def _imported(name: str) -> ModuleType:
     except BlocksError as error:
         raise type(error)(*(_placed(fault, error) for fault in error.faults)) from error
     except Exception as error:  # a module may raise anything
-        cure = "It must lie here or be installed." if isinstance(error, ImportError) else ""
+        cure = "It must be in the current folder or installed." if isinstance(error, ImportError) else ""
         message = f"the module cannot be imported: {type(error).__name__}: {error}."
         raise UsageError(Fault("E501", legible(name), message, cure)) from error
     finally:

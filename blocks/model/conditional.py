@@ -84,7 +84,7 @@ class TriggerGate(Block):
 
     size = Parameter(1, structural=True, type="int", doc="number of elements")
     direction = Parameter("up", structural=True, choices=("up", "down", "both"), doc="what triggers")
-    trigger = Input(doc="signal that triggers where it comes to be above 0, or ceases to be")
+    trigger = Input(doc="signal that triggers when it rises above 0, or falls to 0 or below")
     u = Input(shape=lambda size: size, doc="input from outside")
     kept = Discrete(shape=lambda size: size, doc="input at the last trigger")
 

@@ -219,7 +219,7 @@ class FaultList:
     def add(self, fault: Fault, key: Any = None) -> None:
         """Add a fault, unless one with its key is there (without a key: an equal one)."""
         if len(self._faults) >= self.MOST:
-            last = Fault("E008", "", f"the check ends after {self.MOST:,} faults.", "Mend these first.")
+            last = Fault("E008", "", f"the check ends after {self.MOST:,} faults.", "Correct these first.")
             raise ModelError(*self.in_order(), last)
         self._faults.setdefault(fault if key is None else key, fault)
 

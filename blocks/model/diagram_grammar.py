@@ -131,7 +131,7 @@ SHAPE = ListOf(Scalar(low=1, high=LARGEST_MATRIX, is_whole=True), 2, 2, what="tw
 def _one_source(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
     """Edges stand either here or in a CSV file."""
     if ("edges" in value) == ("csv" in value):
-        told.fault("E009", path, 'a sparse matrix has either "edges" or "csv".')
+        told.fault("E009", path, 'a sparse matrix needs either "edges" or "csv", not both.')
     return ()
 
 
@@ -248,7 +248,7 @@ RUN = Object(
         "Absolute tolerance of dopri5, radau and auto, for states of nominal size 1."
     ), 1e-9),
     _later("every", DURATION, "Recording grid, in s: rows at start + k every. Without it, every step is recorded."),
-    _later("jumps", FLAG, "Whether rows before and after each jump stand between those of the grid.", False),
+    _later("jumps", FLAG, "Whether rows before and after each jump are recorded between the rows of the grid.", False),
     _later("stops", ListOf(TIME, what="a list of times"), "Times at which a step must end, in s."),
     _later("seed", Scalar(what="an integer from 0 to 2^53", low=0, high=LARGEST_SEED, is_whole=True), (
         "Of all noise in the run: another one gives other noise in every block."
@@ -266,7 +266,7 @@ RUN = Object(
     Field("master", MASTER),
     DOC,
     name="run",
-    doc="How the diagram is simulated, unless a run is told otherwise.",
+    doc="How the diagram is simulated, unless a run has other settings.",
 )  # fmt: skip
 
 # --- inputs of a diagram ---------------------------------------------------------------------------------------
@@ -289,7 +289,7 @@ def _enumeration(value: Mapping[str, Any], path: Steps, told: Told) -> Collectio
     """A name and members, whose numbers differ."""
     numbers: dict[float, str] = {}
     if not _is_named(value) or not members_of(value):
-        told.fault("E004", path, "has no name, or no members.", f"An enumeration is {_SHOWN}.")
+        told.fault("E004", path, "has no name or no members.", f"Write an enumeration as {_SHOWN}.")
         return ("enum", "members")
     for name, number in value["members"].items():
         at = (*path, "members", name)
@@ -298,7 +298,7 @@ def _enumeration(value: Mapping[str, Any], path: Steps, told: Told) -> Collectio
         elif not name:
             told.fault("E004", at, "a member has no name.", at_key=True)
         elif number in numbers:
-            told.fault("E004", at, f"{quoted(numbers[number])} has the number {number!r} already.")
+            told.fault("E004", at, f"{quoted(numbers[number])} already has the number {number!r}.")
         else:
             numbers[number] = name
     return ("enum", "members")
@@ -359,7 +359,7 @@ def _default(default: Any, shape: tuple[int, ...], kind: Kind, path: Steps, told
             kind.check(default, path, told)
     elif not isinstance(default, list) or len(default) != shape[0]:
         shown = f"{len(default)}" if isinstance(default, list) else in_words(default)
-        told.fault("E004", path, f"must be one value for all elements, or {shape[0]} in a list, not {shown}.")
+        told.fault("E004", path, f"must be one value for all elements, or a list of {shape[0]} values, not {shown}.")
     else:
         for index, item in enumerate(default):
             _default(item, shape[1:], kind, (*path, index), told)
@@ -415,15 +415,15 @@ INPUT = Object(
 _NO_PATH = r"://|\u0000"
 FILE = Text(
     is_empty=False, forbidden=_NO_PATH,
-    refusal=Refusal("E007", "is not a path.", "Subdiagrams are files of the project."),
+    refusal=Refusal("E007", "is not a path.", "Give the path of a diagram file in the project."),
 )  # fmt: skip
 # Two slashes begin the name of another computer, which Windows would call.
 _FMU = Text(
     is_empty=False, forbidden=_NO_PATH + r"|^[\\/]{2}",
-    refusal=Refusal("E007", "is not a path.", "An FMU is a file of this computer."),
+    refusal=Refusal("E007", "is not a path.", "Give the path of an FMU on this computer."),
 )  # fmt: skip
 _STREAM = Text(pattern="^" + streams.NAME.pattern.replace(r"\Z", "$"), refusal=Refusal(
-    "E111", "is not the name of a stream.", 'It is a name, or a path such as "robot.noise", maybe with / in front.'
+    "E111", "is not the name of a stream.", 'Use a name, or a path such as "robot.noise" or "/robot.noise".'
 ))  # fmt: skip
 _OFF = Choice(("held", "reset"))
 _TIMEOUT = Scalar(what=f"a number of seconds above 0, at most {LONGEST_TIMEOUT:,.0f}", above=0, high=LONGEST_TIMEOUT)
@@ -445,20 +445,20 @@ def _one_kind(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[s
         return ()
     controls, options = [key for key in CONTROLS if key in value], [key for key in OPTIONS if key in value]
     if controls and "diagram" not in value:
-        told.fault("E003", (*path, controls[0]), "only a subdiagram is enabled or triggered.", at_key=True)
+        told.fault("E003", (*path, controls[0]), "only a subdiagram can be enabled or triggered.", at_key=True)
     elif len(controls) == 2:
-        told.fault("E003", (*path, controls[1]), "a subdiagram is enabled or triggered, not both.", at_key=True)
+        told.fault("E003", (*path, controls[1]), "a subdiagram can be enabled or triggered, but not both.", at_key=True)
     if options and "fmu" not in value:
-        told.fault("E003", (*path, options[0]), "only an FMU has it.", at_key=True)
+        told.fault("E003", (*path, options[0]), "only an FMU can have this key.", at_key=True)
         return options
     return ()
 
 
 def _ticks(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
     if {"offset", "direction"} <= value.keys() and "every" not in value:
-        told.fault("E003", (*path, "offset"), 'only ticks ("every") have an offset.', at_key=True)
+        told.fault("E003", (*path, "offset"), 'an offset needs ticks: add "every".', at_key=True)
     if ("every" in value) == ("direction" in value):
-        told.fault("E009", path, 'a trigger has "direction" (of a signal) or "every" (a tick).')
+        told.fault("E009", path, 'a trigger needs either "direction" (for a signal) or "every" (for ticks).')
     for key in ("every", "offset"):
         if key in value:
             VALUE.check(value[key], (*path, key), told)
@@ -467,7 +467,7 @@ def _ticks(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
 
 ENABLE = Object(
     Field("states", _OFF, (
-        "held: they stay as they are while it is off; reset: they begin anew when it is turned on."
+        "held: they keep their values while it is off; reset: they start again when it is turned on."
     ), "held"),
     Field("outputs", _OFF, "held: they stay as they are while it is off; reset: they are 0 while it is off.", "held"),
     doc='Of a subdiagram: it gets the bool input "enable".',
@@ -545,7 +545,7 @@ MEASURE = Object(
     Field("against", AnyOf(SCALAR, SIGNAL_NAME), (
         "A signal, or a number in the unit of `of`, that is taken off."
     ), 0, is_later=True),
-    Field("from", MOMENT, "Begin of the window, in s; left out: the start of the run.", is_later=True),
+    Field("from", MOMENT, "Start of the window, in s; left out: the start of the run.", is_later=True),
     Field("to", MOMENT, "End of the window, in s; left out: the end of the run.", is_later=True),
     Field("band", AnyOf(Scalar(above=0, below=1), COMPUTED, QUANTITY_TEXT), (
         "Of settling_time: a part of the step's size."
@@ -580,7 +580,7 @@ BODY: Object = Object(
     Field("layout", Table(ListOf(NUMBER, 2, 2, what="a position [x, y]", is_even=True, doc=(
         "[x, y] in pixels, to the right and down."
     )), Text(pattern=NAMES.pattern, refers="placed"), tells=False, is_open=True), (
-        "Where blocks, inputs and outputs stand in drawings."
+        "The positions of blocks, inputs and outputs in drawings."
     )),
     strays={field.key: f'It belongs into "run": {{"{field.key}": ...}}.' for field in RUN.fields if field is not DOC},
     name="diagram",

@@ -97,7 +97,7 @@ def canonical(
     new = convert(value)
     text = dumps(new)
     if alone(json_text.read(text))[0] != new:
-        raise AssertionError("the canonical text says something else")
+        raise AssertionError("the canonical text does not describe the same document")
     return text, value.version
 
 
@@ -210,7 +210,7 @@ def dumps(value: DiagramValue) -> str:
         level = [*{id(e.diagram): e.diagram for e in within if isinstance(e.diagram, DiagramValue)}.values()]
     if level:
         message = f"subdiagrams lie more than {DEEPEST} deep."
-        raise ModelError(Fault("E008", value.name, message, "Put some of them beside each other."))
+        raise ModelError(Fault("E008", value.name, message, "Move some of them to a higher level."))
     return dumps_document(to_document(value))
 
 

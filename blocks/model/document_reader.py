@@ -105,7 +105,7 @@ class DocumentReader:
         elif value["format"] != FORMAT:
             cure = f'A diagram has "{FORMAT}".'
             if value["format"] == "blocks-study":
-                cure += " This is a study: it is run by `blocks study`."
+                cure += " This file is a study: run it with `blocks study`."
             self.fault("E006", ("format",), f"the format is {in_words(value['format'])}.", cure)
         elif "version" not in value:
             self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {PLAIN_VERSION}.')
@@ -171,8 +171,8 @@ class DocumentReader:
                 if key in taken:
                     first = self.document.key_positions.get((*path, taken[key] + "s", key)) if self.file else None
                     where = f" in line {first[0]}" if first else ""
-                    self.fault("E109", (*path, what + "s", key), f"the name is taken by the {taken[key]}{where}.",
-                               "Rename one: blocks, inputs and parameters share their names.", at_key=True)  # fmt: skip
+                    self.fault("E109", (*path, what + "s", key), f"the {taken[key]}{where} already has this name.",
+"Rename one: blocks, inputs and parameters need different names.", at_key=True)  # fmt: skip
                 taken.setdefault(key, what)
 
     def parameters(self, table: Mapping[str, Any], path: Steps) -> dict[str, Any]:
@@ -197,7 +197,7 @@ class DocumentReader:
                 try:
                     self.loading.tables[target] = data_.decode("utf-8-sig").split("\n")
                 except UnicodeDecodeError:
-                    raise ValueError("is no text in UTF-8.") from None
+                    raise ValueError("is not a text in UTF-8.") from None
             given: dict[str, str] = {}
             header, data = read_columns(self.loading.tables[target], {*wanted}, most=MOST_ROWS, units=given)
             missing = next((column for column in wanted if column not in header), None)
@@ -254,7 +254,7 @@ class DocumentReader:
     def copies(self, entry: Mapping[str, Any], path: Steps) -> Any:
         """How many copies of a block there are, as written; None of one that has none."""
         if "copies" in entry and self.version < VERSION:
-            what = f"the file is of version {self.version}, and copies came with version 3."
+            what = f"the file has version {self.version}, but copies need version 3."
             self.fault("E005", (*path, "copies"), what, f'Write "version": {VERSION}.', at_key=True)
         return entry["copies"] if isinstance(entry.get("copies"), (Number, str)) else None
 
@@ -275,7 +275,7 @@ class DocumentReader:
     def is_too_deep(self, path: Steps) -> bool:
         """Whether one more subdiagram is too many, which is reported as a fault."""
         if self.depth >= DEEPEST:
-            cure = "Put some of them beside each other."
+            cure = "Move some of them to a higher level."
             self.fault("E008", path, f"subdiagrams lie more than {DEEPEST} deep.", cure)
         return self.depth >= DEEPEST
 

@@ -222,7 +222,7 @@ class _Flattener:
         if value is None:
             return None
         if not isinstance(value.value, float):
-            self.tell(self.root, "E115", place, f"must be a time in s, which {quoted(_shown(raw))} is not.", "", spot)
+            self.tell(self.root, "E115", place, f"must be a time in s, not {quoted(_shown(raw))}.", "", spot)
             return None
         return exact_time(value.value if value.exact is None else value.exact)
 
@@ -314,7 +314,7 @@ class _Flattener:
         each = (*(leaf.each for leaf in leaves), *({} for _ in range(len(scopes) + rest)))
         expansion = Expansion(tuple(blocks), fleets, each, len(leaves), len(self.wires.gates))
         if expansion.layout.size > MAX_BLOCKS:
-            message = f"the diagram has {expansion.layout.size:,} blocks, but {MAX_BLOCKS:,} are the most."
+            message = f"the diagram has {expansion.layout.size:,} blocks, but the limit is {MAX_BLOCKS:,}."
             raise ModelError(self.diagram.fault("E008", self.diagram.name, message))
         return expansion
 
@@ -323,8 +323,8 @@ class _Flattener:
         files = {scope.value.file: scope.value for scope in self.hierarchy.scopes if not scope.value.prefix}
         for value in files.values():
             if MADE < value.version < PLAIN_VERSION:
-                message = f"the file is of version {value.version}; the newest is {PLAIN_VERSION}."
-                yield value.fault("W103", "version", message, "`blocks fmt` brings it up to date.", ("version",))
+                message = f"the file has version {value.version}; the newest version is {PLAIN_VERSION}."
+                yield value.fault("W103", "version", message, "Run `blocks fmt` to update it.", ("version",))
 
     def of_numbers_in_si(self, signals: Signals) -> Iterator[Fault]:
         """Warn of numbers of measures that mean something else in version 3."""
@@ -332,9 +332,9 @@ class _Flattener:
             raw = self.diagram.measures[name]
             number, signal = float(raw["against"]), element_of(raw["of"], signals)
             assert signal is not None
-            message = f"{number:g} is in {unit} in version {self.diagram.version} of the file, and would be in "
-            message += f"{signal.declared_unit} in version 3."
-            cure = f'`blocks fmt` converts it. Or write {{"value": {number:g}, "unit": "{unit}"}}.'
+            message = f"{number:g} is in {unit}, as the file has version {self.diagram.version}; in version 3 it "
+            message += f"would be in {signal.declared_unit}."
+            cure = f'Run `blocks fmt` to convert it, or write {{"value": {number:g}, "unit": "{unit}"}}.'
             yield self.diagram.fault("W104", f"measures.{name}", message, cure, ("measures", name, "against"))
 
     def check_steps(self) -> None:
@@ -344,7 +344,7 @@ class _Flattener:
         for name in self.settings.master.steps:
             if name not in paths and not self.is_lost(name):
                 spot = None if "master.steps" in self.given else ("run", "master", "steps", name)
-                cure = self.faults.guess(name, paths) or "A block goes by its path, as in robot.motor."
+                cure = self.faults.guess(name, paths) or "Give the path of a block, as in robot.motor."
                 self.tell(self.root, "E115", "run.master.steps", f"there is no block {quoted(name)}.", cure, spot)
 
     # --- enabled and triggered subdiagrams ---------------------------------------------------------------------
@@ -393,12 +393,12 @@ class _Flattener:
                 what = "states" if d.states else "sampled equations" if leaf.resolved.clocks else ""
                 what = what or ("event times" if d.event_times else "a delay" if d.histories else "")
                 if what:
-                    message = f"has {what}, but {within.path} is computed at its triggers only."
+                    message = f"has {what}, but {within.path} runs at its triggers only."
                     self.tell(scope, "E121", leaf.name, message, "Enable the subdiagram instead.", spot)
                     return
             if "enable" in within.control and d.histories:
-                message = f"is a delay, whose past goes on while {within.path} is off."
-                self.tell(scope, "E121", leaf.name, message, "Put it outside of the subdiagram.", spot)
+                message = f"is a delay, which would go on recording its input while {within.path} is off."
+                self.tell(scope, "E121", leaf.name, message, "Move it out of the subdiagram.", spot)
                 return
             within = within.parent
 
@@ -440,8 +440,8 @@ class _Flattener:
         for scope in self.hierarchy.scopes:
             for name in scope.value.outputs:
                 if name in scope.value.inputs:
-                    cure = "Rename one: results could not tell them apart."
-                    self.tell(scope, "E109", name, "is the name of an input too.", cure, ("outputs", name))
+                    cure = "Rename one of them: results need different names."
+                    self.tell(scope, "E109", name, "is also the name of an input.", cure, ("outputs", name))
                 outer = scope.fleet if scope.parent is None else scope.parent.fleet
                 for text in self.names_of(scope, name, all_signals):
                     made(text, WireSource("output", scope.index, name), outer, scope.copied)
@@ -451,7 +451,7 @@ class _Flattener:
                 )  # its faults, also where nothing inside reads it
         for section, table in (("inputs", self.diagram.inputs), ("outputs", self.diagram.outputs)):
             if "time" in table:
-                message, cure = "is the name of the column of times.", "Rename it."
+                message, cure = "is the name that results give to their times.", "Rename the signal."
                 self.tell(self.root, "E109", "time", message, cure, (section, "time"))
         return all_signals
 
@@ -491,7 +491,7 @@ class _Flattener:
                 cure = cure or f"Signals: {', '.join(known)}{', ...' if len(signals) > len(known) else ''}."
                 cure = f"Signals there: {', '.join(beside[:20])}." if beside else cure
                 cure = self.faults.guess(name, beside) + " " + cure if near else cure
-                what = "no signal and no block is called" if "*" in name else "there is no signal"
+                what = "no signal or block matches" if "*" in name else "there is no signal"
                 self.tell(self.root, "E105", "run.log", f"{what} {quoted(name)}.", cure, spot)
         return tuple(names)
 
@@ -567,8 +567,8 @@ class _Flattener:
                     cure = in_a_file(text) or self.faults.guess(text, signals)
                     refuse(key, f"there is no signal {quoted(text)}.", cure, "E105")
             elif signal.shape != ():
-                cure = f'Take an element, as in "{text}[0]".'
-                refuse(key, f"{text} has {math.prod(signal.shape)} elements.", cure, "E110")
+                cure = f'Measure one element, as in "{text}[0]".'
+                refuse(key, f"{text} has {math.prod(signal.shape)} elements, but a measure needs one.", cure, "E110")
             else:
                 operands[key] = signal
         against: str | float = operands["against"].name if "against" in operands else 0.0
@@ -585,20 +585,21 @@ class _Flattener:
         if window["from"] >= window["to"]:
             refuse("to", "the window ends before it begins.")
         if not 0 < window["band"] < 1:
-            message = f"the band must lie between 0 and 1, not at {window['band']}."
-            refuse("band", message, "It is a part of the step's size.")
+            message = f"the band must be between 0 and 1, not {window['band']}."
+            refuse("band", message, "It is a fraction of the step's size, as in 0.02.")
         elif "band" in raw and type_ in MEASURES and type_ != "settling_time":
             refuse("band", f"{type_} has no band.", "The band belongs to settling_time.")
         if "omega" in raw and not 0 < window["omega"] <= MOST_OMEGA:
-            refuse("omega", f"omega must be positive, and {MOST_OMEGA:g} rad/s at most, not {window['omega']}.")
+            refuse("omega", f"omega must be above 0 and at most {MOST_OMEGA:g} rad/s, not {window['omega']}.")
         elif ("omega" in raw) != (type_ == "THD") and type_ in MEASURES:
-            message = "needs the frequency of its fundamental." if type_ == "THD" else "has no omega."
-            refuse("omega" if "omega" in raw else "type", f"{type_} {message}", "omega belongs to THD.")
+            message = "needs omega, the frequency of its fundamental." if type_ == "THD" else "does not use omega."
+            cure = 'Add "omega" in rad/s.' if type_ == "THD" else "Leave it out: omega belongs to THD."
+            refuse("omega" if "omega" in raw else "type", f"{type_} {message}", cure)
         if type_ in ("overshoot", "settling_time", "rise_time") and "against" not in raw:
-            refuse("type", f"{type_} needs the target value.", 'Add "against".')
+            refuse("type", f"{type_} needs the target value.", 'Add "against": a number or a signal.')
         if len(operands) == 2 and not units.same_quantity(operands["of"].unit, operands["against"].unit):
             shown = " and ".join(f"{signal.name} [{signal.unit}]" for signal in operands.values())
-            cure = "A difference is taken of signals of one quantity."
+            cure = "A measure of a difference needs two signals of the same quantity."
             refuse("against", f"{shown} are different quantities.", cure, "E104")
         if len(self.faults) > before or not complete:
             return None

@@ -105,7 +105,7 @@ class Foreign:
         variable = self.description.names.get(name)
         if variable is None or variable.type not in UNWIRED:
             return ""
-        return f"is a {variable.type} of the FMU, which no wire carries."
+        return f"has the type {variable.type} in the FMU, which a wire cannot carry."
 
     @property
     def interface(self) -> Interface:
@@ -149,11 +149,11 @@ def fmu_type(
     sizes: values of structural parameters that differ from the description's.
     """
     if kind is not None and kind not in KINDS:
-        raise UsageError(Fault("E501", "kind", f"{kind!r} is no kind of FMU.", 'Kinds: "CS", "ME".'))
+        raise UsageError(Fault("E501", "kind", f"{kind!r} is not a kind of FMU.", 'Kinds: "CS", "ME".'))
     if isinstance(timeout, bool) or not isinstance(timeout, (int, float)) or not 0 < timeout <= LONGEST_TIMEOUT:
-        raise UsageError(Fault("E501", "timeout", f"{timeout!r} is no time in s above 0."))
+        raise UsageError(Fault("E501", "timeout", f"must be a time in s above 0, not {timeout!r}."))
     if not isinstance(isolate, bool):
-        raise UsageError(Fault("E501", "isolate", f"{isolate!r} is neither true nor false."))
+        raise UsageError(Fault("E501", "isolate", f"must be true or false, not {isolate!r}."))
     place = Path(os.path.abspath(path))
     try:
         seen = place.stat()
@@ -206,7 +206,7 @@ class _FmuBlockBuilder:
             )
             other = "ME" if kind == "CS" else "CS"
             cure = f'Use kind="{other}" (--kind {other}).' if has in KINDS.values() else "Export it again."
-            raise FMUError(Fault("E205", path.name, f"it is not for {KINDS[kind]}, but for {has}.", cure))
+            raise FMUError(Fault("E205", path.name, f"it is an FMU for {has}, not for {KINDS[kind]}.", cure))
         if clocks := clock_faults(description, interface, path.name):
             raise FMUError(*clocks)
         self.kind, self.isolate, self.timeout = kind, isolate, timeout
@@ -352,7 +352,7 @@ def _start(variable: ModelVariable, place: str) -> tuple[Any, ...]:
     if variable.type in FLOATS and not all(math.isfinite(float(value)) for value in values):
         return ()
     if variable.type in INTEGERS and any(abs(int(value)) > _LARGEST for value in values):
-        message = f"{quoted(variable.name)} starts at {values[0]!r}, and integers beyond 2^53 cannot be held."
+        message = f"{quoted(variable.name)} starts at {values[0]!r}, but blocks cannot hold integers beyond 2^53."
         raise FMUError(Fault("E205", place, message, "Export it with smaller numbers."))
     return values
 

@@ -159,7 +159,7 @@ class Hierarchy:
                 if of_all in self.settable and of_all != path:
                     around = [fleet for fleet in self.fleets if of_all.startswith(f"{fleet.path}.")]
                     cure = " ".join(f"{fleet.path} has the copies 0 to {fleet.count - 1}." for fleet in around) or cure
-                cure = cure or "A parameter goes by its path, as in motor.Ra."
+                cure = cure or "Give the path of a parameter, as in motor.Ra."
                 self.faults.add(Fault("E106", legible(path), "there is no such parameter to set.", cure))
 
     # --- faults ------------------------------------------------------------------------------------------------
@@ -202,7 +202,7 @@ class Hierarchy:
         spot = ("blocks", name, "copies")
         for word in ("index", "copies"):
             if word in scope.value.parameters:
-                message = f"is the name of a parameter, but in the parameters of {name} it is that of its copies."
+                message = f"is the name of a parameter, but in the parameters of {name} it has a meaning for copies."
                 self.tell(scope, "E109", word, message, "Rename the parameter.", ("parameters", word, AT_KEY))
         value = self.evaluated(scope, entry.copies, "", f"{name}.copies", spot)
         if value is None:
@@ -239,7 +239,7 @@ class Hierarchy:
             return self.open(inner, self.given(inner, entry))
         if entry.type or entry.fmu:
             return self.leaf(scope, name, entry, copy)
-        self.tell(scope, "E007", name, "its subdiagram was not loaded.", "Load the diagram from its file.", spot)
+        self.tell(scope, "E007", name, "its subdiagram is not loaded.", "Load the diagram from its file.", spot)
         return None
 
     def given(self, inner: DiagramScope, entry: BlockEntry) -> dict[str, Value | None]:
@@ -353,8 +353,8 @@ class Hierarchy:
                 holder, is_open = {scope.index}, False
             scope = scope.parent
         if holder & known.around or around & known.holders:
-            message = f"draws from the stream {quoted(stream)}, as {known.first} does: both would give the same."
-            cure = f'Say another "stream" at one of them, or "stream": "/{stream}" at both if that is meant.'
+            message = f"draws from the stream {quoted(stream)}, as {known.first} does: both would be equal."
+            cure = f'Give one of them another "stream", or both "stream": "/{stream}" if they should share it.'
             self.tell(leaf.scope, "E109", leaf.name, message, cure, ("blocks", leaf.name))
             return
         known.around |= around
@@ -376,7 +376,7 @@ class Hierarchy:
                 cls = self.resolver(entry.type)
             except KeyError as error:
                 known_types = [word for word in error.args if word != entry.type]
-                own = "`blocks list` names the types; own ones come with --library."
+                own = "`blocks list` shows the types; --library adds your own."
                 cure = f"{self.faults.guess(entry.type, known_types)} {own}".strip()
                 self.tell(scope, "E103", name, f"there is no block type {quoted(entry.type)}.", cure, (*spot, "type"))
                 return None
@@ -390,12 +390,12 @@ class Hierarchy:
                 cure = self.faults.guess(key, declaration.settable)
                 cure = cure or f"Parameters of {entry.type or entry.fmu}: {_listed(declaration.settable)}."
                 if key in declaration.streams:
-                    cure = f'A stream is named beside "type" and "parameters": "stream": {quoted(str(raw))}.'
-                message = f"{entry.type or entry.fmu} has no such parameter."
+                    cure = f'Write "stream": {quoted(str(raw))} beside "type" and "parameters".'
+                message = f"{entry.type or entry.fmu} has no parameter of this name."
                 at_key = (*spot, "parameters", key, AT_KEY)
                 self.tell(scope, "E106", f"{name}.{legible(key)}", message, cure, at_key)
         if entry.stream and not declaration.streams:
-            message, cure = "draws no random numbers, so that it has no stream.", "Leave it out."
+            message, cure = "draws no random numbers, so it has no stream.", "Leave the stream out."
             self.tell(scope, "E003", f"{name}.stream", message, cure, (*spot, "stream", AT_KEY))
         around: dict[str, list[Copy]] = {}  # of those that are set: the copies that are set alike, or by a list
         for key in declaration.settable if self.overrides else ():
@@ -496,7 +496,8 @@ class Hierarchy:
             resolved_block = resolve(cls, given, name)
             clashes = set(resolved_block.interface.inputs) & set(resolved_block.interface.outputs)
             if clashes:
-                raise ModelError(Fault("E109", name, f"'{min(clashes)}' is the name of an input and of an output."))
+                message = f"'{min(clashes)}' is the name of both an input and an output."
+                raise ModelError(Fault("E109", name, message, "Rename one of them."))
         except ModelError as error:
             own = cls.declaration.name
             misspelt = any(word not in cls.declaration.parameters for word in scope.value.blocks[name].parameters)
@@ -550,8 +551,8 @@ def streams_in(
 def bound_faults(path: str, raw: Any) -> list[Fault]:
     """Return the fault (E117) of setting a parameter that its raw value binds by an expression, if it does."""
     bound = next(expressions_in(raw), "")
-    message = f"is bound ({quoted(bound)}) and cannot be set itself."
-    return [Fault("E117", path, message, "Set what it is computed from.")] if bound else []
+    message = f"is computed from other parameters ({quoted(bound)}), so it cannot be set itself."
+    return [Fault("E117", path, message, "Set the parameters that it is computed from.")] if bound else []
 
 
 def _outer_raw(scope: DiagramScope, name: str) -> Any:
@@ -634,5 +635,5 @@ def _check_size(diagram: DiagramValue) -> None:
 
     total = size(diagram, 0)
     if total > MAX_BLOCKS:
-        message = f"the diagram has {total:,} blocks, but {MAX_BLOCKS:,} are the most."
+        message = f"the diagram has {total:,} blocks, but the limit is {MAX_BLOCKS:,}."
         raise ModelError(diagram.fault("E008", diagram.name, message))

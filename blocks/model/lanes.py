@@ -146,8 +146,9 @@ class _Lanes:
         return self.names[id(raws)]
 
     def refuse(self, scope: DiagramScope, name: str, what: str) -> None:
-        message = f"has other {what} in some copies than in others, which would be another type of block."
-        self.hierarchy.tell(scope, "E123", name, message, "Make blocks of their own of these.", ("blocks", name))
+        message = f"some of its copies differ in {what}, so they are not copies of one type."
+        cure = "Move the copies that differ into separate blocks."
+        self.hierarchy.tell(scope, "E123", name, message, cure, ("blocks", name))
 
 
 def _keys(raw: object) -> Mapping[str, Value]:

@@ -58,8 +58,9 @@ def current(name: str) -> ModuleType:
         return before  # it was made or imported from somewhere else, and there is no other one
     if file is None or os.path.realpath(file) != os.path.realpath(was):
         if not is_own:
-            message = f"was imported from {legible(was)} before, but {legible(str(file))} would be taken now."
-            raise UsageError(Fault("E501", legible(name), message, "Give the module itself, or rename one of them."))
+            message = f"is already imported from {legible(was)}, but the name now leads to {legible(str(file))}."
+            cure = "Pass the module itself, or rename one of the two files."
+            raise UsageError(Fault("E501", legible(name), message, cure))
         return _load(name)
     if known is None:
         if _is_written_since(before, was):

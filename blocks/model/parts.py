@@ -198,8 +198,8 @@ def _refuse_sparse(block: Any) -> None:
     """Raise ModelError (E107) for a block that cannot be taken apart, but has a sparse matrix."""
     for name in _sparse(block.interface.declaration):
         if isinstance(block.resolved.values[name].value, SparseMatrix):
-            message = f"is sparse, and {block.interface.name} is no type of the library that can compute with it."
-            raise ModelError(Fault("E107", f"{block.path}.{name}", message, "Give its rows."))
+            message = f"is sparse, but the block type {block.interface.name} cannot compute with a sparse matrix."
+            raise ModelError(Fault("E107", f"{block.path}.{name}", message, "Give the matrix by its rows."))
 
 
 def _is_long(resolved: Resolved) -> bool:

@@ -59,7 +59,7 @@ def project_of(path: Path, *, runs: bool = False) -> Project:
         if is_marked and not why:
             return Project(folder, passed)
         if why:
-            passed = passed or f"{folder} is none, as it {why}"
+            passed = passed or f"{folder} is not a project, because it {why}"
             is_whole = is_whole and folder != own
     return Project(own, passed, is_whole)
 
@@ -71,14 +71,14 @@ def _never(folder: Path, runs: bool) -> str:
     home = real(Path(os.path.expanduser("~")))
     if home.is_absolute() and home.is_relative_to(folder):
         return "is the home folder" if home == folder else "lies above the home folder"
-    return "can be written to by others" if runs and _is_shared(folder) else ""
+    return "is writable by other users" if runs and _is_shared(folder) else ""
 
 
 def open_below(folder: Path, resolved: Path) -> str:
     """The folder on the way from a project to a file in it that others may write to, as a place; "" where none is."""
     between = resolved.relative_to(folder).parents
     open_folder = next((at for parent in between if (at := folder / parent) != folder and _is_shared(at)), None)
-    return "" if open_folder is None else f"in {open_folder}, which can be written to by others"
+    return "" if open_folder is None else f"in {open_folder}, which is writable by other users"
 
 
 def _is_shared(folder: Path) -> bool:
@@ -114,21 +114,21 @@ def read_inside(path: Path, project: Project, fault: Fault, shown: str = "") -> 
             passed = f" ({project.passed})" if project.passed else ""
             cure = "Move it into the project's folder."
             if not project.is_whole:
-                cure = f"Put both into a folder of their own below {project.folder}."
+                cure = f"Put both into their own folder below {project.folder}."
             raise refuse("E007", f"lies outside the project{passed}.", cure)
         if not resolved.is_file():
-            missing = "is a folder" if resolved.is_dir() else "is no file" if resolved.exists() else "does not exist"
+            missing = "is a folder" if resolved.is_dir() else "is not a file" if resolved.exists() else "does not exist"
             if os.path.islink(path) and missing == "does not exist":
-                raise refuse("E007", "is a link that leads to no file.", "Mend the link, or put a file in its place.")
+                raise refuse("E007", "is a link to a file that does not exist.", "Correct or replace the link.")
             sought = _neighbors(path)
             if not sought and fault.file:
-                sought = "A path counts from the folder of the file that names it."
+                sought = "Paths are relative to the folder of the file that contains them."
             raise refuse("E007", f"{missing}.", "Name a file." if resolved.exists() else sought)
         # Between the look above and this one, another file may have been put there: a link, a pipe, a larger one.
         flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
         with open(os.open(resolved, flags), "rb") as stream:
             if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
-                raise refuse("E007", "is no file.", "Name a file.")
+                raise refuse("E007", "is not a regular file.", "Give the path of a file.")
             data = stream.read(MAX_BYTES + 1)
         if len(data) > MAX_BYTES:
             cure = "Keep tables of data in CSV files, and split large diagrams into subdiagram files."

@@ -42,7 +42,8 @@ def raw_of(value: Any) -> Any:
         return {str(key): raw_of(item) for key, item in value.items()}
     if isinstance(value, (Rational, Decimal)):
         return float(value)
-    raise UsageError(Fault("E501", "", f"{quoted(repr(value))} is not a value that a diagram can hold."))
+    message = f"{quoted(repr(value))} is not a value that a diagram can hold."
+    raise UsageError(Fault("E501", "", message, "Give a number, a text, a bool or a list."))
 
 
 def given_value(value: Any, parameter: Any) -> Any:
@@ -66,7 +67,7 @@ def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, 
         for pattern in patterns:
             for path in named(pattern, known, fleets) or [pattern]:
                 if path in by:
-                    message = f"is given by {legible(by[path])} and by {legible(pattern)}."
+                    message = f"is given twice: by {legible(by[path])} and by {legible(pattern)}."
                     raise UsageError(Fault("E501", legible(path), message, "Give it once."))
                 by[path] = pattern
         own = {name: name for name in given if "*" not in str(name)}

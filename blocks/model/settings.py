@@ -123,7 +123,7 @@ def seconds(raw: Any) -> Fraction:
     if isinstance(raw, Mapping):
         odd = next((str(key) for key in raw if key not in QUANTITY.keys and not str(key).startswith("x-")), None)
         if odd is not None:
-            raise ValueError(f'must be a time, as in {{"value": 5, "unit": "min"}}, which has no {quoted(odd)}.')
+            raise ValueError(f'must be a time such as {{"value": 5, "unit": "min"}}, without the key {quoted(odd)}.')
         unit, raw = raw.get("unit", ""), raw.get("value")
     if isinstance(raw, np.generic):
         raw = raw.item()
@@ -145,7 +145,7 @@ def seconds(raw: Any) -> Fraction:
             raise ValueError(f"must be a time in a unit without pi, not in {unit}.")
         time *= scale
     if abs(time) > LONGEST or time.denominator > FINEST:
-        raise ValueError("is out of the range of times that can be computed (1e15 s, and 60 decimals).")
+        raise ValueError("is outside the range of times: at most 1e15 s, and at most 60 decimals.")
     return time
 
 
@@ -192,7 +192,7 @@ class _Settings:
                 guess = did_you_mean(value[:60], kind.words, quote='"') if isinstance(value, str) else ""
                 self.fault(key, f"{_shown(value)} is not known.", guess or f"Use {kind.what}.")
             elif key == "rtol" and isinstance(value, (int, float)) and 0 < value < LEAST_RTOL:
-                self.fault(key, f"{float(value)} is below what doubles can hold.", f"Use {LEAST_RTOL} or more.")
+                self.fault(key, f"{float(value)} is below the precision of a double.", f"Use {LEAST_RTOL} or more.")
             else:
                 self.fault(key, f"must be {kind.what}, not {_shown(value)}.")
 
@@ -217,16 +217,16 @@ class _RunSettings(_Settings):
         if stop is None:
             return
         if stop < start:
-            self.fault("stop", f"must not lie before the start at {float(start)} s, but is {float(stop)} s.")
-        for key, most in (("step", MOST_STEPS), ("every", MOST_ROWS)):
+            self.fault("stop", f"is {float(stop)} s, before the start at {float(start)} s.")
+        for key, most, what in (("step", MOST_STEPS, "steps"), ("every", MOST_ROWS, "rows")):
             if key in self.made and (stop - start) / self.made[key] > most:
-                message = f"makes {float((stop - start) / self.made[key]):.3g} of them; {float(most):.3g} are the most."
+                message = f"gives {float((stop - start) / self.made[key]):.3g} {what}; the limit is {float(most):.3g}."
                 self.fault(key, message, f"Make it {float((stop - start) / most):.3g} s or more.")
 
     def jumps(self) -> None:
         self.plain("jumps")
         if self.made.get("jumps") is False and "every" not in self.given:
-            message = "cannot be false without a recording grid, as then all steps and jumps are recorded."
+            message = "cannot be false without a recording grid, because then all steps and jumps are recorded."
             self.fault("jumps", message, 'Set "every" (--every), or leave it out.')
 
     def stops(self) -> None:
@@ -235,7 +235,7 @@ class _RunSettings(_Settings):
             self.fault("stops", f"must be a list of times, not {_shown(stops)}.")
             return
         if len(stops) > MOST_STOPS:
-            self.fault("stops", f"holds {len(stops):,} times; {MOST_STOPS:,} are the most.", 'Use "every" for a grid.')
+            self.fault("stops", f"has {len(stops):,} times; the limit is {MOST_STOPS:,}.", 'Use "every" for a grid.')
             return
         times = set()
         for stop in stops:
@@ -251,17 +251,17 @@ class _RunSettings(_Settings):
             word = method[:60] if isinstance(method, str) else ""
             other = OTHER_NAMES.get(word.lower())
             known = f"Methods: {', '.join(METHODS)}."
-            guess = f"What comes nearest is {quoted(other)}. {known}" if other else did_you_mean(word, METHODS)
+            guess = f"The nearest method is {quoted(other)}. {known}" if other else did_you_mean(word, METHODS)
             self.fault("method", f"{_shown(method)} is not known.", guess or known)
             return
         self.made["method"] = method
         if method in FIXED_STEP:
             if "step" not in self.given:
-                self.fault("method", f"{method} has a fixed step, and none is given.", 'Set "step" (--step).')
+                self.fault("method", f"{method} needs a fixed step, and none is given.", 'Set "step" (--step).')
         elif step_of_file:
             self.made.pop("step", None)  # it belongs to the method of the file
         elif "step" in self.given:
-            self.fault("step", f"{method} chooses its steps itself.", "Leave the step out, or use rk4 or euler.")
+            self.fault("step", f"{method} chooses its own steps.", "Leave the step out, or use rk4 or euler.")
 
     def inputs(self) -> None:
         inputs = self.given.get("inputs", {})
@@ -277,7 +277,7 @@ class _RunSettings(_Settings):
         if isinstance(log, (list, tuple)) and all(isinstance(name, str) for name in log):
             self.made["log"] = tuple(log)
         else:
-            what = "one that holds other things" if isinstance(log, (list, tuple)) else _shown(log)
+            what = "a list with other items" if isinstance(log, (list, tuple)) else _shown(log)
             cure = f"Write [{_shown(log)}]." if isinstance(log, str) else ""
             self.fault("log", f"must be a list of signal names, not {what}.", cure)
 
@@ -329,7 +329,7 @@ class _MasterSettings(_Settings):
             self.fault(key, f"{whose}must be above 0 s, not {float(step_size)}.")
         elif stop is not None and (stop - start) / step_size > MOST_STEPS:
             message = (
-                f"{whose}makes {float((stop - start) / step_size):.3g} of them; {float(MOST_STEPS):.3g} are the most."
+                f"{whose}gives {float((stop - start) / step_size):.3g} steps; the limit is {float(MOST_STEPS):.3g}."
             )
             self.fault(key, message, f"Make it {float((stop - start) / MOST_STEPS):.3g} s or more.")
         else:

@@ -82,16 +82,17 @@ _SIZES = Table(AnyOf(Scalar(above=0), QUANTITY), _SIGNAL)
 def _margin(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
     kind, is_loop = value.get("type"), "loop" in value
     if isinstance(kind, str) and kind not in MARGINS:
-        told.fault("E003", (*path, "type"), f'"{kind}" is no margin.', told.guess(kind, MARGINS) or ", ".join(MARGINS))
+        cure = told.guess(kind, MARGINS) or f"Margins: {', '.join(MARGINS)}."
+        told.fault("E003", (*path, "type"), f'"{kind}" is not a margin.', cure)
     elif (("from" in value) != ("to" in value)) or is_loop == ("from" in value):
-        told.fault("E009", path, 'a margin has "loop", the signal at which a loop is opened; or "from" and "to".')
+        told.fault("E009", path, 'a margin needs either "loop", the signal at which it is opened, or "from" and "to".')
     elif not is_loop and kind not in _OF_ENDS:
-        told.fault("E009", path, f'a {kind} is of a "loop".')
+        told.fault("E009", path, f'{kind} needs a "loop", the signal at which the loop is opened.')
     return ()
 
 
 MARGIN = Object(
-    Field("type", Text(meanings=MARGINS), "What is told of the linear model.", required=True),
+    Field("type", Text(meanings=MARGINS), "The number that is computed from the linear model.", required=True),
     Field("loop", _SIGNAL, "The signal at which the loop is opened."),
     Field("from", _SIGNAL, "Where a change is put in."),
     Field("to", _SIGNAL, "Where it is looked at."),
@@ -102,7 +103,7 @@ MARGIN = Object(
         "Gains in the place of blocks, by path."
     )),
     Field("held", Table(AnyOf(NUMBER, FLAG, ListOf(NUMBER), QUANTITY), Text(refers="input")), "Values of its inputs."),
-    Field("at", TIME, "The time at which the row is linearized, as it stands then in a run; left out: its start."),
+    Field("at", TIME, "The time of a run at which the row is linearized; left out: its start."),
     Field("pade", Scalar(low=0, high=20, is_whole=True), "The order of the models of exact delays.", 0),
     rules=[Rule(_margin, lambda _: {
         "oneOf": [
@@ -215,32 +216,32 @@ def _claim(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
         _of_sweep(value, path, told)
     elif "tuning" in value:
         if {"run", "runs"} & value.keys():
-            told.fault("E009", path, 'a claim names a "tuning", or runs.')
+            told.fault("E009", path, 'a claim names either a "tuning" or runs, not both.')
     elif not runs:
-        told.fault("E009", path, 'a claim names one "run", or two "runs" in a list.')
+        told.fault("E009", path, 'a claim needs one "run", or a list of two "runs".')
     else:
         for _ in [name for name in runs if not isinstance(name, str)]:
-            told.fault("E004", path, "a run is named by a text.")
+            told.fault("E004", path, "the name of a run must be a text.")
         if ("runs" in value) != ("as" in value):
-            what = 'two runs are compared "as" a "reduction" or an "increase"; one run has no "as".'
+            what = 'a claim about two runs needs "as": "reduction" or "increase"; a claim about one run has no "as".'
             told.fault("E004", path, what)
     if "sweep" not in value and {*_STATISTICS, "scenario"} & value.keys():
-        told.fault("E009", path, f'{", ".join(_STATISTICS)} and scenario are of a "sweep".')
+        told.fault("E009", path, f'{", ".join(_STATISTICS)} and scenario need a "sweep".')
     limits = [key for key in _LIMITS if key in value]
     if limits:
         if len(limits) > 1 or "published" in value or "tolerance" in value:
-            told.fault("E009", path, 'a claim has one of "at_most", "at_least" and "published" with its "tolerance".')
+            told.fault("E009", path, 'a claim needs one of "at_most", "at_least", and "published" with "tolerance".')
         if value.get("expect", "reproduced") in ("reproduced", "not reproduced"):
-            told.fault("E009", path, 'a claim with a limit states what to "expect": "holds" or "fails".')
+            told.fault("E009", path, 'a claim with a limit needs "expect": "holds" or "fails".')
     elif "published" not in value:
         if "expect" in value or "tolerance" in value:
             told.fault("E009", path, 'a claim with "expect" or "tolerance" needs the "published" number.')
         return ("run", "runs")
     else:
         if "tolerance" not in value:
-            told.fault("E009", path, 'a claim states its "tolerance" between 0 and 1, as in 0.05.')
+            told.fault("E009", path, 'a claim needs a "tolerance" between 0 and 1, as in 0.05.')
         if value.get("expect", "holds") in ("holds", "fails"):
-            told.fault("E009", path, 'a claim states what to "expect": "reproduced" or "not reproduced".')
+            told.fault("E009", path, 'a claim needs "expect": "reproduced" or "not reproduced".')
     if value.get("expect") in ("not reproduced", "fails") and not (isinstance(reason, str) and reason):
         what = 'a number that is "not reproduced"' if value["expect"] != "fails" else "a limit that fails"
         told.fault("E009", path, f'{what} needs its "reason".')
@@ -249,11 +250,11 @@ def _claim(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
 
 def _of_sweep(value: Mapping[str, Any], path: Steps, told: Told) -> None:
     if {"run", "runs", "as", "tuning"} & value.keys():
-        told.fault("E009", path, 'a claim names a "sweep", or runs.')
+        told.fault("E009", path, 'a claim names either a "sweep" or runs, not both.')
     if sum(key in value for key in _STATISTICS) != 1:
-        told.fault("E009", path, f"a claim about a sweep has one of {', '.join(_STATISTICS)}.")
+        told.fault("E009", path, f"a claim about a sweep needs exactly one of {', '.join(_STATISTICS)}.")
     elif "share" in value and not {*_LIMITS} & value.keys():
-        told.fault("E009", path, 'the "share" is that of the rows "at_most" or "at_least" at a limit.')
+        told.fault("E009", path, 'a "share" counts the rows that keep a limit: add "at_most" or "at_least".')
 
 
 CLAIM = Object(
@@ -272,7 +273,7 @@ CLAIM = Object(
     Field("quantile", Scalar(low=0, high=1), "Of a sweep: the claim is about this quantile; 0.5: the median."),
     Field("statistic", Choice(("mean", "deviation")), "Of a sweep: its mean or standard deviation."),
     Field("share", Scalar(low=0, high=1), (
-        "Of a sweep: so many of all rows, at least, keep the limit; a row without a number does not."
+        "Of a sweep: the least share of all rows that keep the limit; a row without a number does not."
     )),
     Field("at_most", NUMBER, "A limit of the value, in the unit of the claim."),
     Field("at_least", NUMBER, "The same, from below."),
@@ -330,7 +331,7 @@ LINE = Object(*_CURVE, name="line", doc="A curve.")
 def _place(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
     if "signal" not in value and "run" not in value:
         if not {"x", "y"} <= value.keys():
-            told.fault("E009", path, 'a marker has "run" and "signal", or "x" and "y".')
+            told.fault("E009", path, 'a marker needs either "run" and "signal", or "x" and "y".')
         return ()
     for key in ("run", "signal"):
         if value.get(key, "") == "" and (key == "signal" or key not in value):
@@ -377,7 +378,7 @@ def _named(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
 def _rising(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
     for k, window in enumerate(value.get("windows", ())):
         if isinstance(window, list) and len(window) == 2 and _numbers(2).takes(window) and window[0] >= window[1]:
-            told.fault("E004", (*path, "windows", k), f"{window} ends where it begins, or before. Write [from, to].")
+            told.fault("E004", (*path, "windows", k), f"{window} does not end after its start. Write [from, to].")
     return ()
 
 
@@ -387,11 +388,13 @@ FIGURE = Object(
     DOC,
     Field("kind", Choice(("time", "spectrum")), "Signals over time, or their amplitude spectra.", "time"),
     Field("panels", _objects(PANEL, 1), "Axes, from the top.", required=True),
-    Field("from", NUMBER, "Begin of the window, in s."),
+    Field("from", NUMBER, "Start of the window, in s."),
     Field("to", NUMBER, "End of the window, in s."),
-    Field("windows", ListOf(_numbers(2), 1, what="a list of [from, to]"), (
-        "Stretches [from, to] of the horizontal axis, beside each other; left out: all of it."
-    )),
+    Field(
+        "windows",
+        ListOf(_numbers(2), 1, what="a list of [from, to]"),
+        ("Stretches [from, to] of the horizontal axis, beside each other; left out: all of it."),
+    ),
     Field("xlabel", TEXT, "The label of the horizontal axis."),
     rules=[Rule(_named), Rule(_rising)],
     name="figure",

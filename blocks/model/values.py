@@ -198,10 +198,10 @@ def _single(declared: Unit) -> str:
 def _check_unit(what: str, unit: str, declared: Unit) -> None:
     for needed in dict.fromkeys((declared,) if isinstance(declared, str) else declared):
         if not units.same_quantity(unit, needed):
-            message = f"{what}[{unit}] is given where [{needed}] is needed: they are different quantities."
-            cure = f"A number without a unit is meant in {needed}."
+            message = f"{what}[{unit}] is given, but [{needed}] is needed: they are different quantities."
+            cure = f"A number without a unit is in {needed}."
             if what:
-                cure = f"Mend the unit of {what.strip()} where it stands, or pass another parameter."
+                cure = f"Correct the unit of {what.strip()}, or use another parameter."
             if unit.lower() == needed.lower():
                 cure = f"Did you mean [{needed}]? Upper and lower case are different units."
             _refuse(message, cure, code="E104")
@@ -211,14 +211,15 @@ def _quantity(raw: Mapping[str, Any], declared: Unit, known: Known) -> Value:
     unit = raw.get("unit", "")
     odd = [key for key in raw if key not in QUANTITY.keys and not str(key).startswith("x-")]
     if "csv" in raw:
-        _refuse("what a CSV file holds cannot be set from outside.", "Give the numbers, or name it in the diagram.")
+        cure = "Give the numbers, or name the file in the diagram."
+        _refuse("a parameter cannot be set to a CSV file from outside the diagram.", cure)
     if odd or "value" not in raw or not isinstance(unit, str) or isinstance(raw["value"], Mapping):
-        _refuse('a quantity is {"value": ..., "unit": "..."}.')
+        _refuse('a quantity must have the form {"value": ..., "unit": "..."}.')
     if unit:
         _check_unit("", unit, declared)
     value = value_of(raw["value"], unit or declared, known)
     if unit and not is_expression(raw["value"]) and (value.value is None or isinstance(value.value, (str, bool))):
-        _refuse(f"[{unit}] stands beside {_kind(value.value)}.", "Only numbers have units.")
+        _refuse(f"{_kind(value.value)} cannot have the unit [{unit}].", "Only numbers have units.")
     return value
 
 
@@ -226,11 +227,11 @@ def _sparse(raw: Mapping[str, Any], edges: Sequence[Any], declared: Unit) -> Val
     """A matrix by its edges. Its numbers are constants, so that they hold no expressions."""
     shape = raw.get("shape")
     if any(key not in EDGES.keys and not str(key).startswith("x-") for key in raw) or not SHAPE.fits(shape):
-        _refuse('a sparse matrix is {"edges": [[row, column, value], ...], "shape": [rows, columns]}.')
+        _refuse('a sparse matrix must have the form {"edges": [[row, column, value], ...], "shape": [rows, columns]}.')
     if raw.get("unit"):
         _check_unit("", raw["unit"], declared)
     if any(not isinstance(edge, (list, tuple)) or len(edge) != 3 or not all(map(NUMBER.holds, edge)) for edge in edges):
-        _refuse("an edge is three numbers: a row, a column, both from 0 on, and a value.")
+        _refuse("an edge must be three numbers: a row and a column, which count from 0, and a value.")
     rows, columns = shape  # type: ignore[misc]
     matrix = SparseMatrix(np.array(edges, dtype=float).reshape(-1, 3), (int(rows), int(columns)))
     unit = _single(raw.get("unit") or declared)
@@ -267,7 +268,7 @@ def _computed(expression: Expression, unit: str, known: Known) -> Value:
             raise Absent
         if not _is_number(value.value):
             message = f"'{name}' is {_kind(value.value)}, not a number."
-            _refuse(message, f'It can be passed whole, as "={name}".', code="E108")
+            _refuse(message, f'It can only be passed as a whole: "={name}".', code="E108")
         numbers[name] = Scalar(value.value, value.exact)
     scalar = expressions.evaluate(expression, numbers)
     return Value(scalar.value, scalar.exact, units.si_text(unit))
@@ -289,7 +290,7 @@ def _array(raw: Sequence[Any], declared: Unit, known: Known) -> Value:
         if isinstance(value, str) and value in ("inf", "-inf"):
             _refuse(f"must hold finite numbers, not {value}.")
         if not _is_number(value):
-            _refuse(f"a list holds numbers, not {_kind(value)}.")
+            _refuse(f"a list must hold numbers, not {_kind(value)}.")
         return value
 
     if isinstance(declared, tuple) and len(set(declared)) > 1:
@@ -302,7 +303,7 @@ def _array(raw: Sequence[Any], declared: Unit, known: Known) -> Value:
 
 def _number(raw: Any, unit: str) -> Value:
     if not isinstance(raw, (int, float)):
-        _refuse(f"a {type(raw).__name__} is not a number, a text, a list, true or false.")
+        _refuse(f"must be a number, a text, a list, true or false, not a {type(raw).__name__}.")
     try:
         number = float(raw)
     except OverflowError:
@@ -315,7 +316,7 @@ def _number(raw: Any, unit: str) -> Value:
     scale = units.parse(unit).exact
     si = units.to_si(number, unit, exact=exact)
     if not math.isfinite(si):
-        _refuse(f"{number} {unit} is too large.")
+        _refuse(f"{number} {unit} overflows a double in SI units.")
     is_exact = scale is not None and not units.has_offset(unit)
     return Value(si, exact * scale if is_exact else None, units.si_text(unit))  # type: ignore[operator]
 

@@ -121,8 +121,8 @@ def _moved_places(value: DiagramValue, old: tuple[str, ...], new: tuple[str, ...
 
 def _no_block(value: DiagramValue, path: str) -> Fault:
     known = list(_with_variants(value, "", set()))
-    cure = did_you_mean(path[:200], known) or (f"Those with variants: {', '.join(known[:20])}." if known else "")
-    return Fault("E122", legible(path), "there is no block of this path to choose a variant of.", cure)
+    cure = did_you_mean(path[:200], known) or (f"Blocks with variants: {', '.join(known[:20])}." if known else "")
+    return Fault("E122", legible(path), "there is no block with this path, so no variant of it can be chosen.", cure)
 
 
 def _with_variants(value: DiagramValue, prefix: str, seen: set[int], depth: int = 0) -> Iterator[str]:

@@ -160,14 +160,15 @@ def columns_of(
     Raises UsageError (E501, E106) if a name matches nothing, or repeats, and ModelError (E117) if a parameter is bound.
     """
     if isinstance(names, str):
-        message, cure = "is one name, not a list of names.", f'As in ["{legible(names)}"].'
+        message, cure = "is a single name, but a list of names is needed.", f'Write ["{legible(names)}"].'
         raise UsageError(Fault("E501", legible(names), message, cure))
     parameters = _Parameters(value, flat, overrides)
     columns: list[Column] = []
     taken: dict[str, dict[int | None, str]] = {}  # by the path in one copy and the element: who varies it
     for name in names:
         if not isinstance(name, str):
-            raise UsageError(Fault("E501", legible(str(name)), "is no name of a parameter.", 'As in "motor.Ra".'))
+            message, cure = "is not the name of a parameter.", 'Write a path such as "motor.Ra".'
+            raise UsageError(Fault("E501", legible(str(name)), message, cure))
         path, element = _split(name)
         found = _found(name, parameters)
         # Of a copy an element is set together with the others, which each copy may have of its own.
@@ -178,7 +179,7 @@ def columns_of(
                 by, own = taken.setdefault(path, {}), target.element
                 other = next(iter(by.values()), None) if own is None else by.get(None, by.get(own))
                 if other is not None:
-                    message = f"is varied by {legible(other)} already."
+                    message = f"is already varied by {legible(other)}."
                     raise UsageError(Fault("E501", legible(name), message, "Vary each parameter once."))
                 by[target.element] = name
         columns.append(Column(name, targets))
@@ -202,7 +203,7 @@ def _found(name: str, parameters: _Parameters) -> list[str]:
     found = parameters.named(path)
     if not found:
         known, last = parameters.known, path.rpartition(".")[2]
-        what = "names no parameter" if "*" in path else "there is no such parameter"
+        what = "matches no parameter" if "*" in path else "there is no such parameter"
         alike = [each for each in known if each.rpartition(".")[2] == last]
         cure = did_you_mean(path[:200], known) or (f"Did you mean {', '.join(alike[:3])}?" if alike else "")
         if _plain(path) in known:
@@ -253,7 +254,7 @@ def _number(raw: Any, unit: str, name: str) -> float:
         number = None
     if isinstance(number, bool) or not isinstance(number, (int, float)):
         message = f"must be a number, not {legible(repr(raw))}."
-        raise ModelError(Fault("E107", legible(name), message, "Give the whole value where it has expressions."))
+        raise ModelError(Fault("E107", legible(name), message, "To use an expression, give the whole value."))
     return float(number)
 
 
@@ -293,7 +294,7 @@ def _target(path: str, name: str, element: str, parameters: _Parameters) -> Targ
     shape = np.shape(value) if value is not None and not isinstance(value, str) else ()
     elements = [each[len(path) :] for each in element_names(path, shape)] if shape else []
     if value is None:
-        message = f"the elements of {path} are not known: its value is computed, or is not the same in all copies."
+        message = f"the elements of {path} are not known: its value is computed, or differs between copies."
         raise UsageError(Fault("E501", legible(name), message, "Give the whole value."))
     if element not in elements:
         message = f"{path} has no element {legible(element)}."

@@ -152,8 +152,8 @@ def _check_names(draft: MigratedDocument, path: Path, new: Mapping[str, str]) ->
     table = _table(draft, path)
     for key, name in new.items():
         if key in table:
-            what = f"the file is of version 1, in which PID has no {name}: it takes its error at u, and gives y."
-            cure = 'Write "version": 2 where the file is by its rules; there c is 0 and unit is that of r and y.'
+            what = f"the file has version 1, in which PID has no {name}: its input is the error u, and its output is y."
+            cure = 'If the file follows version 2, write "version": 2; then c is 0, and unit is the unit of r and y.'
             draft.refuse((*path, key), what, cure)
 
 

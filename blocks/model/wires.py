@@ -244,7 +244,7 @@ class Wires:
             ports, control = self.ports[child.index], control_port(child)
             if control is not None:
                 if control.name in ports:
-                    message = "is an input of the subdiagram and what turns it on."
+                    message = "is an input of the subdiagram and also its control signal."
                     place = f"{child.name}.{control.name}"
                     self.tell(scope, "E109", place, message, "Rename the input.", ("blocks", child.name))
                 ports = {**ports, control.name: control}
@@ -275,12 +275,12 @@ class Wires:
                 self.tell_no_input(sink, text, source, name, port)
             elif element is not None and not self.has_element(sink.inputs[port], element):
                 shape = sink.inputs[port].shape
-                message = f"'{port}' {_extent(shape)}: there is no [{element}]."
+                message = f"'{port}' {_extent(shape)}, so there is no [{element}]."
                 cure = f'Write "{base}".' if shape == () else "Elements are counted from 0."
                 self.tell(scope, "E105", legible(text), message, cure, (*spot, AT_KEY))
                 self.spoiled.add((scope.index, name, port))
             elif isinstance(sink.feeds.get(port), Feed) or (element is None and port in sink.feeds):
-                message = f"the input '{port}' of {name} is wired as a whole and by element."
+                message = f"the input '{port}' of {name} is wired both as a whole and by element."
                 self.tell(scope, "E109", legible(text), message, "Keep one of the two.", (*spot, AT_KEY))
                 self.spoiled.add((scope.index, name, port))
             elif element is None:
@@ -301,26 +301,26 @@ class Wires:
             message, cure = "is an output of the diagram, not an input of a block.", 'Move it to "outputs".'
         elif name in scope.value.inputs or name in scope.value.parameters:
             what = "an input of the diagram" if name in scope.value.inputs else "a parameter"
-            message, cure = f"is {what}, and a wire ends at an input of a block.", ""
+            message, cure = f"is {what}, but a wire must end at an input of a block.", ""
         else:
             message = f"there is no block {quoted(name)}."
-            cure = self.faults.guess(name, scope.children) or 'A wire is "block.input": "block.output".'
+            cure = self.faults.guess(name, scope.children) or 'Write a wire as "block.input": "block.output".'
         self.tell(scope, "E105", legible(text), message, cure, (*spot, AT_KEY))
 
     def tell_no_input(self, sink: Sink, text: str, source: str, name: str, port: str) -> None:
         code, spot = "E105", ("wires", text, AT_KEY)
         if not port:
-            message, cure = "names a block, not an input of it.", f"Inputs: {_listed(sink.inputs)}."
+            message, cure = "is a block, not one of its inputs.", f"Inputs: {_listed(sink.inputs)}."
         elif port in sink.outputs:
-            code, message = "E112", f"'{port}' is an output of {name}, and a wire ends at an input."
+            code, message = "E112", f"'{port}' is an output of {name}, but a wire must end at an input."
             cure = f"Inputs: {_listed(sink.inputs)}."
         else:
             message = f"{name} has no input {quoted(port)}."
             cure = self.faults.guess(port, sink.inputs) or f"Inputs: {_listed(sink.inputs)}."
             if isinstance(sink.block, DiagramScope) and port.partition(".")[0] in sink.block.children:
-                cure = f"A subdiagram is reached by its inputs alone: {_listed(sink.inputs)}."
+                cure = f"A wire into a subdiagram must end at one of its inputs: {_listed(sink.inputs)}."
             if why := _why_no_port(sink, port):
-                message, cure = f"{quoted(port)} of {name} {why}", "Leave it out: the FMU keeps what it has."
+                message, cure = f"{quoted(port)} of {name} {why}", "Leave the wire out: the FMU keeps its own value."
                 if isinstance(sink.block, Leaf) and f"{port}_start" in sink.block.interface.declaration.parameters:
                     cure = f'Set its parameter "{port}_start".'
         self.tell(sink.scope, code, legible(text), message, cure, spot)
@@ -329,8 +329,8 @@ class Wires:
         """A wire that is written the wrong way round: one fault, and the input that it means counts as wired."""
         name, _, port = indexed(source)[0].partition(".")
         self.spoiled.add((scope.index, name, port))
-        message = f"{legible(text)} is an output, and {legible(source)} an input."
-        cure = f"The sink comes first: {quoted(source)}: {quoted(text)}."
+        message = f"{legible(text)} is an output, and {legible(source)} is an input."
+        cure = f"Write the input first: {quoted(source)}: {quoted(text)}."
         self.tell(scope, "E112", legible(text), message, cure, spot)
 
     def is_input(self, scope: DiagramScope, text: str) -> bool:
@@ -363,11 +363,11 @@ class Wires:
             outputs = ", ".join(f"{port}{_bracket(unit)}" for port, unit in sink.outputs.items()) or "none"
             cure = f"{self.faults.guess(port, sink.outputs)} Outputs: {outputs}.".strip()
             if isinstance(sink.block, DiagramScope) and port.partition(".")[0] in sink.block.children:
-                cure = f"A subdiagram is reached by its outputs alone: {outputs}."
+                cure = f"A wire from a subdiagram must begin at one of its outputs: {outputs}."
             if why := _why_no_port(sink, port):
-                message, cure = f"{quoted(port)} of {name} {why}", "Leave it out."
+                message, cure = f"{quoted(port)} of {name} {why}", "Leave the wire out."
             if port in sink.inputs:
-                code, message = "E112", f"'{port}' is an input of {name}, and a wire begins at an output."
+                code, message = "E112", f"'{port}' is an input of {name}, but a wire must begin at an output."
             self.tell(scope, code, place, message, cure, spot)
         elif name not in scope.children:
             what, cure = "not there", self.faults.guess(text, self.all_sources(scope))
@@ -375,8 +375,8 @@ class Wires:
                 what, cure = "a parameter, not a signal", f'Use a Constant with "value": "={name}".'
             base, number = indexed(name)
             if number is not None and getattr(scope.children.get(base), "copied", None) is not None:
-                cure = f'Copy {number} is an element of the port: "{base}.{port}[{number}]".'
-            cure = cure or 'A source is "block.output", or an input of the diagram.'
+                cure = f'For copy {number}, write the element of the port: "{base}.{port}[{number}]".'
+            cure = cure or 'Use "block.output", or an input of the diagram.'
             self.tell(scope, "E105", place, f"the source {quoted(text)} is {what}.", cure, spot)
         return Feed(None, element, text)
 
@@ -458,8 +458,8 @@ class Wires:
         scope = self.leaves[node.owner].scope if node.kind == "port" else self.scopes[node.owner]
         place = self.name_of(node)[len(scope.prefix) :]
         spot = ("blocks", place.partition(".")[0]) if node.kind == "port" else (f"{node.kind}s", node.name)
-        cure = "Put a block into it that gives a value."
-        self.tell(scope, "E102", place, f"wires go round in a circle: {chain}.", cure, spot)
+        cure = "Put a block that gives a value into the circle."
+        self.tell(scope, "E102", place, f"wires form a circle that contains no value: {chain}.", cure, spot)
 
     def name_of(self, node: WireSource) -> str:
         path = self.leaves[node.owner].path + "." if node.kind == "port" else self.scopes[node.owner].prefix
@@ -549,13 +549,14 @@ class Wires:
             elements = np.asarray(
                 output.equation.function(*(values[name] for name in output.equation.reads)), dtype=object
             )
-            message = "" if elements.shape == shape else f"{_extent(elements.shape)}, where it {_extent(shape)}."
+            message = f"its function returns an array that {_extent(elements.shape)}, but the output {_extent(shape)}."
+            message = "" if elements.shape == shape else message
         except Exception as error:  # a function of the class may raise anything
             elements, message = np.empty(0), f"cannot be computed: {type(error).__name__}: {error}."
         if not message and not all(isinstance(element, WireElement) for element in elements.flat):
-            message = "gives something that is no element of an input."
+            message = "its function returns something that is not an element of an input."
         if message:
-            cure = "Wiring only picks and orders the elements of inputs."
+            cure = "A wiring function may only select and reorder elements of inputs."
             self.tell(leaf.scope, "E110", f"{leaf.name}.{variable}", message, cure, ("blocks", leaf.name))
             return None
         return list(elements.flat)
@@ -652,7 +653,7 @@ class Wires:
         if isinstance(feed.element, str):
             return self.of_bus(scope, strand, feed.text, place, spot)
         if not strand.shape or feed.element >= strand.shape[0]:
-            message = f"{indexed(feed.text)[0]} {_extent(strand.shape)}: there is no [{feed.element}]."
+            message = f"{indexed(feed.text)[0]} {_extent(strand.shape)}, so there is no [{feed.element}]."
             cure = f'Write "{indexed(feed.text)[0]}".' if strand.shape == () else "Elements are counted from 0."
             self.tell(scope, "E105", place, message, cure, spot)
             raise Absent
@@ -666,7 +667,7 @@ class Wires:
         if name not in strand.names:
             known = [known for known in strand.names if known]
             cure = f"{self.faults.guess(name, known)} Elements: {', '.join(known)}.".strip()
-            cure = cure if known else 'Its elements have no names: a Mux gives them, with "names".'
+            cure = cure if known else 'Its elements have no names: give them with the parameter "names" of a Mux.'
             self.tell(scope, "E105", place, f"{base} has no element {quoted(name)}.", cure, spot)
             raise Absent
         k = strand.names.index(name)
@@ -696,7 +697,7 @@ class Wires:
             if shape == ():
                 cure = f'Wire one {"element" if of is None else "copy"}, as in "{feed.text}[0]".'
             elif copied is not None:
-                cure = "Wire a value for each copy, or one that reaches all copies."
+                cure = "Wire one value for each copy, or one value for all copies."
             elif strand.shape == ():
                 cure = f'Wire each element, as in "{at}[0]", or use a Mux.'
             self.tell(scope, "E110", at, message, cure, spot)
@@ -708,12 +709,12 @@ class Wires:
                 place = f"{at} [{needed}] <- {feed.text} [{unit}]"
                 gain = f'a Gain with "unit_u": {quoted(unit)} and "unit": {quoted(needed)}'
                 parameter = self.unit_parameter(scope, at, port)
-                cure = f"Check the wire{parameter}, or put {gain} between."
+                cure = f"Check the wire{parameter}, or insert {gain}."
                 self.tell(scope, "E104", place, f"{needed} and {unit} are different quantities.", cure, spot)
                 raise Absent
             if not _fits(port.type, type_):
                 what = f"is {_typed(port.type)}, but {feed.text} is {_typed(type_)}."
-                cure = "CompareToConstant makes a bool of a number." if port.type == "bool" else ""
+                cure = "Insert a CompareToConstant, which turns a number into a bool." if port.type == "bool" else ""
                 if (wanted_ := enumeration_of(port.type)) is not None:
                     entry = json.dumps(wanted_.entry, ensure_ascii=False)
                     first = json.dumps(next(iter(wanted_.members)), ensure_ascii=False)

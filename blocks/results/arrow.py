@@ -56,7 +56,7 @@ class Window:
         for signal in self.signals:
             found = [k for k, name in enumerate(names) if signal in (name, name.partition("[")[0])]
             if not found:
-                cure = did_you_mean(signal[:200], names) or f"There are: {', '.join(names[:20])}."
+                cure = did_you_mean(signal[:200], names) or f"Signals: {', '.join(names[:20])}."
                 raise UsageError(Fault("E501", place, f"holds no signal {legible(signal)!r}.", cure))
             picked.update(found)
         return sorted(picked)
@@ -163,7 +163,7 @@ class Part:
         place = legible(str(path))
         optional("pyarrow", place)
 
-        def refuse(message: str, cure: str = "Begin the run anew.") -> UsageError:
+        def refuse(message: str, cure: str = "Start a new run.") -> UsageError:
             return UsageError(Fault("E506", place, message, cure))
 
         try:
@@ -177,9 +177,9 @@ class Part:
             for batch, state, end in chunks:
                 part._count(batch.column(0).to_numpy(), end, state)
             if not part.rows:
-                raise refuse("holds no whole chunk of rows.")
+                raise refuse("does not hold a complete chunk of rows.")
             if part.state is None:
-                raise refuse("its run cannot be resumed: FMUs of Co-Simulation and coupled blocks have no saved state.")
+                raise refuse("cannot be resumed: FMUs for Co-Simulation and coupled blocks have no saved state.")
         except BaseException:
             stream.close()
             raise
@@ -239,7 +239,7 @@ def held(path: Path, flags: int) -> BinaryIO:
         stream = open(os.open(path, flags, 0o666), "r+b")  # noqa: SIM115 - it stays open
         if not hold(stream.fileno()):
             stream.close()
-            cure = "Wait for it, or name another file."
+            cure = "Wait until it ends, or use another file."
             raise UsageError(Fault("E501", legible(str(path)), "is being written by another run.", cure))
         if os.fstat(stream.fileno()).st_nlink:
             return stream
@@ -250,7 +250,7 @@ def _foreign(path: Path) -> Refuse:
     """Why a file that stands in the place of a part is not replaced."""
 
     def refuse(message: str, cure: str = "") -> UsageError:
-        cure = cure or "Move it away, or name another file."
+        cure = cure or "Move it away, or use another file."
         return UsageError(Fault("E501", legible(str(path)), f"would be replaced, but {message}", cure))
 
     return refuse
@@ -291,12 +291,12 @@ def _chunks(stream: BinaryIO, refuse: Refuse) -> tuple[Any, Iterator[tuple[Any, 
         reader = pa.ipc.open_stream(stream)
         metadata = reader.schema.metadata or {}
         if b"blocks" not in metadata or any(field.type != pa.float64() for field in reader.schema):
-            raise ValueError("it is of another program")
+            raise ValueError("another program wrote it")
         parsed(metadata[b"blocks"], refuse)
     except UsageError:
         raise
     except (pa.ArrowException, ValueError, OSError) as error:
-        raise refuse(f"is not the part of a result file: {one_line(str(error)).rstrip(' .')}.") from None
+        raise refuse(f"is not a part of a result file: {one_line(str(error)).rstrip(' .')}.") from None
 
     def chunks() -> Iterator[tuple[Any, bytes | None, int]]:
         while True:
@@ -421,8 +421,8 @@ class Stored:
 
     def _opened(self) -> Any:
         """The file. Raises UsageError (E501) where another one stands in its place, or none."""
-        message = "is not there any more, or was written again: it holds these results no longer."
-        fault = Fault("E501", legible(str(self.path)), message, "Give each run a file of its own.")
+        message = "no longer holds these results: it was removed or overwritten."
+        fault = Fault("E501", legible(str(self.path)), message, "Use a separate file for each run.")
         if self._mark is not None and _mark(self.path) != self._mark:
             raise UsageError(fault)
         try:

@@ -113,7 +113,7 @@ def compare(
     """
     for name, value in (("tolerance", tolerance), ("absolute", absolute)):
         if not (math.isfinite(value) and value >= 0):
-            raise UsageError(Fault("E501", name, f"must be a number from 0 on, not {value}."))
+            raise UsageError(Fault("E501", name, f"must be a number of at least 0, not {value}."))
     a, b = (source if isinstance(source, Results) else Results.load(source) for source in (a, b))
     left, right = ({name: (column, unit) for name, column, unit in results.flat_columns()} for results in (a, b))
     common = [name for name in left if name in right]
@@ -152,7 +152,7 @@ def _span(a: Results, b: Results, common: list[str]) -> tuple[float, float]:
     start, stop = max(float(a.t[0]), float(b.t[0])), min(float(a.t[-1]), float(b.t[-1]))
     if start > stop:
         spans = [f"{results.t[0]:g} ... {results.t[-1]:g} s" for results in (a, b)]
-        message = f"A and B have no time in common: {spans[0]} and {spans[1]}."
+        message = f"A and B have no time in common: A covers {spans[0]}, and B covers {spans[1]}."
         raise UsageError(Fault("E505", "compare", message))
     return start, stop
 

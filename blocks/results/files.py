@@ -257,7 +257,8 @@ def _read_csv(path: Path, refuse: Refuse) -> Content:
         metadata |= {"version": int(ours[1])} if ours else {}
         header = [name.strip() for name in next(csv.reader([line]), [])]
         if not header or header[0] not in TIMES:
-            raise refuse("has no column 'time' in front.", "The first line below comments is: time,NAME,...")
+            cure = "Begin the first line after comments with: time,NAME,..."
+            raise refuse("does not begin with a column 'time'.", cure)
         many = _many_rows(path, skipped, len(header))
         if many is not None:
             return without_twins(header[1:], refuse), many, {}, metadata
@@ -329,7 +330,7 @@ def _read_mat(path: Path, refuse: Refuse) -> Content:
             block = block.reshape((len(t), size) if size else t.shape)
         if block.ndim not in (1, 2) or len(block) != len(t):
             shape = " x ".join(map(str, block.shape)) or "1"
-            raise refuse(f"the variable {legible(variable)!r} is {shape}, and there are {len(t)} times.")
+            raise refuse(f"the variable {legible(variable)!r} is {shape}, but there are {len(t)} times.")
         if block.ndim == 2:
             names += [f"{name}[{i}]" for i in range(block.shape[1])]
             sizes[name] = block.shape[1]

@@ -76,7 +76,7 @@ class _Elements:
     def integers(self, end: int) -> list[int]:
         kind, data = self.next(end)
         if kind not in INT32 or len(data) % 4:
-            raise self.damaged("there are no whole numbers where a matrix has its sizes")
+            raise self.damaged("the sizes of a matrix are not whole numbers")
         sizes = [int.from_bytes(data[k : k + 4], self.order, signed=True) for k in range(0, len(data), 4)]
         if min(sizes, default=0) < 0:
             raise self.damaged("a size is negative")
@@ -85,7 +85,7 @@ class _Elements:
     def name(self, end: int) -> bytes:
         kind, data = self.next(end)
         if kind not in (INT8, UTF8):
-            raise self.damaged("a name is no text")
+            raise self.damaged("a name is not a text")
         return bytes(data)
 
     def matrix(self, depth: int = 0) -> None:
@@ -93,27 +93,28 @@ class _Elements:
         kind, size = self.tag(len(self.data))
         end = self.at + size
         if kind != MATRIX or end > len(self.data):
-            raise self.damaged("there is no whole matrix where one must be")
+            raise self.damaged("a matrix is missing or incomplete")
         if depth and not size:
             return  # an empty cell or field
         if depth > DEEPEST:
-            raise self.refuse(f"holds more than {DEEPEST} cells and structs in each other.")
+            raise self.refuse(f"nests cells and structs more than {DEEPEST} deep.")
         kind, data = self.next(end)
         if kind != 6 or len(data) != 8:
             raise self.damaged("a matrix has no flags")
         flags = int.from_bytes(data[:4], self.order)
         if flags & 0xFF in OTHERS:
             what = OTHERS[flags & 0xFF]
-            raise self.refuse(f"holds {what}, which results never do.", "Save numbers, text, structs and cells alone.")
+            cure = "Save only numbers, text, structs and cells."
+            raise self.refuse(f"holds {what}, which results cannot contain.", cure)
         shape = self.integers(end)
         count = math.prod(shape)
         fits = count <= len(self.data) and max(shape, default=0) <= max(MOST_EMPTY, len(self.data))
         if not 2 <= len(shape) <= MOST_DIMENSIONS or not fits:
-            raise self.damaged("a matrix has dimensions that do not fit it")
+            raise self.damaged("a matrix has wrong dimensions")
         self.name(end)
         self.content(flags, count, end, depth)
         if self.at != end:
-            raise self.damaged("a matrix is not of the size that it says")
+            raise self.damaged("the size of a matrix does not match its header")
 
     def content(self, flags: int, count: int, end: int, depth: int) -> None:
         """What a matrix of `count` elements holds, by its class."""
@@ -122,17 +123,17 @@ class _Elements:
             for _ in range(2 if flags & COMPLEX else 1):
                 number, data = self.next(end)
                 if number not in WIDTHS:
-                    raise self.damaged(f"its numbers are of the unknown type {number}")
+                    raise self.damaged(f"its numbers have the unknown type {number}")
                 if WIDTHS[number] * count != len(data):
-                    raise self.damaged("a matrix does not hold as many numbers as it says")
+                    raise self.damaged("the number of elements of a matrix does not match its header")
         elif kind == CHAR:
             if self.next(end)[0] not in TEXTS:
-                raise self.damaged("a text is of no type of text")
+                raise self.damaged("a text has a type that is not for text")
         elif kind in (CELL, STRUCT):
             for _ in range(count * (self.fields(end) if kind == STRUCT else 1)):
                 self.matrix(depth + 1)
         else:
-            raise self.damaged(f"a matrix is of the unknown class {kind}")
+            raise self.damaged(f"a matrix has the unknown class {kind}")
 
     def fields(self, end: int) -> int:
         """How many fields a struct has."""
@@ -153,10 +154,10 @@ def check(data: bytes, refuse: Callable[..., Exception]) -> None:
     orders: dict[bytes, Order] = {b"IM": "little", b"MI": "big"}
     order = orders.get(data[126:HEADER])
     if order is None:
-        raise refuse("is no MAT file.")
+        raise refuse("is not a MAT file.")
     version = int.from_bytes(data[124:126], order) >> 8
     if version == 2:
-        raise refuse("is a MAT file of version 7.3.", "Save it with -v7 in MATLAB.")
+        raise refuse("is a MAT file of version 7.3, which blocks cannot read.", "Save it with -v7 in MATLAB.")
     if version != 1:
         raise refuse(f"is a MAT file of the unknown version {version}.")
     left = MOST_UNPACKED
@@ -181,5 +182,5 @@ def check(data: bytes, refuse: Callable[..., Exception]) -> None:
         inner = _Elements(memoryview(whole), order, refuse)
         inner.matrix()
         if not packed.eof or inner.at != len(whole):
-            raise file.damaged("a compressed matrix is not of the size that it says")
+            raise file.damaged("the size of a compressed matrix does not match its header")
         file.at += size

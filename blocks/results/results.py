@@ -213,7 +213,7 @@ class Results(Shown):
                     return Signal(self._block(first + index, 1)[:, 0], self.t, unit, name)
             bus, element = named_element(name)
             if element and bus in self.columns:
-                raise UnknownName(f"{bus} is recorded by numbers. Take {bus}[0], or name {name!r} in the log.")
+                raise UnknownName(f"{bus} is recorded by number. Use {bus}[0], or add {name!r} to the log.")
             cure = f"{did_you_mean(name, self.columns)} Recorded: {', '.join(self.columns)}."
             raise UnknownName(f"there is no recorded signal {name!r}. {cure.strip()}")
         first, shape, unit = self.columns[name]
@@ -356,8 +356,8 @@ class Results(Shown):
 
         if beside:
             if (label or self.diagram) in beside:
-                message = f"two results are called {quoted(label or self.diagram)}."
-                raise UsageError(Fault("E501", "plot", message, 'Give this one a label="...".'))
+                message = f"two results have the label {quoted(label or self.diagram)}."
+                raise UsageError(Fault("E501", "plot", message, 'Set label="..." for one of them.'))
             return self._overlaid({label or self.diagram: self, **beside}, names, most)
         columns = self._elements()
         picked: list[str] = []
@@ -370,8 +370,9 @@ class Results(Shown):
         if not names:
             picked = list(columns)[:most]
         if len(picked) > most:
-            cure = f"Ask for them: plot(..., most={len(picked)})."
-            raise UsageError(Fault("E501", "plot", f"{len(picked)} signals are more than {most} in one figure.", cure))
+            cure = f"To draw them all, use plot(..., most={len(picked)})."
+            message = f"{len(picked)} signals are too many for one figure; the limit is {most}."
+            raise UsageError(Fault("E501", "plot", message, cure))
         if not picked or not self.rows:
             raise UsageError(Fault("E501", "plot", "there is nothing to plot: no signal was recorded."))
         groups: dict[str, list[plots.Line]] = {}
@@ -396,11 +397,11 @@ class Results(Shown):
         names = names or [name for name in known[first] if all(name in each for each in known.values())][:most]
         what = ""
         if len(runs) > len(plots.STYLES):
-            what = f"{len(runs)} results are more than the {len(plots.STYLES)} that a figure can tell apart."
+            what = f"{len(runs)} results are too many for one figure; it has {len(plots.STYLES)} line styles."
         elif len(names) > most:
-            what = f"{len(names)} signals are more than {most} in one figure."
+            what = f"{len(names)} signals are too many for one figure; the limit is {most}."
         elif not names or not all(each.rows for each in runs.values()):
-            what = "there is nothing to plot: no signal was recorded in all of them."
+            what = "there is nothing to plot: no signal was recorded in all results."
         if what:
             raise UsageError(Fault("E501", "plot", what))
         parts = []
@@ -413,7 +414,7 @@ class Results(Shown):
                 column, own = known[label][name]
                 unit = unit or own
                 if own and not units.same_quantity(own, unit):
-                    message = f"is in {unit} in {first} and in {own} in {label}, which are different quantities."
+                    message = f"has the unit {unit} in {first} and {own} in {label}: they are different quantities."
                     raise UsageError(Fault("E505", name, message))
                 values = each._block(column, 1)[:, 0]
                 factor, offset = units.affine(own, unit)

@@ -58,7 +58,8 @@ def optional(name: str, place: str, extra: str = "tables") -> Any:
         return importlib.import_module(name)
     except ImportError:
         cure = f'Install it: pip install {name}; or in a clone of blocks: pip install -e ".[{extra}]".'
-        raise UsageError(Fault("E504", place, f"the package {name} is needed and not installed.", cure)) from None
+        message = f"this needs the package {name}, which is not installed."
+        raise UsageError(Fault("E504", place, message, cure)) from None
 
 
 def versioned(described: Mapping[str, Any]) -> dict[str, Any]:
@@ -85,7 +86,8 @@ def sizes_of(metadata: Mapping[str, Any], refuse: Refuse) -> tuple[dict[str, str
     units, sizes = metadata.get("units", {}), metadata.get("sizes", {})
     for key, table, kind in (("units", units, str), ("sizes", sizes, int)):
         if not isinstance(table, Mapping) or not all(type(value) is kind for value in table.values()):
-            raise refuse(f"its {key} are not what blocks writes.", f"Mend or remove the entry {key}.")
+            message = f"its entry {key} does not have the form that blocks writes."
+            raise refuse(message, f"Correct or remove the entry {key}.")
     return dict(units), dict(sizes)
 
 
@@ -113,7 +115,7 @@ def without_twins(names: list[str], refuse: Refuse) -> list[str]:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise refuse(f"has two columns of the name {legible(name)!r}.")
+            raise refuse(f"has two columns with the name {legible(name)!r}.")
         seen.add(name)
     return names
 
@@ -124,7 +126,7 @@ def parsed(text: str | bytes, refuse: Refuse) -> dict[str, Any]:
     except ValueError:
         metadata = None
     if not isinstance(metadata, dict):
-        raise refuse("its metadata are not what blocks writes.")
+        raise refuse("its metadata do not have the form that blocks writes.")
     return metadata
 
 

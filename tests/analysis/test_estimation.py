@@ -357,7 +357,7 @@ def test_an_amplitude_is_in_the_unit_of_the_input_and_a_response_in_si():
         assert response.amplitude[0] == pytest.approx(math.pi / 2.0)
         assert apart(response, 0.5) < EXACT
     assert response.units == ("rad",)
-    with pytest.raises(UsageError, match=r"E501 SineStream: \[V\] is given where \[deg\] is needed"):
+    with pytest.raises(UsageError, match=r"E501 SineStream: \[V\] is given, but \[deg\] is needed"):
         estimate_response(diagram, "angle", "half.y", SineStream([1.0], {"value": 1.0, "unit": "V"}))
 
 

@@ -44,9 +44,9 @@ add("a", 3.0)
 add("a", Gain(k="fast"))
     ModelError: E107 a.k: must be a number, not the text 'fast'. An expression begins with =, as in "=2*gain".
 add("a", Gain(k="2,5 mV"))
-    ModelError: E107 a.k: must be a number, not the text '2,5 mV'. Decimals stand after a point: 2.5 mV.
+    ModelError: E107 a.k: must be a number, not the text '2,5 mV'. Write decimals after a point: 2.5 mV.
 add("a", PMDCMotor(La="2 mV"))
-    ModelError: E104 a.La: [mV] is given where [H] is needed: they are different quantities. A number without a unit is
+    ModelError: E104 a.La: [mV] is given, but [H] is needed: they are different quantities. A number without a unit is
     meant in H.
 add("a", Gain(k=True))
     ModelError: E107 a.k: must be a number, not True.

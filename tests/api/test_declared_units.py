@@ -48,7 +48,7 @@ def test_an_amplitude_is_in_the_unit_of_its_signal(amplitude: Any, name: str) ->
 
 
 def test_an_amplitude_of_another_quantity_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"E501 amplitude of u: \[V\] is given where \[rpm\] is needed"):
+    with pytest.raises(UsageError, match=r"E501 amplitude of u: \[V\] is given, but \[rpm\] is needed"):
         saturated().linearizer(amplitude={"u": "2 V"})
 
 
@@ -235,7 +235,7 @@ def test_a_default_of_elements_may_have_a_unit() -> None:
 @pytest.mark.parametrize(
     ("entry", "said"),
     [
-        ({"unit": "rad/s", "default": {"value": 30, "unit": "V"}}, r"E104 u: \[V\] is given where \[rad/s\] is needed"),
+        ({"unit": "rad/s", "default": {"value": 30, "unit": "V"}}, r"E104 u: \[V\] is given, but \[rad/s\] is needed"),
         ({"unit": "rad/s", "default": {"value": 30, "unit": "rmp"}}, "E114 u: the unit 'rmp' cannot be read"),
         ({"unit": "rad/s", "default": "30 rpm"}, r'"30 rpm"\. Write \{"value": 30, "unit": "rpm"\}\.'),
         ({"type": "bool", "default": {"value": True}}, "E004 inputs.u.default: must be true or false"),

@@ -465,11 +465,11 @@ def test_a_library_that_is_none_is_refused(tmp_path: Path, monkeypatch: pytest.M
     (tmp_path / "broken_library.py").write_text("1 / 0\n")
     for library, part in (
         ("no_such_library", "cannot be imported: ModuleNotFoundError"),
-        (["empty_library"], "holds no block class"),
+        (["empty_library"], "contains no block class"),
         ("broken_library", "cannot be imported: ZeroDivisionError"),
         ("my/library.py", "Use library."),
-        ([5], "holds no block class"),
-        (int, "holds no block class"),
+        ([5], "contains no block class"),
+        (int, "contains no block class"),
     ):
         text = message(UsageError, lambda library=library: Diagram("d", library=library))
         assert text.startswith("E501")
@@ -527,13 +527,13 @@ def test_inputs_and_tunable_parameters_are_set_in_a_run() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "part"),
     [
-        ("gain.k", 3, "E117 gain.k: is bound"),
+        ("gain.k", 3, "E117 gain.k: is computed from other parameters"),
         ("gain.unit", "A", "gain.unit is structural"),
         ("mux.size", 3, "E101 mux.u3"),
         ("hold.period", 1, "E117 hold.period: cannot change during a run: hold.period is fixed."),
         ("hold.y_start", 1, "hold.y starts at it"),
         ("x.y_start", 1, "x.y_start is a start value"),
-        ("lag.num", [0, 1], "the zeros in the parameters of lag are its structure"),
+        ("lag.num", [0, 1], "the zeros in the parameters of lag define its structure"),
         ("lag.num", [1], "E117 lag.num"),
         ("r", "x", "E502 r"),
         ("r", None, "E502 r"),

@@ -121,8 +121,8 @@ def test_a_text_stays_a_text_where_the_parameter_is_one() -> None:
     ("given", "told"),
     [
         ("2 mX", "E114 motor.La: the unit 'mX' cannot be read at character 1: 'mX' is not known."),
-        ("2 V", "E104 motor.La: [V] is given where [H] is needed: they are different quantities."),
-        ("2,5 mH", "E107 motor.La: must be a number, not the text '2,5 mH'. Decimals stand after a point: 2.5 mH."),
+        ("2 V", "E104 motor.La: [V] is given, but [H] is needed: they are different quantities."),
+        ("2,5 mH", "E107 motor.La: must be a number, not the text '2,5 mH'. Write decimals after a point: 2.5 mH."),
         ("big", "E107 motor.La: must be a number, not the text 'big'."),
         ("=nothing", "E108 motor.La:"),
     ],
@@ -171,5 +171,5 @@ def test_a_pattern_reaches_into_subdiagrams_name_by_name() -> None:
 def test_a_pattern_that_names_nothing_is_refused_with_the_signals() -> None:
     with pytest.raises(ModelError) as caught:
         motor(0.001).run(log=["motor.*", "pump*.w"])
-    told = 'E105 run.log: no signal and no block is called "pump*.w". Signals: extra, source.y, motor.omega, motor.i, '
+    told = 'E105 run.log: no signal or block matches "pump*.w". Signals: extra, source.y, motor.omega, motor.i, '
     assert str(caught.value).startswith(told)

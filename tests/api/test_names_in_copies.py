@@ -181,7 +181,7 @@ def test_the_value_of_the_diagram_is_told() -> None:
         ({"robots[01].lag.T": 1}, "E106", "no such parameter"),
         ({"wave[*].after": 1}, "E106", "no such parameter"),
         ({"robots[*].lug.T": 1}, "E106", "no such parameter"),
-        ({"*.own.T": 1}, "E117", "is bound"),
+        ({"*.own.T": 1}, "E117", "is computed from other"),
         ({"*.lag.T": 1, "robots.l*.T": 2}, "E501", "by \\*.lag.T and by robots.l\\*.T"),
     ],
 )  # fmt: skip

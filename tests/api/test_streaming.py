@@ -73,8 +73,10 @@ def rows_of(results: Results) -> bytes:
     long_but(
         itertools.product(SETTINGS, ("native", "reference")),
         # radau runs in Python by both engines, as the reference engine does all.
-        lambda settings, engine: settings.get("method") != "radau"
-        and (engine == "native" or settings.get("every") is None or "jumps" in settings),
+        lambda settings, engine: (
+            settings.get("method") != "radau"
+            and (engine == "native" or settings.get("every") is None or "jumps" in settings)
+        ),
     ),
     ids=str,
 )
@@ -136,14 +138,14 @@ def test_a_part_that_was_cut_anywhere_gives_its_whole_chunks_and_the_same_file(t
         for bad in (data[:end], data[:end] + bytes(64), data[:end] + bytes([data[end] ^ 255]) + data[end + 1 :]):
             part.write_bytes(bad)
             if end < begin:
-                with pytest.raises(UsageError, match=r"E503 .*is not the part of a result file"):
+                with pytest.raises(UsageError, match=r"E503 .*is not a part of a result file"):
                     Results.load(part)
                 continue
             left = Results.load(part)
             assert rows_of(left) == rows_of(whole)[: len(rows_of(left))]
             size = max(size, len(left.t))
             if not len(left.t):
-                with pytest.raises(UsageError, match=r"E506 .*holds no whole chunk of rows"):
+                with pytest.raises(UsageError, match=r"E506 .*does not hold a complete chunk of rows"):
                     d.run(resume=part)
     assert size > 0
     d.run(resume=part)  # the last one
@@ -162,7 +164,7 @@ def noisy() -> Diagram:
 CHANGES: dict[str, tuple[dict[str, Any], str]] = {
     "stop": ({"stop": 3.0}, r"differs in its stop \(2\.0, and now 3\.0\)"),
     "every": ({"every": 0.01}, "differs in its every"),
-    "signals": ({"log": ["sine.y"]}, "E506 recorded signals: .*other signals are recorded"),
+    "signals": ({"log": ["sine.y"]}, "E506 recorded signals: .*other recorded signals"),
     "seed": ({"seed": 4}, "E506 .*seed"),
     "engine": ({"engine": "reference"}, "differs in its engine"),
     "parameters": ({"parameters": {"sine.omega": 2.0}}, "stores the parameters of its run"),
@@ -207,7 +209,7 @@ def test_a_master_streams_and_does_not_resume(engine: str, tmp_path: Path) -> No
     if engine == "reference":  # a moment of the native one may be the whole run
         part = killed(d, out, engine=engine, master=MASTER)
         assert len(Results.load(part).t) > 50
-        with pytest.raises(UsageError, match=r"E506 .*cannot be resumed: FMUs of Co-Simulation and coupled blocks"):
+        with pytest.raises(UsageError, match=r"E506 .*cannot be resumed: FMUs for Co-Simulation and coupled blocks"):
             d.run(engine=engine, resume=part)
 
 
@@ -215,9 +217,9 @@ def test_a_master_streams_and_does_not_resume(engine: str, tmp_path: Path) -> No
 def test_what_is_no_part_is_refused(data: bytes, tmp_path: Path) -> None:
     path = tmp_path / "x.parquet.part"
     path.write_bytes(data)
-    with pytest.raises(UsageError, match=r"E503 .*is not the part of a result file"):
+    with pytest.raises(UsageError, match=r"E503 .*is not a part of a result file"):
         Results.load(path)
-    with pytest.raises(UsageError, match=r"E506 .*is not the part of a result file"):
+    with pytest.raises(UsageError, match=r"E506 .*is not a part of a result file"):
         noisy().run(resume=path)
     with pytest.raises(UsageError, match="E506"):
         noisy().run(resume=tmp_path / "gone.parquet.part")

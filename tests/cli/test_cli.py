@@ -122,7 +122,7 @@ def test_values_with_units_on_the_command_line(text: str) -> None:
     [
         (["--set", "motor.Rx=1"], "E106", "motor.Ra"),
         (["--set", "motor.Ra"], "E501", "NAME=VALUE"),
-        (["--set", "control.kp=1"], "E117", "Set what it is computed from"),
+        (["--set", "control.kp=1"], "E117", "Set the parameters that it is computed from"),
         (["--set", "motor.Ra=2 V"], "E104", "different quantities"),
         (["--set", "motor.Ra=much"], "E107", "number"),
         (["--set", "motor.Ra=1 furlong"], "E114", "furlong"),
@@ -515,7 +515,9 @@ def test_a_missing_package_is_told_before_the_run(
     assert main(["run", MOTOR, "--out", str(target)]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert captured.err.startswith(f"E504 {target}: the package pyarrow is needed and not installed. Install it: pip")
+    assert captured.err.startswith(
+        f"E504 {target}: this needs the package pyarrow, which is not installed. Install it: pip"
+    )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -641,7 +643,7 @@ def test_another_tolerance_of_the_run_is_told_and_its_differences_are_small(
             '# blocks results 1\n# units: {"m.w": "V"}\ntime,m.w\n0,0\n', [],
             "E505 m.w: is in rad/s in A and in V in B, which are different quantities.",
         ),
-        ("time,m.w\n0,0\n", ["--tolerance", "-1"], "E501 tolerance: must be a number from 0 on, not -1.0."),
+        ("time,m.w\n0,0\n", ["--tolerance", "-1"], "E501 tolerance: must be a number of at least 0, not -1.0."),
         ("time,m.w\n0,0\n", ["--tolerance", "few"], "E501 --tolerance: 'few' is not a number."),
         ("time,m.w\n0,0\n", ["--absolute", "1 mV"], "E501 --absolute: '1 mV' must be a number without a unit."),
     ],
@@ -940,7 +942,7 @@ def test_a_wrong_setting_hides_no_loop_and_a_misspelt_key_is_told_once(
     assert main(["check", path]) == 2
     told_text = capsys.readouterr().out
     assert [line.split()[0] for line in told_text.splitlines() if line.startswith("  E")] == ["E115", "E102"]
-    assert 'What comes nearest is "dopri5".' in told_text
+    assert 'The nearest method is "dopri5".' in told_text
 
 
 def path_without(path: str, section: str) -> str:
@@ -1142,8 +1144,8 @@ def test_units_that_are_the_parameter_s_or_the_case_s_fault_are_told_so(
     assert main(["check", path]) == 2
     told = capsys.readouterr().out
     assert "Did you mean [s]?" in told
-    assert "Mend the unit of k where it stands" in told
-    assert 'Check the wire and the "unit" of e, or put a Gain' in told
+    assert "Correct the unit of k" in told
+    assert 'Check the wire and the "unit" of e, or insert a Gain' in told
 
 
 def test_no_command_at_all_prints_the_help(capsys: pytest.CaptureFixture[str]) -> None:

@@ -150,7 +150,7 @@ def test_a_cache_that_is_not_trusted_is_told(capsys: pytest.CaptureFixture[str],
     folder.chmod(0o777)
     status, (entry,) = told(capsys)
     assert status == 0
-    assert "can be written to by other users" in entry["cache"]["temporary"]
+    assert "other users can write to" in entry["cache"]["temporary"]
     assert entry["cache"]["folder"] != str(folder)
     assert main(["doctor"]) == 0
     assert f"for this process only: {folder} can be written to" in capsys.readouterr().out

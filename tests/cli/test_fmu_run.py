@@ -109,10 +109,10 @@ def test_an_input_that_is_a_text_is_set_at_the_start(capsys: Printed, tmp_path: 
 @pytest.mark.parametrize(
     ("experiment", "said"),
     [
-        ('startTime="5" stopTime="1"', "stopTime 1 does not lie after startTime 5, and is ignored."),
+        ('startTime="5" stopTime="1"', "stopTime 1 is not after startTime 5, and is ignored."),
         ('stopTime="1" stepSize="-0.1"', "stepSize -0.1 is not above 0, and is ignored."),
         ('stopTime="1" tolerance="0"', "tolerance 0 is not above 0, and is ignored."),
-        ('stopTime="soon"', "stopTime is no number, and is ignored."),
+        ('stopTime="soon"', "stopTime is not a number, and is ignored."),
     ],
 )
 def test_a_default_experiment_that_cannot_be_meant_is_named_and_left_out(
@@ -130,7 +130,7 @@ def test_steps_are_told_in_all_their_digits(capsys: Printed, tmp_path: Path) -> 
         (' canHandleVariableCommunicationStepSize="true"', ""),
     )  # fmt: skip
     _, err = ran(capsys)
-    assert "takes steps of 0.1000000001 s only, and the stop at 1 s is no multiple of them" in err
+    assert "takes steps of 0.1000000001 s only, and the stop at 1 s is not a multiple of them" in err
 
 
 @pytest.mark.parametrize("engine", ["native", "reference"])
@@ -143,15 +143,15 @@ def test_event_mode_that_an_fmu_declares_and_refuses_is_named(capsys: Printed, t
         ("  </ModelVariables>", f"  {event}{when}</ModelVariables>"), flags=("-DREFUSES_EVENT_MODE",),
     )  # fmt: skip
     _, err = ran(capsys, "--stop", "3", "--set", f"fault={EVENT}", "--engine", engine, status=4)
-    assert "E213 plant: fmi3EnterEventMode of plant.fmu gave an error" in err
-    assert "take hasEventMode out of its modelDescription.xml" in err
+    assert "E213 plant: fmi3EnterEventMode of plant.fmu returned an error" in err
+    assert "remove hasEventMode from its modelDescription.xml" in err
 
 
 @pytest.mark.parametrize("engine", ["native", "reference"])
 def test_a_pending_step_of_which_the_fmu_does_not_tell_is_named(tmp_path: Path, engine: str) -> None:
     path = make(tmp_path, fmi=2, name="plant", defines=("REFUSES_STATUS",))
     diagram = Diagram.alone(fmu(path, fault=FAULTS.index("pending forever"), t_fault=0.2))
-    said = r"E213 plant: fmi2GetStatus \(about a step that is pending\) of plant\.fmu gave"
+    said = r"E213 plant: fmi2GetStatus \(about a step that is pending\) of plant\.fmu returned"
     with pytest.raises(FMUError, match=said):
         diagram.run(stop=1, engine=engine)
 

@@ -44,7 +44,7 @@ SLOWEST = 2.0 * slowness()  # s of the processor
 # What says by itself what is to be done, or that something else is needed.
 PLAIN = re.compile(
     r"must |needed|is not |is no |are no |cannot |does not |not known|already|at most|only |twice|the most|there is no "
-    r"|is bound|makes |has no |has two |overflow|deep|exactly one|lies |neither|missing|too |expected |more than "
+    r"|is computed|makes |has no |has two |overflow|deep|exactly one|lies |neither|missing|too |expected |more than "
     r"|line |are not |out of the range|needs |ends before|is {|not both|is empty"
 )
 

@@ -35,14 +35,14 @@ def test_results_are_drawn_over_each_other_in_the_units_of_the_first() -> None:
 
 def test_results_that_cannot_be_drawn_over_each_other_are_refused() -> None:
     first = made("rad/s")
-    with pytest.raises(UsageError, match=r"E505 motor.omega: is in rad/s in run and in V in b, which are different"):
+    with pytest.raises(UsageError, match=r"E505 motor.omega: has the unit rad/s in run and V in b: they are different"):
         first.plot("motor.omega", beside={"b": made("V")})
-    with pytest.raises(UsageError, match='E501 b: there is no signal'):
+    with pytest.raises(UsageError, match="E501 b: there is no signal"):
         first.plot("motor.omega", beside={"b": made("Pa", name="pump.p")})
     assert [axis.get_ylabel() for axis in first.plot(beside={"b": made("Pa", name="pump.p")}).axes] == ["motor.i [A]"]
-    with pytest.raises(UsageError, match='E501 plot: two results are called "run"'):
+    with pytest.raises(UsageError, match='E501 plot: two results have the label "run"'):
         first.plot(beside={"run": first})
-    with pytest.raises(UsageError, match="E501 plot: 7 results are more than the 6"):
+    with pytest.raises(UsageError, match="E501 plot: 7 results are too many for one figure; it has 6"):
         first.plot(beside={f"b{k}": first for k in range(6)})
 
 

@@ -575,7 +575,7 @@ def test_what_only_constants_make_is_constant() -> None:
     )
     assert_sound(b)
     assert {setting.variability for setting in b.settings} == {"constant"}
-    assert b["g.k"].why == "nothing that it is computed from can be set"
+    assert b["g.k"].why == "its value is computed from parameters that cannot be set"
     assert b["two"].elements == ((TapeNode("constant", (), 2.0),),)
 
 

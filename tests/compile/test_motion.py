@@ -154,7 +154,7 @@ def test_a_grid_with_less_than_two_rows_for_a_turn_is_told(engine: str) -> None:
     d = wired(("sine", Sine(omega=300.0)), ("lag", FirstOrder()))
     (fault,) = d.run(stop=1.0, every=0.05, engine=engine).warnings
     assert (fault.code, fault.place) == ("W304", "sine")
-    assert "from row to row from t = 0 s on: rows do not show it" in fault.message
+    assert "between rows from t = 0 s on: the recorded rows do not show this" in fault.message
     assert d.run(stop=1.0, every=0.01, engine=engine).warnings == ()
     assert d.run(stop=1.0, every=0.05, log=["lag.y"], engine=engine).warnings == ()
     assert d.run(stop=1.0, every=1.0, engine=engine).warnings == ()  # the ends alone are asked for
@@ -162,7 +162,7 @@ def test_a_grid_with_less_than_two_rows_for_a_turn_is_told(engine: str) -> None:
 
 def test_what_was_not_seen_stands_below_the_table_of_results() -> None:
     d = wired(("sine", Sine(omega=300.0)), ("lag", FirstOrder()))
-    assert repr(d.run(stop=1.0, every=0.05, engine="reference")).splitlines()[-1].startswith("W304 sine: turns more")
+    assert repr(d.run(stop=1.0, every=0.05, engine="reference")).splitlines()[-1].startswith("W304 sine: turns by more")
 
 
 def test_hundreds_of_turns_in_a_step_are_measured_behind_their_delay() -> None:
@@ -193,7 +193,7 @@ def test_crossings_that_are_too_many_for_a_step_are_told() -> None:
     d = wired(("sine", Sine(omega=6e11, bias=3.0)), ("counter", Counter()))
     results = d.run(stop=1.0, every=1.0, log=["counter.y"], engine="native")
     assert [(fault.code, fault.place) for fault in results.warnings] == [("W304", "sine")]
-    assert "crossings of it may be missed" in results.warnings[0].message
+    assert "its crossings may be missed" in results.warnings[0].message
 
 
 @pytest.mark.parametrize("engine", ["reference", "native"])

@@ -376,14 +376,20 @@ REFUSED = {
     "a final class beside an abstract one": ("class Bad(Follower, Linear): pass", "E406 Bad: Linear is a concrete"),
     "Block beside an abstract class": ("class Bad(Follower, Block): pass", "E406 Bad: derives from Follower and Block"),
     "a plain class beside an abstract one": ("class Bad(Follower, dict): pass", "E406 Bad: derives from Follower and"),
-    "a base twice": ("class Bad(Follower, Follower): pass", "E406 Bad: its bases have no order: duplicate base class"),
+    "a base twice": (
+        "class Bad(Follower, Follower): pass",
+        "E406 Bad: its bases cannot be ordered: duplicate base class",
+    ),
     "bases without an order": (
         "class Low(Follower, abstract=True): pass\nclass Bad(Follower, Low): pass",
-        "E406 Bad: its bases have no order: Cannot create a consistent",
+        "E406 Bad: its bases cannot be ordered: Cannot create a consistent",
     ),
     "what is left open": (
         "class Bad(Follower): pass",
-        "E403 Bad.law: is a local that Follower leaves open. Write @Follower.law above a function of this name.",
+        (
+            "E403 Bad.law: is a local that Follower declares without a "
+            "function. Write @Follower.law above a function of this name."
+        ),
     ),
     "a state without derivative": (
         "class A(Block, abstract=True):\n    x = State()\nclass Bad(A): pass",
@@ -407,7 +413,7 @@ REFUSED = {
     ),
     "a law with a unit of its own": (
         'class Bad(Follower):\n    @Follower.law(unit="V")\n    def law(e): return e',
-        "E405 law: takes a function and nothing else, not unit. Unit, shape and clock are those that the abstract",
+        "E405 law: takes a function and nothing else, not unit. The abstract class sets unit, shape and clock",
     ),
     "a law of another family": (
         "class Bad(Block):\n    @Follower.law\n    def law(): return 1.0",
@@ -416,7 +422,7 @@ REFUSED = {
     "a law of another family with a law": (
         "class A(Block, abstract=True):\n    law = local()\n"
         "class Bad(A):\n    @Follower.law\n    def law(): return 1.0",
-        "E402 Bad.law: gives <a local 'law', left open>, which is not that of A.",
+        "E402 Bad.law: fills <a local 'law', left open>, which is not the variable of A.",
     ),
     "a second derivative under another name": (
         "class Bad(Follower):\n    @Follower.law\n    def law(e): return e\n"
@@ -447,17 +453,17 @@ REFUSED = {
     ),
     "a name of two families": (
         "class A(Block, abstract=True):\n    k = Parameter(1.0)\nclass Bad(Follower, A): pass",
-        "E401 Bad.k: the name stands in Follower and A, which know nothing of each other. Declare it in the class, or "
+        "E401 Bad.k: Follower and A declare this name, and none derives from another. Declare it in the class, or "
         "choose one: k = Follower.k.",
     ),
     "a name that nobody declares": (
         "class A(Block, abstract=True):\n    u = Input()\n    @output\n    def y(u, kk): return u * kk\n"
         "class Bad(A):\n    k = Parameter(1.0)",
-        "E402 Bad.y: reads 'kk', which is no name of this class.",
+        "E402 Bad.y: reads 'kk', which is not a name of this class.",
     ),
     "something open in a class that is not abstract": (
         "class Bad(Block):\n    law = local(unit='V')",
-        "E401 Bad.law: a class body lists variables and equations, not a local without its function.",
+        "E401 Bad.law: a class body may only have variables and equations, not a local without its function.",
     ),
     "a unit that does not exist, of what is open": (
         "class Bad(Block, abstract=True):\n    law = local(unit='metre')",
@@ -469,7 +475,7 @@ REFUSED = {
     ),
     "a method in an abstract class": (
         "class Bad(Block, abstract=True):\n    def run(self): pass",
-        "E401 Bad.run: a class body lists variables and equations, not a function without a role.",
+        "E401 Bad.run: a class body may only have variables and equations, not a function without a role.",
     ),
     "a circle of laws": (
         "class Bad(Follower):\n    @Follower.law\n    def law(g): return g\n    @local\n    def g(law): return law",
@@ -490,7 +496,7 @@ def test_no_block_is_made_of_an_abstract_class() -> None:
     with pytest.raises(DeclarationError) as caught:
         Follower()
     assert str(caught.value) == (
-        "E409 Follower: is abstract: it holds what blocks share, and is no block itself. "
+        "E409 Follower: is abstract, so it cannot be used as a block. "
         "Derive a block from it, as in class Own(Follower)."
     )
     with pytest.raises(UsageError, match="E501 one: Follower is a class"):

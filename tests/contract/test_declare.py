@@ -84,35 +84,35 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     "name": ("name = Parameter(1.0)", "E401", "Bad.name", "reserved"),
     "time": ("time = Parameter(1.0)", "E401", "Bad.time", "reserved"),
     "declaration": ("declaration = Parameter(1.0)", "E401", "Bad.declaration", "reserved"),
-    "a private name": ("_k = Parameter(1.0)", "E401", "Bad._k", "plain letters"),
-    "a name that is not ascii": ("ω = Parameter(1.0)", "E401", "Bad.ω", "plain letters"),
+    "a private name": ("_k = Parameter(1.0)", "E401", "Bad._k", "a name must begin with a letter"),
+    "a name that is not ascii": ("ω = Parameter(1.0)", "E401", "Bad.ω", "a name must begin with a letter"),
     "an undecorated function": (
         u + "def y(u): return u",
         "E401", "Bad.y", "not a function without a role. Decorate it (@output, @local, @x.derivative, ...)",
     ),
-    "a constant": ("g = 9.81", "E401", "Bad.g", "lists variables and equations, not float 9.81"),
+    "a constant": ("g = 9.81", "E401", "Bad.g", "may only have variables and equations, not float 9.81"),
     "a loop": ("for i in range(3): pass", "E401", "Bad.i", "not int 0"),
     "an import": ("import math", "E401", "Bad.math", "not module"),
-    "a class": ("class Inner: pass", "E401", "Bad.Inner", "lists variables and equations, not type"),
+    "a class": ("class Inner: pass", "E401", "Bad.Inner", "may only have variables and equations, not type"),
     "a property": ("@property\ndef y(self): return 1", "E401", "Bad.y", "not property"),
-    "a method of Python": ("def __init__(self): pass", "E401", "Bad.__init__", "no methods of its own"),
-    "slots": ("__slots__ = ('a',)", "E401", "Bad.__slots__", "no methods of its own"),
+    "a method of Python": ("def __init__(self): pass", "E401", "Bad.__init__", "have methods of its own"),
+    "slots": ("__slots__ = ('a',)", "E401", "Bad.__slots__", "have methods of its own"),
     "another name for a variable": (
         "a = Parameter(1.0)\nb = a",
-        "E401", "Bad.b", "is another name for 'a'. Declare it once.",
+        "E401", "Bad.b", "is a second name for 'a'. Declare the variable once.",
     ),
     "a start parameter that is taken": (
         "x_start = Parameter(1.0)\n" + x,
-        "E401", "Bad.x_start", "is the start value of 'x' by its name. Rename it.",
+        "E401", "Bad.x_start", "is reserved for the start value of 'x'. Rename it.",
     ),
     "a size that is also a name": (
         "n = Parameter(1.0)\na = Parameter([1.0], shape='n')",
-        "E401", "Bad.a", "the size 'n' is also another name",
+        "E401", "Bad.a", "the size 'n' has a name that is in use",
     ),
     # what equations read
     "an unknown name": (
         "speed = Input()\n@output\ndef y(sped): return sped",
-        "E402", "Bad.y", "reads 'sped', which is no name of this class. Did you mean 'speed'?",
+        "E402", "Bad.y", "reads 'sped', which is not a name of this class. Did you mean 'speed'?",
     ),
     "an unknown name far from all": (
         u + "@output\ndef y(qqq): return qqq",
@@ -121,7 +121,7 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     "self": (u + "@output\ndef y(self, u): return u", "E402", "Bad.y", "reads 'self'"),
     "tick in an unsampled equation": (
         "@output\ndef y(tick): return tick",
-        "E402", "Bad.y", "reads 'tick', which only sampled equations have. Add every=, or read t.",
+        "E402", "Bad.y", "reads 'tick', which only sampled equations can read. Add every=, or read t.",
     ),
     "tick in a derivative that is also sampled": (
         "a = State()\nb = Discrete()\n@a.derivative\n@b.next(every=0.1)\ndef f(tick): return tick",
@@ -150,7 +150,7 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     ),
     "an equation of wiring": (
         u + "@wiring\ndef a(u): return u\n@output\ndef y(a): return a",
-        "E402", "Bad.y", "reads 'a', which is only wiring",
+        "E402", "Bad.y", "reads 'a', which is a wiring",
     ),
     "a default of an unknown parameter": (
         "gain = Parameter(1.0)\nb = Parameter(lambda gian: gian)",
@@ -265,7 +265,7 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     # arguments
     "a default of an argument": (
         u + "@output\ndef y(u, k=2.0): return k * u",
-        "E405", "y", "argument 'k=2.0' is not a plain name: the arguments of an equation are what it reads.",
+        "E405", "y", "argument 'k=2.0' is not a plain name: the arguments of an equation name its variables.",
     ),
     "any arguments": (u + "@output\ndef y(*signals): return 0.0", "E405", "y", "'*signals' is not a plain name"),
     "any keywords": (u + "@output\ndef y(**signals): return 0.0", "E405", "y", "'**signals'"),
@@ -273,10 +273,13 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     "an output of a number": ("y = output(3.0)", "E405", "equation", "3.0 is not a function"),
     "a function without names": ("y = output(max)", "E405", "max", "cannot be read. Wrap it in a def or a lambda."),
     "a default that is nan": (
-        "k = Parameter(float('nan'))", "E405", "Bad.k", "the default is nan, which is no finite number. Leave it out",
+        "k = Parameter(float('nan'))", "E405", "Bad.k", (
+            "the default is nan, which is not "
+            "a finite number. Leave it out"
+        ),
     ),
     "a default with an infinite element": (
-        "k = Parameter([1.0, -float('inf')], shape=2)", "E405", "Bad.k", "the default is -inf, which is no finite",
+        "k = Parameter([1.0, -float('inf')], shape=2)", "E405", "Bad.k", "the default is -inf, which is not a finite",
     ),
     "an input that is nan": ("v = Input(float('nan'))", "E405", "Bad.v", "the default is nan"),
     "a start that is nan": ("x = Discrete(float('nan'))", "E405", "Bad.x", "the start is nan"),
@@ -314,7 +317,7 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     "a nominal without end": ("x = State(nominal=1e999)", "E405", "", "nominal=inf must be above 0 and finite"),
     "a nominal that is a list": (
         "x = State(shape=2, nominal=[1.0, 2.0])",
-        "E405", "", "neither a number nor a function of parameters. A function of parameters may give one for each",
+        "E405", "", "neither a number nor a function of parameters. A function of parameters may return one for each",
     ),
     "a nominal of an input": (
         u + "x = State(nominal=lambda u: u)\n@x.derivative\ndef dx(u): return u",
@@ -336,20 +339,20 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
         "E405", "Bad.y", "not a number in every instance",
     ),
     "an offset without a period": ("y = output(lambda: 0.0, offset=1)", "E405", "", "Add every=."),
-    "a start without a period": ("y = output(lambda: 0.0, start=1)", "E405", "", "belong to a sampled output"),
+    "a start without a period": ("y = output(lambda: 0.0, start=1)", "E405", "", "are for sampled outputs"),
     "a direction that is unknown": ("c = crossing(direction='rising')", "E405", "", 'must be "up", "down" or "both"'),
     "a reset of an input": (
         u + side + "@side.reset(u)\ndef f(): return 0.0",
-        "E405", "", "a reset is for a State or a Discrete, not for <an input 'u'>.",
+        "E405", "", "reset() needs a State or a Discrete, not <an input 'u'>.",
     ),
     "a reset without a target": (
         u + side + "@side.reset\ndef f(): return 0.0",
-        "E405", "", "a reset is for a State or a Discrete, not for <function",
+        "E405", "", "reset() needs a State or a Discrete, not <function",
     ),
-    "a requirement without a sentence": ("@requires\ndef ok(): return True", "E405", "", "takes the sentence"),
+    "a requirement without a sentence": ("@requires\ndef ok(): return True", "E405", "", "needs the sentence"),
     "two clocks of one equation": (
         "a = Discrete()\nb = Discrete()\n@a.next(every=1)\n@b.next(every=2)\ndef f(): return 0.0",
-        "E405", "Bad.f", "has two clocks. Write one equation for each.",
+        "E405", "Bad.f", "has two clocks. Write one equation for each clock.",
     ),
     "an unsampled equation of a ticked discrete": (
         "d = Discrete()\n@d.next(every=1)\ndef f(d): return d\n@output\ndef y(d): return d",
@@ -367,18 +370,18 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     ),
     "a ticked discrete as an output": (
         "d = Discrete(output=True)\n@d.next(every=1)\ndef f(d): return d",
-        "E405", "Bad.d", "a ticked discrete cannot be an output as it is",
+        "E405", "Bad.d", "a ticked discrete cannot be an output directly",
     ),
     "a crossing of its own side": (
         u + "@crossing\ndef side(u, side): return u",
-        "E405", "Bad.side", "reads its own side. Say from which side it starts: @crossing(start=False).",
+        "E405", "Bad.side", "reads its own side. Set its side at the start: @crossing(start=False).",
     ),
     # not yet
     "an output at steps": ("y = output(lambda: 0.0, every='step')", "E405", "", "cannot be sampled at steps"),
-    "steps with an offset": ("d = Discrete()\nf = d.next(every='step', offset=1)", "E405", "", "has no offset"),
+    "steps with an offset": ("d = Discrete()\nf = d.next(every='step', offset=1)", "E405", "", "cannot have an offset"),
     "a state at ticks": ("x = State()\nf = x.next(every=1.0)(lambda x: x)", "E405", "", 'must be "step"'),
-    "a table of one number": ("k = Parameter(1.0, table=True)", "E405", "", "a table is an array of real numbers"),
-    "a history of a state": ("x = State()\nh = History(x, delay=lambda: 1.0)", "E405", "", "that of a real Input"),
+    "a table of one number": ("k = Parameter(1.0, table=True)", "E405", "", "a table must be an array of real numbers"),
+    "a history of a state": ("x = State()\nh = History(x, delay=lambda: 1.0)", "E405", "", "needs a real Input"),
     "a delay that is a number": ("u = Input()\nh = History(u, delay=1.0)", "E405", "", "is not a Parameter"),
     "a discrete of an unknown enumeration": ("d = Discrete(type='enum')", "E405", "", "or an enum.IntEnum"),
     "a discrete of texts": ("d = Discrete(type='string')", "E405", "", "type='string' is not a type of discretes"),
@@ -630,18 +633,18 @@ def test_all_unknown_parameters_are_told_at_once_with_the_nearest_name() -> None
 
 
 def test_parameters_are_given_by_name() -> None:
-    with pytest.raises(UsageError, match=r"E501 Lag: takes parameters by name only\. As in Lag\(k=1\.0\)\."):
+    with pytest.raises(UsageError, match=r"E501 Lag: takes parameters by name only\. Write Lag\(k=1\.0\)\."):
         Lag(1.0)
     model = control.ss(control.tf([1.0], [1.0, 1.0]))
-    with pytest.raises(UsageError, match=r"As in StateSpace\(A=P\.A, B=P\.B, C=P\.C, D=P\.D\)\.$"):
+    with pytest.raises(UsageError, match=r"Write StateSpace\(A=P\.A, B=P\.B, C=P\.C, D=P\.D\)\.$"):
         StateSpace(model)
-    with pytest.raises(UsageError, match=r"As in TransferFunction\(num=P\.num\[0\]\[0\], den=P\.den\[0\]\[0\]\)\.$"):
+    with pytest.raises(UsageError, match=r"Write TransferFunction\(num=P\.num\[0\]\[0\], den=P\.den\[0\]\[0\]\)\.$"):
         TransferFunction(control.tf([1.0], [1.0, 1.0]))
     # Its gain is no k: zeros and poles alone would be another model.
     with pytest.raises(UsageError) as caught:
         ZeroPoleGain(scipy.signal.ZerosPolesGain([], [-1.0], 2.0))
     assert "poles=P.poles" not in str(caught.value)
-    with pytest.raises(TypeError, match="Block is what block classes derive from"):
+    with pytest.raises(TypeError, match="Block is the base of block classes and"):
         Block()
 
 
@@ -657,7 +660,7 @@ def test_the_signature_tells_parameters_and_defaults() -> None:
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("u", "'u' of Lag is an input: a block holds parameter values only. Add the block to a diagram"),
+        ("u", "'u' of Lag is an input, but a block holds parameter values only. Add the block to a diagram"),
         ("y", "'y' of Lag is a state"),
         ("side", "'side' of Lag is a crossing"),
         ("edge", "'edge' of Lag is an event time"),
@@ -723,27 +726,33 @@ def test_a_local_that_sampled_equations_alone_read_sees_what_they_see() -> None:
 
 ONE_OUTPUT = "u = Input()\ninterval = Parameter(1.0)\n@output\ndef y(u): return u"
 DESCRIBED = {
-    "no such function": ("'relais'", "u = Input()", "describing='relais' is none of relay, quantizer, backlash."),
-    "no text": ("3", "u = Input()", "describing=3 is none of relay, quantizer, backlash."),
-    "no input": ("'backlash'", "v = Input()", "describing='backlash' needs the input 'u', one real number. It says"),
+    "no such function": ("'relais'", "u = Input()", (
+        "describing= must be one of relay, "
+        "quantizer, backlash, not 'relais'."
+    )),
+    "no text": ("3", "u = Input()", "describing= must be one of relay, quantizer, backlash, not 3."),
+    "no input": ("'backlash'", "v = Input()", (
+        "describing='backlash' needs the input "
+        "'u', one real number. It describes"
+    )),
     "several inputs": ("'backlash'", "u = Input(shape=2)", "needs the input 'u', one real number."),
     "no output": ("'backlash'", "u = Input()", "needs the output 'y', one real number."),
     "no parameter": (
         "'relay'", "u = Input()\non_at = Parameter(1.0)\n@output\ndef y(u): return u",
-        "needs the parameter 'off_at', one real number. It says what y does for a sine u, by on_at, off_at, on, off.",
+        "needs the parameter 'off_at', one real number. It describes y for a sine u, by on_at, off_at, on, off.",
     ),
     "a structural one": (
         "'backlash'", "u = Input()\nwidth = Parameter(1, structural=True, type='int')\n@output\ndef y(u): return u",
         "needs the parameter 'width', one real number.",
     ),
-    "an abstract class": ("'backlash', abstract=True", "u = Input()", "and describing= is for final classes."),
+    "an abstract class": ("'backlash', abstract=True", "u = Input()", "but describing= is for final classes."),
     "a state": (
         "'quantizer'", f"{ONE_OUTPUT}\nx = State()\n@x.derivative\ndef dx(u): return u",
-        "is of a block without dynamics of its own, and 'x' has such. Put what changes over time or at ticks into",
+        "is for a block without dynamics, but 'x' is dynamic. Move the dynamics and the ticks into",
     ),
     "a memory at ticks": (
         "'quantizer'", f"{ONE_OUTPUT}\nn = Discrete()\n@n.next(every=0.1)\ndef later(u): return u",
-        "is of a block without dynamics of its own, and 'n' has such.",
+        "is for a block without dynamics, but 'n' is dynamic.",
     ),
 }  # fmt: skip
 
@@ -760,5 +769,7 @@ def test_a_describing_function_is_refused_of_what_a_class_does_not_have(word: st
 
 @pytest.mark.parametrize("word", ["type", "shape"])
 def test_a_local_with_a_type_or_a_shape_is_refused(word: str) -> None:
-    with pytest.raises(DeclarationError, match=rf"E405 local: a local has the {word} of what .* Leave {word}= out"):
+    with pytest.raises(
+        DeclarationError, match=rf"E405 local: a local takes its {word} from the value .* Leave {word}= out"
+    ):
         local(**{word: "bool"})

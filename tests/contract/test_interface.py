@@ -185,7 +185,7 @@ def test_a_value_that_is_not_allowed_is_told(values: dict[str, Any], text: str) 
 
 def test_all_values_that_are_not_allowed_are_told_at_once() -> None:
     assert faults(Kinds, gain="x", flag=2.0) == [
-        "E107 loop.block.gain: must be a number, not the text 'x'. An expression begins with =, as in \"=2*gain\".",
+        "E107 loop.block.gain: must be a number, not the text 'x'. Begin an expression with =, as in \"=2*gain\".",
         "E107 loop.block.flag: must be true or false, not 2.0.",
         'E107 loop.block.needed: must be given: it has no default. Add "needed" to its parameters.',
     ]
@@ -202,7 +202,7 @@ def test_without_a_place_faults_name_the_class() -> None:
 
 def test_two_parameters_that_exclude_each_other_are_not_given_together() -> None:
     assert faults(Observer, bandwidth=2.0, gains=[1.0, 2.0, 3.0]) == [
-        "E107 loop.block.bandwidth: cannot be given together with 'gains'. Give one of the two."
+        "E107 loop.block.bandwidth: cannot be given together with 'gains'. Give only one of the two."
     ]
     assert value(resolved(Observer, bandwidth=None, gains=[1.0, 2.0, 3.0]), "gains") == [1.0, 2.0, 3.0]
 
@@ -353,7 +353,7 @@ def test_a_size_that_nothing_tells_is_told() -> None:
     class Unknown(Block):
         a = Parameter(1.0, shape="n")
 
-    assert faults(Unknown) == ["E110 loop.block: the size n cannot be known. Give an array that has it."]
+    assert faults(Unknown) == ["E110 loop.block: the size n is not known. Give an array that determines it."]
     assert resolved(Unknown, a=[1.0, 2.0]).interface.structural == {"n": 2}
 
 
@@ -365,8 +365,8 @@ def test_a_shape_that_is_no_size_is_told() -> None:
         c = Parameter(1.0, shape=lambda n: [1.0, 2.0][n])
 
     assert faults(Wide) == [
-        "E110 Wide.a: the size 3.0 is not an integer from 0 on.",
-        "E110 Wide.b: the size -1 is not an integer from 0 on.",
+        "E110 Wide.a: a size must be an integer from 0 on, not 3.0.",
+        "E110 Wide.b: a size must be an integer from 0 on, not -1.",
         "E110 Wide.c: the shape cannot be computed: IndexError: list index out of range.",
     ]
 
@@ -500,10 +500,21 @@ def test_a_clock_that_cannot_tick_is_told() -> None:
         b = output(lambda: 0.0, every=lambda Ts: 1 / (Ts - 2.0), offset=lambda Ts: -Ts)
 
     assert faults(Fails, Ts=-1.0) == [
-        "E107 loop.block.a: ticks every -1.0 s from 0.0 s on are not possible.",
-        "E107 loop.block.b: ticks every -0.3333333333333333 s from 1.0 s on are not possible.",
+        (
+            "E107 loop.block.a: cannot tick every -1.0 s from 0.0 s on. "
+            "The period must be above 0 s, and the offset 0 s or more."
+        ),
+        (
+            "E107 loop.block.b: cannot tick every -0.3333333333333333 s from "
+            "1.0 s on. The period must be above 0 s, and the offset 0 s or more."
+        ),
     ]
-    assert faults(Fails, Ts=3.0) == ["E107 loop.block.b: ticks every 1.0 s from -3.0 s on are not possible."]
+    assert faults(Fails, Ts=3.0) == [
+        (
+            "E107 loop.block.b: cannot tick every 1.0 s from -3.0 s on. "
+            "The period must be above 0 s, and the offset 0 s or more."
+        )
+    ]
     assert "loop.block.b: its clock cannot be computed: " in faults(Fails, Ts=2.0)[0]
 
 

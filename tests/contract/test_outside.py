@@ -217,7 +217,7 @@ def test_slopes_of_a_point_whose_equations_have_changed_are_refused(monkeypatch:
     made.wire(made.add("b", Made()).u, made.input("u", default=1.0))
     point = made.point()
     monkeypatch.setitem(globals(), "K", 3.0)
-    with pytest.raises(BlocksError, match="E407 Made: what its equations read from outside has changed"):
+    with pytest.raises(BlocksError, match="E407 Made: values outside the class that its equations read have changed"):
         slopes_at(point)
 
 
@@ -305,8 +305,8 @@ SHAKY = Shaky()
         (lambda u: u * len(pathlib.Path(__file__).read_text()), "'pathlib.Path' gives files or the system"),
         (lambda u: u * float(os.environ["GAIN"]), "'os.environ' gives files or the system"),
         (lambda u: u * np.loadtxt("gain.txt"), "'np.loadtxt' gives files or the system"),
-        (lambda u: counted(u), "it gives something else each time that it is asked"),
-        (lambda u: u * next(NUMBERS), "it gives something else each time that it is asked"),
+        (lambda u: counted(u), "it returns something else at each call"),
+        (lambda u: u * next(NUMBERS), "it returns something else at each call"),
     ],
 )
 def test_an_equation_that_is_not_pure_is_refused(function: Callable[..., Any], why: str) -> None:
@@ -350,7 +350,7 @@ def tried(u: Any) -> Any:
 @pytest.mark.parametrize("function", [caught, tried, lambda u: caught(u)])
 def test_a_refusal_counts_also_where_the_equation_catches_it(function: Callable[..., Any]) -> None:
     with pytest.raises(
-        DeclarationError, match=r"^E407 .* Made\.y: cannot be traced: a symbol is .* caught by an `except`"
+        DeclarationError, match=r"^E407 .* Made\.y: cannot be traced: a symbol is .* `except` caught this error"
     ):
         of(function).check()
     assert gain(of(lambda u: u)) == 1.0  # nothing of it is left for others

@@ -496,9 +496,9 @@ def test_equal_lookups_are_one_and_depend_on_what_is_looked_for() -> None:
         (lambda points: np.sum(points), "np.sum cannot take a table. Read it with pick, search or np.interp."),
         (lambda points, u: points * u, "np.multiply cannot take a table."),
         (lambda points: points, "a table is not an array of numbers."),
-        (lambda points, u: points[u], "a table is read with pick(table, index)"),
+        (lambda points, u: points[u], "this is not a way to read a table. Use pick(table, index)"),
         (lambda points: points[3], "index 3 of a table of 3"),
-        (lambda points, u: search(points, u > 0), "a bool is no place in a table."),
+        (lambda points, u: search(points, u > 0), "a bool cannot be an index of a table."),
         (lambda points, u: np.interp(u, points, [1.0, 2.0, 3.0]), "both tables or both arrays"),
     ],
 )
@@ -535,8 +535,8 @@ def test_a_refusal_names_the_block_the_equation_the_cause_and_the_cure() -> None
         (lambda u: [][0], "IndexError: list index out of range"),
         (lambda u: {}["gain"], "KeyError: 'gain'"),
         (lambda u: u.magnitude, "a symbol has no attribute 'magnitude'"),
-        (lambda v: v, "gives the shape (3,), but 'y' has a scalar"),
-        (lambda u: [u], "gives the shape (1,), but 'y' has a scalar"),
+        (lambda v: v, "returns the shape (3,), but 'y' has the shape ()"),
+        (lambda u: [u], "returns the shape (1,), but 'y' has the shape ()"),
         (lambda u: [[u, 1.0], [2.0]], "cannot be traced"),
     ],
 )
@@ -552,16 +552,16 @@ def test_item_assignment_is_refused_with_its_cure() -> None:
 
     text = refusal(law(f, shape=3))
     assert "Law.y" in text
-    assert "np.stack in place of item assignment" in text
+    assert "np.stack instead of item assignment" in text
 
 
 @pytest.mark.parametrize(
     ("function", "options", "text"),
     [
-        (lambda v: v[:2], {"shape": 3}, "gives the shape (2,), but 'y' has (3,)"),
-        (lambda v: v, {"shape": (3, 1)}, "gives the shape (3,), but 'y' has (3, 1)"),
-        (lambda u: u, {"type": "bool"}, "'y' is a bool, but the equation gives a number"),
-        (lambda u: 1.0, {"type": "bool"}, "'y' is a bool, but the equation gives a number"),
+        (lambda v: v[:2], {"shape": 3}, "returns the shape (2,), but 'y' has the shape (3,)"),
+        (lambda v: v, {"shape": (3, 1)}, "returns the shape (3,), but 'y' has the shape (3, 1)"),
+        (lambda u: u, {"type": "bool"}, "'y' is a bool, but the equation returns a number"),
+        (lambda u: 1.0, {"type": "bool"}, "'y' is a bool, but the equation returns a number"),
         (lambda u, w: (u > 0) * 1.0, {"type": "bool"}, "'y' is a bool"),
     ],
 )

@@ -32,9 +32,7 @@ class Written(Block):
     area = Parameter(1.0, unit="m" * unit * "m")
     area_ = Parameter(1.0, unit=lambda unit: units.product(units.product("m", unit), "m"))
     long = Parameter(1.0, unit=(unit_u / unit / "s") ** -2)
-    long_ = Parameter(
-        1.0, unit=lambda unit, unit_u: units.power(units.quotient(units.quotient(unit_u, unit), "s"), -2)
-    )
+    long_ = Parameter(1.0, unit=lambda unit, unit_u: units.power(units.quotient(units.quotient(unit_u, unit), "s"), -2))
     same = Parameter(1.0, unit=unit / unit)
     same_ = Parameter(1.0, unit=lambda unit: units.quotient(unit, unit))
     u = Input(unit=unit_u)
@@ -113,17 +111,17 @@ def test_the_equations_know_nothing_of_how_units_are_written() -> None:
 REFUSED = {
     "a parameter that is no text": (
         'n = Parameter(1, structural=True, type="int")\nk = Parameter(1.0, unit=n)',
-        "E405 n: is no unit: a unit is a structural text.",
+        "E405 n: cannot be a unit: a unit must be a structural text.",
     ),
     "arithmetic with a number": (
         'T = Parameter(1.0, unit="s")\nk = Parameter(T / 2)',
-        "E405 T: is no unit: a unit is a structural text.",
+        "E405 T: cannot be a unit: a unit must be a structural text.",
     ),
     "arithmetic the other way round": (
         'T = Parameter(1.0, unit="s")\nk = Parameter(2 * T)',
-        "E405 T: is no unit",
+        "E405 T: cannot be a unit",
     ),
-    "a power of a number": ('T = Parameter(1.0)\nk = Parameter(T**2)', "E405 T: is no unit"),
+    "a power of a number": ("T = Parameter(1.0)\nk = Parameter(T**2)", "E405 T: cannot be a unit"),
     "a unit that does not exist": (
         'unit = Parameter("", structural=True, type="string")\nk = Parameter(1.0, unit=unit / "metre")',
         "E405 the unit 'metre' cannot be read",
@@ -134,11 +132,11 @@ REFUSED = {
     ),
     "a unit times a number": (
         'unit = Parameter("", structural=True, type="string")\nk = Parameter(1.0, unit=2 * unit)',
-        "E405 2 is no unit.",
+        "E405 2 is not a unit.",
     ),
     "a broken power": (
         'unit = Parameter("", structural=True, type="string")\nk = Parameter(1.0, unit=unit ** 0.5)',
-        "E405 0.5 is no exponent of a unit.",
+        "E405 the exponent of a unit must be a whole number, not 0.5.",
     ),
     "a parameter of another class": (
         "k = Parameter(1.0, unit=Written.unit)",

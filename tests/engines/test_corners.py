@@ -168,7 +168,7 @@ class SlopedAgainst(Block):
 @pytest.mark.parametrize(
     ("law", "said"),
     [
-        (Against(), r"What they change acts back on them at once\. Put a UnitDelay or a state between them"),
+        (Against(), r"Their effects act back on them at once\. Put a UnitDelay or a state between them"),
         (SlopedAgainst(), r"the algebraic loop has no solution.*Put a UnitDelay or a state into the loop"),
     ],
 )

@@ -389,6 +389,6 @@ def test_an_event_time_that_does_not_advance_is_an_error_there_too() -> None:
     d.wire(is_on.u, pulse.y)
     d.wire(box.enable, is_on.y)
     with pytest.raises(
-        SimulationError, match=r"E306 box\.stuck\.edge: gives 1\.0 as the next instant after t = 1\.0 s"
+        SimulationError, match=r"E306 box\.stuck\.edge: returned 1\.0 as the next instant after t = 1\.0 s"
     ):
         d.run(stop=3.0)

@@ -348,7 +348,7 @@ def test_a_loop_at_a_tick_that_passes_the_edge_of_a_part_is_refused() -> None:
     d.wire(box.u, half.y)
     d.wire(half.u, box.y)
     with pytest.raises(
-        ModelError, match=r"E102 (box\.)?half: is in an algebraic loop at one tick that passes the edge"
+        ModelError, match=r"E102 (box\.)?half: is in an algebraic loop at one tick that crosses the border"
     ):
         d.plan(settings={"loops": "solve"})
 

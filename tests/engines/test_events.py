@@ -558,7 +558,7 @@ def test_an_event_time_that_is_not_in_the_future_is_refused() -> None:
             return t
 
     with pytest.raises(
-        SimulationError, match=r"E306 b\.edge: gives 1\.0 as the next instant after t = 1\.0 s"
+        SimulationError, match=r"E306 b\.edge: returned 1\.0 as the next instant after t = 1\.0 s"
     ) as caught:
         alone(Stuck(), stop=2.0)
     assert caught.value.results.t[-1] < 1.0

@@ -152,7 +152,7 @@ def test_inputs_with_a_unit_are_scaled_to_the_input_s_own() -> None:
         ({"t": [0, 1], "u": [2, 2], "interpolation": "hold"}, 2.0),
     ):
         assert diagram.run(stop=1.0, inputs={"r": raw})["x.y"][-1] == pytest.approx(factor, abs=1e-13)
-    with pytest.raises(UsageError, match=r"E502 r: \[s\] is given where \[V\] is needed"):
+    with pytest.raises(UsageError, match=r"E502 r: \[s\] is given, but \[V\] is needed"):
         diagram.run(stop=1.0, inputs={"r": {"value": 1, "unit": "s"}})
 
 
@@ -180,7 +180,7 @@ def test_bool_inputs_are_held_and_take_bools_only() -> None:
     for wrong in (0.5, 2, ([0, 1], [0.0, 0.5])):
         with pytest.raises(UsageError, match="E502 b: is a bool"):
             diagram.run(stop=1.0, inputs={"b": wrong})
-    with pytest.raises(UsageError, match="E502 r: is a number, not true or false"):
+    with pytest.raises(UsageError, match="E502 r: must be a number, not true or false"):
         integrated().run(stop=1.0, inputs={"r": True})
 
 
@@ -203,12 +203,12 @@ def test_settings_of_a_diagram_may_hold_inputs_and_those_of_a_call_win() -> None
         (math.inf, "must be finite"),
         ([1.0, 2.0], "must be a single number"),
         (None, "must be numbers"),
-        (([0, 1], [1.0]), "as many values as times"),
+        (([0, 1], [1.0]), "needs one value for each time"),
         (([0, 1], [[1.0, 2.0], [1.0, 2.0]]), "a single number for each time"),
         (([1, 0], [1.0, 2.0]), "must not decrease"),
         (([0, math.nan], [1.0, 2.0]), "must be finite"),
         (([0, 1], [1.0, math.nan]), "must be finite"),
-        (([], []), "as many values as times"),
+        (([], []), "needs one value for each time"),
         (([0, 1], [1.0, 2.0], "cubic"), '"hold" or "linear"'),
         (([0, 1],), '"hold" or "linear"'),
         ({"t": [0, 1]}, '{"t": [...], "u": [...]'),
@@ -282,8 +282,8 @@ def test_what_a_run_writes_another_reads(tmp_path: Path) -> None:
         ("time,r\n0,1\n1,2,3\n", "line 3: 3 cells for 2 columns"),
         ("time,r\n0,one\n", "line 2: 'one' in the column 'r' is not a number"),
         ("time,r,r\n0,1,2\n", "two columns with the same name"),
-        ("time,r,rr\n0,1,2\n", "column 'rr' is no input of the diagram. Did you mean 'r'?"),
-        ("time,q9\n0,1\n", "column 'q9' is no input of the diagram. Inputs: r."),
+        ("time,r,rr\n0,1,2\n", "column 'rr' is not an input of the diagram. Did you mean 'r'?"),
+        ("time,q9\n0,1\n", "column 'q9' is not an input of the diagram. Inputs: r."),
         ("time,r\n0,nan\n", "must be finite"),
         ("time,r\n1,0\n0,0\n", "must not decrease"),
         (b"time,r\n0,\xff\n", "cannot be read"),

@@ -184,7 +184,7 @@ def test_a_loop_through_a_bool_is_an_error_in_every_setting() -> None:
     flip, other = d.add("flip", Logic(operator="not")), d.add("other", Logic(operator="not"))
     d.wire(flip.u1, other.y)
     d.wire(other.u1, flip.y)
-    with pytest.raises(ModelError, match=r"E102 .*it goes through '(flip|other)\.y', which is no real number"):
+    with pytest.raises(ModelError, match=r"E102 .*it goes through '(flip|other)\.y', which is not a real number"):
         d.run(stop=1.0, **SOLVE)
 
 
@@ -334,7 +334,7 @@ def test_a_residual_that_does_not_fit_is_refused() -> None:
             return u - 1.0
 
     for cls, sentence in (
-        (Short, "gives the shape of a scalar, but 'z' has"),
+        (Short, "returns the shape (), but 'z' has"),
         (Blind, "the residual does not depend on 'z'"),
     ):
         d = Diagram("wrong")

@@ -141,8 +141,8 @@ def refused(equations: str) -> str:
 def test_a_loop_without_solution_is_refused_with_how_near_the_search_came() -> None:
     message = refused("y = x**2 + 1 + t; x = y")
     assert "E307 a_y.y: at t = 0.0 s no solution was found for its algebraic loop." in message
-    assert "The search came nearest at a_y.y = 0.5, where the residual is 0.75." in message
-    assert "let the search begin near it: a block with an Algebraic variable in the loop has a start value" in message
+    assert "The search came nearest at a_y.y = 0.5, with the residual 0.75." in message
+    assert "let the search start near it: a block with an Algebraic variable in the loop has a start value" in message
 
 
 def test_a_loop_that_begins_where_it_has_no_value_is_refused_with_that_value() -> None:

@@ -82,10 +82,6 @@ def each(step: Any, algorithm: str = "jacobi", order: int = 1, **more: Any) -> d
 # --- two masses ------------------------------------------------------------------------------------------------
 
 
-
-
-
-
 ORDERS = {(algorithm, order): order + 1 for algorithm in ALGORITHMS for order in range(3)}
 ORDERS["iterated", 0] = 1
 
@@ -97,8 +93,6 @@ def two_masses() -> Diagram:
     made.wire(b.x1, a.x)
     made.wire(b.v1, a.v)
     return made
-
-
 
 
 def test_the_exact_values_of_the_two_masses_are_those_of_the_exponential() -> None:
@@ -158,12 +152,6 @@ def test_the_limit_of_stability_shows_in_a_run(H: float, is_stable: bool) -> Non
 
 
 # --- the linear loop -------------------------------------------------------------------------------------------
-
-
-
-
-
-
 
 
 def linear_loop() -> Diagram:
@@ -354,7 +342,7 @@ def test_rows_of_controlled_steps_lie_on_the_grid_too(engine: str) -> None:
 
 
 def test_a_grid_that_fits_no_step_is_refused() -> None:
-    told = r"E115 run\.every: rows every 0\.15 s do not fit communication steps of 0\.1 s\. Make it a multiple"
+    told = r"E115 run\.every: 0\.15 s is not a multiple of the communication step of 0\.1 s\. Make it a multiple"
     with pytest.raises(ModelError, match=told):
         two_masses().run(stop=1, every=0.15, master=each(0.1))
 
@@ -509,12 +497,8 @@ def sampled_loop(at: float = 0.23) -> Diagram:
     return made
 
 
-
-
 @each_engine
-@pytest.mark.parametrize(
-    ("H", "error"), [(0.1, 1e-8), (0.05, 1e-8), (0.07, 2e-3), (0.25, 2e-2)]
-)
+@pytest.mark.parametrize(("H", "error"), [(0.1, 1e-8), (0.05, 1e-8), (0.07, 2e-3), (0.25, 2e-2)])
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_sampled_loop_has_the_error_of_what_is_sampled(algorithm: str, H: float, error: float, engine: str) -> None:
     """Between ticks the plant's input is held; where ticks are points of the plant too, nothing is extrapolated."""
@@ -559,8 +543,6 @@ class Ball(Block):
         return -0.8 * v
 
 
-
-
 def ball_and_lag() -> Diagram:
     made = Diagram("ball")
     ball, lag = made.add("ball", Ball()), made.add("lag", Lag())
@@ -594,16 +576,12 @@ def test_a_crossing_inside_a_unit_is_a_communication_point(algorithm: str, order
     assert results["lag.x"][-1] == pytest.approx(alone["lag.x"][-1], abs=1e-9)
 
 
-
-
 def thermostat() -> Diagram:
     made = Diagram("thermostat")
     switch, lag = made.add("switch", Switching()), made.add("lag", Lag())
     made.wire(lag.u, switch.on)
     made.wire(switch.u, lag.x)
     return made
-
-
 
 
 @each_engine

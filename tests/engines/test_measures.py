@@ -646,8 +646,8 @@ def test_distortion_and_effective_value_of_a_wave(engine: str, settings: dict[st
     assert math.isnan(made["broken"])
     assert math.isnan(made["short"])
     assert [(w.code, w.place, w.message) for w in results.warnings] == [
-        ("W301", "measures.broken", "has no value: its window holds 10.1 periods, no whole number of them."),
-        ("W301", "measures.short", "has no value: its window holds 0.5 periods, no whole number of them."),
+        ("W301", "measures.broken", "has no value: its window has 10.1 periods, not a whole number."),
+        ("W301", "measures.short", "has no value: its window has 0.5 periods, not a whole number."),
     ]
 
 

@@ -168,7 +168,7 @@ def test_a_recording_that_cannot_fit_is_refused_before_the_run(
     (fault,) = caught.value.faults
     assert fault.code == "E311"
     needed = available_memory.told(8.0 * rows * 3 * (2 if "master" in settings else 1.1))
-    assert fault.message == f"{rows:,} rows of 2 signals take {needed} of memory, and 5.33 GB are there for it."
+    assert fault.message == f"{rows:,} rows of 2 signals need {needed} of memory, and 5.33 GB are available."
     assert fault.cure == "Record fewer signals (--log), or on a coarser grid (--every)."
 
 
@@ -289,7 +289,7 @@ def test_a_run_that_grows_beyond_memory_ends_with_its_results(
         wave(1e3).run(engine=engine, stop=1e4, **settings)
     error = caught.value
     assert error.code == "E311"
-    assert "there is no memory for more: the recorded rows take" in str(error)
+    assert "no memory is left: the recorded rows take" in str(error)
     assert "are kept." in str(error)
     assert error.results is not None
     assert len(error.results.t) > 1
@@ -352,7 +352,7 @@ def test_no_memory_before_a_run_begins_is_an_error(monkeypatch: pytest.MonkeyPat
         raise MemoryError
 
     monkeypatch.setattr("blocks.engines.reference.rows.Recording", none)
-    with pytest.raises(BlocksError, match=r"E311 wave: at t = 0\.0 s there is no memory for more"):
+    with pytest.raises(BlocksError, match=r"E311 wave: at t = 0\.0 s no memory is left"):
         wave().run(stop=1.0, engine="reference")
 
 

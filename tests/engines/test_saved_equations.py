@@ -117,7 +117,7 @@ def test_a_state_of_a_library_with_another_equation_is_refused_with_the_block_an
     run.advance_to(1.0)
     run.save(tmp_path / "state")
     state = tmp_path / "state" if is_file else run.snapshot()
-    assert refused(of_library("two", "-2 * rate * x"), state) == ["tank: 'derivative x' is another equation."]
+    assert refused(of_library("two", "-2 * rate * x"), state) == ["tank: 'derivative x' is a different equation."]
     again = of_library("three", "-rate*x  # the same")
     rest = again.run(resume=state)
     assert rest.warnings == ()
@@ -203,12 +203,14 @@ def chain(**named: Any) -> Diagram:
 
 def test_blocks_that_are_new_gone_or_renamed_are_named(tmp_path: Path) -> None:
     state = halfway(chain(), tmp_path / "state")
-    assert refused(chain(more=Constant()), state)[0] == "blocks: the diagram has 'more', the state has not."
+    assert refused(chain(more=Constant()), state)[0] == "blocks: the diagram has 'more', which the state lacks."
     wider = halfway(chain(more=Constant()), tmp_path / "wider")
-    assert refused(chain(), wider)[0] == "blocks: the state has 'more', the diagram has not."
+    assert refused(chain(), wider)[0] == "blocks: the state has 'more', which the diagram lacks."
     first, *rest = refused(chain(name="z"), state)
-    assert first == "blocks: the diagram has 'z', the state has not; the state has 'x', the diagram has not."
-    assert rest == ["states: the diagram has 'z.y', the state has not; the state has 'x.y', the diagram has not."]
+    assert first == "blocks: the diagram has 'z', which the state lacks; the state has 'x', which the diagram lacks."
+    assert rest == [
+        "states: the diagram has 'z.y', which the state lacks; the state has 'x.y', which the diagram lacks."
+    ]
 
 
 def test_a_wire_that_leads_from_elsewhere_is_named(tmp_path: Path) -> None:
@@ -221,7 +223,7 @@ def test_a_wire_that_leads_from_elsewhere_is_named(tmp_path: Path) -> None:
 def test_a_block_of_another_type_is_named_with_both(tmp_path: Path) -> None:
     state = halfway(chain(), tmp_path / "state")
     (text,) = refused(chain(source=Constant(value=1.0)), state)
-    assert text.startswith("source: it is a Constant, and was a Sine; 'output y' is another equation")
+    assert text.startswith("source: it is a Constant, and was a Sine; 'output y' is a different equation")
 
 
 def test_a_structural_value_that_changes_an_equation_is_named(tmp_path: Path) -> None:
@@ -232,7 +234,7 @@ def test_a_structural_value_that_changes_an_equation_is_named(tmp_path: Path) ->
         return d
 
     state = halfway(sums("++"), tmp_path / "state")
-    assert refused(sums("+-"), state) == ["sum: 'output y' is another equation; signs is +-, and was ++."]
+    assert refused(sums("+-"), state) == ["sum: 'output y' is a different equation; signs is +-, and was ++."]
 
 
 def test_ticks_and_delays_are_named_with_their_block(tmp_path: Path) -> None:
@@ -261,7 +263,7 @@ def test_many_differences_are_counted(tmp_path: Path) -> None:
     state = halfway(many(lambda k: Sine()), tmp_path / "state")
     text = refused(many(lambda k: Constant()), state)
     assert len(text) == 9
-    assert text[-1] == "blocks: 'b8', 'b9', 'b10' and 19 more compute something else too."
+    assert text[-1] == "blocks: 'b8', 'b9', 'b10' and 19 more compute different values too."
 
 
 # --- values that may differ ---------------------------------------------------------------------------------------
@@ -276,7 +278,7 @@ def test_a_value_that_changed_in_the_file_is_told_and_counts(tmp_path: Path) -> 
     state = halfway(chain(), tmp_path / "state")
     rest = chain(gain=Gain(k=3.0)).run(resume=state, rtol=1e-9, atol=1e-12)
     assert told(rest) == [
-        "W303 gain.k: is 3.0, and was 2.0 (SI) when the state was saved. The run goes on with the new value."
+        "W303 gain.k: is 3.0, and was 2.0 (SI) when the state was saved. The run continues with the new value."
     ]
     expected = 2 * (1 - math.cos(1)) + 3 * (math.cos(1) - math.cos(2))
     assert rest["x.y"][-1] == pytest.approx(expected, abs=1e-5)
@@ -395,7 +397,7 @@ def test_a_program_with_another_text_goes_on_and_is_told(tmp_path: Path) -> None
     assert told(counting(Counter).run(resume=state)) == []
     rest = counting(Slower).run(resume=state)
     assert [line[:11] for line in told(rest)] == ["W303 count:"]
-    assert "the text of its program is another one" in told(rest)[0]
+    assert "the text of its program has changed since" in told(rest)[0]
     assert rest["count.y"][-1] == 4.0, "3 ticks until 1 s, 2 slower ones until 2 s"
     assert counting(Slower).run().origin.equations != counting(Counter).run().origin.equations
 
@@ -468,7 +470,7 @@ def test_an_fmu_counts_by_its_file(tmp_path: Path) -> None:
     assert origins[0] == origins[1] != origins[2]
     state = halfway(motor(given), tmp_path / "state", 0.005)
     assert motor(copied).run(resume=state).warnings == ()
-    assert refused(motor(changed), state) == ["motor: 'fmu' is another equation."]
+    assert refused(motor(changed), state) == ["motor: 'fmu' is a different equation."]
 
 
 def test_what_enables_a_subdiagram_and_resets_it_counts(tmp_path: Path) -> None:
@@ -574,7 +576,7 @@ def test_an_old_state_with_other_parameters_says_so_and_is_not_called_no_state(t
 def test_a_state_whose_equations_are_damaged_is_refused(tmp_path: Path, change: Any) -> None:
     state = halfway(chain(), tmp_path / "state")
     broken = without(state, tmp_path / "broken", lambda tree: change(tree["equations"]))
-    with pytest.raises(UsageError, match=r"E506 .*is not a saved state: what it says of its equations cannot be read"):
+    with pytest.raises(UsageError, match=r"E506 .*is not a saved state: its record of the equations cannot be read"):
         chain().run(resume=broken)
 
 
@@ -615,4 +617,4 @@ def test_the_command_line_tells_it(of_library: Any, tmp_path: Path, capsys: pyte
     of_library("one", "-2 * rate * x")
     assert main([*common, "--resume", str(tmp_path / "state")]) == 2
     said = capsys.readouterr().err
-    assert "E506 tank: the state does not fit the diagram: 'derivative x' is another equation." in said
+    assert "E506 tank: the state does not fit the diagram: 'derivative x' is a different equation." in said

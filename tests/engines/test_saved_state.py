@@ -189,7 +189,7 @@ def test_a_state_of_another_diagram_is_refused_with_the_reasons(tmp_path: Path) 
     other.add("more", Sine())
     other.add("x", Step())
     text = refusal(other, path)
-    assert "event times: the state does not fit the diagram: the diagram has 'x.edge', the state has not" in text
+    assert "event times: the state does not fit the diagram: the diagram has 'x.edge', which the state lacks" in text
     plain = Diagram("plain")
     plain.add("one", Constant())
     text = refusal(plain, path, stop=1.0)

@@ -149,7 +149,7 @@ def test_a_loop_through_it_is_an_error_and_a_delay_breaks_it() -> None:
         return d
 
     for blocks in ((), (ZeroOrderHold(period=0.1),), (Gain(k=0.5),)):
-        with pytest.raises(ModelError, match="E102 mean: its outputs come back to its inputs at one tick"):
+        with pytest.raises(ModelError, match="E102 mean: its outputs reach its inputs at the same tick"):
             loop(*blocks).run(stop=1.0, loops="solve")
     results = loop(UnitDelay(period=0.1)).run(stop=0.5, every=0.1)
     y, held, total = 0.0, 0.0, 0.0
@@ -225,12 +225,12 @@ def stepping(function: Any) -> Any:
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (lambda: 1 / 0, "E310 odd: its stepper could not be made: ZeroDivisionError (test_stepper.py:"),
+        (lambda: 1 / 0, "E310 odd: its stepper could not be created: ZeroDivisionError (test_stepper.py:"),
         (lambda: 3.0, "its stepper is 3.0, which has no step(t, **inputs)."),
-        (stepping(lambda t, u: {}), "its stepper gave nothing, but its outputs are y."),
-        (stepping(lambda t, u: {"x": 1.0}), "its stepper gave x, but its outputs are y."),
-        (stepping(lambda t, u: math.nan), "its stepper gave nan for 'y' at t = 0.0 s."),
-        (stepping(lambda t, u: [1.0, 2.0]), "its stepper gave [1.0, 2.0] for 'y' at t = 0.0 s."),
+        (stepping(lambda t, u: {}), "its stepper returned nothing, but its outputs are y."),
+        (stepping(lambda t, u: {"x": 1.0}), "its stepper returned x, but its outputs are y."),
+        (stepping(lambda t, u: math.nan), "its stepper returned nan for 'y' at t = 0.0 s."),
+        (stepping(lambda t, u: [1.0, 2.0]), "its stepper returned [1.0, 2.0] for 'y' at t = 0.0 s."),
         (stepping(lambda t: 1.0), "its stepper raised TypeError at t = 0.0 s: "),
         (
             stepping(lambda t, u: 1.0 if t < 0.25 else 1 / 0),
@@ -276,7 +276,7 @@ def test_a_stepper_in_a_subdiagram_that_is_off_waits() -> None:
 @pytest.mark.parametrize(
     ("body", "sentence"),
     [
-        ({"y": Stepped()}, "has no stepper that gives it. Add @stepper."),
+        ({"y": Stepped()}, "has no stepper that computes it. Add @stepper."),
         ({"f": stepper(every=1.0)(lambda: None), "g": stepper(every=1.0)(lambda: None)}, "is a second stepper."),
         ({"u": Input(), "f": stepper(every=1.0)(lambda u: None)}, "reads 'u', which is not a parameter."),
     ],
@@ -365,7 +365,7 @@ def test_what_a_program_gives_has_its_type() -> None:
 
     d = Diagram("typed")
     d.add("typed", Typed())
-    with pytest.raises(SimulationError, match=r"E310 typed: its stepper gave 2\.5 for 'n', which is int"):
+    with pytest.raises(SimulationError, match=r"E310 typed: its stepper returned 2\.5 for 'n', which is int"):
         d.run(stop=1.0)
 
 

@@ -54,7 +54,7 @@ def test_a_stiff_run_is_found_with_its_state_its_time_constant_and_the_cure(engi
     (said,) = found(lag(1e-5), engine, piece=0.03, stop=100)
     match = re.fullmatch(
         r"W306 fast\.y: is stiff: at t = (.+) s its time constant of (.+) s keeps the steps of dopri5 at (.+) s, and "
-        r"the run needs (.+) more of them up to 100 s\. Take a method for stiff models: --method radau, or auto .*",
+        r"the run needs (.+) more of them up to 100 s\. Use a method for stiff models: --method radau, or auto .*",
         said,
     )  # fmt: skip
     assert match is not None, said

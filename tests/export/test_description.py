@@ -162,7 +162,7 @@ def test_the_same_model_gives_the_same_text(name: str, fmi: int) -> None:
 
 def test_sources_give_the_same_build_description_and_no_sources_none() -> None:
     assert build_description(rich()) == build_description(rich())
-    with pytest.raises(UsageError, match=r"E501 small: there are no sources to describe\."):
+    with pytest.raises(UsageError, match=r"E501 small: the model has no sources to describe\."):
         build_description(model_of())
 
 
@@ -658,38 +658,44 @@ WRONG = {
         ExportedVariable("n", 1, "input", "discrete", type="int", start=(0.5,))
     ),
     "E501 u: a variable of type bool cannot be continuous.": model_of(replace(U, type="bool")),
-    "E501 u: FMI does not know the combination input fixed.": model_of(replace(U, variability="fixed")),
-    "E501 y: FMI does not know the combination output tunable.": model_of(
+    "E501 u: FMI does not allow the combination input fixed.": model_of(replace(U, variability="fixed")),
+    "E501 y: FMI does not allow the combination output tunable.": model_of(
         replace(Y, variability="tunable"), outputs={4: ()}
     ),
-    "E501 p: FMI does not know the combination parameter fixed calculated.": model_of(
+    "E501 p: FMI does not allow the combination parameter fixed calculated.": model_of(
         ExportedVariable("p", 1, "parameter", "fixed", "calculated")
     ),
-    "E501 m: an enumeration without members.": model_of(
+    "E501 m: its enumeration has no members.": model_of(
         ExportedVariable("m", 1, "input", "discrete", type="enum", start=(1.0,))
     ),
-    "E501 w: the value reference 1 is taken twice.": model_of(U, replace(U, name="w")),
-    "E501 an FMU has one independent variable.": replace(model_of(), variables=(U,)),
-    "E501 the kinds () are not CS, ME or both.": model_of(kinds=()),
-    "E501 y: the list of outputs misses it, or must not have it.\n"
-    "E501 y: the list of initial unknowns misses it, or must not have it.": model_of(Y),
-    "E501 u: the list of outputs misses it, or must not have it.": model_of(U, outputs={1: ()}),
-    "E501 u: the list of initial unknowns misses it, or must not have it.": model_of(U, initial_unknowns={1: ()}),
-    "E501 the references [9] are those of no variable.": model_of(Y, outputs={4: (9,)}, initial_unknowns={4: ()}),
+    "E501 w: the value reference 1 is used twice.": model_of(U, replace(U, name="w")),
+    "E501 an FMU must have exactly one independent variable.": replace(model_of(), variables=(U,)),
+    "E501 the kinds must be CS, ME or both, not ().": model_of(kinds=()),
+    "E501 y: it is missing in the list of outputs, or must not be in it.\n"
+    "E501 y: it is missing in the list of initial unknowns, or must not be in it.": model_of(Y),
+    "E501 u: it is missing in the list of outputs, or must not be in it.": model_of(U, outputs={1: ()}),
+    (
+        "E501 u: it is missing in the list of "
+        "initial unknowns, or must not be in it."
+    ): model_of(U, initial_unknowns={1: ()}),
+    "E501 no variable has the references [9].": model_of(Y, outputs={4: (9,)}, initial_unknowns={4: ()}),
     "E501 x: the derivative of this state is not listed.": model_of(X, RATE, kinds=("ME",)),
-    "E501 der(x): the list of initial unknowns misses it, or must not have it.": model_of(X, RATE, derivatives={3: ()}),
-    "E501 y: a listed derivative does not say of which state.": model_of(
+    (
+        "E501 der(x): it is missing in the list of "
+        "initial unknowns, or must not be in it."
+    ): model_of(X, RATE, derivatives={3: ()}),
+    "E501 y: it is listed as a derivative, but no state is named.": model_of(
         Y, outputs={4: ()}, derivatives={4: ()}, initial_unknowns={4: ()}
     ),
-    "E501 der(x): it is the derivative of no variable of its shape.": model_of(replace(RATE, derivative_of=9)),
-    "E501 x: states, derivatives and indicators are continuous local variables or outputs.": model_of(
+    "E501 der(x): it is not the derivative of a variable of the same shape.": model_of(replace(RATE, derivative_of=9)),
+    "E501 x: states, derivatives and indicators must be continuous local variables or outputs.": model_of(
         replace(X, variability="discrete"), RATE, derivatives={3: ()}, initial_unknowns={3: ()}
     ),
-    "E501 the event indicators are not whole variables one after the other.": model_of(PAIR, indicators=(6, 5)),
-    "E501 y: it depends on w, which is itself unknown then.": model_of(
+    "E501 the event indicators are not whole variables in sequence.": model_of(PAIR, indicators=(6, 5)),
+    "E501 y: it depends on w, which is itself unknown at that time.": model_of(
         Y, ExportedVariable("w", 1, "local", "continuous"), outputs={4: (1,)}, initial_unknowns={4: ()}
     ),
-    "E501 y: it depends on x, which is itself unknown then.": model_of(
+    "E501 y: it depends on x, which is itself unknown at that time.": model_of(
         Y, replace(X, initial="calculated"), RATE,
         derivatives={3: ()}, outputs={4: (2,)}, initial_unknowns={2: (), 3: (), 4: (2,)},
     ),
@@ -709,7 +715,7 @@ def test_derivatives_of_an_array_stand_together_or_the_states_would_be_mixed_up(
     rates = ExportedVariable("der(q)", 12, "local", "continuous", shape=(2,), derivative_of=10)
     listed: dict[int, tuple[int, ...]] = {12: (), 3: (), 13: ()}
     mixed = model_of(X, RATE, states, rates, derivatives=listed, initial_unknowns=listed)
-    with pytest.raises(UsageError, match="the derivatives are not whole variables one after the other"):
+    with pytest.raises(UsageError, match="the derivatives are not whole variables in sequence"):
         model_description(mixed, 3)
     description = read(replace(mixed, derivatives={12: (), 13: (), 3: ()}), 3)
     assert [one.variable.name for one in description.derivatives] == ["der(q)", "der(x)"]
@@ -723,7 +729,7 @@ def test_integers_beyond_32_bits_need_fmi_3() -> None:
     assert named(read(holding(-(2.0**31)), 2))["n"].start == str(-(2**31))
     with pytest.raises(ModelError, match=r"E118 n: the start value 2147483648 .* 32 bits .* FMI 2. Export with fmi=3."):
         model_description(holding(2.0**31), 2)
-    with pytest.raises(ModelError, match=r"E118 n: .* does not fit the 64 bits of an integer of FMI 3."):
+    with pytest.raises(ModelError, match=r"E118 n: .* exceeds the 64 bits of an integer of FMI 3\."):
         model_description(holding(2.0**63), 3)
 
 

@@ -130,14 +130,18 @@ def test_a_configuration_for_this_platform_comes_first(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        (SET, '<SourceFileSet language="C++11">', "are written in C++11; only C is compiled here"),
-        (SET, '<SourceFileSet compilerOptions="-fplugin=evil.so">', "asks for the compiler options '-fplugin=evil.so'"),
-        ('<Library name="m"', '<Library name="lapack"', "is linked with the library 'lapack'"),
-        ('"model.c"', '"modle.c"', "the source 'modle.c' of PMDCMotor is not in it"),
-        ('"model.c"', '"model.h"', "model.h of PMDCMotor is no C file"),
-        ('"model.c"', '"../model.c"', "the source '../model.c' of PMDCMotor is not in it"),
-        (SET, f'{SET}<PreprocessorDefinition name="A B" value=""/>', "which is no definition of C"),
-        (SET, f'{SET}<PreprocessorDefinition name="A" value="1&#10;#include &lt;x&gt;"/>', "no definition of C"),
+        (SET, '<SourceFileSet language="C++11">', "are written in C++11; blocks compiles C only"),
+        (SET, '<SourceFileSet compilerOptions="-fplugin=evil.so">', "requires the compiler options '-fplugin=evil.so'"),
+        ('<Library name="m"', '<Library name="lapack"', "needs the library 'lapack'"),
+        ('"model.c"', '"modle.c"', "the source 'modle.c' of PMDCMotor is not in the FMU"),
+        ('"model.c"', '"model.h"', "model.h of PMDCMotor is not a C file"),
+        ('"model.c"', '"../model.c"', "the source '../model.c' of PMDCMotor is not in the FMU"),
+        (SET, f'{SET}<PreprocessorDefinition name="A B" value=""/>', "which is not a valid definition in C"),
+        (
+            SET,
+            f'{SET}<PreprocessorDefinition name="A" value="1&#10;#include &lt;x&gt;"/>',
+            "not a valid definition in C",
+        ),
         (CONFIGURATION, '<BuildConfiguration modelIdentifier="PMDCMotor" platform="z80-cpm">', "is built for"),
         (CONFIGURATION, '<BuildConfiguration modelIdentifier="Other">', "not for"),
     ],
@@ -162,7 +166,7 @@ def test_what_does_not_say_what_is_compiled_is_refused(tmp_path: Path) -> None:
         files["modelDescription.xml"] = re.sub(r"<SourceFiles>.*?</SourceFiles>", "", text, flags=re.DOTALL).encode()
 
     for fmi, change, text in (
-        (3, bare, "it carries no sources"),
+        (3, bare, "it contains no sources"),
         (3, lambda files: files.pop(BUILD), f"it has no {BUILD}"),
         (2, unlisted, "lists no SourceFiles"),
         (2, lambda files: files.update({"sources/fmi2.c": b"int x;\n"}), "give no function fmi2Instantiate"),

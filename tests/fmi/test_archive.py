@@ -191,7 +191,7 @@ def test_a_list_of_files_that_is_too_long_is_not_read(tmp_path: Path, monkeypatc
 def test_a_file_that_grows_a_thousand_times_is_refused(tmp_path: Path) -> None:
     code, text = code_of(packed(tmp_path / "x.fmu", {**FILES, "resources/zeros": bytes(17 * 2**20)}))
     assert code == "E203"
-    assert "grows from" in text
+    assert "unpacks from" in text
 
 
 def test_files_that_are_too_large_together_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -268,10 +268,10 @@ def test_other_compressions_are_refused_by_name(method: int, tmp_path: Path) -> 
     ("data", "what"),
     [
         (b"", "empty"),
-        (b"hello", "no zip archive"),
+        (b"hello", "not a zip archive"),
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "git lfs pull"),
         (b"\n<!DOCTYPE html><html>", "web page"),
-        (b"\x1f\x8b" + bytes(200), "no zip archive"),
+        (b"\x1f\x8b" + bytes(200), "not a zip archive"),
     ],
 )
 def test_what_is_no_archive_is_told_apart(data: bytes, what: str, tmp_path: Path) -> None:
@@ -295,7 +295,7 @@ def test_a_path_that_cannot_be_read_says_so(tmp_path: Path) -> None:
     (tmp_path / DESCRIPTION).write_bytes(XML)
     code, text = code_of(tmp_path)
     assert code == "E007"
-    assert "pack what is in the folder" in text
+    assert "pack the content of the folder" in text
     with pytest.raises(ModelError, match="E007"):
         unpack(tmp_path / "none.fmu")
     with pytest.raises(ModelError, match="E007"):

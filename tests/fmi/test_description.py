@@ -325,7 +325,7 @@ def test_what_other_tools_write_is_read_as_by_fmpy(text: bytes) -> None:
 def test_a_file_of_pythonfmu_is_read_with_a_warning() -> None:
     mine = parse(PYTHONFMU)
     assert [fault.message for fault in mine.warnings] == [
-        "it is computed at the start and not listed as an initial unknown."
+        "it is computed at the start, but not listed as an initial unknown."
     ]
     assert mine.names["n"].start == (3,)
     assert mine.names["flag"].start == (True,)
@@ -459,7 +459,7 @@ def test_a_unit_gets_the_spelling_of_this_package(name: str, base: str | None, t
 
 def test_a_name_that_contradicts_its_base_units_is_warned_of_and_they_count() -> None:
     text = text2(more='<UnitDefinitions><Unit name="V"><BaseUnit m="1"/></Unit></UnitDefinitions>')
-    assert warned(text) == ["V: this unit has the base units of another quantity, which count."]
+    assert warned(text) == ["V: its base units are not those of the unit with this name; blocks uses the base units."]
     assert parse(text).units["V"].text == "m"
 
 
@@ -475,21 +475,21 @@ Y3 = '<Float64 name="y" valueReference="1" causality="output"/>'
         (text2(head=""), "guid is missing"),
         (text3(head=""), "instantiationToken is missing"),
         (text2(interfaces=""), "neither ModelExchange nor CoSimulation"),
-        (text2(interfaces="<CoSimulation/>"), "modelIdentifier is missing"),
-        (text2(interfaces='<CoSimulation modelIdentifier="../evil"/>'), "no name of a file"),
-        (text2(interfaces='<CoSimulation modelIdentifier="a&#10;b"/>'), "no name of a file"),
-        (text2('<ScalarVariable name="x" valueReference="1"/>'), "without a type"),
-        (text2('<ScalarVariable name="x" valueReference="1"><Foo/></ScalarVariable>'), "without a type"),
-        (text3('<Foo name="x" valueReference="1"/>'), "no type of FMI 3"),
+        (text2(interfaces="<CoSimulation/>"), "modelIdentifier, the name of the binary, is missing"),
+        (text2(interfaces='<CoSimulation modelIdentifier="../evil"/>'), "not a valid file"),
+        (text2(interfaces='<CoSimulation modelIdentifier="a&#10;b"/>'), "not a valid file"),
+        (text2('<ScalarVariable name="x" valueReference="1"/>'), "has no type"),
+        (text2('<ScalarVariable name="x" valueReference="1"><Foo/></ScalarVariable>'), "has no type"),
+        (text3('<Foo name="x" valueReference="1"/>'), "not a type of FMI 3"),
         (text2('<ScalarVariable name="x"><Real/></ScalarVariable>'), "valueReference is missing"),
-        (text2(real2("x", -1)), "no whole number of 32 bits"),
-        (text2(real2("x", 2**32)), "no whole number of 32 bits"),
-        (text2('<ScalarVariable valueReference="1"><Real/></ScalarVariable>'), "without a name"),
+        (text2(real2("x", -1)), "not a whole number of 32 bits"),
+        (text2(real2("x", 2**32)), "not a whole number of 32 bits"),
+        (text2('<ScalarVariable valueReference="1"><Real/></ScalarVariable>'), "has no name"),
         (text2(real2("x", 1, causality="foo")), "causality 'foo' does not exist"),
         (text2(real2("x", 1, causality="structuralParameter")), "does not exist in FMI 2"),
         (text2(real2("x", 1, variability="foo")), "variability 'foo' does not exist"),
-        (text2(real2("x", 1, initial="foo")), "neither exact, approx nor calculated"),
-        (text2(real2("x", 1, 'start="one"')), "the start value 'one' is none of type Float64"),
+        (text2(real2("x", 1, initial="foo")), "be exact, approx or calculated"),
+        (text2(real2("x", 1, 'start="one"')), "the start value 'one' is not of type Float64"),
         (text2(real2("x", 1, 'start="1_0"')), "start value '1_0'"),
         (text2(real2("x", 1, 'start="1 2"')), "start value '1 2'"),
         (text2(real2("x", 1, 'start=""')), "start has no value"),
@@ -511,22 +511,25 @@ Y3 = '<Float64 name="y" valueReference="1" causality="output"/>'
         (text2(X, '<Outputs><Unknown index="2"/></Outputs>'), "index '2', which no variable has"),
         (text2(X, '<Outputs><Unknown index="0"/></Outputs>'), "index '0'"),
         (text2(X, "<Outputs><Unknown/></Outputs>"), "index ''"),
-        (text2(X, '<Outputs><Unknown index="1" dependencies="7"/></Outputs>'), "dependencies hold '7'"),
+        (text2(X, '<Outputs><Unknown index="1" dependencies="7"/></Outputs>'), "dependencies list the index '7'"),
         (text3(Y3, '<Output valueReference="7"/>'), "valueReference '7', which no variable has"),
         (text3(Y3, '<EventIndicator valueReference="x"/>'), "valueReference 'x'"),
-        (text2(X + real2("der(x)", 2, 'derivative="3"')), "derivative is no index"),
-        (text2(X + real2("der(x)", 2, 'derivative="0"')), "derivative is no index"),
-        (text3(Y3 + '<Float64 name="d" valueReference="2" derivative="9"/>'), "derivative holds '9'"),
-        (text2(real2("a", 1, 'derivative="2"') + real2("b", 2, 'derivative="1"')), "in a circle: a -> b -> a"),
-        (text2(real2("a", 1, 'derivative="1"')), "in a circle: a -> a"),
+        (text2(X + real2("der(x)", 2, 'derivative="3"')), "derivative is not the index"),
+        (text2(X + real2("der(x)", 2, 'derivative="0"')), "derivative is not the index"),
+        (text3(Y3 + '<Float64 name="d" valueReference="2" derivative="9"/>'), "derivative is '9'"),
+        (text2(real2("a", 1, 'derivative="2"') + real2("b", 2, 'derivative="1"')), "form a circle: a -> b -> a"),
+        (text2(real2("a", 1, 'derivative="1"')), "form a circle: a -> a"),
         (
             text2(
                 '<ScalarVariable name="n" valueReference="1"><Integer/></ScalarVariable>'
                 + real2("d", 2, 'derivative="1"')
             ),
-            "the derivative of n, which has another type",
+            "it is the derivative of n, but their types",
         ),
-        (text2(X, '<Derivatives><Unknown index="1"/></Derivatives>', interfaces=ME), "does not say of which state"),
+        (
+            text2(X, '<Derivatives><Unknown index="1"/></Derivatives>', interfaces=ME),
+            ("has no attribute derivative that names its state"),
+        ),
         (text3('<Float64 name="y" valueReference="1"><Alias name="y"/></Float64>'), "name of the variable itself"),
         (
             text3(TIME + '<Float64 name="y" valueReference="1"><Alias name="time"/></Float64>'),
@@ -539,9 +542,15 @@ Y3 = '<Float64 name="y" valueReference="1" causality="output"/>'
             ),
             "name of another variable",
         ),
-        (text3('<Float64 name="y" valueReference="1"><Dimension start="-1"/></Float64>'), "no size of an array"),
-        (text3('<Float64 name="y" valueReference="1"><Dimension/></Float64>'), "a dimension without a size"),
-        (text3('<Float64 name="y" valueReference="1"><Dimension valueReference="5"/></Float64>'), "holds '5'"),
+        (
+            text3('<Float64 name="y" valueReference="1"><Dimension start="-1"/></Float64>'),
+            "not a valid size of an array",
+        ),
+        (text3('<Float64 name="y" valueReference="1"><Dimension/></Float64>'), "one of its dimensions has no size"),
+        (
+            text3('<Float64 name="y" valueReference="1"><Dimension valueReference="5"/></Float64>'),
+            "valueReference is '5'",
+        ),
         (text3('<Float64 name="y" valueReference="1"><Dimension valueReference="1"/></Float64>'), "its size is y"),
         (
             text3('<Float64 name="y" valueReference="1"><Dimension start="9999"/><Dimension start="9999"/></Float64>'),
@@ -570,8 +579,8 @@ def test_all_errors_of_a_file_are_told_with_their_lines() -> None:
     [
         ('fmiVersion="1.0"', "FMI 1.0 is not supported. Export the model as FMI 2.0 or 3.0."),
         ('fmiVersion="4.0"', "FMI '4.0' is not supported."),
-        ('fmiVersion=""', "does not say"),
-        ("", "does not say"),
+        ('fmiVersion=""', "has no fmiVersion"),
+        ("", "has no fmiVersion"),
     ],
 )
 def test_other_versions_are_refused(head: str, what: str) -> None:
@@ -632,64 +641,79 @@ def test_annotations_are_not_read_and_not_counted() -> None:
     ("text", "expected"),
     [
         (text2(head='guid=""'), ": guid is empty."),
-        (text2(head='guid="1" foo="2"'), ": the attribute 'foo' is not one of FMI 2, and is ignored."),
-        (text2(real2("x", 1, foo="2")), "x: the attribute 'foo' is not one of FMI 2, and is ignored."),
-        (text2(real2("x", 1, 'foo="2"')), "x: the attribute 'foo' is not one of FMI 2, and is ignored."),
-        (text3('<Float64 name="x" valueReference="1" foo="2"/>'), "x: the attribute 'foo' is not one of FMI 3"),
-        (text2(more="<Foo/>"), ": the element 'Foo' is not one of FMI 2, and is ignored."),
+        (text2(head='guid="1" foo="2"'), ": FMI 2 has no attribute 'foo' here; it is ignored."),
+        (text2(real2("x", 1, foo="2")), "x: FMI 2 has no attribute 'foo' here; it is ignored."),
+        (text2(real2("x", 1, 'foo="2"')), "x: FMI 2 has no attribute 'foo' here; it is ignored."),
+        (text3('<Float64 name="x" valueReference="1" foo="2"/>'), "x: FMI 3 has no attribute 'foo' here"),
+        (text2(more="<Foo/>"), ": FMI 2 has no element 'Foo' here; it is ignored."),
         (
             text2(more="<DefaultExperiment/><LogCategories/>"),
-            ": LogCategories stands behind DefaultExperiment; the standard has another order.",
+            ": LogCategories comes after DefaultExperiment; the standard requires it before.",
         ),
         (
             text2(more='<UnitDefinitions><Unit name="V"/><Unit name="V"/></UnitDefinitions>'),
-            "V: this unit is defined twice, both times the same.",
+            "V: this unit is defined twice, equally.",
         ),
         (
             text2(more='<UnitDefinitions><Unit name="V"/><Unit name="V"><BaseUnit/></Unit></UnitDefinitions>'),
-            "V: this unit is defined twice, both times different; the first one counts.",
+            "V: this unit is defined twice, differently; blocks uses the first definition.",
         ),
         (text2(real2("x", 1, 'unit="V"')), "x: the unit 'V' is not defined."),
         (text2(real2("x", 1, 'declaredType="T"')), "x: the type 'T' is not defined."),
-        (text2(real2("x", 1, 'min="low"')), "x: min is no number, and is ignored."),
+        (text2(real2("x", 1, 'min="low"')), "x: min is not a number, and is ignored."),
         (text2(real2("x", 1, 'nominal="0"')), "x: nominal is not above 0"),
         (text2(real2("x", 1, 'unbounded="yes"')), "x: unbounded is neither true nor false, and is ignored."),
-        (text2(real2("u", 1, causality="input")), "u: a start value is missing"),
-        (text2(real2("u", 1, 'start="1"', causality="input", initial="calculated")), "u: an input variable has no"),
-        (text2(real2("p", 1, 'start="1"', causality="parameter")), "p: a parameter is not continuous"),
+        (text2(real2("u", 1, causality="input")), "u: its start value is missing"),
+        (
+            text2(real2("u", 1, 'start="1"', causality="input", initial="calculated")),
+            ("u: a variable with causality input cannot have the"),
+        ),
+        (text2(real2("p", 1, 'start="1"', causality="parameter")), "p: a parameter cannot be continuous"),
         (
             text2('<ScalarVariable name="n" valueReference="1"><Integer/></ScalarVariable>'),
-            "n: a variable of type Int32 is not continuous; it counts as discrete.",
+            "n: the type Int32 cannot be continuous; blocks treats it as discrete.",
         ),
         (text2(real2("u", 1, 'start="1"', causality="input", variability="fixed")), "u: a variable with causality"),
-        (text2(real2("y", 1, causality="output")), "y: an output that is not listed; it counts as one"),
-        (text2(X, '<Outputs><Unknown index="1"/></Outputs>'), "x: it is listed as an output and is none."),
+        (text2(real2("y", 1, causality="output")), "y: this output is not listed in ModelStructure; blocks assumes"),
+        (
+            text2(X, '<Outputs><Unknown index="1"/></Outputs>'),
+            ("x: it is listed as an output, but its causality is not output; the entry is ignored."),
+        ),
         (text2(X, '<InitialUnknowns><Unknown index="9"/></InitialUnknowns>'), "ModelStructure: Unknown has the index"),
         (
             text2(X, '<InitialUnknowns><Unknown index="1" dependencies="9"/></InitialUnknowns>'),
-            "x: its dependencies hold '9', which is the index of no variable.",
+            "x: its dependencies list the index '9', which no variable has.",
         ),
         (
             text2(
                 real2("y", 1, causality="output"),
                 '<Outputs><Unknown index="1" dependencies="1" dependenciesKind="a b"/></Outputs>',
             ),
-            "y: dependenciesKind does not fit the dependencies, and is ignored.",
+            "y: dependenciesKind does not match dependencies, and is ignored.",
         ),
-        (text2(X, "<Foo/>"), "ModelStructure: 'Foo' is not one of FMI 2, and is ignored."),
+        (text2(X, "<Foo/>"), "ModelStructure: FMI 2 has no element 'Foo' here; it is ignored."),
         (text2(X, '<Derivatives><Unknown index="1"/></Derivatives>'), "x: it is listed as a derivative"),
         (
             text2(real2("x", 1) + real2("d", 2, 'derivative="1"'), interfaces=ME),
-            "d: a derivative that is not listed; its state is none.",
+            "d: this derivative is not listed in ModelStructure, so blocks does not integrate its state.",
         ),
-        (text3(Y3 + Y3.replace('"y"', '"z"')), "z: one reference for two variables"),
+        (
+            text3(Y3 + Y3.replace('"y"', '"z"')),
+            ("z: y (line 1) has the same reference; blocks treats the two as one variable."),
+        ),
         (text2(X + X), "x: the name appears twice, first in line 1."),
-        (text2(interfaces='<CoSimulation modelIdentifier="a-b"/>'), "CoSimulation: modelIdentifier is no identifier"),
-        (text2().replace(b'"2.0"', b'"2.1"'), ": FMI '2.1' is no published version; it is read as FMI 2.0."),
-        (text3().replace(b'"3.0"', b'"3.0-beta.2"'), ": FMI '3.0-beta.2' is no published version"),
+        (
+            text2(interfaces='<CoSimulation modelIdentifier="a-b"/>'),
+            ("CoSimulation: modelIdentifier is not a valid identifier"),
+        ),
+        (
+            text2().replace(b'"2.0"', b'"2.1"'),
+            (": FMI '2.1' is not a published version; blocks reads the file as FMI 2.0."),
+        ),
+        (text3().replace(b'"3.0"', b'"3.0-beta.2"'), ": FMI '3.0-beta.2' is not a published version"),
         (
             text2(real2("u", 1, 'start="1"', causality="input") + real2("v", 1, 'start="1"', causality="input")),
-            "v: it can be set, and so can u, which is the same value.",
+            "v: u is the same value, and both can be set.",
         ),
     ],
 )
@@ -702,7 +726,7 @@ def test_alike_warnings_are_one_that_counts() -> None:
     assert one.message == "the type 'T' is not defined. The same holds for 999 more: x1, x2, x3, ..."
     many = parse(text2("".join(real2(f"x{k}", k, f'declaredType="T{k}"') for k in range(1000)))).warnings
     assert len(many) == MOST_FAULTS + 1
-    assert many[0].message == "1,000 warnings, of which the first 100 are told."
+    assert many[0].message == "1,000 warnings, of which the first 100 are shown."
 
 
 def test_later_minor_versions_are_read_without_a_warning() -> None:

@@ -765,7 +765,7 @@ def test_a_library_that_fails_while_it_is_loaded(
     one = One(of(bad, fmi), fmi)
     assert not one.c
     fault = failure(why(one.library, None), bad, "x.fmu")
-    assert str(fault).startswith("E208 x.fmu: bad.so needs the symbol nowhere, which no library here has.")
+    assert str(fault).startswith("E208 x.fmu: bad.so needs the symbol nowhere, which no library on this machine has.")
 
 
 @BOTH
@@ -943,7 +943,7 @@ def test_settings_that_cannot_be(faulty: Callable[..., Path], tmp_path: Path, mo
     def nothing(*_: Any, **__: Any) -> Path:
         raise CompilerError(Fault("E605", "", "no C compiler was found.", ""))
 
-    with pytest.raises(CompilerError, match=r"^E605 x.fmu: a process of its own .* Install gcc or clang, or run"):
+    with pytest.raises(CompilerError, match=r"^E605 x.fmu: .*needs a C compiler.* Install gcc or clang, or run"):
         of(path, 3, by=nothing)
     damaged = tmp_path / "damaged.so"
     damaged.write_bytes(path.read_bytes()[:1000])
@@ -957,7 +957,7 @@ def test_settings_that_cannot_be(faulty: Callable[..., Path], tmp_path: Path, mo
     with pytest.raises(FMUError, match=r"^E210 x.fmu: .* cannot be written to"):
         isolated(path, fmi=3, timeout=1.0, place="x.fmu", compiled=compiled, folder=tmp_path / "file")
     monkeypatch.setattr(sys, "platform", "darwin")
-    with pytest.raises(FMUError, match=r"^E217 x.fmu: .* made for Linux"):
+    with pytest.raises(FMUError, match=r"^E217 x.fmu: .* 64-bit Linux"):
         of(path, 3)
 
 

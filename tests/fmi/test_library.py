@@ -121,7 +121,7 @@ def test_the_fmus_of_the_repository_load_and_step_functions_are_there(path: Path
         version.restype = ctypes.c_char_p
         assert version().decode() == mine.version
         assert function(loaded, f"{prefix}DoStep", path.name)
-        with pytest.raises(FMUError, match=rf"E208 {re.escape(path.name)}: .* no function {prefix}DoSteps,"):
+        with pytest.raises(FMUError, match=rf"E208 {re.escape(path.name)}: .* lacks the function {prefix}DoSteps,"):
             function(loaded, f"{prefix}DoSteps", path.name)
         unload(loaded)
     assert str(files._shared.made[0]) not in Path("/proc/self/maps").read_text()
@@ -155,10 +155,16 @@ def test_folders_are_looked_for_by_the_names_of_both_standards(
         (["binaries/win64/m.dll"], "it holds binaries for win64 only; this machine is linux64. Export it"),
         (
             ["binaries/win64/m.dll", "binaries/darwin64/m.dylib", "sources/m.c"],
-            "binaries for darwin64, win64 only; this machine is linux64. It carries sources: blocks fmu compile x.fmu",
+            (
+                "binaries for darwin64, win64 only; this machine is linux64. "
+                "It contains sources. Run: blocks fmu compile x.fmu"
+            ),
         ),
-        (["binaries/linux64/n.so"], "binaries/linux64 holds no m.so, which its modelIdentifier asks for, but n.so."),
-        (["binaries/linux64/m.dll"], "binaries/linux64 holds no m.so, which its modelIdentifier asks for."),
+        (
+            ["binaries/linux64/n.so"],
+            ("binaries/linux64 does not hold m.so, the binary that its modelIdentifier names; it holds n.so."),
+        ),
+        (["binaries/linux64/m.dll"], "binaries/linux64 does not hold m.so, the binary that its modelIdentifier names."),
     ],
 )
 def test_no_fitting_binary_is_an_error_that_says_what_there_is(
@@ -210,13 +216,15 @@ def test_what_speaks_against_an_fmu_is_told_without_loading_it(tmp_path: Path) -
         with archived(tmp_path, data, description) as archive:
             told.append([str(fault) for fault in faults(archive, parse(description), kind)])
     assert told[0] == []
-    assert told[1] == ["E205 x.fmu: it is no FMU for Model Exchange, but for Co-Simulation. Take another kind."]
-    assert told[2][0].startswith("W202 x.fmu: it says that it needs the program that made it (Tool 1), or another one.")
+    assert told[1] == ["E205 x.fmu: it is an FMU for Co-Simulation, not for Model Exchange. Choose another kind."]
+    assert told[2][0].startswith(
+        "W202 x.fmu: it declares that it needs an external program to run, usually the tool that exported it (Tool 1)."
+    )
     assert "E207 x.fmu: binaries/" in told[3][0]
     assert "truncated" in told[3][0]
-    assert "is made for aarch64-linux; this Python is" in told[4][0]
+    assert "is built for aarch64-linux; this Python is" in told[4][0]
     assert "it is empty" in told[5][0]
-    assert "is made for x86_64-windows" in told[6][0]
+    assert "is built for x86_64-windows" in told[6][0]
 
 
 @ON_LINUX
@@ -363,10 +371,10 @@ def test_libraries_of_other_systems_are_told_by_their_machine(data: bytes, machi
     ("data", "what"),
     [
         (b"", "empty"),
-        (b"hello", "no shared library"),
+        (b"hello", "not a shared library"),
         (b"MZ", "truncated"),
-        (b"MZ" + bytes(200), "no shared library"),
-        (struct.pack(">II", 0xCAFEBABE, 52), "no shared library"),  # a Java class
+        (b"MZ" + bytes(200), "not a shared library"),
+        (struct.pack(">II", 0xCAFEBABE, 52), "not a shared library"),  # a Java class
         (struct.pack(">II", 0xCAFEBABE, 2), "truncated"),
     ],
 )
@@ -412,10 +420,13 @@ AT_LOAD = "__attribute__((constructor)) static void at_load(void)"
 @pytest.mark.parametrize(
     ("body", "what"),
     [
-        ("*(volatile int *)0 = 0;", "crashed (SIGSEGV) while it was loaded"),
-        ('fputs("out of luck\\n", stderr); abort();', "crashed (SIGABRT) while it was loaded. It printed: out of luck"),
-        ("exit(0);", "ended the process (exit status 0) while it was loaded"),
-        ("_exit(7);", "ended the process (exit status 7) while it was loaded"),
+        ("*(volatile int *)0 = 0;", "crashed (SIGSEGV) while it was loading"),
+        (
+            'fputs("out of luck\\n", stderr); abort();',
+            ("crashed (SIGABRT) while it was loading. It printed: out of luck"),
+        ),
+        ("exit(0);", "ended the process (exit status 0) while it was loading"),
+        ("_exit(7);", "ended the process (exit status 7) while it was loading"),
         ("raise(SIGKILL);", "crashed (SIGKILL)"),
     ],
 )
@@ -445,8 +456,8 @@ def test_a_library_that_hangs_is_an_error_and_no_process_stays(tmp_path: Path) -
     begun = time.monotonic()
     code, text = code_of(path, timeout=1.0)
     assert code == "E209"
-    assert "m.so had not loaded after 1 s: it hangs, or it is slow." in text
-    assert text.endswith('and more time: "isolate": true, "timeout": 60.')
+    assert "m.so did not load within 1 s: it hangs, or it is slow." in text
+    assert text.endswith('process with more time: "isolate": true, "timeout": 60.')
     assert library.TIMEOUT == 10.0
     assert time.monotonic() - begun < 20
     # The kernel ends the killed child in its own time, which is not that of whoever killed it.
@@ -514,7 +525,7 @@ def test_neighbors_of_neighbors_are_found_too_and_unloaded_with_them(tmp_path: P
 def test_a_missing_symbol_is_named(tmp_path: Path) -> None:
     code, text = code_of(compiled(tmp_path, "int nobody_has_this(void); int f(void) { return nobody_has_this(); }"))
     assert code == "E208"
-    assert "m.so needs the symbol nobody_has_this, which no library here has." in text
+    assert "m.so needs the symbol nobody_has_this, which no library on this machine has." in text
 
 
 @ON_LINUX
@@ -525,7 +536,7 @@ def test_a_library_for_another_processor_is_an_error(tmp_path: Path) -> None:
     path.write_bytes(data)
     code, text = code_of(path)
     assert code == "E207"
-    assert "m.so is made for riscv64-linux; this Python is" in text
+    assert "m.so is built for riscv64-linux; this Python is" in text
 
 
 def test_a_file_that_is_not_there_is_an_error(tmp_path: Path) -> None:

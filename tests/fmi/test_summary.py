@@ -84,7 +84,7 @@ def test_what_is_no_fmu_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture
     path = tmp_path / "x.fmu"
     path.write_text("nothing", encoding="utf-8")
     assert cli.main(["fmu", "info", str(path)]) == 4
-    assert "E202 x.fmu: this is no zip archive" in capsys.readouterr().err
+    assert "E202 x.fmu: this is not a zip archive" in capsys.readouterr().err
     assert cli.main(["fmu", "info", str(tmp_path / "none.fmu")]) == 2
     assert "E007" in capsys.readouterr().err
 
@@ -101,7 +101,12 @@ def test_an_fmu_that_says_that_it_needs_a_program_is_counted_among_the_warnings(
             made.writestr(name, data)
     assert cli.main(["fmu", "check", str(path)]) == 0
     text = capsys.readouterr().out
-    assert text.count("W202 x.fmu: it says that it needs the program that made it") == 2  # once for each kind
+    assert (
+        text.count(
+            "W202 x.fmu: it declares that it needs an external program to run, usually the tool that exported it"
+        )
+        == 2
+    )  # once for each kind
     assert text.endswith("0 errors, 1 warning; nothing was loaded\n")
 
 
@@ -123,6 +128,6 @@ def test_scheduled_execution_alone_is_told_as_nothing_that_runs(
         assert "E201" in text
     else:
         assert "x.fmu: Scheduled Execution: cannot run here" in text
-        assert "E205 x.fmu: it is for Scheduled Execution alone, which is not run here. Export it for" in text
+        assert "E205 x.fmu: it is for Scheduled Execution only, which blocks does not support. Export it for" in text
         assert text.endswith("1 error, 0 warnings; nothing was loaded\n")
         assert tell(path).entry()["runs"] == {"SE": False}

@@ -35,10 +35,6 @@ variants = pytest.mark.parametrize(
 )
 
 
-
-
-
-
 # --- the contract ----------------------------------------------------------------------------------------------
 
 _OPERATIONS = {
@@ -293,7 +289,7 @@ def test_one_input_is_called_u_and_one_output_y(cls: Any) -> None:
         ("Tank", {"h_start": 2.5}, "h_start must lie within 0 ... H"),
         ("Tank", {"c": 1.2}, "must be at most 1.0"),
         ("Table", {"times": [0.0, 0.0]}, "times must increase"),
-        ("Table", {"values": 3.0}, "is a table, which a single number does not fill. Give a list."),
+        ("Table", {"values": 3.0}, "is a table, but a single number is given. Give a list."),
         ("TransportDelay", {"delay": 0.0}, "must be above 0"),
         ("TransferFunction", {"den": [0.0, 1.0]}, "the first coefficient of den must not be 0"),
         ("TransferFunction", {"num": [1.0, 2.0, 3.0]}, "would not be proper"),
@@ -416,8 +412,6 @@ def test_a_transfer_function_is_num_over_den(num: list[float], den: list[float])
     for s in (1.7j, 20.0 + 3.0j):
         expected = np.polyval(num, s) / np.polyval(den, s)
         assert C @ np.linalg.solve(s * np.eye(n) - A, B.astype(complex)) + D == pytest.approx(expected, 1e-9, 1e-12)
-
-
 
 
 def test_only_what_passes_through_at_once_is_feedthrough() -> None:

@@ -241,11 +241,11 @@ def test_what_is_no_name_of_a_stream_is_refused_with_its_place(stream: str) -> N
 
 def test_what_draws_nothing_has_no_stream_and_the_number_is_given_by_nobody() -> None:
     assert refused({"a": {"type": "Gain", "stream": "x"}, "k": {"type": "Constant"}}, wires={"a.u": "k.y"}) == [
-        "E003 a.stream: draws no random numbers, so that it has no stream."
+        "E003 a.stream: draws no random numbers, so it has no stream."
     ]
     assert refused({"a": {"type": "Noise", "stream": 3}}) == ["E004 blocks.a.stream: must be a text, not the number 3."]
     (message,) = refused({"a": {"type": "Noise", "parameters": {"stream": "x"}}})
-    assert message.startswith("E106 a.stream: Noise has no such parameter")
+    assert message.startswith("E106 a.stream: Noise has no parameter of this name")
     with pytest.raises(ModelError, match=r'E106 .*add\("x", Noise\(\), stream="..."\)'):
         Noise(stream="x")
     with pytest.raises(ModelError, match=r"E106 noise\.stream"):

@@ -252,7 +252,7 @@ def test_edges_in_a_file_in_a_csv_file_and_of_scipy_are_one_matrix(tmp_path: Pat
         ({"edges": [], "shape": [2, 4]}, "E110"),
         ({"csv": "missing.csv", "shape": [2, 3]}, r"E007 .*missing.csv"),
         ({"csv": "bad.csv", "shape": [2, 3]}, r"E007 .*has no column \"value\""),
-        ({"csv": "nan.csv", "shape": [2, 3]}, r"E107 .*\[1, 1, nan\] \(number 0\) is not of finite numbers"),
+        ({"csv": "nan.csv", "shape": [2, 3]}, r"E107 .*\[1, 1, nan\] \(number 0\) must have finite numbers"),
     ],
     ids=lambda value: None if isinstance(value, str) else json.dumps(value)[:40],
 )
@@ -287,7 +287,7 @@ def test_other_matrices_are_filled_up_or_refused() -> None:
         wrong.check()
     for K, message in (
         (sp.eye_array(2000), "is 2000 x 2000, all elements"),
-        (sp.eye_array(3), "takes no sparse matrix"),
+        (sp.eye_array(3), "cannot be a sparse matrix"),
     ):
         with pytest.raises(ModelError, match=message):
             Diagram("wrong").add("b", StateSpace(A=K, B=[[1]], C=[[1]]) if K.shape[0] > 3 else Gain(k=K))

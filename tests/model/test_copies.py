@@ -334,7 +334,7 @@ def test_python_adds_copies() -> None:
         (
             {"gains.u": "pair.y"},
             "gains.u: has 3 elements, one for each of the 3 copies of gains, but pair.y has 2 elements. "
-            "Wire a value for each copy, or one that reaches all copies.",
+            "Wire one value for each copy, or one value for all copies.",
         ),
         (
             {"alone.u": "gains.y"},
@@ -343,7 +343,7 @@ def test_python_adds_copies() -> None:
         ),
         (
             {"alone.u": "gains[1].y"},
-            'alone.u: the source "gains[1].y" is not there. Copy 1 is an element of the port: "gains.y[1]".',
+            'alone.u: the source "gains[1].y" is not there. For copy 1, write the element of the port: "gains.y[1]".',
         ),
     ],
 )

@@ -28,8 +28,6 @@ from tests.support.places import ROOT
 GAIN = {"type": "Gain"}
 
 
-
-
 def text(*lines: str) -> str:
     """A diagram's text from the lines behind its header: the first one given is line 3."""
     return "\n".join(['{"format": "blocks-diagram",', ' "version": 2,', *lines]) + "\n"
@@ -97,13 +95,16 @@ def test_a_fault_of_the_first_two_keys_hides_no_other() -> None:
 
 
 def test_slips_of_the_text_hide_no_fault_of_the_structure() -> None:
-    text = "\ufeff" + """{"format": "blocks-diagram", "version": 2, // a loop
+    text = (
+        "\ufeff"
+        + """{"format": "blocks-diagram", "version": 2, // a loop
  "blocks": {
   "g": {"type": "Gain", "k": 1,},
   "h": {"typ": "Gain", 'parameters': {"k": 1e999}}
   "i": {"type": "Gain"}
  },
 }"""
+    )
     assert faults(text) == [
         ("E001", "", 1, 1),
         ("E001", "", 1, 45),
@@ -316,7 +317,7 @@ def test_a_missing_file_is_told_with_its_neighbor(tmp_path: Path) -> None:
     assert "does not exist" in fault.message
     assert fault.line == 1
     fault = refused(project(tmp_path, top=using("diagrams/adrc/adrc_2.json")))
-    assert fault.cure == "A path counts from the folder of the file that names it."
+    assert fault.cure == "Paths are relative to the folder of the file that contains them."
 
 
 @pytest.mark.parametrize("name", ["", "http://example.org/a.json", "a\0b.json", "x" * 5000, "."])
@@ -385,8 +386,8 @@ def test_home_and_what_is_above_it_is_no_project(tmp_path: Path, monkeypatch: py
     project(home / "work", inner=INNER)
     fault = refused(home / "top.json")
     assert fault.code == "E007"
-    assert f"lies outside the project ({home} is none, as it is the home folder)" in fault.message
-    assert fault.cure == f"Put both into a folder of their own below {home}."
+    assert f"lies outside the project ({home} is not a project, because it is the home folder)" in fault.message
+    assert fault.cure == f"Put both into their own folder below {home}."
     assert not project_of(Path(home.anchor) / "x.json").is_whole
 
 
@@ -488,7 +489,7 @@ def test_a_key_of_the_run_that_stands_at_the_top_is_told_where_it_belongs() -> N
 def test_files_that_use_each_other_twice_are_refused_before_they_fill_the_memory(tmp_path: Path) -> None:
     made = {f"f{k}": using(*[f"f{k + 1}.json"] * 4) for k in range(20)} | {"f20": INNER}
     value = load(project(tmp_path, **made))
-    with pytest.raises(ModelError, match=r"E008 .*blocks, but 1,000,000 are the most"):
+    with pytest.raises(ModelError, match=r"E008 .*blocks, but the limit is 1,000,000"):
         flatten(value, resolver_of(LIBRARY))
 
 
@@ -517,8 +518,6 @@ def test_faults_of_several_files_stand_together(tmp_path: Path) -> None:
 
 
 # --- writing ---------------------------------------------------------------------------------------------------
-
-
 
 
 def test_a_canonical_file_is_written_back_byte_for_byte() -> None:
@@ -589,12 +588,6 @@ def test_a_place_that_cannot_be_written_to_is_a_usage_error(tmp_path: Path, name
 # --- random files ----------------------------------------------------------------------------------------------
 
 
-
-
-
-
-
-
 def pruned(body: Any) -> Any:
     """Without what a canonical file leaves out."""
     if not isinstance(body, dict):
@@ -603,8 +596,6 @@ def pruned(body: Any) -> Any:
     if "blocks" in kept:
         kept["blocks"] = {name: pruned(block) for name, block in kept["blocks"].items()}
     return {key: value for key, value in kept.items() if key.startswith(("x-", "diagram")) or value not in ("", [], {})}
-
-
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
@@ -616,8 +607,6 @@ def test_a_random_diagram_that_is_written_and_read_is_identical(body: dict[str, 
     assert again == value
     assert dumps(again) == written
     assert json.loads(written) == pruned(document(**body))
-
-
 
 
 @settings(max_examples=300, deadline=None)

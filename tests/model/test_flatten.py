@@ -222,7 +222,7 @@ def test_an_input_with_a_default_may_stay_unwired() -> None:
 
 def test_an_unknown_type_is_told_with_the_nearest_and_at_its_line() -> None:
     fault = only(blocks={"g": {"type": "Gian"}})
-    cure = "Did you mean 'Gain'? `blocks list` names the types; own ones come with --library."
+    cure = "Did you mean 'Gain'? `blocks list` shows the types; --library adds your own."
     assert told(fault) == ("E103", "g", 'there is no block type "Gian".', cure)
     assert "--library" in only(blocks={"g": {"type": "Zzzzzz"}}).cure
     source = '{"format": "blocks-diagram", "version": 2,\n "blocks": {\n  "g": {"type": "Gian"}}}'
@@ -240,7 +240,7 @@ def test_an_unknown_parameter_is_told_with_the_nearest_or_all() -> None:
     assert told(only(blocks={"m": {"type": "Step", "parameters": {"befor": 1}}})) == (
         "E106",
         "m.befor",
-        "Step has no such parameter.",
+        "Step has no parameter of this name.",
         "Did you mean 'before'?",
     )
     assert only(blocks={"m": {"type": "Step", "parameters": {"zzz": 1}}}).cure.startswith(
@@ -284,7 +284,7 @@ def test_an_unknown_port_is_told_with_those_that_exist() -> None:
 def test_a_wire_to_or_from_a_whole_block_is_told() -> None:
     made = faults(blocks={"g": GAIN, "h": GAIN}, wires={"g": "h.y", "h.u": "g"}, inputs={"u": {}})
     assert [(f.place, f.message) for f in made][:2] == [
-        ("g", "names a block, not an input of it."),
+        ("g", "is a block, not one of its inputs."),
         ("h.u", "g is a block, not a signal."),
     ]
 
@@ -303,7 +303,7 @@ def test_a_wire_to_an_output_or_an_input_of_the_diagram_is_told() -> None:
     made = faults(inputs={"r": {}}, outputs={"y": "r"}, wires={"y": "r", "r": "r"})
     assert [told(f) for f in made] == [
         ("E105", "y", "is an output of the diagram, not an input of a block.", 'Move it to "outputs".'),
-        ("E105", "r", "is an input of the diagram, and a wire ends at an input of a block.", ""),
+        ("E105", "r", "is an input of the diagram, but a wire must end at an input of a block.", ""),
     ]
 
 
@@ -313,16 +313,16 @@ def test_a_wire_that_is_written_backwards_is_told_with_its_turn() -> None:
     assert told(fault) == (
         "E112",
         "a.y",
-        "a.y is an output, and g.u an input.",
-        'The sink comes first: "g.u": "a.y".',
+        "a.y is an output, and g.u is an input.",
+        'Write the input first: "g.u": "a.y".',
     )
 
 
 def test_a_wire_between_two_inputs_or_two_outputs_is_told_with_what_there_is() -> None:
     made = faults(blocks={"a": CONSTANT, "g": GAIN}, wires={"a.y": "a.y", "g.u": "g.u"})
     assert [told(f) for f in made] == [
-        ("E112", "a.y", "'y' is an output of a, and a wire ends at an input.", "Inputs: none."),
-        ("E112", "g.u", "'u' is an input of g, and a wire begins at an output.", "Outputs: y."),
+        ("E112", "a.y", "'y' is an output of a, but a wire must end at an input.", "Inputs: none."),
+        ("E112", "g.u", "'u' is an input of g, but a wire must begin at an output.", "Outputs: y."),
     ]
 
 
@@ -350,7 +350,7 @@ def test_different_quantities_are_told_with_both_ends() -> None:
     fault = only(**{key: json.loads(source)[key] for key in ("blocks", "wires")})
     assert str(fault) == (
         "E104 motor.v [V] <- kin.y [rad]: V and rad are different quantities. "
-        'Check the wire, or put a Gain with "unit_u": "rad" and "unit": "V" between.'
+        'Check the wire, or insert a Gain with "unit_u": "rad" and "unit": "V".'
     )
 
 
@@ -431,10 +431,10 @@ def test_elements_out_of_range_and_of_single_values_are_told() -> None:
     wires = {"d.u[2]": "r", "g.u[0]": "r", "h.u": "r[0]", "k.u": "v[7]"}
     made = faults(inputs={"r": {}, "v": {"size": 3}}, blocks=blocks, wires=wires)
     assert [told(f) for f in made] == [
-        ("E105", "d.u[2]", "'u' has 2 elements: there is no [2].", "Elements are counted from 0."),
-        ("E105", "g.u[0]", "'u' is a single value: there is no [0].", 'Write "g.u".'),
-        ("E105", "h.u", "r is a single value: there is no [0].", 'Write "r".'),
-        ("E105", "k.u", "v has 3 elements: there is no [7].", "Elements are counted from 0."),
+        ("E105", "d.u[2]", "'u' has 2 elements, so there is no [2].", "Elements are counted from 0."),
+        ("E105", "g.u[0]", "'u' is a single value, so there is no [0].", 'Write "g.u".'),
+        ("E105", "h.u", "r is a single value, so there is no [0].", 'Write "r".'),
+        ("E105", "k.u", "v has 3 elements, so there is no [7].", "Elements are counted from 0."),
     ]
 
 
@@ -584,7 +584,7 @@ THROUGH = {"diagram": {"inputs": {"u": {}}, "outputs": {"y": "u"}}}
 def test_wires_in_a_circle_are_told_with_the_circle(blocks: Any, wires: Any, chain: str) -> None:
     fault = only(inputs={"r": {}}, blocks=blocks, wires=wires)
     assert fault.code == "E102"
-    circle = fault.message.removeprefix("wires go round in a circle: ").removesuffix(".").split(" -> ")
+    circle = fault.message.removeprefix("wires form a circle that contains no value: ").removesuffix(".").split(" -> ")
     assert circle[0] == circle[-1]
     expected = chain.split(" -> ")[:-1]
     turns = [[*expected[k:], *expected[:k]] for k in range(len(expected))]
@@ -625,8 +625,8 @@ def test_a_quantity_of_another_kind_is_told() -> None:
     assert told(fault) == (
         "E104",
         "a.value",
-        "[V] is given where [Ohm] is needed: they are different quantities.",
-        "A number without a unit is meant in Ohm.",
+        "[V] is given, but [Ohm] is needed: they are different quantities.",
+        "A number without a unit is in Ohm.",
     )
 
 
@@ -643,7 +643,7 @@ def test_a_bare_reference_is_checked_against_its_unit_and_an_expression_is_in_si
     assert told(fault)[:3] == (
         "E104",
         "a.value",
-        "R [Ohm] is given where [V] is needed: they are different quantities.",
+        "R [Ohm] is given, but [V] is needed: they are different quantities.",
     )
 
 
@@ -662,7 +662,7 @@ def test_cycles_of_parameters_are_told_once_with_the_cycle() -> None:
     [
         ("=a+", "column 3: expected a number"),
         ("=", "expected a number"),
-        ("=zz", "reads 'zz', which is not known here"),
+        ("=zz", "reads 'zz', which is not a known name here"),
         ("=1/0", "division by zero"),
         ("=v+1", "'v' is a list, not a number."),
         ("=t+1", "'t' is the text \"abc\", not a number."),
@@ -698,7 +698,9 @@ def test_vectors_texts_and_bools_are_passed_whole() -> None:
 
 def test_a_list_that_holds_an_expression_is_bound_and_waits_for_what_it_reads() -> None:
     sections = {"parameters": {"v": {"value": [1, ["=a"]]}, "a": "=b+1", "b": 1}}
-    assert only({"v": [1]}, **sections).message == 'is bound ("=a") and cannot be set itself.'
+    assert (
+        only({"v": [1]}, **sections).message == 'is computed from other parameters ("=a"), so it cannot be set itself.'
+    )
     assert only(parameters={"v": [1, "=w"], "w": "=v"}).message.startswith("needs itself: ")
 
 
@@ -739,13 +741,13 @@ def test_a_size_may_be_a_parameter() -> None:
         ([1, 2], "E110", "shape"),
         ([1, [2]], "E107", "rows of equal length"),
         ([[[]]], "E110", "shape"),
-        ({"value": "abc", "unit": "V"}, "E107", '[V] stands beside the text "abc".'),
-        ({"value": True, "unit": "V"}, "E107", "[V] stands beside true."),
+        ({"value": "abc", "unit": "V"}, "E107", 'the text "abc" cannot have the unit [V].'),
+        ({"value": True, "unit": "V"}, "E107", "true cannot have the unit [V]."),
         ({"value": 1, "unit": "Volt"}, "E114", "Volt"),
-        ({"value": 1e308, "unit": "TV"}, "E107", "too large"),
-        (["a"], "E107", 'a list holds numbers, not the text "a".'),
+        ({"value": 1e308, "unit": "TV"}, "E107", "overflows"),
+        (["a"], "E107", 'a list must hold numbers, not the text "a".'),
         ([True, True], "E107", "must be a number"),
-        (["=t"], "E107", "a list holds numbers"),
+        (["=t"], "E107", "a list must hold numbers"),
     ],
 )
 def test_a_value_of_the_wrong_kind_is_told(raw: Any, code: str, part: str) -> None:
@@ -830,8 +832,8 @@ def test_what_is_bound_cannot_be_set() -> None:
         assert told(fault) == (
             "E117",
             path,
-            f'is bound ("{bound}") and cannot be set itself.',
-            "Set what it is computed from.",
+            f'is computed from other parameters ("{bound}"), so it cannot be set itself.',
+            "Set the parameters that it is computed from.",
         )
 
 
@@ -910,8 +912,8 @@ def test_a_name_that_no_other_fault_explains_is_told_beside_other_faults() -> No
 
 
 def test_names_that_results_could_not_tell_apart_are_refused() -> None:
-    assert told(only(inputs={"u": {}}, outputs={"u": "u"}))[:3] == ("E109", "u", "is the name of an input too.")
-    assert only(inputs={"time": {}}).message == "is the name of the column of times."
+    assert told(only(inputs={"u": {}}, outputs={"u": "u"}))[:3] == ("E109", "u", "is also the name of an input.")
+    assert only(inputs={"time": {}}).message == "is the name that results give to their times."
     assert only(inputs={"u": {}}, outputs={"time": "u"}).code == "E109"
 
 
@@ -964,24 +966,32 @@ def test_a_measure_may_be_taken_against_a_number(raw: Any, value: float) -> None
         ({"type": "zzz", "of": "a.y"}, "E116", "Measures: ITAE, IAE"),
         ({"type": "IAE", "of": "a.z"}, "E105", "there is no signal \"a.z\". Did you mean 'a.y'?"),
         ({"type": "IAE", "of": "a.y", "against": "zz"}, "E105", 'there is no signal "zz".'),
-        ({"type": "IAE", "of": "m.y"}, "E110", 'm.y has 2 elements. Take an element, as in "m.y[0]".'),
+        (
+            {"type": "IAE", "of": "m.y"},
+            "E110",
+            'm.y has 2 elements, but a measure needs one. Measure one element, as in "m.y[0]".',
+        ),
         ({"type": "IAE", "of": "a.y", "against": "b.y"}, "E104", "a.y [V] and b.y [A] are different quantities."),
         (
             {"type": "IAE", "of": "a.y", "against": {"value": 1, "unit": "A"}},
             "E104",
-            "[A] is given where [V] is needed",
+            "[A] is given, but [V] is needed",
         ),
         ({"type": "IAE", "of": "a.y", "against": True}, "E116", '"against" must be a number.'),
         ({"type": "IAE", "of": "a.y", "against": "=label"}, "E116", '"against" must be a number.'),
         ({"type": "IAE", "of": "a.y", "against": [1]}, "E116", '"against" must be a number.'),
         ({"type": "IAE", "of": "a.y", "from": "1"}, "E116", '"from" must be a number.'),
-        ({"type": "IAE", "of": "a.y", "from": {"value": 1, "unit": "V"}}, "E104", "[V] is given where [s] is needed"),
+        ({"type": "IAE", "of": "a.y", "from": {"value": 1, "unit": "V"}}, "E104", "[V] is given, but [s] is needed"),
         ({"type": "IAE", "of": "a.y", "from": 2, "to": 2}, "E116", "the window ends before it begins."),
-        ({"type": "IAE", "of": "a.y", "to": "=zz"}, "E108", "'zz', which is not known here"),
+        ({"type": "IAE", "of": "a.y", "to": "=zz"}, "E108", "'zz', which is not a known name here"),
         ({"type": "IAE", "of": "a.y", "band": 0.1}, "E116", "IAE has no band."),
-        ({"type": "settling_time", "of": "a.y", "against": 1, "band": 0}, "E116", "between 0 and 1, not at 0.0."),
+        ({"type": "settling_time", "of": "a.y", "against": 1, "band": 0}, "E116", "between 0 and 1, not 0.0."),
         ({"type": "settling_time", "of": "a.y", "against": 1, "band": -1}, "E116", "between 0 and 1"),
-        ({"type": "overshoot", "of": "a.y"}, "E116", 'overshoot needs the target value. Add "against".'),
+        (
+            {"type": "overshoot", "of": "a.y"},
+            "E116",
+            'overshoot needs the target value. Add "against": a number or a signal.',
+        ),
     ],
 )
 def test_a_measure_that_cannot_be_taken_is_told(measure: dict[str, Any], code: str, part: str) -> None:
@@ -1048,7 +1058,7 @@ def test_a_thousand_faults_are_enough_and_come_soon() -> None:
     begun = time.process_time()
     made = faults(blocks={f"g{k}": GAIN for k in range(20_000)}, wires={f"g{k}.u": f"gg{k}.yy" for k in range(20_000)})
     assert len(made) == 1001
-    assert (made[-1].code, made[-1].cure) == ("E008", "Mend these first.")
+    assert (made[-1].code, made[-1].cure) == ("E008", "Correct these first.")
     assert time.process_time() - begun < 60
 
 
@@ -1206,8 +1216,8 @@ def test_what_is_spelled_apart_is_apart() -> None:
         ("-1.5e-3", "Write it without quotes: -1.5e-3."),
         ("200 ms", 'Write {"value": 200, "unit": "ms"}.'),
         ("12V", 'Write {"value": 12, "unit": "V"}.'),
-        ("2*gain", 'An expression begins with =, as in "=2*gain".'),
-        ("fast", 'An expression begins with =, as in "=2*gain".'),
+        ("2*gain", 'Begin an expression with =, as in "=2*gain".'),
+        ("fast", 'Begin an expression with =, as in "=2*gain".'),
     ],
 )
 def test_a_text_in_place_of_a_number_is_told_with_what_was_meant(value: str, cure: str) -> None:
@@ -1229,6 +1239,6 @@ def test_a_block_of_a_subdiagram_is_reached_through_it_alone() -> None:
     inner = {"inputs": {"u": {}}, "outputs": {"y": "g.y"}, "blocks": {"g": GAIN}, "wires": {"g.u": "u"}}
     made = faults(blocks={"s": {"diagram": inner}}, wires={"s.g.u": "s.y"}, outputs={"y": "s.g.y"})
     assert [f.cure for f in made if f.code == "E105"] == [
-        "A subdiagram is reached by its inputs alone: u.",
-        "A subdiagram is reached by its outputs alone: y.",
+        "A wire into a subdiagram must end at one of its inputs: u.",
+        "A wire from a subdiagram must begin at one of its outputs: y.",
     ]

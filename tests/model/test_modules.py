@@ -117,7 +117,13 @@ def test_two_libraries_of_one_name_are_refused_where_one_was_imported_before(
     monkeypatch.syspath_prepend(str(written(tmp_path / "a")))
     mine = importlib.import_module("stale_library")
     monkeypatch.chdir(written(tmp_path / "b", "3.0"))
-    with pytest.raises(UsageError, match=r"E501 stale_library: was imported from .* Give the module itself") as caught:
+    with pytest.raises(
+        UsageError,
+        match=(
+            r"E501 stale_library: is already imported "
+            r"from .* Pass the module itself"
+        ),
+    ) as caught:
         gain()
     assert all(str(tmp_path / folder / "stale_library.py") in str(caught.value) for folder in "ab")
     assert gain(mine) == 2.0

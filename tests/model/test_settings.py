@@ -88,9 +88,9 @@ def test_a_time_is_exact(raw: Any, exact: Fraction) -> None:
         ({"value": 1, "unit": "s.rev/rad"}, "without pi"),
         (float("inf"), "finite"),
         (float("nan"), "finite"),
-        (10**400, "out of the range"),
-        ({"value": Number("1e308"), "unit": "min"}, "out of the range"),
-        (Number("1e-300"), "out of the range"),
+        (10**400, "outside the range"),
+        ({"value": Number("1e308"), "unit": "min"}, "outside the range"),
+        (Number("1e-300"), "outside the range"),
         ("x" * 100_000, "..."),
         (1 + 2j, "must be a time"),
     ],
@@ -110,14 +110,14 @@ def test_a_step_is_above_zero(key: str, value: Any) -> None:
 
 
 def test_the_end_does_not_lie_before_the_start() -> None:
-    assert refused("stop", start=2, stop=1)[0] == "must not lie before the start at 2.0 s, but is 1.0 s."
-    assert refused("stop", stop=-1)[0].startswith("must not lie before the start at 0.0 s")
+    assert refused("stop", start=2, stop=1)[0] == "is 1.0 s, before the start at 2.0 s."
+    assert refused("stop", stop=-1)[0].endswith("before the start at 0.0 s.")
     assert fine(start=1, stop=1).stop == 1
     assert fine(start=-5, stop=-1).start == -5
 
 
 def test_more_steps_or_rows_than_can_be_counted_are_refused() -> None:
-    assert refused("every", stop=1e15, every=1)[0].startswith("makes 1e+15 of them")
+    assert refused("every", stop=1e15, every=1)[0].startswith("gives 1e+15 rows; the limit is 1e+09")
     assert refused("step", stop=1e15, step=1e-15, method="rk4")[1].startswith("Make it")
 
 
@@ -128,7 +128,7 @@ def test_a_tolerance_is_a_number_between_0_and_1(key: str, value: Any) -> None:
 
 
 def test_a_tolerance_below_the_spacing_of_doubles_is_refused() -> None:
-    assert refused("rtol", rtol=1e-15) == ("1e-15 is below what doubles can hold.", "Use 1e-13 or more.")
+    assert refused("rtol", rtol=1e-15) == ("1e-15 is below the precision of a double.", "Use 1e-13 or more.")
     assert fine(atol=1e-300).atol == 1e-300
 
 
@@ -263,7 +263,7 @@ def test_settings_of_the_master_are_read_exactly() -> None:
         ({"step": 0}, "master.step", "must be above 0 s, not 0.0."),
         ({"step": None}, "master.step", "must be a time in s, not null."),
         ({"step": "1 ms"}, "master.step", 'must be a time in s, not "1 ms".'),
-        ({"step": 1e-17}, "master.step", "makes 1e+17 of them; 9.01e+15 are the most."),
+        ({"step": 1e-17}, "master.step", "gives 1e+17 steps; the limit is 9.01e+15."),
         ({"steps": 3}, "master.steps", "must be an object of steps by block, not 3."),
         ({"steps": {"m": -1}}, "master.steps", '"m" must be above 0 s, not -1.0.'),
         ({"steps": {"m": True}}, "master.steps", '"m" must be a time in s, not true.'),

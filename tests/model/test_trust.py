@@ -130,10 +130,10 @@ def test_neither_home_nor_what_is_above_it_is_a_project(tmp_path: Path, monkeypa
     (home / ".git").mkdir()
     shutil.copy(MOTOR, home / "m.fmu")
     text = refused(Diagram.load(write(folder / "diagrams" / "d.json", "../fmus/m.fmu")))
-    assert f"outside the project {folder / 'diagrams'} ({home} is none, as it is the home folder)" in text
+    assert f"outside the project {folder / 'diagrams'} ({home} is not a project, because it is the home folder)" in text
     for name in ("m.fmu", "project/fmus/m.fmu"):
         diagram = Diagram.load(write(home / "d.json", name))
-        assert f"lies in no project ({home} is none, as it is the home folder)" in refused(diagram)
+        assert f"lies in no project ({home} is not a project, because it is the home folder)" in refused(diagram)
         check_trust(diagram.value, home)
 
 
@@ -145,7 +145,9 @@ def test_a_folder_that_others_may_write_to_is_no_project(tmp_path: Path, mode: i
     check_trust(diagram.value)
     folder.chmod(mode)
     text = refused(diagram)
-    assert f"outside the project {folder / 'diagrams'} ({folder} is none, as it can be written to by others)" in text
+    assert (
+        f"outside the project {folder / 'diagrams'} ({folder} is not a project, because it is writable by other users)"
+    ) in text
     check_trust(diagram.value, folder)
     (folder / "diagrams").chmod(mode)
     assert "lies in no project" in refused(diagram)
@@ -159,7 +161,7 @@ def test_an_fmu_in_a_folder_of_the_project_that_others_may_write_to_is_not_trust
     check_trust(diagram.value)  # it is the FMU whose code runs
     (folder / "fmus").chmod(0o777)
     text = refused(diagram)
-    assert f"lies in {folder / 'fmus'}, which can be written to by others, and running it runs its code" in text
+    assert f"lies in {folder / 'fmus'}, which is writable by other users, and running it runs its code" in text
     check_trust(diagram.value, folder / "fmus" / "m.fmu")
     (folder / "fmus" / "m").mkdir()
     shutil.move(folder / "fmus" / "m.fmu", folder / "fmus" / "m" / "m.fmu")
@@ -303,7 +305,7 @@ def test_check_tells_that_an_fmu_is_for_other_machines(tmp_path: Path, capsys: p
     out = capsys.readouterr().out
     assert "motor: m.fmu, FMI 3.0, Co-Simulation, cannot run here" in out
     assert "E201 motor: m.fmu: it holds no binaries" in out
-    assert "It carries sources: blocks fmu compile m.fmu" in out
+    assert "It contains sources. Run: blocks fmu compile m.fmu" in out
     assert out.endswith("1 error, 0 warnings\n")
     assert found(Diagram.load(path).flatten())[0].faults[0].code == "E201"
 
@@ -404,7 +406,7 @@ def test_a_variant_is_chosen_on_the_command_line(tmp_path: Path, capsys: pytest.
         (["--variant", "motor_right"], 2, "is not BLOCK=NAME"),
         (["--variant", "motor_right=base", "--variant", "motor_right=fmu"], 2, "chooses a second variant"),
         (["--variant", "motor_right=fmi"], 2, 'E122 motor_right: there is no variant "fmi". Did you mean "fmu"?'),
-        (["--variant", "robot.motor=fmu"], 2, "there is no block of this path"),
+        (["--variant", "robot.motor=fmu"], 2, "there is no block with this path"),
     ):
         assert main(["run", robot, *words]) == code
         assert text in capsys.readouterr().err

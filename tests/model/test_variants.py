@@ -256,7 +256,7 @@ def test_a_port_that_is_used_and_has_no_partner_is_told_and_nothing_is_changed()
         (lambda d: (d.swap("motor", Motor()), d.swap("motor", Motor())), "E109", 'the variant "Motor" exists already'),
         (lambda d: d.swap("motor", PMDCMotor), "E501", "is a class"),
         (lambda d: d.run(variants={"motor": "fmu"}), "E122", "It has none."),
-        (lambda d: d.run(variants={"moter": "fmu"}), "E122", "there is no block of this path"),
+        (lambda d: d.run(variants={"moter": "fmu"}), "E122", "there is no block with this path"),
     ],
 )
 def test_a_swap_that_cannot_be_meant_is_told(call: Any, code: str, text: str) -> None:

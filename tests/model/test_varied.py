@@ -105,7 +105,7 @@ def test_an_element_is_set_while_a_run_goes_on_and_when_it_is_resumed() -> None:
         ("k[3]", r"E501 k\[3\]: k has no element \[3\]. It has \[0\] to \[2\]"),
         ("q[0]", r"E106 q\[0\]: there is no such parameter"),
         ("own.value[0]", "Did you mean 'own.values'"),
-        ("bound.values[0]", "E117 bound.values: is bound"),
+        ("bound.values[0]", "E117 bound.values: is computed from other parameters"),
     ],
 )
 def test_an_element_that_is_not_there_is_refused(name: str, said: str) -> None:
@@ -145,7 +145,7 @@ def test_a_bound_parameter_is_refused_before_anything_runs(by: str, name: str, m
         made.wire("all.u", made.input("u", default=1.0))
         made.measure("end", "peak", of="all[0].plant.y")
     monkeypatch.setattr(Simulation, "advance_to", lambda *_: pytest.fail("a run began"))
-    with pytest.raises(ModelError, match=r'E117 (all\.)?plant.T: is bound \("=delay"\) and cannot be set itself'):
+    with pytest.raises(ModelError, match=r'E117 (all\.)?plant.T: is computed from other parameters \("=delay"\), so it cannot'):
         RUNS[by](made, name)
 
 
@@ -172,7 +172,7 @@ def test_an_element_of_what_differs_between_copies_is_refused() -> None:
     cell.wire(table.u, cell.add("time", Ramp(slope=1.0)).y)
     fleet = Diagram("fleet")
     fleet.add("cells", cell, copies=3)
-    with pytest.raises(UsageError, match=r"the elements of cells\[2\].k are not known: .* not the same in all copies"):
+    with pytest.raises(UsageError, match=r"the elements of cells\[2\].k are not known: .* differs between copies"):
         fleet.flatten(parameters={"cells[2].k": [9, 9], "cells[2].k[1]": 8})
 
 

@@ -134,7 +134,7 @@ def test_many_pids_are_brought_up_to_date_in_no_time() -> None:
 )
 def test_what_only_version_2_has_is_refused(parameters: dict[str, int], wires: dict[str, str], named: str) -> None:
     blocks = {"s": {"type": "Step"}, "p": {"type": "Gain"}, "c": {"type": "PID", "parameters": parameters}}
-    with pytest.raises(ModelError, match='Write "version": 2') as caught:  # with a c of 1 it would run otherwise
+    with pytest.raises(ModelError, match='write "version": 2') as caught:  # with a c of 1 it would run otherwise
         document.loads(json.dumps({"format": "blocks-diagram", "version": 1, "blocks": blocks, "wires": wires}))
     assert [(one.code, one.place) for one in caught.value.faults] == [("E005", named)]
 

@@ -165,7 +165,7 @@ def test_the_same_number_in_both_versions_is_of_two_diagrams_for_results() -> No
 
 
 def test_a_unit_of_another_quantity_is_refused() -> None:
-    with pytest.raises(ModelError, match=r"E104 .*measures.error: \[V\] is given where \[rpm\] is needed"):
+    with pytest.raises(ModelError, match=r"E104 .*measures.error: \[V\] is given, but \[rpm\] is needed"):
         Diagram.from_json(speed(3, "30 V")).flatten()
 
 
@@ -175,7 +175,7 @@ def test_the_window_of_a_measure_takes_texts_with_a_unit() -> None:
     document["measures"]["error"] |= {"from": "250 ms", "to": "500 ms"}
     assert error(document) == pytest.approx(0.5, abs=1e-12)
     document["measures"]["error"] |= {"from": "2 V"}
-    with pytest.raises(ModelError, match=r"E104 measures\.error: \[V\] is given where \[s\] is needed"):
+    with pytest.raises(ModelError, match=r"E104 measures\.error: \[V\] is given, but \[s\] is needed"):
         error(document)
 
 

@@ -251,11 +251,11 @@ def test_different_quantities_are_told_all_at_once() -> None:
         (results([0], x=[0]), results([], diagram="empty", x=[]), {}, "E505 B (empty): holds no rows."),
         (
             results([0], x=[0]), results([0], x=[0]), {"tolerance": -1.0},
-            "E501 tolerance: must be a number from 0 on, not -1.0.",
+            "E501 tolerance: must be a number of at least 0, not -1.0.",
         ),
         (
             results([0], x=[0]), results([0], x=[0]), {"absolute": math.nan},
-            "E501 absolute: must be a number from 0 on, not nan.",
+            "E501 absolute: must be a number of at least 0, not nan.",
         ),
     ],
 )  # fmt: skip

@@ -336,10 +336,10 @@ def test_a_missing_package_is_told_with_its_cure(tmp_path: Path, monkeypatch: py
     with pytest.raises(UsageError) as caught:
         made().save(path)
     assert str(caught.value) == (
-        f"E504 {path}: the package pyarrow is needed and not installed. "
+        f"E504 {path}: this needs the package pyarrow, which is not installed. "
         'Install it: pip install pyarrow; or in a clone of blocks: pip install -e ".[tables]".'
     )
-    with pytest.raises(UsageError, match="E504 to_pandas: the package pandas is needed and not installed"):
+    with pytest.raises(UsageError, match="E504 to_pandas: this needs the package pandas, which is not installed"):
         made().to_pandas()
     assert list(tmp_path.iterdir()) == []
     made().save(tmp_path / "x.csv")
@@ -347,17 +347,20 @@ def test_a_missing_package_is_told_with_its_cure(tmp_path: Path, monkeypatch: py
 
 
 BROKEN_CSV = [
-    ("", "has no column 'time' in front. The first line below comments is: time,NAME,..."),
-    ("# blocks results 1\n", "has no column 'time' in front. The first line below comments is: time,NAME,..."),
-    ("x,y\n1,2\n", "has no column 'time' in front. The first line below comments is: time,NAME,..."),
+    ("", "does not begin with a column 'time'. Begin the first line after comments with: time,NAME,..."),
+    ("# blocks results 1\n", (
+        "does not begin with a column 'time'. Begin the "
+        "first line after comments with: time,NAME,..."
+    )),
+    ("x,y\n1,2\n", "does not begin with a column 'time'. Begin the first line after comments with: time,NAME,..."),
     ("# a\ntime,x\n0,1\n1\n", "line 4 does not hold 2 numbers."),
     ("time,x\n0,one\n", "line 2 does not hold 2 numbers."),
     ("time,x\n0,1\n1,1_000\n", "line 3 does not hold 2 numbers."),
     (
         '# blocks results 1\n# sizes: {"x": true}\ntime,x[0]\n0,1\n',
-        "its sizes are not what blocks writes. Mend or remove the entry sizes.",
+        "its entry sizes does not have the form that blocks writes. Correct or remove the entry sizes.",
     ),
-    ("time,x,x\n0,1,2\n", "has two columns of the name 'x'."),
+    ("time,x,x\n0,1,2\n", "has two columns with the name 'x'."),
     ("time,x\n1,1\n0,2\n", "the times must be finite and must not decrease."),
     ("time,x\nnan,1\n", "the times must be finite and must not decrease."),
     (
@@ -366,11 +369,11 @@ BROKEN_CSV = [
     ),
     (
         "# blocks results 1\n# units: [1]\ntime,x\n0,1\n",
-        "its units are not what blocks writes. Mend or remove the entry units.",
+        "its entry units does not have the form that blocks writes. Correct or remove the entry units.",
     ),
     (
         '# blocks results 1\n# sizes: {"x": "y"}\ntime,x\n0,1\n',
-        "its sizes are not what blocks writes. Mend or remove the entry sizes.",
+        "its entry sizes does not have the form that blocks writes. Correct or remove the entry sizes.",
     ),
 ]  # fmt: skip
 
@@ -450,11 +453,11 @@ def test_columns_that_hold_no_numbers_are_refused(tmp_path: Path) -> None:
     ("variables", "said"),
     [
         ({"x": [1.0, 2.0]}, "has no variable 'time'."),
-        ({"time": [0.0, 1.0], "x": [1.0, 2.0, 3.0]}, "the variable 'x' is 3, and there are 2 times."),
-        ({"time": [0.0, 1.0], "x": np.ones((3, 2))}, "the variable 'x' is 3 x 2, and there are 2 times."),
+        ({"time": [0.0, 1.0], "x": [1.0, 2.0, 3.0]}, "the variable 'x' is 3, but there are 2 times."),
+        ({"time": [0.0, 1.0], "x": np.ones((3, 2))}, "the variable 'x' is 3 x 2, but there are 2 times."),
         ({"time": [0.0, 1.0], "x": "text"}, "the variable 'x' does not hold real numbers."),
         ({"time": [0.0, 1.0], "x": [1.0, 2.0j]}, "the variable 'x' does not hold real numbers."),
-        ({"time": [0.0], "x": [1.0], "blocks": {"json": "{"}}, "its metadata are not what blocks writes."),
+        ({"time": [0.0], "x": [1.0], "blocks": {"json": "{"}}, "its metadata do not have the form that blocks writes."),
     ],
 )
 def test_a_mat_file_that_does_not_fit_is_refused(variables: dict[str, Any], said: str, tmp_path: Path) -> None:
@@ -469,7 +472,9 @@ def test_a_mat_file_of_version_7_3_is_refused_with_its_cure(tmp_path: Path) -> N
     path = tmp_path / "x.mat"
     # The head that MATLAB puts in front of HDF5: version 0x0200.
     path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(116) + b"\0" * 8 + b"\x00\x02IM" + b"\x89HDF\r\n\x1a\n" + b"\0" * 500)
-    with pytest.raises(UsageError, match=r"is a MAT file of version 7\.3\. Save it with -v7 in MATLAB\."):
+    with pytest.raises(
+        UsageError, match=r"is a MAT file of version 7\.3, which blocks cannot read\. Save it with -v7 in MATLAB\."
+    ):
         Results.load(path)
 
 

@@ -67,42 +67,42 @@ LENGTH = struct.pack("<HHi", INT32, 4, 4)
 CRASHED = {
     "a type that is none": (
         file(matrix(NUMBERS, (3, 1), "time", doubles(*TIMES, kind=8))),
-        "cannot be read: its numbers are of the unknown type 8.",
+        "cannot be read: its numbers have the unknown type 8.",
     ),
     "a type beyond all": (
         file(matrix(NUMBERS, (3, 1), "time", doubles(*TIMES, kind=0xFFFF))),
-        "cannot be read: its numbers are of the unknown type 65535.",
+        "cannot be read: its numbers have the unknown type 65535.",
     ),
     "the same, compressed": (
         file(compressed(matrix(NUMBERS, (3, 1), "time", doubles(*TIMES, kind=8)))),
-        "cannot be read: its numbers are of the unknown type 8.",
+        "cannot be read: its numbers have the unknown type 8.",
     ),
     "an imaginary part": (
         file(matrix(NUMBERS | COMPLEX, (3, 1), "time", doubles(*TIMES), doubles(*TIMES, kind=8))),
-        "cannot be read: its numbers are of the unknown type 8.",
+        "cannot be read: its numbers have the unknown type 8.",
     ),
     "a text without dimensions": (
         file(TIME, matrix(CHAR, (), "c", element(UINT16, b"a\0"))),
-        "cannot be read: a matrix has dimensions that do not fit it.",
+        "cannot be read: a matrix has wrong dimensions.",
     ),
     "cells in cells": (
         file(TIME, nested(20_000)),
-        "holds more than 64 cells and structs in each other.",
+        "nests cells and structs more than 64 deep.",
     ),
     "a sparse matrix": (
         file(TIME, matrix(5, (3, 1), "z", element(8, bytes(4)), element(INT32, bytes(8)), doubles(*TIMES))),
-        "holds a sparse matrix, which results never do. Save numbers, text, structs and cells alone.",
+        "holds a sparse matrix, which results cannot contain. Save only numbers, text, structs and cells.",
     ),
 }
 """What SciPy 1.17 ends the process on, and what is said instead."""
 
 REFUSED = {
-    "another order": (file()[:126] + b"XX" + TIME, "is no MAT file."),
+    "another order": (file()[:126] + b"XX" + TIME, "is not a MAT file."),
     "a version": (file()[:125] + b"\x07IM" + TIME, "is a MAT file of the unknown version 7."),
-    "no matrix": (file(doubles(1.0)), "cannot be read: there is no whole matrix where one must be."),
+    "no matrix": (file(doubles(1.0)), "cannot be read: a matrix is missing or incomplete."),
     "a matrix that is cut off": (
         file(TIME)[:-8],
-        "cannot be read: there is no whole matrix where one must be.",
+        "cannot be read: a matrix is missing or incomplete.",
     ),
     "half a tag": (file(TIME) + b"\0\0\0\0", "cannot be read: an element is incomplete."),
     "data beyond the matrix": (
@@ -111,7 +111,7 @@ REFUSED = {
     ),
     "fewer numbers": (
         file(matrix(NUMBERS, (4, 1), "time", doubles(*TIMES))),
-        "cannot be read: a matrix does not hold as many numbers as it says.",
+        "cannot be read: the number of elements of a matrix does not match its header.",
     ),
     "a negative size": (
         file(matrix(NUMBERS, (-3, -1), "time", doubles(*TIMES))),
@@ -119,11 +119,11 @@ REFUSED = {
     ),
     "sizes beyond all": (
         file(TIME, matrix(CELL, (2**30, 2**30), "c")),
-        "cannot be read: a matrix has dimensions that do not fit it.",
+        "cannot be read: a matrix has wrong dimensions.",
     ),
     "more than it says": (
         file(matrix(NUMBERS, (3, 1), "time", doubles(*TIMES), doubles(1.0))),
-        "cannot be read: a matrix is not of the size that it says.",
+        "cannot be read: the size of a matrix does not match its header.",
     ),
     "no flags": (file(element(MATRIX, doubles(1.0))), "cannot be read: a matrix has no flags."),
     "names without length": (
@@ -134,10 +134,10 @@ REFUSED = {
         file(TIME, matrix(STRUCT, (1, 1), "s", LENGTH, element(INT8, b"abcdefgh"), TIME, TIME)),
         "cannot be read: a field's name does not end.",
     ),
-    "a class": (file(TIME, matrix(99, (1, 1), "c")), "cannot be read: a matrix is of the unknown class 99."),
+    "a class": (file(TIME, matrix(99, (1, 1), "c")), "cannot be read: a matrix has the unknown class 99."),
     "an object": (
         file(TIME, matrix(3, (1, 1), "o")),
-        "holds an object, which results never do. Save numbers, text, structs and cells alone.",
+        "holds an object, which results cannot contain. Save only numbers, text, structs and cells.",
     ),
     "packed nonsense": (
         file(struct.pack("<II", COMPRESSED, 8) + b"nonsense"),
@@ -145,7 +145,7 @@ REFUSED = {
     ),
     "packed in part": (
         file(struct.pack("<II", COMPRESSED, 40) + compressed(TIME)[8:48]),
-        "cannot be read: there is no whole matrix where one must be.",
+        "cannot be read: a matrix is missing or incomplete.",
     ),
 }
 

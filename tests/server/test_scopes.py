@@ -262,7 +262,7 @@ def test_many_events_give_a_mark_for_a_pixel_and_how_many_there_are() -> None:
         ('time,x,y\n0,1,"-2,5"\n', 'E503 lab.csv: "-2,5" has a decimal comma. Write a decimal point.'),
         ("time,x [rdps]\n1,2\n", "E503 lab.csv: x: "),
         ("time [kg],x\n1,2\n", "E503 lab.csv: time: "),
-        ("time,x [V],x [A]\n1,2,3\n", "E503 lab.csv: has two columns of the name 'x'."),
+        ("time,x [V],x [A]\n1,2,3\n", "E503 lab.csv: has two columns with the name 'x'."),
         ("time,x\n", "E503 lab.csv: has no rows, or no column except the times."),
         ("time\n1\n", "E503 lab.csv: has no rows, or no column except the times."),
         ("", "E503 lab.csv: is empty."),

@@ -155,7 +155,7 @@ def claim(**entry: Any) -> dict[str, Any]:
         (claim(measure="dpi", quantile=1), "E105", "claims[0]", "dip"),
         (claim(scenario="fre", quantile=1), "E105", "claims[0]", "free"),
         (claim(), "E009", "claims.0", "quantile"),
-        ({"claims": [{"run": "one", "measure": "dip", "quantile": 0.5}]}, "E009", "claims.0", 'of a "sweep"'),
+        ({"claims": [{"run": "one", "measure": "dip", "quantile": 0.5}]}, "E009", "claims.0", 'need a "sweep"'),
         (changed(vary={"mass": {"normal": [1, 1], "uniform": [0, 1]}}), "E004", "sweeps.many.vary.mass", "normal"),
         (claim(share=0.9, expect="holds"), "E009", "claims.0", "at_most"),
         ({"claims": [{"run": "one", "measure": "dip", "at_most": 1}]}, "E009", "claims.0", '"holds" or "fails"'),

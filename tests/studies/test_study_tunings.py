@@ -149,8 +149,8 @@ def claim(**entry: Any) -> dict[str, Any]:
         (changed(settings={"seed": 1}), "E003", "tunings.gains.settings.seed", "seed"),
         (claim(tuning="gain"), "E105", "claims.0.tuning", "gains"),
         (claim(measure="a.g"), "E105", "claims[0]", "'a.x'"),
-        (claim(run="one"), "E009", "claims.0", '"tuning", or runs'),
-        (claim(quantile=0.5), "E009", "claims.0", 'of a "sweep"'),
+        (claim(run="one"), "E009", "claims.0", '"tuning" or runs'),
+        (claim(quantile=0.5), "E009", "claims.0", 'need a "sweep"'),
         ({"runs": {"gains": {"diagram": "bowl.json"}}}, "E109", "tunings.gains", "taken by a run"),
     ],
 )  # fmt: skip

@@ -131,8 +131,8 @@ def test_an_unstable_loop_has_no_margins_and_a_bearing_one_endless_ones() -> Non
     [
         ({"loop": "control.u"}, 'the key "type" is missing'),
         ({"type": "gain_margn", "loop": "control.u"}, "gain_margin"),
-        ({"type": "gain_margin"}, 'a margin has "loop"'),
-        ({"type": "gain_margin", "from": "wanted.y", "to": "plant.x"}, 'a gain_margin is of a "loop"'),
+        ({"type": "gain_margin"}, 'a margin needs either "loop"'),
+        ({"type": "gain_margin", "from": "wanted.y", "to": "plant.x"}, 'gain_margin needs a "loop"'),
         ({"type": "gain_margin", "loop": "control.u", "amplitudes": {}}, "amplitude"),
         ({"type": "gain_margin", "lop": "control.u"}, 'the key "lop" is not known here. Did you mean "loop"?'),
         ({"type": "gain_margin", "loop": "control.x"}, "there is no such signal"),

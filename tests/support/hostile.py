@@ -883,7 +883,7 @@ def beside(entries: dict[str, bytes], **modes: int) -> Callable[[Path], None]:
 
 
 fmu("nothing", "E202", "empty", lambda path: path.touch())
-fmu("no archive", "E202", "no zip archive", lambda path: path.write_bytes(b"hello" * 100))
+fmu("no archive", "E202", "not a zip archive", lambda path: path.write_bytes(b"hello" * 100))
 fmu("a FIFO", "E007", "", os.mkfifo)
 fmu("a folder", "E007", "", lambda path: path.mkdir())
 fmu("a device of zeros", "E007", "", lambda path: path.symlink_to("/dev/zero"))
@@ -895,10 +895,10 @@ fmu("a backslash", "E203", "backslash", beside({"resources\\..\\evil": b"x"}))
 fmu("a name twice", "E203", "appears twice", beside({"resources/a": b"x", "resources/a#2": b"y"}))
 fmu("a link to /etc/passwd", "E203", "symbolic link", beside({"link": b"/etc/passwd"}, link=0o120777))
 fmu("a device in it", "E203", "neither", beside({"node": b""}, node=0o020666))
-fmu("a bomb of 400 MB", "E203", "grows from", beside({"resources/zeros": bytes(40 * 2**20)}))
+fmu("a bomb of 400 MB", "E203", "unpacks from", beside({"resources/zeros": bytes(40 * 2**20)}))
 fmu("a name that a terminal would obey", "E203", "not a name", beside({"resources/\x1b[2J": b"x"}))
 fmu("a file where its folder should be", "E203", "folder", beside({"resources": b"x", "resources/a": b"y"}))
-fmu("no description", "E202", "no FMU", lambda path: packed(path, {"a": b""}))
+fmu("no description", "E202", "not an FMU", lambda path: packed(path, {"a": b""}))
 fmu(
     "entities that laugh",
     "E204",

@@ -85,12 +85,12 @@ class Cache:
         try:
             digest, length, name = (entry / CHECK).read_text(encoding="ascii").split()
             if os.path.basename(name) != name:
-                raise ValueError("the file lies elsewhere")
+                raise ValueError("the file is in another folder")
             path = entry / name
             seen = os.stat(path)
             mark = (seen.st_ino, seen.st_size, seen.st_mtime_ns)
             if seen.st_size != int(length) or (_whole.get(path) != mark and _digest(path) != digest):
-                raise ValueError("the file is not the one that was written")
+                raise ValueError("the file has changed since it was written")
         except (OSError, ValueError):  # UnicodeDecodeError is a ValueError
             return None
         _whole[path] = mark
@@ -209,19 +209,19 @@ def of_user() -> Cache:
     try:
         folder = _place()
     except (OSError, RuntimeError) as error:
-        return temporary(f"no folder for caches is known: {error}")
+        return temporary(f"the folder for caches is not known: {error}")
     if folder in _refused:
         return temporary(_refused[folder])
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = os.stat(folder)
     except OSError as error:
-        return temporary(f"{folder} cannot be made: {error.strerror or error}")
+        return temporary(f"{folder} cannot be created: {error.strerror or error}")
     if os.name == "posix":
         if status.st_uid != os.geteuid():
             return temporary(f"{folder} belongs to another user")
         if stat.S_IMODE(status.st_mode) & 0o022:
-            return temporary(f"{folder} can be written to by other users; remove it, and it is made anew")
+            return temporary(f"other users can write to {folder}; remove it, and blocks creates it again")
     return Cache(folder)
 
 
@@ -256,8 +256,8 @@ def size() -> Size:
 
 def unwritable(folder: Path, error: OSError, reason: str = "") -> CompilerError:
     """E604, for `folder`; reason: why that one is needed."""
-    needed = f"; it is needed, as {reason}" if reason else ""
-    cure = f"Make room, or name another folder by {VARIABLE}."
+    needed = f"; it is needed because {reason}" if reason else ""
+    cure = f"Make room, or set {VARIABLE} to another folder."
     return CompilerError(Fault("E604", str(folder), f"cannot be written to: {error.strerror or error}{needed}.", cure))
 
 

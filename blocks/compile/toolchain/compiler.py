@@ -175,7 +175,7 @@ def _of_package(row: tuple[str, str, tuple[str, ...]]) -> Compiler | None:
 
 def _named(text: str) -> Compiler:
     """The compiler that $CC names: a program, or a program and arguments."""
-    cure = "Set it to a C compiler that works, or unset it; --engine reference needs none."
+    cure = "Set it to a C compiler that works, or unset it. --engine reference needs no compiler."
     try:
         words = [text] if os.path.isfile(text) else shlex.split(text, posix=os.name != "nt")
     except ValueError as error:
@@ -284,7 +284,7 @@ def build(
     """
     compiler = compiler or find_compiler()
     if compiler is None:
-        cure = "Install one (pip install ziglang brings one), or use the reference engine (--engine reference)."
+        cure = "Install one, for example by pip install ziglang, or use the reference engine (--engine reference)."
         raise CompilerError(Fault("E605", "", f"{NO_COMPILER}.", cure))
     job = _Job(compiler, tuple(units), tuple(extra_flags))
     place = cache or caches.of_user()
@@ -367,8 +367,8 @@ class _Job:
             return error
         kept = place.keep_failure(key, work)
         until = " until this process ends" if place.is_temporary else ""
-        text = f"{self.compiler} refused the code of the model, which is kept in {kept}{until}:\n{refusal.text}\n"
-        return CompilerError(Fault("E602", "", text, "The reference engine runs the diagram without a compiler."))
+        text = f"{self.compiler} rejected the code of the model, which is kept in {kept}{until}:\n{refusal.text}\n"
+        return CompilerError(Fault("E602", "", text, "--engine reference runs the diagram without a compiler."))
 
 
 def try_out(compiler: Compiler, place: Cache) -> None:
@@ -381,8 +381,8 @@ def try_out(compiler: Compiler, place: Cache) -> None:
             job.link(work, TRIAL)
         except _Refusal as refusal:
             where = "$CC" if compiler.origin == "$CC" else compiler.command[0]
-            cure = "Set CC to another one, or mend this one."
-            said = f"{shlex.join(compiler.command)} cannot make a library of an empty program:\n{refusal.text}\n"
+            cure = "Set CC to another compiler, or repair this compiler."
+            said = f"{shlex.join(compiler.command)} cannot build a library from an empty program:\n{refusal.text}\n"
             raise CompilerError(Fault("E601", where, said, cure)) from None
 
 
@@ -430,7 +430,7 @@ def _execute(commands: Mapping[str, Sequence[str]], work: Path, limit: float | N
             for process in running.values():
                 process.wait(max(0.0, end - time.monotonic()))
     except subprocess.TimeoutExpired:
-        raise _Refusal(f"it did not come to an end within {limit:g} s, and was stopped") from None
+        raise _Refusal(f"it did not finish within {limit:g} s, and was stopped") from None
     finally:
         for process in running.values():
             _stop(process)
@@ -439,7 +439,7 @@ def _execute(commands: Mapping[str, Sequence[str]], work: Path, limit: float | N
         if process.returncode or not (work / output).is_file():
             with open(work / f"{output}.log", "rb") as written:
                 text = written.read(4 * SHOWN).decode("utf-8", "replace").strip()
-            said.append(text or f"it ended with {process.returncode}, made no {output} and said nothing")
+            said.append(text or f"it ended with status {process.returncode}, created no {output} and printed nothing")
     if said:
         raise _Refusal(_bounded("\n".join(said), SHOWN))
 
@@ -501,8 +501,8 @@ class _Library(ctypes.CDLL):
         try:
             return super().__getitem__(name)
         except AttributeError:
-            message = f"the compiled library lacks {name}, which its code has: the compiler or its linker left it out."
-            cure = "CC names another compiler; --engine reference needs none."
+            message = f"the compiled library lacks the function {name}: the compiler or its linker left it out."
+            cure = "Set CC to another compiler. --engine reference needs no compiler."
             raise CompilerError(Fault("E603", str(self._name), message, cure)) from None
 
 
@@ -518,8 +518,8 @@ def load(path: Path) -> ctypes.CDLL:
                 _loaded[path] = _Library(str(path))
             except OSError as error:
                 said = str(error).removeprefix(f"{path}: ")
-                cure = "`blocks doctor --clear-cache` empties the cache; CC names another compiler."
+                cure = "Empty the cache (`blocks doctor --clear-cache`), or set CC to another compiler."
                 if "failed to map segment" in said or "Operation not permitted" in said:
-                    cure = f"Name a folder from which programs may be run (not mounted noexec) by {caches.VARIABLE}."
+                    cure = f"Set {caches.VARIABLE} to a folder in which programs may run (not mounted noexec)."
                 raise CompilerError(Fault("E603", str(path), f"cannot be loaded: {said}.", cure)) from None
         return _loaded[path]

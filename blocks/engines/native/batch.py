@@ -178,6 +178,6 @@ def _why(plan: Plan, kept: dict[str, Array], i: int) -> Fault:
     t, status = float(kept["ended"][i]), int(kept["status"][i])
     if status == _NO_MEMORY:
         cure = "Run fewer rows at once (threads=1), or log less."
-        return Fault("E311", plan.name, f"no memory is left, at t = {t:.10g} s.", cure)
-    cure = "Run the row by itself, which tells more."
+        return Fault("E311", plan.name, f"at t = {t:.10g} s no memory is left.", cure)
+    cure = "Run this row alone for a more detailed message."
     return in_brief(plan, int(kept["failure"][i]), int(kept["culprit"][i]), t, cure)

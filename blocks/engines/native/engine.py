@@ -209,8 +209,8 @@ class NativeEngine:
         """No other thread uses the C side meanwhile. Raises UsageError (E501) inside the run's own stepper."""
         with self._lock:
             if self._is_inside:  # this thread: others wait
-                message = "a run cannot be used from inside one of its own steppers."
-                raise UsageError(Fault("E501", self.plan.name, message, "Give the stepper inputs and outputs."))
+                message = "a stepper cannot use the run that it is part of."
+                raise UsageError(Fault("E501", self.plan.name, message, "Use the stepper's inputs and outputs."))
             yield
 
     # --- going on --------------------------------------------------------------------------------------------------
@@ -348,7 +348,7 @@ class NativeEngine:
     def _in_brief(self) -> SimulationError:
         """The error by the compiled code alone: the kind of the failure, and the name of a crossing."""
         sim = self.sim
-        cure = "The reference engine tells more (--engine reference)."
+        cure = "Run it with --engine reference for a more detailed message."
         return SimulationError(in_brief(self.plan, sim.failure, sim.culprit, self.t, cure))
 
     def _in_words(self, start: bool) -> SimulationError | None:

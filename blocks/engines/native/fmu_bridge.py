@@ -232,9 +232,9 @@ class NativeForeigns:
             return Ended(unit.over)
         if what == 1:
             message = f"at t = {t} s the event iteration of {name} does not end."
-            return SimulationError(Fault("E305", path, message, "Tell its maker."))
+            return SimulationError(Fault("E305", path, message, "Report it to the FMU's vendor."))
         if what == 2:
             message = f"a state of {name} is not finite after an event at t = {t} s."
-            return SimulationError(Fault("E303", path, message, "Tell its maker; other inputs may help."))
-        message = f"{name} discards what an accepted step came to, at t = {t} s."
+            return SimulationError(Fault("E303", path, message, "Try other inputs, or report it to the FMU's vendor."))
+        message = f"{name} discards the end of an accepted step, at t = {t} s."
         return FMUError(Fault("E213", path, message, "Use smaller steps or tolerances."))

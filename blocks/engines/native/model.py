@@ -178,7 +178,7 @@ def _built(plan: Plan, units: Sequence[TranslationUnit]) -> Path:
         if fault.code != "E602" or largest is None or len(largest.tape.nodes) < LARGE:
             raise
         count = f"{len(largest.tape.nodes):,} operations"
-        message = f"{fault.message}The equations of {largest.path} have {count}, maybe too many: split the block."
+        message = f"{fault.message}The equations of {largest.path} have {count}, maybe too many. Split the block."
         raise CompilerError(replace(fault, message=message)) from None
 
 
@@ -209,15 +209,19 @@ def _prepared(library: ctypes.CDLL, *, has_batch: bool, has_lanes: bool) -> ctyp
         ("blocks_list_room", c.c_int, [sim, c.c_int64]),
         ("blocks_past_room", c.c_int, [sim, c.c_int64, c.c_int64]),
         *([("blocks_batch", c.c_int64, [sim, sim, sim])] if has_batch else []),
-        *([
-            ("blocks_lanes_new", sim, [sim, sim, c.c_int64]),
-            ("blocks_lanes", c.c_int64, [sim, sim, sim]),
-            ("blocks_lanes_free", None, [sim]),
-        ] if has_lanes else []),
+        *(
+            [
+                ("blocks_lanes_new", sim, [sim, sim, c.c_int64]),
+                ("blocks_lanes", c.c_int64, [sim, sim, sim]),
+                ("blocks_lanes_free", None, [sim]),
+            ]
+            if has_lanes
+            else []
+        ),
     ):
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
     sizes = [library.blocks_size(k) for k in (0, 1, 3)]
     if sizes != [c.sizeof(runtime_layout.STRUCTURES[f"Blocks{name}"]) for name in ("Sim", "Setup", "Memory")]:
-        raise AssertionError(f"the structures of the runtime are not what its headers say: {sizes}")
+        raise AssertionError(f"the structures of the runtime do not match its headers: {sizes}")
     return library

@@ -60,19 +60,19 @@ class CrossingWatch:
 
     def add(self, t: float, crossing: int, *, up: bool) -> None:
         """A crossing fires. Refused: one crossing again within some ulp of t, or too many of all of them."""
-        cure = "Give the block a state of rest, or the crossing a hysteresis."
+        cure = "Add a state of rest to the block, or a hysteresis to the crossing."
         name = self.instants.name(crossing)
         if self.directions[crossing] in ("both", "up" if up else "down"):
             last = self.fired.get(crossing, -math.inf)
             self.fired[crossing] = t
             if 0 < t - last <= _QUICK * math.ulp(t):  # 0: the same firing, found anew after an interrupt
-                message = f"fires ever faster, and at t = {t} s faster than time can tell: Zeno or chattering."
+                message = f"fires ever faster, and at t = {t} s faster than time can be resolved: Zeno or chattering."
                 raise SimulationError(Fault("E304", name, message, cure))
         if len(self.times) == _CROWD:
             stop = self.plan.settings.stop
             span = _span(self.plan, t, t if stop is None else float(stop))
             if t - self.times[0] < _CROWD_PART * span:
-                message = f"{_CROWD} crossings between t = {self.times[0]} s and {t} s: Zeno or chattering."
+                message = f"fires {_CROWD} times between t = {self.times[0]} s and {t} s: Zeno or chattering."
                 raise SimulationError(Fault("E304", name, message, cure))
         self.times.append(t)
 
@@ -106,8 +106,8 @@ class CrossingWatch:
             slopes = slopes_by_rates()
             missed &= np.where(sides, -slopes, slopes) > size
         if missed.any():
-            message = f"at t = {t} s it is crossed again sooner than numbers can tell: Zeno."
-            cure = "Give the block a state of rest."
+            message = f"at t = {t} s it is crossed again sooner than time can be resolved: Zeno."
+            cure = "Add a state of rest to the block."
             raise SimulationError(Fault("E304", self.instants.name(int(np.nonzero(missed)[0][0])), message, cure))
 
 
@@ -157,14 +157,12 @@ class ProgressWatch:
         self.count = 0 if not is_slow else self.count + (culprit is not None)
         if culprit is None or self.count < TO_AND_FRO:
             return
-        message = f"chatters at t = {t} s: its rate jumps to and fro, in steps that would not reach the stop."
+        message = f"chatters at t = {t} s: its rate jumps back and forth, and the steps become too short to go on."
         cure = "Make the jump a crossing with a hysteresis, as in Relay, or smooth it, as in tanh(x/eps)."
         raise SimulationError(Fault("E301", self.plan.states[culprit], message, cure))
 
 
-def _to_and_fro(
-    rates: Callable[[float, Array], Array], x: Array, first: Array, h: float, weights: Array
-) -> int | None:
+def _to_and_fro(rates: Callable[[float, Array], Array], x: Array, first: Array, h: float, weights: Array) -> int | None:
     """The state whose rate jumps on the way along the rates from x, and jumps back on the way that follows.
 
     rates: after s seconds. None where no rate jumps within h, or where what follows leads on.

@@ -695,8 +695,8 @@ class ReferenceEngine:
             first = min(first, error)
             if t1 - now.t < 1e-7 * whole and error > 0.5 * first:
                 name = (*self.plan.states, *self.plan.discretes)[int(np.argmax(errors))]
-                message = f"at t = {now.t} s it changes with every step, however short that is."
-                cure = 'Use every=period, an int, or a method with a fixed step: every="step" is for what converges.'
+                message = f"at t = {now.t} s it changes at every step, however short the step is."
+                cure = 'Use every=period, an int, or a fixed step: with every="step", values must converge.'
                 raise SimulationError(Fault("E301", name, message, cure))
             t1 = now.t + (t1 - now.t) * max(0.1, 0.9 / math.sqrt(error))  # it falls with the square of the step
         return t1

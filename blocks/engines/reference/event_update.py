@@ -44,7 +44,7 @@ Array = np.ndarray[Any, Any]
 _Update = tuple[Evaluator, list[int]]  # a program, and the places in d of what it gives
 _Item = UnitPlace | tuple[_Update, list[int]]  # the time event of an FMU, or sampled outputs and programs
 MOST_PASSES = 100
-OPEN_THE_LOOP = "Put a UnitDelay or a state into the loop, or take a law without a jump."
+OPEN_THE_LOOP = "Put a UnitDelay or a state into the loop, or use a law without a jump."
 _TINY = 5e-324
 
 
@@ -151,8 +151,8 @@ class Instants:
             if moved:
                 raise self.foreign.unsettled(t)
             j = next((j for j, (side, other) in enumerate(zip(s, guess[0], strict=True)) if side != other), 0)
-            message = "finds no side on which it could start."
-            cure = "Put a UnitDelay or a state into the loop, or say where it starts: @crossing(start=False)."
+            message = "has no side on which it can start: each side leads to the other."
+            cure = "Put a UnitDelay or a state into the loop, or set the side at the start: @crossing(start=False)."
             if j in plan.corners:
                 message, cure = "the algebraic loop has no solution at the start.", OPEN_THE_LOOP
             raise SimulationError(Fault("E305", self.name(j), message, cure))
@@ -257,8 +257,8 @@ class Instants:
 
     def _not_ahead(self, index: int, time: float, t: float) -> SimulationError:
         """The error of an event time that does not lie in the future."""
-        message = f"gives {time} as the next instant after t = {t} s."
-        cure = "An event time lies after t, or is inf; compare with t < ..., not t <= ..."
+        message = f"returned {time} as the next instant after t = {t} s."
+        cure = "An event time must be after t, or inf: compare with t < ..., not t <= ..."
         return SimulationError(Fault("E306", self.name(index), message, cure))
 
     def with_solutions(self, snapshot: Snapshot, u: Sequence[float]) -> Snapshot:
@@ -278,11 +278,11 @@ class Instants:
         name = self.plan.node_name(node)
         if node.key.startswith("residual"):
             message = f"at t = {memory[0]} s no value was found at which its residual is 0."
-            cure = f"There may be none, or the search begins too far from it: set {name.partition('[')[0]}_start."
+            cure = f"There may be none, or the search starts too far from it: set {name.partition('[')[0]}_start."
         else:
             message = f"at t = {memory[0]} s no solution was found for its algebraic loop."
             cure = (
-                "It may have none, or no single one (y = y). If it has one, let the search begin near it: a block with "
+                "It may have no solution, or many (y = y). If it has one, let the search start near it: a block with "
                 "an Algebraic variable in the loop has a start value. A state or a UnitDelay in the loop breaks it."
             )
         found = self.compiled.nearest(reference, memory)
@@ -292,9 +292,7 @@ class Instants:
             if search.residual == 0.0:
                 message += f" The residual is 0 at {its} = {search.x!r}, but its derivative is singular there."
             elif math.isfinite(search.residual):
-                message += (
-                    f" The search came nearest at {its} = {search.x!r}, where the residual is {search.residual:g}."
-                )
+                message += f" The search came nearest at {its} = {search.x!r}, with the residual {search.residual:g}."
             else:
                 message += (
                     f" The residual is not finite where the search begins, at {its} = {search.guess[search.number]!r}."
@@ -455,10 +453,10 @@ class Instants:
                 if now in known:
                     break
                 known.add(now)
-        what = "events go on without end"
-        cure = "What they change acts back on them at once. Put a UnitDelay or a state between them, or a hysteresis."
+        what = "events trigger each other without end"
+        cure = "Their effects act back on them at once. Put a UnitDelay or a state between them, or a hysteresis."
         if not {*plan.corners}.isdisjoint((*firing, *changed)):
-            what, cure = "the algebraic loop has no solution, its sides change without end", OPEN_THE_LOOP
+            what, cure = "the algebraic loop has no solution: its sides change without end", OPEN_THE_LOOP
         raise SimulationError(Fault("E305", history[-1], f"at t = {snapshot.t} s {what}: {_cycle(history)}.", cure))
 
     def _with_own(self, snapshot: Snapshot, due: dict[int, float]) -> Snapshot:
@@ -651,7 +649,7 @@ class Instants:
             x, d = before.x.copy(), list(before.d)
             for (row, place), value in zip(part.resets, self._anew[part](*self.memory(before, u)), strict=True):
                 if not math.isfinite(value):
-                    message = f"begins anew at {value}, at t = {before.t} s."
+                    message = f"starts again at {value} when it is turned on at t = {before.t} s."
                     raise SimulationError(Fault("E303", part.path, message, NOT_FINITE))
                 if row == "x":
                     x[place] = value
@@ -836,14 +834,14 @@ class Instants:
             raise self._failed(part, message) from error
 
     def _failed(self, part: StepperPart, message: str) -> SimulationError:
-        return SimulationError(Fault("E310", part.path, f"its stepper {message}.", "Mend that program."))
+        return SimulationError(Fault("E310", part.path, f"its stepper {message}.", "Correct this program."))
 
     def made(self, part: StepperPart) -> Any:
         """The program of a stepper, new."""
         try:
             program = part.make()
         except Exception as error:  # a program of the user may raise anything
-            raise self._failed(part, f"could not be made: {type(error).__name__}{_line(error)}: {error}") from error
+            raise self._failed(part, f"could not be created: {type(error).__name__}{_line(error)}: {error}") from error
         if not callable(getattr(program, "step", None)):
             raise self._failed(part, f"is {program!r}, which has no step(t, **inputs)")
         return program
@@ -860,7 +858,8 @@ class Instants:
             return json.loads(json.dumps({"saved": program.save()}, allow_nan=False))
         except Exception as error:  # a program of the user may raise anything
             message = f"its stepper cannot be saved: {type(error).__name__}: {error}."
-            raise UsageError(Fault("E506", part.path, message, "save() gives what JSON can hold.")) from error
+            cure = "save() must return a value that JSON can hold."
+            raise UsageError(Fault("E506", part.path, message, cure)) from error
 
     def restore(self, number: int, blob: Any) -> None:
         """A stepper as it was saved."""
@@ -880,16 +879,16 @@ class Instants:
         names = [name for name, _, _ in part.outputs]
         if not isinstance(returned, Mapping) or sorted(returned) != sorted(names):
             what = ", ".join(map(str, returned)) if isinstance(returned, Mapping) else repr(returned)
-            raise self._failed(part, f"gave {what or 'nothing'}, but its outputs are {', '.join(names) or 'none'}")
+            raise self._failed(part, f"returned {what or 'nothing'}, but its outputs are {', '.join(names) or 'none'}")
         d = list(before)
         for (name, slots, shape), type_ in zip(part.outputs, part.types, strict=True):
             values = np.asarray(returned[name], dtype=float)
             if values.shape not in (shape, ()) or not np.isfinite(values).all():
-                raise self._failed(part, f"gave {returned[name]!r} for '{name}' at t = {t} s")
+                raise self._failed(part, f"returned {returned[name]!r} for '{name}' at t = {t} s")
             if type_ != "real" and not np.all(values == np.floor(values)):
-                raise self._failed(part, f"gave {returned[name]!r} for '{name}', which is {type_} (t = {t} s)")
+                raise self._failed(part, f"returned {returned[name]!r} for '{name}', which is {type_} (t = {t} s)")
             if type_ == "bool" and not np.all((values == 0) | (values == 1)):
-                raise self._failed(part, f"gave {returned[name]!r} for '{name}', which is a bool (t = {t} s)")
+                raise self._failed(part, f"returned {returned[name]!r} for '{name}', which is a bool (t = {t} s)")
             for slot, value in zip(slots, np.broadcast_to(values, shape).ravel(), strict=True):
                 d[slot] = self.whole(slot, float(value), t)
         return tuple(d)
@@ -920,9 +919,9 @@ class Instants:
         if members is None or (value in members if members else abs(value) <= 2**53):
             return value
         if members:
-            what, cure = f"which is none of {sorted(map(int, members))}", "Let its equation give one of them."
+            what, cure = f"which is none of {sorted(map(int, members))}", "Its equation must give one of them."
         else:
-            what, cure = "beyond 2^53, where not all are exact", "Let it begin anew before, or make it real."
+            what, cure = "beyond 2^53, where doubles cannot hold all integers", "Reset it earlier, or make it real."
         message = f"became {value:.17g} at t = {t} s, {what}."
         raise SimulationError(Fault("E309", self.plan.discretes[slot], message, cure))
 

@@ -74,7 +74,7 @@ class Failures:
     def too_small(self, made: Trial, weights: Array) -> SimulationError:
         """E301: a step that was shortened until it could not be any more. weights: what a state may be off by."""
         if not (np.isfinite(made.k).all() and np.isfinite(made.x1).all()):
-            return self.blown_up(made, "The step was shortened until it could not be any more.")
+            return self.blown_up(made, "The step was shortened to the resolution of time.")
         worst = int(np.argmax(np.abs(made.error) / weights))
         message = f"at t = {made.t0} s the step became too small to reach rtol {self.plan.settings.rtol}."
         cure = "The model may jump or chatter here: use a crossing, radau for stiff models, or a larger tolerance."
@@ -91,7 +91,7 @@ class Failures:
         cure = "Raise rtol and atol, or use dopri5."
         if max(abs(x[worst]), weights[worst]) < 100 * step * abs(rates[worst]):
             cure = (
-                "It changes by its own size in a moment: the solution likely ends here, as where a state grows without "
-                "bound or a divisor passes 0. Bound the state or the divisor, or stop before."
+                "It changes by its own size in a moment: the solution probably ends here, as if a state grows without "
+                "bound or a divisor passes 0. Limit the state or the divisor, or stop the run earlier."
             )
         return SimulationError(Fault("E308", self.plan.states[worst], cause, cure))

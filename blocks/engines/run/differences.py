@@ -18,9 +18,9 @@ MOST = 8
 OLD = Fault(
     "W302",
     "resume",
-    "the state does not say which equations it is of, as those of other releases may not: whether the diagram is the "
-    "one that was saved is not known.",
-    "See that neither it nor its library has changed; a state that is saved from now on says it.",
+    "the saved state does not record its equations, as in some other releases, so blocks cannot check that the diagram "
+    "is the same.",
+    "Make sure that neither it nor its library has changed. States that are saved from now on record the equations.",
 )
 
 
@@ -39,18 +39,18 @@ def of_equations(kept: Equations, own: Equations) -> Iterator[Fault]:
     old, new = theirs["blocks"], ours["blocks"]
     added, missing = [path for path in new if path not in old], [path for path in old if path not in new]
     if added or missing:
-        parts = [f"the diagram has {some(added)}, the state has not"] if added else []
-        parts += [f"the state has {some(missing)}, the diagram has not"] if missing else []
+        parts = [f"the diagram has {some(added)}, which the state lacks"] if added else []
+        parts += [f"the state has {some(missing)}, which the diagram lacks"] if missing else []
         yield _refusal("blocks", "; ".join(parts))
     changed = [(path, parts) for path in new if path in old and (parts := list(_parts(theirs, ours, path)))]
     for path, parts in changed[:MOST]:
         yield _refusal(path, "; ".join(parts))
     if len(changed) > MOST:
-        yield _refusal("blocks", f"{some([path for path, _ in changed[MOST:]])} compute something else too")
+        yield _refusal("blocks", f"{some([path for path, _ in changed[MOST:]])} compute different values too")
 
 
 def _refusal(place: str, text: str) -> Fault:
-    cure = "Begin the run anew, or take the diagram and the library that it was saved with."
+    cure = "Start a new run, or use the diagram and the library with which it was saved."
     return Fault("E506", place, f"the state does not fit the diagram: {text}.", cure)
 
 
@@ -64,11 +64,11 @@ def _parts(theirs: Mapping[str, Any], ours: Mapping[str, Any], path: str) -> Ite
     if was["name"] != now["name"] and (others or added or missing):
         yield f"it is a {now['name']}, and was a {legible(was['name'])}"
     if others:
-        yield f"{some(others)} {'is another equation' if len(others) == 1 else 'are other equations'}"
+        yield f"{some(others)} {'is a different equation' if len(others) == 1 else 'are different equations'}"
     if added:
-        yield f"it has {some(added)}, the state has not"
+        yield f"it has {some(added)}, which the state lacks"
     if missing:
-        yield f"the state has {some(missing)}, it has not"
+        yield f"the state has {some(missing)}, which it lacks"
     known, numbers = (record["numbers"][block["numbers"]] for record, block in ((theirs, before), (ours, after)))
     if others or added or missing:
         yield from _told(known["structure"], numbers["structure"])
@@ -119,8 +119,9 @@ def of_values(kept: Equations, own: Equations) -> Iterator[Fault]:
         was, now = theirs["types"][old["type"]]["equations"], ours["types"][block["type"]]["equations"]
         for heading in now:
             if heading.startswith("program ") and was.get(heading) not in (None, now[heading]):
-                message = "the text of its program is another one than when the state was saved."
-                faults.append(Fault("W303", path, message, "See that what it has saved still means the same."))
+                message = "the text of its program has changed since the state was saved."
+                cure = "Make sure that its saved values still have the same meaning."
+                faults.append(Fault("W303", path, message, cure))
         known, numbers = theirs["numbers"][old["numbers"]], ours["numbers"][block["numbers"]]
         if known == numbers:
             continue
@@ -128,9 +129,10 @@ def of_values(kept: Equations, own: Equations) -> Iterator[Fault]:
             before, text = known["values"].get(name), numbers["values"].get(name)
             if before != text:
                 message = f"is {_shown(text)}, and was {_shown(before)} (SI) when the state was saved."
-                faults.append(Fault("W303", legible(f"{path}.{name}"), message, "The run goes on with the new value."))
+                cure = "The run continues with the new value."
+                faults.append(Fault("W303", legible(f"{path}.{name}"), message, cure))
     yield from faults[:MOST]
     if len(faults) > MOST:
         rest = some([fault.place for fault in faults[MOST:]])
-        message = f"{len(faults) - MOST} more are others than when the state was saved: {rest}."
-        yield Fault("W303", "resume", message, "The run goes on with the new ones.")
+        message = f"{len(faults) - MOST} more values have changed since the state was saved: {rest}."
+        yield Fault("W303", "resume", message, "The run continues with the new values.")

@@ -63,7 +63,7 @@ class FmuDerivatives(FmuValues):
             )
             self.is_reliable = not any(apart)
             if not self.is_reliable:
-                message = "its directional derivatives are not what differences give; these are used."
+                message = "its directional derivatives differ from finite differences; blocks uses the latter."
                 self.one.warn(message)
                 return check
         if any(missing.values()):

@@ -40,8 +40,9 @@ class Row:
     @classmethod
     def over(cls, place: str, budget: int | None) -> Row:
         """One that was cut short. When it was does not count: that depends on when the clock was looked at."""
-        cure = "Give it more steps, or look at its values: such a run may be stiff, or chatter."
-        return cls(budget or 0, {}, Fault("E313", place, f"takes more than {budget} steps.", cure), "budget")
+        cure = "Increase the budget, or check the values of this row: the run may be stiff or chatter."
+        message = f"needs more than {budget} steps, the budget of a run."
+        return cls(budget or 0, {}, Fault("E313", place, message, cure), "budget")
 
 
 def cores() -> int:

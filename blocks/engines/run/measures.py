@@ -49,8 +49,8 @@ _AT_ONCE = 8192  # signals in records that are taken in at once: their fine poin
 _PENDING = 256  # records of single steps that are put off until they are taken in together
 _PATHS = ("settling_time", "rise_time")
 _COVER = "Let the run cover the window, or move the window into the run."
-_WHOLE = "Let the window hold whole periods of the fundamental, and say both exactly."
-_FREQUENCY = "Give the frequency of its fundamental as omega."
+_WHOLE = "Choose a window of whole periods of the fundamental, and give both exactly."
+_FREQUENCY = "Set omega to the frequency of its fundamental."
 _VALUES = 5  # the column of a record at which its values begin
 
 Parts = Callable[[float, float, "Array | None"], Iterable[tuple[float, float, Array]]]
@@ -333,7 +333,7 @@ class Measures:
             why, cure = _uncovered(spec, self.first[i], float(self.span[i]), t), _COVER
             turns = float(self.span[i]) * spec.omega / (2 * math.pi)
             if not why and spec.omega and (round(turns) < 1 or abs(turns - round(turns)) > 1e-6):
-                why, cure = f"its window holds {turns:.10g} periods, no whole number of them", _WHOLE
+                why, cure = f"its window has {turns:.10g} periods, not a whole number", _WHOLE
             if why:
                 value = math.nan
             elif spec.type in ("mean_square", "RMS"):
@@ -341,7 +341,7 @@ class Measures:
                 value = math.sqrt(value) if spec.type == "RMS" else value
             elif spec.type == "THD":
                 value = self._distortion(i)
-                why, cure = _without(value, "its signal has no wave of the frequency of its fundamental"), _FREQUENCY
+                why, cure = _without(value, "its signal has no component at the frequency omega"), _FREQUENCY
             elif spec.type == "rise_time":
                 value = self._rise_time(i)
                 why = _without(value, "its signal does not go from 10 to 90 % of the step")

@@ -35,10 +35,10 @@ def check(place: str, rows: int, elements: int, more: float = 0.0, *, copies: fl
     needed = recorded + more
     if needed <= SMALL or needed <= (there := available_memory.for_recording()):
         return
-    what, cure = f"{rows:,} rows of {elements:,} signals take {available_memory.told(recorded)}", CURE
+    what, cure = f"{rows:,} rows of {elements:,} signals need {available_memory.told(recorded)}", CURE
     if more > recorded:
-        what, cure = f"what the run remembers of its steps takes {available_memory.told(more)}", "Take larger steps."
-    message = f"{what} of memory, and {available_memory.told(there)} are there for it."
+        what, cure = f"the history of the run's steps needs {available_memory.told(more)}", "Use larger steps."
+    message = f"{what} of memory, and {available_memory.told(there)} are available."
     raise UsageError(Fault("E311", place, message, cure))
 
 
@@ -71,5 +71,5 @@ def _of_past(plan: Plan, begin: Fraction, *, is_native: bool) -> float:
 
 def no_room(place: str, t: float, recorded: float) -> SimulationError:
     """The error of a run that ends at t, as its recorded rows (bytes), or its past, leave no memory."""
-    message = f"at t = {t} s there is no memory for more: the recorded rows take {available_memory.told(recorded)}."
+    message = f"at t = {t} s no memory is left: the recorded rows take {available_memory.told(recorded)}."
     return SimulationError(Fault("E311", place, message, CURE))

@@ -158,7 +158,7 @@ class ModelExchangeUnit(FmuDerivatives):
     def stand(self, t: float, x: Sequence[float], inputs: Sequence[float]) -> None:
         """Set an accepted time. Raises FMUError where the FMU refuses it."""
         if not self.set_point(t, list(enumerate(x)), list(enumerate(inputs))):
-            message = f"{self.foreign.path.name} discards what an accepted step came to, at t = {t} s."
+            message = f"{self.foreign.path.name} discards the end of an accepted step, at t = {t} s."
             raise FMUError(Fault("E213", self.part.path, message, "Use smaller steps or tolerances."))
 
     def completed(self, t: float, x: Sequence[float], inputs: Sequence[float]) -> bool:
@@ -202,8 +202,8 @@ class ModelExchangeUnit(FmuDerivatives):
         if not names:
             return None
         which = f"{', '.join(names)} of {self.foreign.path.name}"
-        message = f"{which} follows only where steps end, and is older inside of them."
-        cure = "Use fixed steps that meet the rows (--method rk4 --step H), or no grid (every), or ask its maker."
+        message = f"{which} is computed only at the ends of steps; between them it keeps an older value."
+        cure = "Use fixed steps that end at the rows (--method rk4 --step H), or record without a grid (every)."
         return Fault("W208", self.part.path, message, cure)
 
     @property
@@ -211,8 +211,8 @@ class ModelExchangeUnit(FmuDerivatives):
         """The warning that it ticked before something that its inputs depend on (W210)."""
         if not self.is_late:
             return None
-        message = f"{self.foreign.path.name} is in a circle with what ticks at the time of its events, and comes first."
-        cure = "If it samples its inputs, it is one sample late: take the block, or let it tick at other times."
+        message = f"{self.foreign.path.name} is in a loop with blocks that tick at its events, and is updated first."
+        cure = "If it samples its inputs, it is one sample late: use a block instead, or choose other tick times."
         return Fault("W210", self.part.path, message, cure)
 
     def has_event(self, inputs: tuple[float, ...], plan: Plan) -> bool:
@@ -256,7 +256,7 @@ class ModelExchangeUnit(FmuDerivatives):
                 break
         else:
             message = f"at t = {t} s the event iteration of {self.foreign.path.name} does not end."
-            raise SimulationError(Fault("E305", self.part.path, message, "Tell its maker."))
+            raise SimulationError(Fault("E305", self.part.path, message, "Report it to the FMU's vendor."))
         self.next_event, self.asks = math.inf if self.over is not None else following, False
         self.has_rates = False
         if self.over is None:
@@ -273,7 +273,8 @@ class ModelExchangeUnit(FmuDerivatives):
         bad = next((value for value in self.x if not math.isfinite(value)), None)
         if bad is not None:
             message = f"a state of {self.foreign.path.name} is {bad} after an event at t = {self.t} s."
-            raise SimulationError(Fault("E303", self.part.path, message, "Tell its maker; other inputs may help."))
+            cure = "Try other inputs, or report it to the FMU's vendor."
+            raise SimulationError(Fault("E303", self.part.path, message, cure))
         return list(self.x)
 
     def end(self, t: float) -> None:
@@ -309,7 +310,7 @@ class ModelExchangeUnit(FmuDerivatives):
     def saved(self) -> dict[str, Any]:
         """All that is hidden, as JSON holds it. Raises UsageError (E506) where the FMU cannot give it."""
         if not (self.interface.saves and self.interface.serializes):
-            message = f"the state of {self.foreign.path.name} cannot be saved: the FMU does not offer it."
+            message = f"the state of {self.foreign.path.name} cannot be saved: the FMU does not support it."
             raise UsageError(Fault("E506", self.part.path, message, "Export it with serializable states."))
         try:
             data = self.one.serialized()
@@ -394,7 +395,7 @@ class Foreigns:
             first += n
 
     def unsettled(self, t: float) -> SimulationError:
-        message = f"at t = {t} s no start values were found: states of FMUs and their inputs need each other."
+        message = f"at t = {t} s no start values were found: the states of FMUs and their inputs depend on each other."
         return SimulationError(Fault("E307", self.units[0].part.path, message, "Set the start values of its states."))
 
     def started(self, x: Array) -> Array:

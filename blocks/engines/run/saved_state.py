@@ -116,10 +116,10 @@ def check(kept: Mapping[str, Any], plan: Plan, was: Equations | None = None, own
             continue
         theirs = theirs if isinstance(theirs, list) else []
         added, missing = [n for n in names if n not in theirs], [n for n in theirs if n not in names]
-        parts = [f"the diagram has {some(added)}, the state has not"] if added else []
-        parts += [f"the state has {some(missing)}, the diagram has not"] if missing else []
-        text = "; ".join(parts) or "their order is another"
-        faults.append(Fault("E506", what, f"the state does not fit the diagram: {text}.", "Begin the run anew."))
+        parts = [f"the diagram has {some(added)}, which the state lacks"] if added else []
+        parts += [f"the state has {some(missing)}, which the diagram lacks"] if missing else []
+        text = "; ".join(parts) or "their order differs"
+        faults.append(Fault("E506", what, f"the state does not fit the diagram: {text}.", "Start a new run."))
     if faults:
         raise UsageError(*faults)
 
@@ -134,7 +134,7 @@ def standing(state: State, plan: Plan, inputs: InputTable) -> tuple[Snapshot, bo
     if not float(settings.start) <= now.t <= end:
         shown = math.nan if settings.stop is None else end
         message = f"the state is at t = {now.t} s, outside the run from {float(settings.start)} s to {shown} s."
-        raise UsageError(Fault("E506", plan.name, message, "Set another stop."))
+        raise UsageError(Fault("E506", plan.name, message, "Set a later stop."))
     if now.past is not None:
         now = replace(now, past=now.past.own())
     if state.method != (settings.method, str(settings.step)):
@@ -253,11 +253,11 @@ class Kept:
             raise self.refusal(f'its format is not "{FORMAT}"')
         if self.tree.get("version") != VERSION or type(self.tree["version"]) is not int:
             message = f"version {legible(repr(self.tree.get('version')))} cannot be read."
-            raise UsageError(Fault("E506", self.place, message, "Update blocks."))
+            raise UsageError(Fault("E506", self.place, message, "Use a newer release of blocks."))
         if not isinstance(self.tree.get("overrides"), dict):
             raise self.refusal("it has no parameters")
         if self.seed is not None and (type(self.seed) is not int or not 0 <= self.seed <= LARGEST_SEED):
-            raise self.refusal("its seed is no whole number")
+            raise self.refusal("its seed is not a whole number")
         try:
             self.start = _start(self.tree)
         except ValueError as error:
@@ -265,7 +265,7 @@ class Kept:
 
     def refusal(self, why: str) -> UsageError:
         return UsageError(
-            Fault("E506", self.place, f"is not a saved state: {one_line(why)}.", "It is what --save writes.")
+            Fault("E506", self.place, f"is not a saved state: {one_line(why)}.", "Use a file that --save wrote.")
         )
 
     @property
@@ -311,7 +311,7 @@ def _read(stream: BinaryIO) -> tuple[Any, list[Array]]:
 def _fraction(text: Any) -> Fraction:
     """An exact time as it is written: no decimals, whose exponents could be of any size."""
     if not isinstance(text, str) or not re.fullmatch(r"-?[0-9]{1,400}(/[0-9]{1,400})?", text):
-        raise ValueError("its exact time is none")
+        raise ValueError("its exact time is not a fraction")
     return Fraction(text)
 
 
@@ -323,17 +323,17 @@ def _check_kept(memory: MethodMemory, method: str, plan: Plan) -> None:
     """Raise ValueError where what a stiff method keeps could not have come from a run: C uses its pivots as places."""
     carried, (hits, calm, since) = memory.carried, memory.stiffness
     if not all(0 <= n < 2**31 and float(n).is_integer() for n in (hits, calm)) or math.isinf(since):
-        raise ValueError("what its method counts cannot be")
+        raise ValueError("a counter of its method has an impossible value")
     if carried is None:
         return
     if method not in STIFF or carried.ndim != 1 or not np.isfinite(carried).all():
-        raise ValueError("what its method keeps from step to step cannot be")
+        raise ValueError("the memory of its method has an impossible value")
     n = len(plan.states)
     size = CARRIED_NUMBERS + 3 * n + int(PlanJacobian(plan).indptr[-1])
     pivots = carried[size:]
     is_whole = len(carried) == size or (len(pivots) == n and np.array_equal(np.sort(pivots), np.arange(n)))
     if not is_whole or (carried[:CARRIED_NUMBERS] < 0).any():
-        raise ValueError("what its method keeps from step to step is not of such states")
+        raise ValueError("the memory of its method does not fit its states")
 
 
 def _check_values(state: State, plan: Plan) -> None:
@@ -343,17 +343,17 @@ def _check_values(state: State, plan: Plan) -> None:
     if not all(np.isfinite(np.asarray(part, dtype=float)).all() for part in finite):
         raise ValueError("it holds a number that is not finite")
     if np.isnan(s.events).any() or s.memory.h < 0 or not s.memory.error > 0:
-        raise ValueError("it holds a number that cannot be")
+        raise ValueError("it holds a number that is not possible there")
     if not set(s.s) <= {0.0, 1.0} or not all(0 <= n < 2**63 for n in (*s.ticks, s.fixed)):
-        raise ValueError("a side or a count cannot be")
+        raise ValueError("a side or a count has an impossible value")
     if s.exact is not None and float(s.exact) != s.t:
-        raise ValueError("its times differ")
+        raise ValueError("its two times differ")
     for slot, members in plan.integers.items():
         if not (s.d[slot] in members if members else s.d[slot].is_integer()):
             raise ValueError(f"'{plan.discretes[slot]}' is {s.d[slot]}")
     first, located = s.memory.first, state.located[1]
     if first is not None and (first.shape != s.x.shape or not np.isfinite(first).all()):
-        raise ValueError("its rates have another size than its states")
+        raise ValueError("its rates and its states differ in size")
     _check_kept(s.memory, state.method[0], plan)
     crossings = len(plan.crossings)
     if len(s.own) != len(plan.events) or located.shape not in ((0,), (crossings,)):
@@ -361,21 +361,21 @@ def _check_values(state: State, plan: Plan) -> None:
     if not all(0 <= index < crossings for index, _ in state.fired) or len(state.steppers) != len(plan.steppers):
         raise ValueError("its arrays have other sizes than its names")
     if len(state.crossed) > MOST_CROSSED:
-        raise ValueError("it remembers more crossings than a run does")
+        raise ValueError("it holds more past crossings than a run keeps")
     if len(state.parameters) != len(plan.parameters):
         message = f"the diagram has {len(plan.parameters)} numbers in parameters, the state has {len(state.parameters)}"
         text = f"the state does not fit the diagram: {message}."
-        raise UsageError(Fault("E506", "parameters", text, "Begin the run anew."))
+        raise UsageError(Fault("E506", "parameters", text, "Start a new run."))
     if len(state.foreign) != len(plan.foreign):
         raise ValueError("its arrays have other sizes than its names")
     width = 1 + sum(len(plan.signal(name).references) for name in plan.log)
     if state.recorded is not None and (state.recorded[0].shape != (width,) or state.recorded[1] < 0):
-        message = "the state does not fit the run: other signals are recorded."
-        raise UsageError(Fault("E506", "recorded signals", message, "Record what was recorded, or begin the run anew."))
+        message = "the state does not fit the run: it was saved with other recorded signals."
+        raise UsageError(Fault("E506", "recorded signals", message, "Record the same signals, or start a new run."))
     for track, (_, shape, *_) in zip(state.inputs.tracks, plan.inputs, strict=True):
         fits = track.t.ndim == 1 and track.u.shape == (len(track.t), math.prod(shape)) and len(track.t) > 0
         if not fits or not np.isfinite(track.u).all() or np.any(np.diff(track.t) < 0):
-            raise ValueError("an input of it is no table")
+            raise ValueError("one of its inputs is not a table")
     for key, blank in Measures(plan).saved().items():
         ours = measures[key]
         if isinstance(blank, dict):
@@ -399,7 +399,7 @@ class _Arrays:
     def numbers(self, entry: Any) -> tuple[float, ...]:
         values = self.array(entry)
         if values.ndim != 1:
-            raise ValueError("an array has another shape than a row")
+            raise ValueError("an array does not have the shape of a row")
         return tuple(values.tolist())
 
 
@@ -415,7 +415,7 @@ def _past(raw: Mapping[str, Any], arrays: _Arrays, plan: Plan) -> Past:
     times = np.array([*store.starts, *store.ends, *(t for t, _ in breaks)])
     counts = (past.seen, *(order for _, order in breaks))
     if np.isnan(times).any() or not all(0 <= n < 2**31 for n in counts) or (any(passed) and not store.starts):
-        raise ValueError("its past holds a number that cannot be")
+        raise ValueError("its past holds a number that is not possible there")
     if len(passed) != len(plan.histories) or not all(0 <= n <= len(breaks) for n in passed):
         raise ValueError("its past is incomplete")
     return past

@@ -68,13 +68,13 @@ class Unseen:
 LEFT_OUT, BETWEEN_ROWS = 1, 2
 """Of a recording: rows inside steps are left out, as they would be too many; or a grid has less than two for a turn."""
 _TELLS = {
-    "crossings": "crossings of it may be missed",
-    "measured": "measures of it may be wrong",
-    "remembered": "what is seen of it a delay later may be wrong",
-    "logged": "rows do not show it",
-    "projections": 'what follows each step (every="step") may be wrong',
+    "crossings": "its crossings may be missed",
+    "measured": "its measures may be wrong",
+    "remembered": "its delayed value may be wrong",
+    "logged": "the recorded rows do not show this",
+    "projections": 'values that are updated after each step (every="step") may be wrong',
 }
-_SLOWER = 'Use a fixed step of about its period ("method": "rk4"), or a shorter run, or put its mean in its place.'
+_SLOWER = 'Use a fixed step shorter than its period ("method": "rk4"), or a shorter run, or replace it by its mean.'
 
 
 def unseen_faults(plan: Plan, motions: Mapping[str, Motion], unseen: Mapping[str, Unseen]) -> tuple[Fault, ...]:
@@ -95,7 +95,7 @@ def unseen_faults(plan: Plan, motions: Mapping[str, Motion], unseen: Mapping[str
             place = plan.instances[phases[first.what][0]].path
         else:
             place = plan.histories[motions[name].histories[first.what - len(phases)]].name
-        turns = "turns more than half a turn from row to row" if first.rows == BETWEEN_ROWS else "is too fast"
+        turns = "turns by more than half a turn between rows" if first.rows == BETWEEN_ROWS else "turns too fast"
         what = "rows between the steps are left out" if first.rows == LEFT_OUT else _TELLS[name]
         cure = "Record it with a shorter `every`, or not at all." if first.rows else _SLOWER
         faults.append(Fault("W304", place, f"{turns} from t = {first.t:.6g} s on: {what}.", cure))
@@ -143,9 +143,7 @@ class Look:
         """Whether anything that the signals depend on has a phase."""
         return bool(self.motion.phases or self.motion.histories)
 
-    def parts(
-        self, t0: float, t1: float, values: Values, phases: Values, first: Array | None = None
-    ) -> Iterator[Part]:
+    def parts(self, t0: float, t1: float, values: Values, phases: Values, first: Array | None = None) -> Iterator[Part]:
         """The parts of the piece from t0 to t1, from left to right. first: the values at its begin, where known."""
         k = level = tried = split = 0
         begun: Array | None = None  # the phases at the begin of the part

@@ -98,7 +98,7 @@ class StiffWatch:
             f"is stiff: at t = {t:.4g} s its time constant of {-1.0 / found[0].real:.2g} s keeps the steps of dopri5 "
             f"at {h:.2g} s, and the run needs {left:.1g} more of them up to {stop:g} s."
         )
-        cure = 'Take a method for stiff models: --method radau, or auto ("method" in the file\'s "run").'
+        cure = 'Use a method for stiff models: --method radau, or auto ("method" in the file\'s "run").'
         return Fault("W306", now.names[found[1]], message, cure)
 
 
