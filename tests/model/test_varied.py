@@ -145,7 +145,8 @@ def test_a_bound_parameter_is_refused_before_anything_runs(by: str, name: str, m
         made.wire("all.u", made.input("u", default=1.0))
         made.measure("end", "peak", of="all[0].plant.y")
     monkeypatch.setattr(Simulation, "advance_to", lambda *_: pytest.fail("a run began"))
-    with pytest.raises(ModelError, match=r'E117 (all\.)?plant.T: is computed from other parameters \("=delay"\), so it cannot'):
+    refusal = r'E117 (all\.)?plant.T: is computed from other parameters \("=delay"\), so it cannot be set itself'
+    with pytest.raises(ModelError, match=refusal):
         RUNS[by](made, name)
 
 
