@@ -38,7 +38,7 @@ _EPS = float(np.finfo(float).eps)
 _SURE = 1e6 * _EPS  # of the norm of a matrix: rounding that moves the coefficients of a cluster of eigenvalues
 _STRONG = 1e4  # of the norm of A: a larger feedback from y = 0 leaves too few digits to zeros
 _DENSE = 96  # states; above, a Hessenberg form with refinement is cheaper than an LU for each of many frequencies
-_FEW = 3000  # frequencies times states up to which LUs are cheaper even so
+_FEW = 2048  # states times frequencies; up to there an LU for each frequency is cheaper, whatever the number of states
 _CHUNK = 1 << 22  # entries of the matrices that are solved at once
 
 
@@ -181,7 +181,7 @@ def _transfer(model: Realization, p: Array) -> Array:
     if not n:
         out[:] = model.d[:, :, None]
         return out
-    is_dense = n <= _DENSE or len(p) * n <= _FEW
+    is_dense = n <= _DENSE or n * len(p) <= _FEW
     step = max(1, _CHUNK // (n * (n if is_dense else 4 * m)))
     solve = _solve_dense if is_dense else _Hessenberg(model.a)
     for k in range(0, len(p), step):

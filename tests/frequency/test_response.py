@@ -82,13 +82,23 @@ def test_many_states_are_solved_by_the_hessenberg_form_as_by_the_full_one(monkey
     omega = np.geomspace(0.01, 1e3, 40)
     full = response(system, omega)
     monkeypatch.setattr(realization, "_DENSE", 0)
+    monkeypatch.setattr(realization, "_FEW", 0)
     assert response(system, omega) == pytest.approx(full, rel=1e-9, abs=1e-12 * float(np.max(np.abs(full))))
+
+
+def test_a_search_for_a_margin_needs_no_hessenberg_form_for_each_frequency(monkeypatch: pytest.MonkeyPatch) -> None:
+    system = random_stable(120, 1, 1, seed=3)
+    whole = response(system, np.geomspace(0.01, 1e3, 40))
+    monkeypatch.setattr(realization, "_Hessenberg", None)
+    one = [response(system, omega)[0, 0, 0] for omega in np.geomspace(0.01, 1e3, 40)]
+    assert one == pytest.approx(whole[0, 0], rel=1e-9, abs=1e-12 * float(np.max(np.abs(whole))))
 
 
 def test_a_pole_on_the_axis_is_infinite_in_its_own_channel_only(monkeypatch: pytest.MonkeyPatch) -> None:
     system = control.ss([[0.0, 0.0], [0.0, -2.0]], np.eye(2), np.eye(2), np.zeros((2, 2)))
     for dense in (96, 0):
         monkeypatch.setattr(realization, "_DENSE", dense)
+        monkeypatch.setattr(realization, "_FEW", dense)
         values = response(system, [0.0, 1.0])[:, :, 0]
         assert np.isinf(values[0, 0])
         assert values[1, 1] == pytest.approx(0.5)
