@@ -866,10 +866,10 @@ class Diagram:
         check_settings(settings)
         if name:
             check_name(name)
-        check_compilers(platforms)
         value = taken(self.value, variants)
         flat = self.flatten(parameters=parameters, settings=settings, variants=variants)
         refuse_fmus(flat)
+        check_compilers(platforms)
         parameters = given_values(value, resolver_of(dict(self._draft.types)), parameters or {})
         return export(
             value, flat, plan(flat), path,

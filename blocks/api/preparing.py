@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..compile.toolchain import compiler
 from ..compile.toolchain.cache import of_user
-from ..compile.toolchain.platforms import check_compilers, this_platform
+from ..compile.toolchain.platforms import PLATFORMS, this_platform
 from ..model import trust
 from ..model.diagram import DiagramValue
 
@@ -25,5 +25,5 @@ def new_folders(value: DiagramValue) -> dict[Path, list[str]]:
 
 
 def other_platforms(names: Iterable[str]) -> list[str]:
-    """Return the platforms that are not this machine's. Raises as `compiler_for` if a compiler is missing."""
-    return [name for name in check_compilers(names) if name != this_platform()]
+    """Return those of the names that are platforms, and not this machine's."""
+    return [name for name in names if name in PLATFORMS and name != this_platform()]

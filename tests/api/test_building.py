@@ -42,12 +42,12 @@ add("a", Gain)
 add("a", 3.0)
     UsageError: E501 a: "3.0" is not a block. Add a Block, a Diagram or a subdiagram(...).
 add("a", Gain(k="fast"))
-    ModelError: E107 a.k: must be a number, not the text 'fast'. An expression begins with =, as in "=2*gain".
+    ModelError: E107 a.k: must be a number, not the text 'fast'. Begin an expression with =, as in "=2*gain".
 add("a", Gain(k="2,5 mV"))
     ModelError: E107 a.k: must be a number, not the text '2,5 mV'. Write decimals after a point: 2.5 mV.
 add("a", PMDCMotor(La="2 mV"))
-    ModelError: E104 a.La: [mV] is given, but [H] is needed: they are different quantities. A number without a unit is
-    meant in H.
+    ModelError: E104 a.La: [mV] is given, but [H] is needed: they are different quantities. A number without a
+    unit is in H.
 add("a", Gain(k=True))
     ModelError: E107 a.k: must be a number, not True.
 add("a", Gain(k=[1.0, 2.0]))
@@ -71,14 +71,14 @@ add("a", Gain(unit="Vs"))
 add("a", Gain(k=None))
     ModelError: E004 blocks.a.parameters.k: must be a number, a text, a list, true or false, not null.
 add("a", Gain(k="=q"))
-    ModelError: E108 a.k: '=q' reads 'q', which is not known here. Known: p, text.
+    ModelError: E108 a.k: '=q' reads 'q', which is not a known name here. Known: p, text.
 add("a", Gain(k="=p +"))
     ModelError: E108 a.k: '=p +', column 4: expected a number, a name or '(', found the end.
 add("a", Gain(k="=1/0"))
     ModelError: E108 a.k: '=1/0', column 2: division by zero in 1.0 / 0.0. Check the values that it is
     computed from.
 add("a", Gain(k="=text"))
-    ModelError: E107 a.k: must be a number, not the text 'word'. An expression begins with =, as in "=2*gain".
+    ModelError: E107 a.k: must be a number, not the text 'word'. Begin an expression with =, as in "=2*gain".
 add("a", Gain(k="\ud800"))
     ModelError: E001 blocks.a.parameters.k: \ud800 is one half of a character. Write both halves, as in
     \ud83d\ude00, or the character.
@@ -88,15 +88,15 @@ add("a", Gain(k=2.0), doc="\ud800")
     ModelError: E001 blocks.a.doc: \ud800 is one half of a character. Write both halves, as in \ud83d\ude00,
     or the character.
 add("a", Gain(k=2.0), stream="left")
-    ModelError: E003 a.stream: draws no random numbers, so that it has no stream. Leave it out.
+    ModelError: E003 a.stream: draws no random numbers, so it has no stream. Leave the stream out.
 add("a", Gain(k=2.0), stream="1")
-    ModelError: E111 blocks.a.stream: "1" is not the name of a stream. It is a name, or a path such as
-    "robot.noise", maybe with / in front.
+    ModelError: E111 blocks.a.stream: "1" is not the name of a stream. Use a name, or a path such as
+    "robot.noise" or "/robot.noise".
 add("a", Noise(period=0.1), stream="a b")
-    ModelError: E111 blocks.a.stream: "a b" is not the name of a stream. It is a name, or a path such as
-    "robot.noise", maybe with / in front.
+    ModelError: E111 blocks.a.stream: "a b" is not the name of a stream. Use a name, or a path such as
+    "robot.noise" or "/robot.noise".
 add("a", Gain(k=2.0), enable={"states": "held"})
-    ModelError: E003 blocks.a.enable: only a subdiagram is enabled or triggered.
+    ModelError: E003 blocks.a.enable: only a subdiagram can be enabled or triggered.
 add("a", Gain(k=2.0), at=(1.0, "x"))
     ModelError: E004 layout.a: must be a position [x, y].
 add("a", FirstOrder(T=0.0))
@@ -135,7 +135,7 @@ add("a", TransferFunction(num=[[1.0], [2.0, 3.0]]))
 add("a", StateSpace(A=[[1.0, 2.0]], B=[[1.0]], C=[[1.0]]))
     ModelError: E110 a.A: has the shape 1 x 2, but n x n is needed.
 add("a", StateSpace(A=[[1.0, "x"]]))
-    ModelError: E107 a.A: a list holds numbers, not the text "x".
+    ModelError: E107 a.A: a list must hold numbers, not the text "x".
 add("a", UnitDelay(period=0.0))
     ModelError: E107 a.period: must be above 0, not 0.0.
 add("a", UnitDelay(period=-0.1))
@@ -157,7 +157,7 @@ add("a", subdiagram(Diagram("inner"), k=math.nan))
 add("a", subdiagram(Diagram("inner")), enable={"states": "off"})
     ModelError: E004 blocks.a.enable.states: must be "held" or "reset", not "off".
 add("a", subdiagram(Diagram("inner")), trigger={"every": 0.1, "direction": "up"})
-    ModelError: E009 blocks.a.trigger: a trigger has "direction" (of a signal) or "every" (a tick).
+    ModelError: E009 blocks.a.trigger: a trigger needs either "direction" (for a signal) or "every" (for ticks).
 wire(g.y, "r")
     ModelError: E112 g.y: is a source, but a wire ends at an input. Put the sink first: wire(sink, source).
 wire(g.y, g.u)

@@ -85,7 +85,7 @@ def test_an_element_is_set_in_its_own_unit_where_units_differ(given: Any) -> Non
 
 
 def test_an_element_takes_no_other_quantity_than_its_own() -> None:
-    with pytest.raises(ModelError, match=r"E104 eso.gains\[1\]: \[1/s\] is given where \[1/s2\] is needed"):
+    with pytest.raises(ModelError, match=r"E104 eso.gains\[1\]: \[1/s\] is given, but \[1/s2\] is needed"):
         gains(30, 500, 1500).run(parameters={"eso.gains[1]": "600 1/s"})
 
 

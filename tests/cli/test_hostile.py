@@ -46,6 +46,7 @@ PLAIN = re.compile(
     r"must |needed|is not |is no |are no |cannot |does not |not known|already|at most|only |twice|the most|there is no "
     r"|is computed|makes |has no |has two |overflow|deep|exactly one|lies |neither|missing|too |expected |more than "
     r"|line |are not |out of the range|needs |ends before|is {|not both|is empty"
+    r"|the limit is |before the start|Use commas"
 )
 
 

@@ -258,7 +258,7 @@ def test_a_cc_that_answers_and_compiles_nothing_is_told_apart_from_bad_code(
         build([runtime(), model()])
     assert caught.value.code == "E601"
     monkeypatch.setenv("CC", "true")  # it ends well and makes nothing
-    with pytest.raises(CompilerError, match="said nothing") as caught:
+    with pytest.raises(CompilerError, match="printed nothing") as caught:
         build([runtime(), model()])
     assert caught.value.code == "E601"
 
@@ -440,7 +440,7 @@ def test_a_folder_from_which_nothing_may_be_run_is_told_with_its_cure(
         raise OSError(f"{path}: failed to map segment from shared object")
 
     monkeypatch.setattr(driver, "_Library", refused)
-    with pytest.raises(CompilerError, match=r"E603 .*failed to map segment.*noexec\) by BLOCKS_CACHE_DIR\."):
+    with pytest.raises(CompilerError, match=r"E603 .*failed to map segment.*BLOCKS_CACHE_DIR.*noexec"):
         load(tmp_path / "library.so")
 
 

@@ -565,7 +565,7 @@ diagram(
 )
 diagram("an input of nested lists", "E502", run={"stop": 1, "inputs": {"r": [[[1]]]}}, more={"reads": (READS[1],)})
 run("stops that are no times", "E115", stops=["a", None, 1e300])
-run("a list of 100,000 stops", "E115", "10,000 are the most", stops=[i * 1e-15 for i in range(100_000)])
+run("a list of 100,000 stops", "E115", "the limit is 10,000", stops=[i * 1e-15 for i in range(100_000)])
 run("an unknown setting", "E003", stopp=1)
 run("an unknown setting of the master", "E003", master={"setp": 1})
 run("a master's step of 0", "E115", master={"step": 0})
@@ -704,8 +704,8 @@ for odd in (
         given={"a.json": document(parameters={"p": {"csv": odd, "column": "x"}}, run={"stop": 1})},
     )
 special("a folder", "E007", "is a folder", lambda path: path.mkdir())
-special("a FIFO", "E007", "is no file", os.mkfifo)
-special("a socket", "E007", "is no file", bound)
+special("a FIFO", "E007", "is not a file", os.mkfifo)
+special("a socket", "E007", "is not a file", bound)
 special("a device of zeros", "E007", "", lambda path: path.symlink_to("/dev/zero"))
 special("a terminal", "E007", "", lambda path: path.symlink_to("/dev/tty"))
 special("a file of a terabyte", "E008", "larger than", sparse)
@@ -713,7 +713,7 @@ special("a file that is not there", "E007", "does not exist", lambda _: None)
 files(
     "2^40 blocks by nesting",
     "E008",
-    "1,000,000 are the most",
+    "the limit is 1,000,000",
     given={
         "a.json": using(*["f1.json"] * 2),
         **{f"f{k}.json": using(*[f"f{k + 1}.json"] * 4) for k in range(1, 20)},
@@ -723,7 +723,7 @@ files(
 files(
     "2^29 blocks by nesting twice",
     "E008",
-    "1,000,000 are the most",
+    "the limit is 1,000,000",
     given={
         "a.json": using(*["f1.json"] * 2),
         **{f"f{k}.json": using(*[f"f{k + 1}.json"] * 2) for k in range(1, 28)},
