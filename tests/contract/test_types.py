@@ -187,7 +187,7 @@ def test_an_integer_that_grows_too_large_stops_the_run() -> None:
     d = Diagram("doubling")
     d.add("block", Doubling())
     assert d.run(stop=52.0)["block.n"][-1] == 2.0**53
-    told = r"E309 block\.n: became 18014398509481984 at t = 53\.0 s, beyond 2\^53, .* Let it begin anew before"
+    told = r"E309 block\.n: became 18014398509481984 at t = 53\.0 s, beyond 2\^53, .* Reset it earlier"
     with pytest.raises(SimulationError, match=told):
         d.run(stop=60.0)
 
@@ -204,6 +204,6 @@ def test_a_number_that_is_no_member_stops_the_run() -> None:
 
     d = Diagram("stray")
     d.add("block", Stray())
-    told = r"E309 block\.phase: became 3 at t = 0\.0 s, which is none of \[.*\]\. Let its equation give one of them"
+    told = r"E309 block\.phase: became 3 at t = 0\.0 s, which is none of \[.*\]\. Its equation must give one of them"
     with pytest.raises(SimulationError, match=told):
         d.run(stop=2.0)

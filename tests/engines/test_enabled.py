@@ -258,11 +258,11 @@ def test_a_part_that_is_always_on_is_as_if_it_were_not_enabled() -> None:
 @pytest.mark.parametrize(
     ("entry", "sentence"),
     [
-        ({"enable": {}, "trigger": {"direction": "up"}}, "a subdiagram is enabled or triggered, not both"),
+        ({"enable": {}, "trigger": {"direction": "up"}}, "a subdiagram can be enabled or triggered, but not both"),
         ({"enable": {"states": "kept"}}, 'must be "held" or "reset", not "kept"'),
         ({"enable": True}, "must be an object {...}, not true"),
         ({"enable": {"state": "held"}}, 'the key "state" is not known here'),
-        ({"trigger": {}}, 'a trigger has "direction" (of a signal) or "every" (a tick)'),
+        ({"trigger": {}}, 'a trigger needs either "direction" (for a signal) or "every" (for ticks)'),
         ({"trigger": {"direction": "sideways"}}, 'must be "up", "down" or "both", not "sideways"'),
         ({"trigger": {"every": 0.0}}, "must be above 0"),
         ({"enable": {}}, "part.enable: input is not wired"),
@@ -281,7 +281,7 @@ def test_what_cannot_be_meant_is_refused(entry: dict[str, Any], sentence: str) -
 
 def test_only_subdiagrams_are_enabled() -> None:
     d = Diagram("gain")
-    with pytest.raises(ModelError, match="only a subdiagram is enabled or triggered"):
+    with pytest.raises(ModelError, match="only a subdiagram can be enabled or triggered"):
         d.add("gain", Gain(), enable={})
 
 
@@ -291,11 +291,11 @@ def test_only_subdiagrams_are_enabled() -> None:
         (
             Integrator(),
             {"trigger": {"every": 0.1}},
-            "E121 part.block: has states, but part is computed at its triggers",
+            "E121 part.block: has states, but part runs at its triggers",
         ),
-        (UnitDelay(period=0.1), {"trigger": {"every": 0.1}}, "has sampled equations, but part is computed at"),
-        (Pulse(), {"trigger": {"every": 0.1}}, "has event times, but part is computed at its triggers only"),
-        (TransportDelay(), {"enable": {}}, "is a delay, whose past goes on while part is off"),
+        (UnitDelay(period=0.1), {"trigger": {"every": 0.1}}, "has sampled equations, but part runs at"),
+        (Pulse(), {"trigger": {"every": 0.1}}, "has event times, but part runs at its triggers only"),
+        (TransportDelay(), {"enable": {}}, "is a delay, which would go on recording its input while part is off"),
         (Noise(), {"trigger": {"every": 0.1}}, "has sampled equations"),
     ],
 )

@@ -153,9 +153,9 @@ def test_other_names_of_a_variable_are_recorded_like_it(kind: str, engine: str, 
 @pytest.mark.parametrize(
     ("wire", "says"),
     [
-        ({"one.blob": "v"}, 'one.blob: "blob" of one is a Binary of the FMU, which no wire carries.'),
-        ({"one.tick": "v"}, 'one.tick: "tick" of one is a Clock of the FMU, which no wire carries.'),
-        ({"gain.u": "one.told"}, 'gain.u: "told" of one is a Binary of the FMU, which no wire carries.'),
+        ({"one.blob": "v"}, 'one.blob: "blob" of one has the type Binary in the FMU, which a wire cannot carry.'),
+        ({"one.tick": "v"}, 'one.tick: "tick" of one has the type Clock in the FMU, which a wire cannot carry.'),
+        ({"gain.u": "one.told"}, 'gain.u: "told" of one has the type Binary in the FMU, which a wire cannot carry.'),
         ({"one.text": "v"}, 'Set its parameter "text_start".'),
     ],
 )
@@ -187,7 +187,7 @@ def test_a_clock_that_somebody_would_have_to_tick_is_refused_by_name(kind: str, 
         ' intervalDecimal="0.1"/>'
     )
     path = make(tmp_path, more)
-    says = "E205 arrays.fmu: its clock 'sampling' would have to be ticked from outside."
+    says = "E205 arrays.fmu: the importing tool must tick its clock 'sampling'."
     with pytest.raises(FMUError) as caught:
         fmu(path, kind=kind)
     assert says in str(caught.value)

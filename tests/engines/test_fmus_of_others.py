@@ -355,7 +355,7 @@ def test_an_output_that_follows_only_where_steps_end_is_told(fmi: int, engine: s
     late = run(driven(make(tmp_path, fmi=fmi, kind="ME", name="late", defines=("LAGS",)), "ME"), engine, **settings)
     (told,) = late.warnings
     assert (told.code, told.place) == ("W208", "plant")
-    assert told.message.startswith("y of late.fmu follows only where steps end")
+    assert told.message.startswith("y of late.fmu is computed only at the ends of steps")
     # x' = 1 and y = x: right where steps end, late between.
     assert late["plant.y"][::2] == pytest.approx(late.t[::2], abs=1e-12)
     assert late["plant.y"][1::2] == pytest.approx(late.t[1::2] - 0.05, abs=1e-12)

@@ -760,7 +760,7 @@ def test_the_loop_y_is_2_y_plus_1_is_solved_and_jumps_with_what_drives_it() -> N
 
 
 def test_the_loop_y_is_y_is_refused_by_name() -> None:
-    with pytest.raises(SimulationError, match=r"E307 total\.y: .* no single one \(y = y\)"):
+    with pytest.raises(SimulationError, match=r"E307 total\.y: .* no solution, or many \(y = y\)"):
         looped(1.0, Constant(value=0.0)).run(stop=1.0, loops="solve")
 
 

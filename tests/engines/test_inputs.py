@@ -178,7 +178,7 @@ def test_bool_inputs_are_held_and_take_bools_only() -> None:
     assert diagram.run(stop=1.0, inputs={"b": False})["n.y"][0] == 1.0
     assert diagram.run(stop=1.0, inputs={"b": 1})["n.y"][0] == 0.0
     for wrong in (0.5, 2, ([0, 1], [0.0, 0.5])):
-        with pytest.raises(UsageError, match="E502 b: is a bool"):
+        with pytest.raises(UsageError, match="E502 b: must be true or false"):
             diagram.run(stop=1.0, inputs={"b": wrong})
     with pytest.raises(UsageError, match="E502 r: must be a number, not true or false"):
         integrated().run(stop=1.0, inputs={"r": True})
@@ -276,7 +276,7 @@ def test_what_a_run_writes_another_reads(tmp_path: Path) -> None:
     ("content", "message"),
     [
         ("", "is empty"),
-        ("r,time\n1,0\n", "no column 'time' in front"),
+        ("r,time\n1,0\n", "does not begin with a column 'time'"),
         ("time,r\n", "has no rows"),
         ("time,r\n0,1\n1\n", "line 3: 1 cells for 2 columns"),
         ("time,r\n0,1\n1,2,3\n", "line 3: 3 cells for 2 columns"),

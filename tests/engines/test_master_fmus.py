@@ -752,7 +752,7 @@ def test_a_run_with_a_rigid_fmu_ends_at_its_last_point_before_the_stop(tmp_path:
     (warning,) = results.warnings
     assert (warning.code, warning.place) == ("W209", "plant")
     assert "the run ends at 1 s" in warning.message
-    with pytest.raises(ModelError, match=r"E115 plant: .* not one step fits"):
+    with pytest.raises(ModelError, match=r"E115 plant: .* the run is shorter than one step"):
         d.run(stop=0.005, engine=engine, master={"step": 0.01})
 
 

@@ -684,9 +684,9 @@ def test_a_fundamental_is_needed_by_thd_and_by_no_other() -> None:
     with pytest.raises(ModelError) as error:
         diagram.check()
     assert [(fault.code, fault.place, fault.message) for fault in error.value.faults] == [
-        ("E116", "measures.none", "THD needs the frequency of its fundamental."),
-        ("E116", "measures.other", "peak has no omega."),
-        ("E116", "measures.least", "omega must be positive, and 1e+09 rad/s at most, not -1.0."),
+        ("E116", "measures.none", "THD needs omega, the frequency of its fundamental."),
+        ("E116", "measures.other", "peak does not use omega."),
+        ("E116", "measures.least", "omega must be above 0 and at most 1e+09 rad/s, not -1.0."),
         ("E116", "measures.rise", "rise_time needs the target value."),
     ]
 

@@ -118,7 +118,7 @@ NO_OTHER = "Only limits such as those of Saturation may be infinite."
         (lambda: setattr(Gain(k=1.0), "gain", 2.0), AttributeError, ["'gain' cannot be set", "Create another block."]),
         (lambda: delattr(Gain(k=1.0), "k"), AttributeError, ["'k' cannot be deleted"]),
         (lambda: setattr(Gain, "k", 2.0), AttributeError, ["Gain is declared", "cannot be changed"]),
-        (lambda: Gain(2.0), UsageError, ["E501 Gain: takes parameters by name only. As in Gain(k=2.0)."]),
+        (lambda: Gain(2.0), UsageError, ["E501 Gain: takes parameters by name only. Write Gain(k=2.0)."]),
         (lambda: pair().settings(rtoll=1e-3), BlocksError, ["E501 rtoll:", "Did you mean 'rtol'?"]),
         (lambda: pair().add("q", Gain), BlocksError, ["E501 q:", "is a class", "Gain()."]),
     ],
@@ -138,10 +138,10 @@ def test_a_misspelt_name_is_refused_where_it_stands(
         ("g.uu", "c.y", ["E105 g.uu: g has no input \"uu\". Did you mean 'u'?"]),
         ("g.u", "cc.y", ["E105 g.u: the source \"cc.y\" is not there. Did you mean 'c.y'?"]),
         ("g.u", "c.value", ['E105 g.u: c has no output "value". Outputs: y.']),
-        ("g.y", "c.y", ["E112 g.y: 'y' is an output of g, and a wire ends at an input. Inputs: u."]),
-        ("g.u", "g.u", ["E112 g.u: 'u' is an input of g, and a wire begins at an output. Outputs: y."]),
+        ("g.y", "c.y", ["E112 g.y: 'y' is an output of g, but a wire must end at an input. Inputs: u."]),
+        ("g.u", "g.u", ["E112 g.u: 'u' is an input of g, but a wire must begin at an output. Outputs: y."]),
         ("g.k", "c.y", ['E105 g.k: g has no input "k". Inputs: u.']),
-        ("g", "c.y", ["E105 g: names a block, not an input of it. Inputs: u."]),
+        ("g", "c.y", ["E105 g: is a block, not one of its inputs. Inputs: u."]),
     ],
 )
 def test_a_wire_from_or_to_nowhere_is_refused(sink: str, source: str, parts: list[str]) -> None:
@@ -277,7 +277,7 @@ def test_an_input_is_not_wired_as_a_whole_and_by_element(whole: int, element: in
     wires = [(gain.u, vector.y), (gain.u[0], one.y)]
     for sink, source in (wires[whole], wires[element]):
         d.wire(sink, source)
-    assert "is wired as a whole and by element. Keep one of the two." in text(d.check)
+    assert "is wired both as a whole and by element. Keep one of the two." in text(d.check)
 
 
 def test_a_port_of_another_diagram_is_refused_also_where_the_names_are_the_same() -> None:
@@ -322,7 +322,7 @@ def test_a_number_does_not_become_a_vector_nor_a_vector_a_number() -> None:
     beyond.add("wide", MatrixGain(K=[[1.0], [2.0]]))
     beyond.wire("wide.u[0]", "c.y")
     beyond.wire("g.u", "wide.y[2]")
-    assert text(beyond.check) == "E105 g.u: wide.y has 2 elements: there is no [2]. Elements are counted from 0."
+    assert text(beyond.check) == "E105 g.u: wide.y has 2 elements, so there is no [2]. Elements are counted from 0."
 
 
 def test_two_quantities_do_not_connect() -> None:
@@ -330,7 +330,7 @@ def test_two_quantities_do_not_connect() -> None:
     d.wire(d.add("mass", MassSpringDamper()).F, d.add("way", Constant(unit="m")).y)
     assert text(d.check) == (
         "E104 mass.F [N] <- way.y [m]: N and m are different quantities. "
-        'Check the wire, or put a Gain with "unit_u": "m" and "unit": "N" between.'
+        'Check the wire, or insert a Gain with "unit_u": "m" and "unit": "N".'
     )
     scaled = Diagram("scaled")
     scaled.wire(
@@ -346,7 +346,7 @@ def test_a_number_is_no_bool_but_a_bool_is_0_or_1() -> None:
     for port in (switch.u1, switch.u2, switch.control, d["g"].u):
         d.wire(port, "c.y")
     assert text(d.check) == (
-        "E104 switch.control: is a bool, but c.y is a number. CompareToConstant makes a bool of a number."
+        "E104 switch.control: is a bool, but c.y is a number. Insert a CompareToConstant, which turns a number into a bool."
     )
     counts = pair()
     counts.wire("g.u", counts.input("b", type="bool"))
@@ -406,9 +406,9 @@ def test_an_input_that_does_not_fit_is_refused(wrong: dict[str, Any], said: str)
         ({"parameters": {"g.k": "high"}}, "E107 g.k: must be a number, not the text 'high'."),
         ({"rtoll": 1e-3}, "E501 rtoll: is not a setting of a run. Did you mean 'rtol'?"),
         ({"method": "rk5"}, "E115 run.method: \"rk5\" is not known. Did you mean 'rk4'?"),
-        ({"method": "dopri5"}, "E115 run.step: dopri5 chooses its steps itself. Leave the step out, or use rk4"),
+        ({"method": "dopri5"}, "E115 run.step: dopri5 chooses its own steps. Leave the step out, or use rk4"),
         ({"step": -1.0}, "E115 run.step: must be above 0 s, not -1.0."),
-        ({"start": 2.0}, "E115 run.stop: must not lie before the start at 2.0 s, but is 0.5 s."),
+        ({"start": 2.0}, "E115 run.stop: is 0.5 s, before the start at 2.0 s."),
         ({"stop": math.nan}, "E115 run.stop:"),
         ({"rtol": 0.0}, "E115 run.rtol: must be a number between 0 and 1"),
         ({"rtol": True}, "E115 run.rtol: must be a number between 0 and 1"),
@@ -434,7 +434,7 @@ def under_way() -> Run:
         ("rr", 1.0, "E502 rr: there is no such input or parameter. Did you mean 'r'?"),
         ("g.kk", 1.0, "E502 g.kk: there is no such input or parameter. Did you mean 'g.k'?"),
         ("g.y", 1.0, "E502 g.y: there is no such input or parameter. Did you mean 'g.k'?"),
-        ("g", 1.0, "E502 g: there is no such input or parameter. Inputs: r, b, v; parameters go by path."),
+        ("g", 1.0, "E502 g: there is no such input or parameter. Inputs: r, b, v; a parameter needs its path, as in motor.Ra."),
         ("r", True, "E502 r: must be a number, not true or false."),
         ("r", None, "E502 r: must be numbers."),
         ("r", math.inf, "E502 r: must be finite."),

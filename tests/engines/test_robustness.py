@@ -206,7 +206,7 @@ def test_what_a_delay_remembers_is_foreseen(engine: str, size: float, monkeypatc
     monkeypatch.setattr(available_memory, "available", lambda: 8e9)
     with pytest.raises(UsageError) as caught:
         delayed(1e6).run(stop=1e7, method="rk4", step=0.01, every=1e5, engine=engine)
-    assert f"remembers of its steps takes {available_memory.told(size)} of memory" in str(caught.value)
+    assert f"the history of the run's steps needs {available_memory.told(size)} of memory" in str(caught.value)
 
 
 def test_check_tells_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -214,9 +214,9 @@ def test_check_tells_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     diagram.settings(stop=1e12, every=1000)
     diagram.save(tmp_path / "wave.json")
     assert main(["run", str(tmp_path / "wave.json")]) == 2
-    assert "E311 wave: 1,000,000,001 rows of 2 signals take 26.4 GB" in capsys.readouterr().err
+    assert "E311 wave: 1,000,000,001 rows of 2 signals need 26.4 GB" in capsys.readouterr().err
     assert main(["check", str(tmp_path / "wave.json")]) == 2
-    assert "E311 wave: 1,000,000,001 rows of 2 signals take 26.4 GB" in capsys.readouterr().out
+    assert "E311 wave: 1,000,000,001 rows of 2 signals need 26.4 GB" in capsys.readouterr().out
 
 
 GROWTH = """

@@ -227,7 +227,7 @@ def test_a_file_that_is_no_state_is_refused(tmp_path: Path) -> None:
         return broken
 
     assert 'its format is not "blocks-state"' in refusal(d, changed(format="x"))
-    assert "version 2 cannot be read. Update blocks." in refusal(d, changed(version=2))
+    assert "version 2 cannot be read. Use a newer release of blocks." in refusal(d, changed(version=2))
     assert "is not a saved state: its arrays have other sizes than its names" in refusal(d, changed(x={"array": 0}))
     assert "is not a saved state" in refusal(d, changed(d={"array": 99}))
     assert "is not a saved state" in refusal(d, changed(memory=None))

@@ -213,7 +213,7 @@ def test_what_changes_with_every_step_however_short_is_an_error(change: Any) -> 
 
     d = Diagram("average")
     d.add("average", Average())
-    with pytest.raises(SimulationError, match=r"E301 average\.m: at t = 0\.0 s it changes with every step"):
+    with pytest.raises(SimulationError, match=r"E301 average\.m: at t = 0\.0 s it changes at every step"):
         d.run(stop=1.0)
     assert d.run(stop=1.0, method="rk4", step=0.1).t[-1] == 1.0
 

@@ -233,9 +233,9 @@ def test_edges_in_a_file_in_a_csv_file_and_of_scipy_are_one_matrix(tmp_path: Pat
     [
         (
             {"edges": [[0, 0, 1], [2, 1, 1]], "shape": [2, 3]},
-            r"E107 .*gain.K: the edge \[2, 1, 1\] \(number 1\) lies outside",
+            r"E107 .*gain.K: the edge \[2, 1, 1\] \(number 1\) is outside",
         ),
-        ({"edges": [[0, -1, 1]], "shape": [2, 3]}, r"E107 .*\[0, -1, 1\] \(number 0\) lies outside"),
+        ({"edges": [[0, -1, 1]], "shape": [2, 3]}, r"E107 .*\[0, -1, 1\] \(number 0\) is outside"),
         ({"edges": [[0, 0.5, 1]], "shape": [2, 3]}, r"E107 .*must begin with two integers"),
         (
             {"edges": [[0, 1, 1], [1, 1, 1], [0, 1, 4]], "shape": [2, 3]},
@@ -247,7 +247,7 @@ def test_edges_in_a_file_in_a_csv_file_and_of_scipy_are_one_matrix(tmp_path: Pat
         ),
         ({"edges": [[0, 1, "=k"]], "shape": [2, 3]}, r"E004 .*K.edges.0.2: must be a number"),
         ({"edges": [[0, 1, 1]]}, r'E00.*"shape" is missing|E009'),
-        ({"edges": [], "csv": "a.csv", "shape": [2, 3]}, r'E009 .*has either "edges" or "csv"'),
+        ({"edges": [], "csv": "a.csv", "shape": [2, 3]}, r'E009 .*needs either "edges" or "csv"'),
         ({"edges": [], "shape": [2]}, r"E004 .*K.shape: must be two sizes"),
         ({"edges": [], "shape": [2, 4]}, "E110"),
         ({"csv": "missing.csv", "shape": [2, 3]}, r"E007 .*missing.csv"),
@@ -283,10 +283,10 @@ def test_other_matrices_are_filled_up_or_refused() -> None:
     wrong = Diagram("wrong")
     half = wrong.add("half", Half(K=sp.eye_array(2)))
     wrong.wire(half.u, wrong.input("u", size=2))
-    with pytest.raises(ModelError, match=r"E107 half\.K: is sparse, and Half is no type of the library"):
+    with pytest.raises(ModelError, match=r"E107 half\.K: is sparse, but the block type Half cannot compute with a sparse matrix"):
         wrong.check()
     for K, message in (
-        (sp.eye_array(2000), "is 2000 x 2000, all elements"),
+        (sp.eye_array(2000), "is 2000 x 2000, and all of its elements"),
         (sp.eye_array(3), "cannot be a sparse matrix"),
     ):
         with pytest.raises(ModelError, match=message):

@@ -99,7 +99,7 @@ def test_fmt_gives_such_a_number_its_unit_and_results_stay(tmp_path: Path, capsy
     assert main(["fmt", "--check", str(path)]) == 1
     assert "is not canonical, of version 2" in capsys.readouterr().out
     assert main(["fmt", str(path)]) == 0
-    assert "brought from version 2 to 3" in capsys.readouterr().out
+    assert "converted from version 2 to 3" in capsys.readouterr().out
     written = json.loads(path.read_text(encoding="utf-8"))
     assert same(written, speed(3, {"value": 30.5, "unit": "rad/s"}))
     assert Diagram.load(path).run().measures["error"] == before

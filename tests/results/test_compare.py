@@ -246,7 +246,7 @@ def test_different_quantities_are_told_all_at_once() -> None:
         ),
         (
             results([0, 1], x=[0, 0]), results([2, 3], x=[0, 0]), {},
-            "E505 compare: A and B have no time in common: 0 ... 1 s and 2 ... 3 s.",
+            "E505 compare: A and B have no time in common: A covers 0 ... 1 s, and B covers 2 ... 3 s.",
         ),
         (results([0], x=[0]), results([], diagram="empty", x=[]), {}, "E505 B (empty): holds no rows."),
         (

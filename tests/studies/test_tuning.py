@@ -251,7 +251,7 @@ def test_a_tuning_that_noise_and_effort_do_not_hold_back_is_told(given: dict[str
         ({"minimize": "IAE", "subject_to": ["variation == 3"]}, 'subject_to[0]: "variation == 3" is not a comparison'),
         ({"minimize": "IAE", "subject_to": ["variation <= 2 bananas"]}, "subject_to[0]: '=2 bananas'"),
         ({"minimize": "IAE", "subject_to": ["1 <= 2"]}, 'subject_to[0]: "1 <= 2" contains no measure'),
-        ({"minimize": "2 IAE"}, "A product is written with *."),
+        ({"minimize": "2 IAE"}, "Write a product with *."),
         ({"minimize": "IAE", "over": {"k": (5, 1)}}, "k: must have two bounds"),
         ({"minimize": "IAE", "over": {"gain": (1, 5)}}, "there is no such parameter"),
         ({"minimize": "IAE", "method": "least_squares"}, "Use Diagram.fit"),
@@ -272,7 +272,7 @@ def test_what_can_have_no_number_is_refused_before_the_first_candidate(
 
 def test_a_missing_package_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(UsageError, match=r"E504 .*cma is needed and not installed.*\.\[tune\]"):
+    with pytest.raises(UsageError, match=r"E504 .*cma, which is not installed.*\.\[tune\]"):
         rosenbrock().tune(minimize="f", over=BOX, **SHORT)
 
 

@@ -97,14 +97,17 @@ class Past:
         passed, store, delay = self.passed[i], self.store, history.delay
         if passed == 0:
             return history.before
-        begin, order = store.breaks[passed - 1]
+        begin = store.breaks[passed - 1][0]
         then = max(t - delay, begin)
         k = bisect_right(store.starts, then, 0, self.known) - 1
-        is_at_end = passed < self.broken and (store.breaks[passed][0] <= then or store.breaks[passed][0] + delay <= t)
-        if is_at_end or (order > 0 and t <= begin + delay):
-            # What bends at a break has one value there, and two polynomials that differ in its last bits.
-            then = store.breaks[passed if is_at_end else passed - 1][0]
+        if passed < self.broken and (store.breaks[passed][0] <= then or store.breaks[passed][0] + delay <= t):
+            then = store.breaks[passed][0]
             k = bisect_left(store.starts, then, 0, self.known) - 1  # the part that ends there
+        elif t <= begin + delay and k > 0 and store.starts[k] == begin:
+            # What does not jump has one value there, and two polynomials that differ in its last bits.
+            before, after = float(store.parts[k - 1][5, i]), float(store.parts[k][0, i])
+            if abs(after - before) <= _JUMP * max(abs(before), abs(after)):
+                return before
         k = max(k, 0)
         a0, a1, a2, a3, a4, end = store.parts[k][:, i]
         if then >= store.ends[k]:

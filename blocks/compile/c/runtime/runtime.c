@@ -235,6 +235,8 @@ HOT static double next_input_break(const BlocksSim *s, double t)
 
 /* --- histories; see docs/contract.md, "Delays" ------------------------------------------------------------------- */
 
+static const double JUMP = 1e-9; /* relative size below which a jump or a bend is one of rounding and interpolation */
+
 static double delayed(const BlocksSim *s, int i, double t)
 {
     const BlocksPast *past = &s->past;
@@ -243,10 +245,8 @@ static double delayed(const BlocksSim *s, int i, double t)
     if (passed == 0) return history->before;
     double begin = past->breaks[passed - 1], then = fmax(t - history->delay, begin);
     int64_t k = last_at(past->starts, past->known, then);
-    int at_end = passed < past->broken && (past->breaks[passed] <= then || past->breaks[passed] + history->delay <= t);
-    if (at_end || (past->orders[passed - 1] > 0 && t <= begin + history->delay)) {
-        /* What bends at a break has one value there, and two polynomials that differ in its last bits. */
-        then = at_end ? past->breaks[passed] : begin;
+    if (passed < past->broken && (past->breaks[passed] <= then || past->breaks[passed] + history->delay <= t)) {
+        then = past->breaks[passed];
         int64_t low = 0, high = past->known; /* the part that ends there */
         while (low < high) {
             int64_t middle = (low + high) / 2;
@@ -254,6 +254,10 @@ static double delayed(const BlocksSim *s, int i, double t)
             else high = middle;
         }
         k = low - 1;
+    } else if (t <= begin + history->delay && k > 0 && past->starts[k] == begin) {
+        /* What does not jump has one value there, and two polynomials that differ in its last bits. */
+        double before = past->parts[((k - 1) * 6 + 5) * n + i], after = past->parts[k * 6 * n + i];
+        if (fabs(after - before) <= JUMP * fmax(fabs(before), fabs(after))) return before;
     }
     if (k < 0) k = 0;
     const double *part = past->parts + k * 6 * n + i;
@@ -624,10 +628,10 @@ static int order_of_break(const BlocksSim *s, int64_t first)
     for (int i = 0; i < n; i++) {
         double size = 0.0;
         for (int j = 0; j < 6; j++) size = fmax(size, fmax(fabs(before[j * n + i]), fabs(after[j * n + i])));
-        if (fabs(before[5 * n + i] - after[i]) > 1e-9 * size) return 0;
+        if (fabs(before[5 * n + i] - after[i]) > JUMP * size) return 0;
         double slope0 = (before[n + i] + 2 * before[2 * n + i] + 3 * before[3 * n + i] + 4 * before[4 * n + i]) / h0;
         double slope1 = after[n + i] / h1, steep = fmax(fabs(slope0), fabs(slope1));
-        if (fabs(slope0 - slope1) > 1e-3 * steep + 1e-9 * size / fmin(h0, h1)) bends = 1;
+        if (fabs(slope0 - slope1) > 1e-3 * steep + JUMP * size / fmin(h0, h1)) bends = 1;
     }
     return bends ? 1 : past->seen;
 }
@@ -2531,7 +2535,7 @@ BLOCKS_INLINE int is_same(const double *a, const double *b, size_t n) { return !
 static int has_jumped(const double *a, const double *b, size_t n)
 {
     for (size_t i = 0; i < n; i++)
-        if (fabs(a[i] - b[i]) > 1e-9 * fmax(fabs(a[i]), fabs(b[i]))) return 1;
+        if (fabs(a[i] - b[i]) > JUMP * fmax(fabs(a[i]), fabs(b[i]))) return 1;
     return 0;
 }
 
