@@ -564,7 +564,7 @@ def test_integers_that_no_number_holds_are_refused_with_the_name_of_the_fmu(tmp_
     pair = ('name="i64" valueReference="19" causality="input" variability="discrete" start="0"',
             f'name="i64" valueReference="19" causality="input" variability="discrete" start="{2**60}"')  # fmt: skip
     fault = read(edited(make(tmp_path, fmi=3), pair))
-    assert str(fault).startswith("E205 edited_faulty.fmu: 'i64' starts at 1152921504606846976, but blocks cannot hold integers beyond")
+    assert str(fault).startswith("E205 edited_faulty.fmu: 'i64' starts at 1152921504606846976, but")
 
 
 @EACH

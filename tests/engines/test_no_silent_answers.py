@@ -346,7 +346,8 @@ def test_a_number_is_no_bool_but_a_bool_is_0_or_1() -> None:
     for port in (switch.u1, switch.u2, switch.control, d["g"].u):
         d.wire(port, "c.y")
     assert text(d.check) == (
-        "E104 switch.control: is a bool, but c.y is a number. Insert a CompareToConstant, which turns a number into a bool."
+        "E104 switch.control: is a bool, but c.y is a number. "
+        "Insert a CompareToConstant, which turns a number into a bool."
     )
     counts = pair()
     counts.wire("g.u", counts.input("b", type="bool"))
@@ -434,7 +435,11 @@ def under_way() -> Run:
         ("rr", 1.0, "E502 rr: there is no such input or parameter. Did you mean 'r'?"),
         ("g.kk", 1.0, "E502 g.kk: there is no such input or parameter. Did you mean 'g.k'?"),
         ("g.y", 1.0, "E502 g.y: there is no such input or parameter. Did you mean 'g.k'?"),
-        ("g", 1.0, "E502 g: there is no such input or parameter. Inputs: r, b, v; a parameter needs its path, as in motor.Ra."),
+        (
+            *("g", 1.0),
+            "E502 g: there is no such input or parameter. Inputs: r, b, v; "
+            "a parameter needs its path, as in motor.Ra.",
+        ),
         ("r", True, "E502 r: must be a number, not true or false."),
         ("r", None, "E502 r: must be numbers."),
         ("r", math.inf, "E502 r: must be finite."),

@@ -283,7 +283,7 @@ def test_other_matrices_are_filled_up_or_refused() -> None:
     wrong = Diagram("wrong")
     half = wrong.add("half", Half(K=sp.eye_array(2)))
     wrong.wire(half.u, wrong.input("u", size=2))
-    with pytest.raises(ModelError, match=r"E107 half\.K: is sparse, but the block type Half cannot compute with a sparse matrix"):
+    with pytest.raises(ModelError, match=r"E107 half\.K: is sparse, but the block type Half cannot"):
         wrong.check()
     for K, message in (
         (sp.eye_array(2000), "is 2000 x 2000, and all of its elements"),

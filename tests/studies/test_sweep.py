@@ -294,7 +294,7 @@ def test_what_is_not_installed_is_told_with_its_cure(
     for name in ("pandas", "xarray", "pyarrow"):
         monkeypatch.setitem(sys.modules, name, None)
     for use in (lambda: whole.frame, whole.dataset, lambda: whole.save(tmp_path / "a.parquet")):
-        with pytest.raises(UsageError, match=r'E504 .* Install it: pip install \w+; or in a clone of blocks: pip install -e "\.\[tables\]"'):
+        with pytest.raises(UsageError, match=r'E504 .* pip install \w+; or .* "\.\[tables\]"'):
             use()
     assert "quiet.ITAE" in whole.table()
 
