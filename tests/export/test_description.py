@@ -651,8 +651,8 @@ Y = ExportedVariable("y", 4, "output", "continuous")
 PAIR = ExportedVariable("z", 5, "local", "continuous", shape=(2,))
 
 WRONG = {
-    "E501 u: 0 start values for 1 elements.": model_of(replace(U, start=())),
-    "E501 u: 1 start values for 2 elements.": model_of(replace(U, shape=(2,))),
+    "E501 u: it has 0 start values for 1 elements.": model_of(replace(U, start=())),
+    "E501 u: it has 1 start values for 2 elements.": model_of(replace(U, shape=(2,))),
     "E501 u: the start value 'a' is not of type real.": model_of(replace(U, start=("a",))),
     "E501 n: the start value 0.5 is not a whole number.": model_of(
         ExportedVariable("n", 1, "input", "discrete", type="int", start=(0.5,))

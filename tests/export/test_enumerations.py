@@ -149,7 +149,7 @@ def test_a_text_in_a_file_that_is_no_member_is_told(entry: dict[str, Any], says:
         ({"default": 3}, 'inputs.mode.default: must be one of "IDLE", "RUN", not the number 3'),
         ({"default": "OFF"}, 'inputs.mode.default: must be one of "IDLE", "RUN", not "OFF".'),
         ({"unit": "V"}, "inputs.mode.unit: an enumeration has no unit."),
-        ({"type": {"enum": "Mode", "members": {"a": 1, "b": 1}}, "default": "a"}, '"a" has the number 1 already.'),
+        ({"type": {"enum": "Mode", "members": {"a": 1, "b": 1}}, "default": "a"}, '"a" already has the number 1.'),
     ],
 )
 def test_a_faulty_enumeration_of_an_input_is_told_in_its_place(entry: dict[str, Any], says: str) -> None:

@@ -142,7 +142,7 @@ def test_a_configuration_for_this_platform_comes_first(tmp_path: Path) -> None:
             f'{SET}<PreprocessorDefinition name="A" value="1&#10;#include &lt;x&gt;"/>',
             "not a valid definition in C",
         ),
-        (CONFIGURATION, '<BuildConfiguration modelIdentifier="PMDCMotor" platform="z80-cpm">', "is built for"),
+        (CONFIGURATION, '<BuildConfiguration modelIdentifier="PMDCMotor" platform="z80-cpm">', "describes how to build"),
         (CONFIGURATION, '<BuildConfiguration modelIdentifier="Other">', "not for"),
     ],
 )
@@ -169,7 +169,7 @@ def test_what_does_not_say_what_is_compiled_is_refused(tmp_path: Path) -> None:
         (3, bare, "it contains no sources"),
         (3, lambda files: files.pop(BUILD), f"it has no {BUILD}"),
         (2, unlisted, "lists no SourceFiles"),
-        (2, lambda files: files.update({"sources/fmi2.c": b"int x;\n"}), "give no function fmi2Instantiate"),
+        (2, lambda files: files.update({"sources/fmi2.c": b"int x;\n"}), "do not define the function fmi2Instantiate"),
     ):
         path = without_binaries(tmp_path, fmi, change)  # type: ignore[arg-type]
         with pytest.raises(FMUError, match=text) as caught:
