@@ -390,7 +390,7 @@ def test_results_are_never_those_of_another_run_that_wrote_the_same_file(tmp_pat
     assert first["sine.y"].any()
     noisy().run(out=out, seed=5)
     for read in (lambda: first["noise.y"], lambda: rows_of(first)):
-        with pytest.raises(UsageError, match=r"E501 .*was written again"):
+        with pytest.raises(UsageError, match=r"E501 .*was removed or overwritten"):
             read()
     again = noisy().run(out=out)
     out.unlink()

@@ -153,7 +153,7 @@ def test_a_cache_that_is_not_trusted_is_told(capsys: pytest.CaptureFixture[str],
     assert "other users can write to" in entry["cache"]["temporary"]
     assert entry["cache"]["folder"] != str(folder)
     assert main(["doctor"]) == 0
-    assert f"for this process only: {folder} can be written to" in capsys.readouterr().out
+    assert f"for this process only: other users can write to {folder}" in capsys.readouterr().out
     assert main(["doctor", "--clear-cache"]) == 0
     assert "was left alone" in capsys.readouterr().err
 

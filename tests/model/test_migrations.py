@@ -301,7 +301,7 @@ def test_check_warns_of_an_older_file_and_fmt_brings_it_up_to_date(
     path.write_text(OLD, encoding="utf-8")
     assert main(["check", str(path)]) == 0
     out = capsys.readouterr().out
-    assert f"W103 {path}:2:41 version: the file is of version 0; the newest version is 2." in out
+    assert f"W103 {path}:2:41 version: the file has version 0; the newest version is 2." in out
     assert "0 errors, 1 warning" in out
     assert main(["fmt", "--check", str(path)]) == 1
     assert capsys.readouterr().out == f"{path}: is not canonical, of version 0\n"

@@ -102,7 +102,7 @@ def test_a_missing_package_is_told_before_the_first_run(tmp_path: Path, monkeypa
     monkeypatch.setitem(sys.modules, "cma", None)
     path = written(tmp_path, tunings={"gains": {**TUNING, "method": "cma"}})
     begun: list[str] = []
-    with pytest.raises(UsageError, match=r"E504 .*tunings\.gains.*cma is needed"):
+    with pytest.raises(UsageError, match=r"E504 .*tunings\.gains.*needs the package cma"):
         study.run(study.load(path), begun=begun.append)
     assert not begun
     assert study.checked(path)[1] == []  # the file is right
@@ -151,7 +151,7 @@ def claim(**entry: Any) -> dict[str, Any]:
         (claim(measure="a.g"), "E105", "claims[0]", "'a.x'"),
         (claim(run="one"), "E009", "claims.0", '"tuning" or runs'),
         (claim(quantile=0.5), "E009", "claims.0", 'need a "sweep"'),
-        ({"runs": {"gains": {"diagram": "bowl.json"}}}, "E109", "tunings.gains", "taken by a run"),
+        ({"runs": {"gains": {"diagram": "bowl.json"}}}, "E109", "tunings.gains", "already used by a run"),
     ],
 )  # fmt: skip
 def test_faults_are_found_before_the_first_run_with_their_places(
