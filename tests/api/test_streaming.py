@@ -394,7 +394,7 @@ def test_results_are_never_those_of_another_run_that_wrote_the_same_file(tmp_pat
             read()
     again = noisy().run(out=out)
     out.unlink()
-    with pytest.raises(UsageError, match=r"E501 .*is not there any more"):
+    with pytest.raises(UsageError, match=r"E501 .*was removed or overwritten"):
         rows_of(again)
 
 

@@ -636,7 +636,10 @@ def test_another_tolerance_of_the_run_is_told_and_its_differences_are_small(
     ("b", "options", "said"),
     [
         ("time,q\n0,0\n", [], "E505 compare: A and B have no signal in common. A has m.w, m.i; B has q."),
-        ("time,m.w\n5,0\n", [], "E505 compare: A and B have no time in common: A covers 0 ... 2 s, and B covers 5 ... 5 s."),
+        (
+            *("time,m.w\n5,0\n", []),
+            "E505 compare: A and B have no time in common: A covers 0 ... 2 s, and B covers 5 ... 5 s.",
+        ),
         ("time,m.w\n", [], "E505 B (b): holds no rows."),
         ("time,m.w\n0,x\n", [], "line 2 does not hold 2 numbers."),
         (

@@ -142,7 +142,7 @@ def test_a_configuration_for_this_platform_comes_first(tmp_path: Path) -> None:
             f'{SET}<PreprocessorDefinition name="A" value="1&#10;#include &lt;x&gt;"/>',
             "not a valid definition in C",
         ),
-        (CONFIGURATION, '<BuildConfiguration modelIdentifier="PMDCMotor" platform="z80-cpm">', "describes how to build"),
+        (CONFIGURATION, '<BuildConfiguration modelIdentifier="PMDCMotor" platform="z80-cpm">', "how to build"),
         (CONFIGURATION, '<BuildConfiguration modelIdentifier="Other">', "not for"),
     ],
 )
