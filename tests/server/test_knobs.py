@@ -142,7 +142,7 @@ def test_a_unit_is_kept_and_a_default_becomes_an_entry(tmp_path: Path, opened: C
     do("set", name="motor.Ra", value="200 mOhm")
     do("set", name="voltage", value="10000 mV")
     do("set", name="kp", value=25)
-    with pytest.raises(ModelError, match="bound"):
+    with pytest.raises(ModelError, match="is computed from other parameters"):
         do("set", name="control.kp", value=25)
     do("keep", names=["voltage", "motor.Ra"])
     new = old.replace('"value": 12,', '"value": 10,').replace(
