@@ -73,7 +73,7 @@ def check_loop(model: Transfer | DelayedModel, point: str) -> None:
     if isinstance(model, DelayedModel):
         return
     if not model.nstates and not model.D.any():
-        message = f"a signal that enters there does not come back{'.' if model.hint else ': it is in no loop.'}"
+        message = f"a signal that enters there does not come back{'.' if model.hint else ': it is not part of a loop.'}"
         cure = model.hint or "Open the loop at a signal that feeds back to itself."
         raise AnalysisError(Fault("E705", point, message, cure))
 

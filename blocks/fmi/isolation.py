@@ -148,7 +148,7 @@ def _filled(proxy: bytes, texts: bytes) -> bytes:
     """The library with its settings."""
     at = proxy.find(MARK)
     if at < 0 or proxy.find(MARK, at + 1) >= 0 or any(proxy[at + len(MARK) : at + SETTINGS]):
-        message = "the compiled library does not have its settings at the expected place."
+        message = "blocks cannot find the settings inside the library that it compiled for the FMU's process."
         raise CompilerError(Fault("E603", "proxy", message, "Set CC to gcc."))
     return proxy[:at] + texts.ljust(SETTINGS, b"\0") + proxy[at + SETTINGS :]
 

@@ -1068,7 +1068,7 @@ def test_a_quantizer_in_a_servo_is_taken_as_a_gain_where_the_command_line_says_s
         assert main(["linearize", path, "--loop", "e.y", "--override", option]) == 2
         assert says in capsys.readouterr().err
     assert main(["linearize", path, "--loop", "r"]) == 2
-    assert "it is in no loop. Open the loop at a signal that feeds back to itself." in capsys.readouterr().err
+    assert "it is not part of a loop. Open the loop at a signal that feeds back to itself." in capsys.readouterr().err
 
 
 def test_linearize_keeps_the_dead_time_of_a_loop_exact_without_pade(

@@ -119,7 +119,7 @@ def test_a_point_that_is_none_of_rest_is_told_where_something_is_not_linear() ->
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("--loop", "r"), "it is in no loop"),
+        (("--loop", "r"), "it is not part of a loop"),
         (("--loop", "control.u", "--figure", "bode"), "has no file to draw to"),
         (("--loop", "control.u", "--pade", "-1"), "is not an order of a Padé model"),
         (("--loop", "control.u", "--input", "r=60 V"), "different quantities"),

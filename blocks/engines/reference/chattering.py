@@ -106,7 +106,7 @@ class CrossingWatch:
             slopes = slopes_by_rates()
             missed &= np.where(sides, -slopes, slopes) > size
         if missed.any():
-            message = f"at t = {t} s it is crossed again sooner than time can be resolved: Zeno."
+            message = f"at t = {t} s it is crossed again after less time than a double can resolve: Zeno behavior."
             cure = "Add a state of rest to the block."
             raise SimulationError(Fault("E304", self.instants.name(int(np.nonzero(missed)[0][0])), message, cure))
 
