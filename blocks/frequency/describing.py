@@ -196,7 +196,7 @@ def backlash(width: float, A: Any, bias: Any = 0.0) -> Described:
         raise refused(f"the width is {width:g}.", "Give a width of 0 or more.")
     A, bias = _signal(A, "amplitude", bias)
     if np.any(half >= A):
-        message = f"an amplitude of {np.min(A):g} does not cross a backlash of width {width:g}: its output does not move."
+        message = f"an amplitude of {np.min(A):g} does not cross a backlash of width {width:g}: the output is constant."
         raise undescribed(message, f"Give an amplitude above {half:g}, or replace the backlash by a constant.")
     x = 1.0 - 2.0 * half / A
     gain = 0.5 + (np.arcsin(x) + x * np.sqrt(1.0 - x * x)) / math.pi
