@@ -269,7 +269,7 @@ def test_a_second_signal_ends_a_command_whose_fmu_hangs(tmp_path: Path) -> None:
             assert asked(page, do="run")["state"] == "running"
             assert asked(page, do="draw")["is"] == "drawing"
             refused = asked(page, do="run")  # as there would be two of the FMU
-            assert "in one step" in refused["faults"][0]["message"]
+            assert "computing one step" in refused["faults"][0]["message"]
             process.send_signal(signal.SIGINT)
             assert "a second Ctrl-C ends it at once" in process.stderr.readline()
             process.send_signal(signal.SIGINT)
