@@ -9,6 +9,7 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -63,7 +64,8 @@ def _study(options: argparse.Namespace) -> int:
     from ..studies import study
 
     loaded = study.load(options.study)
-    plots.check_loads()
+    if find_spec("matplotlib") is None:  # settings that it cannot read cost figures, not the report
+        plots.check_loads()
     folder = Path(options.out) if options.out else Path("out") / loaded.name
     parameters = assignments("--set", options.parameters, "IADRC.torque=2")
     begun = None if options.json else lambda name: say(f"running {name}")
