@@ -167,7 +167,7 @@ class LateCopies:
 
 
 class Kept:
-    """What is kept of z just after instants of the pattern, up to the times at which copies are set to it.
+    """The values of z just after each instant of the pattern, kept until the copies are set to them.
 
     copies: of the model. instants: times in the pattern. period: of the pattern. first: the time with which a pass over
     it begins. spans: in the order of the pass, the times at which something happens, instants or those at which copies

@@ -82,7 +82,7 @@ def test_a_run_that_is_not_stiff_or_does_not_take_long_is_not_warned_about(
 
 
 class Ran:
-    """A lag of 2e-6 s under dopri5, which a look finds after so many steps of a mean length."""
+    """Run a lag of 2e-6 s by dopri5; the watch looks at it once, after a number of steps of a mean length."""
 
     def __init__(self, step: float) -> None:
         self.plan = SimpleNamespace(settings=SimpleNamespace(method="dopri5", stop=5.0))
