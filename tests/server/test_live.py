@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -262,7 +262,9 @@ def test_a_second_signal_ends_a_command_whose_fmu_hangs(tmp_path: Path) -> None:
     (tmp_path / "hangs.json").write_text(json.dumps(text))
     words = [sys.executable, "-m", "blocks", "live", str(tmp_path / "hangs.json"), "--json"]
     given: dict[str, Any] = {"cwd": ROOT, "text": True, "env": {**os.environ, "TMPDIR": str(tmp_path / "unpacked")}}
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **given) as process:
+    given |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(words, **given) as process, ExitStack() as ends:
+        ends.callback(process.kill)  # else a failed assertion waits for the FMU that hangs
         assert process.stdout is not None
         assert process.stderr is not None
         with page_of(json.loads(process.stdout.readline())["url"]) as page:
