@@ -385,11 +385,14 @@ def regular(block: Array) -> bool:
     return bool(values[-1] > 8 * len(block) * _EPS * values[0])
 
 
-def around_zero(at: Callable[[Array], Array], found: Array) -> float:
-    """The constant term at p = 0 by Cauchy's formula, or inf where a pole is there (Laurent coefficients by FFT)."""
+def around_zero(at: Callable[[Array], Array], found: Array, norm: float = 0.0) -> float:
+    """Return the constant term at p = 0 by Cauchy's formula, or inf if a pole is there (Laurent coefficients by FFT).
+
+    found: the poles. norm: of the matrix that has them; what is smaller by rounding alone is at 0.
+    """
     sizes = np.abs(found)
     # A double pole at zero that was rounded lies sqrt(eps) away; it must stay within the circle.
-    far = sizes[sizes > 1e-6 * max(float(np.max(sizes, initial=0.0)), 1e-300)]
+    far = sizes[sizes > max(1e-6 * float(np.max(sizes, initial=0.0)), 8 * len(sizes) * _EPS * norm, 1e-306)]
     radius = 0.1 * float(np.min(far)) if len(far) else 1.0
     count = 32
     circle = radius * np.exp(2j * math.pi * (np.arange(count) + 0.5) / count)

@@ -119,7 +119,7 @@ def _dc_of_channel(known: Source, system: Any, output: int, input: int) -> float
                 return 0.0  # a zero at zero frequency, and not what rounding leaves of it
             with suppress(np.linalg.LinAlgError):
                 return float((model.d - model.c @ np.linalg.solve(model.a, model.b))[0, 0])
-        return around_zero(model.at, model.eigenvalues())
+        return around_zero(model.at, model.eigenvalues(), float(np.linalg.norm(model.a)))
     num, den = polynomials(system)[output][input]
     point = 0.0 if known.dt == 0 else 1.0
     sound = _is_sure(den, point)
