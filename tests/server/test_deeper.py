@@ -144,7 +144,7 @@ def test_what_has_no_loop_or_no_slope_is_refused_in_words_with_what_helps(asking
     ask, _ = asking(DIAGRAMS / "motor_pid.json")
     (fault,) = ask("response", input="speed.y")["faults"]
     assert fault["code"] == "E705"
-    assert "in no loop" in fault["message"]
+    assert "not part of a loop" in fault["message"]
     with pytest.raises(UsageError, match="no such signal"):
         ask("response", input="motor.omgea")
     with pytest.raises(UsageError, match="is not a point of the run"):
