@@ -37,11 +37,13 @@ from blocks import (
     PMDCMotor,
     Pulse,
     Results,
+    Saturation,
     Sine,
     State,
     StateSpace,
     Step,
     Sum,
+    UnitDelay,
     ZeroOrderHold,
     crossing,
     fmu,
@@ -539,6 +541,38 @@ def test_a_loop_through_an_fmu_is_solved(fmi: int, method: str, engine: str) -> 
     exact = 0.5 + (0.5 - 0.5) * np.exp(-4 / 3 * r.t)
     assert np.max(np.abs(np.asarray(r["z.x"]) - exact)) < 1e-8
     assert np.max(np.abs(np.asarray(r["sum.y"]) - (2 - exact) / 3)) < 1e-8
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("kind", ["before", "beside"])
+@pytest.mark.parametrize("fmi", [long(2), 3])
+def test_corners_of_a_loop_at_the_events_of_an_fmu(fmi: int, kind: str, engine: str, tmp_path: Path) -> None:
+    """x = h - 1.9 sat(x), where h jumps over both corners: an FMU holds h, or has an event as its input x jumps."""
+
+    def diagram(hold: Any, lag: Any) -> Diagram:
+        d = Diagram("corners")
+        wave = d.add("wave", Sine(omega=5.164696, amplitude=1.14854, phase=4.630309))
+        h, x, f = d.add("h", hold), d.add("x", Sum(signs="+-")), d.add("f", lag)
+        law, back = d.add("law", Saturation(lower=-0.134957, upper=0.177378)), d.add("back", Gain(k=1.926791))
+        for target, source in ((h.u, wave.y), (x.u1, h.y), (x.u2, back.y), (law.u, x.y), (back.u, law.y), (f.u, x.y)):
+            d.wire(target, source)
+        return d
+
+    hold, lag = UnitDelay(period=0.1), FirstOrder(T=0.3)
+    settings = {"stop": 2.0, "every": 0.05, "method": "euler", "step": 0.01, "loops": "solve", "engine": engine}
+    ours = diagram(hold, lag).run(**settings)
+    inner = Diagram("part")
+    b, u = inner.add("b", hold if kind == "before" else lag), inner.input("u")
+    inner.wire(b.u, u)
+    inner.output("y", b.y)
+    inner.export(tmp_path / "part.fmu", fmi=fmi)
+    part = fmu(tmp_path / "part.fmu", kind="ME")
+    theirs = diagram(*((part, lag) if kind == "before" else (hold, part))).run(**settings)
+    h, x = np.asarray(theirs["h.y"]), np.asarray(theirs["x.y"])
+    assert np.max(np.abs(x + 1.926791 * np.clip(x, -0.134957, 0.177378) - h)) < 1e-12
+    assert x.max() > 0.3
+    assert x.min() < -0.3
+    assert worst(ours, theirs, {name: name for name in ("h.y", "x.y", "f.y")}) < 1e-9
 
 
 def test_a_loop_through_an_fmu_is_told() -> None:

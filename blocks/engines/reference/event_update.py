@@ -61,6 +61,17 @@ def _cycle(history: list[str]) -> str:
     return " -> ".join(history[before[-1] if before else 0 :])
 
 
+@dataclass(frozen=True)
+class _Begun:
+    """Where the search for quiet may begin again: at its start, or after the last events of FMUs."""
+
+    snapshot: Snapshot
+    due: dict[int, float]
+    fired: int  # how many events there were
+    slack: tuple[float, ...]
+    fmu_events: int  # how many events of FMUs
+
+
 @dataclass
 class Instants:
     """The programs that instants of one Plan need, printed when first needed."""
@@ -102,6 +113,7 @@ class Instants:
             program(f"reset_{index}", [node for node, _ in cause.resets]) if cause.resets else None
             for index, cause in enumerate(self.causes)
         ]
+        self.of_fmus = {j for part in plan.foreign for j in (*part.crossings, len(plan.crossings) + part.event)}
         # By block, then as declared: so events are listed, and so the reset that is declared later wins.
         self.order = sorted(range(len(self.causes)), key=lambda i: self._rank(self.causes[i].node))
         self.ranks = [[self._rank(node) for node, _ in cause.resets] for cause in self.causes]
@@ -403,17 +415,18 @@ class Instants:
         """Fire events and crossings until no side changes any more. seen: what crossings fire by at first."""
         if self.corners is None:
             return self._quiet(snapshot, u, due, fired, seen)
-        told, slack, hidden = len(fired), self.slack, self.foreign.events
+        self.begun = _Begun(snapshot, due, len(fired), self.slack, self.foreign.events)
         try:
             return self._quiet(snapshot, u, due, fired, seen)
         except SimulationError as error:
-            if self.plan.foreign and (error.faults[0].code != "E305" or self.foreign.events != hidden):
-                raise  # FMUs that have had an event meanwhile do not go back
+            begun = self.begun
+            if self.plan.foreign and (error.faults[0].code != "E305" or self.foreign.events != begun.fmu_events):
+                raise  # an FMU failed in its event, and FMUs do not go back
             # The sides that are shown are those of no solution: the way to it goes from corner to corner.
-            del fired[told:]
-            self.slack = slack
+            del fired[begun.fired :]
+            self.slack = begun.slack
             try:
-                after = self._quiet_along(snapshot, u, due, fired)
+                after = self._quiet_along(begun.snapshot, u, begun.due, fired)
             except SimulationError:
                 after = None
             if after is None:
@@ -435,19 +448,23 @@ class Instants:
         known = set()
         for _ in range(MOST_PASSES):
             values = self.sides_now(snapshot if seen is None else seen, u)
-            sides, firing, changed = self._changes(values, snapshot, due)
-            asked = self.asked(snapshot, u, firing, changed) if plan.foreign else {}
+            sides, firing, changed, due = self._changes(values, snapshot, due)
+            asked = self.asked(snapshot, u, firing, changed)
             if not firing and not changed and not asked and seen is None:
                 return snapshot
             seen = None
             history += [self.name(index) for index in self.order if index in firing or index in changed]
             history += [plan.foreign[k].path for k in asked] if not firing and not changed else []
-            due = {}
             before, snapshot = snapshot, self._fire(snapshot, u, sides, firing, asked, fired)
             if self.corners is not None:
-                if any(j in firing for j in self.corners.resets):
+                z = snapshot.z
+                if asked or any(j in firing for j in self.corners.resets):
                     z = self.solutions(*self._memory_now(before, u))
+                if any(j in firing for j in self.corners.resets):
                     snapshot = self._latched_at(z, snapshot, u, firing)
+                if asked:  # FMUs do not go back: a way from corner to corner begins after their events
+                    start = replace(snapshot, z=z)
+                    self.begun = _Begun(start, due, len(fired), self.slack, self.foreign.events)
                 self._widen(self.with_solutions(snapshot, u), u)
                 now = snapshot.x.tobytes(), snapshot.d, snapshot.s, self.slack, self.foreign.events
                 if now in known:
@@ -470,8 +487,11 @@ class Instants:
 
     def _changes(
         self, values: Sequence[float], snapshot: Snapshot, due: dict[int, float]
-    ) -> tuple[tuple[float, ...], dict[int, float], list[int]]:
-        """The sides that crossings show, what fires with what is due, and which sides have changed."""
+    ) -> tuple[tuple[float, ...], dict[int, float], list[int], dict[int, float]]:
+        """Return the sides that crossings show, what fires with what is due, which sides change, and what stays due.
+
+        While a corner changes, FMUs wait: the solutions of the loops, which their inputs may read, are not final.
+        """
         sides = self.latched(snapshot, values)
         firing = dict(due)
         changed = []
@@ -482,7 +502,17 @@ class Instants:
                 changed.append(j)
                 if self.plan.crossings[j].direction in ("both", "up" if sides[j] else "down"):
                     firing[j] = snapshot.t + self.later
-        return sides, firing, changed
+        if not self.plan.foreign or not self._is_between(changed):
+            return sides, firing, changed, {}
+        waiting = self.of_fmus
+        sides = tuple(old if j in waiting else new for j, (old, new) in enumerate(zip(snapshot.s, sides, strict=True)))
+        changed = [j for j in changed if j not in waiting]
+        later = {index: time for index, time in due.items() if index in waiting}
+        return sides, {index: time for index, time in firing.items() if index not in waiting}, changed, later
+
+    def _is_between(self, changed: Iterable[int]) -> bool:
+        """Whether a corner changes, so that the loops are not solved yet."""
+        return self.corners is not None and any(j in self.corners.numbers for j in changed)
 
     def _fire(
         self,
@@ -551,20 +581,20 @@ class Instants:
                 snapshot = self._fire(snapshot, u, sides, self._firing(snapshot, sides, [j]), {}, fired, given=True)
                 continue
             self.slack = tuple(map(max, self.slack, corners.slack(at(memory, end))))
-            sides, firing, changed = self._changes(self.sides(*at(memory, end)), snapshot, due)
+            sides, firing, changed, later = self._changes(self.sides(*at(memory, end)), snapshot, due)
             own = [j for j in changed if j in corners.numbers]
-            if due or not own:
+            if len(later) < len(due) or not own:
                 # Corners wait until the loop is solved with what else has changed.
                 sides = tuple(
                     old if j in own else new for j, (old, new) in enumerate(zip(snapshot.s, sides, strict=True))
                 )
                 firing = {index: time for index, time in firing.items() if index not in own}
                 changed = [j for j in changed if j not in own]
-                asked = self.asked(snapshot, u, firing, changed) if self.plan.foreign else {}
+                asked = {} if own else self.asked(snapshot, u, firing, changed)
                 if not firing and not changed and not asked and not own:
                     return snapshot
                 snapshot = self._fire(snapshot, u, sides, firing, asked, fired)
-                due = {}
+                due = later
                 continue
 
             def turned_at(z: Sequence[float], memory: Any = memory) -> list[int]:
@@ -613,7 +643,9 @@ class Instants:
     def asked(
         self, snapshot: Snapshot, u: Sequence[float], firing: Mapping[int, float], changed: Sequence[int]
     ) -> dict[int, tuple[float, tuple[float, ...]]]:
-        """The FMUs that have an event now: its time, and their inputs."""
+        """Return, for the FMUs that have an event now, its time and their inputs."""
+        if not self.plan.foreign or self._is_between(changed):
+            return {}
         values, fmu_events, first = self.foreign_inputs(*self.memory(snapshot, u)), {}, 0
         for k, part in enumerate(self.plan.foreign):
             inputs = tuple(values[first : first + len(part.inputs)])

@@ -22,7 +22,7 @@ FACTORS: dict[str, list[str]] = {
     "rates": ["none", "one", "two", "coincide"],
     "projection": ["none", "RateLimiter", "Backlash", "Peak"],
     "reset": ["none", "ball", "integrator", "relay", "counter"],
-    "delay": ["none", "delay"],
+    "delay": ["none", "delay", "loop"],
     "vector": ["none", "vector"],
     "defaults": ["plain", "expressions", "computed"],
     "touch": ["none", "touch"],
@@ -258,8 +258,16 @@ def _reset(b: _Builder) -> None:
 
 
 def _delay(b: _Builder) -> None:
-    if b.row["delay"] == "delay":
-        b.signals.append(b.add("late", "TransportDelay", {"delay": b.number(0.1, 0.6)}, u=b.source()))
+    """Add a delay, or a sampled loop with dead time. Half of the delays are multiples of a master's step."""
+    if b.row["delay"] == "none":
+        return
+    delay, source = round(b.number(0.1, 0.6), b.rng.choice([2, 6])), b.source()
+    if b.row["delay"] == "loop":
+        source = b.add("off", "Sum", {"signs": "+-"}, u1=source, u2="late.y")
+        source = b.add("held", "ZeroOrderHold", {"period": 0.1}, u=source)
+        source = b.add("plant", "FirstOrder", {"k": b.number(0.4, 1.5), "T": b.number(0.1, 0.5)}, u=source)
+        b.signals.append(source)
+    b.signals.append(b.add("late", "TransportDelay", {"delay": delay}, u=source))
 
 
 def _vector(b: _Builder) -> None:

@@ -358,6 +358,23 @@ static int asked(BlocksSim *s, const uint8_t *due, const uint8_t *changed, int f
     return any;
 }
 
+static int put_off(BlocksSim *s, double *sides, int first, const int32_t *due, int n)
+{
+    BlocksForeigns *all = units_of(s);
+    int left = 0;
+    for (int k = 0; k < all->n; k++) {
+        const BlocksForeign *f = &all->units[k];
+        for (int i = 0; i < f->ncrossings; i++) {
+            int j = f->crossings[i];
+            s->firing[j] = s->changed_sides[j] = 0;
+            sides[j] = s->memory.s[j];
+        }
+        for (int i = 0; i < n; i++) left += due[i] == f->event;
+        s->firing[first + f->event] = 0;
+    }
+    return left;
+}
+
 /* Event mode, and back, of those that have an event. */
 static int events(BlocksSim *s)
 {
@@ -493,4 +510,4 @@ static int64_t epoch(const BlocksSim *s)
     return sum;
 }
 
-const BlocksHooks blocks_hooks = {initialized, started, asked, events, postponed, waits, turn, completed, epoch};
+const BlocksHooks blocks_hooks = {initialized, started, asked, put_off, events, postponed, waits, turn, completed, epoch};

@@ -2284,12 +2284,63 @@ static void latch_at(BlocksSim *s, const double *z, const uint8_t *fired)
     s->model->refresh(&s->memory);
 }
 
-/* Behind the scratch of corners: what an instant may go back to, and what it was some passes ago. */
+/* Behind the scratch of corners: what an instant may go back to, what it was some passes ago, and solutions to go back to. */
 static double *corner_backup(const BlocksSim *s) { return s->corner + 3 * s->model->ns + 7 * s->model->nz; }
 
 static double *some_passes_ago(const BlocksSim *s)
 {
     return corner_backup(s) + s->model->nx + s->model->nd + 2 * s->model->ns + s->model->nevents;
+}
+
+static double *solutions_backup(const BlocksSim *s)
+{
+    return some_passes_ago(s) + s->model->nx + s->model->nd + 2 * s->model->ns;
+}
+
+/* Where the search for quiet may begin again: at its start, or after the last events of FMUs. Its memory is in the backup. */
+typedef struct {
+    int64_t told, fmu_events;
+    int touched, is_loose, ndue;
+} Begun;
+
+static Begun begin(const BlocksSim *s, const double *z, int ndue, int touched)
+{
+    const BlocksMemory *m = &s->memory;
+    size_t nx = (size_t)s->model->nx, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns, ne = (size_t)s->model->nevents;
+    double *x = corner_backup(s), *d = x + nx, *sides = d + nd, *slack = sides + ns, *own = slack + ns;
+    memcpy(x, m->x, nx * sizeof(double));
+    memcpy(d, m->d, nd * sizeof(double));
+    memcpy(sides, m->s, ns * sizeof(double));
+    memcpy(slack, s->slack, ns * sizeof(double));
+    memcpy(own, s->own, ne * sizeof(double));
+    memcpy(solutions_backup(s), z, (size_t)s->model->nz * sizeof(double));
+    return (Begun){s->fired_events.used, s->model->hooks ? s->model->hooks->epoch(s) : 0, touched, s->is_loose, ndue};
+}
+
+static void begin_again(BlocksSim *s, const Begun *begun)
+{
+    BlocksMemory *m = &s->memory;
+    size_t nx = (size_t)s->model->nx, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns, ne = (size_t)s->model->nevents;
+    const double *x = corner_backup(s), *d = x + nx, *sides = d + nd, *slack = sides + ns, *own = slack + ns;
+    memcpy(m->x, x, nx * sizeof(double));
+    memcpy(m->d, d, nd * sizeof(double));
+    memcpy(m->s, sides, ns * sizeof(double));
+    memcpy(s->slack, slack, ns * sizeof(double));
+    memcpy(s->own, own, ne * sizeof(double));
+    memcpy(m->z, solutions_backup(s), (size_t)s->model->nz * sizeof(double));
+    s->is_loose = begun->is_loose;
+    s->fired_events.used = begun->told;
+    s->model->refresh(m);
+    s->failure = BLOCKS_FINE;
+}
+
+/* Whether a corner changes, so that the loops are not solved yet. */
+static int is_between(const BlocksSim *s)
+{
+    const BlocksCorners *c = s->model->corners;
+    for (int i = 0; c && i < c->n; i++)
+        if (s->changed_sides[c->numbers[i]]) return 1;
+    return 0;
 }
 
 static int is_as_before(const BlocksSim *s)
@@ -2313,24 +2364,25 @@ static void keep_before(const BlocksSim *s)
 }
 
 /* Fire events and crossings until no side changes any more, all that changes at once. seen: whether crossings fire by what the
-   step has seen at first. */
-HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int seen, int *touched)
+   step has seen at first; start: null where there are no corners. */
+HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int seen, int *touched, Begun *start)
 {
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
     int ns = model->ns, first = setup->ncauses - model->nevents;
     const BlocksCorners *corners = has_corners(s) ? model->corners : NULL;
     double *values = s->crossing_values, *sides = s->distances;
-    memset(s->firing, 0, (size_t)setup->ncauses);
     for (int i = 0; i < ndue; i++) {
         s->own[due[i]] = s->events[due[i]];
-        s->firing[first + due[i]] = 1;
-        s->firing_time[first + due[i]] = s->events[due[i]];
         *touched = 1;
     }
     for (int pass = 0; pass < MOST_PASSES; pass++) {
-        int any = pass == 0 ? ndue : 0, changed = 0;
-        if (pass > 0) memset(s->firing, 0, (size_t)setup->ncauses);
+        int any = ndue, changed = 0;
+        memset(s->firing, 0, (size_t)setup->ncauses);
+        for (int i = 0; i < ndue; i++) {
+            s->firing[first + due[i]] = 1;
+            s->firing_time[first + due[i]] = s->events[due[i]];
+        }
         if (ns) {
             if (seen && pass == 0 ? sides_seen(s, values) : sides_now(s, values)) return BLOCKS_FAILED;
             for (int j = 0; j < ns; j++) {
@@ -2345,7 +2397,13 @@ HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int see
                 }
             }
         }
-        int asked = model->hooks ? model->hooks->asked(s, s->firing, s->changed_sides, first) : 0;
+        int asked = 0;
+        if (model->hooks && corners && is_between(s)) {
+            ndue = model->hooks->put_off(s, sides, first, due, ndue);
+        } else {
+            ndue = 0;
+            if (model->hooks) asked = model->hooks->asked(s, s->firing, s->changed_sides, first);
+        }
         if (!any && !changed && !asked) {
             if (seen && pass == 0) continue;
             return 0;
@@ -2358,9 +2416,10 @@ HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int see
         int is_reset = 0;
         double *z = s->corner + 3 * ns + 3 * model->nz;
         for (int i = 0; i < corners->n; i++) is_reset |= s->firing[corners->numbers[i]] && setup->causes[corners->numbers[i]].nresets;
-        if (is_reset) evaluate_now(s, model->solutions, z);
+        if (is_reset || asked) evaluate_now(s, model->solutions, z);
         if (fire(s, sides, asked, 0)) return BLOCKS_FAILED;
         if (is_reset) latch_at(s, z, s->firing + setup->ncauses);
+        if (asked) *start = begin(s, z, ndue, 1); /* FMUs do not go back: a way from corner to corner begins after their events */
         if (solve(s, s->t, s->memory.x, z)) return BLOCKS_FAILED;
         loosen(s, s->t, s->memory.x, z, 1);
         /* Where all is as it was before, it goes on without end (Brent's search for a cycle). */
@@ -2455,7 +2514,12 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
         for (int i = 0; i < c->n; i++) own |= s->changed_sides[c->numbers[i]];
         if (!any && !model->hooks) return 0;
         *touched |= any;
-        if (ndue || !own) {
+        for (int i = 0; i < ndue; i++) {
+            s->firing[first + due[i]] = 1;
+            s->firing_time[first + due[i]] = s->events[due[i]];
+        }
+        int left = own && model->hooks ? model->hooks->put_off(s, sides, first, due, ndue) : 0;
+        if (left < ndue || !own) {
             /* Corners wait until the loop is solved with what else has changed. */
             for (int i = 0; i < c->n; i++) sides[c->numbers[i]] = m->s[c->numbers[i]], s->changed_sides[c->numbers[i]] = 0;
             for (int j = 0; j < ns; j++) {
@@ -2463,12 +2527,8 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
                 s->firing[j] = 1;
                 s->firing_time[j] = s->t + s->later;
             }
-            for (int i = 0; i < ndue; i++) {
-                s->firing[first + due[i]] = 1;
-                s->firing_time[first + due[i]] = s->events[due[i]];
-            }
-            ndue = 0;
-            int asked = model->hooks ? model->hooks->asked(s, s->firing, s->changed_sides, first) : 0;
+            ndue = left;
+            int asked = model->hooks && !own ? model->hooks->asked(s, s->firing, s->changed_sides, first) : 0;
             if (!any && !asked) return 0;
             *touched = 1;
             if (fire(s, sides, asked, 0)) return BLOCKS_FAILED;
@@ -2488,35 +2548,19 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
    touched: whether anything was. */
 HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int seen, int *touched)
 {
-    if (!has_corners(s)) return quiet_at_once(s, due, ndue, seen, touched);
+    if (!has_corners(s)) return quiet_at_once(s, due, ndue, seen, touched, NULL);
     const BlocksHooks *hooks = s->model->hooks;
-    const int64_t hidden = hooks ? hooks->epoch(s) : 0;
-    BlocksMemory *m = &s->memory;
-    size_t nx = (size_t)s->model->nx, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns, ne = (size_t)s->model->nevents;
-    double *x = corner_backup(s), *d = x + nx, *sides = d + nd, *slack = sides + ns, *own = slack + ns;
-    int64_t told = s->fired_events.used;
-    int before = *touched, was_loose = s->is_loose;
-    memcpy(x, m->x, nx * sizeof(double));
-    memcpy(d, m->d, nd * sizeof(double));
-    memcpy(sides, m->s, ns * sizeof(double));
-    memcpy(slack, s->slack, ns * sizeof(double));
-    memcpy(own, s->own, ne * sizeof(double));
-    if (!quiet_at_once(s, due, ndue, seen, touched)) return 0;
+    Begun begun = begin(s, s->memory.z, ndue, *touched);
+    if (!quiet_at_once(s, due, ndue, seen, touched, &begun)) return 0;
     int failure = s->failure, culprit = s->culprit;
     double value = s->value;
-    /* FMUs that have had an event meanwhile do not go back. */
-    if (failure == -1 || (hooks && (failure != BLOCKS_ENDLESS || hooks->epoch(s) != hidden))) return BLOCKS_FAILED;
+    if (failure == -1) return BLOCKS_FAILED;
+    /* An FMU failed in its event, and FMUs do not go back. */
+    if (hooks && (failure != BLOCKS_ENDLESS || hooks->epoch(s) != begun.fmu_events)) return BLOCKS_FAILED;
     /* The sides that are shown are those of no solution: the way to it goes from corner to corner. */
-    memcpy(m->x, x, nx * sizeof(double));
-    memcpy(m->d, d, nd * sizeof(double));
-    memcpy(m->s, sides, ns * sizeof(double));
-    memcpy(s->slack, slack, ns * sizeof(double));
-    memcpy(s->own, own, ne * sizeof(double));
-    s->is_loose = was_loose;
-    s->fired_events.used = told;
-    s->model->refresh(m);
-    *touched = before;
-    s->failure = BLOCKS_FINE;
+    begin_again(s, &begun);
+    *touched = begun.touched;
+    ndue = begun.ndue;
     if (!quiet_along(s, due, ndue, touched)) return 0;
     return blocks_fail(s, failure, culprit, value);
 }
@@ -3155,7 +3199,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
         {&s->backup, 2 * (nx + nd + ns) + 2 * ne + nz}, {&s->row_values, nl}, {&s->stage_values, values},
         {&s->z1, nz}, {&s->distances, 2 * ns}, {&s->projected_once, nx + nd},
         {&s->projected_often, nx + nd}, {&s->unprojected, model->nprojections ? nx + nd : 0}, {&s->firing_time, nc},
-        {&s->slack, ns}, {&s->corner, model->corners ? 3 * ns + 7 * nz + 2 * (nx + nd + 2 * ns) + ne : 0},
+        {&s->slack, ns}, {&s->corner, model->corners ? 3 * ns + 8 * nz + 2 * (nx + nd + 2 * ns) + ne : 0},
     };
     int count = (int)(sizeof pieces / sizeof pieces[0]);
     for (int i = 0; i < count; i++) doubles += room(pieces[i].n) + 8;

@@ -50,6 +50,9 @@ typedef struct {
     int (*initialized)(BlocksSim *, const double *inputs);
     int (*started)(BlocksSim *);
     int (*asked)(BlocksSim *, const uint8_t *firing, const uint8_t *changed, int first_event); /* whether any has an event */
+    /* While the loops are not solved, none has an event: what of theirs fires is taken out of s->firing and stays due, and
+       their sides stay. Returns how many event times are still due (all of them or none: FMUs take their turns alone). */
+    int (*put_off)(BlocksSim *, double *sides, int first_event, const int32_t *due, int n);
     int (*events)(BlocksSim *);
     /* Those with a time event at this instant wait for their turn. due: what of n event times is left for others, whose
        number is returned; waiting: how many wait. */
