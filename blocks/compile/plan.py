@@ -348,7 +348,7 @@ class Plan(Shown):
     unknowns: tuple[Reference, ...] = field(default=(), compare=False, repr=False)
     """What is solved for at all times, in the order of z; each search begins at their last values."""
     corners: tuple[int, ...] = field(default=(), compare=False, repr=False)
-    """Crossings that depend on what a loop solves for, whether that loop reads their sides or not."""
+    """Crossings that depend on what a loop solves for, whether it reads their sides or not; those of FMUs come last."""
     guessed: tuple[int, ...] = field(default=(), compare=False, repr=False)
     """Places in d that are guessed at the start, as sides are: steps of what a loop solves for, which reads them."""
     folded: Any = field(default=None, compare=False, repr=False)
@@ -375,6 +375,11 @@ class Plan(Shown):
             return [one[of_one(Reference("c", k)).index] for k in range(len(self.tables))]
         ends = accumulate(map(len, self.tables))
         return [range(end - len(table), end) for table, end in zip(self.tables, ends, strict=True)]
+
+    @cached_property
+    def foreign_crossings(self) -> frozenset[int]:
+        """The crossings that are event indicators of FMUs."""
+        return frozenset(j for part in self.foreign for j in part.crossings)
 
     @cached_property
     def foreign_of(self) -> dict[int, int]:

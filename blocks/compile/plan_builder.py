@@ -422,9 +422,11 @@ def _settled(plan: Plan) -> Plan:
 
 
 def _corners(plan: Plan, loops: Iterable[AlgebraicLoop]) -> tuple[int, ...]:
-    """The crossings that depend on a loop: its solution rounds in another way at each search."""
+    """The crossings that depend on a loop, as its solution rounds in another way at each search; those of FMUs last."""
     unknowns = {reference for loop in loops for reference in loop.unknowns}
-    return tuple(j for j, cause in enumerate(plan.crossings) if not unknowns.isdisjoint(_reached(plan, [cause.node])))
+    nodes = enumerate(cause.node for cause in plan.crossings)
+    corners = [j for j, node in nodes if not unknowns.isdisjoint(_reached(plan, [node]))]
+    return tuple(sorted(corners, key=lambda j: (j in plan.foreign_crossings, j)))
 
 
 def _reached(plan: Plan, nodes: Iterable[Node]) -> set[Reference]:

@@ -36,6 +36,7 @@ from blocks import (
     Parameter,
     PMDCMotor,
     Pulse,
+    Ramp,
     Results,
     Saturation,
     Sine,
@@ -171,6 +172,24 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Path]
         return known[name, fmi]
 
     return of
+
+
+class Falling(Block):
+    """u, but -u between 0 and 1, and u - 2 above."""
+
+    u = Input()
+
+    @crossing
+    def one(u: Any) -> Any:
+        return u - 1.0
+
+    @crossing
+    def zero(u: Any) -> Any:
+        return u
+
+    @output
+    def y(u: Any, one: Any, zero: Any) -> Any:
+        return np.where(one, u - 2.0, np.where(zero, -u, u))
 
 
 def alone(block: Block) -> Diagram:
@@ -573,6 +592,72 @@ def test_corners_of_a_loop_at_the_events_of_an_fmu(fmi: int, kind: str, engine: 
     assert x.max() > 0.3
     assert x.min() < -0.3
     assert worst(ours, theirs, {name: name for name in ("h.y", "x.y", "f.y")}) < 1e-9
+    passed = [[(event.t, event.what) for event in run.events if event.block == "law"] for run in (ours, theirs)]
+    assert passed[0] == passed[1]
+    assert len(passed[0]) > 6
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_jump_that_an_fmu_makes_passes_the_corners_on_its_way_only(engine: str, tmp_path: Path) -> None:
+    """x = h - 2 - 5 sat(x), sat within 0.2, where h jumps from 0 to 1.4 or 3.6: from x = -1 to 0.133 or 0.6."""
+    inner = Diagram("held")
+    held, u = inner.add("held", ZeroOrderHold(period=0.1)), inner.input("u")
+    inner.wire(held.u, u)
+    inner.output("y", held.y)
+    inner.export(tmp_path / "held.fmu")
+    for after, x_after, passed in ((1.4, -0.1, ["below"]), (3.6, 0.6, ["above", "below"])):  # both at once, as declared
+        for part in (ZeroOrderHold(period=0.1), fmu(tmp_path / "held.fmu", kind="ME")):
+            d = Diagram("jump")
+            w, h, c = d.add("w", Step(at=0.45, after=after)), d.add("h", part), d.add("c", Constant(value=-2.0))
+            law = d.add("law", Saturation(lower=-0.2, upper=0.2))
+            x, g = d.add("x", Sum(signs="+-+")), d.add("g", Gain(k=5.0))
+            for a, b in ((h.u, w.y), (x.u1, h.y), (law.u, x.y), (g.u, law.y), (x.u2, g.y), (x.u3, c.y)):
+                d.wire(a, b)
+            r = d.run(stop=1.0, method="rk4", step=0.01, loops="solve", engine=engine)
+            assert r["x.y"][-1] == pytest.approx(x_after, abs=1e-12)
+            assert [event.what for event in r.events if event.block == "law"] == passed
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_idle_fmu_hinders_no_way_along_corners(engine: str, tmp_path: Path) -> None:
+    """x = h - f(x) of a law that falls in the middle: no solution there, but one behind it."""
+    inner = Diagram("idle")
+    lag, u = inner.add("lag", FirstOrder(T=0.3)), inner.input("u")
+    inner.wire(lag.u, u)
+    inner.output("y", lag.y)
+    inner.export(tmp_path / "idle.fmu")
+    for idle in (FirstOrder(T=0.3), fmu(tmp_path / "idle.fmu", kind="ME")):
+        d = Diagram("d")
+        h, x, f = d.add("h", Step(at=0.5, before=-0.8, after=0.4)), d.add("x", Sum(signs="+-")), d.add("f", Falling())
+        lag, c = d.add("lag", idle), d.add("c", Constant(value=1.0))
+        for a, b in ((x.u1, h.y), (x.u2, f.y), (f.u, x.y), (lag.u, c.y)):
+            d.wire(a, b)
+        r = d.run(stop=1.0, method="rk4", step=0.01, loops="solve", engine=engine)
+        assert [event.what for event in r.events if event.block == "f"] == ["zero", "one"]
+        assert r["x.y"][-1] + r["f.y"][-1] == pytest.approx(0.4, abs=1e-12)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("fmi", [long(2), 3])
+def test_an_fmu_with_corners_is_solved_in_a_loop_and_behind_one(fmi: int, engine: str, tmp_path: Path) -> None:
+    """y = sat(r - y) of an FMU that saturates at 12, with r = 20 t: y = min(10 t, 12). Behind it another one at 3."""
+    for limit in (12.0, 3.0):
+        inner = Diagram("limited")
+        law, u = inner.add("law", Saturation(lower=-limit, upper=limit)), inner.input("u")
+        inner.wire(law.u, u)
+        inner.output("y", law.y)
+        inner.export(tmp_path / f"{limit:g}.fmu", fmi=fmi)
+    d = Diagram("d")
+    r, e = d.add("r", Ramp(slope=20.0)), d.add("e", Sum(signs="+-"))
+    law, behind = (d.add(name, fmu(tmp_path / f"{name[1:]}.fmu", kind="ME")) for name in ("x12", "x3"))
+    for target, source in ((e.u1, r.y), (e.u2, law.y), (law.u, e.y), (behind.u, e.y)):
+        d.wire(target, source)
+    settings = {"stop": 3.0, "every": 0.05, "loops": "solve", "engine": engine}
+    for method in ({"method": "dopri5"}, {"method": "rk4", "step": 0.01}):
+        results = d.run(**settings, **method)
+        exact = np.minimum(10 * results.t, 12.0)
+        assert np.max(np.abs(np.asarray(results["x12.y"]) - exact)) < 1e-9
+        assert np.max(np.abs(np.asarray(results["x3.y"]) - np.minimum(20 * results.t - exact, 3.0))) < 1e-9
 
 
 def test_a_loop_through_an_fmu_is_told() -> None:

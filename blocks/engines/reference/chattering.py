@@ -41,7 +41,7 @@ class CrossingWatch:
         self.plan, self.instants = plan, instants
         self.times: deque[float] = deque(maxlen=_CROWD)
         self.fired: dict[int, float] = {}  # when each crossing fired last
-        theirs = frozenset(j for part in plan.foreign for j in part.crossings)
+        theirs = plan.foreign_crossings
         self.resetting = np.array([bool(c.resets) or j in theirs for j, c in enumerate(plan.crossings)], dtype=bool)
         # An FMU's has no direction: passing it back at once is no Zeno, but passing it downwards again is.
         self.directions = ["down" if j in theirs else cause.direction for j, cause in enumerate(plan.crossings)]

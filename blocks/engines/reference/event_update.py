@@ -62,14 +62,14 @@ def _cycle(history: list[str]) -> str:
 
 
 @dataclass(frozen=True)
-class _Begun:
+class _Restart:
     """Where the search for quiet may begin again: at its start, or after the last events of FMUs."""
 
     snapshot: Snapshot
     due: dict[int, float]
     fired: int  # how many events there were
     slack: tuple[float, ...]
-    fmu_events: int  # how many events of FMUs
+    fmu_events: int  # how many events FMUs had had
 
 
 @dataclass
@@ -113,7 +113,7 @@ class Instants:
             program(f"reset_{index}", [node for node, _ in cause.resets]) if cause.resets else None
             for index, cause in enumerate(self.causes)
         ]
-        self.of_fmus = {j for part in plan.foreign for j in (*part.crossings, len(plan.crossings) + part.event)}
+        self.of_fmus = plan.foreign_crossings | {len(plan.crossings) + part.event for part in plan.foreign}
         # By block, then as declared: so events are listed, and so the reset that is declared later wins.
         self.order = sorted(range(len(self.causes)), key=lambda i: self._rank(self.causes[i].node))
         self.ranks = [[self._rank(node) for node, _ in cause.resets] for cause in self.causes]
@@ -415,23 +415,26 @@ class Instants:
         """Fire events and crossings until no side changes any more. seen: what crossings fire by at first."""
         if self.corners is None:
             return self._quiet(snapshot, u, due, fired, seen)
-        self.begun = _Begun(snapshot, due, len(fired), self.slack, self.foreign.events)
+        self.restart = self._restart(snapshot, due, fired)
         try:
             return self._quiet(snapshot, u, due, fired, seen)
         except SimulationError as error:
-            begun = self.begun
-            if self.plan.foreign and (error.faults[0].code != "E305" or self.foreign.events != begun.fmu_events):
-                raise  # an FMU failed in its event, and FMUs do not go back
+            restart = self.restart
+            if self.foreign.events != restart.fmu_events:
+                raise  # FMUs do not go back
             # The sides that are shown are those of no solution: the way to it goes from corner to corner.
-            del fired[begun.fired :]
-            self.slack = begun.slack
+            del fired[restart.fired :]
+            self.slack = restart.slack
             try:
-                after = self._quiet_along(begun.snapshot, u, begun.due, fired)
+                after = self._quiet_along(restart.snapshot, u, restart.due, fired)
             except SimulationError:
                 after = None
             if after is None:
                 raise error
             return after
+
+    def _restart(self, snapshot: Snapshot, due: dict[int, float], fired: Sequence[Event]) -> _Restart:
+        return _Restart(snapshot, due, len(fired), self.slack, self.foreign.events)
 
     def _quiet(
         self,
@@ -448,23 +451,26 @@ class Instants:
         known = set()
         for _ in range(MOST_PASSES):
             values = self.sides_now(snapshot if seen is None else seen, u)
-            sides, firing, changed, due = self._changes(values, snapshot, due)
-            asked = self.asked(snapshot, u, firing, changed)
+            sides, firing, changed = self._changes(values, snapshot, due)
+            asked: Mapping[int, tuple[float, tuple[float, ...]]] = {}
+            if seen is None and self._is_between(changed):
+                sides, firing, changed, due = self._without_fmus(snapshot, sides, firing, changed, due)
+            else:
+                asked, due = self.asked(snapshot, u, firing, changed), {}
             if not firing and not changed and not asked and seen is None:
                 return snapshot
             seen = None
             history += [self.name(index) for index in self.order if index in firing or index in changed]
             history += [plan.foreign[k].path for k in asked] if not firing and not changed else []
-            before, snapshot = snapshot, self._fire(snapshot, u, sides, firing, asked, fired)
+            z, is_reset = snapshot.z, self.corners is not None and any(j in firing for j in self.corners.resets)
+            if self.corners is not None and (asked or is_reset):
+                z = self.solutions(*self._memory_now(snapshot, u))  # before FMUs have their events
+            snapshot = self._fire(snapshot, u, sides, firing, asked, fired)
             if self.corners is not None:
-                z = snapshot.z
-                if asked or any(j in firing for j in self.corners.resets):
-                    z = self.solutions(*self._memory_now(before, u))
-                if any(j in firing for j in self.corners.resets):
+                if is_reset:
                     snapshot = self._latched_at(z, snapshot, u, firing)
                 if asked:  # FMUs do not go back: a way from corner to corner begins after their events
-                    start = replace(snapshot, z=z)
-                    self.begun = _Begun(start, due, len(fired), self.slack, self.foreign.events)
+                    self.restart = self._restart(replace(snapshot, z=z), {}, fired)
                 self._widen(self.with_solutions(snapshot, u), u)
                 now = snapshot.x.tobytes(), snapshot.d, snapshot.s, self.slack, self.foreign.events
                 if now in known:
@@ -487,11 +493,8 @@ class Instants:
 
     def _changes(
         self, values: Sequence[float], snapshot: Snapshot, due: dict[int, float]
-    ) -> tuple[tuple[float, ...], dict[int, float], list[int], dict[int, float]]:
-        """Return the sides that crossings show, what fires with what is due, which sides change, and what stays due.
-
-        While a corner changes, FMUs wait: the solutions of the loops, which their inputs may read, are not final.
-        """
+    ) -> tuple[tuple[float, ...], dict[int, float], list[int]]:
+        """Return the sides that crossings show, what fires with what is due, and which sides have changed."""
         sides = self.latched(snapshot, values)
         firing = dict(due)
         changed = []
@@ -502,17 +505,29 @@ class Instants:
                 changed.append(j)
                 if self.plan.crossings[j].direction in ("both", "up" if sides[j] else "down"):
                     firing[j] = snapshot.t + self.later
-        if not self.plan.foreign or not self._is_between(changed):
-            return sides, firing, changed, {}
-        waiting = self.of_fmus
-        sides = tuple(old if j in waiting else new for j, (old, new) in enumerate(zip(snapshot.s, sides, strict=True)))
-        changed = [j for j in changed if j not in waiting]
-        later = {index: time for index, time in due.items() if index in waiting}
-        return sides, {index: time for index, time in firing.items() if index not in waiting}, changed, later
+        return sides, firing, changed
+
+    def _without_fmus(
+        self,
+        snapshot: Snapshot,
+        sides: tuple[float, ...],
+        firing: Mapping[int, float],
+        changed: Iterable[int],
+        due: Mapping[int, float],
+    ) -> tuple[tuple[float, ...], dict[int, float], list[int], dict[int, float]]:
+        """Return changes without those of FMUs, and what stays due.
+
+        While a corner changes, FMUs wait: the solutions of the loops, which their inputs may read, are not final.
+        """
+        theirs = self.of_fmus
+        sides = tuple(old if j in theirs else new for j, (old, new) in enumerate(zip(snapshot.s, sides, strict=True)))
+        rest = {index: time for index, time in firing.items() if index not in theirs}
+        still_due = {index: time for index, time in due.items() if index in theirs}
+        return sides, rest, [j for j in changed if j not in theirs], still_due
 
     def _is_between(self, changed: Iterable[int]) -> bool:
         """Whether a corner changes, so that the loops are not solved yet."""
-        return self.corners is not None and any(j in self.corners.numbers for j in changed)
+        return self.corners is not None and any(j in self.corners.own for j in changed)
 
     def _fire(
         self,
@@ -581,9 +596,11 @@ class Instants:
                 snapshot = self._fire(snapshot, u, sides, self._firing(snapshot, sides, [j]), {}, fired, given=True)
                 continue
             self.slack = tuple(map(max, self.slack, corners.slack(at(memory, end))))
-            sides, firing, changed, later = self._changes(self.sides(*at(memory, end)), snapshot, due)
-            own = [j for j in changed if j in corners.numbers]
-            if len(later) < len(due) or not own:
+            sides, firing, changed = self._changes(self.sides(*at(memory, end)), snapshot, due)
+            own, still_due = [j for j in changed if j in corners.own], dict[int, float]()
+            if own:
+                sides, firing, changed, still_due = self._without_fmus(snapshot, sides, firing, changed, due)
+            if len(still_due) < len(due) or not own:
                 # Corners wait until the loop is solved with what else has changed.
                 sides = tuple(
                     old if j in own else new for j, (old, new) in enumerate(zip(snapshot.s, sides, strict=True))
@@ -593,15 +610,16 @@ class Instants:
                 asked = {} if own else self.asked(snapshot, u, firing, changed)
                 if not firing and not changed and not asked and not own:
                     return snapshot
+                snapshot = snapshot if own else replace(snapshot, z=end)
                 snapshot = self._fire(snapshot, u, sides, firing, asked, fired)
-                due = later
+                due = still_due
                 continue
 
             def turned_at(z: Sequence[float], memory: Any = memory) -> list[int]:
                 values = self._beyond(corners.crossings(*at(memory, z)), memory[3])
                 return [
                     j
-                    for j in corners.numbers
+                    for j in corners.own
                     if not self._is_gated(j, memory[3]) and (values[j] >= 0) != (memory[3][j] > 0)
                 ]
 
@@ -626,7 +644,7 @@ class Instants:
     def _other_side(self, snapshot: Snapshot, memory: Any) -> tuple[int, tuple[float, ...]] | None:
         """The first corner with whose other side the loops have a solution, and the sides then."""
         assert self.corners is not None
-        for j in self.corners.numbers:
+        for j in self.corners.own:
             sides = self._turned(snapshot.s, j)
             if not self._is_gated(j, snapshot.s) and all(
                 map(math.isfinite, self.solutions(*memory[:3], sides, *memory[4:]))
@@ -644,7 +662,7 @@ class Instants:
         self, snapshot: Snapshot, u: Sequence[float], firing: Mapping[int, float], changed: Sequence[int]
     ) -> dict[int, tuple[float, tuple[float, ...]]]:
         """Return, for the FMUs that have an event now, its time and their inputs."""
-        if not self.plan.foreign or self._is_between(changed):
+        if not self.plan.foreign:
             return {}
         values, fmu_events, first = self.foreign_inputs(*self.memory(snapshot, u)), {}, 0
         for k, part in enumerate(self.plan.foreign):

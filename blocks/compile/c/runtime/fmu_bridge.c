@@ -361,7 +361,7 @@ static int asked(BlocksSim *s, const uint8_t *due, const uint8_t *changed, int f
 static int put_off(BlocksSim *s, double *sides, int first, const int32_t *due, int n)
 {
     BlocksForeigns *all = units_of(s);
-    int left = 0;
+    int are_theirs = 0;
     for (int k = 0; k < all->n; k++) {
         const BlocksForeign *f = &all->units[k];
         for (int i = 0; i < f->ncrossings; i++) {
@@ -369,10 +369,10 @@ static int put_off(BlocksSim *s, double *sides, int first, const int32_t *due, i
             s->firing[j] = s->changed_sides[j] = 0;
             sides[j] = s->memory.s[j];
         }
-        for (int i = 0; i < n; i++) left += due[i] == f->event;
+        for (int i = 0; i < n; i++) are_theirs |= due[i] == f->event;
         s->firing[first + f->event] = 0;
     }
-    return left;
+    return are_theirs;
 }
 
 /* Event mode, and back, of those that have an event. */

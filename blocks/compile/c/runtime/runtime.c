@@ -2297,40 +2297,41 @@ static double *solutions_backup(const BlocksSim *s)
     return some_passes_ago(s) + s->model->nx + s->model->nd + 2 * s->model->ns;
 }
 
+/* States, discretes, sides and slack of crossings into a row, or out of it. */
+static void copy_memory(const BlocksSim *s, double *row, int is_back)
+{
+    const BlocksModel *model = s->model;
+    const BlocksMemory *m = &s->memory;
+    struct { double *place; int n; } parts[] = {{m->x, model->nx}, {m->d, model->nd}, {m->s, model->ns}, {s->slack, model->ns}};
+    for (int i = 0; i < 4; i++) {
+        size_t size = (size_t)parts[i].n * sizeof(double);
+        memcpy(is_back ? parts[i].place : row, is_back ? row : parts[i].place, size);
+        row += parts[i].n;
+    }
+}
+
 /* Where the search for quiet may begin again: at its start, or after the last events of FMUs. Its memory is in the backup. */
 typedef struct {
     int64_t told, fmu_events;
     int touched, is_loose, ndue;
-} Begun;
+} Restart;
 
-static Begun begin(const BlocksSim *s, const double *z, int ndue, int touched)
+static Restart keep_restart(const BlocksSim *s, const double *z, int ndue, int touched)
 {
-    const BlocksMemory *m = &s->memory;
-    size_t nx = (size_t)s->model->nx, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns, ne = (size_t)s->model->nevents;
-    double *x = corner_backup(s), *d = x + nx, *sides = d + nd, *slack = sides + ns, *own = slack + ns;
-    memcpy(x, m->x, nx * sizeof(double));
-    memcpy(d, m->d, nd * sizeof(double));
-    memcpy(sides, m->s, ns * sizeof(double));
-    memcpy(slack, s->slack, ns * sizeof(double));
-    memcpy(own, s->own, ne * sizeof(double));
+    copy_memory(s, corner_backup(s), 0);
+    memcpy(some_passes_ago(s) - s->model->nevents, s->own, (size_t)s->model->nevents * sizeof(double));
     memcpy(solutions_backup(s), z, (size_t)s->model->nz * sizeof(double));
-    return (Begun){s->fired_events.used, s->model->hooks ? s->model->hooks->epoch(s) : 0, touched, s->is_loose, ndue};
+    return (Restart){s->fired_events.used, s->model->hooks ? s->model->hooks->epoch(s) : 0, touched, s->is_loose, ndue};
 }
 
-static void begin_again(BlocksSim *s, const Begun *begun)
+static void go_to_restart(BlocksSim *s, const Restart *restart)
 {
-    BlocksMemory *m = &s->memory;
-    size_t nx = (size_t)s->model->nx, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns, ne = (size_t)s->model->nevents;
-    const double *x = corner_backup(s), *d = x + nx, *sides = d + nd, *slack = sides + ns, *own = slack + ns;
-    memcpy(m->x, x, nx * sizeof(double));
-    memcpy(m->d, d, nd * sizeof(double));
-    memcpy(m->s, sides, ns * sizeof(double));
-    memcpy(s->slack, slack, ns * sizeof(double));
-    memcpy(s->own, own, ne * sizeof(double));
-    memcpy(m->z, solutions_backup(s), (size_t)s->model->nz * sizeof(double));
-    s->is_loose = begun->is_loose;
-    s->fired_events.used = begun->told;
-    s->model->refresh(m);
+    copy_memory(s, corner_backup(s), 1);
+    memcpy(s->own, some_passes_ago(s) - s->model->nevents, (size_t)s->model->nevents * sizeof(double));
+    memcpy(s->memory.z, solutions_backup(s), (size_t)s->model->nz * sizeof(double));
+    s->is_loose = restart->is_loose;
+    s->fired_events.used = restart->told;
+    s->model->refresh(&s->memory);
     s->failure = BLOCKS_FINE;
 }
 
@@ -2338,7 +2339,7 @@ static void begin_again(BlocksSim *s, const Begun *begun)
 static int is_between(const BlocksSim *s)
 {
     const BlocksCorners *c = s->model->corners;
-    for (int i = 0; c && i < c->n; i++)
+    for (int i = 0; c && i < c->nown; i++)
         if (s->changed_sides[c->numbers[i]]) return 1;
     return 0;
 }
@@ -2352,20 +2353,9 @@ static int is_as_before(const BlocksSim *s)
            !memcmp(sides, m->s, ns * sizeof(double)) && !memcmp(slack, s->slack, ns * sizeof(double));
 }
 
-static void keep_before(const BlocksSim *s)
-{
-    const BlocksMemory *m = &s->memory;
-    size_t nx = (size_t)s->model->nx, nd = (size_t)s->model->nd, ns = (size_t)s->model->ns;
-    double *x = some_passes_ago(s), *d = x + nx, *sides = d + nd, *slack = sides + ns;
-    memcpy(x, m->x, nx * sizeof(double));
-    memcpy(d, m->d, nd * sizeof(double));
-    memcpy(sides, m->s, ns * sizeof(double));
-    memcpy(slack, s->slack, ns * sizeof(double));
-}
-
 /* Fire events and crossings until no side changes any more, all that changes at once. seen: whether crossings fire by what the
-   step has seen at first; start: null where there are no corners. */
-HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int seen, int *touched, Begun *start)
+   step has seen at first; restart: null where there are no corners. */
+HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int seen, int *touched, Restart *restart)
 {
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
@@ -2397,15 +2387,15 @@ HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int see
                 }
             }
         }
-        int asked = 0;
-        if (model->hooks && corners && is_between(s)) {
-            ndue = model->hooks->put_off(s, sides, first, due, ndue);
+        int asked = 0, is_first = seen && pass == 0;
+        if (model->hooks && !is_first && is_between(s)) {
+            if (!model->hooks->put_off(s, sides, first, due, ndue)) ndue = 0;
         } else {
             ndue = 0;
             if (model->hooks) asked = model->hooks->asked(s, s->firing, s->changed_sides, first);
         }
         if (!any && !changed && !asked) {
-            if (seen && pass == 0) continue;
+            if (is_first) continue;
             return 0;
         }
         *touched = 1;
@@ -2419,12 +2409,12 @@ HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int see
         if (is_reset || asked) evaluate_now(s, model->solutions, z);
         if (fire(s, sides, asked, 0)) return BLOCKS_FAILED;
         if (is_reset) latch_at(s, z, s->firing + setup->ncauses);
-        if (asked) *start = begin(s, z, ndue, 1); /* FMUs do not go back: a way from corner to corner begins after their events */
+        if (asked) *restart = keep_restart(s, z, 0, 1); /* FMUs do not go back: a way along corners begins after their events */
         if (solve(s, s->t, s->memory.x, z)) return BLOCKS_FAILED;
         loosen(s, s->t, s->memory.x, z, 1);
         /* Where all is as it was before, it goes on without end (Brent's search for a cycle). */
         if (pass && !model->hooks && is_as_before(s)) break; /* an FMU hides what it has come to */
-        if (!(pass & (pass + 1))) keep_before(s);
+        if (!(pass & (pass + 1))) copy_memory(s, some_passes_ago(s), 0);
     }
     return blocks_fail(s, BLOCKS_ENDLESS, 0, s->t);
 }
@@ -2438,7 +2428,7 @@ static int turned(BlocksSim *s)
     evaluate_now(s, c->crossings, values);
     take_slack(s, values);
     memset(s->firing, 0, (size_t)s->setup->ncauses);
-    for (int i = 0; i < c->n; i++) {
+    for (int i = 0; i < c->nown; i++) {
         int j = c->numbers[i];
         s->firing[j] = (values[j] >= 0) != (s->memory.s[j] > 0.0);
         any |= s->firing[j];
@@ -2452,7 +2442,7 @@ static int fire_corners(BlocksSim *s)
     const BlocksCorners *c = s->model->corners;
     double *sides = s->distances;
     memcpy(sides, s->memory.s, (size_t)s->model->ns * sizeof(double));
-    for (int i = 0; i < c->n; i++) {
+    for (int i = 0; i < c->nown; i++) {
         int j = c->numbers[i];
         if (!s->firing[j]) continue;
         sides[j] = 1.0 - sides[j];
@@ -2478,7 +2468,7 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
         if (!all_finite(end, nz)) {
             /* The first corner with whose other side the loops have a solution. */
             int found = 0;
-            for (int i = 0; i < c->n && !found; i++) {
+            for (int i = 0; i < c->nown && !found; i++) {
                 int j = c->numbers[i], off = setup->causes[j].condition;
                 if (off >= 0 && m->s[off] == 0.0) continue;
                 double side = m->s[j];
@@ -2511,33 +2501,34 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
             s->changed_sides[j] = sides[j] != m->s[j];
             any |= s->changed_sides[j];
         }
-        for (int i = 0; i < c->n; i++) own |= s->changed_sides[c->numbers[i]];
+        for (int i = 0; i < c->nown; i++) own |= s->changed_sides[c->numbers[i]];
         if (!any && !model->hooks) return 0;
         *touched |= any;
         for (int i = 0; i < ndue; i++) {
             s->firing[first + due[i]] = 1;
             s->firing_time[first + due[i]] = s->events[due[i]];
         }
-        int left = own && model->hooks ? model->hooks->put_off(s, sides, first, due, ndue) : 0;
-        if (left < ndue || !own) {
+        int waits = own && model->hooks && model->hooks->put_off(s, sides, first, due, ndue);
+        if ((ndue && !waits) || !own) {
             /* Corners wait until the loop is solved with what else has changed. */
-            for (int i = 0; i < c->n; i++) sides[c->numbers[i]] = m->s[c->numbers[i]], s->changed_sides[c->numbers[i]] = 0;
+            for (int i = 0; i < c->nown; i++) sides[c->numbers[i]] = m->s[c->numbers[i]], s->changed_sides[c->numbers[i]] = 0;
             for (int j = 0; j < ns; j++) {
                 if (!s->changed_sides[j] || !(setup->causes[j].direction & (sides[j] > 0 ? 1 : 2))) continue;
                 s->firing[j] = 1;
                 s->firing_time[j] = s->t + s->later;
             }
-            ndue = left;
+            ndue = 0;
             int asked = model->hooks && !own ? model->hooks->asked(s, s->firing, s->changed_sides, first) : 0;
             if (!any && !asked) return 0;
             *touched = 1;
+            if (!own) memcpy(m->z, end, (size_t)nz * sizeof(double));
             if (fire(s, sides, asked, 0)) return BLOCKS_FAILED;
             continue;
         }
         uint8_t *at_end = s->changed_sides;
         first_corner(s, turned, begin, end);
         if (!turned(s))
-            for (int i = 0; i < c->n; i++) s->firing[c->numbers[i]] = at_end[c->numbers[i]];
+            for (int i = 0; i < c->nown; i++) s->firing[c->numbers[i]] = at_end[c->numbers[i]];
         if (fire_corners(s)) return BLOCKS_FAILED;
         latch_at(s, m->z, fired);
     }
@@ -2550,17 +2541,16 @@ HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int seen, int *
 {
     if (!has_corners(s)) return quiet_at_once(s, due, ndue, seen, touched, NULL);
     const BlocksHooks *hooks = s->model->hooks;
-    Begun begun = begin(s, s->memory.z, ndue, *touched);
-    if (!quiet_at_once(s, due, ndue, seen, touched, &begun)) return 0;
+    Restart restart = keep_restart(s, s->memory.z, ndue, *touched);
+    if (!quiet_at_once(s, due, ndue, seen, touched, &restart)) return 0;
     int failure = s->failure, culprit = s->culprit;
     double value = s->value;
-    if (failure == -1) return BLOCKS_FAILED;
-    /* An FMU failed in its event, and FMUs do not go back. */
-    if (hooks && (failure != BLOCKS_ENDLESS || hooks->epoch(s) != begun.fmu_events)) return BLOCKS_FAILED;
+    /* FMUs do not go back. */
+    if (failure == -1 || failure == BLOCKS_FOREIGN || (hooks && hooks->epoch(s) != restart.fmu_events)) return BLOCKS_FAILED;
     /* The sides that are shown are those of no solution: the way to it goes from corner to corner. */
-    begin_again(s, &begun);
-    *touched = begun.touched;
-    ndue = begun.ndue;
+    go_to_restart(s, &restart);
+    *touched = restart.touched;
+    ndue = restart.ndue;
     if (!quiet_along(s, due, ndue, touched)) return 0;
     return blocks_fail(s, failure, culprit, value);
 }

@@ -51,7 +51,7 @@ typedef struct {
     int (*started)(BlocksSim *);
     int (*asked)(BlocksSim *, const uint8_t *firing, const uint8_t *changed, int first_event); /* whether any has an event */
     /* While the loops are not solved, none has an event: what of theirs fires is taken out of s->firing and stays due, and
-       their sides stay. Returns how many event times are still due (all of them or none: FMUs take their turns alone). */
+       their sides stay. Whether the event times that are due are theirs: FMUs take their turns alone. */
     int (*put_off)(BlocksSim *, double *sides, int first_event, const int32_t *due, int n);
     int (*events)(BlocksSim *);
     /* Those with a time event at this instant wait for their turn. due: what of n event times is left for others, whose
@@ -81,7 +81,7 @@ typedef struct {
     BlocksProgram crossings, rounding, start_given, start_solved;
     void (*resets)(const BlocksMemory *, double, const double *, int, double *);
     const int32_t *numbers, *guessed;
-    int32_t n, nguessed;
+    int32_t n, nown, nguessed; /* nown: without those of FMUs, which come last and fire with the events of their FMU */
 } BlocksCorners;
 
 struct BlocksModel {
