@@ -439,11 +439,15 @@ def _fmu(b: _Builder) -> None:
         ("DiscreteTransferFunction", {"period": 0.1, "num": [0.5, 0.2], "den": [1, -0.4]}, "sampled"),
         ("FirstOrder", {"T": 0.3}, "continuous"),
         ("Relay", {"on_at": 0.4, "off_at": -0.2}, "continuous"),
+        ("Saturation", {"lower": -0.3, "upper": 0.25}, "continuous"),
     ]
-    type_, parameters, nature = b.rng.choice(forms)
+    has_loop = b.row["loop"] != "none"
+    type_, parameters, nature = forms[-1] if has_loop and b.rng.random() < 0.4 else b.rng.choice(forms)
     on = b.rng.choice([0.2, 0.4, 0.6])
     jump = b.add("jump", "Pulse", {"on": on, "off": on + 0.6, "height": b.number(0.5, 1.5)})
     source = b.rng.choice([jump, jump, b.add("hold", "ZeroOrderHold", {"period": 0.2}, u=b.source()), b.source()])
+    source = "x.y" if has_loop and b.rng.random() < 0.4 else source
+    is_closed, k = type_ == "Saturation" and has_loop and b.rng.random() < 0.5, b.number(0.3, 2)
     port, out = ("r", "u") if type_ == "DiscretePID" else ("u", "y")
     alone = {
         "format": "blocks-diagram", "version": 3, "name": "own", "inputs": {port: {"default": 0}},
@@ -456,10 +460,14 @@ def _fmu(b: _Builder) -> None:
     b.fmus[file] = {"fmi": fmi, "diagram": alone}
     entries: Document = {"f": {"fmu": file, "kind": kind}, "twin": {"type": type_, "parameters": parameters}}
     read_back, feedback = b.source(), b.rng.random() < 0.5
-    copies, last = ({"copies": 2}, "[1]") if not feedback and b.rng.random() < 0.25 else ({}, "")
+    has_copies = not feedback and not is_closed and b.rng.random() < 0.25
+    copies, last = ({"copies": 2}, "[1]") if has_copies else ({}, "")
     for name in b.rng.sample(list(entries), 2):
         y = f"after_{name}.y" if feedback else read_back
-        b.entry(name, entries[name], **{port: source}, **({"y": y} if type_ == "DiscretePID" else {}))
+        u = b.add(f"sum_{name}", "Sum", {"signs": "+-"}, u1=source, u2=f"back_{name}.y") if is_closed else source
+        b.entry(name, entries[name], **{port: u}, **({"y": y} if type_ == "DiscretePID" else {}))
+        if is_closed:  # the FMU is a part of an algebraic loop
+            b.add(f"back_{name}", "Gain", {"k": k}, u=f"{name}.y")
         b.add(f"after_{name}", "FirstOrder", {"T": 0.25}, u=f"{name}.{out}{last if name == 'f' else ''}")
     b.blocks["f"] |= copies
     if kind == "ME" or (level == "cs3" and nature == "sampled"):
