@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..compile.plan import Plan
+from ..compile.plan import Node, Plan
 from ..frequency.delayed import DelayedModel
 from ..text.errors import AnalysisError, Fault, UsageError
 from .elimination import Entries, eliminated, reach, without_noise
@@ -65,6 +65,8 @@ def contributing(replaced: ReplacedSlopes, wiring: Wiring) -> Array:
         if kept[row] and kept[column]:
             path = graph.plan.instances[instance].path
             message = "acts at each step, or is a program, so that it has no linear model."
+            if instance in graph.plan.foreign_of:
+                message = "is an FMU whose discrete outputs change at its events only, so that it has no linear model."
             cure = "Estimate the response by simulation, or exclude the block by openings or overrides."
             if any(node.instance == instance and remembers(graph, n)[0] for n, node in enumerate(graph.nodes)):
                 cure = "Compute its response at an amplitude with harmonic_response."
@@ -118,7 +120,7 @@ def reduced(replaced: ReplacedSlopes, wiring: Wiring, kept: Array) -> Wired:
 def _hidden(replaced: ReplacedSlopes, selects: Array) -> list[tuple[int, int, int]]:
     """Changes of memory that are no equations of the model: (variable, what it reads, the instance).
 
-    A describing function accounts for the memory of what it replaces.
+    A describing function accounts for the memory of what it replaces. An FMU's discrete outputs change at its events.
     """
     graph, plan, links = replaced.graph, replaced.graph.plan, []
     described = {graph.nodes[node][0] for node, _ in replaced.described if remembers(graph, node)[0]}
@@ -129,15 +131,27 @@ def _hidden(replaced: ReplacedSlopes, selects: Array) -> list[tuple[int, int, in
         )
     for (i, *_), reference in plan.projections:
         gives.setdefault(i, set()).add(graph.column(reference))
-    for n, (i, *_) in enumerate(plan.outputs if gives else ()):
-        if i in gives:
-            gives[i].add(graph.first["v"] + n)
+    for part in plan.foreign:
+        if any(variable.variability == "discrete" for variable in part.foreign.variables.values()):
+            gives[part.instance] = set()
+    for n, node in enumerate(plan.outputs if gives else ()):
+        if node.instance in gives and _is_held(plan, node):
+            gives[node.instance].add(graph.first["v"] + n)
     for i in gives.keys() - replaced.overridden.keys() - described:
         columns = gives[i]
         first, kind = int(graph.slot_first[i]), graph.type_of[i]
         read = [int(selects[first + n]) for n in range(len(kind.slots)) if kind.is_wired[n]]
         links += [(given, column, i) for given in columns for column in read if column >= 0]
     return links
+
+
+def _is_held(plan: Plan, node: Node) -> bool:
+    """Whether an output is not computed between events: of a program, or a discrete real one of an FMU."""
+    if node.instance not in plan.foreign_of:
+        return True
+    variables = plan.foreign[plan.foreign_of[node.instance]].foreign.variables
+    variable = variables.get(node.key.removeprefix("output:"))
+    return variable is not None and variable.variability == "discrete"
 
 
 def _refuse(replaced: ReplacedSlopes, laws: Sequence[Law], selects: Array, kept: Array) -> None:

@@ -72,6 +72,7 @@ from blocks import (
     TrackingDifferentiator,
     TransferFunction,
     TransportDelay,
+    ZeroOrderHold,
     crossing,
     fmu,
     output,
@@ -1505,6 +1506,23 @@ def test_an_fmu_in_a_loop_has_the_loop_of_its_block() -> None:
     assert at(one.model(["r", "tau"], ["motor.i", "law.u"])) == pytest.approx(
         at(other.model(["r", "tau"], ["motor.i", "law.u"])), rel=1e-10
     )
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_sampled_fmu_has_no_linear_model_between_its_events(fmi: int, tmp_path: Path) -> None:
+    """Between events its output rests: a gain of 0 there would be that of no loop."""
+    Diagram.alone(ZeroOrderHold(period=0.1)).export(tmp_path / "hold.fmu", fmi=fmi)
+    d = Diagram("held")
+    hold, lag, r = d.add("hold", fmu(tmp_path / "hold.fmu", kind="ME")), d.add("lag", FirstOrder()), d.input("r")
+    error, sensor = d.add("error", Sum(signs="+-")), d.add("sensor", FirstOrder(T=0.2))
+    for a, b in ((error.u1, r), (error.u2, sensor.y), (hold.u, error.y), (lag.u, hold.y), (sensor.u, lag.y)):
+        d.wire(a, b)
+    for asked in (lambda: d.linearize("r", "lag.y"), lambda: d.linearizer().loop("hold.u")):
+        with pytest.raises(AnalysisError, match=r"E703 hold: is an FMU whose discrete outputs change at its events"):
+            asked()
+    model = d.linearize("hold.y", "sensor.y", openings=["hold.y"])
+    s = 1j * OMEGA
+    assert at(model)[0, 0] == pytest.approx(1 / ((s + 1) * (0.2 * s + 1)), rel=1e-9)
 
 
 def test_fmus_of_co_simulation_have_no_linear_model() -> None:
