@@ -464,9 +464,10 @@ for n in (1e6, 1e9, 1e15, 1e18, 1e300, -1, 0, 0.5):
     block(f"an observer of order {n:g}", "E107", type="LESO", parameters={"order": n, "bandwidth": 1, "b0": 1})
     block(f"a minimum of {n:g} inputs", "E107", type="MinMax", parameters={"size": n})
 for n in (1e6, 1e9, 1e15):
-    block(f"a mux of {n:g} inputs", "", "must be at most", type="Mux", parameters={"size": n})
-    block(f"a demux of {n:g} outputs", "", "must be at most", type="Demux", parameters={"size": n})
-    block(f"a delay of {n:g} samples", "", "must be at most", type="Delay", parameters={"samples": n, "period": 1})
+    says = "the limit is" if n <= 1e6 else "must be at most"  # of an array of ports, or of the size itself
+    block(f"a mux of {n:g} inputs", "", says, type="Mux", parameters={"size": n})
+    block(f"a demux of {n:g} outputs", "", says, type="Demux", parameters={"size": n})
+    block(f"a delay of {n:g} samples", "", says, type="Delay", parameters={"samples": n, "period": 1})
     block(f"a selector of element {n:g}", "E110", "1,000,000", type="Selector", parameters={"elements": [n]})
 
 
