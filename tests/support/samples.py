@@ -77,15 +77,15 @@ def assert_same(made: str, shown: str) -> None:
 
 
 def run_command(line: str) -> str:
-    """What a `blocks ...` line prints on stdout and stderr."""
+    """What a `blocks ...` line prints on stdout and stderr, in the order of a terminal."""
     words = shlex.split(line)
     assert words[0] == "blocks", line
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), contextlib.suppress(SystemExit):
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed), contextlib.suppress(SystemExit):
         cli.main(words[1:])
     # Progress lines depend on the machine's speed.
-    told = [text for text in err.getvalue().splitlines() if not re.match(r"[0-9]+ %  (t = |[0-9]+ of )", text)]
-    return "\n".join([*out.getvalue().splitlines(), *told])
+    lines = printed.getvalue().splitlines()
+    return "\n".join(text for text in lines if not re.match(r"[0-9]+ %  (t = |[0-9]+ of )", text))
 
 
 @cache
