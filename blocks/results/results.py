@@ -141,6 +141,14 @@ class Signal(np.ndarray[Any, Any]):
         return array[()] if return_scalar else np.asarray(array)
 
 
+class _Measures(dict[str, float]):
+    """Values of measures by name; the error for an unknown name gives the names that there are."""
+
+    def __missing__(self, name: object) -> float:
+        known = f"Measures: {', '.join(self) or 'none'}."
+        raise UnknownName(f"there is no measure {name!r}. {f'{did_you_mean(str(name), self)} {known}'.strip()}")
+
+
 @dataclass(frozen=True, repr=False)
 class Results(Shown):
     """Recorded signals of one run, by name.
@@ -167,6 +175,7 @@ class Results(Shown):
         for name in ("t", "values"):
             if isinstance(array := self.__dict__[name], np.ndarray):
                 array.setflags(write=False)
+        object.__setattr__(self, "measures", _Measures(self.measures))
 
     @property
     def stored(self) -> files.Stored | None:
@@ -252,7 +261,7 @@ class Results(Shown):
         }
 
     def table(self, *, most: int = MOST) -> str:
-        """The summary as text, with a spark line for each signal."""
+        """The summary as text, with a sparkline for each signal."""
         hidden = len(self.flat_columns()) - most
         return as_text([self.summary_table(most), *([f"  ... and {hidden} more"] if hidden > 0 else [])])
 

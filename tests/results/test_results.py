@@ -60,6 +60,17 @@ def test_a_name_that_is_not_there_is_told_with_the_nearest() -> None:
         results()["x.z"]
 
 
+def test_an_unknown_measure_is_refused_with_the_known_names() -> None:
+    some = results().changed(measures={"ITAE": 1.0, "dip": 2.0})
+    assert some.measures == {"ITAE": 1.0, "dip": 2.0}
+    with pytest.raises(KeyError, match=r"no measure 'IAE'\. Did you mean 'ITAE'\? Measures: ITAE, dip\."):
+        some.measures["IAE"]
+    with pytest.raises(KeyError, match=r"no measure 3\. Measures: none\."):
+        results().measures[3]  # type: ignore[index]
+    assert some.measures.get("IAE") is None
+    assert pickle.loads(pickle.dumps(some)).measures == some.measures
+
+
 def test_results_are_a_collection_of_names() -> None:
     made = results(log=["x.y", "step.y"])
     assert list(made) == ["x.y", "step.y"] == list(made.names)
