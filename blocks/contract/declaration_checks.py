@@ -193,7 +193,12 @@ def _check_read(declaration: Declaration, readable: Mapping[str, Variable], equa
     if variable is None:
         extra = " It is an event time, which has no value." if read in declaration.event_times else ""
         known = (*readable, "t", "tick")
-        cure = did_you_mean(read, known) or f"Names: {', '.join(known)}."
+        names = f"Names: {', '.join(known)}."
+        cure = did_you_mean(read, known) or names
+        if read == "self":
+            cure = f"Remove it: the arguments of an equation are variables of its class. {names}"
+        elif cure == names and not extra:
+            cure = f"{names} Or declare it: {read} = Parameter(1.0)."
         refuse("E402", place, f"reads '{read}', which is not a name of this class.{extra}", cure)
     if "event_time" in kinds and not isinstance(variable, (Parameter, Discrete)):
         refuse("E402", place, f"an event time may read t, parameters and discretes, not {variable!r}.")

@@ -116,9 +116,12 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
     ),
     "an unknown name far from all": (
         u + "@output\ndef y(qqq): return qqq",
-        "E402", "Bad.y", "Names: u, y, t, tick.",
+        "E402", "Bad.y", "Names: u, y, t, tick. Or declare it: qqq = Parameter(1.0).",
     ),
-    "self": (u + "@output\ndef y(self, u): return u", "E402", "Bad.y", "reads 'self'"),
+    "self": (
+        u + "@output\ndef y(self, u): return u",
+        "E402", "Bad.y", "reads 'self', which is not a name of this class. Remove it: the arguments of an equation",
+    ),
     "tick in an unsampled equation": (
         "@output\ndef y(tick): return tick",
         "E402", "Bad.y", "reads 'tick', which only sampled equations can read. Add every=, or read t.",
