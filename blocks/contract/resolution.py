@@ -33,6 +33,7 @@ from .variables import NO_LIMIT, REQUIRED, Algebraic, Clock, Discrete, History, 
 __all__ = ["Resolved", "default_value", "limits", "loose", "memory_start", "resolve", "with_numbers"]
 
 LEAST_DELAY = 1e-15  # s
+NO_DELAY = "For no delay, leave the block out; in a sweep, begin at a small delay, such as 1 ms."
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,9 @@ class _Resolving:
                 continue
             problem = _range_problem(parameter, self.values[name].value, _unit(parameter, self.values))
             if problem:
-                self.fault("E107", name, problem)
+                is_no_delay = any(h.delay is parameter for h in self.declaration.histories.values())
+                is_no_delay = is_no_delay and not np.any(self.values[name].value)
+                self.fault("E107", name, problem, NO_DELAY if is_no_delay else "")
 
     def check_memory(self) -> None:
         """Refuse impossible sizes of inputs, states and discretes."""

@@ -143,7 +143,8 @@ add("a", UnitDelay(period=-0.1))
 add("a", UnitDelay(offset=-1.0))
     ModelError: E107 a.period: must be given: it has no default. Add "period" to its parameters.
 add("a", TransportDelay(delay=0.0))
-    ModelError: E107 a.delay: must be above 0, not 0.0.
+    ModelError: E107 a.delay: must be above 0, not 0.0. For no delay, leave the block out; in a sweep, begin at
+    a small delay, such as 1 ms.
 add("a", PID(lower=1.0, upper=0.0))
     ModelError: E107 a: lower must be below upper (lower = 1.0, upper = 0.0).
 add("a", Table(times={"csv": "none.csv", "column": "t"}))
