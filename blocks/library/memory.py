@@ -18,7 +18,7 @@ class TransportDelay(Block):
     """
 
     unit = Parameter("", structural=True, type="string", doc='unit of u and y; "": unknown')
-    delay = Parameter(1.0, unit="s", positive=True, doc="time from the input to the output")
+    delay = Parameter(1.0, unit="s", positive=True, doc="dead time from the input to the output")
     y_before = Parameter(0.0, unit=unit, doc="y before the delay has passed")
     u = Input(unit=unit, doc="input")
     past = History(u, delay=delay, before=y_before, doc="input one delay earlier")
