@@ -54,7 +54,7 @@ def _new(options: argparse.Namespace) -> int:
         print(printable(f"  {place}"))
     if not options.dry_run:
         print(printable(f"next:\n  cd {folder}\n  blocks run diagrams/loop.json --library {name} --plot loop.svg"))
-        print("  python -m pytest")
+        print("  python -m pip install pytest\n  python -m pytest")
     return 0
 
 

@@ -29,7 +29,9 @@ def test_a_new_project_runs_and_is_canonical(tmp_path: Path, capsys: pytest.Capt
     planned = re.findall(r"^  (\S+)$", capsys.readouterr().out, re.MULTILINE)
     assert os.listdir(tmp_path) == []
     assert main(["new", "plant_7"]) == 0
-    assert "blocks run diagrams/loop.json --library plant_7" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "blocks run diagrams/loop.json --library plant_7" in printed
+    assert printed.endswith("\n  python -m pip install pytest\n  python -m pytest\n")
     folder = tmp_path / "plant_7"
     assert sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()) == planned
     assert not any("NAME" in path.name or "NAME" in path.read_text(encoding="utf-8") for path in folder.rglob("*.*y*"))
