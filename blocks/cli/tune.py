@@ -43,7 +43,8 @@ def add(verbs: Any) -> None:
     )
     takes_several(tune, "--scenario", "NAME:SETTINGS", scenario, dest="scenarios")
     takes_several(tune, "--subject-to", "CONSTRAINT", 'a limit such as "noisy.variation <= 75"; may be repeated')
-    tune.add_argument("--method", metavar="M", default="cma", help="cma (CMA-ES) or de (differential evolution)")
+    methods = "cma (CMA-ES; needs the package cma) or de (differential evolution); default: cma"
+    tune.add_argument("--method", metavar="M", default="cma", help=methods)
     tune.add_argument("--budget", metavar="N", default="500", help="number of candidates to run (default: 500)")
     tune.add_argument("--seed", metavar="N", default="1", help="seed of the optimizer (default: 1)")
     tune.add_argument("--threads", metavar="N", help="number of runs at the same time (default: all cores)")

@@ -52,14 +52,14 @@ class FileTable:
         return {**self.metadata, "units": units, **({"sizes": sizes} if sizes else {})}
 
 
-def optional(name: str, place: str, extra: str = "tables") -> Any:
+def optional(name: str, place: str, extra: str = "tables", *, otherwise: str = "") -> Any:
     """A package that is not needed otherwise. Raises UsageError (E504) where it is not installed."""
     try:
         return importlib.import_module(name)
     except ImportError:
-        cure = f'Install it: pip install {name}; or in a clone of blocks: pip install -e ".[{extra}]".'
+        cure = f'Install it: pip install {name}; or in a clone of blocks: pip install -e ".[{extra}]". {otherwise}'
         message = f"this needs the package {name}, which is not installed."
-        raise UsageError(Fault("E504", place, message, cure)) from None
+        raise UsageError(Fault("E504", place, message, cure.strip())) from None
 
 
 def versioned(described: Mapping[str, Any]) -> dict[str, Any]:

@@ -31,7 +31,8 @@ class Spent(Exception):
 
 def check_installed(method: str, place: str) -> Any:
     """Return the package of a method, or None if it needs none. Raises UsageError (E504) if it is not installed."""
-    return optional("cma", place, "tune") if method == "cma" else None
+    otherwise = 'Or choose the method "de", which needs no further package.'
+    return optional("cma", place, "tune", otherwise=otherwise) if method == "cma" else None
 
 
 def cma(evaluate: Evaluate, start: Array, seed: int, budget: int) -> None:

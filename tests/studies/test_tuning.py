@@ -272,7 +272,7 @@ def test_what_can_have_no_number_is_refused_before_the_first_candidate(
 
 def test_a_missing_package_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(UsageError, match=r"E504 .*cma, which is not installed.*\.\[tune\]"):
+    with pytest.raises(UsageError, match=r"E504 .*cma, which is not installed.*\.\[tune\].*method \"de\""):
         rosenbrock().tune(minimize="f", over=BOX, **SHORT)
 
 
