@@ -230,8 +230,7 @@ def _warnings(problem: Problem, needed: Mapping[str, Sequence[str]]) -> tuple[Fa
     else:
         message = (
             "no scenario has noise that reaches the objective or a constraint, and nothing in them limits or "
-            "weighs the outputs of the tuned blocks: the best values are then the highest gains, which noise "
-            "makes useless."
+            "weighs the outputs of the tuned blocks: the search then tends towards gains that noise makes useless."
         )
         cure = f"Add {scenario}, and {limit}."
     return (Fault("W501", problem.diagram.name, message, cure),)
