@@ -146,7 +146,7 @@ def lines(model: Transfer | DelayedModel, *, is_loop: bool, known: Margins | Non
     idle = alike(b.path for b in model.report if not b.contributes)
     if idle:
         more = f" and {len(idle) - 8} more" if len(idle) > 8 else ""
-        yield f"  not on the way: {', '.join(idle[:8])}{more}"
+        yield f"  not part of this path: {', '.join(idle[:8])}{more}"
 
 
 def figure(model: Transfer | DelayedModel, kind: str, *, is_loop: bool) -> Any:

@@ -97,7 +97,8 @@ def _comparison_lines(options: argparse.Namespace, a: Results, b: Results, compa
     for path, names in ((options.a, comparison.only_a), (options.b, comparison.only_b)):
         if names:
             yield f"  only in {path}: {', '.join(names)}"
-    total, limit = counted(len(comparison.differences), "signal"), f"{comparison.tolerance:g} of the range in A"
+    total = counted(len(comparison.differences), "signal")
+    limit = f"{comparison.tolerance:g} of the range in the first file"
     if comparison.is_within:
         yield f"{total} within {limit}"
     else:

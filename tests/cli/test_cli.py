@@ -313,7 +313,8 @@ def test_list_finds_types_by_what_they_say_and_by_the_words_of_simulink(capsys: 
     from blocks.library import LIBRARY
 
     assert all(set(word.blocks) <= set(LIBRARY) for word in words().values())
-    for text, first in [("rate limit", "RateLimiter"), ("bandwidth observer", "LESO"), ("white noise", "Noise")]:
+    searches = [("rate limit", "RateLimiter"), ("bandwidth observer", "LESO"), ("white noise", "Noise")]
+    for text, first in [*searches, ("dead time", "TransportDelay")]:
         assert main(["list", "--search", text]) == 0
         assert first in capsys.readouterr().out.split()[:8], text
     assert main(["list", "to workspace"]) == 0
@@ -573,10 +574,10 @@ def test_compare_prints_a_table_and_a_verdict(tmp_path: Path, capsys: pytest.Cap
         "  m.w     rad/s  3           0.75      1     ✗",
         "  m.i     A      1           0.5       1     ✗",
         f"  only in {b}: extra",
-        "2 of 2 signals beyond 1e-06 of the range in A; the worst is m.w",
+        "2 of 2 signals beyond 1e-06 of the range in the first file; the worst is m.w",
     ]
     assert main(["compare", a, b, "--tolerance", "0.75"]) == 0
-    assert capsys.readouterr().out.endswith("\n2 signals within 0.75 of the range in A\n")
+    assert capsys.readouterr().out.endswith("\n2 signals within 0.75 of the range in the first file\n")
     assert main(["compare", a, b, "--tolerance", "0.5", "--absolute", "2.9"]) == 1
     assert main(["compare", a, b, "--tolerance", "0.5", "--absolute", "3"]) == 0
     capsys.readouterr()
@@ -613,7 +614,7 @@ def test_the_three_formats_of_one_run_are_equal(tmp_path: Path, capsys: pytest.C
     for other in paths[1:]:
         assert main(["compare", paths[0], other, "--tolerance", "0"]) == 0
         out = capsys.readouterr().out
-        assert out.endswith("5 signals within 0 of the range in A\n")
+        assert out.endswith("5 signals within 0 of the range in the first file\n")
         assert len(out.splitlines()) == 2 + 6 + 1, "nothing else is different"
 
 
