@@ -131,9 +131,9 @@ def _hidden(replaced: ReplacedSlopes, selects: Array) -> list[tuple[int, int, in
         )
     for (i, *_), reference in plan.projections:
         gives.setdefault(i, set()).add(graph.column(reference))
-    for part in plan.foreign:
-        if any(variable.variability == "discrete" for variable in part.foreign.variables.values()):
-            gives[part.instance] = set()
+    for fmu in plan.foreign:
+        if any(variable.variability == "discrete" for variable in fmu.foreign.variables.values()):
+            gives[fmu.instance] = set()
     for n, node in enumerate(plan.outputs if gives else ()):
         if node.instance in gives and _is_held(plan, node):
             gives[node.instance].add(graph.first["v"] + n)
