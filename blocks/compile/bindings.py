@@ -1,6 +1,6 @@
 """The settings of a diagram, and what is computed from them: from parameter values to the row p, without Python.
 
-    DiagramValue + Flat + Plan --bindings--> Settings --bindings_c--> C: s (all numbers that can be set) -> p
+    Flat + Plan --bindings--> Settings --bindings_c--> C: s (all numbers that can be set) -> p
 
 A `Setting` (`setting_programs`) is a parameter by its path, as a user sees it: of the diagram, of subdiagrams, of
 blocks. A leaf is set; a bound one is computed from others by programs, one for each element. Those of
@@ -10,10 +10,10 @@ default, what it reads is constant. `bindings_c` (`c.bindings_code`) prints the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from typing import Any
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,11 +27,12 @@ from ..contract.scalars import Scalar
 from ..contract.sparse import SparseMatrix
 from ..contract.tape import TapeNode
 from ..contract.variables import Clock, Parameter
-from ..model.copies import Copy, Fleet, depth_of, dimensions, labelled, own_value, unnumbered
-from ..model.diagram import DiagramValue
+from ..model.copies import Copy, Fleet, unnumbered
 from ..model.diagram_grammar import MEASURE_NUMBERS, TRIGGER
 from ..model.flatten import Flat, FlatBlock
-from ..model.values import expressions_in, is_expression, names_in, order_of, value_of
+from ..model.hierarchy import DiagramScope, Leaf
+from ..model.origins import Origin
+from ..model.values import expressions_in, is_expression, names_in, order_of
 from ..text.gc_pause import paused
 from ..text.units import si_text
 from .default_tracing import Untraceable, default_programs
@@ -39,20 +40,45 @@ from .memory_layout import parameter_places
 from .plan import Plan
 from .setting_programs import Program, Setting, evaluated, program_of, recorded
 
-__all__ = ["bindings"]
+__all__ = ["Bindings", "Given", "bindings", "bindings_of"]
+
+
+class Given(NamedTuple):
+    """A setting whose value was set by its path, maybe by one that means other copies too.
+
+    copies: those that the path gives no number of.
+    """
+
+    setting: Setting
+    origin: Origin
+    copies: Sequence[Copy]
+
+
+class Bindings(NamedTuple):
+    """All settings of a diagram, each bound one after what it reads.
+
+    given: those that got their values by their paths when it was flattened. streams: each with its name, and with where
+    its number stands in p.
+    """
+
+    settings: tuple[Setting, ...]
+    given: tuple[Given, ...]
+    streams: tuple[tuple[str, tuple[int, ...]], ...]
+
+
+def bindings(flat: Flat, plan: Plan | None) -> tuple[Setting, ...]:
+    """Return all settings of a diagram, each bound one after what it reads.
+
+    plan: None where the diagram has none of its own, as it is coupled. Places in p without a setting belong to blocks
+    inserted at the edges of subdiagrams, and never change. A parameter without a value (None) has no setting.
+    """
+    return bindings_of(flat, plan).settings
 
 
 @paused()
-def bindings(
-    diagram: DiagramValue, flat: Flat, plan: Plan | None, overrides: Mapping[str, Any] | None = None
-) -> tuple[Setting, ...]:
-    """All settings of a diagram, each bound one after what it reads.
-
-    plan: None where the diagram has none of its own, as it is coupled. overrides: those that `flat` was made with.
-    Places in p without a setting belong to blocks inserted at the edges of subdiagrams, and never change. A parameter
-    without a value (None) has no setting.
-    """
-    return _Binder(diagram, flat, plan, overrides or {}).settings()
+def bindings_of(flat: Flat, plan: Plan | None) -> Bindings:
+    """Return the same, with what was given and with the streams."""
+    return _Binder(flat, plan).bindings()
 
 
 # --- collecting ------------------------------------------------------------------------------------------------
@@ -94,30 +120,18 @@ class _DraftSetting:
     followed: bool = True  # whether C computes it from them too
 
 
-@dataclass(slots=True)
-class _SettingScope:
-    """A diagram at its path: values and settings of its parameters by name (None: neither numbers nor text)."""
+class _Names(NamedTuple):
+    """What names in expressions stand for: settings (None: of neither numbers nor text), and the numbers of a copy."""
 
-    prefix: str
-    values: dict[str, Value | None] = field(default_factory=dict)
-    settings: dict[str, int | None] = field(default_factory=dict)
-    prefixes: tuple[str, ...] = ("",)  # under which its parameters are given: in one copy, or in all of them
-    plain: str = ""  # the prefix without the numbers of copies
-    copies: tuple[Copy | None, ...] = ()  # by the parts of the prefix
+    settings: Mapping[str, int | None]
+    numbers: Mapping[str, float]
 
-    def inside(self, name: str, copy: Copy | None) -> _SettingScope:
-        """That of a subdiagram, or of a block, of which nothing is known yet."""
-        labels = dict.fromkeys((labelled(name, copy), name))
-        prefixes = tuple(f"{prefix}{label}." for prefix in self.prefixes for label in labels)
-        path, copies = f"{self.prefix}{labelled(name, copy)}.", (*self.copies, copy)
-        return _SettingScope(path, {}, {}, prefixes, f"{self.plain}{name}.", copies)
-
-    def numbered(self, copy: Copy | None) -> _SettingScope:
-        """As the parameters of a copy of a block are written: they may read its number."""
+    def numbered(self, copy: Copy | None) -> _Names:
+        """The names that the parameters of a copy of a block may read."""
         if copy is None:
             return self
-        own = {"index": Value(float(copy.number)), "copies": Value(float(copy.fleet.count))}
-        return replace(self, values={**self.values, **own}, settings={**self.settings, "index": None, "copies": None})
+        numbers = {"index": float(copy.number), "copies": float(copy.fleet.count)}
+        return _Names({**self.settings, **dict.fromkeys(numbers)}, numbers)
 
 
 class _Numberless(Exception):
@@ -125,75 +139,69 @@ class _Numberless(Exception):
 
 
 class _Binder:
-    def __init__(self, diagram: DiagramValue, flat: Flat, plan: Plan | None, overrides: Mapping[str, Any]) -> None:
-        self.diagram, self.flat, self.plan, self.overrides = diagram, flat, plan, overrides
+    def __init__(self, flat: Flat, plan: Plan | None) -> None:
+        self.flat, self.plan = flat, plan
         self.made: list[_DraftSetting] = []
         self.plain: dict[int, tuple[tuple[Parameter, _DraftSetting], ...]] = {}  # by the id of Resolved
         self.numbers: list[float] = []  # of all settings
         self.owners: list[int] = []  # the setting of each number
-        self.copies = flat.copies
+        self.given: list[tuple[int, Origin, Sequence[Copy]]] = []  # by the number of the setting
+        self.streams: list[tuple[str, tuple[int, ...]]] = []
         self.index = 0  # of the next block
         self.place = 0  # of its parameters in p
 
-    def settings(self) -> tuple[Setting, ...]:
-        root = self.open(self.diagram, {}, _SettingScope(""), _SettingScope(""), None)
-        for name, raw in self.diagram.measures.items():
+    def bindings(self) -> Bindings:
+        root, diagram = self.flat.root, self.flat.diagram
+        assert root is not None
+        assert diagram is not None
+        names = self.open(root, 0, _Names({}, {}))
+        for name, raw in diagram.measures.items():
             given = [raw[key] for key in MEASURE_NUMBERS if key in raw]
-            self.restrict(root, given, FIXED, f"the measure {name} depends on it")
+            self.restrict(names, given, FIXED, f"the measure {name} depends on it")
         if self.flat.settings.step is not None:
             raws = [f"={name}" for name in self.flat.stepped_by]
-            self.restrict(root, raws, CONSTANT, "the step of the run depends on it")
+            self.restrict(names, raws, CONSTANT, "the step of the run depends on it")
         self.propagate()
-        return self.finished()
+        settings = self.finished()
+        given_values = tuple(Given(settings[k], origin, copies) for k, origin, copies in self.given)
+        return Bindings(settings, given_values, tuple(self.streams))
 
-    def overridden(self, scope: _SettingScope, name: str, depth: int) -> tuple[Any, bool]:
-        """The value that a parameter is given by its path, and whether there is one."""
-        for prefix in scope.prefixes:
-            if prefix + name in self.overrides:
-                return own_value(self.overrides[prefix + name], depth, unnumbered(prefix, scope.copies)), True
-        return None, False
-
-    def open(
-        self,
-        diagram: DiagramValue,
-        given: Mapping[str, Any],
-        scope: _SettingScope,
-        outer: _SettingScope,
-        copy: Copy | None,
-    ) -> _SettingScope:
-        """The settings of a diagram's parameters, and of all in it. given: raw values from outside."""
-        prefix = scope.prefix
-        raws: dict[str, tuple[Any, _SettingScope]] = {}
-        for name, entry in diagram.parameters.items():
-            raw, is_given = self.overridden(scope, name, depth_of(entry)) if self.overrides else (None, False)
-            if is_given:
-                raws[name] = (raw, scope)
-            elif name in given:
-                raws[name] = (own_value(given[name], depth_of(entry), [copy] if copy else []), outer)
-            else:
-                raws[name] = (entry, scope)
-        for name in order_of({name: names_in(raw) if at is scope else [] for name, (raw, at) in raws.items()}):
-            raw, at = raws[name]
-            entry = diagram.parameters[name]
-            known = entry if isinstance(entry, Mapping) else {}
-            value = value_of(raw, known.get("unit", ""), at.values)
-            scope.values[name] = value
-            scope.settings[name] = self.parameter(prefix + name, raw, at, value, known)
-        for name, block in diagram.blocks.items():
-            self.restrict(scope, [block.copies], CONSTANT, f"it is how many copies of {prefix}{name} there are")
+    def open(self, like: DiagramScope, lane: int, outer: _Names) -> _Names:
+        """Add the settings of a diagram's parameters in a lane, and of all in it. outer: the names around it."""
+        scope, fleet = like.each.get(lane, like), like.fleet
+        path = like.path if fleet is None else fleet.numbered(like.path, lane)
+        prefix, known = path and f"{path}.", like.value.parameters
+        settings: dict[str, int | None] = {}
+        names = _Names(settings, {})
+        for name, origin in scope.origins.items():
+            entry, value = known[name], scope.parameters[name]
+            assert value is not None
+            within = outer if origin.is_outer else names
+            about = entry if isinstance(entry, Mapping) else {}
+            settings[name] = self.parameter(prefix + name, origin.raw, within, value, about)
+            self.note(settings[name], origin, fleet, lane)
+        for name, child in like.children.items():
+            assert child is not None
+            block = like.value.blocks[name]
+            self.restrict(names, [block.copies], CONSTANT, f"it is how many copies of {prefix}{name} there are")
             times = [raw for _, raw in TRIGGER.quantities(block.control.get("trigger", {}))]
-            self.restrict(scope, times, CONSTANT, f"the ticks of {prefix}{name} depend on it")
-            count = self.copies.get(scope.plain + name)
-            fleet = None if count is None else Fleet(name, count)
-            for one in [None] if fleet is None else [Copy(fleet, k) for k in range(fleet.count)]:
-                inside, within = scope.inside(name, one), scope.numbered(one)
-                if block.inner is None:
-                    self.block(within, inside, block.parameters, one)
+            self.restrict(names, times, CONSTANT, f"the ticks of {prefix}{name} depend on it")
+            for copy in [None] if child.copied is None else map(partial(Copy, child.copied), range(child.copied.count)):
+                inside = lane if copy is None else lane * copy.fleet.count + copy.number
+                within = names.numbered(copy)
+                if isinstance(child, Leaf):
+                    self.block(child, inside, within)
                 else:
-                    self.open(block.inner, block.parameters, inside, within, one)
-        return scope
+                    self.open(child, inside, within)
+        return names
 
-    def parameter(self, path: str, raw: Any, at: _SettingScope, value: Value, entry: Mapping[str, Any]) -> int | None:
+    def note(self, setting: int | None, origin: Origin, fleet: Fleet | None, lane: int) -> None:
+        """Note a setting that was given a value by its path."""
+        if setting is not None and origin.set_at:
+            copies = () if fleet is None else fleet.copies(lane)
+            self.given.append((setting, origin, unnumbered(origin.set_at, copies)))
+
+    def parameter(self, path: str, raw: Any, at: _Names, value: Value, entry: Mapping[str, Any]) -> int | None:
         """The setting of a diagram's parameter; None where it has no value, is a sparse matrix, or has rows
         of unequal length."""
         declared, doc = entry.get("unit", ""), entry.get("doc", "")
@@ -223,7 +231,7 @@ class _Binder:
             self.owners += [index] * len(draft.values)
         return index
 
-    def bind(self, draft: _DraftSetting, raw: Any, at: _SettingScope) -> None:
+    def bind(self, draft: _DraftSetting, raw: Any, at: _Names) -> None:
         """Say what a setting is computed from, where its raw value holds expressions over the parameters of `at`."""
         if not any(expressions_in(raw)):
             return
@@ -234,17 +242,17 @@ class _Binder:
             except _Numberless:  # members by their names: texts are constants, so nothing can change
                 draft.elements = tuple(map(_constant, draft.values))
 
-    def read(self, scope: _SettingScope, raw: Any) -> tuple[int, ...]:
-        indices = (scope.settings.get(name) for name in names_in(raw))
+    def read(self, names: _Names, raw: Any) -> tuple[int, ...]:
+        indices = (names.settings.get(name) for name in names_in(raw))
         return tuple(index for index in indices if index is not None)
 
-    def restrict(self, scope: _SettingScope, raws: Iterable[Any], level: int, why: str) -> None:
+    def restrict(self, names: _Names, raws: Iterable[Any], level: int, why: str) -> None:
         """Note the use of the parameters that raw values read."""
         for raw in raws:
-            for index in self.read(scope, raw):
+            for index in self.read(names, raw):
                 _restrict(self.made[index], level, why)
 
-    def programs(self, raw: Any, scope: _SettingScope, draft: _DraftSetting) -> list[Program]:
+    def programs(self, raw: Any, names: _Names, draft: _DraftSetting) -> list[Program]:
         """A program for each element of a raw value that holds expressions."""
         programs: list[Program | None] = []
 
@@ -257,9 +265,9 @@ class _Binder:
             elif is_expression(part):
                 expression = expressions.parse(part[1:])
                 if expression.name is None:
-                    programs.append(self.compiled(expression, scope))
+                    programs.append(self.compiled(expression, names))
                     return
-                index = scope.settings[expression.name]
+                index = names.settings[expression.name]
                 if index is None or self.made[index].type == "text":
                     raise _Numberless
                 programs.extend(map(_copy, self.places(index)))
@@ -277,50 +285,45 @@ class _Binder:
         draft = self.made[setting]
         return range(draft.first, draft.first + len(draft.values))
 
-    def compiled(self, expression: Expression, scope: _SettingScope) -> Program:
+    def compiled(self, expression: Expression, names: _Names) -> Program:
         """An expression over settings."""
 
         def operand(step: PostfixStep) -> Scalar:
             if step.scalar is not None:
                 return Scalar("constant", (), step.scalar.value)
-            index = scope.settings[step.word]
-            if index is None:  # the number of a copy
-                known = scope.values[step.word]
-                assert known is not None
-                return Scalar("constant", (), known.value)
+            if step.word in names.numbers:
+                return Scalar("constant", (), names.numbers[step.word])
+            index = names.settings[step.word]
+            assert index is not None
             return Scalar("argument", (), float(self.made[index].first))
 
         return program_of(expression.folded(operand, lambda step, operands: recorded(step.op, *operands)))
 
     # --- blocks ------------------------------------------------------------------------------------------------
 
-    def block(self, scope: _SettingScope, inside: _SettingScope, given: Mapping[str, Any], copy: Copy | None) -> None:
-        """The settings of a block's parameters; computed defaults come after what they read."""
+    def block(self, leaf: Leaf, lane: int, names: _Names) -> None:
+        """Add the settings of a block's parameters in a lane; computed defaults come after what they read."""
         block = self.flat.blocks[self.index]
-        path = inside.prefix[:-1]
-        assert block.path == path
         self.index += 1
-        raws = dict(given)
-        if copy is not None or self.overrides:
-            keys = block.interface.declaration.parameters
-            depths = {key: dimensions(parameter.shape) for key, parameter in keys.items()}
-            raws = {key: own_value(raw, depths[key], [copy] if copy else []) for key, raw in given.items()}
-            for key in keys if self.overrides else ():
-                raw, is_given = self.overridden(inside, key, depths[key])
-                raws |= {key: raw} if is_given else {}
+        origins = leaf.origins_of.get(lane, leaf.origins)
         own: dict[str, int] = {}
         late: dict[str, tuple[Parameter, _DraftSetting]] = {}
         for parameter, known in self.known(block.resolved):
-            draft = _copied(known, f"{path}.{parameter.name}", self.place)
-            if parameter.name in raws or not callable(parameter.default):
-                self.bind(draft, raws.get(parameter.name), scope)
-                own[parameter.name] = self.add(draft)
+            key = parameter.name
+            draft = _copied(known, f"{block.path}.{key}", self.place)
+            if key in origins:
+                self.bind(draft, origins[key].raw, names)
+                own[key] = self.add(draft)
+                self.note(own[key], origins[key], leaf.fleet, lane)
+                self.streams += [(origins[key].stream, (draft.place,))] if origins[key].stream else []
+            elif callable(parameter.default):
+                late[key] = (parameter, draft)
             else:
-                late[parameter.name] = (parameter, draft)
+                own[key] = self.add(draft)
         order = order_of({key: arguments(p.default, key) for key, (p, _) in late.items()}) if late else ()
         for key in order:
             parameter, draft = late[key]
-            self.default(block.resolved, parameter, draft, own, raws)
+            self.default(block.resolved, parameter, draft, own, origins)
             own[key] = self.add(draft)
         self.place += _sizes(block)
 
@@ -337,7 +340,7 @@ class _Binder:
         parameter: Parameter,
         draft: _DraftSetting,
         own: Mapping[str, int],
-        raws: Mapping[str, Any],
+        given: Container[str],
     ) -> None:
         """Say what a computed default is computed from. Where C cannot compute it, what it reads is constant."""
         declared, names = resolved.interface.declaration.parameters, arguments(parameter.default, parameter.name)
@@ -360,7 +363,7 @@ class _Binder:
                 message = f"{draft.path} is computed from it, which only Python can do ({reason})"
                 _restrict(self.made[index], CONSTANT, message)
             rivals = [name for name in names if parameter.name in _excluded(declared, name)]
-            if any(name in raws for name in rivals):
+            if any(name in given for name in rivals):
                 _restrict(draft, CONSTANT, f"it is computed from {' and '.join(rivals)}, which only Python can do")
 
     # --- the whole ---------------------------------------------------------------------------------------------

@@ -51,6 +51,12 @@ class Fleet:
         whole = f"{self.path}[{lane % self.count}]{path[len(self.path) :]}"
         return whole if self.outer is None else self.outer.numbered(whole, lane // self.count)
 
+    def copies(self, lane: int) -> list[Copy | None]:
+        """The copies that something in a lane of this fleet is in, by the parts of a path."""
+        outer = [] if self.outer is None else self.outer.copies(lane // self.count)
+        between = self.path.count(".") - len(outer)
+        return [*outer, *[None] * between, Copy(self, lane % self.count)]
+
     def around(self, other: Fleet | None, lane: int) -> int:
         """The lane of a fleet around this one that holds a lane of this one; of none: 0."""
         fleet: Fleet | None = self

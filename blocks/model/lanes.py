@@ -6,20 +6,23 @@ in them is another number: by a list, by an expression with `index`, by what was
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
 
 from ..contract.interface import Value
 from .copies import Copy, depth_of, dimensions
 from .diagram import BlockEntry
 from .hierarchy import DiagramScope, Hierarchy, Leaf, is_equal
+from .origins import are_alike
 from .values import names_in
 
 __all__ = ["look_into_copies"]
 
 
 def look_into_copies(hierarchy: Hierarchy) -> None:
-    """Fill in `each` of the leaves. Faults go to the hierarchy's list; copies behind a faulty one are not looked at."""
+    """Fill in `each` of the leaves and the diagrams.
+
+    Faults go to the hierarchy's list; copies behind a faulty one are not looked at.
+    """
     if hierarchy.fleets and not hierarchy.faults:
         _Lanes(hierarchy).visit(hierarchy.root, hierarchy.root, frozenset(), 0)
 
@@ -104,25 +107,22 @@ class _Lanes:
         """Look into one copy of a block, or into a block of a copy."""
         hierarchy = self.hierarchy
         if isinstance(child, Leaf):
-            made = hierarchy.numbers(outer, child.name, entry, copy)
-            if made is not None and made is not child.resolved:
-                if made.interface == child.interface:
-                    child.each[lane] = made
-                else:
-                    self.refuse(outer, child.name, "sizes, texts or zeros")
+            self.copy_of_leaf(child, outer, entry, copy, lane)
             return
         inner = DiagramScope(
             child.name, outer, child.value, child.index, child.depth, child.control, child.stream, child.clock, copy
         )
-        loose = [key for key, raw in entry.parameters.items() if self.is_loose(raw, changed_outside)]
-        given = hierarchy.given(inner, replace(entry, parameters={key: entry.parameters[key] for key in loose}))
-        read = self.read_inside(child)
-        if hierarchy.overrides or not read.isdisjoint(given):
-            hierarchy.parameters(inner, hierarchy.given(inner, entry))
-            pairs = ((name, value, child.parameters[name]) for name, value in inner.parameters.items())
+        child.each[lane] = inner
+        loose = {key: raw for key, raw in entry.parameters.items() if self.is_loose(raw, changed_outside)}
+        if hierarchy.overrides or not self.read_inside(child).isdisjoint(loose):
+            hierarchy.give(inner, entry.parameters)
+            hierarchy.parameters(inner)
+            again: Iterable[str] = inner.parameters
         else:
-            inner.parameters = {**child.parameters, **given}
-            pairs = ((name, value, child.parameters[name]) for name, value in given.items())
+            inner.parameters, inner.origins = {**child.parameters}, {**child.origins}
+            hierarchy.give(inner, loose)
+            again = loose
+        pairs = ((name, inner.parameters[name], child.parameters[name]) for name in again)
         changed = frozenset(name for name, value, first in pairs if not is_equal(value, first))
         for key in ("copies", "every", "offset") if changed else ():
             for name, of_block in child.value.blocks.items():
@@ -131,6 +131,21 @@ class _Lanes:
                     self.refuse(inner, name, "ticks" if key != "copies" else "copies")
         if not self.faults:
             self.visit(child, inner, changed, lane)
+
+    def copy_of_leaf(
+        self, leaf: Leaf, outer: DiagramScope, entry: BlockEntry, copy: Copy | None, lane: int
+    ) -> None:
+        made = self.hierarchy.numbers(outer, leaf.name, entry, copy)
+        if made is None:
+            return
+        resolved, origins = made
+        if resolved.interface != leaf.interface:
+            self.refuse(outer, leaf.name, "sizes, texts or zeros")
+            return
+        if resolved is not leaf.resolved:
+            leaf.each[lane] = resolved
+        if not are_alike(origins, leaf.origins):
+            leaf.origins_of[lane] = origins
 
     def is_loose(self, raw: object, changed: frozenset[str]) -> bool:
         """Whether a value that a block is given may be another one in another copy."""

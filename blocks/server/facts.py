@@ -119,7 +119,7 @@ def facts_of(
     declarations = {block.path: block.interface.declaration.parameters for block in flat.blocks}
     copied: dict[str, list[Fact]] = {}
     replaced = set(map(_plain, values or ()))
-    for setting in bindings(value, flat, planned if isinstance(planned, Plan) and not values else None, values):
+    for setting in bindings(flat, planned if isinstance(planned, Plan) and not values else None):
         owner, _, name = setting.path.rpartition(".")
         parameter = declarations.get(owner, {}).get(name)
         choices = tuple(setting.members) or (() if parameter is None else tuple(parameter.choices))

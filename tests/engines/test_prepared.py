@@ -64,7 +64,7 @@ def compared(diagram: Diagram, settings: Mapping[str, Any], chance: random.Rando
     """How many other values were taken without flattening, and how many were not though they are valid."""
     base = prepared(diagram, {}, settings)
     assert isinstance(base.plan, Plan)
-    known = bindings(diagram.value, base.flat, base.plan)
+    known = bindings(base.flat, base.plan)
     quick = slow = 0
     for setting in chance.sample(known, min(most, len(known))):
         if setting.type == "text":
