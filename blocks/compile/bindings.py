@@ -57,11 +57,12 @@ class Given(NamedTuple):
 class Bindings(NamedTuple):
     """All settings of a diagram, each bound one after what it reads.
 
-    given: those that got their values by their paths when it was flattened. streams: each with its name, and with where
-    its number stands in p.
+    origins: where the value of each comes from; None where it has its default. given: those that got their values by
+    their paths when it was flattened. streams: each with its name, and with where its number stands in p.
     """
 
     settings: tuple[Setting, ...]
+    origins: tuple[Origin | None, ...]
     given: tuple[Given, ...]
     streams: tuple[tuple[str, tuple[int, ...]], ...]
 
@@ -77,7 +78,7 @@ def bindings(flat: Flat, plan: Plan | None) -> tuple[Setting, ...]:
 
 @paused()
 def bindings_of(flat: Flat, plan: Plan | None) -> Bindings:
-    """Return the same, with what was given and with the streams."""
+    """Return the same, with where the values come from."""
     return _Binder(flat, plan).bindings()
 
 
@@ -145,7 +146,8 @@ class _Binder:
         self.plain: dict[int, tuple[tuple[Parameter, _DraftSetting], ...]] = {}  # by the id of Resolved
         self.numbers: list[float] = []  # of all settings
         self.owners: list[int] = []  # the setting of each number
-        self.given: list[tuple[int, Origin, Sequence[Copy]]] = []  # by the number of the setting
+        self.origins: list[Origin | None] = []  # of each setting
+        self.given: list[tuple[int, Sequence[Copy]]] = []  # settings that are set by their paths
         self.streams: list[tuple[str, tuple[int, ...]]] = []
         self.index = 0  # of the next block
         self.place = 0  # of its parameters in p
@@ -163,8 +165,9 @@ class _Binder:
             self.restrict(names, raws, CONSTANT, "the step of the run depends on it")
         self.propagate()
         settings = self.finished()
-        given_values = tuple(Given(settings[k], origin, copies) for k, origin, copies in self.given)
-        return Bindings(settings, given_values, tuple(self.streams))
+        pairs = ((settings[k], self.origins[k], copies) for k, copies in self.given)
+        set_ = tuple(Given(setting, origin, copies) for setting, origin, copies in pairs if origin is not None)
+        return Bindings(settings, tuple(self.origins), set_, tuple(self.streams))
 
     def open(self, like: DiagramScope, lane: int, outer: _Names) -> _Names:
         """Add the settings of a diagram's parameters in a lane, and of all in it. outer: the names around it."""
@@ -178,8 +181,10 @@ class _Binder:
             assert value is not None
             within = outer if origin.is_outer else names
             about = entry if isinstance(entry, Mapping) else {}
-            settings[name] = self.parameter(prefix + name, origin.raw, within, value, about)
-            self.note(settings[name], origin, fleet, lane)
+            draft = _of_diagram(prefix + name, value, about)
+            if draft is not None:
+                self.bind(draft, origin.raw, within)
+            settings[name] = None if draft is None else self.add(draft, origin, fleet, lane)
         for name, child in like.children.items():
             assert child is not None
             block = like.value.blocks[name]
@@ -195,36 +200,16 @@ class _Binder:
                     self.open(child, inside, within)
         return names
 
-    def note(self, setting: int | None, origin: Origin, fleet: Fleet | None, lane: int) -> None:
-        """Note a setting that was given a value by its path."""
-        if setting is not None and origin.set_at:
-            copies = () if fleet is None else fleet.copies(lane)
-            self.given.append((setting, origin, unnumbered(origin.set_at, copies)))
-
-    def parameter(self, path: str, raw: Any, at: _Names, value: Value, entry: Mapping[str, Any]) -> int | None:
-        """The setting of a diagram's parameter; None where it has no value, is a sparse matrix, or has rows
-        of unequal length."""
-        declared, doc = entry.get("unit", ""), entry.get("doc", "")
-        unit = si_text(declared)
-        draft = _DraftSetting(path, "real", (), (), unit, "" if unit == declared else declared, _text(doc))
-        if isinstance(value.value, str):
-            draft.type, draft.values, draft.level, draft.why = "text", (value.value,), CONSTANT, "it is a text"
-        elif value.value is None or isinstance(value.value, SparseMatrix):
-            return None
-        else:
-            try:
-                array = np.array(value.value)
-            except ValueError:
-                return None
-            if array.dtype == bool:
-                draft.type = "bool"
-            draft.shape, draft.values = array.shape, _floats(array)
-        self.bind(draft, raw, at)
-        return self.add(draft)
-
-    def add(self, draft: _DraftSetting) -> int:
+    def add(self, draft: _DraftSetting, origin: Origin | None, fleet: Fleet | None, lane: int) -> int:
+        """Add a setting in a lane; return its number."""
         index = len(self.made)
         self.made.append(draft)
+        self.origins.append(origin)
+        if origin is not None and origin.set_at:
+            copies = () if fleet is None else fleet.copies(lane)
+            self.given.append((index, unnumbered(origin.set_at, copies)))
+        if origin is not None and origin.stream:
+            self.streams.append((origin.stream, (draft.place,)))
         if draft.type != "text":
             draft.first = len(self.numbers)
             self.numbers += draft.values
@@ -309,22 +294,19 @@ class _Binder:
         own: dict[str, int] = {}
         late: dict[str, tuple[Parameter, _DraftSetting]] = {}
         for parameter, known in self.known(block.resolved):
-            key = parameter.name
+            key, origin = parameter.name, origins.get(parameter.name)
             draft = _copied(known, f"{block.path}.{key}", self.place)
-            if key in origins:
-                self.bind(draft, origins[key].raw, names)
-                own[key] = self.add(draft)
-                self.note(own[key], origins[key], leaf.fleet, lane)
-                self.streams += [(origins[key].stream, (draft.place,))] if origins[key].stream else []
-            elif callable(parameter.default):
+            if origin is None and callable(parameter.default):
                 late[key] = (parameter, draft)
-            else:
-                own[key] = self.add(draft)
+                continue
+            if origin is not None:
+                self.bind(draft, origin.raw, names)
+            own[key] = self.add(draft, origin, leaf.fleet, lane)
         order = order_of({key: arguments(p.default, key) for key, (p, _) in late.items()}) if late else ()
         for key in order:
             parameter, draft = late[key]
             self.default(block.resolved, parameter, draft, own, origins)
-            own[key] = self.add(draft)
+            own[key] = self.add(draft, None, leaf.fleet, lane)
         self.place += _sizes(block)
 
     def known(self, resolved: Resolved) -> tuple[tuple[Parameter, _DraftSetting], ...]:
@@ -413,6 +395,29 @@ class _Binder:
                 )
             )
         return tuple(settings)
+
+
+def _of_diagram(path: str, value: Value, entry: Mapping[str, Any]) -> _DraftSetting | None:
+    """Begin the setting of a diagram's parameter.
+
+    None where it has no value, is a sparse matrix, or has rows of unequal length.
+    """
+    declared, doc = entry.get("unit", ""), entry.get("doc", "")
+    unit = si_text(declared)
+    draft = _DraftSetting(path, "real", (), (), unit, "" if unit == declared else declared, _text(doc))
+    if isinstance(value.value, str):
+        draft.type, draft.values, draft.level, draft.why = "text", (value.value,), CONSTANT, "it is a text"
+        return draft
+    if value.value is None or isinstance(value.value, SparseMatrix):
+        return None
+    try:
+        array = np.array(value.value)
+    except ValueError:
+        return None
+    if array.dtype == bool:
+        draft.type = "bool"
+    draft.shape, draft.values = array.shape, _floats(array)
+    return draft
 
 
 def _restrict(draft: _DraftSetting, level: int, why: str) -> None:

@@ -50,7 +50,7 @@ class Rebinding:
 
     def _follow(self, flat: Flat, plan: Plan) -> bool:
         """Find all that depends on the parameters; return whether that is all that does."""
-        settings, given, self.streams = bindings_of(flat, plan)
+        settings, _, given, self.streams = bindings_of(flat, plan)
         by_path = {setting.path: setting for setting in settings}
         self.numbers = numbers(settings)
         self.given = [one for one in given if one.origin.set_at in self.free]

@@ -214,7 +214,7 @@ def _chain(fleet: Fleet) -> list[Fleet]:
 
 
 def own_value(raw: Any, depth: int, copies: Sequence[Copy]) -> Any:
-    """What a raw value says for one copy: its element, where it has more dimensions than the parameter.
+    """What a raw value says for one copy: its element, where it has more dimensions than the parameter, else itself.
 
     depth: the dimensions of the parameter. copies: of each fleet that the value is for, from the outside; lists for
     inner ones are the same in all copies of outer ones, unless there is a list of them. Raises ModelError (E110) where
@@ -230,7 +230,8 @@ def own_value(raw: Any, depth: int, copies: Sequence[Copy]) -> Any:
         unit = getattr(raw, "unit", "") or raw.get("unit")
         return said | ({"unit": unit} if unit else {})
     if isinstance(raw, Mapping) and "value" in raw:
-        return {**raw, "value": own_value(raw["value"], depth, copies)}
+        value = own_value(raw["value"], depth, copies)
+        return raw if value is raw["value"] else {**raw, "value": value}
     (fleet, number, _), inner = copies[0], copies[1:]
     if not _is_deeper(raw, depth + len(inner)):
         return own_value(raw, depth, inner)

@@ -259,10 +259,12 @@ class Hierarchy:
             place, spot = f"{inner.name}.{legible(key)}", ("blocks", inner.name, "parameters", key)
             if key in known:
                 unit, depth, value = _unit_of(known[key]), depth_of(known[key]), None
+                own = raw
                 with contextlib.suppress(Absent):
-                    raw = self.own(outer, raw, depth, [inner.copy] if inner.copy else [], place, spot)
-                    value = self.evaluated(within, raw, unit, place, spot) if _fault_of(unit) is None else None
-                inner.parameters[key], inner.origins[key] = value, Origin(raw, unit, depth, is_outer=True)
+                    own = self.own(outer, raw, depth, [inner.copy] if inner.copy else [], place, spot)
+                    value = self.evaluated(within, own, unit, place, spot) if _fault_of(unit) is None else None
+                inner.parameters[key] = value
+                inner.origins[key] = Origin(raw, own, own is not raw, unit, depth, is_outer=True)
             else:
                 cure = self.faults.guess(key, known) or f"Parameters: {_listed(known)}."
                 self.tell(outer, "E106", place, "there is no such parameter.", cure, (*spot, AT_KEY))
@@ -293,10 +295,12 @@ class Hierarchy:
     def origin(self, scope: DiagramScope, name: str, entry: Any) -> Origin:
         """Find where the value of a diagram's parameter comes from. Raises Absent after a fault was reported."""
         unit, depth, outer = _unit_of(entry), depth_of(entry), scope.origins.get(name)
-        raw, set_at = self.overridden(scope.paths(name), entry if outer is None else _outer_raw(scope, name))
+        written = entry if outer is None else outer.written
+        said, set_at = self.overridden(scope.paths(name), written)
+        raw = said
         if set_at:
             try:
-                raw = self.own(scope, raw, depth, unnumbered(set_at, scope.copies), name, None)
+                raw = self.own(scope, said, depth, unnumbered(set_at, scope.copies), name, None)
             except Absent:
                 scope.parameters[name] = None
                 raise
@@ -304,7 +308,7 @@ class Hierarchy:
         if wrong is not None:
             self.tell(scope, wrong.code, name, wrong.message, wrong.cure, ("parameters", name, "unit"))
             raise Absent
-        return outer if outer is not None and not set_at else Origin(raw, unit, depth, set_at)
+        return outer if outer is not None and not set_at else Origin(written, raw, raw is not said, unit, depth, set_at)
 
     def own(self, scope: DiagramScope, raw: Any, depth: int, copies: Sequence[Copy], place: str, spot: Spot) -> Any:
         """The raw value in one copy of each fleet. Raises Absent after a fault was reported."""
@@ -390,23 +394,24 @@ class Hierarchy:
         origins: dict[str, Origin] = {}
         # Structural ones first: units may follow from them.
         for key in sorted(raws, key=lambda key: not declaration.parameters[key].structural):
-            raw, set_at, spot = raws[key]
+            said, set_at, spot = raws[key]
             parameter, place = declaration.parameters[key], f"{shown}.{key}"
             depth = dimensions(parameter.shape)
             copies = unnumbered(set_at, (*scope.copies, copy)) if set_at else [copy] if copy else []
             try:
-                raw = self.own(scope, raw, depth, copies, place, spot)
+                raw = self.own(scope, said, depth, copies, place, spot)
             except Absent:
                 continue
             declared = self.declared_unit(scope, name, cls, parameter, raws, given)
             value = None if declared is None else self.evaluated(within, raw, declared, place, spot)
             if declared is not None and value is not None:
-                given[key], origins[key] = value, Origin(raw, declared, depth, set_at, is_outer=True)
+                given[key], written = value, entry.parameters.get(key)
+                origins[key] = Origin(written, raw, raw is not said, declared, depth, set_at, is_outer=True)
         is_complete = len(given) == len(raws)
         for key in declaration.streams:
             stream = streams.joined(scope.streams, stream_of(entry.stream or name, copy))
             given[key] = Value(streams.number_of(self.seed, stream))
-            origins[key] = Origin(None, stream=stream)
+            origins[key] = Origin(None, None, stream=stream)
         if is_complete and declaration.foreign is not None:  # structural parameters of an FMU are sizes of its arrays
             cls = declaration.foreign.resized(given) or cls
         spots = {key: spot for key, (_, _, spot) in raws.items()}
@@ -569,12 +574,6 @@ def bound_faults(path: str, raw: Any) -> list[Fault]:
     bound = next(expressions_in(raw), "")
     message = f"is computed from other parameters ({quoted(bound)}), so it cannot be set itself."
     return [Fault("E117", path, message, "Set the parameters that it is computed from.")] if bound else []
-
-
-def _outer_raw(scope: DiagramScope, name: str) -> Any:
-    """What the block entry of a subdiagram gives for a parameter."""
-    assert scope.parent is not None
-    return scope.parent.value.blocks[scope.name].parameters[name]
 
 
 def _unit_of(entry: Any) -> str:

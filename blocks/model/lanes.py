@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from ..contract.interface import Value
-from .copies import Copy, depth_of, dimensions
+from .copies import Copy
 from .diagram import BlockEntry
 from .hierarchy import DiagramScope, Hierarchy, Leaf, is_equal
 from .origins import are_alike
@@ -73,27 +72,13 @@ class _Lanes:
         assert scope is not None
         entry = scope.value.blocks[child.name]
         is_own = child.copied is not None and "index" in self.reads(entry)
-        is_own = is_own or (child.fleet is not None and self.has_lists(child, entry))
+        is_own = is_own or (child.fleet is not None and any(origin.is_listed for origin in child.origins.values()))
         if isinstance(child, Leaf):
             is_own = is_own or (child.fleet is not None and bool(child.interface.declaration.streams))
         else:
             is_own = is_own or any(self.differs(inner) for inner in child.children.values() if inner is not None)
         self.own[id(child)] = is_own
         return is_own
-
-    def has_lists(self, child: Leaf | DiagramScope, entry: BlockEntry) -> bool:
-        raws = {} if child.copied is None else dict(entry.parameters)
-        scope = child.scope if isinstance(child, Leaf) else child.parent
-        assert scope is not None
-        for path in scope.paths(child.name):
-            start = f"{path}."
-            raws |= {key[len(start) :]: raw for key, raw in self.hierarchy.overrides.items() if key.startswith(start)}
-        if isinstance(child, Leaf):
-            declared = child.interface.declaration.parameters
-            depths = {key: dimensions(declared[key].shape) for key in raws if key in declared}
-        else:
-            depths = {key: depth_of(raw) for key, raw in child.value.parameters.items()}
-        return any(depth_of(raws[key]) > depths[key] or "csv" in _keys(raws[key]) for key in raws if key in depths)
 
     def copy(
         self,
@@ -164,7 +149,3 @@ class _Lanes:
         message = f"some of its copies differ in {what}, so they are not copies of one type."
         cure = "Move the copies that differ into separate blocks."
         self.hierarchy.tell(scope, "E123", name, message, cure, ("blocks", name))
-
-
-def _keys(raw: object) -> Mapping[str, Value]:
-    return raw if isinstance(raw, Mapping) else {}

@@ -19,13 +19,16 @@ __all__ = ["Origin", "Origins", "are_alike"]
 class Origin(NamedTuple):
     """What the value of a parameter is computed from.
 
-    raw: the raw value that counts, in one copy. unit: of a bare number. depth: the declared dimensions. set_at: the
-    path under which the raw value was set; "" where a file says it. is_outer: whether its names are the parameters of
-    the diagram around the block, and not of the diagram itself. stream: of the number of a stream, its name; no raw
-    value says it.
+    written: what the file says, for all copies; None where it says nothing. raw: what counts in one copy. is_listed:
+    whether it is an element of a list for copies. unit: of a bare number. depth: the declared dimensions. set_at: the
+    path under which the raw value was set; "" where it is that of the file. is_outer: whether its names are the
+    parameters of the diagram around the block, and not of the diagram itself. stream: of the number of a stream, its
+    name; no raw value says it.
     """
 
+    written: Any
     raw: Any
+    is_listed: bool = False
     unit: Unit = ""
     depth: int = 0
     set_at: str = ""
@@ -43,6 +46,8 @@ Origins = Mapping[str, Origin]
 
 def are_alike(some: Origins, others: Origins) -> bool:
     """Return whether two records of the same parameters say the same."""
-    return some.keys() == others.keys() and all(
-        origin.raw is others[name].raw and origin[1:] == others[name][1:] for name, origin in some.items()
-    )
+
+    def is_same(one: Origin, other: Origin) -> bool:
+        return one.raw is other.raw and (one.set_at, one.stream) == (other.set_at, other.stream)
+
+    return some.keys() == others.keys() and all(is_same(origin, others[name]) for name, origin in some.items())

@@ -73,22 +73,17 @@ class Column:
 class _Known:
     """A parameter of a diagram: the unit of each element of a bare value, and its value in SI, where it is known.
 
-    others: the values in copies of which they are known to differ, by lane of the `copies` around. origins: where the
-    values come from, in copies that differ from copy to copy.
+    others: the values in copies of which they are known to differ, by lane of the `copies` around. written: what the
+    file says of it.
     """
 
     units: tuple[str, ...]
     value: Any
     others: Mapping[int, Any]
-    origins: Sequence[Origin]
+    written: Any
 
     def unit(self, element: int = 0) -> str:
         return self.units[min(element, len(self.units) - 1)]
-
-    @property
-    def written(self) -> list[Any]:
-        """Return what files say of it."""
-        return [origin.raw for origin in self.origins if not origin.set_at]
 
     def value_at(self, copies: Sequence[tuple[int, int | None]]) -> Any:
         """Return the value in a copy, or in several copies if it is the same in all of them; else None."""
@@ -314,8 +309,7 @@ def _of_blocks(flat: Flat, leaves: Mapping[str, Leaf]) -> Iterator[tuple[str, _K
         found += () if flat.expansion is None else flat.expansion.each[k].items()
     for path, ((_, first), *others) in blocks.items():
         declaration = first.interface.declaration
-        leaf = leaves.get(path)
-        records = () if leaf is None else (leaf.origins, *leaf.origins_of.values())
+        origins = leaves[path].origins if path in leaves else {}
         for name, parameter in declaration.parameters.items():
             if name in declaration.streams:
                 continue
@@ -323,7 +317,7 @@ def _of_blocks(flat: Flat, leaves: Mapping[str, Leaf]) -> Iterator[tuple[str, _K
             found_values = ((lane, resolved.values[name].value) for lane, resolved in others if name in resolved.values)
             differ = {lane: other for lane, other in found_values if not np.array_equal(other, value)}
             units = tuple(first.interface.declared_units(parameter)) or ("",)
-            yield f"{path}.{name}", _Known(units, value, differ, [own[name] for own in records if name in own])
+            yield f"{path}.{name}", _Known(units, value, differ, origins[name].written if name in origins else None)
 
 
 def _of_diagrams(like: DiagramScope, leaves: dict[str, Leaf]) -> Iterator[tuple[str, _Known]]:
@@ -332,13 +326,12 @@ def _of_diagrams(like: DiagramScope, leaves: dict[str, Leaf]) -> Iterator[tuple[
     The value of a parameter is not known that is set in single copies.
     """
     for name in like.value.parameters:
-        origins = {lane: scope.origins[name] for lane, scope in like.each.items()}
-        first = like.origins[name]
+        origins, first = {lane: scope.origins[name] for lane, scope in like.each.items()}, like.origins[name]
         is_known = not any("[" in origin.set_at for origin in origins.values())
         value: Any = _value(first) if is_known else None
         others: dict[int, Any] = {lane: _value(origin) for lane, origin in origins.items()} if is_known else {}
         differ = {lane: other for lane, other in others.items() if not np.array_equal(other, value)}
-        yield like.prefix + name, _Known((str(first.unit),), value, differ, [first, *origins.values()])
+        yield like.prefix + name, _Known((str(first.unit),), value, differ, first.written)
     for child in like.children.values():
         if isinstance(child, Leaf):
             leaves[child.path] = child
