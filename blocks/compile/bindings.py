@@ -11,7 +11,7 @@ default, what it reads is constant. `bindings_c` (`c.bindings_code`) prints the 
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -93,32 +93,67 @@ _UNMOVED = (
 )
 
 
-@dataclass(slots=True)
-class _DraftSetting:
-    """A setting under construction; level, why: the strictest use of it or of what is computed from it."""
+_NO_MEMBERS: Mapping[str, int] = {}
 
-    path: str
+
+class _Kind(NamedTuple):
+    """What equal blocks share of a setting: fields of `Setting`, in its order."""
+
     type: str
     shape: tuple[int, ...]
-    values: tuple[Any, ...]
-    unit: str = ""
-    display: str = ""
-    doc: str = ""
+    unit: str
+    display: str
+    doc: str
     low: float | None = None
     high: float | None = None
     low_open: bool = False
     high_open: bool = False
     whole: bool = False
-    members: Mapping[str, int] = field(default_factory=dict)
+    members: Mapping[str, int] = _NO_MEMBERS
+    values: tuple[Any, ...] = ()
+
+    def narrowed(self, other: _Kind) -> _Kind:
+        """Return the same with the range of another one, too."""
+        made = self
+        if other.low is not None and (self.low is None or (other.low, other.low_open) > (self.low, self.low_open)):
+            made = made._replace(low=other.low, low_open=other.low_open)
+        if other.high is not None and (self.high is None or other.high < self.high):
+            made = made._replace(high=other.high, high_open=other.high_open)
+        return made._replace(whole=self.whole or other.whole, members=self.members or other.members)
+
+
+@dataclass(slots=True)
+class _DraftSetting:
+    """A setting under construction; level, why: the strictest use of it or of what is computed from it."""
+
+    path: str
+    kind: _Kind
     level: int = TUNABLE
     why: str = ""
-    cause: str = ""  # the path of the setting that `why` is about, where it is another
     place: int = -1  # in p, of the first element
+    cause: str = ""  # the path of the setting that `why` is about, where it is another
     first: int = -1  # of its elements among the numbers of all settings
     bound: bool = False
     elements: tuple[Program, ...] | None = None
     reads: tuple[int, ...] = ()  # settings that it is computed from
     followed: bool = True  # whether C computes it from them too
+
+    def restrict(self, level: int, why: str) -> None:
+        if level > self.level:
+            self.level, self.why = level, why
+
+    def finished(self, level: int, why: str) -> Setting:
+        causality, places = "calculatedParameter" if self.bound else "parameter", range(len(self.kind.values))
+        return Setting(
+            self.path,
+            causality,
+            _VARIABILITY[level],
+            *self.kind,
+            tuple(() if self.place < 0 else (self.place + k,) for k in places),
+            self.elements,
+            self.first,
+            "" if level == TUNABLE else why,
+        )
 
 
 class _Names(NamedTuple):
@@ -171,13 +206,13 @@ class _Binder:
 
     def open(self, like: DiagramScope, lane: int, outer: _Names) -> _Names:
         """Add the settings of a diagram's parameters in a lane, and of all in it. outer: the names around it."""
-        scope, fleet = like.each.get(lane, like), like.fleet
+        (values, origins), fleet = like.in_lane(lane), like.fleet
         path = like.path if fleet is None else fleet.numbered(like.path, lane)
         prefix, known = path and f"{path}.", like.value.parameters
         settings: dict[str, int | None] = {}
         names = _Names(settings, {})
-        for name, origin in scope.origins.items():
-            entry, value = known[name], scope.parameters[name]
+        for name, origin in origins.items():
+            entry, value = known[name], values[name]
             assert value is not None
             within = outer if origin.is_outer else names
             about = entry if isinstance(entry, Mapping) else {}
@@ -210,10 +245,10 @@ class _Binder:
             self.given.append((index, unnumbered(origin.set_at, copies)))
         if origin is not None and origin.stream:
             self.streams.append((origin.stream, (draft.place,)))
-        if draft.type != "text":
+        if draft.kind.type != "text":
             draft.first = len(self.numbers)
-            self.numbers += draft.values
-            self.owners += [index] * len(draft.values)
+            self.numbers += draft.kind.values
+            self.owners += [index] * len(draft.kind.values)
         return index
 
     def bind(self, draft: _DraftSetting, raw: Any, at: _Names) -> None:
@@ -221,11 +256,11 @@ class _Binder:
         if not any(expressions_in(raw)):
             return
         draft.bound, draft.reads = True, self.read(at, raw)
-        if draft.type != "text":
+        if draft.kind.type != "text":
             try:
                 draft.elements = tuple(self.programs(raw, at, draft))
             except _Numberless:  # members by their names: texts are constants, so nothing can change
-                draft.elements = tuple(map(_constant, draft.values))
+                draft.elements = tuple(map(_constant, draft.kind.values))
 
     def read(self, names: _Names, raw: Any) -> tuple[int, ...]:
         indices = (names.settings.get(name) for name in names_in(raw))
@@ -235,7 +270,7 @@ class _Binder:
         """Note the use of the parameters that raw values read."""
         for raw in raws:
             for index in self.read(names, raw):
-                _restrict(self.made[index], level, why)
+                self.made[index].restrict(level, why)
 
     def programs(self, raw: Any, names: _Names, draft: _DraftSetting) -> list[Program]:
         """A program for each element of a raw value that holds expressions."""
@@ -253,7 +288,7 @@ class _Binder:
                     programs.append(self.compiled(expression, names))
                     return
                 index = names.settings[expression.name]
-                if index is None or self.made[index].type == "text":
+                if index is None or self.made[index].kind.type == "text":
                     raise _Numberless
                 programs.extend(map(_copy, self.places(index)))
             else:
@@ -261,14 +296,14 @@ class _Binder:
 
         visit(raw)
         if len(programs) == 1:  # a scalar fills an array
-            programs *= len(draft.values)
-        pairs = zip(programs, draft.values, strict=True)
+            programs *= len(draft.kind.values)
+        pairs = zip(programs, draft.kind.values, strict=True)
         return [_constant(x) if program is None else program for program, x in pairs]
 
     def places(self, setting: int) -> range:
         """The places of the elements of a setting among the numbers of all settings."""
         draft = self.made[setting]
-        return range(draft.first, draft.first + len(draft.values))
+        return range(draft.first, draft.first + len(draft.kind.values))
 
     def compiled(self, expression: Expression, names: _Names) -> Program:
         """An expression over settings."""
@@ -295,7 +330,8 @@ class _Binder:
         late: dict[str, tuple[Parameter, _DraftSetting]] = {}
         for parameter, known in self.known(block.resolved):
             key, origin = parameter.name, origins.get(parameter.name)
-            draft = _copied(known, f"{block.path}.{key}", self.place)
+            place = -1 if known.place < 0 else self.place + known.place
+            draft = _DraftSetting(f"{block.path}.{key}", known.kind, known.level, known.why, place)
             if origin is None and callable(parameter.default):
                 late[key] = (parameter, draft)
                 continue
@@ -331,22 +367,22 @@ class _Binder:
             return
         draft.reads = tuple(own[name] for name in numeric)
         try:
-            if draft.type not in ("real", "int"):
-                raise Untraceable(f"it is {'an enumeration' if draft.type == 'enum' else f'a {draft.type}'}")
-            programs = default_programs(parameter, resolved, tuple(numeric), len(draft.values))
+            if draft.kind.type not in ("real", "int"):
+                raise Untraceable(f"it is {'an enumeration' if draft.kind.type == 'enum' else f'a {draft.kind.type}'}")
+            programs = default_programs(parameter, resolved, tuple(numeric), len(draft.kind.values))
             places = [place for index in draft.reads for place in self.places(index)]
             draft.elements = tuple(_placed(program, places) for program in programs)
             draft.bound = True
-            if tuple(evaluated(program, self.numbers) for program in draft.elements) != draft.values:
+            if tuple(evaluated(program, self.numbers) for program in draft.elements) != draft.kind.values:
                 raise Untraceable("its steps give another number")
         except Untraceable as reason:
             draft.elements, draft.bound, draft.followed = None, False, False
             for index in draft.reads:
                 message = f"{draft.path} is computed from it, which only Python can do ({reason})"
-                _restrict(self.made[index], CONSTANT, message)
+                self.made[index].restrict(CONSTANT, message)
             rivals = [name for name in names if parameter.name in _excluded(declared, name)]
             if any(name in given for name in rivals):
-                _restrict(draft, CONSTANT, f"it is computed from {' and '.join(rivals)}, which only Python can do")
+                draft.restrict(CONSTANT, f"it is computed from {' and '.join(rivals)}, which only Python can do")
 
     # --- the whole ---------------------------------------------------------------------------------------------
 
@@ -359,8 +395,8 @@ class _Binder:
                     source.level, source.why, source.cause = draft.level, draft.why, draft.cause or draft.path
             copied = (node for (node, *more) in draft.elements or () if not more and node.op == "argument")
             for index in dict.fromkeys(self.owners[int(node.value)] for node in copied):
-                if draft.type != "bool":
-                    _narrow(self.made[index], draft)
+                if draft.kind.type != "bool":
+                    self.made[index].kind = self.made[index].kind.narrowed(draft.kind)
 
     def finished(self) -> tuple[Setting, ...]:
         settings: list[Setting] = []
@@ -371,29 +407,7 @@ class _Binder:
             if draft.bound:
                 level = min((_VARIABILITY.index(settings[k].variability) for k in draft.reads), default=CONSTANT)
                 why = why or _UNMOVED[level]
-            settings.append(
-                Setting(
-                    draft.path,
-                    "calculatedParameter" if draft.bound else "parameter",
-                    _VARIABILITY[level],
-                    draft.type,
-                    draft.shape,
-                    draft.unit,
-                    draft.display,
-                    draft.doc,
-                    draft.low,
-                    draft.high,
-                    draft.low_open,
-                    draft.high_open,
-                    draft.whole,
-                    draft.members,
-                    draft.values,
-                    tuple(() if draft.place < 0 else (draft.place + k,) for k in range(len(draft.values))),
-                    draft.elements,
-                    draft.first,
-                    "" if level == TUNABLE else why,
-                )
-            )
+            settings.append(draft.finished(level, why))
         return tuple(settings)
 
 
@@ -404,35 +418,17 @@ def _of_diagram(path: str, value: Value, entry: Mapping[str, Any]) -> _DraftSett
     """
     declared, doc = entry.get("unit", ""), entry.get("doc", "")
     unit = si_text(declared)
-    draft = _DraftSetting(path, "real", (), (), unit, "" if unit == declared else declared, _text(doc))
+    kind = _Kind("real", (), unit, "" if unit == declared else declared, _text(doc))
     if isinstance(value.value, str):
-        draft.type, draft.values, draft.level, draft.why = "text", (value.value,), CONSTANT, "it is a text"
-        return draft
+        return _DraftSetting(path, kind._replace(type="text", values=(value.value,)), CONSTANT, "it is a text")
     if value.value is None or isinstance(value.value, SparseMatrix):
         return None
     try:
         array = np.array(value.value)
     except ValueError:
         return None
-    if array.dtype == bool:
-        draft.type = "bool"
-    draft.shape, draft.values = array.shape, _floats(array)
-    return draft
-
-
-def _restrict(draft: _DraftSetting, level: int, why: str) -> None:
-    if level > draft.level:
-        draft.level, draft.why = level, why
-
-
-def _narrow(source: _DraftSetting, copy: _DraftSetting) -> None:
-    """Give a setting the range of another one that copies it."""
-    if copy.low is not None and (source.low is None or (copy.low, copy.low_open) > (source.low, source.low_open)):
-        source.low, source.low_open = copy.low, copy.low_open
-    if copy.high is not None and (source.high is None or copy.high < source.high):
-        source.high, source.high_open = copy.high, copy.high_open
-    source.whole = source.whole or copy.whole
-    source.members = source.members or copy.members
+    type_ = "bool" if array.dtype == bool else "real"
+    return _DraftSetting(path, kind._replace(type=type_, shape=array.shape, values=_floats(array)))
 
 
 def _constant(value: float) -> Program:
@@ -446,30 +442,6 @@ def _copy(place: int) -> Program:
 def _placed(program: Program, places: Sequence[int]) -> Program:
     """A program that reads numbers at places, by their order, as one that reads the numbers of all settings."""
     return tuple(_copy(places[int(node.value)])[0] if node.op == "argument" else node for node in program)
-
-
-def _copied(known: _DraftSetting, path: str, place: int) -> _DraftSetting:
-    """What equal blocks share, for one of them. Arguments by position: by name, or with `replace`, it takes three times
-    as long."""
-    return _DraftSetting(
-        path,
-        known.type,
-        known.shape,
-        known.values,
-        known.unit,
-        known.display,
-        known.doc,
-        known.low,
-        known.high,
-        known.low_open,
-        known.high_open,
-        known.whole,
-        known.members,
-        known.level,
-        known.why,
-        known.cause,
-        -1 if known.place < 0 else place + known.place,
-    )
 
 
 def _sizes(block: FlatBlock) -> int:
@@ -489,23 +461,19 @@ def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _DraftSetting]]:
         declared = set(interface.declared_units(parameter)) if not isinstance(value, str) else set()
         unit = declared.pop() if len(declared) == 1 else ""
         level, why = uses.get(name, (TUNABLE, ""))
-        draft = _DraftSetting(
-            "", parameter.type, (), (), si_text(unit), "" if unit == si_text(unit) else unit, parameter.doc
-        )
-        draft.level, draft.why, draft.members = level, why, parameter.members
+        kind = _Kind(parameter.type, (), si_text(unit), "" if unit == si_text(unit) else unit, parameter.doc)
+        kind = kind._replace(members=parameter.members)
         if isinstance(value, str):
-            draft.type, draft.values = "text", (value,)
+            kind = kind._replace(type="text", values=(value,))
         else:
             array = np.asarray(value)
-            draft.type = "enum" if parameter.members else parameter.type
-            draft.shape, draft.values, draft.whole = array.shape, _floats(array), draft.type == "int"
-            if draft.type in ("real", "int"):
-                low, draft.high = limits(parameter, values)
-                draft.low_open = parameter.positive and (low is None or low <= 0)
-                draft.low = 0.0 if draft.low_open else low
-        if name in places:
-            draft.place = places[name].start
-        yield parameter, draft
+            type_ = "enum" if parameter.members else parameter.type
+            kind = kind._replace(type=type_, shape=array.shape, values=_floats(array), whole=type_ == "int")
+        if kind.type in ("real", "int"):
+            low, high = limits(parameter, values)
+            is_open = parameter.positive and (low is None or low <= 0)
+            kind = kind._replace(low=0.0 if is_open else low, high=high, low_open=is_open)
+        yield parameter, _DraftSetting("", kind, level, why, places[name].start if name in places else -1)
 
 
 @lru_cache(maxsize=256)

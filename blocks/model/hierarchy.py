@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import copy as shallow_copy
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from ..contract.declaration import Declaration
 from ..contract.interface import LARGEST, Interface, Value, check_differences
@@ -29,7 +29,7 @@ from .diagram_grammar import LARGEST_SIZE
 from .origins import Origin, Origins
 from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 
-__all__ = ["DiagramScope", "Hierarchy", "Leaf", "Resolver", "Spot", "bound_faults", "spelling"]
+__all__ = ["DiagramScope", "Hierarchy", "InLane", "Leaf", "Resolver", "Spot", "bound_faults", "spelling"]
 
 MAX_BLOCKS = 1_000_000
 _COPIES_ARE = "an integer from 1 to 100,000"
@@ -93,6 +93,13 @@ class _Drawing:
     holders: set[int] = field(default_factory=set)
 
 
+class InLane(NamedTuple):
+    """The parameters of a diagram in a copy."""
+
+    parameters: Mapping[str, Value | None]
+    origins: Origins
+
+
 @dataclass(eq=False)
 class DiagramScope:
     """A diagram in its place: its parameters (None: faulty, already reported) and its blocks (the same)."""
@@ -109,7 +116,7 @@ class DiagramScope:
     parameters: dict[str, Value | None] = field(default_factory=dict)
     origins: dict[str, Origin] = field(default_factory=dict)  # each after those that it reads
     children: dict[str, Leaf | DiagramScope | None] = field(default_factory=dict)
-    each: dict[int, DiagramScope] = field(default_factory=dict)  # of the lanes in which something is another number
+    each: dict[int, InLane] = field(default_factory=dict)  # of the lanes in which its parameters are others
 
     def __post_init__(self) -> None:
         self.path: str = "" if self.parent is None else self.parent.prefix + labelled(self.name, self.copy)
@@ -124,6 +131,10 @@ class DiagramScope:
             self.streams = streams.joined(self.parent.streams, own) + "."
             self.prefixes = tuple(f"{path}." for path in self.parent.paths(self.name, self.copy))
             self.fleet = self.fleet or self.parent.fleet
+
+    def in_lane(self, lane: int) -> InLane:
+        """Return its parameters in a copy."""
+        return self.each.get(lane) or InLane(self.parameters, self.origins)
 
     @property
     def copied(self) -> Fleet | None:
@@ -396,17 +407,18 @@ class Hierarchy:
         for key in sorted(raws, key=lambda key: not declaration.parameters[key].structural):
             said, set_at, spot = raws[key]
             parameter, place = declaration.parameters[key], f"{shown}.{key}"
-            depth = dimensions(parameter.shape)
-            copies = unnumbered(set_at, (*scope.copies, copy)) if set_at else [copy] if copy else []
-            try:
-                raw = self.own(scope, said, depth, copies, place, spot)
-            except Absent:
-                continue
+            depth, raw = dimensions(parameter.shape), said
+            if set_at or copy:
+                copies = unnumbered(set_at, (*scope.copies, copy)) if set_at else [copy] if copy else []
+                try:
+                    raw = self.own(scope, said, depth, copies, place, spot)
+                except Absent:
+                    continue
             declared = self.declared_unit(scope, name, cls, parameter, raws, given)
             value = None if declared is None else self.evaluated(within, raw, declared, place, spot)
             if declared is not None and value is not None:
                 given[key], written = value, entry.parameters.get(key)
-                origins[key] = Origin(written, raw, raw is not said, declared, depth, set_at, is_outer=True)
+                origins[key] = Origin(written, raw, raw is not said, declared, depth, set_at, True)
         is_complete = len(given) == len(raws)
         for key in declaration.streams:
             stream = streams.joined(scope.streams, stream_of(entry.stream or name, copy))
@@ -414,8 +426,7 @@ class Hierarchy:
             origins[key] = Origin(None, None, stream=stream)
         if is_complete and declaration.foreign is not None:  # structural parameters of an FMU are sizes of its arrays
             cls = declaration.foreign.resized(given) or cls
-        spots = {key: spot for key, (_, _, spot) in raws.items()}
-        resolved = self.resolve(scope, name, cls, given, spots) if is_complete else None
+        resolved = self.resolve(scope, name, cls, given, raws) if is_complete else None
         return None if resolved is None else (resolved, origins)
 
     def block_class(self, scope: DiagramScope, name: str, entry: BlockEntry) -> Any:
@@ -515,7 +526,7 @@ class Hierarchy:
         return declared
 
     def resolve(
-        self, scope: DiagramScope, name: str, cls: Any, given: Mapping[str, Value], spots: Mapping[str, Spot]
+        self, scope: DiagramScope, name: str, cls: Any, given: Mapping[str, Value], raws: _Raws
     ) -> Resolved | None:
         """Sizes, defaults, ranges and ports of a block. Blocks with equal values share them."""
         # The hash of a ratio takes less time than that of a fraction.
@@ -544,7 +555,8 @@ class Hierarchy:
                     continue  # what is missing is probably what is misspelt, and that was reported
                 # Ports do not know their block: their faults begin with the name of the type.
                 place = name + fault.place[len(own) :] if f"{fault.place}.".startswith(f"{own}.") else fault.place
-                where = spots.get(place.rpartition(".")[2], ("blocks", name))
+                word = place.rpartition(".")[2]
+                where = raws[word][2] if word in raws else ("blocks", name)
                 self.tell(scope, fault.code, place, fault.message, fault.cure, where)
             return None
         self.resolved[key] = self.resolved[shared] = resolved_block

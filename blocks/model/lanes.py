@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 
 from .copies import Copy
 from .diagram import BlockEntry
-from .hierarchy import DiagramScope, Hierarchy, Leaf, is_equal
+from .hierarchy import DiagramScope, Hierarchy, InLane, Leaf, is_equal
 from .origins import are_alike
 from .values import names_in
 
@@ -97,7 +97,6 @@ class _Lanes:
         inner = DiagramScope(
             child.name, outer, child.value, child.index, child.depth, child.control, child.stream, child.clock, copy
         )
-        child.each[lane] = inner
         loose = {key: raw for key, raw in entry.parameters.items() if self.is_loose(raw, changed_outside)}
         if hierarchy.overrides or not self.read_inside(child).isdisjoint(loose):
             hierarchy.give(inner, entry.parameters)
@@ -109,6 +108,9 @@ class _Lanes:
             again = loose
         pairs = ((name, inner.parameters[name], child.parameters[name]) for name in again)
         changed = frozenset(name for name, value, first in pairs if not is_equal(value, first))
+        origins = child.origins if are_alike(inner.origins, child.origins) else inner.origins
+        if changed or origins is not child.origins:
+            child.each[lane] = InLane(inner.parameters, origins)
         for key in ("copies", "every", "offset") if changed else ():
             for name, of_block in child.value.blocks.items():
                 raw = of_block.copies if key == "copies" else of_block.control.get("trigger", {}).get(key)
