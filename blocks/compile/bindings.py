@@ -26,7 +26,8 @@ from ..contract.resolution import Resolved, limits
 from ..contract.scalars import Scalar
 from ..contract.sparse import SparseMatrix
 from ..contract.tape import TapeNode
-from ..contract.variables import Clock, Parameter
+from ..contract.uses import CONSTANT, FIXED, TUNABLE, Use, uses
+from ..contract.variables import Parameter
 from ..model.copies import Copy, Fleet, unnumbered
 from ..model.diagram_grammar import MEASURE_NUMBERS, TRIGGER
 from ..model.flatten import Flat, FlatBlock
@@ -84,7 +85,6 @@ def bindings_of(flat: Flat, plan: Plan | None) -> Bindings:
 
 # --- collecting ------------------------------------------------------------------------------------------------
 
-TUNABLE, FIXED, CONSTANT = range(3)
 _VARIABILITY = ("tunable", "fixed", "constant")
 _UNMOVED = (
     "",
@@ -453,14 +453,14 @@ def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _DraftSetting]]:
     """The parameters of a block that have a value; `place` counts from the block's first one."""
     interface, values = resolved.interface, resolved.values
     places = parameter_places(interface)
-    uses = _uses(interface.declaration)
+    strictest = _strictest(interface.declaration)
     for name, parameter in interface.declaration.parameters.items():
         value = values[name].value
         if value is None:
             continue
         declared = set(interface.declared_units(parameter)) if not isinstance(value, str) else set()
         unit = declared.pop() if len(declared) == 1 else ""
-        level, why = uses.get(name, (TUNABLE, ""))
+        _, _, level, why = strictest.get(name) or Use(name, "value")
         kind = _Kind(parameter.type, (), si_text(unit), "" if unit == si_text(unit) else unit, parameter.doc)
         kind = kind._replace(members=parameter.members)
         if isinstance(value, str):
@@ -477,54 +477,13 @@ def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _DraftSetting]]:
 
 
 @lru_cache(maxsize=256)
-def _uses(declaration: Declaration) -> dict[str, tuple[int, str]]:
-    """The parameters of a type that are not tunable, and why."""
-    uses: dict[str, tuple[int, str]] = {}
-
-    def note(level: int, names: Iterable[str], why: str) -> None:
-        for name in names:
-            if name in declaration.parameters and uses.get(name, (TUNABLE, ""))[0] < level:
-                uses[name] = (level, why)
-
-    def times(clock: Clock) -> Iterator[str]:
-        yield from _read(clock.every)
-        yield from _read(clock.offset)
-
-    for name, parameter in declaration.parameters.items():
-        if parameter.type == "string" or parameter.structural:
-            note(CONSTANT, [name], "it fixes the type of the block")
-        elif parameter.stream:
-            note(CONSTANT, [name], "it follows from the name of the stream and the seed of the run")
-        elif parameter.table:
-            note(CONSTANT, [name], "it is a table")
-        elif parameter.zeros:
-            note(CONSTANT, [name], "which elements are 0 fixes the type of the block")
-    for equation in declaration.equations:
-        for role in equation.roles:
-            if role.clock is not None and role.ticks:
-                note(CONSTANT, times(role.clock), "ticks depend on it")
-    if declaration.stepper is not None:
-        note(CONSTANT, [*times(declaration.stepper.clock), *declaration.stepper.reads], "a stepper is made from it")
-    for history in declaration.histories.values():
-        note(CONSTANT, _read(history.delay), "a delay depends on it")
-        note(CONSTANT, _read(history.before), f"{history.name} holds it before the start")
-    for output in declaration.outputs.values():
-        if output.clock is not None:
-            note(CONSTANT, _read(output.start), f"{output.name} holds it before the first tick")
-    for stepped in declaration.stepped.values():
-        note(CONSTANT, _read(stepped.start), f"{stepped.name} holds it before the first tick")
-    note(CONSTANT, (f"{name}_start" for name in declaration.algebraics), "a search begins there")
-    memories = (*declaration.states, *declaration.discretes)
-    note(FIXED, (f"{name}_start" for name in memories), "it is a start value")
-    note(FIXED, (name for name, p in declaration.parameters.items() if p.fixed), "event times depend on it")
-    return uses
-
-
-def _read(source: Any) -> tuple[str, ...]:
-    """The parameters that a clock, a delay or a start value is taken from."""
-    if isinstance(source, Parameter):
-        return (source.name,)
-    return arguments(source, "clock") if callable(source) else ()
+def _strictest(declaration: Declaration) -> dict[str, Use]:
+    """Find the parameters of a type that are not tunable, and why."""
+    found: dict[str, Use] = {}
+    for use in uses(declaration):
+        if use.level > (found[use.name].level if use.name in found else TUNABLE):
+            found[use.name] = use
+    return found
 
 
 def _excluded(parameters: Mapping[str, Parameter], name: str) -> set[str]:

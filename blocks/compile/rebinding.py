@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..contract.reads import arguments
+from ..contract.uses import uses
 from ..model.diagram_grammar import RUN
 from ..model.flatten import Flat, FlatBlock
 from ..model.streams import number_of
@@ -91,9 +91,8 @@ class Rebinding:
         declaration, known = block.interface.declaration, block.resolved.values
         own = {name for name in declaration.parameters if f"{block.path}.{name}" in paths}
         self.defaults |= {f"{block.path}.{name}" for name in own if callable(declaration.parameters[name].default)}
-        for state in declaration.states.values():
-            if callable(state.nominal) and own & {*arguments(state.nominal, state.name)}:
-                return False
+        if any(use.what == "nominal" and use.name in own for use in uses(declaration)):
+            return False
         for requirement in declaration.requirements:
             reads = requirement.equation.reads
             if not own & {*reads}:
