@@ -163,7 +163,7 @@ class _Names(NamedTuple):
     numbers: Mapping[str, float]
 
     def numbered(self, copy: Copy | None) -> _Names:
-        """The names that the parameters of a copy of a block may read."""
+        """Return the names that the parameters of a copy of a block may read."""
         if copy is None:
             return self
         numbers = {"index": float(copy.number), "copies": float(copy.fleet.count)}
@@ -182,7 +182,7 @@ class _Binder:
         self.numbers: list[float] = []  # of all settings
         self.owners: list[int] = []  # the setting of each number
         self.origins: list[Origin | None] = []  # of each setting
-        self.given: list[tuple[int, Sequence[Copy]]] = []  # settings that are set by their paths
+        self.given: list[tuple[int, Origin, Sequence[Copy]]] = []  # settings that are set by their paths
         self.streams: list[tuple[str, tuple[int, ...]]] = []
         self.index = 0  # of the next block
         self.place = 0  # of its parameters in p
@@ -200,9 +200,8 @@ class _Binder:
             self.restrict(names, raws, CONSTANT, "the step of the run depends on it")
         self.propagate()
         settings = self.finished()
-        pairs = ((settings[k], self.origins[k], copies) for k, copies in self.given)
-        set_ = tuple(Given(setting, origin, copies) for setting, origin, copies in pairs if origin is not None)
-        return Bindings(settings, tuple(self.origins), set_, tuple(self.streams))
+        given_ones = tuple(Given(settings[k], origin, copies) for k, origin, copies in self.given)
+        return Bindings(settings, tuple(self.origins), given_ones, tuple(self.streams))
 
     def open(self, like: DiagramScope, lane: int, outer: _Names) -> _Names:
         """Add the settings of a diagram's parameters in a lane, and of all in it. outer: the names around it."""
@@ -212,13 +211,11 @@ class _Binder:
         settings: dict[str, int | None] = {}
         names = _Names(settings, {})
         for name, origin in origins.items():
-            entry, value = known[name], values[name]
+            value = values[name]
             assert value is not None
-            within = outer if origin.is_outer else names
-            about = entry if isinstance(entry, Mapping) else {}
-            draft = _of_diagram(prefix + name, value, about)
+            draft = _of_diagram(prefix + name, value, known[name])
             if draft is not None:
-                self.bind(draft, origin.raw, within)
+                self.bind(draft, origin.raw, outer if origin.is_outer else names)
             settings[name] = None if draft is None else self.add(draft, origin, fleet, lane)
         for name, child in like.children.items():
             assert child is not None
@@ -242,7 +239,7 @@ class _Binder:
         self.origins.append(origin)
         if origin is not None and origin.set_at:
             copies = () if fleet is None else fleet.copies(lane)
-            self.given.append((index, unnumbered(origin.set_at, copies)))
+            self.given.append((index, origin, unnumbered(origin.set_at, copies)))
         if origin is not None and origin.stream:
             self.streams.append((origin.stream, (draft.place,)))
         if draft.kind.type != "text":
@@ -273,7 +270,7 @@ class _Binder:
                 self.made[index].restrict(level, why)
 
     def programs(self, raw: Any, names: _Names, draft: _DraftSetting) -> list[Program]:
-        """A program for each element of a raw value that holds expressions."""
+        """Return a program for each element of a raw value that holds expressions."""
         programs: list[Program | None] = []
 
         def visit(part: Any) -> None:
@@ -301,12 +298,12 @@ class _Binder:
         return [_constant(x) if program is None else program for program, x in pairs]
 
     def places(self, setting: int) -> range:
-        """The places of the elements of a setting among the numbers of all settings."""
+        """Return the places of the elements of a setting among the numbers of all settings."""
         draft = self.made[setting]
         return range(draft.first, draft.first + len(draft.kind.values))
 
     def compiled(self, expression: Expression, names: _Names) -> Program:
-        """An expression over settings."""
+        """Return an expression over settings."""
 
         def operand(step: PostfixStep) -> Scalar:
             if step.scalar is not None:
@@ -346,7 +343,7 @@ class _Binder:
         self.place += _sizes(block)
 
     def known(self, resolved: Resolved) -> tuple[tuple[Parameter, _DraftSetting], ...]:
-        """The settings of a block without its path and its place in p; equal blocks share them."""
+        """Return the settings of a block without its path and its place in p; equal blocks share them."""
         drafts = self.plain.get(id(resolved))
         if drafts is None:
             drafts = self.plain[id(resolved)] = tuple(_plain(resolved))
@@ -411,12 +408,12 @@ class _Binder:
         return tuple(settings)
 
 
-def _of_diagram(path: str, value: Value, entry: Mapping[str, Any]) -> _DraftSetting | None:
+def _of_diagram(path: str, value: Value, entry: Any) -> _DraftSetting | None:
     """Begin the setting of a diagram's parameter.
 
     None where it has no value, is a sparse matrix, or has rows of unequal length.
     """
-    declared, doc = entry.get("unit", ""), entry.get("doc", "")
+    declared, doc = (entry.get("unit", ""), entry.get("doc", "")) if isinstance(entry, Mapping) else ("", "")
     unit = si_text(declared)
     kind = _Kind("real", (), unit, "" if unit == declared else declared, _text(doc))
     if isinstance(value.value, str):
@@ -440,17 +437,17 @@ def _copy(place: int) -> Program:
 
 
 def _placed(program: Program, places: Sequence[int]) -> Program:
-    """A program that reads numbers at places, by their order, as one that reads the numbers of all settings."""
+    """Return a program that reads numbers at places, by their order, as one that reads the numbers of all settings."""
     return tuple(_copy(places[int(node.value)])[0] if node.op == "argument" else node for node in program)
 
 
 def _sizes(block: FlatBlock) -> int:
-    """How many places in p a block has."""
+    """Return how many places in p a block has."""
     return sum(map(len, parameter_places(block.interface).values()))
 
 
 def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _DraftSetting]]:
-    """The parameters of a block that have a value; `place` counts from the block's first one."""
+    """Return the parameters of a block that have a value; `place` counts from the block's first one."""
     interface, values = resolved.interface, resolved.values
     places = parameter_places(interface)
     strictest = _strictest(interface.declaration)
@@ -487,7 +484,7 @@ def _strictest(declaration: Declaration) -> dict[str, Use]:
 
 
 def _excluded(parameters: Mapping[str, Parameter], name: str) -> set[str]:
-    """The parameters that must not be given together with one."""
+    """Return the parameters that must not be given together with one."""
     return {key for key, p in parameters.items() if p.excludes == name} | {parameters[name].excludes} - {""}
 
 

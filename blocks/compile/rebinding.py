@@ -103,7 +103,7 @@ class Rebinding:
         return True
 
     def row(self, given: Mapping[str, Any], seed: int) -> tuple[float, ...] | None:
-        """The row p with other values of the parameters; None where only flattening can tell what they mean.
+        """Return the row p with other values of the parameters; None where only flattening can tell what they mean.
 
         given: raw values of the same parameters. seed: of the run.
         """
@@ -150,7 +150,7 @@ class _Requirement:
 
 
 def _value(setting: Setting, s: list[float]) -> Any:
-    """The value of a parameter as a block type sees it."""
+    """Return the value of a parameter as a block type sees it."""
     values = s[setting.first : setting.first + len(setting.values)]
     return np.array(values).reshape(setting.shape) if setting.shape else np.array(values[0])
 

@@ -39,10 +39,10 @@ class Resolver(Protocol):
     """Where block classes come from."""
 
     def __call__(self, name: str, /) -> Any:
-        """The class of a type; raises KeyError with the known names as its arguments."""
+        """Return the class of a type; raises KeyError with the known names as its arguments."""
 
     def fmu(self, entry: BlockEntry, folder: str) -> Any:
-        """The class of an FMU; its path begins at a folder. Raises BlocksError."""
+        """Return the class of an FMU; its path begins at a folder. Raises BlocksError."""
 
 
 Spot = tuple[str | int, ...] | None
@@ -142,7 +142,7 @@ class DiagramScope:
         return None if self.copy is None else self.copy.fleet
 
     def paths(self, name: str, copy: Copy | None = None) -> tuple[str, ...]:
-        """The paths under which something in it is set, that of a single copy first."""
+        """Return the paths under which something in it is set, that of a single copy first."""
         names = dict.fromkeys((labelled(name, copy), name))
         return tuple(prefix + text for prefix in self.prefixes for text in names)
 
@@ -151,7 +151,7 @@ class Hierarchy:
     """All scopes and all leaves of a diagram, in the order of the text; `faults` are collected, not raised."""
 
     def __init__(self, diagram: DiagramValue, resolver: Resolver, overrides: Mapping[str, Any], seed: int = 0) -> None:
-        """seed: of the run."""
+        """Open the diagram. seed: of the run."""
         self.resolver, self.overrides, self.seed = resolver, overrides, seed
         self.faults = FaultList()
         self.scopes: list[DiagramScope] = []
@@ -193,7 +193,7 @@ class Hierarchy:
             self.faults.add(fault, (id(scope.value), code, place, message, spot))
 
     def evaluated(self, scope: DiagramScope, raw: Any, declared: Unit, place: str, spot: Spot) -> Value | None:
-        """A raw value in SI; None after a fault was reported."""
+        """Return a raw value in SI; None after a fault was reported."""
         try:
             return value_of(raw, declared, scope.parameters)
         except Absent:
@@ -216,7 +216,7 @@ class Hierarchy:
         return scope
 
     def count(self, scope: DiagramScope, name: str, entry: BlockEntry) -> int | None:
-        """How many copies of a block there are; None after a fault was reported."""
+        """Return how many copies of a block there are; None after a fault was reported."""
         spot = ("blocks", name, "copies")
         for word in ("index", "copies"):
             if word in scope.value.parameters:
@@ -322,7 +322,7 @@ class Hierarchy:
         return outer if outer is not None and not set_at else Origin(written, raw, raw is not said, unit, depth, set_at)
 
     def own(self, scope: DiagramScope, raw: Any, depth: int, copies: Sequence[Copy], place: str, spot: Spot) -> Any:
-        """The raw value in one copy of each fleet. Raises Absent after a fault was reported."""
+        """Return the raw value in one copy of each fleet. Raises Absent after a fault was reported."""
         try:
             return own_value(raw, depth, copies)
         except ModelError as error:
@@ -331,7 +331,7 @@ class Hierarchy:
             raise Absent from None
 
     def overridden(self, paths: tuple[str, ...], raw: Any) -> tuple[Any, str]:
-        """The raw value that counts, and the path by which it is set ("": it is none that is).
+        """Return the raw value that counts, and the path by which it is set ("": it is none that is).
 
         paths: under which it may be set. A bound parameter cannot be set itself (E117).
         """
@@ -489,7 +489,7 @@ class Hierarchy:
         raws: Mapping[str, Any],
         given: Mapping[str, Value],
     ) -> Unit | None:
-        """The unit in which a bare number of this parameter is meant; it may follow from structural parameters.
+        """Return the unit in which a bare number of this parameter is meant; it may follow from structural parameters.
 
         None where that cannot be known because of a fault.
         """
@@ -528,7 +528,7 @@ class Hierarchy:
     def resolve(
         self, scope: DiagramScope, name: str, cls: Any, given: Mapping[str, Value], raws: _Raws
     ) -> Resolved | None:
-        """Sizes, defaults, ranges and ports of a block. Blocks with equal values share them."""
+        """Settle sizes, defaults, ranges and ports of a block. Blocks with equal values share them."""
         # The hash of a ratio takes less time than that of a fraction.
         values = [(_hashable(v.value), v.exact and v.exact.as_integer_ratio(), v.unit) for v in given.values()]
         key = (cls, *zip(given, values, strict=True))
@@ -564,7 +564,7 @@ class Hierarchy:
 
 
 def numbered(scope: DiagramScope, copy: Copy | None) -> DiagramScope:
-    """A diagram as the parameters of a copy of a block in it see it: with its number, and how many there are."""
+    """Return a diagram as the parameters of a copy of a block in it see it: with its number, and how many there are."""
     if copy is None:
         return scope
     own = {"index": copy.number, "copies": copy.fleet.count}
@@ -575,7 +575,7 @@ def numbered(scope: DiagramScope, copy: Copy | None) -> DiagramScope:
 
 
 def is_equal(one: Value | None, other: Value | None) -> bool:
-    """Whether two values of parameters are one, in the signs of zeros too."""
+    """Return whether two values of parameters are one, in the signs of zeros too."""
     if one is None or other is None:
         return one is other
     return _hashable(one.value) == _hashable(other.value) and (one.exact, one.unit) == (other.exact, other.unit)
@@ -589,12 +589,12 @@ def bound_faults(path: str, raw: Any) -> list[Fault]:
 
 
 def _unit_of(entry: Any) -> str:
-    """The unit of a diagram's parameter."""
+    """Return the unit of a diagram's parameter."""
     return entry.get("unit", "") if isinstance(entry, Mapping) else ""
 
 
 def _fault_of(unit: str) -> Fault | None:
-    """What is wrong with a unit."""
+    """Return what is wrong with a unit."""
     try:
         if unit:
             units.parse(unit)
@@ -604,12 +604,12 @@ def _fault_of(unit: str) -> Fault | None:
 
 
 def _with_unit(raw: Any, unit: Unit) -> Any:
-    """A text or a bool for a parameter with a unit, as a quantity: a fault, as with a unit of its own."""
+    """Return a text or a bool for a parameter with a unit, as a quantity: a fault, as with a unit of its own."""
     return {"value": raw, "unit": unit} if unit and isinstance(raw, (bool, str)) else raw
 
 
 def spelling(entry: BlockEntry, scope: DiagramScope, loose: Mapping[str, Any] | None = None) -> Any:
-    """A key that is equal for blocks of one type whose parameters, but for loose ones, are written alike, or None."""
+    """Return a key that is equal for blocks of one type with parameters, but for loose ones, written alike, or None."""
     if entry.stream:  # which not every block has
         return None
     written = []
@@ -622,7 +622,7 @@ def spelling(entry: BlockEntry, scope: DiagramScope, loose: Mapping[str, Any] | 
 
 
 def _written(raw: Any, scope: DiagramScope) -> Any:
-    """A raw value as it is written, with its scope where it is an expression; None for what no text holds."""
+    """Return a raw value as it is written, with its scope where it is an expression; None for what no text holds."""
     kind = type(raw)
     if kind is Number:
         return (Number, raw.text)
@@ -640,7 +640,7 @@ def _written(raw: Any, scope: DiagramScope) -> Any:
 
 
 def _hashable(value: Any) -> Any:
-    """A key of a value: 0.0 and -0.0, which are equal, are two."""
+    """Return a key of a value: 0.0 and -0.0, which are equal, are two."""
     return tuple(_hashable(item) for item in value) if isinstance(value, list) else (type(value), value or repr(value))
 
 

@@ -65,7 +65,7 @@ class _Lanes:
         return self.read[id(entry)]
 
     def differs(self, child: Leaf | DiagramScope) -> bool:
-        """Whether copies of something, or of what is in it, differ by themselves: by lists, numbers, or streams."""
+        """Return whether copies of something, or of what is in it, differ by themselves: by lists, numbers, streams."""
         if id(child) in self.own:
             return self.own[id(child)]
         scope = child.scope if isinstance(child, Leaf) else child.parent
@@ -135,13 +135,13 @@ class _Lanes:
             leaf.origins_of[lane] = origins
 
     def is_loose(self, raw: object, changed: frozenset[str]) -> bool:
-        """Whether a value that a block is given may be another one in another copy."""
+        """Return whether a value that a block is given may be another one in another copy."""
         if id(raw) not in self.names:
             self.names[id(raw)] = frozenset(names_in(raw))
         return isinstance(raw, (list, Mapping)) or not self.names[id(raw)].isdisjoint(changed | {"index"})
 
     def read_inside(self, child: DiagramScope) -> frozenset[str]:
-        """The parameters of a subdiagram from which others of it are computed."""
+        """Return the parameters of a subdiagram from which others of it are computed."""
         raws = child.value.parameters
         if id(raws) not in self.names:
             self.names[id(raws)] = frozenset(name for raw in raws.values() for name in names_in(raw))
