@@ -59,7 +59,7 @@ class Bindings(NamedTuple):
     """All settings of a diagram, each bound one after what it reads.
 
     origins: where the value of each comes from; None where it has its default. given: those that got their values by
-    their paths when it was flattened. streams: each with its name, and with where its number stands in p.
+    their paths when it was flattened. streams: each with its name, and with the place of its number in p.
     """
 
     settings: tuple[Setting, ...]

@@ -2,7 +2,7 @@
 
 A `Rebinding` is for certain parameters, those that `flat` was given. It knows what is computed from them, and which
 checks their values must pass. What it cannot decide it leaves to flattening, which also words all errors: `row` is None
-then. So nothing that it gives differs from a Plan made anew.
+then. So nothing that it gives differs from a Plan that is made again.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Rebinding:
 
     def __init__(self, flat: Flat, plan: Plan, free: Iterable[str], runs: Iterable[Mapping[str, Any]] = ()) -> None:
         self.parameters, self.seed = plan.parameters, plan.settings.seed
-        self.streams: tuple[tuple[str, tuple[int, ...]], ...] = ()  # each with where its number stands
+        self.streams: tuple[tuple[str, tuple[int, ...]], ...] = ()  # each with the places of its number
         self.free, self.runs = tuple(free), tuple(runs)
         self.given: list[Given] = []
         self.bound: list[Setting] = []  # what is computed from them, in order
@@ -140,7 +140,7 @@ class Rebinding:
 
 
 class _Requirement:
-    """A condition of a block type on values of which some are given anew: a Setting stands for each of those."""
+    """A condition of a block type on values of which some are given again: each of those is a Setting here."""
 
     def __init__(self, function: Any, operands: list[Any]) -> None:
         self.function, self.operands = function, operands
