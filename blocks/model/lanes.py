@@ -122,14 +122,15 @@ class _Lanes:
     def copy_of_leaf(
         self, leaf: Leaf, outer: DiagramScope, entry: BlockEntry, copy: Copy | None, lane: int
     ) -> None:
+        """Settle the numbers of one copy of a block."""
         made = self.hierarchy.numbers(outer, leaf.name, entry, copy)
         if made is None:
             return
         resolved, origins = made
-        if resolved.interface != leaf.interface:
-            self.refuse(outer, leaf.name, "sizes, texts or zeros")
-            return
         if resolved is not leaf.resolved:
+            if resolved.interface != leaf.interface:
+                self.refuse(outer, leaf.name, "sizes, texts or zeros")
+                return
             leaf.each[lane] = resolved
         if not are_alike(origins, leaf.origins):
             leaf.origins_of[lane] = origins
