@@ -142,8 +142,8 @@ class Batch(Shown):
         if every is None and log:
             settings["every"] = float((run.stop - run.start) / GRID)
             every = time_of("every", settings["every"])
-        self._columns: tuple[Column, ...] = columns_of(names, kept, first.flat, parameters)
-        elements = columns_of([name for name in of_all if is_element(name)], kept, first.flat)
+        self._columns: tuple[Column, ...] = columns_of(names, first.flat)
+        elements = columns_of([name for name in of_all if is_element(name)], first.flat)
         places = {(target.path, target.element) for column in elements for target in column.targets}
         wholes = parameters.keys() - {path for path, _ in places} | of_all.keys()
         for column in self._columns:

@@ -39,7 +39,6 @@ from ..model.flatten import Flat, interface_of
 from ..model.raw_values import raw_of
 from ..model.resolver import resolver_of
 from ..model.variants import Swap, taken
-from ..model.varied import given_values
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.brief import UnknownName
@@ -870,10 +869,9 @@ class Diagram:
         flat = self.flatten(parameters=parameters, settings=settings, variants=variants)
         refuse_fmus(flat)
         check_compilers(platforms)
-        parameters = given_values(value, resolver_of(dict(self._draft.types)), parameters or {})
         return export(
             value, flat, plan(flat), path,
-            fmi=fmi, kinds=kinds, platforms=platforms, name=name, overrides=parameters, version=__version__,
+            fmi=fmi, kinds=kinds, platforms=platforms, name=name, version=__version__,
             drawing=self.draw(variants=variants) if len(value.blocks) <= MOST_DRAWN else "",
         )  # fmt: skip
 

@@ -1,6 +1,6 @@
 """The settings of a diagram, and what is computed from them: from parameter values to the row p, without Python.
 
-    DiagramValue + Flat + Plan --bindings--> Settings --bindings_c--> C: s (all numbers that can be set) -> p
+    Flat + Plan --bindings--> Settings --bindings_c--> C: s (all numbers that can be set) -> p
 
 A `Setting` (`setting_programs`) is a parameter by its path, as a user sees it: of the diagram, of subdiagrams, of
 blocks. A leaf is set; a bound one is computed from others by programs, one for each element. Those of
@@ -10,10 +10,10 @@ default, what it reads is constant. `bindings_c` (`c.bindings_code`) prints the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from typing import Any
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,12 +26,14 @@ from ..contract.resolution import Resolved, limits
 from ..contract.scalars import Scalar
 from ..contract.sparse import SparseMatrix
 from ..contract.tape import TapeNode
-from ..contract.variables import Clock, Parameter
-from ..model.copies import Copy, Fleet, depth_of, dimensions, labelled, own_value, unnumbered
-from ..model.diagram import DiagramValue
+from ..contract.uses import CONSTANT, FIXED, TUNABLE, Use, uses
+from ..contract.variables import Parameter
+from ..model.copies import Copy, Fleet, unnumbered
 from ..model.diagram_grammar import MEASURE_NUMBERS, TRIGGER
 from ..model.flatten import Flat, FlatBlock
-from ..model.values import expressions_in, is_expression, names_in, order_of, value_of
+from ..model.hierarchy import DiagramScope, Leaf
+from ..model.origins import Origin
+from ..model.values import expressions_in, is_expression, names_in, order_of
 from ..text.gc_pause import paused
 from ..text.units import si_text
 from .default_tracing import Untraceable, default_programs
@@ -39,25 +41,50 @@ from .memory_layout import parameter_places
 from .plan import Plan
 from .setting_programs import Program, Setting, evaluated, program_of, recorded
 
-__all__ = ["bindings"]
+__all__ = ["Bindings", "Given", "bindings", "bindings_of"]
+
+
+class Given(NamedTuple):
+    """A setting whose value was set by its path, maybe by one that means other copies too.
+
+    copies: those that the path gives no number of.
+    """
+
+    setting: Setting
+    origin: Origin
+    copies: Sequence[Copy]
+
+
+class Bindings(NamedTuple):
+    """All settings of a diagram, each bound one after what it reads.
+
+    origins: where the value of each comes from; None where it has its default. given: those that got their values by
+    their paths when it was flattened. streams: each with its name, and with the place of its number in p.
+    """
+
+    settings: tuple[Setting, ...]
+    origins: tuple[Origin | None, ...]
+    given: tuple[Given, ...]
+    streams: tuple[tuple[str, tuple[int, ...]], ...]
+
+
+def bindings(flat: Flat, plan: Plan | None) -> tuple[Setting, ...]:
+    """Return all settings of a diagram, each bound one after what it reads.
+
+    plan: None where the diagram has none of its own, as it is coupled. Places in p without a setting belong to blocks
+    inserted at the edges of subdiagrams, and never change. A parameter without a value (None) has no setting.
+    """
+    return bindings_of(flat, plan).settings
 
 
 @paused()
-def bindings(
-    diagram: DiagramValue, flat: Flat, plan: Plan | None, overrides: Mapping[str, Any] | None = None
-) -> tuple[Setting, ...]:
-    """All settings of a diagram, each bound one after what it reads.
-
-    plan: None where the diagram has none of its own, as it is coupled. overrides: those that `flat` was made with.
-    Places in p without a setting belong to blocks inserted at the edges of subdiagrams, and never change. A parameter
-    without a value (None) has no setting.
-    """
-    return _Binder(diagram, flat, plan, overrides or {}).settings()
+def bindings_of(flat: Flat, plan: Plan | None) -> Bindings:
+    """Return the same, with where the values come from."""
+    return _Binder(flat, plan).bindings()
 
 
 # --- collecting ------------------------------------------------------------------------------------------------
 
-TUNABLE, FIXED, CONSTANT = range(3)
 _VARIABILITY = ("tunable", "fixed", "constant")
 _UNMOVED = (
     "",
@@ -66,58 +93,81 @@ _UNMOVED = (
 )
 
 
-@dataclass(slots=True)
-class _DraftSetting:
-    """A setting under construction; level, why: the strictest use of it or of what is computed from it."""
+_NO_MEMBERS: Mapping[str, int] = {}
 
-    path: str
+
+class _Kind(NamedTuple):
+    """What equal blocks share of a setting: fields of `Setting`, in its order."""
+
     type: str
     shape: tuple[int, ...]
-    values: tuple[Any, ...]
-    unit: str = ""
-    display: str = ""
-    doc: str = ""
+    unit: str
+    display: str
+    doc: str
     low: float | None = None
     high: float | None = None
     low_open: bool = False
     high_open: bool = False
     whole: bool = False
-    members: Mapping[str, int] = field(default_factory=dict)
+    members: Mapping[str, int] = _NO_MEMBERS
+    values: tuple[Any, ...] = ()
+
+    def narrowed(self, other: _Kind) -> _Kind:
+        """Return the same with the range of another one, too."""
+        made = self
+        if other.low is not None and (self.low is None or (other.low, other.low_open) > (self.low, self.low_open)):
+            made = made._replace(low=other.low, low_open=other.low_open)
+        if other.high is not None and (self.high is None or other.high < self.high):
+            made = made._replace(high=other.high, high_open=other.high_open)
+        return made._replace(whole=self.whole or other.whole, members=self.members or other.members)
+
+
+@dataclass(slots=True)
+class _DraftSetting:
+    """A setting under construction; level, why: the strictest use of it or of what is computed from it."""
+
+    path: str
+    kind: _Kind
     level: int = TUNABLE
     why: str = ""
-    cause: str = ""  # the path of the setting that `why` is about, where it is another
     place: int = -1  # in p, of the first element
+    cause: str = ""  # the path of the setting that `why` is about, where it is another
     first: int = -1  # of its elements among the numbers of all settings
     bound: bool = False
     elements: tuple[Program, ...] | None = None
     reads: tuple[int, ...] = ()  # settings that it is computed from
     followed: bool = True  # whether C computes it from them too
 
+    def restrict(self, level: int, why: str) -> None:
+        if level > self.level:
+            self.level, self.why = level, why
 
-@dataclass(slots=True)
-class _SettingScope:
-    """A diagram at its path: values and settings of its parameters by name (None: neither numbers nor text)."""
+    def finished(self, level: int, why: str) -> Setting:
+        causality, places = "calculatedParameter" if self.bound else "parameter", range(len(self.kind.values))
+        return Setting(
+            self.path,
+            causality,
+            _VARIABILITY[level],
+            *self.kind,
+            tuple(() if self.place < 0 else (self.place + k,) for k in places),
+            self.elements,
+            self.first,
+            "" if level == TUNABLE else why,
+        )
 
-    prefix: str
-    values: dict[str, Value | None] = field(default_factory=dict)
-    settings: dict[str, int | None] = field(default_factory=dict)
-    prefixes: tuple[str, ...] = ("",)  # under which its parameters are given: in one copy, or in all of them
-    plain: str = ""  # the prefix without the numbers of copies
-    copies: tuple[Copy | None, ...] = ()  # by the parts of the prefix
 
-    def inside(self, name: str, copy: Copy | None) -> _SettingScope:
-        """That of a subdiagram, or of a block, of which nothing is known yet."""
-        labels = dict.fromkeys((labelled(name, copy), name))
-        prefixes = tuple(f"{prefix}{label}." for prefix in self.prefixes for label in labels)
-        path, copies = f"{self.prefix}{labelled(name, copy)}.", (*self.copies, copy)
-        return _SettingScope(path, {}, {}, prefixes, f"{self.plain}{name}.", copies)
+class _Names(NamedTuple):
+    """What names in expressions stand for: settings (None: of neither numbers nor text), and the numbers of a copy."""
 
-    def numbered(self, copy: Copy | None) -> _SettingScope:
-        """As the parameters of a copy of a block are written: they may read its number."""
+    settings: Mapping[str, int | None]
+    numbers: Mapping[str, float]
+
+    def numbered(self, copy: Copy | None) -> _Names:
+        """Return the names that the parameters of a copy of a block may read."""
         if copy is None:
             return self
-        own = {"index": Value(float(copy.number)), "copies": Value(float(copy.fleet.count))}
-        return replace(self, values={**self.values, **own}, settings={**self.settings, "index": None, "copies": None})
+        numbers = {"index": float(copy.number), "copies": float(copy.fleet.count)}
+        return _Names({**self.settings, **dict.fromkeys(numbers)}, numbers)
 
 
 class _Numberless(Exception):
@@ -125,127 +175,102 @@ class _Numberless(Exception):
 
 
 class _Binder:
-    def __init__(self, diagram: DiagramValue, flat: Flat, plan: Plan | None, overrides: Mapping[str, Any]) -> None:
-        self.diagram, self.flat, self.plan, self.overrides = diagram, flat, plan, overrides
+    def __init__(self, flat: Flat, plan: Plan | None) -> None:
+        self.flat, self.plan = flat, plan
         self.made: list[_DraftSetting] = []
         self.plain: dict[int, tuple[tuple[Parameter, _DraftSetting], ...]] = {}  # by the id of Resolved
         self.numbers: list[float] = []  # of all settings
         self.owners: list[int] = []  # the setting of each number
-        self.copies = flat.copies
+        self.origins: list[Origin | None] = []  # of each setting
+        self.given: list[tuple[int, Origin, Sequence[Copy]]] = []  # settings that are set by their paths
+        self.streams: list[tuple[str, tuple[int, ...]]] = []
         self.index = 0  # of the next block
         self.place = 0  # of its parameters in p
 
-    def settings(self) -> tuple[Setting, ...]:
-        root = self.open(self.diagram, {}, _SettingScope(""), _SettingScope(""), None)
-        for name, raw in self.diagram.measures.items():
+    def bindings(self) -> Bindings:
+        root, diagram = self.flat.root, self.flat.diagram
+        assert root is not None
+        assert diagram is not None
+        names = self.open(root, 0, _Names({}, {}))
+        for name, raw in diagram.measures.items():
             given = [raw[key] for key in MEASURE_NUMBERS if key in raw]
-            self.restrict(root, given, FIXED, f"the measure {name} depends on it")
+            self.restrict(names, given, FIXED, f"the measure {name} depends on it")
         if self.flat.settings.step is not None:
             raws = [f"={name}" for name in self.flat.stepped_by]
-            self.restrict(root, raws, CONSTANT, "the step of the run depends on it")
+            self.restrict(names, raws, CONSTANT, "the step of the run depends on it")
         self.propagate()
-        return self.finished()
+        settings = self.finished()
+        given_ones = tuple(Given(settings[k], origin, copies) for k, origin, copies in self.given)
+        return Bindings(settings, tuple(self.origins), given_ones, tuple(self.streams))
 
-    def overridden(self, scope: _SettingScope, name: str, depth: int) -> tuple[Any, bool]:
-        """The value that a parameter is given by its path, and whether there is one."""
-        for prefix in scope.prefixes:
-            if prefix + name in self.overrides:
-                return own_value(self.overrides[prefix + name], depth, unnumbered(prefix, scope.copies)), True
-        return None, False
-
-    def open(
-        self,
-        diagram: DiagramValue,
-        given: Mapping[str, Any],
-        scope: _SettingScope,
-        outer: _SettingScope,
-        copy: Copy | None,
-    ) -> _SettingScope:
-        """The settings of a diagram's parameters, and of all in it. given: raw values from outside."""
-        prefix = scope.prefix
-        raws: dict[str, tuple[Any, _SettingScope]] = {}
-        for name, entry in diagram.parameters.items():
-            raw, is_given = self.overridden(scope, name, depth_of(entry)) if self.overrides else (None, False)
-            if is_given:
-                raws[name] = (raw, scope)
-            elif name in given:
-                raws[name] = (own_value(given[name], depth_of(entry), [copy] if copy else []), outer)
-            else:
-                raws[name] = (entry, scope)
-        for name in order_of({name: names_in(raw) if at is scope else [] for name, (raw, at) in raws.items()}):
-            raw, at = raws[name]
-            entry = diagram.parameters[name]
-            known = entry if isinstance(entry, Mapping) else {}
-            value = value_of(raw, known.get("unit", ""), at.values)
-            scope.values[name] = value
-            scope.settings[name] = self.parameter(prefix + name, raw, at, value, known)
-        for name, block in diagram.blocks.items():
-            self.restrict(scope, [block.copies], CONSTANT, f"it is how many copies of {prefix}{name} there are")
+    def open(self, like: DiagramScope, lane: int, outer: _Names) -> _Names:
+        """Add the settings of a diagram's parameters in a lane, and of all in it. outer: the names around it."""
+        (values, origins), fleet = like.in_lane(lane), like.fleet
+        path = like.path if fleet is None else fleet.numbered(like.path, lane)
+        prefix, known = path and f"{path}.", like.value.parameters
+        settings: dict[str, int | None] = {}
+        names = _Names(settings, {})
+        for name, origin in origins.items():
+            value = values[name]
+            assert value is not None
+            draft = _of_diagram(prefix + name, value, known[name])
+            if draft is not None:
+                self.bind(draft, origin.raw, outer if origin.is_outer else names)
+            settings[name] = None if draft is None else self.add(draft, origin, fleet, lane)
+        for name, child in like.children.items():
+            assert child is not None
+            block = like.value.blocks[name]
+            self.restrict(names, [block.copies], CONSTANT, f"it is how many copies of {prefix}{name} there are")
             times = [raw for _, raw in TRIGGER.quantities(block.control.get("trigger", {}))]
-            self.restrict(scope, times, CONSTANT, f"the ticks of {prefix}{name} depend on it")
-            count = self.copies.get(scope.plain + name)
-            fleet = None if count is None else Fleet(name, count)
-            for one in [None] if fleet is None else [Copy(fleet, k) for k in range(fleet.count)]:
-                inside, within = scope.inside(name, one), scope.numbered(one)
-                if block.inner is None:
-                    self.block(within, inside, block.parameters, one)
+            self.restrict(names, times, CONSTANT, f"the ticks of {prefix}{name} depend on it")
+            for copy in [None] if child.copied is None else map(partial(Copy, child.copied), range(child.copied.count)):
+                inside = lane if copy is None else lane * copy.fleet.count + copy.number
+                within = names.numbered(copy)
+                if isinstance(child, Leaf):
+                    self.block(child, inside, within)
                 else:
-                    self.open(block.inner, block.parameters, inside, within, one)
-        return scope
+                    self.open(child, inside, within)
+        return names
 
-    def parameter(self, path: str, raw: Any, at: _SettingScope, value: Value, entry: Mapping[str, Any]) -> int | None:
-        """The setting of a diagram's parameter; None where it has no value, is a sparse matrix, or has rows
-        of unequal length."""
-        declared, doc = entry.get("unit", ""), entry.get("doc", "")
-        unit = si_text(declared)
-        draft = _DraftSetting(path, "real", (), (), unit, "" if unit == declared else declared, _text(doc))
-        if isinstance(value.value, str):
-            draft.type, draft.values, draft.level, draft.why = "text", (value.value,), CONSTANT, "it is a text"
-        elif value.value is None or isinstance(value.value, SparseMatrix):
-            return None
-        else:
-            try:
-                array = np.array(value.value)
-            except ValueError:
-                return None
-            if array.dtype == bool:
-                draft.type = "bool"
-            draft.shape, draft.values = array.shape, _floats(array)
-        self.bind(draft, raw, at)
-        return self.add(draft)
-
-    def add(self, draft: _DraftSetting) -> int:
+    def add(self, draft: _DraftSetting, origin: Origin | None, fleet: Fleet | None, lane: int) -> int:
+        """Add a setting in a lane; return its number."""
         index = len(self.made)
         self.made.append(draft)
-        if draft.type != "text":
+        self.origins.append(origin)
+        if origin is not None and origin.set_at:
+            copies = () if fleet is None else fleet.copies(lane)
+            self.given.append((index, origin, unnumbered(origin.set_at, copies)))
+        if origin is not None and origin.stream:
+            self.streams.append((origin.stream, (draft.place,)))
+        if draft.kind.type != "text":
             draft.first = len(self.numbers)
-            self.numbers += draft.values
-            self.owners += [index] * len(draft.values)
+            self.numbers += draft.kind.values
+            self.owners += [index] * len(draft.kind.values)
         return index
 
-    def bind(self, draft: _DraftSetting, raw: Any, at: _SettingScope) -> None:
+    def bind(self, draft: _DraftSetting, raw: Any, at: _Names) -> None:
         """Say what a setting is computed from, where its raw value holds expressions over the parameters of `at`."""
         if not any(expressions_in(raw)):
             return
         draft.bound, draft.reads = True, self.read(at, raw)
-        if draft.type != "text":
+        if draft.kind.type != "text":
             try:
                 draft.elements = tuple(self.programs(raw, at, draft))
             except _Numberless:  # members by their names: texts are constants, so nothing can change
-                draft.elements = tuple(map(_constant, draft.values))
+                draft.elements = tuple(map(_constant, draft.kind.values))
 
-    def read(self, scope: _SettingScope, raw: Any) -> tuple[int, ...]:
-        indices = (scope.settings.get(name) for name in names_in(raw))
+    def read(self, names: _Names, raw: Any) -> tuple[int, ...]:
+        indices = (names.settings.get(name) for name in names_in(raw))
         return tuple(index for index in indices if index is not None)
 
-    def restrict(self, scope: _SettingScope, raws: Iterable[Any], level: int, why: str) -> None:
+    def restrict(self, names: _Names, raws: Iterable[Any], level: int, why: str) -> None:
         """Note the use of the parameters that raw values read."""
         for raw in raws:
-            for index in self.read(scope, raw):
-                _restrict(self.made[index], level, why)
+            for index in self.read(names, raw):
+                self.made[index].restrict(level, why)
 
-    def programs(self, raw: Any, scope: _SettingScope, draft: _DraftSetting) -> list[Program]:
-        """A program for each element of a raw value that holds expressions."""
+    def programs(self, raw: Any, names: _Names, draft: _DraftSetting) -> list[Program]:
+        """Return a program for each element of a raw value that holds expressions."""
         programs: list[Program | None] = []
 
         def visit(part: Any) -> None:
@@ -257,10 +282,10 @@ class _Binder:
             elif is_expression(part):
                 expression = expressions.parse(part[1:])
                 if expression.name is None:
-                    programs.append(self.compiled(expression, scope))
+                    programs.append(self.compiled(expression, names))
                     return
-                index = scope.settings[expression.name]
-                if index is None or self.made[index].type == "text":
+                index = names.settings[expression.name]
+                if index is None or self.made[index].kind.type == "text":
                     raise _Numberless
                 programs.extend(map(_copy, self.places(index)))
             else:
@@ -268,64 +293,57 @@ class _Binder:
 
         visit(raw)
         if len(programs) == 1:  # a scalar fills an array
-            programs *= len(draft.values)
-        pairs = zip(programs, draft.values, strict=True)
+            programs *= len(draft.kind.values)
+        pairs = zip(programs, draft.kind.values, strict=True)
         return [_constant(x) if program is None else program for program, x in pairs]
 
     def places(self, setting: int) -> range:
-        """The places of the elements of a setting among the numbers of all settings."""
+        """Return the places of the elements of a setting among the numbers of all settings."""
         draft = self.made[setting]
-        return range(draft.first, draft.first + len(draft.values))
+        return range(draft.first, draft.first + len(draft.kind.values))
 
-    def compiled(self, expression: Expression, scope: _SettingScope) -> Program:
-        """An expression over settings."""
+    def compiled(self, expression: Expression, names: _Names) -> Program:
+        """Return an expression over settings."""
 
         def operand(step: PostfixStep) -> Scalar:
             if step.scalar is not None:
                 return Scalar("constant", (), step.scalar.value)
-            index = scope.settings[step.word]
-            if index is None:  # the number of a copy
-                known = scope.values[step.word]
-                assert known is not None
-                return Scalar("constant", (), known.value)
+            if step.word in names.numbers:
+                return Scalar("constant", (), names.numbers[step.word])
+            index = names.settings[step.word]
+            assert index is not None
             return Scalar("argument", (), float(self.made[index].first))
 
         return program_of(expression.folded(operand, lambda step, operands: recorded(step.op, *operands)))
 
     # --- blocks ------------------------------------------------------------------------------------------------
 
-    def block(self, scope: _SettingScope, inside: _SettingScope, given: Mapping[str, Any], copy: Copy | None) -> None:
-        """The settings of a block's parameters; computed defaults come after what they read."""
+    def block(self, leaf: Leaf, lane: int, names: _Names) -> None:
+        """Add the settings of a block's parameters in a lane; computed defaults come after what they read."""
         block = self.flat.blocks[self.index]
-        path = inside.prefix[:-1]
-        assert block.path == path
         self.index += 1
-        raws = dict(given)
-        if copy is not None or self.overrides:
-            keys = block.interface.declaration.parameters
-            depths = {key: dimensions(parameter.shape) for key, parameter in keys.items()}
-            raws = {key: own_value(raw, depths[key], [copy] if copy else []) for key, raw in given.items()}
-            for key in keys if self.overrides else ():
-                raw, is_given = self.overridden(inside, key, depths[key])
-                raws |= {key: raw} if is_given else {}
+        origins = leaf.origins_of.get(lane, leaf.origins)
         own: dict[str, int] = {}
         late: dict[str, tuple[Parameter, _DraftSetting]] = {}
         for parameter, known in self.known(block.resolved):
-            draft = _copied(known, f"{path}.{parameter.name}", self.place)
-            if parameter.name in raws or not callable(parameter.default):
-                self.bind(draft, raws.get(parameter.name), scope)
-                own[parameter.name] = self.add(draft)
-            else:
-                late[parameter.name] = (parameter, draft)
+            key, origin = parameter.name, origins.get(parameter.name)
+            place = -1 if known.place < 0 else self.place + known.place
+            draft = _DraftSetting(f"{block.path}.{key}", known.kind, known.level, known.why, place)
+            if origin is None and callable(parameter.default):
+                late[key] = (parameter, draft)
+                continue
+            if origin is not None:
+                self.bind(draft, origin.raw, names)
+            own[key] = self.add(draft, origin, leaf.fleet, lane)
         order = order_of({key: arguments(p.default, key) for key, (p, _) in late.items()}) if late else ()
         for key in order:
             parameter, draft = late[key]
-            self.default(block.resolved, parameter, draft, own, raws)
-            own[key] = self.add(draft)
+            self.default(block.resolved, parameter, draft, own, origins)
+            own[key] = self.add(draft, None, leaf.fleet, lane)
         self.place += _sizes(block)
 
     def known(self, resolved: Resolved) -> tuple[tuple[Parameter, _DraftSetting], ...]:
-        """The settings of a block without its path and its place in p; equal blocks share them."""
+        """Return the settings of a block without its path and its place in p; equal blocks share them."""
         drafts = self.plain.get(id(resolved))
         if drafts is None:
             drafts = self.plain[id(resolved)] = tuple(_plain(resolved))
@@ -337,7 +355,7 @@ class _Binder:
         parameter: Parameter,
         draft: _DraftSetting,
         own: Mapping[str, int],
-        raws: Mapping[str, Any],
+        given: Container[str],
     ) -> None:
         """Say what a computed default is computed from. Where C cannot compute it, what it reads is constant."""
         declared, names = resolved.interface.declaration.parameters, arguments(parameter.default, parameter.name)
@@ -346,22 +364,22 @@ class _Binder:
             return
         draft.reads = tuple(own[name] for name in numeric)
         try:
-            if draft.type not in ("real", "int"):
-                raise Untraceable(f"it is {'an enumeration' if draft.type == 'enum' else f'a {draft.type}'}")
-            programs = default_programs(parameter, resolved, tuple(numeric), len(draft.values))
+            if draft.kind.type not in ("real", "int"):
+                raise Untraceable(f"it is {'an enumeration' if draft.kind.type == 'enum' else f'a {draft.kind.type}'}")
+            programs = default_programs(parameter, resolved, tuple(numeric), len(draft.kind.values))
             places = [place for index in draft.reads for place in self.places(index)]
             draft.elements = tuple(_placed(program, places) for program in programs)
             draft.bound = True
-            if tuple(evaluated(program, self.numbers) for program in draft.elements) != draft.values:
+            if tuple(evaluated(program, self.numbers) for program in draft.elements) != draft.kind.values:
                 raise Untraceable("its steps give another number")
         except Untraceable as reason:
             draft.elements, draft.bound, draft.followed = None, False, False
             for index in draft.reads:
                 message = f"{draft.path} is computed from it, which only Python can do ({reason})"
-                _restrict(self.made[index], CONSTANT, message)
+                self.made[index].restrict(CONSTANT, message)
             rivals = [name for name in names if parameter.name in _excluded(declared, name)]
-            if any(name in raws for name in rivals):
-                _restrict(draft, CONSTANT, f"it is computed from {' and '.join(rivals)}, which only Python can do")
+            if any(name in given for name in rivals):
+                draft.restrict(CONSTANT, f"it is computed from {' and '.join(rivals)}, which only Python can do")
 
     # --- the whole ---------------------------------------------------------------------------------------------
 
@@ -374,8 +392,8 @@ class _Binder:
                     source.level, source.why, source.cause = draft.level, draft.why, draft.cause or draft.path
             copied = (node for (node, *more) in draft.elements or () if not more and node.op == "argument")
             for index in dict.fromkeys(self.owners[int(node.value)] for node in copied):
-                if draft.type != "bool":
-                    _narrow(self.made[index], draft)
+                if draft.kind.type != "bool":
+                    self.made[index].kind = self.made[index].kind.narrowed(draft.kind)
 
     def finished(self) -> tuple[Setting, ...]:
         settings: list[Setting] = []
@@ -386,45 +404,28 @@ class _Binder:
             if draft.bound:
                 level = min((_VARIABILITY.index(settings[k].variability) for k in draft.reads), default=CONSTANT)
                 why = why or _UNMOVED[level]
-            settings.append(
-                Setting(
-                    draft.path,
-                    "calculatedParameter" if draft.bound else "parameter",
-                    _VARIABILITY[level],
-                    draft.type,
-                    draft.shape,
-                    draft.unit,
-                    draft.display,
-                    draft.doc,
-                    draft.low,
-                    draft.high,
-                    draft.low_open,
-                    draft.high_open,
-                    draft.whole,
-                    draft.members,
-                    draft.values,
-                    tuple(() if draft.place < 0 else (draft.place + k,) for k in range(len(draft.values))),
-                    draft.elements,
-                    draft.first,
-                    "" if level == TUNABLE else why,
-                )
-            )
+            settings.append(draft.finished(level, why))
         return tuple(settings)
 
 
-def _restrict(draft: _DraftSetting, level: int, why: str) -> None:
-    if level > draft.level:
-        draft.level, draft.why = level, why
+def _of_diagram(path: str, value: Value, entry: Any) -> _DraftSetting | None:
+    """Begin the setting of a diagram's parameter.
 
-
-def _narrow(source: _DraftSetting, copy: _DraftSetting) -> None:
-    """Give a setting the range of another one that copies it."""
-    if copy.low is not None and (source.low is None or (copy.low, copy.low_open) > (source.low, source.low_open)):
-        source.low, source.low_open = copy.low, copy.low_open
-    if copy.high is not None and (source.high is None or copy.high < source.high):
-        source.high, source.high_open = copy.high, copy.high_open
-    source.whole = source.whole or copy.whole
-    source.members = source.members or copy.members
+    None where it has no value, is a sparse matrix, or has rows of unequal length.
+    """
+    declared, doc = (entry.get("unit", ""), entry.get("doc", "")) if isinstance(entry, Mapping) else ("", "")
+    unit = si_text(declared)
+    kind = _Kind("real", (), unit, "" if unit == declared else declared, _text(doc))
+    if isinstance(value.value, str):
+        return _DraftSetting(path, kind._replace(type="text", values=(value.value,)), CONSTANT, "it is a text")
+    if value.value is None or isinstance(value.value, SparseMatrix):
+        return None
+    try:
+        array = np.array(value.value)
+    except ValueError:
+        return None
+    type_ = "bool" if array.dtype == bool else "real"
+    return _DraftSetting(path, kind._replace(type=type_, shape=array.shape, values=_floats(array)))
 
 
 def _constant(value: float) -> Program:
@@ -436,123 +437,54 @@ def _copy(place: int) -> Program:
 
 
 def _placed(program: Program, places: Sequence[int]) -> Program:
-    """A program that reads numbers at places, by their order, as one that reads the numbers of all settings."""
+    """Return a program that reads numbers at places, by their order, as one that reads the numbers of all settings."""
     return tuple(_copy(places[int(node.value)])[0] if node.op == "argument" else node for node in program)
 
 
-def _copied(known: _DraftSetting, path: str, place: int) -> _DraftSetting:
-    """What equal blocks share, for one of them. Arguments by position: by name, or with `replace`, it takes three times
-    as long."""
-    return _DraftSetting(
-        path,
-        known.type,
-        known.shape,
-        known.values,
-        known.unit,
-        known.display,
-        known.doc,
-        known.low,
-        known.high,
-        known.low_open,
-        known.high_open,
-        known.whole,
-        known.members,
-        known.level,
-        known.why,
-        known.cause,
-        -1 if known.place < 0 else place + known.place,
-    )
-
-
 def _sizes(block: FlatBlock) -> int:
-    """How many places in p a block has."""
+    """Return how many places in p a block has."""
     return sum(map(len, parameter_places(block.interface).values()))
 
 
 def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _DraftSetting]]:
-    """The parameters of a block that have a value; `place` counts from the block's first one."""
+    """Return the parameters of a block that have a value; `place` counts from the block's first one."""
     interface, values = resolved.interface, resolved.values
     places = parameter_places(interface)
-    uses = _uses(interface.declaration)
+    strictest = _strictest(interface.declaration)
     for name, parameter in interface.declaration.parameters.items():
         value = values[name].value
         if value is None:
             continue
         declared = set(interface.declared_units(parameter)) if not isinstance(value, str) else set()
         unit = declared.pop() if len(declared) == 1 else ""
-        level, why = uses.get(name, (TUNABLE, ""))
-        draft = _DraftSetting(
-            "", parameter.type, (), (), si_text(unit), "" if unit == si_text(unit) else unit, parameter.doc
-        )
-        draft.level, draft.why, draft.members = level, why, parameter.members
+        _, _, level, why = strictest.get(name) or Use(name, "value")
+        kind = _Kind(parameter.type, (), si_text(unit), "" if unit == si_text(unit) else unit, parameter.doc)
+        kind = kind._replace(members=parameter.members)
         if isinstance(value, str):
-            draft.type, draft.values = "text", (value,)
+            kind = kind._replace(type="text", values=(value,))
         else:
             array = np.asarray(value)
-            draft.type = "enum" if parameter.members else parameter.type
-            draft.shape, draft.values, draft.whole = array.shape, _floats(array), draft.type == "int"
-            if draft.type in ("real", "int"):
-                low, draft.high = limits(parameter, values)
-                draft.low_open = parameter.positive and (low is None or low <= 0)
-                draft.low = 0.0 if draft.low_open else low
-        if name in places:
-            draft.place = places[name].start
-        yield parameter, draft
+            type_ = "enum" if parameter.members else parameter.type
+            kind = kind._replace(type=type_, shape=array.shape, values=_floats(array), whole=type_ == "int")
+        if kind.type in ("real", "int"):
+            low, high = limits(parameter, values)
+            is_open = parameter.positive and (low is None or low <= 0)
+            kind = kind._replace(low=0.0 if is_open else low, high=high, low_open=is_open)
+        yield parameter, _DraftSetting("", kind, level, why, places[name].start if name in places else -1)
 
 
 @lru_cache(maxsize=256)
-def _uses(declaration: Declaration) -> dict[str, tuple[int, str]]:
-    """The parameters of a type that are not tunable, and why."""
-    uses: dict[str, tuple[int, str]] = {}
-
-    def note(level: int, names: Iterable[str], why: str) -> None:
-        for name in names:
-            if name in declaration.parameters and uses.get(name, (TUNABLE, ""))[0] < level:
-                uses[name] = (level, why)
-
-    def times(clock: Clock) -> Iterator[str]:
-        yield from _read(clock.every)
-        yield from _read(clock.offset)
-
-    for name, parameter in declaration.parameters.items():
-        if parameter.type == "string" or parameter.structural:
-            note(CONSTANT, [name], "it fixes the type of the block")
-        elif parameter.stream:
-            note(CONSTANT, [name], "it follows from the name of the stream and the seed of the run")
-        elif parameter.table:
-            note(CONSTANT, [name], "it is a table")
-        elif parameter.zeros:
-            note(CONSTANT, [name], "which elements are 0 fixes the type of the block")
-    for equation in declaration.equations:
-        for role in equation.roles:
-            if role.clock is not None and role.ticks:
-                note(CONSTANT, times(role.clock), "ticks depend on it")
-    if declaration.stepper is not None:
-        note(CONSTANT, [*times(declaration.stepper.clock), *declaration.stepper.reads], "a stepper is made from it")
-    for history in declaration.histories.values():
-        note(CONSTANT, _read(history.delay), "a delay depends on it")
-        note(CONSTANT, _read(history.before), f"{history.name} holds it before the start")
-    for output in declaration.outputs.values():
-        if output.clock is not None:
-            note(CONSTANT, _read(output.start), f"{output.name} holds it before the first tick")
-    for stepped in declaration.stepped.values():
-        note(CONSTANT, _read(stepped.start), f"{stepped.name} holds it before the first tick")
-    note(CONSTANT, (f"{name}_start" for name in declaration.algebraics), "a search begins there")
-    memories = (*declaration.states, *declaration.discretes)
-    note(FIXED, (f"{name}_start" for name in memories), "it is a start value")
-    note(FIXED, (name for name, p in declaration.parameters.items() if p.fixed), "event times depend on it")
-    return uses
-
-
-def _read(source: Any) -> tuple[str, ...]:
-    """The parameters that a clock, a delay or a start value is taken from."""
-    if isinstance(source, Parameter):
-        return (source.name,)
-    return arguments(source, "clock") if callable(source) else ()
+def _strictest(declaration: Declaration) -> dict[str, Use]:
+    """Find the parameters of a type that are not tunable, and why."""
+    found: dict[str, Use] = {}
+    for use in uses(declaration):
+        if use.level > (found[use.name].level if use.name in found else TUNABLE):
+            found[use.name] = use
+    return found
 
 
 def _excluded(parameters: Mapping[str, Parameter], name: str) -> set[str]:
-    """The parameters that must not be given together with one."""
+    """Return the parameters that must not be given together with one."""
     return {key for key, p in parameters.items() if p.excludes == name} | {parameters[name].excludes} - {""}
 
 

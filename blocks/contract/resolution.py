@@ -28,6 +28,7 @@ from .interface import LARGEST, Array, Interface, Value, not_computed
 from .outside import outside
 from .reads import arguments
 from .sparse import SparseMatrix
+from .uses import sizing, uses
 from .variables import NO_LIMIT, REQUIRED, Algebraic, Clock, Discrete, History, Parameter, State, Stepped
 
 __all__ = ["Resolved", "default_value", "limits", "loose", "memory_start", "resolve", "with_numbers"]
@@ -111,7 +112,7 @@ class _Resolving:
                     self.fault("E107", name, message, "Give only one of the two.")
             if parameter.default is REQUIRED and name not in given:
                 self.fault("E107", name, "must be given: it has no default.", f'Add "{name}" to its parameters.')
-        for name in sorted(_sizing(self.declaration) & self.values.keys()) if self.values else ():
+        for name in sorted(sizing(self.declaration) & self.values.keys()) if self.values else ():
             size = self.values[name].value
             if isinstance(size, int) and abs(size) > LARGEST:
                 self.fault("E107", name, f"must be at most {LARGEST:,}, not {size:,}: it determines sizes.")
@@ -261,15 +262,6 @@ class _Resolving:
             except Exception as error:  # a function of the class may raise anything
                 self.faults.append(not_computed("E110", f"{self.place}.{name}", "its nominal", error))
         return nominal
-
-
-def _sizing(declaration: Declaration) -> set[str]:
-    """The parameters that sizes are computed from."""
-    d = declaration
-    tables = (d.parameters, d.inputs, d.outputs, d.states, d.discretes)
-    shapes = [variable.shape for table in tables for variable in table.values()]
-    sizes = [size for shape in shapes for size in (shape if isinstance(shape, (tuple, list)) else (shape,))]
-    return {name for size in sizes if callable(size) for name in arguments(size, "the shape")}
 
 
 def _shared(interface: Interface) -> Interface:
@@ -519,17 +511,11 @@ def loose(declaration: Declaration) -> Mapping[str, tuple[float, float] | None]:
     d = declaration
     if d.foreign is not None:  # it may have 300,000, and is rarely used twice
         return {}
-    clocks = [role.clock for equation in d.equations for role in equation.roles if role.clock is not None]
-    clocks += [] if d.stepper is None else [d.stepper.clock]
-    sources = [part for clock in clocks for part in (clock.every, clock.offset)]
-    sources += [getattr(v, word, None) for v in d.readable.values() for word in ("default", "start", "before", "delay")]
-    sources += [state.nominal for state in d.states.values()] + [variable.unit for variable in d.readable.values()]
-    read = _sizing(d) | {source.name for source in sources if isinstance(source, Parameter)}
-    read |= {name for source in sources if callable(source) for name in arguments(source, "it")}
+    read = {use.name for use in uses(d) if use.what != "value"}
     required = {name for requirement in d.requirements for name in requirement.equation.reads}
     bounds: dict[str, tuple[float, float] | None] = {}
     for name, p in d.parameters.items():
-        if p.type == "real" and p.shape == () and not (p.structural or p.zeros or p.table or p.members or name in read):
+        if p.type == "real" and p.shape == () and not (p.members or name in read):
             low, high = (end if limit is None else limit for limit, end in ((p.min, -1e100), (p.max, 1e100)))
             allowed = max(low, 0.0 if p.positive else -1e100), min(high, 1e100)
             is_known = name not in required and (isinstance(p.unit, str) or (p.min is None and p.max is None))

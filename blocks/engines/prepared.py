@@ -235,9 +235,8 @@ class Prepared:
     def rebinding(self, free: Iterable[str] | None = None) -> Rebinding:
         """How other values of its parameters, or of those that are free, get into its Plan, which is of one solver."""
         assert isinstance(self.plan, Plan)
-        given = {name: raw_of(item) for name, item in self.parameters.items()}
-        runs = (self.value.run, self.alike.given)
-        return Rebinding(self.value, self.flat, self.plan, given, runs=runs, free=free)
+        free = self.parameters if free is None else free
+        return Rebinding(self.flat, self.plan, free, runs=(self.value.run, self.alike.given))
 
     def _settings_with(self, settings: Mapping[str, Any]) -> RunSettings | None:
         """The settings of a run with others given; None where they change more than a Plan's times and tolerances."""

@@ -97,15 +97,14 @@ def export(
     kinds: Sequence[str] | None = None,
     platforms: Sequence[str] | None = None,
     name: str = "",
-    overrides: Mapping[str, Any] | None = None,
     version: str = "",
     drawing: str = "",
 ) -> Exported:
     """Write a diagram as an FMU; a file that is there is replaced as a whole.
 
     kinds: of "CS" and "ME"; None: all that the diagram allows. platforms: None: this one; (): sources only. name: of
-    the model, if not that of the diagram. overrides: with which `flat` was made. drawing: an SVG. Raises UsageError
-    (E501), ModelError (E606), CompilerError (E60x).
+    the model, if not that of the diagram. drawing: an SVG. Raises UsageError (E501), ModelError (E606), CompilerError
+    (E60x).
     """
     if not isinstance(fmi, int) or fmi not in (2, 3):
         raise UsageError(Fault("E501", "fmi", f"must be 2 or 3, the versions of FMI, not {fmi!r}."))
@@ -113,7 +112,7 @@ def export(
         raise UsageError(Fault("E501", str(path), "the name of an FMU must end in .fmu."))
     allowed, notes = _allowed(plan, kinds)
     wanted = check_compilers(platforms)
-    fmu_files = _Made(_Order(value, flat, plan, fmi, allowed, name, overrides or {}, version, drawing))
+    fmu_files = _Made(_Order(value, flat, plan, fmi, allowed, name, version, drawing))
     units = fmu_files.units()
     binaries = {platform: shared_library(platform, units) for platform in wanted}
     content = fmu_files.content(binaries)
@@ -198,7 +197,6 @@ class _Order:
     fmi: int
     kinds: tuple[str, ...]
     name: str
-    overrides: Mapping[str, Any]
     version: str
     drawing: str
 
@@ -209,7 +207,7 @@ class _Made:
     def __init__(self, order: _Order) -> None:
         self.order, plan, fmi = order, order.plan, order.fmi
         prefix = prefix_of(order.value, order.flat)
-        settings = bindings(order.value, order.flat, plan, order.overrides)
+        settings = bindings(order.flat, plan)
         docs = docs_of(order.value, order.flat, prefix)
         variables = Variables(order.flat, plan, settings, _starts(plan), docs, prefix)
         self.notes = tuple(variables.notes)

@@ -47,12 +47,18 @@ class Fleet:
         return self.count * (1 if self.outer is None else self.outer.total)
 
     def numbered(self, path: str, lane: int) -> str:
-        """The path of something in this fleet, with the numbers of its copies: "robots[3].motor"."""
+        """Return the path of something in this fleet, with the numbers of its copies: "robots[3].motor"."""
         whole = f"{self.path}[{lane % self.count}]{path[len(self.path) :]}"
         return whole if self.outer is None else self.outer.numbered(whole, lane // self.count)
 
+    def copies(self, lane: int) -> list[Copy | None]:
+        """Return the copies that something in a lane of this fleet is in, by the parts of a path."""
+        outer = [] if self.outer is None else self.outer.copies(lane // self.count)
+        between = self.path.count(".") - len(outer)
+        return [*outer, *[None] * between, Copy(self, lane % self.count)]
+
     def around(self, other: Fleet | None, lane: int) -> int:
-        """The lane of a fleet around this one that holds a lane of this one; of none: 0."""
+        """Return the lane of a fleet around this one that holds a lane of this one; of none: 0."""
         fleet: Fleet | None = self
         while fleet is not other:
             assert fleet is not None
@@ -70,12 +76,12 @@ class Copy(NamedTuple):
 
 
 def labelled(name: str, copy: Copy | None) -> str:
-    """The name of a block, as paths show it."""
+    """Return the name of a block, as paths show it."""
     return name if copy is None or copy.is_first else f"{name}[{copy.number}]"
 
 
 def stream_of(name: str, copy: Copy | None) -> str:
-    """The name of a stream of a block: each copy has its own."""
+    """Return the name of a stream of a block: each copy has its own."""
     return name if copy is None else f"{name}[{copy.number}]"
 
 
@@ -179,7 +185,7 @@ class Layout:
         self.size += self._rest.size
 
     def place(self, block: int, lane: int) -> int:
-        """The number of a block in a lane of its fleet, among those that are written out."""
+        """Return the number of a block in a lane of its fleet, among those that are written out."""
         if block < self._ordered:
             return self._text.place(block, lane)
         if block < self._edge:
@@ -187,11 +193,11 @@ class Layout:
         return self._before + self._rest.place(block - self._edge, lane)
 
     def lane(self, block: int, fleet: Fleet | None, lane: int) -> int:
-        """The lane of a block that is read from a lane of a fleet in the same copy."""
+        """Return the lane of a block that is read from a lane of a fleet in the same copy."""
         return 0 if fleet is None else fleet.around(self.fleets[block], lane)
 
     def each(self) -> Iterator[tuple[int, int]]:
-        """The blocks with their lanes, in the order in which they are written out."""
+        """Return the blocks with their lanes, in the order in which they are written out."""
         pairs: list[tuple[int, int]] = [(0, 0)] * self.size
         for block, fleet in enumerate(self.fleets):
             for lane in range(1 if fleet is None else fleet.total):
@@ -200,7 +206,7 @@ class Layout:
 
 
 def _chain(fleet: Fleet) -> list[Fleet]:
-    """A fleet with those around it, from the outside."""
+    """Return a fleet with those around it, from the outside."""
     return [fleet] if fleet.outer is None else [*_chain(fleet.outer), fleet]
 
 
@@ -208,7 +214,7 @@ def _chain(fleet: Fleet) -> list[Fleet]:
 
 
 def own_value(raw: Any, depth: int, copies: Sequence[Copy]) -> Any:
-    """What a raw value says for one copy: its element, where it has more dimensions than the parameter.
+    """Return what a raw value says for one copy: an element, if it has more dimensions than the parameter, or itself.
 
     depth: the dimensions of the parameter. copies: of each fleet that the value is for, from the outside; lists for
     inner ones are the same in all copies of outer ones, unless there is a list of them. Raises ModelError (E110) where
@@ -224,7 +230,8 @@ def own_value(raw: Any, depth: int, copies: Sequence[Copy]) -> Any:
         unit = getattr(raw, "unit", "") or raw.get("unit")
         return said | ({"unit": unit} if unit else {})
     if isinstance(raw, Mapping) and "value" in raw:
-        return {**raw, "value": own_value(raw["value"], depth, copies)}
+        value = own_value(raw["value"], depth, copies)
+        return raw if value is raw["value"] else {**raw, "value": value}
     (fleet, number, _), inner = copies[0], copies[1:]
     if not _is_deeper(raw, depth + len(inner)):
         return own_value(raw, depth, inner)
@@ -236,19 +243,19 @@ def own_value(raw: Any, depth: int, copies: Sequence[Copy]) -> Any:
 
 
 def spellings(path: str) -> Iterator[str]:
-    """The names under which a parameter in copies is set: by the numbers of all, then without some of them."""
+    """Return the names under which a parameter in copies is set: by the numbers of all, then without some of them."""
     parts = [dict.fromkeys((part, part.partition("[")[0])) for part in path.split(".")]
     return map(".".join, product(*parts))
 
 
 def unnumbered(path: str, copies: Sequence[Copy | None]) -> list[Copy]:
-    """The copies around a parameter of which its name has no number. copies: by the parts of the name."""
+    """Return the copies around a parameter of which its name has no number. copies: by the parts of the name."""
     parts = zip(path.split("."), copies, strict=False)
     return [copy for part, copy in parts if copy is not None and not part.endswith("]")]
 
 
 def named(pattern: str, known: Collection[str], fleets: Collection[str]) -> list[str]:
-    """The parameters that a name or a pattern names: "*[3].motor.R*" -> ["cells[3].motor.Ra"].
+    """Return the parameters that a name or a pattern names: "*[3].motor.R*" -> ["cells[3].motor.Ra"].
 
     * stands for a part of one name, and [*] for all copies, as does no number. known: without numbers. fleets: the
     paths of blocks with copies.
@@ -268,19 +275,19 @@ def named(pattern: str, known: Collection[str], fleets: Collection[str]) -> list
 
 
 def depth_of(raw: Any) -> int:
-    """How many lists lie in each other in a raw value."""
+    """Return how many lists lie in each other in a raw value."""
     raw = raw.get("value") if isinstance(raw, Mapping) else raw
     return 1 + max(map(depth_of, raw), default=0) if isinstance(raw, (list, tuple)) else 0
 
 
 def _is_deeper(raw: Any, depth: int) -> bool:
-    """Whether more lists than `depth` lie in each other: what `depth_of` counts, looking no further than it must."""
+    """Return whether more lists than `depth` lie in each other, looking no further than it must."""
     raw = raw.get("value") if isinstance(raw, Mapping) else raw
     return isinstance(raw, (list, tuple)) and (depth == 0 or any(_is_deeper(item, depth - 1) for item in raw))
 
 
 def dimensions(shape: Any) -> int:
-    """The dimensions of a parameter of a block type by its declared shape; of one that a function gives: 1."""
+    """Return the dimensions of a parameter of a block type by its declared shape; of one that a function gives: 1."""
     return len(shape) if isinstance(shape, tuple) else 1
 
 
@@ -289,7 +296,7 @@ _NUMBER = re.compile(r"\[(\*|0|[1-9][0-9]{0,6})\]")
 
 
 def alike(paths: Iterable[str]) -> list[str]:
-    """Names in their order, those that differ in numbers of copies alone as one: "robots[*].motor (100 copies)"."""
+    """Return names in order, those that differ in numbers of copies alone as one: "robots[*].motor (100 copies)"."""
     found: dict[str, list[str]] = {}
     for path in paths:
         found.setdefault(re.sub(r"\[[0-9]+\]", "[*]", path), []).append(path)
@@ -297,5 +304,5 @@ def alike(paths: Iterable[str]) -> list[str]:
 
 
 def without_numbers(text: str) -> tuple[str, tuple[int, ...]]:
-    """A name without the numbers of copies, and these: "robots[3].motor.i" -> ("robots[].motor.i", (3,))."""
+    """Return a name without the numbers of copies, and these: "robots[3].motor.i" -> ("robots[].motor.i", (3,))."""
     return _NUMBERS.sub("[]", text), tuple(map(int, _NUMBERS.findall(text)))

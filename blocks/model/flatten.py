@@ -83,6 +83,7 @@ class Flat:
     stepped_by: tuple[str, ...] = ()  # the parameters from which the step of a fixed-step method is computed
     parts: Mapping[int, range] = field(default_factory=dict)
     fleets: tuple[Fleet, ...] = field(default=(), compare=False, repr=False)
+    root: DiagramScope | None = field(default=None, compare=False, repr=False)  # with where all values come from
 
     @property
     def one_of_each(self) -> Sequence[FlatBlock]:
@@ -269,6 +270,7 @@ class _Flattener:
             self.stepped_by,
             parts,
             tuple(self.hierarchy.fleets),
+            self.root,
         )
 
     def taken_apart(

@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy as shallow_copy
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from ..contract.declaration import Declaration
 from ..contract.interface import LARGEST, Interface, Value, check_differences
@@ -26,9 +26,10 @@ from . import streams
 from .copies import Copy, Fleet, depth_of, dimensions, labelled, own_value, stream_of, unnumbered, without_numbers
 from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList
 from .diagram_grammar import LARGEST_SIZE
+from .origins import Origin, Origins
 from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 
-__all__ = ["DiagramScope", "Hierarchy", "Leaf", "Resolver", "Spot", "bound_faults", "spelling", "streams_in"]
+__all__ = ["DiagramScope", "Hierarchy", "InLane", "Leaf", "Resolver", "Spot", "bound_faults", "spelling"]
 
 MAX_BLOCKS = 1_000_000
 _COPIES_ARE = "an integer from 1 to 100,000"
@@ -38,26 +39,30 @@ class Resolver(Protocol):
     """Where block classes come from."""
 
     def __call__(self, name: str, /) -> Any:
-        """The class of a type; raises KeyError with the known names as its arguments."""
+        """Return the class of a type; raises KeyError with the known names as its arguments."""
 
     def fmu(self, entry: BlockEntry, folder: str) -> Any:
-        """The class of an FMU; its path begins at a folder. Raises BlocksError."""
+        """Return the class of an FMU; its path begins at a folder. Raises BlocksError."""
 
 
 Spot = tuple[str | int, ...] | None
 """The place of something in the document of its diagram; None where it has none."""
+_Raws = dict[str, tuple[Any, str, Spot]]
+"""Raw values by parameter: the value, the path that it was set at ("": the file says it), and its place."""
 
 
 @dataclass(eq=False, slots=True)
 class Leaf:
-    """A block of a type, with its numbers."""
+    """A block of a type, with its numbers and with where they come from."""
 
     name: str
     scope: DiagramScope
     resolved: Resolved
+    origins: Origins
     index: int
     copied: Fleet | None = None  # where the block itself has copies
     each: dict[int, Resolved] = field(default_factory=dict)  # of the lanes in which its numbers are others
+    origins_of: dict[int, Origins] = field(default_factory=dict)  # of the lanes in which these are others
 
     @property
     def fleet(self) -> Fleet | None:
@@ -88,6 +93,13 @@ class _Drawing:
     holders: set[int] = field(default_factory=set)
 
 
+class InLane(NamedTuple):
+    """The parameters of a diagram in a copy."""
+
+    parameters: Mapping[str, Value | None]
+    origins: Origins
+
+
 @dataclass(eq=False)
 class DiagramScope:
     """A diagram in its place: its parameters (None: faulty, already reported) and its blocks (the same)."""
@@ -102,7 +114,9 @@ class DiagramScope:
     clock: tuple[Value, Value] | None = None  # period and offset, where it is triggered by ticks
     copy: Copy | None = None  # where the diagram itself has copies
     parameters: dict[str, Value | None] = field(default_factory=dict)
+    origins: dict[str, Origin] = field(default_factory=dict)  # each after those that it reads
     children: dict[str, Leaf | DiagramScope | None] = field(default_factory=dict)
+    each: dict[int, InLane] = field(default_factory=dict)  # of the lanes in which its parameters are others
 
     def __post_init__(self) -> None:
         self.path: str = "" if self.parent is None else self.parent.prefix + labelled(self.name, self.copy)
@@ -118,13 +132,17 @@ class DiagramScope:
             self.prefixes = tuple(f"{path}." for path in self.parent.paths(self.name, self.copy))
             self.fleet = self.fleet or self.parent.fleet
 
+    def in_lane(self, lane: int) -> InLane:
+        """Return its parameters in a copy."""
+        return self.each.get(lane) or InLane(self.parameters, self.origins)
+
     @property
     def copied(self) -> Fleet | None:
         """Its copies, where the diagram itself has some."""
         return None if self.copy is None else self.copy.fleet
 
     def paths(self, name: str, copy: Copy | None = None) -> tuple[str, ...]:
-        """The paths under which something in it is set, that of a single copy first."""
+        """Return the paths under which something in it is set, that of a single copy first."""
         names = dict.fromkeys((labelled(name, copy), name))
         return tuple(prefix + text for prefix in self.prefixes for text in names)
 
@@ -133,19 +151,19 @@ class Hierarchy:
     """All scopes and all leaves of a diagram, in the order of the text; `faults` are collected, not raised."""
 
     def __init__(self, diagram: DiagramValue, resolver: Resolver, overrides: Mapping[str, Any], seed: int = 0) -> None:
-        """seed: of the run."""
+        """Open the diagram. seed: of the run."""
         self.resolver, self.overrides, self.seed = resolver, overrides, seed
         self.faults = FaultList()
         self.scopes: list[DiagramScope] = []
         self.leaves: list[Leaf] = []
         self.settable: dict[str, None] = {}  # paths of all parameters, where overrides are given
         self.resolved: dict[Any, Resolved] = {}
-        self.spelled: dict[Any, Resolved] = {}  # by type and parameters as they are written
+        self.spelled: dict[Any, tuple[Resolved, Origins]] = {}  # by type and parameters as they are written
         self.units: dict[Any, Unit] = {}  # of parameters whose unit follows from structural ones
         self.drawing: dict[str, _Drawing] = {}  # by the names of streams
         self.fleets: list[Fleet] = []  # in the order of the text
         _check_size(diagram)
-        self.root = self.open(DiagramScope("", None, diagram, 0, 0), {})
+        self.root = self.open(DiagramScope("", None, diagram, 0, 0))
 
     def check_overrides(self) -> None:
         """Refuse what is set and is not there, once all copies were looked into."""
@@ -175,7 +193,7 @@ class Hierarchy:
             self.faults.add(fault, (id(scope.value), code, place, message, spot))
 
     def evaluated(self, scope: DiagramScope, raw: Any, declared: Unit, place: str, spot: Spot) -> Value | None:
-        """A raw value in SI; None after a fault was reported."""
+        """Return a raw value in SI; None after a fault was reported."""
         try:
             return value_of(raw, declared, scope.parameters)
         except Absent:
@@ -187,18 +205,18 @@ class Hierarchy:
 
     # --- diagrams ----------------------------------------------------------------------------------------------
 
-    def open(self, scope: DiagramScope, given: Mapping[str, Value | None]) -> DiagramScope:
-        """Compute a diagram's parameters and make its blocks. given: what the block entry around it gives."""
+    def open(self, scope: DiagramScope) -> DiagramScope:
+        """Compute a diagram's parameters and make its blocks. It has what the block entry around it gives."""
         self.scopes.append(scope)
         if scope.depth > DEEPEST:
             raise ModelError(scope.value.fault("E008", scope.path, f"subdiagrams lie more than {DEEPEST} deep."))
-        self.parameters(scope, given)
+        self.parameters(scope)
         for name, entry in scope.value.blocks.items():
             scope.children[name] = self.child(scope, name, entry)
         return scope
 
     def count(self, scope: DiagramScope, name: str, entry: BlockEntry) -> int | None:
-        """How many copies of a block there are; None after a fault was reported."""
+        """Return how many copies of a block there are; None after a fault was reported."""
         spot = ("blocks", name, "copies")
         for word in ("index", "copies"):
             if word in scope.value.parameters:
@@ -236,66 +254,75 @@ class Hierarchy:
                 ]
                 if times[0] is not None and times[1] is not None:
                     inner.clock = (times[0], times[1])
-            return self.open(inner, self.given(inner, entry))
+            self.give(inner, entry.parameters)
+            return self.open(inner)
         if entry.type or entry.fmu:
             return self.leaf(scope, name, entry, copy)
         self.tell(scope, "E007", name, "its subdiagram is not loaded.", "Load the diagram from its file.", spot)
         return None
 
-    def given(self, inner: DiagramScope, entry: BlockEntry) -> dict[str, Value | None]:
-        """The values that a block entry gives to the parameters of its subdiagram."""
+    def give(self, inner: DiagramScope, given: Mapping[str, Any]) -> None:
+        """Take the values that a block entry gives to parameters of its subdiagram."""
         outer, known = inner.parent, inner.value.parameters
         assert outer is not None
         within = numbered(outer, inner.copy)
-        values: dict[str, Value | None] = {}
-        for key, raw in entry.parameters.items():
+        for key, raw in given.items():
             place, spot = f"{inner.name}.{legible(key)}", ("blocks", inner.name, "parameters", key)
             if key in known:
-                unit = _unit_of(known[key])
-                values[key] = None
+                unit, depth, value = _unit_of(known[key]), depth_of(known[key]), None
+                own = raw
                 with contextlib.suppress(Absent):
-                    raw = self.own(outer, raw, depth_of(known[key]), [inner.copy] if inner.copy else [], place, spot)
-                    values[key] = self.evaluated(within, raw, unit, place, spot) if _fault_of(unit) is None else None
+                    own = self.own(outer, raw, depth, [inner.copy] if inner.copy else [], place, spot)
+                    value = self.evaluated(within, own, unit, place, spot) if _fault_of(unit) is None else None
+                inner.parameters[key] = value
+                inner.origins[key] = Origin(raw, own, own is not raw, unit, depth, is_outer=True)
             else:
                 cure = self.faults.guess(key, known) or f"Parameters: {_listed(known)}."
                 self.tell(outer, "E106", place, "there is no such parameter.", cure, (*spot, AT_KEY))
-        return values
 
-    def parameters(self, scope: DiagramScope, given: Mapping[str, Value | None]) -> None:
-        """Values from outside, overrides, and plain values; then expressions in order of dependency."""
-        raws: dict[str, tuple[Any, str, Spot]] = {}
-        needs: dict[str, list[str]] = {}
+    def parameters(self, scope: DiagramScope) -> None:
+        """Compute a diagram's parameters: those given from outside, overrides, plain values, then expressions."""
+        given, scope.parameters = scope.parameters, {}
+        origins: dict[str, Origin] = {}
         for name, entry in scope.value.parameters.items():
             scope.parameters[name] = given.get(name)
-            unit, spot = _unit_of(entry), ("parameters", name)
-            raw, set_at = self.overridden(scope.paths(name), _outer_raw(scope, name) if name in given else entry)
-            is_override = bool(set_at)
-            if is_override:
-                try:
-                    raw = self.own(scope, raw, depth_of(entry), unnumbered(set_at, scope.copies), name, None)
-                except Absent:
-                    scope.parameters[name] = None
-                    continue
-            wrong = _fault_of(unit)
-            if wrong is not None:
-                self.tell(scope, wrong.code, name, wrong.message, wrong.cure, (*spot, "unit"))
-            if wrong is not None or (name in given and not is_override):
-                continue
-            raws[name] = (raw, unit, None if is_override else spot)
-            needs[name] = names_in(raw)
+            with contextlib.suppress(Absent):
+                origins[name] = self.origin(scope, name, entry)
+        needs = {name: [] if origin.is_outer else names_in(origin.raw) for name, origin in origins.items()}
+        spots: dict[str, Spot] = {name: None if o.set_at else ("parameters", name) for name, o in origins.items()}
         try:
             order = order_of(needs)
         except ModelError as error:
             fault = error.faults[0]
-            self.tell(scope, fault.code, fault.place, fault.message, fault.cure, raws[fault.place][2])
+            self.tell(scope, fault.code, fault.place, fault.message, fault.cure, spots[fault.place])
             # Those that are in no cycle may have faults of their own.
             order = [name for name, names in needs.items() if not names]
-        for name in order:
-            raw, unit, spot_ = raws[name]
-            scope.parameters[name] = self.evaluated(scope, _with_unit(raw, unit), unit, name, spot_)
+        scope.origins = {name: origins[name] for name in order}
+        for name, origin in scope.origins.items():
+            if not origin.is_outer:
+                raw = _with_unit(origin.raw, origin.unit)
+                scope.parameters[name] = self.evaluated(scope, raw, origin.unit, name, spots[name])
+
+    def origin(self, scope: DiagramScope, name: str, entry: Any) -> Origin:
+        """Find where the value of a diagram's parameter comes from. Raises Absent after a fault was reported."""
+        unit, depth, outer = _unit_of(entry), depth_of(entry), scope.origins.get(name)
+        written = entry if outer is None else outer.written
+        said, set_at = self.overridden(scope.paths(name), written)
+        raw = said
+        if set_at:
+            try:
+                raw = self.own(scope, said, depth, unnumbered(set_at, scope.copies), name, None)
+            except Absent:
+                scope.parameters[name] = None
+                raise
+        wrong = _fault_of(unit)
+        if wrong is not None:
+            self.tell(scope, wrong.code, name, wrong.message, wrong.cure, ("parameters", name, "unit"))
+            raise Absent
+        return outer if outer is not None and not set_at else Origin(written, raw, raw is not said, unit, depth, set_at)
 
     def own(self, scope: DiagramScope, raw: Any, depth: int, copies: Sequence[Copy], place: str, spot: Spot) -> Any:
-        """The raw value in one copy of each fleet. Raises Absent after a fault was reported."""
+        """Return the raw value in one copy of each fleet. Raises Absent after a fault was reported."""
         try:
             return own_value(raw, depth, copies)
         except ModelError as error:
@@ -304,7 +331,7 @@ class Hierarchy:
             raise Absent from None
 
     def overridden(self, paths: tuple[str, ...], raw: Any) -> tuple[Any, str]:
-        """The raw value that counts, and the path by which it is set ("": it is none that is).
+        """Return the raw value that counts, and the path by which it is set ("": it is none that is).
 
         paths: under which it may be set. A bound parameter cannot be set itself (E117).
         """
@@ -321,19 +348,19 @@ class Hierarchy:
     # --- blocks ------------------------------------------------------------------------------------------------
 
     def leaf(self, scope: DiagramScope, name: str, entry: BlockEntry, copy: Copy | None = None) -> Leaf | None:
-        """A block of a type; None after its faults were reported. Blocks that are written alike share their numbers."""
+        """Make a block of a type; None after its faults were reported. Those that are written alike share numbers."""
         key = None if self.overrides or copy else spelling(entry, scope)
-        resolved = self.spelled.get(key) if key is not None else None
-        if resolved is None:
-            resolved = self.numbers(scope, name, entry, copy)
-            if resolved is None:
+        made = self.spelled.get(key) if key is not None else None
+        if made is None:
+            made = self.numbers(scope, name, entry, copy)
+            if made is None:
                 return None
             # Each block reports its own faults, and has its own stream.
-            if key is not None and not self.faults and not resolved.interface.declaration.streams:
-                self.spelled[key] = resolved
-        leaf = Leaf(name, scope, resolved, len(self.leaves), copy and copy.fleet)
+            if key is not None and not self.faults and not made[0].interface.declaration.streams:
+                self.spelled[key] = made
+        leaf = Leaf(name, scope, *made, len(self.leaves), copy and copy.fleet)
         self.leaves.append(leaf)
-        if resolved.interface.declaration.streams:
+        if leaf.interface.declaration.streams:
             self.check_stream(leaf, streams.joined(scope.streams, stream_of(entry.stream or name, copy)))
         return leaf
 
@@ -360,32 +387,76 @@ class Hierarchy:
         known.around |= around
         known.holders |= holder
 
-    def numbers(self, scope: DiagramScope, name: str, entry: BlockEntry, copy: Copy | None = None) -> Resolved | None:
-        """The type of a block and its values; None after its faults were reported. copy: which one of its copies."""
-        spot, shown = ("blocks", name), labelled(name, copy)
-        cls = entry.cls
-        if cls is None and entry.fmu:
+    def numbers(
+        self, scope: DiagramScope, name: str, entry: BlockEntry, copy: Copy | None = None
+    ) -> tuple[Resolved, Origins] | None:
+        """Settle a block's type and its values, with where they come from; None after its faults were reported.
+
+        copy: which one of its copies.
+        """
+        cls = self.block_class(scope, name, entry)
+        if cls is None:
+            return None
+        declaration: Declaration = cls.declaration
+        raws = self.written(scope, name, entry, declaration)
+        self.override(scope, name, declaration, raws, copy)
+        within, shown = numbered(scope, copy), labelled(name, copy)
+        given: dict[str, Value] = {}
+        origins: dict[str, Origin] = {}
+        # Structural ones first: units may follow from them.
+        for key in sorted(raws, key=lambda key: not declaration.parameters[key].structural):
+            said, set_at, spot = raws[key]
+            parameter, place = declaration.parameters[key], f"{shown}.{key}"
+            depth, raw = dimensions(parameter.shape), said
+            if set_at or copy:
+                copies = unnumbered(set_at, (*scope.copies, copy)) if set_at else [copy] if copy else []
+                try:
+                    raw = self.own(scope, said, depth, copies, place, spot)
+                except Absent:
+                    continue
+            declared = self.declared_unit(scope, name, cls, parameter, raws, given)
+            value = None if declared is None else self.evaluated(within, raw, declared, place, spot)
+            if declared is not None and value is not None:
+                given[key], written = value, entry.parameters.get(key)
+                origins[key] = Origin(written, raw, raw is not said, declared, depth, set_at, True)
+        is_complete = len(given) == len(raws)
+        for key in declaration.streams:
+            stream = streams.joined(scope.streams, stream_of(entry.stream or name, copy))
+            given[key] = Value(streams.number_of(self.seed, stream))
+            origins[key] = Origin(None, None, stream=stream)
+        if is_complete and declaration.foreign is not None:  # structural parameters of an FMU are sizes of its arrays
+            cls = declaration.foreign.resized(given) or cls
+        resolved = self.resolve(scope, name, cls, given, raws) if is_complete else None
+        return None if resolved is None else (resolved, origins)
+
+    def block_class(self, scope: DiagramScope, name: str, entry: BlockEntry) -> Any:
+        """Find the class of a block; None after a fault was reported."""
+        spot = ("blocks", name)
+        if entry.cls is not None:
+            return entry.cls
+        if entry.fmu:
             try:
-                cls = self.resolver.fmu(entry, scope.value.folder)
+                return self.resolver.fmu(entry, scope.value.folder)
             except BlocksError as error:
                 for fault in error.faults:
                     self.tell(scope, fault.code, name, f"{entry.fmu}: {fault.message}", fault.cure, (*spot, "fmu"))
                 return None
-        if cls is None:
-            try:
-                cls = self.resolver(entry.type)
-            except KeyError as error:
-                known_types = [word for word in error.args if word != entry.type]
-                own = "`blocks list` shows the types; --library adds your own."
-                cure = f"{self.faults.guess(entry.type, known_types)} {own}".strip()
-                self.tell(scope, "E103", name, f"there is no block type {quoted(entry.type)}.", cure, (*spot, "type"))
-                return None
-        declaration: Declaration = cls.declaration
-        raws: dict[str, tuple[Any, Spot]] = {}
-        ok = True
+        try:
+            return self.resolver(entry.type)
+        except KeyError as error:
+            known_types = [word for word in error.args if word != entry.type]
+            own = "`blocks list` shows the types; --library adds your own."
+            cure = f"{self.faults.guess(entry.type, known_types)} {own}".strip()
+            self.tell(scope, "E103", name, f"there is no block type {quoted(entry.type)}.", cure, (*spot, "type"))
+            return None
+
+    def written(self, scope: DiagramScope, name: str, entry: BlockEntry, declaration: Declaration) -> _Raws:
+        """Collect the raw values of a block's entry. What the block does not have is a fault."""
+        spot = ("blocks", name)
+        raws: _Raws = {}
         for key, raw in entry.parameters.items():
             if key in declaration.settable:
-                raws[key] = (raw, (*spot, "parameters", key))
+                raws[key] = (raw, "", (*spot, "parameters", key))
             else:
                 cure = self.faults.guess(key, declaration.settable)
                 cure = cure or f"Parameters of {entry.type or entry.fmu}: {_listed(declaration.settable)}."
@@ -397,39 +468,17 @@ class Hierarchy:
         if entry.stream and not declaration.streams:
             message, cure = "draws no random numbers, so it has no stream.", "Leave the stream out."
             self.tell(scope, "E003", f"{name}.stream", message, cure, (*spot, "stream", AT_KEY))
-        around: dict[str, list[Copy]] = {}  # of those that are set: the copies that are set alike, or by a list
+        return raws
+
+    def override(
+        self, scope: DiagramScope, name: str, declaration: Declaration, raws: _Raws, copy: Copy | None
+    ) -> None:
+        """Put what is set by its path in the place of what the entry says."""
         for key in declaration.settable if self.overrides else ():
             paths = tuple(f"{path}.{key}" for path in scope.paths(name, copy))
-            raw, set_at = self.overridden(paths, raws.get(key, (None, None))[0])
+            raw, set_at = self.overridden(paths, raws[key][0] if key in raws else None)
             if set_at:
-                raws[key] = (raw, None)
-                around[key] = unnumbered(set_at, (*scope.copies, copy))
-        within = numbered(scope, copy)
-        given: dict[str, Value] = {}
-        # Structural ones first: units may follow from them.
-        for key in sorted(raws, key=lambda key: not declaration.parameters[key].structural):
-            raw, where = raws[key]
-            copies = around.get(key, [copy] if copy else [])
-            if copies:
-                depth = dimensions(declaration.parameters[key].shape)
-                try:
-                    raw = self.own(scope, raw, depth, copies, f"{shown}.{key}", where)
-                except Absent:
-                    ok = False
-                    continue
-            declared = self.declared_unit(scope, name, cls, declaration.parameters[key], raws, given)
-            value = None if declared is None else self.evaluated(within, raw, declared, f"{shown}.{key}", where)
-            if value is None:
-                ok = False
-            else:
-                given[key] = value
-        spots = {key: where for key, (_, where) in raws.items()}
-        for key in declaration.streams:
-            stream = streams.joined(scope.streams, stream_of(entry.stream or name, copy))
-            given[key] = Value(streams.number_of(self.seed, stream))
-        if ok and declaration.foreign is not None:  # structural parameters of an FMU are sizes of its arrays
-            cls = declaration.foreign.resized(given) or cls
-        return self.resolve(scope, name, cls, given, spots) if ok else None
+                raws[key] = (raw, set_at, None)
 
     def declared_unit(
         self,
@@ -440,7 +489,7 @@ class Hierarchy:
         raws: Mapping[str, Any],
         given: Mapping[str, Value],
     ) -> Unit | None:
-        """The unit in which a bare number of this parameter is meant; it may follow from structural parameters.
+        """Return the unit in which a bare number of this parameter is meant; it may follow from structural parameters.
 
         None where that cannot be known because of a fault.
         """
@@ -477,9 +526,9 @@ class Hierarchy:
         return declared
 
     def resolve(
-        self, scope: DiagramScope, name: str, cls: Any, given: Mapping[str, Value], spots: Mapping[str, Spot]
+        self, scope: DiagramScope, name: str, cls: Any, given: Mapping[str, Value], raws: _Raws
     ) -> Resolved | None:
-        """Sizes, defaults, ranges and ports of a block. Blocks with equal values share them."""
+        """Settle sizes, defaults, ranges and ports of a block. Blocks with equal values share them."""
         # The hash of a ratio takes less time than that of a fraction.
         values = [(_hashable(v.value), v.exact and v.exact.as_integer_ratio(), v.unit) for v in given.values()]
         key = (cls, *zip(given, values, strict=True))
@@ -506,7 +555,8 @@ class Hierarchy:
                     continue  # what is missing is probably what is misspelt, and that was reported
                 # Ports do not know their block: their faults begin with the name of the type.
                 place = name + fault.place[len(own) :] if f"{fault.place}.".startswith(f"{own}.") else fault.place
-                where = spots.get(place.rpartition(".")[2], ("blocks", name))
+                word = place.rpartition(".")[2]
+                where = raws[word][2] if word in raws else ("blocks", name)
                 self.tell(scope, fault.code, place, fault.message, fault.cure, where)
             return None
         self.resolved[key] = self.resolved[shared] = resolved_block
@@ -514,7 +564,7 @@ class Hierarchy:
 
 
 def numbered(scope: DiagramScope, copy: Copy | None) -> DiagramScope:
-    """A diagram as the parameters of a copy of a block in it see it: with its number, and how many there are."""
+    """Return a diagram as the parameters of a copy of a block in it see it: with its number, and how many there are."""
     if copy is None:
         return scope
     own = {"index": copy.number, "copies": copy.fleet.count}
@@ -525,27 +575,10 @@ def numbered(scope: DiagramScope, copy: Copy | None) -> DiagramScope:
 
 
 def is_equal(one: Value | None, other: Value | None) -> bool:
-    """Whether two values of parameters are one, in the signs of zeros too."""
+    """Return whether two values of parameters are one, in the signs of zeros too."""
     if one is None or other is None:
         return one is other
     return _hashable(one.value) == _hashable(other.value) and (one.exact, one.unit) == (other.exact, other.unit)
-
-
-def streams_in(
-    diagram: DiagramValue, copies: Mapping[str, int], path: str = "", prefix: str = "", plain: str = ""
-) -> Iterator[tuple[str, str]]:
-    """The paths of all blocks with the name of the stream of random numbers that each has, if it draws from one.
-
-    copies: how many a block has, by its path without numbers, which `plain` is.
-    """
-    for name, entry in diagram.blocks.items():
-        count = copies.get(plain + name)
-        for end in [""] if count is None else [f"[{k}]" for k in range(count)]:
-            stream = streams.joined(prefix, (entry.stream or name) + end)
-            if entry.inner is None:
-                yield path + name + end, stream
-            else:
-                yield from streams_in(entry.inner, copies, f"{path}{name}{end}.", f"{stream}.", f"{plain}{name}.")
 
 
 def bound_faults(path: str, raw: Any) -> list[Fault]:
@@ -555,19 +588,13 @@ def bound_faults(path: str, raw: Any) -> list[Fault]:
     return [Fault("E117", path, message, "Set the parameters that it is computed from.")] if bound else []
 
 
-def _outer_raw(scope: DiagramScope, name: str) -> Any:
-    """What the block entry of a subdiagram gives for a parameter."""
-    assert scope.parent is not None
-    return scope.parent.value.blocks[scope.name].parameters[name]
-
-
 def _unit_of(entry: Any) -> str:
-    """The unit of a diagram's parameter."""
+    """Return the unit of a diagram's parameter."""
     return entry.get("unit", "") if isinstance(entry, Mapping) else ""
 
 
 def _fault_of(unit: str) -> Fault | None:
-    """What is wrong with a unit."""
+    """Return what is wrong with a unit."""
     try:
         if unit:
             units.parse(unit)
@@ -576,13 +603,13 @@ def _fault_of(unit: str) -> Fault | None:
     return None
 
 
-def _with_unit(raw: Any, unit: str) -> Any:
-    """A text or a bool for a parameter with a unit, as a quantity: a fault, as with a unit of its own."""
+def _with_unit(raw: Any, unit: Unit) -> Any:
+    """Return a text or a bool for a parameter with a unit, as a quantity: a fault, as with a unit of its own."""
     return {"value": raw, "unit": unit} if unit and isinstance(raw, (bool, str)) else raw
 
 
 def spelling(entry: BlockEntry, scope: DiagramScope, loose: Mapping[str, Any] | None = None) -> Any:
-    """A key that is equal for blocks of one type whose parameters, but for loose ones, are written alike, or None."""
+    """Return a key that is equal for blocks of one type with parameters, but for loose ones, written alike, or None."""
     if entry.stream:  # which not every block has
         return None
     written = []
@@ -595,7 +622,7 @@ def spelling(entry: BlockEntry, scope: DiagramScope, loose: Mapping[str, Any] | 
 
 
 def _written(raw: Any, scope: DiagramScope) -> Any:
-    """A raw value as it is written, with its scope where it is an expression; None for what no text holds."""
+    """Return a raw value as it is written, with its scope where it is an expression; None for what no text holds."""
     kind = type(raw)
     if kind is Number:
         return (Number, raw.text)
@@ -613,7 +640,7 @@ def _written(raw: Any, scope: DiagramScope) -> Any:
 
 
 def _hashable(value: Any) -> Any:
-    """A key of a value: 0.0 and -0.0, which are equal, are two."""
+    """Return a key of a value: 0.0 and -0.0, which are equal, are two."""
     return tuple(_hashable(item) for item in value) if isinstance(value, list) else (type(value), value or repr(value))
 
 

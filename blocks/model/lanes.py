@@ -6,20 +6,22 @@ in them is another number: by a list, by an expression with `index`, by what was
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
 
-from ..contract.interface import Value
-from .copies import Copy, depth_of, dimensions
+from .copies import Copy
 from .diagram import BlockEntry
-from .hierarchy import DiagramScope, Hierarchy, Leaf, is_equal
+from .hierarchy import DiagramScope, Hierarchy, InLane, Leaf, is_equal
+from .origins import are_alike
 from .values import names_in
 
 __all__ = ["look_into_copies"]
 
 
 def look_into_copies(hierarchy: Hierarchy) -> None:
-    """Fill in `each` of the leaves. Faults go to the hierarchy's list; copies behind a faulty one are not looked at."""
+    """Fill in `each` of the leaves and the diagrams.
+
+    Faults go to the hierarchy's list; copies behind a faulty one are not looked at.
+    """
     if hierarchy.fleets and not hierarchy.faults:
         _Lanes(hierarchy).visit(hierarchy.root, hierarchy.root, frozenset(), 0)
 
@@ -63,34 +65,20 @@ class _Lanes:
         return self.read[id(entry)]
 
     def differs(self, child: Leaf | DiagramScope) -> bool:
-        """Whether copies of something, or of what is in it, differ by themselves: by lists, numbers, or streams."""
+        """Return whether copies of something, or of what is in it, differ by themselves: by lists, numbers, streams."""
         if id(child) in self.own:
             return self.own[id(child)]
         scope = child.scope if isinstance(child, Leaf) else child.parent
         assert scope is not None
         entry = scope.value.blocks[child.name]
         is_own = child.copied is not None and "index" in self.reads(entry)
-        is_own = is_own or (child.fleet is not None and self.has_lists(child, entry))
+        is_own = is_own or (child.fleet is not None and any(origin.is_listed for origin in child.origins.values()))
         if isinstance(child, Leaf):
             is_own = is_own or (child.fleet is not None and bool(child.interface.declaration.streams))
         else:
             is_own = is_own or any(self.differs(inner) for inner in child.children.values() if inner is not None)
         self.own[id(child)] = is_own
         return is_own
-
-    def has_lists(self, child: Leaf | DiagramScope, entry: BlockEntry) -> bool:
-        raws = {} if child.copied is None else dict(entry.parameters)
-        scope = child.scope if isinstance(child, Leaf) else child.parent
-        assert scope is not None
-        for path in scope.paths(child.name):
-            start = f"{path}."
-            raws |= {key[len(start) :]: raw for key, raw in self.hierarchy.overrides.items() if key.startswith(start)}
-        if isinstance(child, Leaf):
-            declared = child.interface.declaration.parameters
-            depths = {key: dimensions(declared[key].shape) for key in raws if key in declared}
-        else:
-            depths = {key: depth_of(raw) for key, raw in child.value.parameters.items()}
-        return any(depth_of(raws[key]) > depths[key] or "csv" in _keys(raws[key]) for key in raws if key in depths)
 
     def copy(
         self,
@@ -104,26 +92,25 @@ class _Lanes:
         """Look into one copy of a block, or into a block of a copy."""
         hierarchy = self.hierarchy
         if isinstance(child, Leaf):
-            made = hierarchy.numbers(outer, child.name, entry, copy)
-            if made is not None and made is not child.resolved:
-                if made.interface == child.interface:
-                    child.each[lane] = made
-                else:
-                    self.refuse(outer, child.name, "sizes, texts or zeros")
+            self.copy_of_leaf(child, outer, entry, copy, lane)
             return
         inner = DiagramScope(
             child.name, outer, child.value, child.index, child.depth, child.control, child.stream, child.clock, copy
         )
-        loose = [key for key, raw in entry.parameters.items() if self.is_loose(raw, changed_outside)]
-        given = hierarchy.given(inner, replace(entry, parameters={key: entry.parameters[key] for key in loose}))
-        read = self.read_inside(child)
-        if hierarchy.overrides or not read.isdisjoint(given):
-            hierarchy.parameters(inner, hierarchy.given(inner, entry))
-            pairs = ((name, value, child.parameters[name]) for name, value in inner.parameters.items())
+        loose = {key: raw for key, raw in entry.parameters.items() if self.is_loose(raw, changed_outside)}
+        if hierarchy.overrides or not self.read_inside(child).isdisjoint(loose):
+            hierarchy.give(inner, entry.parameters)
+            hierarchy.parameters(inner)
+            again: Iterable[str] = inner.parameters
         else:
-            inner.parameters = {**child.parameters, **given}
-            pairs = ((name, value, child.parameters[name]) for name, value in given.items())
+            inner.parameters, inner.origins = {**child.parameters}, {**child.origins}
+            hierarchy.give(inner, loose)
+            again = loose
+        pairs = ((name, inner.parameters[name], child.parameters[name]) for name in again)
         changed = frozenset(name for name, value, first in pairs if not is_equal(value, first))
+        origins = child.origins if are_alike(inner.origins, child.origins) else inner.origins
+        if changed or origins is not child.origins:
+            child.each[lane] = InLane(inner.parameters, origins)
         for key in ("copies", "every", "offset") if changed else ():
             for name, of_block in child.value.blocks.items():
                 raw = of_block.copies if key == "copies" else of_block.control.get("trigger", {}).get(key)
@@ -132,14 +119,30 @@ class _Lanes:
         if not self.faults:
             self.visit(child, inner, changed, lane)
 
+    def copy_of_leaf(
+        self, leaf: Leaf, outer: DiagramScope, entry: BlockEntry, copy: Copy | None, lane: int
+    ) -> None:
+        """Settle the numbers of one copy of a block."""
+        made = self.hierarchy.numbers(outer, leaf.name, entry, copy)
+        if made is None:
+            return
+        resolved, origins = made
+        if resolved is not leaf.resolved:
+            if resolved.interface != leaf.interface:
+                self.refuse(outer, leaf.name, "sizes, texts or zeros")
+                return
+            leaf.each[lane] = resolved
+        if not are_alike(origins, leaf.origins):
+            leaf.origins_of[lane] = origins
+
     def is_loose(self, raw: object, changed: frozenset[str]) -> bool:
-        """Whether a value that a block is given may be another one in another copy."""
+        """Return whether a value that a block is given may be another one in another copy."""
         if id(raw) not in self.names:
             self.names[id(raw)] = frozenset(names_in(raw))
         return isinstance(raw, (list, Mapping)) or not self.names[id(raw)].isdisjoint(changed | {"index"})
 
     def read_inside(self, child: DiagramScope) -> frozenset[str]:
-        """The parameters of a subdiagram from which others of it are computed."""
+        """Return the parameters of a subdiagram from which others of it are computed."""
         raws = child.value.parameters
         if id(raws) not in self.names:
             self.names[id(raws)] = frozenset(name for raw in raws.values() for name in names_in(raw))
@@ -149,7 +152,3 @@ class _Lanes:
         message = f"some of its copies differ in {what}, so they are not copies of one type."
         cure = "Move the copies that differ into separate blocks."
         self.hierarchy.tell(scope, "E123", name, message, cure, ("blocks", name))
-
-
-def _keys(raw: object) -> Mapping[str, Value]:
-    return raw if isinstance(raw, Mapping) else {}

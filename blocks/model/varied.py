@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import chain, product
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -23,10 +23,11 @@ from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 from ..text.units import from_si, si_text, to_si
 from . import raw_values as whole_values
-from .copies import Copy, Fleet, depth_of, named, own_value
+from .copies import named
 from .diagram import DiagramValue
 from .flatten import Flat, flatten
-from .hierarchy import Resolver, bound_faults
+from .hierarchy import DiagramScope, Leaf, Resolver, bound_faults
+from .origins import Origin
 from .raw_values import raw_of
 from .values import Absent, value_of
 from .variants import taken
@@ -72,12 +73,14 @@ class Column:
 class _Known:
     """A parameter of a diagram: the unit of each element of a bare value, and its value in SI, where it is known.
 
-    others: the values in copies of which they are known to differ, by lane of the `copies` around.
+    others: the values in copies of which they are known to differ, by lane of the `copies` around. written: what the
+    file says of it.
     """
 
     units: tuple[str, ...]
-    value: Any = None
-    others: Mapping[int, Any] = field(default_factory=dict)
+    value: Any
+    others: Mapping[int, Any]
+    written: Any
 
     def unit(self, element: int = 0) -> str:
         return self.units[min(element, len(self.units) - 1)]
@@ -95,9 +98,12 @@ class _Known:
 class _Parameters:
     """All parameters that can be given by their paths, without the numbers of copies."""
 
-    def __init__(self, value: DiagramValue, flat: Flat, overrides: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, flat: Flat) -> None:
+        assert flat.root is not None
         self.copies = flat.copies
-        self.known = dict(chain(_of_diagrams(value, self.copies, overrides or {}), _of_blocks(flat)))
+        leaves: dict[str, Leaf] = {}
+        self.known = dict(_of_diagrams(flat.root, leaves))
+        self.known.update(_of_blocks(flat, leaves))
 
     def numbers(self, path: str) -> list[tuple[int, int | None]]:
         """For each of the fleets that a path goes through, how many copies there are, and the number of one, if any."""
@@ -143,7 +149,7 @@ def given_values(
     value = taken(value)
     wholes = whole_values.given_values(value, resolver, {n: raw for n, raw in given.items() if n not in elements})
     overrides = {path: raw_of(raw) for path, raw in {**(around or {}), **wholes}.items()}
-    columns = columns_of(elements, value, flatten(value, resolver, overrides=overrides), overrides)
+    columns = columns_of(elements, flatten(value, resolver, overrides=overrides))
     return {**wholes, **raw_values(columns, [given[name] for name in elements])}
 
 
@@ -152,17 +158,15 @@ def is_element(name: Any) -> bool:
     return isinstance(name, str) and name.endswith("]")
 
 
-def columns_of(
-    names: Sequence[str], value: DiagramValue, flat: Flat, overrides: Mapping[str, Any] | None = None
-) -> tuple[Column, ...]:
-    """Return the columns of these names. overrides: raw values by path, with which the diagram was flattened.
+def columns_of(names: Sequence[str], flat: Flat) -> tuple[Column, ...]:
+    """Return the columns of these names.
 
     Raises UsageError (E501, E106) if a name matches nothing, or repeats, and ModelError (E117) if a parameter is bound.
     """
     if isinstance(names, str):
         message, cure = "is a single name, but a list of names is needed.", f'Write ["{legible(names)}"].'
         raise UsageError(Fault("E501", legible(names), message, cure))
-    parameters = _Parameters(value, flat, overrides)
+    parameters = _Parameters(flat)
     columns: list[Column] = []
     taken: dict[str, dict[int | None, str]] = {}  # by the path in one copy and the element: who varies it
     for name in names:
@@ -184,15 +188,15 @@ def columns_of(
                 by[target.element] = name
         columns.append(Column(name, targets))
     paths = dict.fromkeys(target.path for column in columns for target in column.targets)
-    bound = [fault for path in paths for fault in bound_faults(path, _written(value, _plain(path)))]
+    bound = [fault for path in paths for fault in bound_faults(path, parameters.of(path).written)]
     if bound:
         raise ModelError(*bound)
     return tuple(columns)
 
 
-def each_of(name: str, value: DiagramValue, flat: Flat) -> list[str]:
+def each_of(name: str, flat: Flat) -> list[str]:
     """All that a name or a pattern names, each copy by itself. Raises UsageError (E106) where there is nothing."""
-    parameters = _Parameters(value, flat)
+    parameters = _Parameters(flat)
     element = _split(name)[1]
     return [one + element for path in _found(name, parameters) for one in parameters.each(path)]
 
@@ -258,22 +262,6 @@ def _number(raw: Any, unit: str, name: str) -> float:
     return float(number)
 
 
-def _written(value: DiagramValue, path: str) -> Any:
-    """Return the raw value of a parameter as the diagram writes it; None if it does not."""
-    inside: DiagramValue = value
-    given: Mapping[str, Any] = {}
-    parts = path.split(".")
-    for k, part in enumerate(parts[:-1]):
-        if part not in inside.blocks:
-            return None
-        entry = inside.blocks[part]
-        given = entry.parameters
-        if entry.inner is None:
-            return given.get(".".join(parts[k + 1 :]))
-        inside = entry.inner
-    return given.get(parts[-1], inside.parameters.get(parts[-1]))
-
-
 def _split(name: str) -> tuple[str, str]:
     """Split a name into the name without its element, and the element: "" or "[0]"."""
     path, bracket, rest = name.rpartition("[") if name.endswith("]") else (name, "", "")
@@ -312,8 +300,8 @@ def _in_unit(value: Any, unit: str) -> float:
     return from_si(float(array), unit) if array.dtype.kind in "iuf" and array.ndim == 0 else math.nan
 
 
-def _of_blocks(flat: Flat) -> Iterator[tuple[str, _Known]]:
-    """Yield the parameters of blocks, parameters in copies once."""
+def _of_blocks(flat: Flat, leaves: Mapping[str, Leaf]) -> Iterator[tuple[str, _Known]]:
+    """Yield the parameters of blocks, parameters in copies once. leaves: by path, without the numbers of copies."""
     blocks: dict[str, list[tuple[int, Resolved]]] = {}  # the numbers of copy 0, and of the lanes where they are others
     for k, block in enumerate(flat.one_of_each):
         found = blocks.setdefault(_plain(block.path), [])
@@ -321,49 +309,39 @@ def _of_blocks(flat: Flat) -> Iterator[tuple[str, _Known]]:
         found += () if flat.expansion is None else flat.expansion.each[k].items()
     for path, ((_, first), *others) in blocks.items():
         declaration = first.interface.declaration
+        origins = leaves[path].origins if path in leaves else {}
         for name, parameter in declaration.parameters.items():
             if name in declaration.streams:
                 continue
-            known: Any = first.values[name].value if name in first.values else None
+            value: Any = first.values[name].value if name in first.values else None
             found_values = ((lane, resolved.values[name].value) for lane, resolved in others if name in resolved.values)
-            differ = {lane: value for lane, value in found_values if not np.array_equal(value, known)}
-            yield f"{path}.{name}", _Known(tuple(first.interface.declared_units(parameter)) or ("",), known, differ)
+            differ = {lane: other for lane, other in found_values if not np.array_equal(other, value)}
+            units = tuple(first.interface.declared_units(parameter)) or ("",)
+            yield f"{path}.{name}", _Known(units, value, differ, origins[name].written if name in origins else None)
 
 
-def _of_diagrams(
-    value: DiagramValue,
-    copies: Mapping[str, int],
-    overrides: Mapping[str, Any],
-    path: str = "",
-    total: int = 1,
-    given: Mapping[str, Any] | None = None,
-) -> Iterator[tuple[str, _Known]]:
-    """Yield the parameters of a diagram and of its subdiagrams. total: its number of copies. given: by its block.
+def _of_diagrams(like: DiagramScope, leaves: dict[str, Leaf]) -> Iterator[tuple[str, _Known]]:
+    """Yield the parameters of a diagram and of its subdiagrams, and take in the blocks in it.
 
-    The value of a parameter is not known that overrides set in single copies.
+    The value of a parameter is not known that is set in single copies.
     """
-    in_copies = {_plain(name) for name in overrides if "[" in name}
-    prefix, count = f"{path}." if path else "", copies.get(path, 0)
-    for name, entry in value.parameters.items():
-        unit = str(entry.get("unit", "")) if isinstance(entry, Mapping) else ""
-        raw, depth = (given or {}).get(name, entry), depth_of(entry)
-        raw = raw_of(overrides[prefix + name]) if prefix + name in overrides else raw
-        raw = None if prefix + name in in_copies else raw
-        lanes = [[Copy(Fleet(path, count), k)] for k in range(count)]
-        is_list = depth_of(raw) > depth or (isinstance(raw, Mapping) and "csv" in raw)
-        values = [_value(own_value(raw, depth, lane), unit) for lane in (lanes if is_list else lanes[:1]) or [[]]]
-        others = {lane: values[lane % len(values)] for lane in range(total if is_list else 0)}
-        differ = {lane: other for lane, other in others.items() if not np.array_equal(other, values[0])}
-        yield prefix + name, _Known((unit,), values[0], differ)
-    for name, block in value.blocks.items():
-        if block.inner is not None:
-            own = prefix + name
-            yield from _of_diagrams(block.inner, copies, overrides, own, total * copies.get(own, 1), block.parameters)
+    for name in like.value.parameters:
+        origins, first = {lane: scope.origins[name] for lane, scope in like.each.items()}, like.origins[name]
+        is_known = not any("[" in origin.set_at for origin in origins.values())
+        value: Any = _value(first) if is_known else None
+        others: dict[int, Any] = {lane: _value(origin) for lane, origin in origins.items()} if is_known else {}
+        differ = {lane: other for lane, other in others.items() if not np.array_equal(other, value)}
+        yield like.prefix + name, _Known((str(first.unit),), value, differ, first.written)
+    for child in like.children.values():
+        if isinstance(child, Leaf):
+            leaves[child.path] = child
+        elif child is not None:
+            yield from _of_diagrams(child, leaves)
 
 
-def _value(raw: Any, unit: str) -> Any:
+def _value(origin: Origin) -> Any:
     """Return the value in SI, or None if it is computed from other values."""
     try:
-        return value_of(raw, unit, {}).value
+        return value_of(origin.raw, origin.unit, {}).value
     except (ModelError, Absent, ValueError, TypeError, ArithmeticError):
         return None

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from ..api.diagram import Diagram
-from ..compile.bindings import bindings
+from ..compile.bindings import bindings_of
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
 from ..compile.setting_programs import Setting
 from ..contract.enumerations import enumeration_of
-from ..model.copies import Copy, Fleet, depth_of, dimensions, own_value, without_numbers
+from ..model.copies import without_numbers
 from ..model.diagram import DiagramValue
 from ..model.values import expressions_in
 from ..text.json_number import Number
@@ -119,19 +119,18 @@ def facts_of(
     declarations = {block.path: block.interface.declaration.parameters for block in flat.blocks}
     copied: dict[str, list[Fact]] = {}
     replaced = set(map(_plain, values or ()))
-    for setting in bindings(value, flat, planned if isinstance(planned, Plan) and not values else None, values):
-        owner, _, name = setting.path.rpartition(".")
-        parameter = declarations.get(owner, {}).get(name)
+    bound = bindings_of(flat, planned if isinstance(planned, Plan) and not values else None)
+    for setting, origin in zip(bound.settings, bound.origins, strict=True):
+        owner, _, own_name = setting.path.rpartition(".")
+        parameter = declarations.get(owner, {}).get(own_name)
         choices = tuple(setting.members) or (() if parameter is None else tuple(parameter.choices))
-        depth = None if parameter is None else dimensions(parameter.shape)
-        raw, of_all = _entry(value, setting.path, depth, flat.copies)
         name = _plain(setting.path)
-        raw = None if name != setting.path and name in replaced else raw
-        facts[setting.path] = fact = _fact(setting, raw, choices)
+        is_default = origin is None or origin.set_at or (name != setting.path and name in replaced)
+        facts[setting.path] = fact = _fact(setting, None if origin is None or is_default else origin.raw, choices)
         if name != setting.path:
             one = copied.setdefault(name, [])
             if not one:
-                facts[name] = replace(fact, name=name, raw=of_all)
+                facts[name] = replace(fact, name=name, raw=None if origin is None else origin.written)
             one.append(fact)
     return facts | {name: _of_all(facts[name], each) for name, each in copied.items()}
 
@@ -170,29 +169,6 @@ def _inputs(value: DiagramValue, planned: Plan | Coupling) -> Iterator[Fact]:
         members = () if enumeration is None else tuple(enumeration.members)
         fact = Fact(name, raw, None, unit, "enum" if members else str(type_), choices=members, is_input=True)
         yield replace(fact, nominal=fact.number(raw))
-
-
-def _entry(value: DiagramValue, path: str, depth: int | None, copies: Mapping[str, int]) -> tuple[Any, Any]:
-    """What a file says of a parameter, for the copy in the path and for all copies; None where it says nothing.
-
-    depth: the dimensions of the parameter of a block type; None: of one of a diagram. copies: how many, by plain path.
-    """
-    *blocks, name = path.split(".")
-    given: Mapping[str, Any] = {}
-    inside: DiagramValue | None = value
-    block = ""
-    for block in blocks:
-        entry = inside.blocks[block.partition("[")[0]] if inside is not None else None
-        given, inside = ({}, None) if entry is None else (entry.parameters, entry.inner)
-    known = inside.parameters.get(name) if inside is not None else None
-    if name not in given:
-        return known, known
-    raw, number = given[name], block.partition("[")[2].removesuffix("]")
-    if not number:
-        return raw, raw
-    depth = depth_of(known) if depth is None else depth
-    plain = _plain(".".join([*blocks, ""]))[:-1]
-    return own_value(raw, depth, [Copy(Fleet(plain, copies[plain]), int(number))]), raw
 
 
 def _plain(path: str) -> str:

@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..model.flatten import Flat, element_of
-from ..model.resolver import resolver_of
 from ..model.variants import taken
-from ..model.varied import columns_of, given_values, raw_values
+from ..model.varied import columns_of, raw_values
 from ..results import plots
 from ..results.results import Results
 from ..text import units
@@ -152,8 +151,7 @@ def fit(
     columns, given = _columns(data, diagram, compare)
     value = taken(diagram.value, variants)
     flat = diagram.flatten(parameters=parameters, variants=variants)
-    overrides = given_values(value, resolver_of(dict(diagram.types)), parameters or {})
-    varied = columns_of(list(over), value, flat, overrides)
+    varied = columns_of(list(over), flat)
     t = columns["time"]
     measured = {name: _in_si(columns[column], given.get(column, ""), flat, name) for name, column in compare.items()}
     tracks: dict[str, Any] = {}

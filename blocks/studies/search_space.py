@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from ..model.values import in_unit
-from ..model.variants import taken
 from ..model.varied import columns_of
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.printable import legible
@@ -36,7 +35,7 @@ def units_of_parameters(
 
     def unit_of(name: str) -> str:
         flat = diagram.flatten(parameters=parameters, variants=variants)
-        return columns_of([name], taken(diagram.value, variants), flat)[0].unit
+        return columns_of([name], flat)[0].unit
 
     return unit_of
 

@@ -129,7 +129,7 @@ def faults_of(entry: StudySweep, diagram: Diagram, parameters: Mapping[str, Any]
     for name in entry.vary:
         try:
             pattern = re.fullmatch(r"each\((.*)\)", name)
-            columns_of([pattern[1] if pattern else name], diagram.value, flats[0])
+            columns_of([pattern[1] if pattern else name], flats[0])
         except BlocksError as error:
             yield ("vary", name), error.faults[0]
     try:

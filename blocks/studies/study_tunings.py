@@ -59,10 +59,10 @@ def faults_of(entry: StudyTuning, diagram: Diagram, parameters: Mapping[str, Any
     unit_of = units_of_parameters(diagram, parameters)
     for name, bounds in entry.vary.items():
         checks.append((("over", name), partial(Space.of, {name: plain(bounds)}, unit_of)))
-        checks += [(("over", name), partial(columns_of, [name], diagram.value, flat)) for flat in flats[:1]]
+        checks += [(("over", name), partial(columns_of, [name], flat)) for flat in flats[:1]]
     found = [(steps, fault) for steps, check in checks for fault in _faults(check)]
     if flats and not found:  # whether two names are of one parameter
-        found = [(("over",), fault) for fault in _faults(partial(columns_of, [*entry.vary], diagram.value, flats[0]))]
+        found = [(("over",), fault) for fault in _faults(partial(columns_of, [*entry.vary], flats[0]))]
     yield from found
 
 

@@ -24,7 +24,6 @@ from ..model.flatten import Flat, element_of
 from ..model.raw_values import raw_of
 from ..model.trust import Paths
 from ..model.values import in_unit
-from ..model.variants import taken
 from ..model.varied import each_of
 from ..results.table import optional
 from ..text import units as unit_texts
@@ -97,7 +96,7 @@ def sweep(
 
     def expand(pattern: str) -> list[str]:
         flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
-        return each_of(pattern, taken(diagram.value, variants), flat)
+        return each_of(pattern, flat)
 
     rows = rows_of(vary, n=n, sampler=sampler, seed=seed, expand=expand)
     given = _scenarios(scenarios, parameters)

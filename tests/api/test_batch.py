@@ -64,14 +64,14 @@ def varied(diagram: Diagram) -> dict[str, float]:
     flat, found = diagram.flatten(), dict[str, float]()
     for name in diagram.value.parameters:
         with contextlib.suppress(ModelError):
-            found[name] = columns_of([name], diagram.value, flat)[0].value
+            found[name] = columns_of([name], flat)[0].value
     found = {name: value for name, value in found.items() if np.isfinite(value)}
     for block in flat.blocks:
         for key in block.interface.symbolic_parameters.keys() - {*block.interface.declaration.streams}:
             value = block.resolved.values[key].value
             if not isinstance(value, (str, bool)) and value is not None and not np.ndim(value):
                 with contextlib.suppress(ModelError):
-                    columns_of([f"{block.path}.{key}"], diagram.value, flat)
+                    columns_of([f"{block.path}.{key}"], flat)
                     found[f"{block.path}.{key}"] = float(value)
     names = sorted(found)
     return {name: found[name] for name in names[:: max(1, len(names) // 5)]}

@@ -140,7 +140,7 @@ class Bound:
         self.value, self.resolver, self.overrides = value, resolver, overrides or {}
         flat = flatten(value, resolver, overrides=self.overrides)
         self.plan: Plan = plan(flat)
-        self.settings = bindings(value, flat, self.plan, self.overrides)
+        self.settings = bindings(flat, self.plan)
         self.named = {setting.path: setting for setting in self.settings}
         self.s = numbers(self.settings)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from blocks import Diagram
+from blocks import Block, Diagram, Parameter, output
 from blocks.compile.bindings import bindings
 from blocks.compile.plan import Plan
 from blocks.engines.prepared import Prepared
@@ -64,7 +64,7 @@ def compared(diagram: Diagram, settings: Mapping[str, Any], chance: random.Rando
     """How many other values were taken without flattening, and how many were not though they are valid."""
     base = prepared(diagram, {}, settings)
     assert isinstance(base.plan, Plan)
-    known = bindings(diagram.value, base.flat, base.plan)
+    known = bindings(base.flat, base.plan)
     quick = slow = 0
     for setting in chance.sample(known, min(most, len(known))):
         if setting.type == "text":
@@ -89,6 +89,27 @@ def compared(diagram: Diagram, settings: Mapping[str, Any], chance: random.Rando
                 quick += 1
                 same(ours, anew)
     return quick, slow
+
+
+class Wheel(Block):
+    """A parameter whose unit follows from a computed default."""
+
+    kind = Parameter(1, type="int", structural=True)
+    form = Parameter(lambda kind: kind, type="int", structural=True)
+    speed = Parameter(60.0, unit=lambda form: "rpm" if form == 1 else "rad/s")
+
+    @output
+    def y(speed):
+        return speed
+
+
+def test_another_value_is_in_the_unit_that_it_has_where_the_diagram_is_flattened() -> None:
+    diagram = Diagram("one")
+    diagram.add("wheel", Wheel())
+    settings = {"stop": 1.0}
+    ours = prepared(diagram, {"wheel.speed": 60.0}, settings).with_values({"wheel.speed": 120.0}, settings)
+    assert ours is not None
+    same(ours, prepared(diagram, {"wheel.speed": 120.0}, settings))
 
 
 @pytest.mark.parametrize("name", sorted(LIBRARY))

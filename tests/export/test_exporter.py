@@ -986,7 +986,7 @@ def assert_bound(one: Instance, diagram: Diagram, parameters: dict[str, Any]) ->
     """Calculated parameters have the values that the diagram's own expressions give."""
     flat = diagram.flatten(parameters=parameters)
     seen = 0
-    for setting in bindings(diagram.value, flat, plan_of(flat), parameters):
+    for setting in bindings(flat, plan_of(flat)):
         if setting.is_bound and setting.path in one.fmu and setting.type != "text":
             assert np.array_equal(np.ravel(one[setting.path]), setting.values), setting.path
             seen += 1

@@ -197,7 +197,7 @@ def test_the_schema_knows_them() -> None:
 def test_in_an_fmu_the_step_stays_and_so_what_it_is_computed_from() -> None:
     d = diagram(stop="=9*n", method="rk4", step="=T/100")
     flat = d.flatten()
-    found = {one.path: (one.variability, one.why) for one in bindings(d.value, flat, d.plan())}
+    found = {one.path: (one.variability, one.why) for one in bindings(flat, d.plan())}
     assert found["T"] == ("constant", "the step of the run depends on it")
     assert found["n"][0] == "tunable"
 

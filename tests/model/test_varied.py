@@ -185,3 +185,24 @@ def test_the_command_sets_an_element(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert main(["run", str(path), "--stop", "2", "--set", "own.values[2]=7", "--json"]) == 0
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert events[-1]["measures"]["end"] == 7
+
+
+def test_a_batch_beside_a_list_of_lists_for_copies_in_copies_is_made() -> None:
+    wheel = {
+        "parameters": {"p": 1.0, "q": 1.0}, "inputs": {"u": {}}, "outputs": {"y": "gain.y"},
+        "blocks": {"gain": {"type": "Gain", "parameters": {"k": "=p*q"}}}, "wires": {"gain.u": "u"},
+    }  # fmt: skip
+    robot = {
+        "inputs": {"u": {}}, "blocks": {"wheels": {"copies": 2, "diagram": wheel}}, "wires": {"wheels.u": "u"},
+        "outputs": {"y": "wheels.y"},
+    }  # fmt: skip
+    document = {
+        "format": "blocks-diagram", "version": 3, "name": "robots", "inputs": {"u": {"default": 1.0}},
+        "blocks": {"robots": {"copies": 3, "diagram": robot}}, "wires": {"robots.u": "u"},
+    }  # fmt: skip
+    diagram = Diagram.from_json(json.dumps(document))
+    given = {"robots.wheels.p": [[1, 2], [3, 4], [5, 6]]}
+    grid: dict[str, Any] = {"stop": 0.1, "every": 0.1, "log": ["robots.y"], "engine": "reference"}
+    batch = diagram.batch(["robots.wheels.q"], parameters=given, **grid)
+    rows = batch([[10.0]])
+    assert rows.signals["robots.y"][0, -1].tolist() == [[10, 20], [30, 40], [50, 60]]
