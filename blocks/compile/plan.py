@@ -348,7 +348,9 @@ class Plan(Shown):
     unknowns: tuple[Reference, ...] = field(default=(), compare=False, repr=False)
     """What is solved for at all times, in the order of z; each search begins at their last values."""
     corners: tuple[int, ...] = field(default=(), compare=False, repr=False)
-    """Crossings that depend on what a loop solves for, whether it reads their sides or not; those of FMUs come last."""
+    """Crossings that depend on what a loop solves for; first those of `inner_corners`."""
+    inner_corners: tuple[int, ...] = field(default=(), compare=False, repr=False)
+    """Those of them whose sides or resets a loop reads; the others, and FMUs, wait for its solution."""
     guessed: tuple[int, ...] = field(default=(), compare=False, repr=False)
     """Places in d that are guessed at the start, as sides are: steps of what a loop solves for, which reads them."""
     folded: Any = field(default=None, compare=False, repr=False)

@@ -405,11 +405,13 @@ def _settled(plan: Plan) -> Plan:
     _check_ticks(plan)
     unknowns: tuple[Reference, ...] = ()
     corners: tuple[int, ...] = ()
+    inner: tuple[int, ...] = ()
     if any(isinstance(step, AlgebraicLoop) for step in continuous.steps):
         steps = schedule(plan, [Reference("w", i) for i in range(len(plan.outputs))]).steps
         loops = [step for step in steps if isinstance(step, AlgebraicLoop)]
         unknowns = tuple(reference for loop in loops for reference in loop.unknowns)
-        corners = _corners(plan, loops)
+        inner, behind = _corners(plan, loops)
+        corners = (*inner, *behind)
     return replace(
         plan,
         starting=starting,
@@ -417,16 +419,28 @@ def _settled(plan: Plan) -> Plan:
         continuous=continuous,
         unknowns=unknowns,
         corners=corners,
+        inner_corners=inner,
         guessed=guessed,
     )
 
 
-def _corners(plan: Plan, loops: Iterable[AlgebraicLoop]) -> tuple[int, ...]:
-    """The crossings that depend on a loop, as its solution rounds in another way at each search; those of FMUs last."""
+def _corners(plan: Plan, loops: Iterable[AlgebraicLoop]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """The crossings that depend on a loop, as its solution rounds in another way at each search.
+
+    First those whose sides or resets a loop reads, then those behind loops and those of FMUs.
+    """
     unknowns = {reference for loop in loops for reference in loop.unknowns}
     nodes = enumerate(cause.node for cause in plan.crossings)
     corners = [j for j, node in nodes if not unknowns.isdisjoint(_reached(plan, [node]))]
-    return tuple(sorted(corners, key=lambda j: (j in plan.foreign_crossings, j)))
+    read = _reached(plan, (plan.outputs[reference.index] for reference in unknowns))
+    read |= {Reference("s", part.side) for part in plan.enabled}  # which may turn parts of loops on
+    inner = tuple(
+        j
+        for j in corners
+        if j not in plan.foreign_crossings
+        and not read.isdisjoint({Reference("s", j), *(target for _, target in plan.crossings[j].resets)})
+    )
+    return inner, tuple(j for j in corners if j not in inner)
 
 
 def _reached(plan: Plan, nodes: Iterable[Node]) -> set[Reference]:

@@ -15,6 +15,7 @@ from blocks import (
     Input,
     LookupTable,
     Ramp,
+    Relay,
     Saturation,
     SimulationError,
     Step,
@@ -54,6 +55,19 @@ def check(cases: list[Case], kinds: tuple[str, ...], method: str, compared: int)
             assert case.error(results) <= 1e-12, (engine, number)
             told = [(event.block, event.what) for event in results.events]
             assert told == events.setdefault(number, told), number
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+@pytest.mark.parametrize("method", SETTINGS)
+def test_a_relay_behind_a_loop_sees_its_solutions_only(method: str, engine: str) -> None:
+    """x = u - 1.9 sat(x) jumps from -0.62 to 0.34: with the old side it would be 1.4, where the relay switches on."""
+    d = loop_through(Saturation(lower=-0.2, upper=0.38), 1.9, Step(at=0.5, before=-1.0, after=0.99))
+    relay = d.add("relay", Relay(on_at=0.4, off_at=-0.2, on=1.0, off=-1.0))
+    d.wire(relay.u, "s.y")
+    r = d.run(stop=1.0, loops="solve", engine=engine, log=["s.y", "relay.y"], **SETTINGS[method])
+    assert r["s.y"][-1] == pytest.approx(0.99 / 2.9, abs=1e-12)
+    assert r["relay.y"][-1] == -1.0
+    assert [event.block for event in r.events] == ["u", "f", "f", "f"]
 
 
 @pytest.mark.parametrize("method", ["dopri5", "rk4"])

@@ -512,8 +512,7 @@ class _Emitter(PlanReader):
         self.selected("resets_given", resets)
         numbers = ints("corner_numbers", plan.corners or (0,)) + ints("corner_guessed", plan.guessed or (0,))
         rows = "crossings_given, rounding, start_given, start_solved, resets_given, corner_numbers, corner_guessed"
-        own = sum(j not in plan.foreign_crossings for j in plan.corners)
-        sizes = f"{len(plan.corners)}, {own}, {len(plan.guessed)}"
+        sizes = f"{len(plan.corners)}, {len(plan.inner_corners)}, {len(plan.guessed)}"
         return f'\n#include "runtime.h"\n{numbers}static const BlocksCorners corners = {{{rows}, {sizes}}};\n'
 
     def given(self, cause: Cause | None) -> tuple[list[Call], list[Copy]]:

@@ -42,7 +42,7 @@ class Corners:
     def __init__(self, plan: Plan, compiled: CompiledPrograms) -> None:
         nodes = [cause.node for cause in plan.crossings]
         self.numbers = plan.corners
-        self.own = tuple(j for j in plan.corners if j not in plan.foreign_crossings)  # others fire with their FMU
+        self.inner = plan.inner_corners
         self.crossings = compiled.program("crossings_given", nodes, given=True)
         self.resets = {
             j: compiled.program(f"reset_given_{j}", [node for node, _ in plan.crossings[j].resets], given=True)

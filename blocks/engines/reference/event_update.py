@@ -113,7 +113,8 @@ class Instants:
             program(f"reset_{index}", [node for node, _ in cause.resets]) if cause.resets else None
             for index, cause in enumerate(self.causes)
         ]
-        self.of_fmus = plan.foreign_crossings | {len(plan.crossings) + part.event for part in plan.foreign}
+        of_fmus = plan.foreign_crossings | {len(plan.crossings) + part.event for part in plan.foreign}
+        self.waiting = of_fmus | ({*plan.corners} - {*plan.inner_corners})  # for the solution of loops
         # By block, then as declared: so events are listed, and so the reset that is declared later wins.
         self.order = sorted(range(len(self.causes)), key=lambda i: self._rank(self.causes[i].node))
         self.ranks = [[self._rank(node) for node, _ in cause.resets] for cause in self.causes]
@@ -454,7 +455,7 @@ class Instants:
             sides, firing, changed = self._changes(values, snapshot, due)
             asked: Mapping[int, tuple[float, tuple[float, ...]]] = {}
             if seen is None and self._is_between(changed):
-                sides, firing, changed, due = self._without_fmus(snapshot, sides, firing, changed, due)
+                sides, firing, changed, due = self._without_waiting(snapshot, sides, firing, changed, due)
             else:
                 asked, due = self.asked(snapshot, u, firing, changed), {}
             if not firing and not changed and not asked and seen is None:
@@ -507,7 +508,7 @@ class Instants:
                     firing[j] = snapshot.t + self.later
         return sides, firing, changed
 
-    def _without_fmus(
+    def _without_waiting(
         self,
         snapshot: Snapshot,
         sides: tuple[float, ...],
@@ -515,19 +516,19 @@ class Instants:
         changed: Iterable[int],
         due: Mapping[int, float],
     ) -> tuple[tuple[float, ...], dict[int, float], list[int], dict[int, float]]:
-        """Return changes without those of FMUs, and what stays due.
+        """Return changes without those that wait, and what stays due.
 
-        While a corner changes, FMUs wait: the solutions of the loops, which their inputs may read, are not final.
+        While a corner changes, FMUs and crossings behind loops wait: the solutions that they see are not final.
         """
-        theirs = self.of_fmus
-        sides = tuple(old if j in theirs else new for j, (old, new) in enumerate(zip(snapshot.s, sides, strict=True)))
-        rest = {index: time for index, time in firing.items() if index not in theirs}
-        still_due = {index: time for index, time in due.items() if index in theirs}
-        return sides, rest, [j for j in changed if j not in theirs], still_due
+        late = self.waiting
+        sides = tuple(old if j in late else new for j, (old, new) in enumerate(zip(snapshot.s, sides, strict=True)))
+        rest = {index: time for index, time in firing.items() if index not in late}
+        still_due = {index: time for index, time in due.items() if index in late}
+        return sides, rest, [j for j in changed if j not in late], still_due
 
     def _is_between(self, changed: Iterable[int]) -> bool:
         """Whether a corner changes, so that the loops are not solved yet."""
-        return self.corners is not None and any(j in self.corners.own for j in changed)
+        return self.corners is not None and any(j in self.corners.inner for j in changed)
 
     def _fire(
         self,
@@ -597,9 +598,9 @@ class Instants:
                 continue
             self.slack = tuple(map(max, self.slack, corners.slack(at(memory, end))))
             sides, firing, changed = self._changes(self.sides(*at(memory, end)), snapshot, due)
-            own, still_due = [j for j in changed if j in corners.own], dict[int, float]()
+            own, still_due = [j for j in changed if j in corners.inner], dict[int, float]()
             if own:
-                sides, firing, changed, still_due = self._without_fmus(snapshot, sides, firing, changed, due)
+                sides, firing, changed, still_due = self._without_waiting(snapshot, sides, firing, changed, due)
             if len(still_due) < len(due) or not own:
                 # Corners wait until the loop is solved with what else has changed.
                 sides = tuple(
@@ -619,7 +620,7 @@ class Instants:
                 values = self._beyond(corners.crossings(*at(memory, z)), memory[3])
                 return [
                     j
-                    for j in corners.own
+                    for j in corners.inner
                     if not self._is_gated(j, memory[3]) and (values[j] >= 0) != (memory[3][j] > 0)
                 ]
 
@@ -644,7 +645,7 @@ class Instants:
     def _other_side(self, snapshot: Snapshot, memory: Any) -> tuple[int, tuple[float, ...]] | None:
         """The first corner with whose other side the loops have a solution, and the sides then."""
         assert self.corners is not None
-        for j in self.corners.own:
+        for j in self.corners.inner:
             sides = self._turned(snapshot.s, j)
             if not self._is_gated(j, snapshot.s) and all(
                 map(math.isfinite, self.solutions(*memory[:3], sides, *memory[4:]))

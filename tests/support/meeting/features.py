@@ -447,7 +447,8 @@ def _fmu(b: _Builder) -> None:
     jump = b.add("jump", "Pulse", {"on": on, "off": on + 0.6, "height": b.number(0.5, 1.5)})
     source = b.rng.choice([jump, jump, b.add("hold", "ZeroOrderHold", {"period": 0.2}, u=b.source()), b.source()])
     source = "x.y" if has_loop and b.rng.random() < 0.4 else source
-    is_closed, k = type_ == "Saturation" and has_loop and b.rng.random() < 0.5, b.number(0.3, 2)
+    # An FMU that turns two corners in turn has no way along them: with k < 1 each jump turns one.
+    is_closed, k = type_ == "Saturation" and has_loop and b.rng.random() < 0.5, b.number(0.3, 0.95)
     port, out = ("r", "u") if type_ == "DiscretePID" else ("u", "y")
     alone = {
         "format": "blocks-diagram", "version": 3, "name": "own", "inputs": {port: {"default": 0}},

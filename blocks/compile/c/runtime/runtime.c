@@ -2339,7 +2339,7 @@ static void go_to_restart(BlocksSim *s, const Restart *restart)
 static int is_between(const BlocksSim *s)
 {
     const BlocksCorners *c = s->model->corners;
-    for (int i = 0; c && i < c->nown; i++)
+    for (int i = 0; c && i < c->ninner; i++)
         if (s->changed_sides[c->numbers[i]]) return 1;
     return 0;
 }
@@ -2351,6 +2351,19 @@ static int is_as_before(const BlocksSim *s)
     const double *x = some_passes_ago(s), *d = x + nx, *sides = d + nd, *slack = sides + ns;
     return !memcmp(x, m->x, nx * sizeof(double)) && !memcmp(d, m->d, nd * sizeof(double)) &&
            !memcmp(sides, m->s, ns * sizeof(double)) && !memcmp(slack, s->slack, ns * sizeof(double));
+}
+
+/* While a corner changes, crossings behind loops and FMUs wait: the solutions that they see are not final. Whether the event
+   times that are due wait too. */
+static int put_off(BlocksSim *s, double *sides, int first, const int32_t *due, int ndue)
+{
+    const BlocksCorners *c = s->model->corners;
+    for (int i = c->ninner; i < c->n; i++) {
+        int j = c->numbers[i];
+        s->firing[j] = s->changed_sides[j] = 0;
+        sides[j] = s->memory.s[j];
+    }
+    return s->model->hooks && s->model->hooks->put_off(s, sides, first, due, ndue);
 }
 
 /* Fire events and crossings until no side changes any more, all that changes at once. seen: whether crossings fire by what the
@@ -2388,8 +2401,8 @@ HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int see
             }
         }
         int asked = 0, is_first = seen && pass == 0;
-        if (model->hooks && !is_first && is_between(s)) {
-            if (!model->hooks->put_off(s, sides, first, due, ndue)) ndue = 0;
+        if (corners && !is_first && is_between(s)) {
+            if (!put_off(s, sides, first, due, ndue)) ndue = 0;
         } else {
             ndue = 0;
             if (model->hooks) asked = model->hooks->asked(s, s->firing, s->changed_sides, first);
@@ -2428,7 +2441,7 @@ static int turned(BlocksSim *s)
     evaluate_now(s, c->crossings, values);
     take_slack(s, values);
     memset(s->firing, 0, (size_t)s->setup->ncauses);
-    for (int i = 0; i < c->nown; i++) {
+    for (int i = 0; i < c->ninner; i++) {
         int j = c->numbers[i];
         s->firing[j] = (values[j] >= 0) != (s->memory.s[j] > 0.0);
         any |= s->firing[j];
@@ -2442,7 +2455,7 @@ static int fire_corners(BlocksSim *s)
     const BlocksCorners *c = s->model->corners;
     double *sides = s->distances;
     memcpy(sides, s->memory.s, (size_t)s->model->ns * sizeof(double));
-    for (int i = 0; i < c->nown; i++) {
+    for (int i = 0; i < c->ninner; i++) {
         int j = c->numbers[i];
         if (!s->firing[j]) continue;
         sides[j] = 1.0 - sides[j];
@@ -2468,7 +2481,7 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
         if (!all_finite(end, nz)) {
             /* The first corner with whose other side the loops have a solution. */
             int found = 0;
-            for (int i = 0; i < c->nown && !found; i++) {
+            for (int i = 0; i < c->ninner && !found; i++) {
                 int j = c->numbers[i], off = setup->causes[j].condition;
                 if (off >= 0 && m->s[off] == 0.0) continue;
                 double side = m->s[j];
@@ -2501,17 +2514,17 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
             s->changed_sides[j] = sides[j] != m->s[j];
             any |= s->changed_sides[j];
         }
-        for (int i = 0; i < c->nown; i++) own |= s->changed_sides[c->numbers[i]];
+        for (int i = 0; i < c->ninner; i++) own |= s->changed_sides[c->numbers[i]];
         if (!any && !model->hooks) return 0;
         *touched |= any;
         for (int i = 0; i < ndue; i++) {
             s->firing[first + due[i]] = 1;
             s->firing_time[first + due[i]] = s->events[due[i]];
         }
-        int waits = own && model->hooks && model->hooks->put_off(s, sides, first, due, ndue);
+        int waits = own && put_off(s, sides, first, due, ndue);
         if ((ndue && !waits) || !own) {
             /* Corners wait until the loop is solved with what else has changed. */
-            for (int i = 0; i < c->nown; i++) sides[c->numbers[i]] = m->s[c->numbers[i]], s->changed_sides[c->numbers[i]] = 0;
+            for (int i = 0; i < c->ninner; i++) sides[c->numbers[i]] = m->s[c->numbers[i]], s->changed_sides[c->numbers[i]] = 0;
             for (int j = 0; j < ns; j++) {
                 if (!s->changed_sides[j] || !(setup->causes[j].direction & (sides[j] > 0 ? 1 : 2))) continue;
                 s->firing[j] = 1;
@@ -2528,7 +2541,7 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
         uint8_t *at_end = s->changed_sides;
         first_corner(s, turned, begin, end);
         if (!turned(s))
-            for (int i = 0; i < c->nown; i++) s->firing[c->numbers[i]] = at_end[c->numbers[i]];
+            for (int i = 0; i < c->ninner; i++) s->firing[c->numbers[i]] = at_end[c->numbers[i]];
         if (fire_corners(s)) return BLOCKS_FAILED;
         latch_at(s, m->z, fired);
     }

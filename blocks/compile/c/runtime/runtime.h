@@ -81,7 +81,7 @@ typedef struct {
     BlocksProgram crossings, rounding, start_given, start_solved;
     void (*resets)(const BlocksMemory *, double, const double *, int, double *);
     const int32_t *numbers, *guessed;
-    int32_t n, nown, nguessed; /* nown: without those of FMUs, which come last and fire with the events of their FMU */
+    int32_t n, ninner, nguessed; /* ninner: the first ones, whose sides or resets a loop reads; others wait for its solution */
 } BlocksCorners;
 
 struct BlocksModel {
