@@ -22,7 +22,7 @@ from ..compile.plan import Plan
 from ..contract.enumerations import resting
 from ..engines.driver import Simulation
 from ..engines.prepared import Prepared
-from ..engines.run.differences import OLD, of_values
+from ..engines.run.differences import of_values
 from ..engines.run.engine import Engine
 from ..engines.run.saved_state import Kept, State, check, packed
 from ..engines.selection import simulation
@@ -189,7 +189,7 @@ class Run:
             assert isinstance(plan, Plan)
             check(state.plan, plan, state.equations, prepared.equations)
         if state is not None:
-            self._warnings = (OLD,) if state.equations is None else self._others(state, given or {})
+            self._warnings = self._others(state, given or {})
         table = _input_table(plan, named, options.interpolation, state)
         self.settings: RunSettings = plan.settings
         if options.loading is not None:
@@ -221,19 +221,23 @@ class Run:
 
     def _others(self, state: State, given: Mapping[str, Any]) -> tuple[Fault, ...]:
         """Return warnings for changes since a state was saved, except for values that are given instead."""
-        assert state.equations is not None
-        prepared = self._prepared
-        own = prepared.equations
-        if own.family is state.equations.family and prepared.plan.parameters == state.parameters:  # type: ignore[union-attr]
+        prepared, kept = self._prepared, state.equations
+        assert kept is not None
+        own, parameters = prepared.equations, state.rows["parameters"].tolist()
+        assert isinstance(prepared.plan, Plan)
+        if own.family is kept.family and [*prepared.plan.parameters] == parameters:
             return ()
-        if given and any(of_values(state.equations, own)):
+        flat = prepared.flat
+        changed = of_values(kept.record, own.record, parameters, flat.blocks)
+        if given and any(changed):
             with contextlib.suppress(ModelError):  # it may be nothing without them
-                own = Equations(prepared.flat_with(state.overrides), prepared.plan)
-        return tuple(of_values(state.equations, own))
+                flat = prepared.flat_with(state.overrides)
+                own = Equations(flat, prepared.plan)
+        return tuple(of_values(kept.record, own.record, parameters, flat.blocks))
 
     @property
     def warnings(self) -> tuple[Fault, ...]:
-        """What was found where the run goes on from a saved state: W302, W303. Its results have them too."""
+        """What was found where the run continues from a saved state: W303. Its results have it too."""
         return self._warnings
 
     def _in_memory(self) -> Results:
@@ -301,7 +305,9 @@ class Run:
     @_by_one_thread
     def snapshot(self) -> State:
         """Return the state of the run, from which `restore` or another run of the diagram (`resume=`) can continue."""
-        return replace(self._state(), recorded=None)
+        state = self._state()
+        rows = {name: row for name, row in state.rows.items() if name not in ("recorded", "between")}
+        return replace(state, rows=rows)
 
     def _state(self) -> State:
         """Return the state of the run with the place where its rows continue."""
@@ -593,9 +599,8 @@ def _input_table(
 def _going_on(settings: Mapping[str, Any], saved: State | Kept, name: str) -> Mapping[str, Any]:
     """Return the settings of a run that continues from a state, with the seed and the start of the state.
 
-    So all noise goes on as it was, and so do the grids of steps and rows, which count from the start. Of a state that
-    was written before it said them, those of the diagram count. Raises UsageError (E506) where another seed is given:
-    the run would mix two.
+    So all noise goes on as it was, and so do the grids of steps and rows, which count from the start. Raises UsageError
+    (E506) where another seed is given: the run would mix two.
     """
     given = settings.get("seed")
     continued = settings if saved.start is None else {**settings, "start": saved.start}

@@ -54,7 +54,7 @@ def simulation(
     """
     try:
         name, why = _chosen(engine), why_not(what)
-        begin = what.settings.start if state is None else max(what.settings.start, Fraction(state.snapshot.t))
+        begin = what.settings.start if state is None else max(what.settings.start, Fraction(state.t))
         check_room(what, begin, is_native=name != "reference" and not why, is_streamed=is_streamed)
         if name == "native" and why:
             message = f"the native engine cannot run this: {why}."

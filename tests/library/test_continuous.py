@@ -547,7 +547,7 @@ def test_num_and_den_that_are_given_or_set_take_the_nominal_along_and_leave_the_
     still.advance(0.0005)
     last = companion(np.array(fast["b.den"]), np.array([0.0005]))[0]
     assert run["b.y"] == pytest.approx(last, abs=1e-6)
-    assert w**2 * still.snapshot().snapshot.x[0] == pytest.approx(last, abs=1e-6)  # the first state is y/num
+    assert w**2 * still.snapshot().rows["x"][0] == pytest.approx(last, abs=1e-6)  # the first state is y/num
 
 
 @pytest.mark.parametrize(

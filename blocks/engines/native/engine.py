@@ -28,11 +28,10 @@ from ...results.results import Event, Events, Statistics
 from ...text.available_memory import for_recording
 from ...text.errors import BlocksError, Fault, SimulationError, UsageError
 from ..run.engine import Recorded, heard_by_python
-from ..run.history import Past, Store
 from ..run.measures import Measures
 from ..run.memory_estimate import COPIES
 from ..run.saved_state import State, fit, standing
-from ..run.snapshot import MethodMemory, Snapshot, frozen, told_method
+from ..run.snapshot import frozen, told_method
 from ..run.step_parts import Unseen, unseen_faults
 from ..run.stiffness import StateRates
 from .model import Model, model_of
@@ -55,6 +54,7 @@ _CODES = (
 )  # fmt: skip
 """The code of each failure of runtime.h, by its number."""
 _CROWD = 1000
+_MEASURED = ("total", "span", "first", "begin", "target", "last")
 _TRIED = 20  # steps in which the reference engine must fail as the native one did
 
 
@@ -214,11 +214,6 @@ class NativeEngine:
             yield
 
     # --- going on --------------------------------------------------------------------------------------------------
-
-    @property
-    def now(self) -> Snapshot:
-        """The run as it stands; an instant may be outstanding."""
-        return self._snapshot()
 
     @property
     def t(self) -> float:
@@ -388,42 +383,35 @@ class NativeEngine:
         values = array(self.sim.unprojected, self._nx + len(self._d))
         return frozen(values[: self._nx][self.model.place]), tuple(values[self._nx :].tolist())
 
-    def _snapshot(self) -> Snapshot:
-        sim = self.sim
-        x = frozen(self._x[self.model.place])
-        first = carried = None
-        if sim.has_first:
-            first = frozen(array(sim.k[0], self._nx)[self.model.place])
-            if sim.ncarried:
-                carried = self.model.carried_order(self.plan).taken(array(sim.carried, sim.ncarried))
-        return Snapshot(
-            sim.t,
-            self.exact,
-            x,
-            tuple(self._d.tolist()),
-            tuple(self._s.tolist()),
-            tuple(self._ticks.tolist()),
-            tuple(self._events.tolist()),
-            tuple(self._own.tolist()),
-            MethodMemory(sim.h, sim.error, first, carried, (sim.hits, sim.calm, sim.stiff_from)),
-            sim.fixed,
-            self._past(),
-            tuple(self._z.tolist()),
-        )
-
-    def _past(self) -> Past | None:
-        histories = self.plan.histories
-        if not histories:
-            return None
-        past, n = self.sim.past, len(histories)
+    def _arrays(self) -> dict[str, Array]:
+        """Rows of a saved state where C has them."""
+        past, n = self.sim.past, len(self.plan.histories)
         known, broken = past.known, past.broken
-        starts, ends = (array(place, known).tolist() for place in (past.starts, past.ends))
-        parts = array(past.parts, known * 6 * n).reshape(known, 6, n).copy()
-        orders = array(past.orders, broken, ctypes.c_int32).tolist()
-        breaks = list(zip(array(past.breaks, broken).tolist(), orders, strict=True))
-        store = Store(starts, ends, list(parts), breaks)
-        passed = tuple(array(past.passed, n, ctypes.c_int64).tolist())
-        return Past(histories, store, known, broken, bool(past.open), passed, past.seen)
+        of_past = {
+            "past.starts": array(past.starts, known),
+            "past.ends": array(past.ends, known),
+            "past.parts": array(past.parts, known * 6 * n).reshape(known, 6, n),
+            "past.breaks": array(past.breaks, broken),
+            "past.orders": array(past.orders, broken, ctypes.c_int32),
+            "past.passed": array(past.passed, n, ctypes.c_int64),
+        }
+        return {
+            "d": self._d,
+            "s": self._s,
+            "z": self._z,
+            "ticks": self._ticks,
+            "events": self._events,
+            "own": self._own,
+            "fired": self._fired,
+            "located": self._located,
+            **(of_past if n else {}),
+        }
+
+    def _numbers(self) -> dict[str, tuple[Any, str]]:
+        """Rows of a saved state that are one number, by the fields of C's structures."""
+        fields = {name: (self.sim, name) for name in ("t", "error", "fixed", "broken", "located_t")}
+        of_past = {f"past.{name}": (self.sim.past, name) for name in ("open", "seen")} if self.plan.histories else {}
+        return {**fields, "step": (self.sim, "h"), **of_past}
 
     def snapshot(self, overrides: Mapping[str, Any]) -> State:
         self._settle()
@@ -441,28 +429,27 @@ class NativeEngine:
     def _state_now(self, overrides: Mapping[str, Any]) -> State:
         self._drain()
         sim = self.sim
-        first, count = sim.crossed_first, sim.crossed_count
-        crossed = tuple(float(self._crossed[(first + k) % _CROWD]) for k in range(count))
-        fired = tuple((j, float(t)) for j, t in enumerate(self._fired) if t > -math.inf)
-        steppers = self.plan.steppers
+        place, (first, count) = self.model.place, (sim.crossed_first, sim.crossed_count)
+        kinds = {"fixed": np.int64, "past.open": np.int32, "past.seen": np.int32}
+        rows = {
+            **{name: row.copy() for name, row in self._arrays().items()},
+            **{name: np.array(getattr(*at), kinds.get(name, float)) for name, at in self._numbers().items()},
+            "x": self._x[place],
+            "stiffness": np.array([sim.hits, sim.calm, sim.stiff_from]),
+            "crossed": self._crossed[(first + np.arange(count)) % _CROWD],
+            "parameters": np.array(self.plan.parameters),
+            **self._measures().rows(),
+        }
+        if sim.has_first:
+            rows["first"] = array(sim.k[0], self._nx)[place]
+            if sim.ncarried:
+                rows["carried"] = self.model.carried_order(self.plan).taken(array(sim.carried, sim.ncarried))
+        if sim.last_row:
+            rows |= {"recorded": array(sim.last_row, self._first.shape[1]).copy(), "between": np.array(sim.between)}
         oracle = self._oracle
-        blobs = tuple(None if oracle is None else oracle.instants.saved(number) for number in range(len(steppers)))
-        located = np.empty(0) if math.isnan(sim.located_t) else self._located.copy()
-        return State(
-            fit(self.plan),
-            (self.settings.method, str(self.settings.step)),
-            overrides,
-            self._snapshot(),
-            self.inputs,
-            self._measures().saved(),
-            sim.broken,
-            (sim.located_t, located),
-            fired,
-            crossed,
-            self.plan.parameters,
-            blobs,
-            recorded=None if not sim.last_row else (array(sim.last_row, self._first.shape[1]).copy(), sim.between),
-        )
+        blobs = [None if oracle is None else oracle.instants.saved(number) for number in range(len(self.plan.steppers))]
+        method = self.settings.method, str(self.settings.step)
+        return State(fit(self.plan), method, overrides, self.exact, rows, self.inputs, tuple(blobs))
 
     def go_on_from(self, state: State) -> None:
         """As `ReferenceEngine.go_on_from`."""
@@ -473,56 +460,58 @@ class NativeEngine:
             if self._foreign is not None:
                 self._foreign.give(plan)
             self._oracle = reference if plan.steppers else None
-            now, outstanding = reference.now, reference.outstanding
-        else:
-            now, outstanding = standing(state, plan, self.inputs)
-        sim.t, sim.broken = now.t, state.broken
-        self._set_exact(now.exact)
-        self._x[:] = now.x[self.model.order]
-        self._d[:], self._s[:], self._p[:], self._z[:] = now.d, now.s, plan.parameters, now.z
-        self._ticks[:] = now.ticks
-        self._events[:], self._own[:] = now.events, now.own
-        sim.h, sim.error, sim.fixed = now.memory.h, now.memory.error, now.fixed
-        hits, calm, sim.stiff_from = now.memory.stiffness
+        rows, outstanding = standing(state, plan, self.inputs)
+        self._make_room(rows)
+        for name, values in self._arrays().items():
+            values[:] = rows[name]
+        for name, (owner, field) in self._numbers().items():
+            setattr(owner, field, rows[name].item())
+        self._set_exact(state.exact)
+        self._x[:], self._p[:] = rows["x"][self.model.order], plan.parameters
+        hits, calm, sim.stiff_from = rows["stiffness"].tolist()
         sim.hits, sim.calm = int(hits), int(calm)
-        if now.memory.first is not None:
-            array(sim.k[0], self._nx)[:] = now.memory.first[self.model.order]
+        if "first" in rows:
+            array(sim.k[0], self._nx)[:] = rows["first"][self.model.order]
             sim.has_first = 1
             if sim.ncarried:
                 row = array(sim.carried, sim.ncarried)
                 row[:] = 0.0  # nothing is known of steps before
-                if now.memory.carried is not None:
-                    self.model.carried_order(plan).put(now.memory.carried, row)
-        sim.located_t, located = state.located
-        self._located[:] = located if len(located) else -1.0
-        for j, t in state.fired:
-            self._fired[j] = t
-        self._crossed[: len(state.crossed)] = state.crossed
-        sim.crossed_count = len(state.crossed)
-        self._put_measures(self._measured.restored(state.measures).saved())
-        self._put_past(now.past)
+                if "carried" in rows:
+                    self.model.carried_order(plan).put(rows["carried"], row)
+        sim.crossed_count = len(rows["crossed"])
+        self._crossed[: sim.crossed_count] = rows["crossed"]
+        self._put_measures(self._measured.restored(rows).rows())
         settings = self.settings
-        sim.row = 0 if settings.every is None else Grid.of(settings.start, settings.every).after(now.t)
+        sim.row = 0 if settings.every is None else Grid.of(settings.start, settings.every).after(self.t)
         sim.outstanding = sim.changed = int(outstanding)
         self.model.library.blocks_reload(self.address)
-        if state.recorded is not None:
-            self._first[0], sim.between = state.recorded
+        if "recorded" in rows:
+            self._first[0], sim.between = rows["recorded"], int(rows["between"])
             sim.last_row = sim.rows.next
             sim.rows.next += self._first[0].nbytes
         elif not outstanding and self.model.library.blocks_record(self.address):
             self.fail()
+
+    def _make_room(self, rows: Mapping[str, Array]) -> None:
+        """Make room in C for what the histories of a state remember."""
+        if self.plan.histories:
+            past, sizes = self.sim.past, (len(rows["past.starts"]), len(rows["past.breaks"]))
+            if self.model.library.blocks_past_room(self.address, *sizes):
+                raise MemoryError
+            past.known, past.broken = sizes
 
     def _measures(self) -> Measures:
         """The measures as C has them."""
         if not self._measured.count:
             return self._measured
         rows, known = self._measured_rows(), array(self.sim.known, 1 + 2 * self._measured.count)
-        return self._measured.restored({
-            **{name: rows[name] for name in ("total", "span", "first", "begin", "target", "last")},
+        made = {
+            **{name: rows[name] for name in _MEASURED},
             "extremes": np.column_stack([rows["low"], rows["high"]]),
             "known": known[:0] if math.isnan(known[0]) else known,
-            "paths": {str(i): path for i, path in self.paths().items()},
-        })  # fmt: skip
+            **{f"path {i}": path for i, path in self.paths().items()},
+        }
+        return self._measured.restored({f"measures.{name}": row for name, row in made.items()})
 
     def paths(self) -> dict[int, Array]:
         """The rows (parts, 7) that C keeps of measures that look back."""
@@ -535,42 +524,23 @@ class NativeEngine:
         raw = (ctypes.c_char * size).from_address(self.sim.measured)
         return np.frombuffer(raw, dtype=runtime_layout.MEASURED)
 
-    def _put_measures(self, saved: Mapping[str, Any]) -> None:
+    def _put_measures(self, saved: Mapping[str, Array]) -> None:
         if not self._measured.count:
             return
         rows, library = self._measured_rows(), self.model.library
-        for name in ("total", "span", "first", "begin", "target", "last"):
-            rows[name] = saved[name]
-        rows["low"], rows["high"] = saved["extremes"].T
-        known = saved["known"]
+        for name in _MEASURED:
+            rows[name] = saved[f"measures.{name}"]
+        rows["low"], rows["high"] = saved["measures.extremes"].T
+        known = saved["measures.known"]
         array(self.sim.known, len(known))[:] = known
-        for i, path in saved["paths"].items():
-            place = self.sim.measured + int(i) * runtime_layout.MEASURED.itemsize
+        for i in self._measured.paths:
+            path = saved[f"measures.path {i}"]
+            place = self.sim.measured + i * runtime_layout.MEASURED.itemsize
             place += runtime_layout.MEASURED.fields["path"][1]
             if library.blocks_list_room(place, path.size):
                 raise MemoryError
-            array(int(rows["path"][int(i)]["data"]), path.size)[:] = path.ravel()
-            rows["path"]["used"][int(i)] = path.size
-
-    def _put_past(self, past: Past | None) -> None:
-        if past is None:
-            return
-        ours, n = self.sim.past, len(past.histories)
-        if self.model.library.blocks_past_room(self.address, past.known, past.broken):
-            raise MemoryError
-        ours.known, ours.broken, ours.open, ours.seen = past.known, past.broken, int(past.open), past.seen
-        store = past.store
-        parts = np.array(store.parts[: past.known]).ravel()
-        breaks, orders = zip(*store.breaks[: past.broken], strict=True) if past.broken else ((), ())
-        for place, values, kind in (
-            (ours.starts, store.starts[: past.known], ctypes.c_double),
-            (ours.ends, store.ends[: past.known], ctypes.c_double),
-            (ours.parts, parts, ctypes.c_double),
-            (ours.breaks, breaks, ctypes.c_double),
-            (ours.orders, orders, ctypes.c_int32),
-            (ours.passed, past.passed[:n], ctypes.c_int64),
-        ):
-            array(place, len(values), kind)[:] = values
+            array(int(rows["path"][i]["data"]), path.size)[:] = path.ravel()
+            rows["path"]["used"][i] = path.size
 
     # --- from outside ------------------------------------------------------------------------------------------------
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -46,10 +46,15 @@ class CrossingWatch:
         # An FMU's has no direction: passing it back at once is no Zeno, but passing it downwards again is.
         self.directions = ["down" if j in theirs else cause.direction for j, cause in enumerate(plan.crossings)]
 
-    def go_on(self, fired: dict[int, float], times: Iterable[float]) -> None:
-        """As a saved run has it."""
-        self.fired = fired
-        self.times.extend(times)
+    def rows(self) -> dict[str, Array]:
+        """Return the same as rows of a saved state; crossings that have not fired have -inf."""
+        fired = [self.fired.get(j, -math.inf) for j in range(len(self.plan.crossings))]
+        return {"fired": np.array(fired), "crossed": np.array(self.times)}
+
+    def go_on(self, rows: Mapping[str, Array]) -> None:
+        """Take what `rows` gave."""
+        self.fired = {j: t for j, t in enumerate(rows["fired"].tolist()) if t > -math.inf}
+        self.times.extend(rows["crossed"].tolist())
 
     def kept(self) -> tuple[dict[int, float], deque[float]]:
         """All that changes, to go back to."""

@@ -157,8 +157,9 @@ class ReferenceEngine:
     def go_on_from(self, state: State) -> None:
         """Stand where a saved run stood; its last row is the first one here."""
         self.stand_at(state)
-        if state.recorded is not None:
-            (t, *values), self.rows.between = state.recorded
+        if "recorded" in state.rows:
+            t, *values = state.rows["recorded"].tolist()
+            self.rows.between = int(state.rows["between"])
             self.rows.recording.add(t, values)
         elif not self.outstanding:
             with np.errstate(all="ignore"):
@@ -167,12 +168,13 @@ class ReferenceEngine:
     def stand_at(self, state: State) -> None:
         """Stand where a saved run stood, with nothing recorded."""
         self._clear()
-        now, changed = standing(state, self.plan, self.inputs)
-        self.now, self.broken, self.has_begun = now, state.broken, True
+        rows, changed = standing(state, self.plan, self.inputs)
+        now = Snapshot.of_rows(rows, state.exact, self.plan.histories)
+        self.now, self.broken, self.has_begun = now, float(rows["broken"]), True
         self.segment = self.inputs.segment(max(now.t, self.broken))
-        self.located = state.located
-        self.crossed.go_on(dict(state.fired), state.crossed)
-        self.measures = self.measures.restored(state.measures)
+        self.located = float(rows["located_t"]), rows["located"]
+        self.crossed.go_on(rows)
+        self.measures = self.measures.restored(rows)
         for number, blob in enumerate(state.steppers):
             self.instants.restore(number, blob)
         if state.foreign:
@@ -218,22 +220,21 @@ class ReferenceEngine:
     def snapshot(self, overrides: Mapping[str, Any]) -> State:
         self._settle()
         last = self.rows.recording.last
-        return State(
-            fit(self.plan),
-            self._method,
-            overrides,
-            self.now,
-            self.inputs,
-            self.measures.saved(),
-            self.broken,
-            self.located,
-            tuple(self.crossed.fired.items()),
-            tuple(self.crossed.times),
-            self.plan.parameters,
-            tuple(self.instants.saved(number) for number in range(len(self.plan.steppers))),
-            self.instants.foreign.saved(),
-            recorded=None if math.isnan(last[0]) else (np.array([last[0], *last[1]]), self.rows.between),
-        )
+        located_t, located = self.located
+        rows = {
+            **self.now.rows(),
+            "broken": np.array(self.broken),
+            "located_t": np.array(located_t),
+            "located": located if len(located) else np.full(len(self.plan.crossings), -1.0),
+            **self.crossed.rows(),
+            "parameters": np.array(self.plan.parameters),
+            **self.measures.rows(),
+        }
+        if not math.isnan(last[0]):
+            rows |= {"recorded": np.array([last[0], *last[1]]), "between": np.array(self.rows.between)}
+        steppers = tuple(self.instants.saved(number) for number in range(len(self.plan.steppers)))
+        foreign = self.instants.foreign.saved()
+        return State(fit(self.plan), self._method, overrides, self.now.exact, rows, self.inputs, steppers, foreign)
 
     @property
     def over(self) -> Fault | None:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -77,6 +77,31 @@ class Past:
         if not plan.histories:
             return None
         return cls(plan.histories, Store(breaks=[(t, 0)]), 0, 1, True, (0,) * len(plan.histories), 0)
+
+    def rows(self) -> dict[str, Array]:
+        """Return the same as rows of a saved state."""
+        store, known, n = self.store, self.known, len(self.histories)
+        times, orders = zip(*store.breaks[: self.broken], strict=True)
+        return {
+            "past.starts": np.array(store.starts[:known]),
+            "past.ends": np.array(store.ends[:known]),
+            "past.parts": np.array(store.parts[:known]).reshape(known, len(POWERS) + 1, n),
+            "past.breaks": np.array(times),
+            "past.orders": np.array(orders, dtype=np.int32),
+            "past.open": np.array(self.open, dtype=np.int32),
+            "past.passed": np.array(self.passed, dtype=np.int64),
+            "past.seen": np.array(self.seen, dtype=np.int32),
+        }
+
+    @classmethod
+    def of_rows(cls, rows: Mapping[str, Array], histories: tuple[History, ...]) -> Past:
+        """Return the past of rows that `rows` gave."""
+        breaks = list(zip(rows["past.breaks"].tolist(), rows["past.orders"].tolist(), strict=True))
+        parts = list(rows["past.parts"].copy())
+        store = Store(rows["past.starts"].tolist(), rows["past.ends"].tolist(), parts, breaks)
+        passed = tuple(rows["past.passed"].tolist())
+        is_open, seen = bool(rows["past.open"]), int(rows["past.seen"])
+        return cls(histories, store, len(parts), len(breaks), is_open, passed, seen)
 
     @property
     def longest_step(self) -> float:

@@ -186,10 +186,10 @@ class Measures:
         measures.last, measures.extremes, measures.paths = [*self.last], [*self.extremes], {**self.paths}
         return measures
 
-    def saved(self) -> dict[str, Array | dict[str, Array]]:
-        """All that the rest of a run needs, as arrays."""
+    def rows(self) -> dict[str, Array]:
+        """Return all that the rest of a run needs, as rows of a saved state."""
         nan, measures = math.nan, self._settled()
-        return {
+        own = {
             "total": measures.total,
             "span": measures.span,
             "first": np.array([nan if t is None else t for t in measures.first]),
@@ -198,11 +198,13 @@ class Measures:
             "last": np.array(measures.last),
             "extremes": np.array(measures.extremes).reshape(self.count, 2),
             "known": np.empty(0) if measures.known is None else np.array([measures.known[0], *measures.known[1]]),
-            "paths": {str(i): measures._path(i) for i in measures.paths},
+            **{f"path {i}": measures._path(i) for i in measures.paths},
         }
+        return {f"measures.{name}": row for name, row in own.items()}
 
-    def restored(self, saved: Mapping[str, Any]) -> Measures:
-        """The measures of the same plan as they were saved."""
+    def restored(self, rows: Mapping[str, Array]) -> Measures:
+        """Return the measures of the same plan as `rows` gave them."""
+        saved = {name.removeprefix("measures."): row for name, row in rows.items()}
         measures = self._copy()
         measures.total, measures.span = saved["total"].copy(), saved["span"].copy()
         measures.first = [None if math.isnan(t) else t for t in saved["first"].tolist()]
@@ -210,7 +212,7 @@ class Measures:
         measures.extremes = [(low, high) for low, high in saved["extremes"].tolist()]
         known = saved["known"]
         measures.known = (float(known[0]), known[1:].copy()) if len(known) else None
-        measures.paths = {i: (np.concatenate([np.empty((0, 7)), saved["paths"][str(i)]]),) for i in self.paths}
+        measures.paths = {i: (np.concatenate([np.empty((0, 7)), saved[f"path {i}"]]),) for i in self.paths}
         measures.pending = ()
         return measures
 

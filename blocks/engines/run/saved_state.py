@@ -1,7 +1,7 @@
-"""A run at a stop, as a value that can be kept in a file and gone on from.
+"""A run at a stop, as a value that can be kept in a file, and from which a run can continue.
 
-The file is a zip archive of JSON and of one array of doubles. Reading it runs nothing: no pickle, no imports; its size,
-its members and their kinds are bounded and checked.
+The file is a zip archive of JSON and of the bytes of rows of numbers. Reading it runs nothing: no pickle, no imports;
+its size, its members and their kinds are bounded and checked.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import os
 import re
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,56 +22,51 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ...compile.equation_record import Equations
-from ...compile.inputs import InputTable, Track
-from ...compile.jacobian import PlanJacobian
+from ...compile.inputs import InputTable
 from ...compile.plan import Plan
-from ...compile.tableaus import STIFF
 from ...compile.time_grid import Grid
 from ...model.diagram_grammar import LARGEST_SEED
 from ...text.errors import Fault, UsageError
 from ...text.plain_files import opened
 from ...text.printable import legible, one_line
 from .differences import of_equations, some
-from .history import Past, Store
-from .measures import Measures
-from .snapshot import CARRIED_NUMBERS, MethodMemory, Snapshot, frozen
+from .snapshot import MethodMemory
+from .state_rows import check_rows, input_rows, inputs_of
 
 __all__ = ["Kept", "State", "check", "fit", "packed", "standing"]
 
 Array = np.ndarray[Any, Any]
 
-FORMAT, VERSION = "blocks-state", 1
-MOST_BYTES, MOST_MEMBERS = 2**28, 3
-MOST_CROSSED = 1000
-"""So many times of crossings are remembered, by which chattering is seen."""
+FORMAT, VERSION = "blocks-state", 2
+MOST_BYTES, MOST_MEMBERS = 2**28, 2
+KINDS = ("<f8", "<i8", "<i4")
 
 
 @dataclass(frozen=True)
 class State:
     """All that the rest of a run follows from, besides the diagram and its settings.
 
-    plan: what it fits. overrides: the parameters that were given or set, as written. broken, located, fired, crossed:
-    what the Simulation keeps beside its Snapshot (the last input breakpoint, and the memory of the Zeno detection).
+    plan: what it fits. method: with its fixed step. overrides: the parameters that were given or set, as written.
+    exact: the time as a fraction, if it is known. rows: see `state_rows`. steppers, foreign: what each program and each
+    FMU gave to be saved (None: not begun yet). equations, seed, start: of the run; an engine alone does not know them.
     """
 
     plan: Mapping[str, Any]
-    method: tuple[str, str]  # the method and its fixed step
+    method: tuple[str, str]
     overrides: Mapping[str, Any]
-    snapshot: Snapshot
+    exact: Fraction | None
+    rows: Mapping[str, Array]
     inputs: InputTable
-    measures: Mapping[str, Any]
-    broken: float
-    located: tuple[float, Array]
-    fired: tuple[tuple[int, float], ...]
-    crossed: tuple[float, ...]
-    parameters: tuple[float, ...]  # values of p
-    steppers: tuple[Any, ...] = ()  # what each gave to be saved; None: not begun yet
-    foreign: tuple[Any, ...] = ()  # the same of FMUs
-    equations: Equations | None = None  # those that it is of; None: of an older release, which did not say it
-    seed: int | None = None  # of the run; None where it is not known
-    start: Fraction | None = None  # of the run, from which its grids count; None where it is not known
-    # The last row, and how many rows stand inside steps, where the rows of a file go on; None: rows begin anew.
-    recorded: tuple[Array, int] | None = None
+    steppers: tuple[Any, ...] = ()
+    foreign: tuple[Any, ...] = ()
+    equations: Equations | None = None
+    seed: int | None = None
+    start: Fraction | None = None
+
+    @property
+    def t(self) -> float:
+        """The time in s."""
+        return float(self.rows["t"])
 
 
 def fit(plan: Plan) -> dict[str, Any]:
@@ -103,13 +98,13 @@ def _fmus(plan: Plan) -> list[str]:
     return [f"{path} ({description.name} {description.token})" for path, description in known]
 
 
-def check(kept: Mapping[str, Any], plan: Plan, was: Equations | None = None, own: Equations | None = None) -> None:
+def check(kept: Mapping[str, Any], plan: Plan, was: Equations | None, own: Equations) -> None:
     """Raise UsageError (E506) with every reason why the state of one Plan, by its `fit`, does not fit another.
 
-    was, own: the equations that the state is of, and those of the Plan, where they are known.
+    was, own: the equations that the state is of, and those of the Plan.
     """
-    is_other = was is not None and own is not None and (was.family is None or was.family is not own.family)
-    ours, faults = fit(plan), list(of_equations(was, own)) if is_other else []  # type: ignore[arg-type]
+    is_other = was is not None and (was.family is None or was.family is not own.family)
+    ours, faults = fit(plan), list(of_equations(was.record, own.record)) if was is not None and is_other else []
     for what, names in ours.items():
         theirs = kept.get(what)
         if theirs == names:
@@ -124,110 +119,59 @@ def check(kept: Mapping[str, Any], plan: Plan, was: Equations | None = None, own
         raise UsageError(*faults)
 
 
-def standing(state: State, plan: Plan, inputs: InputTable) -> tuple[Snapshot, bool]:
-    """Where a run of a Plan with these inputs stands when it goes on from a state, and whether anything was set there.
+def standing(state: State, plan: Plan, inputs: InputTable) -> tuple[dict[str, Array], bool]:
+    """Return the rows of a state with which a run of a Plan continues, and whether anything was set there.
 
     Raises UsageError (E506) where that is outside of the run.
     """
-    now, settings = state.snapshot, plan.settings
+    rows, t, settings = dict(state.rows), state.t, plan.settings
     end = math.inf if settings.stop is None else float(settings.stop)
-    if not float(settings.start) <= now.t <= end:
+    if not float(settings.start) <= t <= end:
         shown = math.nan if settings.stop is None else end
-        message = f"the state is at t = {now.t} s, outside the run from {float(settings.start)} s to {shown} s."
+        message = f"the state is at t = {t} s, outside the run from {float(settings.start)} s to {shown} s."
         raise UsageError(Fault("E506", plan.name, message, "Set a later stop."))
-    if now.past is not None:
-        now = replace(now, past=now.past.own())
-    if state.method != (settings.method, str(settings.step)):
-        # What another method kept from step to step is of no use.
-        fixed = 1 if settings.step is None else Grid.of(settings.start, settings.step).after(now.t)
-        now = replace(now, memory=MethodMemory(), fixed=fixed)
-    same = all(
+    is_same = all(
         ours.linear == theirs.linear and np.array_equal(ours.t, theirs.t) and np.array_equal(ours.u, theirs.u)
         for ours, theirs in zip(inputs.tracks, state.inputs.tracks, strict=True)
     )
-    changed = not same or plan.parameters != state.parameters
-    if changed:  # as if they were set now
-        now = replace(now, memory=replace(now.memory, first=None, carried=None))
-    return now, changed
+    is_changed = not is_same or not np.array_equal(rows["parameters"], np.array(plan.parameters))
+    is_other = state.method != (settings.method, str(settings.step))
+    if is_other:  # what another method kept from step to step is of no use
+        blank = MethodMemory()
+        fixed = 1 if settings.step is None else Grid.of(settings.start, settings.step).after(t)
+        numbers = {"step": blank.h, "error": blank.error, "stiffness": blank.stiffness, "fixed": fixed}
+        rows |= {name: np.array(number) for name, number in numbers.items()}
+    for name in ("first", "carried") if is_changed or is_other else ():  # as if values were set now
+        rows.pop(name, None)
+    return rows, is_changed
 
 
-# --- to and from a tree of JSON values and arrays --------------------------------------------------------------
+# --- files -------------------------------------------------------------------------------------------------------
 
 
 def packed(state: State) -> bytes:
-    """A state as the bytes of a file; the same each time."""
-    arrays: list[Array] = []
-
-    def array(value: Any) -> dict[str, int]:
-        arrays.append(np.ascontiguousarray(value, dtype="<f8"))
-        return {"array": len(arrays) - 1}
-
-    s = state.snapshot
+    """Return a state as the bytes of a file; the same each time."""
+    assert state.equations is not None
+    rows = {**state.rows, **input_rows(state.inputs)}
     tree = {
         "format": FORMAT,
         "version": VERSION,
         "plan": state.plan,
         "method": list(state.method),
         "overrides": state.overrides,
-        **({"seed": state.seed} if state.seed is not None else {}),
-        **({"start": str(state.start)} if state.start is not None else {}),
-        "t": array([s.t]),
-        "exact": None if s.exact is None else str(s.exact),
-        "x": array(s.x),
-        "d": array(s.d),
-        "s": array(s.s),
-        "ticks": [str(n) for n in s.ticks],
-        "events": array(s.events),
-        "own": array(s.own),
-        "memory": {
-            "h": array([s.memory.h, s.memory.error]),
-            "first": None if s.memory.first is None else array(s.memory.first),
-            **({} if s.memory.carried is None else {"carried": array(s.memory.carried)}),
-            **({"stiffness": array(s.memory.stiffness)} if state.method[0] == "auto" else {}),
-        },
-        "fixed": str(s.fixed),
-        "z": array(s.z),
-        "past": None if s.past is None else _past_tree(s.past, array),
-        "inputs": [{"t": array(track.t), "u": array(track.u), "linear": track.linear} for track in state.inputs.tracks],
-        "measures": {
-            key: array(value) if isinstance(value, np.ndarray) else {name: array(rows) for name, rows in value.items()}
-            for key, value in state.measures.items()
-        },
-        "broken": array([state.broken]),
-        "located": [array([state.located[0]]), array(state.located[1])],
-        "fired": [[index, array([t])] for index, t in state.fired],
-        "crossed": array(state.crossed),
-        "parameters": array(state.parameters),
+        "seed": state.seed,
+        "start": None if state.start is None else str(state.start),
+        "exact": None if state.exact is None else str(state.exact),
         "steppers": list(state.steppers),
-        **({"foreign": list(state.foreign)} if state.foreign else {}),
-        **({} if state.equations is None else {"equations": state.equations.record}),
-        **({} if state.recorded is None else {"recorded": [array(state.recorded[0]), state.recorded[1]]}),
+        "foreign": list(state.foreign),
+        "equations": state.equations.record,
+        "rows": {name: [row.dtype.newbyteorder("<").str, list(row.shape)] for name, row in rows.items()},
     }
-    return _zipped(tree, arrays)
-
-
-def _past_tree(past: Past, array: Callable[[Any], dict[str, int]]) -> dict[str, Any]:
-    return {
-        "starts": array(past.store.starts[: past.known]),
-        "ends": array(past.store.ends[: past.known]),
-        "parts": array(np.array(past.store.parts[: past.known]).reshape(past.known, 6, len(past.histories))),
-        "breaks": array(np.array(past.store.breaks[: past.broken]).reshape(past.broken, 2)),
-        "open": past.open,
-        "passed": list(past.passed),
-        "seen": past.seen,
-    }
-
-
-def _zipped(tree: Mapping[str, Any], arrays: Sequence[Array]) -> bytes:
+    data = b"".join(row.astype(row.dtype.newbyteorder("<")).tobytes() for row in rows.values())
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-
-        def add(name: str, data: bytes) -> None:
-            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data, zipfile.ZIP_DEFLATED)
-
-        add("state.json", json.dumps(tree, indent=1, allow_nan=False).encode())
-        add("arrays.json", json.dumps([list(array.shape) for array in arrays]).encode())
-        add("arrays.f64", b"".join(array.tobytes() for array in arrays))
+        for name, content in (("state.json", json.dumps(tree, indent=1, allow_nan=False).encode()), ("rows", data)):
+            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
     return out.getvalue()
 
 
@@ -244,43 +188,42 @@ class Kept:
             with opened(path) if data is None else io.BytesIO(data) as stream:
                 if data is None and os.fstat(stream.fileno()).st_size > MOST_BYTES:
                     raise ValueError("it is too large")
-                self.tree, self.arrays = _read(stream)
+                tree, data = _read(stream)
+            if not isinstance(tree, dict) or tree.get("format") != FORMAT:
+                raise ValueError(f'its format is not "{FORMAT}"')
+            self._check_version(tree.get("version"))
+            self.rows = _rows(tree["rows"], data)
+            self.seed: int | None = tree["seed"]
+            self.start = None if tree["start"] is None else _fraction(tree["start"])
+            self.exact = None if tree["exact"] is None else _fraction(tree["exact"])
+            self.overrides: Mapping[str, Any] = dict(tree["overrides"])
         except OSError as error:
             raise UsageError(Fault("E506", self.place, f"cannot be read: {error.strerror}.")) from None
-        except (zipfile.BadZipFile, zlib.error, KeyError, TypeError, ValueError, RuntimeError, EOFError) as error:
+        except UsageError:
+            raise
+        except (zipfile.BadZipFile, zlib.error, LookupError, TypeError, ValueError, RuntimeError, EOFError) as error:
             raise self.refusal(str(error) or type(error).__name__) from None
-        if not isinstance(self.tree, dict) or self.tree.get("format") != FORMAT:
-            raise self.refusal(f'its format is not "{FORMAT}"')
-        if self.tree.get("version") != VERSION or type(self.tree["version"]) is not int:
-            message = f"version {legible(repr(self.tree.get('version')))} cannot be read."
-            raise UsageError(Fault("E506", self.place, message, "Use a newer release of blocks."))
-        if not isinstance(self.tree.get("overrides"), dict):
-            raise self.refusal("it has no parameters")
         if self.seed is not None and (type(self.seed) is not int or not 0 <= self.seed <= LARGEST_SEED):
             raise self.refusal("its seed is not a whole number")
-        try:
-            self.start = _start(self.tree)
-        except ValueError as error:
-            raise self.refusal(str(error)) from None
+        self.tree = tree
+
+    def _check_version(self, version: Any) -> None:
+        if version == VERSION and type(version) is int:
+            return
+        is_old = type(version) is int and version < VERSION
+        message = f"version {legible(repr(version))} of saved states cannot be read."
+        cure = "An older release of blocks saved it: start a new run." if is_old else "Use a newer release of blocks."
+        raise UsageError(Fault("E506", self.place, message, cure))
 
     def refusal(self, why: str) -> UsageError:
         return UsageError(
             Fault("E506", self.place, f"is not a saved state: {one_line(why)}.", "Use a file that --save wrote.")
         )
 
-    @property
-    def overrides(self) -> Mapping[str, Any]:
-        return dict(self.tree["overrides"])
-
-    @property
-    def seed(self) -> int | None:
-        seed: int | None = self.tree.get("seed")
-        return seed
-
     def fitted(self, plan: Plan, own: Equations) -> State:
-        """The state, for the Plan and the equations that it must fit. Raises UsageError (E506)."""
+        """Return the state, for the Plan and the equations that it must fit. Raises UsageError (E506)."""
         try:
-            return _state(self.tree, _Arrays(self.arrays), plan, own)
+            return self._state(plan, own)
         except (UsageError, MemoryError):
             raise
         except ValueError as error:
@@ -288,24 +231,51 @@ class Kept:
         except Exception as error:  # whatever a damaged tree leads to
             raise self.refusal(f"{type(error).__name__}: {error}") from None
 
+    def _state(self, plan: Plan, own: Equations) -> State:
+        tree, equations = self.tree, Equations.read(self.tree["equations"])
+        check(tree["plan"], plan, equations, own)
+        method = (str(tree["method"][0]), str(tree["method"][1]))
+        recorded = self.rows.get("recorded")
+        if recorded is not None and len(recorded) != 1 + sum(len(plan.signal(name).references) for name in plan.log):
+            message = "the state does not fit the run: it was saved with other recorded signals."
+            cure = "Record the same signals, or start a new run."
+            raise UsageError(Fault("E506", "recorded signals", message, cure))
+        check_rows(self.rows, self.exact, plan, method[0])
+        steppers, foreign = tuple(tree["steppers"]), tuple(tree["foreign"])
+        if len(steppers) != len(plan.steppers) or len(foreign) != len(plan.foreign):
+            raise ValueError("it has another number of programs or FMUs than the diagram")
+        inputs = inputs_of(self.rows, len(plan.inputs))
+        rows = {name: row for name, row in self.rows.items() if not name.startswith("inputs.")}
+        return State(
+            tree["plan"], method, self.overrides, self.exact, rows, inputs, steppers, foreign,
+            equations, self.seed, self.start,
+        )  # fmt: skip
 
-def _read(stream: BinaryIO) -> tuple[Any, list[Array]]:
+
+def _read(stream: BinaryIO) -> tuple[Any, bytes]:
     with zipfile.ZipFile(stream) as archive:
         members = archive.infolist()
-        if len(members) > MOST_MEMBERS or sum(member.file_size for member in members) > MOST_BYTES:
+        if len(members) > MOST_MEMBERS + 1 or sum(member.file_size for member in members) > MOST_BYTES:
             raise ValueError("it is too large")
-        tree, shapes = json.loads(archive.read("state.json")), json.loads(archive.read("arrays.json"))
-        flat = np.frombuffer(archive.read("arrays.f64"), dtype="<f8").astype(float)
-    arrays, first = [], 0
-    for shape in shapes:
-        if not isinstance(shape, list) or not all(type(size) is int and size >= 0 for size in shape):
-            raise ValueError("an array has no shape")
-        size = math.prod(shape)
-        arrays.append(flat[first : first + size].reshape(shape))
-        first += size
-    if first != len(flat):
-        raise ValueError("its arrays are incomplete")
-    return tree, arrays
+        names = {member.filename for member in members}
+        return json.loads(archive.read("state.json")), archive.read("rows") if "rows" in names else b""
+
+
+def _rows(shapes: Mapping[str, Any], data: bytes) -> dict[str, Array]:
+    """The rows of a file, by the kind and the shape that it gives for each."""
+    rows, first = dict[str, Array](), 0
+    for name, (kind, shape) in shapes.items():
+        if kind not in KINDS or not all(type(size) is int and size >= 0 for size in shape):
+            raise ValueError("a row has no shape")
+        count, dtype = math.prod(shape), np.dtype(kind)
+        if first + count * dtype.itemsize > len(data):
+            raise ValueError("its rows are incomplete")
+        values = np.frombuffer(data, dtype, count, first).astype(dtype.newbyteorder("=")).reshape(shape)
+        rows[name] = values
+        first += count * dtype.itemsize
+    if first != len(data):
+        raise ValueError("its rows are incomplete")
+    return rows
 
 
 def _fraction(text: Any) -> Fraction:
@@ -313,187 +283,3 @@ def _fraction(text: Any) -> Fraction:
     if not isinstance(text, str) or not re.fullmatch(r"-?[0-9]{1,400}(/[0-9]{1,400})?", text):
         raise ValueError("its exact time is not a fraction")
     return Fraction(text)
-
-
-def _start(tree: Mapping[str, Any]) -> Fraction | None:
-    return None if tree.get("start") is None else _fraction(tree["start"])
-
-
-def _check_kept(memory: MethodMemory, method: str, plan: Plan) -> None:
-    """Raise ValueError where what a stiff method keeps could not have come from a run: C uses its pivots as places."""
-    carried, (hits, calm, since) = memory.carried, memory.stiffness
-    if not all(0 <= n < 2**31 and float(n).is_integer() for n in (hits, calm)) or math.isinf(since):
-        raise ValueError("a counter of its method has an impossible value")
-    if carried is None:
-        return
-    if method not in STIFF or carried.ndim != 1 or not np.isfinite(carried).all():
-        raise ValueError("the memory of its method has an impossible value")
-    n = len(plan.states)
-    size = CARRIED_NUMBERS + 3 * n + int(PlanJacobian(plan).indptr[-1])
-    pivots = carried[size:]
-    is_whole = len(carried) == size or (len(pivots) == n and np.array_equal(np.sort(pivots), np.arange(n)))
-    if not is_whole or (carried[:CARRIED_NUMBERS] < 0).any():
-        raise ValueError("the memory of its method does not fit its states")
-
-
-def _check_values(state: State, plan: Plan) -> None:
-    """Raise ValueError where numbers of a state could not have come from a run."""
-    s, measures = state.snapshot, state.measures
-    finite = (s.x, s.d, s.z, [s.t, s.memory.h, s.memory.error, state.broken], state.parameters)
-    if not all(np.isfinite(np.asarray(part, dtype=float)).all() for part in finite):
-        raise ValueError("it holds a number that is not finite")
-    if np.isnan(s.events).any() or s.memory.h < 0 or not s.memory.error > 0:
-        raise ValueError("it holds a number that is not possible there")
-    if not set(s.s) <= {0.0, 1.0} or not all(0 <= n < 2**63 for n in (*s.ticks, s.fixed)):
-        raise ValueError("a side or a count has an impossible value")
-    if s.exact is not None and float(s.exact) != s.t:
-        raise ValueError("its two times differ")
-    for slot, members in plan.integers.items():
-        if not (s.d[slot] in members if members else s.d[slot].is_integer()):
-            raise ValueError(f"'{plan.discretes[slot]}' is {s.d[slot]}")
-    first, located = s.memory.first, state.located[1]
-    if first is not None and (first.shape != s.x.shape or not np.isfinite(first).all()):
-        raise ValueError("its rates and its states differ in size")
-    _check_kept(s.memory, state.method[0], plan)
-    crossings = len(plan.crossings)
-    if len(s.own) != len(plan.events) or located.shape not in ((0,), (crossings,)):
-        raise ValueError("its arrays have other sizes than its names")
-    if not all(0 <= index < crossings for index, _ in state.fired) or len(state.steppers) != len(plan.steppers):
-        raise ValueError("its arrays have other sizes than its names")
-    if len(state.crossed) > MOST_CROSSED:
-        raise ValueError("it holds more past crossings than a run keeps")
-    if len(state.parameters) != len(plan.parameters):
-        message = f"the diagram has {len(plan.parameters)} numbers in parameters, the state has {len(state.parameters)}"
-        text = f"the state does not fit the diagram: {message}."
-        raise UsageError(Fault("E506", "parameters", text, "Start a new run."))
-    if len(state.foreign) != len(plan.foreign):
-        raise ValueError("its arrays have other sizes than its names")
-    width = 1 + sum(len(plan.signal(name).references) for name in plan.log)
-    if state.recorded is not None and (state.recorded[0].shape != (width,) or state.recorded[1] < 0):
-        message = "the state does not fit the run: it was saved with other recorded signals."
-        raise UsageError(Fault("E506", "recorded signals", message, "Record the same signals, or start a new run."))
-    for track, (_, shape, *_) in zip(state.inputs.tracks, plan.inputs, strict=True):
-        fits = track.t.ndim == 1 and track.u.shape == (len(track.t), math.prod(shape)) and len(track.t) > 0
-        if not fits or not np.isfinite(track.u).all() or np.any(np.diff(track.t) < 0):
-            raise ValueError("one of its inputs is not a table")
-    for key, blank in Measures(plan).saved().items():
-        ours = measures[key]
-        if isinstance(blank, dict):
-            fits = ours.keys() == blank.keys() and all(rows.ndim == 2 and rows.shape[1] == 7 for rows in ours.values())
-        else:
-            fits = ours.shape == blank.shape or (key == "known" and ours.shape == (1 + 2 * len(plan.measures),))
-        if not fits:
-            raise ValueError("its arrays have other sizes than its names")
-
-
-@dataclass(frozen=True)
-class _Arrays:
-    """The arrays of a file, by their entries in its tree."""
-
-    arrays: Sequence[Array]
-
-    def array(self, entry: Any) -> Array:
-        values: Array = self.arrays[entry["array"]]
-        return values
-
-    def numbers(self, entry: Any) -> tuple[float, ...]:
-        values = self.array(entry)
-        if values.ndim != 1:
-            raise ValueError("an array does not have the shape of a row")
-        return tuple(values.tolist())
-
-
-def _past(raw: Mapping[str, Any], arrays: _Arrays, plan: Plan) -> Past:
-    array, numbers = arrays.array, arrays.numbers
-    breaks = [(float(t), int(order)) for t, order in array(raw["breaks"])]
-    store = Store([*numbers(raw["starts"])], [*numbers(raw["ends"])], [*array(raw["parts"])], breaks)
-    passed = tuple(int(n) for n in raw["passed"])
-    past = Past(plan.histories, store, len(store.starts), len(breaks), bool(raw["open"]), passed, int(raw["seen"]))
-    shapes = {(6, len(plan.histories)), *(part.shape for part in store.parts)}
-    if len({len(store.starts), len(store.ends), len(store.parts)}) != 1 or len(shapes) != 1 or not breaks:
-        raise ValueError("its past is incomplete")
-    times = np.array([*store.starts, *store.ends, *(t for t, _ in breaks)])
-    counts = (past.seen, *(order for _, order in breaks))
-    if np.isnan(times).any() or not all(0 <= n < 2**31 for n in counts) or (any(passed) and not store.starts):
-        raise ValueError("its past holds a number that is not possible there")
-    if len(passed) != len(plan.histories) or not all(0 <= n <= len(breaks) for n in passed):
-        raise ValueError("its past is incomplete")
-    return past
-
-
-def _snapshot(tree: Mapping[str, Any], arrays: _Arrays, past: Past | None, plan: Plan) -> Snapshot:
-    array, numbers = arrays.array, arrays.numbers
-    h, error = numbers(tree["memory"]["h"])
-    first = tree["memory"]["first"]
-    first, carried = (
-        None if row is None else frozen(array(row).copy()) for row in (first, tree["memory"].get("carried"))
-    )
-    memory = MethodMemory(h, error, first, carried)
-    if "stiffness" in tree["memory"]:
-        hits, calm, since = numbers(tree["memory"]["stiffness"])
-        memory = replace(memory, stiffness=(hits, calm, since))
-    snapshot = Snapshot(
-        numbers(tree["t"])[0],
-        None if tree["exact"] is None else _fraction(tree["exact"]),
-        frozen(array(tree["x"]).copy()),
-        numbers(tree["d"]),
-        numbers(tree["s"]),
-        tuple(int(n) for n in tree["ticks"]),
-        numbers(tree["events"]),
-        numbers(tree["own"]),
-        memory,
-        int(tree["fixed"]),
-        past,
-        numbers(tree["z"]),
-    )
-    sizes = (
-        (len(snapshot.x), len(plan.states)),
-        (len(snapshot.d), len(plan.discretes)),
-        (len(snapshot.s), len(plan.s_start)),
-        (len(snapshot.ticks), len(plan.rates)),
-        (len(snapshot.events), len(plan.events)),
-        (len(snapshot.z), len(plan.unknowns)),
-        (len(tree["inputs"]), len(plan.inputs)),
-    )
-    if any(ours != theirs for ours, theirs in sizes) or (past is None) != (not plan.histories):
-        raise ValueError("its arrays have other sizes than its names")
-    return snapshot
-
-
-def _state(tree: Mapping[str, Any], arrays: _Arrays, plan: Plan, own: Equations) -> State:
-    array, numbers = arrays.array, arrays.numbers
-    raw = tree["past"]
-    equations = Equations.read(tree.get("equations"))
-    check(tree["plan"], plan, equations, own)
-    past = None if raw is None else _past(raw, arrays, plan)
-    snapshot = _snapshot(tree, arrays, past, plan)
-    measures: dict[str, Any] = {
-        key: array(value) if "array" in value else {name: array(rows) for name, rows in value.items()}
-        for key, value in tree["measures"].items()
-    }
-    state = State(
-        tree["plan"],
-        (str(tree["method"][0]), str(tree["method"][1])),
-        dict(tree["overrides"]),
-        snapshot,
-        InputTable(
-            tuple(
-                Track(array(track["t"]).copy(), array(track["u"]).copy(), bool(track["linear"]))
-                for track in tree["inputs"]
-            )
-        ),
-        measures,
-        numbers(tree["broken"])[0],
-        (numbers(tree["located"][0])[0], array(tree["located"][1])),
-        tuple((int(index), numbers(t)[0]) for index, t in tree["fired"]),
-        numbers(tree["crossed"]),
-        numbers(tree["parameters"]),
-        tuple(tree["steppers"]),
-        tuple(tree.get("foreign", ())),
-        equations,
-        tree.get("seed"),
-        _start(tree),
-        None if tree.get("recorded") is None else (array(tree["recorded"][0]), int(tree["recorded"][1])),
-    )
-    _check_values(state, plan)
-    return state

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
+from ...compile.plan import History
 from .history import Past
 
 __all__ = ["CARRIED_NUMBERS", "MethodMemory", "Snapshot", "frozen", "told_method"]
@@ -75,3 +77,37 @@ class Snapshot:
     def delayed(self, t: float) -> tuple[float, ...]:
         """What the histories give at t."""
         return () if self.past is None else self.past.values(t)
+
+    def rows(self) -> dict[str, Array]:
+        """Return the same as rows of a saved state; `exact` is apart."""
+        memory = self.memory
+        kept = {"first": memory.first, "carried": memory.carried}
+        return {
+            "t": np.array(self.t),
+            "x": self.x,
+            "d": np.array(self.d),
+            "s": np.array(self.s),
+            "z": np.array(self.z),
+            "ticks": np.array(self.ticks, dtype=np.int64),
+            "events": np.array(self.events),
+            "own": np.array(self.own),
+            "step": np.array(memory.h),
+            "error": np.array(memory.error),
+            **{name: row for name, row in kept.items() if row is not None},
+            "stiffness": np.array(memory.stiffness),
+            "fixed": np.array(self.fixed, dtype=np.int64),
+            **({} if self.past is None else self.past.rows()),
+        }
+
+    @classmethod
+    def of_rows(cls, rows: Mapping[str, Array], exact: Fraction | None, histories: tuple[History, ...]) -> Snapshot:
+        """Return the snapshot of rows that `rows` gave."""
+        hits, calm, since = rows["stiffness"].tolist()
+        first, carried = (frozen(rows[name].copy()) if name in rows else None for name in ("first", "carried"))
+        memory = MethodMemory(float(rows["step"]), float(rows["error"]), first, carried, (hits, calm, since))
+        d, s, z, ticks, events, own = (
+            tuple(rows[name].tolist()) for name in ("d", "s", "z", "ticks", "events", "own")
+        )
+        past = Past.of_rows(rows, histories) if histories else None
+        x = frozen(rows["x"].copy())
+        return cls(float(rows["t"]), exact, x, d, s, ticks, events, own, memory, int(rows["fixed"]), past, z)
