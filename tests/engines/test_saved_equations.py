@@ -4,12 +4,10 @@ import hashlib
 import json
 import math
 import os
-import re
 import subprocess
 import sys
 import zipfile
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +42,9 @@ from blocks.compile.equation_record import Equations
 from blocks.contract.program_text import program_text
 from blocks.engines.run.saved_state import packed
 from tests.support.places import FMUS, ROOT
+from tests.support.state_files import damaged
 
+DIFFERENT = "the type or the equations of this block, its inputs, ticks or delays are different."
 LIBRARY = """
 import numpy as np
 from blocks import Block, Parameter, State, output
@@ -117,7 +117,7 @@ def test_a_state_of_a_library_with_another_equation_is_refused_with_the_block_an
     run.advance_to(1.0)
     run.save(tmp_path / "state")
     state = tmp_path / "state" if is_file else run.snapshot()
-    assert refused(of_library("two", "-2 * rate * x"), state) == ["tank: 'derivative x' is a different equation."]
+    assert refused(of_library("two", "-2 * rate * x"), state) == [f"tank: {DIFFERENT}"]
     again = of_library("three", "-rate*x  # the same")
     rest = again.run(resume=state)
     assert rest.warnings == ()
@@ -217,16 +217,15 @@ def test_a_wire_that_leads_from_elsewhere_is_named(tmp_path: Path) -> None:
     state = halfway(chain(), tmp_path / "state")
     other = chain().to_json()
     other["wires"]["x.u"] = "source.y"
-    assert refused(Diagram.from_json(other), state) == ["x: input u is source.y, and was gain.y."]
+    assert refused(Diagram.from_json(other), state) == [f"x: {DIFFERENT}"]
 
 
-def test_a_block_of_another_type_is_named_with_both(tmp_path: Path) -> None:
+def test_a_block_of_another_type_is_named(tmp_path: Path) -> None:
     state = halfway(chain(), tmp_path / "state")
-    (text,) = refused(chain(source=Constant(value=1.0)), state)
-    assert text.startswith("source: it is a Constant, and was a Sine; 'output y' is a different equation")
+    assert refused(chain(source=Constant(value=1.0)), state) == [f"source: {DIFFERENT}"]
 
 
-def test_a_structural_value_that_changes_an_equation_is_named(tmp_path: Path) -> None:
+def test_a_block_whose_structural_value_changes_its_equation_is_named(tmp_path: Path) -> None:
     def sums(signs: str) -> Diagram:
         d = chain(sum=Sum(signs=signs))
         d.wire("sum.u1", "gain.y")
@@ -234,10 +233,10 @@ def test_a_structural_value_that_changes_an_equation_is_named(tmp_path: Path) ->
         return d
 
     state = halfway(sums("++"), tmp_path / "state")
-    assert refused(sums("+-"), state) == ["sum: 'output y' is a different equation; signs is +-, and was ++."]
+    assert refused(sums("+-"), state) == [f"sum: {DIFFERENT}"]
 
 
-def test_ticks_and_delays_are_named_with_their_block(tmp_path: Path) -> None:
+def test_blocks_with_other_ticks_and_delays_are_named(tmp_path: Path) -> None:
     def late(delay: float, period: float) -> Diagram:
         d = chain(late=TransportDelay(delay=delay), tick=UnitDelay(period=period))
         d.wire("late.u", "gain.y")
@@ -246,9 +245,7 @@ def test_ticks_and_delays_are_named_with_their_block(tmp_path: Path) -> None:
 
     state = halfway(late(0.25, 0.1), tmp_path / "state")
     text = refused(late(0.5, 0.2), state)
-    assert text[0] == "late: delay of past is 0.5 s, and was 0.25 s."
-    assert text[1].startswith("tick: ticks of ")
-    assert "every 1/5 s from 0 s, and was every 1/10 s from 0 s" in text[1]
+    assert text[:2] == [f"late: {DIFFERENT}", f"tick: {DIFFERENT}"]
     assert any(line.startswith("delays: ") for line in text)
 
 
@@ -263,7 +260,7 @@ def test_many_differences_are_counted(tmp_path: Path) -> None:
     state = halfway(many(lambda k: Sine()), tmp_path / "state")
     text = refused(many(lambda k: Constant()), state)
     assert len(text) == 9
-    assert text[-1] == "blocks: 'b8', 'b9', 'b10' and 19 more compute different values too."
+    assert text[-1] == "blocks: 'b8', 'b9', 'b10' and 19 more are different too."
 
 
 # --- values that may differ ---------------------------------------------------------------------------------------
@@ -285,17 +282,17 @@ def test_a_value_that_changed_in_the_file_is_told_and_counts(tmp_path: Path) -> 
     assert told(chain().run(resume=state)) == []
 
 
-def test_arrays_are_told_as_they_are_written_and_long_ones_by_a_digest(tmp_path: Path) -> None:
+def test_elements_of_arrays_are_named_and_of_a_table_its_block(tmp_path: Path) -> None:
     def filtered(num: list[float], table: list[float]) -> Diagram:
         d = chain(filter=TransferFunction(num=num, den=[1.0, 2.0]), table=Table(times=np.arange(20.0), values=table))
         d.wire("filter.u", "gain.y")
         return d
 
     long = [float(k) for k in range(20)]
-    state = halfway(filtered([1.0], long), tmp_path / "state")
-    lines = told(filtered([3.0], [*long[:-1], 5.0]).run(resume=state))
-    assert lines[0].startswith("W303 filter.num: is [3.0], and was [1.0] (SI) when")
-    assert re.match(r"W303 table\.values: is 20 numbers \(SHA-256 \w{12}\), and was 20 numbers \(SHA-256 ", lines[1])
+    state = halfway(filtered([1.0, 5.0], long), tmp_path / "state")
+    lines = told(filtered([3.0, 5.0], [*long[:-1], 5.0]).run(resume=state))
+    assert lines[0].startswith("W303 filter.num[0]: is 3.0, and was 1.0 (SI) when")
+    assert lines[1].startswith("W303 table: a table, a text or a start value of this block has changed since")
     assert len(lines) == 2
 
 
@@ -470,7 +467,7 @@ def test_an_fmu_counts_by_its_file(tmp_path: Path) -> None:
     assert origins[0] == origins[1] != origins[2]
     state = halfway(motor(given), tmp_path / "state", 0.005)
     assert motor(copied).run(resume=state).warnings == ()
-    assert refused(motor(changed), state) == ["motor: 'fmu' is a different equation."]
+    assert refused(motor(changed), state) == [f"motor: {DIFFERENT}"]
 
 
 def test_what_enables_a_subdiagram_and_resets_it_counts(tmp_path: Path) -> None:
@@ -491,7 +488,7 @@ def test_what_enables_a_subdiagram_and_resets_it_counts(tmp_path: Path) -> None:
 
     state = halfway(enabled("held"), tmp_path / "state")
     assert enabled("held").run(resume=state).warnings == ()
-    assert any("begins anew with is box, and was nothing" in line for line in refused(enabled("reset"), state))
+    assert f"box.x: {DIFFERENT}" in refused(enabled("reset"), state)
 
 
 class Above(Block):
@@ -506,89 +503,22 @@ class Above(Block):
 # --- states of older releases, and damaged ones -------------------------------------------------------------------
 
 
-def without(path: Path, made: Path, change: Callable[[dict[str, Any]], None]) -> Path:
-    """A state whose tree was changed."""
-    with zipfile.ZipFile(path) as old, zipfile.ZipFile(made, "w") as new:
-        for name in old.namelist():
-            content = old.read(name)
-            if name == "state.json":
-                tree = json.loads(content)
-                change(tree)
-                content = json.dumps(tree).encode()
-            new.writestr(name, content)
-    return made
-
-
-def test_a_state_that_does_not_say_its_equations_goes_on_with_a_warning(of_library: Any, tmp_path: Path) -> None:
-    diagram = of_library("one")
-    state = halfway(diagram, tmp_path / "state")
-    old = without(state, tmp_path / "old", lambda tree: tree.pop("equations"))
-    rest = of_library("two", "-2 * rate * x").run(resume=old)
-    assert [line[:12] for line in told(rest)] == ["W302 resume:"]
-    same = of_library("three").run(resume=old)
-    assert same["tank.y"][-1] == of_library("three").run(resume=state)["tank.y"][-1]
-    loaded = of_library("three").start(resume=old)
-    assert [fault.code for fault in loaded.warnings] == ["W302"]
-    loaded.save(tmp_path / "new")
-    assert of_library("three").run(resume=tmp_path / "new").warnings == ()
-
-
-def test_a_state_that_an_older_release_wrote_goes_on() -> None:
-    """x' = 2 sin(t) from 0: x(2) = 2 (1 - cos 2)."""
+def test_a_state_that_an_older_release_wrote_is_refused_in_plain_words() -> None:
     d = Diagram("kept")
     d.add("source", Sine())
-    late, tick = TransportDelay(delay=0.25), UnitDelay(period=0.1)
-    for name, block in (("gain", Gain(k=2.0)), ("x", Integrator()), ("late", late), ("tick", tick)):
-        d.add(name, block)
-        d.wire(f"{name}.u", "source.y" if name == "gain" else "gain.y")
-    d.settings(stop=2.0, rtol=1e-9, atol=1e-12, log=["x.y"])
-    rest = d.run(resume=ROOT / "tests" / "support" / "golden" / "state_v1.state")
-    assert [warning.code for warning in rest.warnings] == ["W302"]
-    assert rest["x.y"][-1] == pytest.approx(2 * (1 - math.cos(2)), rel=1e-8)
-
-
-def test_a_state_of_a_release_with_texts_of_another_form_goes_on_with_a_warning(tmp_path: Path) -> None:
-    state = halfway(chain(), tmp_path / "state")
-    newer = without(state, tmp_path / "newer", lambda tree: tree.update(equations={"form": 2, "more": []}))
-    assert [warning.code for warning in chain().run(resume=newer).warnings] == ["W302"]
-
-
-def test_an_old_state_with_other_parameters_says_so_and_is_not_called_no_state(tmp_path: Path) -> None:
-    state = halfway(chain(), tmp_path / "state")
-    old = without(state, tmp_path / "old", lambda tree: tree.pop("equations"))
-    assert refused(chain(more=Constant()), old) == [
-        "parameters: the diagram has 7 numbers in parameters, the state has 6."
-    ]
+    old = ROOT / "tests" / "support" / "golden" / "state_v1.state"
+    with pytest.raises(UsageError, match=r"E506 .*version 1 of saved states cannot be read\. An older release"):
+        d.run(stop=2.0, resume=old)
 
 
 @pytest.mark.parametrize(
-    "change",
-    [
-        lambda record: record.pop("types"),
-        lambda record: record.update(blocks=[]),
-        lambda record: record["blocks"]["x"].update(type=99),
-        lambda record: record["blocks"]["x"].update(numbers=-1),
-        lambda record: record["blocks"]["x"].update(reads={"u": 1}),
-        lambda record: record["types"][0].update(equations=None),
-        lambda record: record["numbers"][0].update(times="x"),
-    ],
+    "record", [None, [], {}, {"blocks": []}, {"blocks": {"x": ["a", "b"]}}, {"blocks": {"x": ["a", "b", 1]}}]
 )
-def test_a_state_whose_equations_are_damaged_is_refused(tmp_path: Path, change: Any) -> None:
+def test_a_state_whose_equations_are_damaged_is_refused(tmp_path: Path, record: Any) -> None:
     state = halfway(chain(), tmp_path / "state")
-    broken = without(state, tmp_path / "broken", lambda tree: change(tree["equations"]))
+    damaged(state, tmp_path / "broken", lambda tree, rows: tree.update(equations=record))
     with pytest.raises(UsageError, match=r"E506 .*is not a saved state: its record of the equations cannot be read"):
-        chain().run(resume=broken)
-
-
-def test_numbers_of_any_text_are_told(tmp_path: Path) -> None:
-    state = halfway(chain(), tmp_path / "state")
-
-    def other(tree: dict[str, Any]) -> None:
-        for known in tree["equations"]["numbers"]:
-            known["values"].update({key: "0xnothing " * 100 for key in known["values"] if key == "k"})
-
-    broken = without(state, tmp_path / "broken", other)
-    assert told(chain().run(resume=broken))[0].startswith("W303 gain.k: is 2.0, and was 0xnothing ")
+        chain().run(resume=tmp_path / "broken")
 
 
 def test_a_state_is_small(tmp_path: Path) -> None:
@@ -598,8 +528,7 @@ def test_a_state_is_small(tmp_path: Path) -> None:
         d.wire(f"b{k}.u", f"b{max(k - 1, 0)}.y")
     d.settings(stop=2.0)
     run = d.start()
-    with_, without_ = (len(packed(state)) for state in (run.snapshot(), replace(run.snapshot(), equations=None)))
-    assert with_ - without_ < 20 * 300
+    assert len(packed(run.snapshot())) < 40 * 300
 
 
 # --- the command line ---------------------------------------------------------------------------------------------
@@ -617,4 +546,4 @@ def test_the_command_line_tells_it(of_library: Any, tmp_path: Path, capsys: pyte
     of_library("one", "-2 * rate * x")
     assert main([*common, "--resume", str(tmp_path / "state")]) == 2
     said = capsys.readouterr().err
-    assert "E506 tank: the state does not fit the diagram: 'derivative x' is a different equation." in said
+    assert f"E506 tank: the state does not fit the diagram: {DIFFERENT}" in said

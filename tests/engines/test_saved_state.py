@@ -1,6 +1,5 @@
 """Snapshots: a run that was saved at a stop and goes on is the run that never stopped, bit for bit."""
 
-import io
 import json
 import math
 import random
@@ -35,6 +34,7 @@ from blocks import (
 )  # fmt: skip
 from tests.support.marks import long_but
 from tests.support.places import ROOT
+from tests.support.state_files import damaged
 
 SHIPPED = sorted(
     path
@@ -210,27 +210,31 @@ def test_a_file_that_is_no_state_is_refused(tmp_path: Path) -> None:
     data = path.read_bytes()
     broken = tmp_path / "broken"
     assert "cannot be read" in refusal(d, tmp_path / "nothing")
-    for damaged in (b"", b"hello", data[:-30], data[:100] + bytes([data[100] ^ 1]) + data[101:]):
-        broken.write_bytes(damaged)
+    for content in (b"", b"hello", data[:-30], data[:100] + bytes([data[100] ^ 1]) + data[101:]):
+        broken.write_bytes(content)
         assert "is not a saved state" in refusal(d, broken)
     with zipfile.ZipFile(broken, "w") as archive:
         archive.writestr("state.json", "{}")
     assert "is not a saved state" in refusal(d, broken)
 
     def changed(**entries: Any) -> Path:
-        with zipfile.ZipFile(path) as old, zipfile.ZipFile(broken, "w") as new:
-            for name in old.namelist():
-                content = old.read(name)
-                if name == "state.json":
-                    content = json.dumps({**json.loads(content), **entries}).encode()
-                new.writestr(name, content)
-        return broken
+        return damaged(path, broken, lambda tree, rows: tree.update(entries))
 
     assert 'its format is not "blocks-state"' in refusal(d, changed(format="x"))
-    assert "version 2 cannot be read. Use a newer release of blocks." in refusal(d, changed(version=2))
-    assert "is not a saved state: its arrays have other sizes than its names" in refusal(d, changed(x={"array": 0}))
-    assert "is not a saved state" in refusal(d, changed(d={"array": 99}))
-    assert "is not a saved state" in refusal(d, changed(memory=None))
+    assert "version 3 of saved states cannot be read. Use a newer release of blocks." in refusal(d, changed(version=3))
+    assert "is not a saved state: a row has no shape" in refusal(d, with_rows(path, broken, {"x": ["<f8", [-1]]}))
+    assert "is not a saved state: its rows are incomplete" in refusal(d, with_rows(path, broken, {"x": ["<f8", [9]]}))
+    assert "is not a saved state" in refusal(d, with_rows(path, broken, {"x": ["O", [1]]}))
+    assert "is not a saved state: it lacks the row 't'" in refusal(d, with_rows(path, broken, {}))
+
+
+def with_rows(path: Path, made: Path, shapes: dict[str, Any]) -> Path:
+    """A state with other kinds and shapes of rows than it has bytes for; of none, without bytes."""
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(made, "w") as new:
+        tree, data = json.loads(old.read("state.json")), old.read("rows")
+        new.writestr("state.json", json.dumps({**tree, "rows": shapes}))
+        new.writestr("rows", data if shapes else b"")
+    return made
 
 
 @pytest.mark.parametrize(
@@ -282,36 +286,28 @@ def test_values_that_no_run_could_have_left_are_refused(tmp_path: Path) -> None:
     path = saved(tmp_path)
     broken = tmp_path / "broken"
 
-    def changed(key: str, value: Any, array: Any = None) -> Path:
-        with zipfile.ZipFile(path) as old, zipfile.ZipFile(broken, "w") as new:
-            tree, shapes = json.loads(old.read("state.json")), json.loads(old.read("arrays.json"))
-            flat = bytearray(old.read("arrays.f64"))
-            if array is not None:  # overwrite the first number of an array
-                entry = tree
-                for part in key.split("."):
-                    entry = entry[part]
-                first = sum(int(np.prod(shape)) for shape in shapes[: entry["array"]])
-                flat[8 * first : 8 * first + 8] = np.float64(array).tobytes()
-            else:
-                tree[key] = value
-            new.writestr("state.json", json.dumps(tree))
-            new.writestr("arrays.json", json.dumps(shapes))
-            new.writestr("arrays.f64", bytes(flat))
-        return broken
+    def with_number(name: str, number: float) -> Path:
+        def damage(tree: Any, rows: Any) -> None:
+            rows[name].reshape(-1)[0] = number
 
-    for key, number in (
-        ("memory.h", math.nan), ("memory.h", -1.0), ("x", math.inf), ("d", math.nan), ("s", 0.5), ("t", 0.25),
-        ("broken", math.nan), ("z", math.nan), ("events", math.nan),
+        return damaged(path, broken, damage)
+
+    for name, number in (
+        ("step", math.nan), ("step", -1.0), ("error", 0.0), ("x", math.inf), ("d", math.nan), ("s", 0.5), ("t", 0.25),
+        ("broken", math.nan), ("z", math.nan), ("events", math.nan), ("ticks", -1), ("fixed", -1),
+        ("stiffness", 0.5), ("parameters", math.inf), ("fired", math.nan),
     ):  # fmt: skip
-        assert "is not a saved state" in refusal(d, changed(key, None, number))
-    for key, value in (
-        ("exact", "1e999999999"),
-        ("exact", "2/1"),
-        ("steppers", [1, 2]),
-        ("measures", {}),
-        ("ticks", ["-1"]),
-    ):
-        assert "is not a saved state" in refusal(d, changed(key, value))
+        assert "is not a saved state" in refusal(d, with_number(name, number)), name
+    for key, value in (("exact", "1e999999999"), ("exact", "2/1"), ("steppers", [1, 2]), ("foreign", [1])):
+        damaged(path, broken, lambda tree, rows, key=key, value=value: tree.update({key: value}))
+        assert "is not a saved state" in refusal(d, broken), key
+    for name in ("x", "past.parts", "measures.known"):
+        damaged(path, broken, lambda tree, rows, name=name: rows.pop(name))
+        assert f"is not a saved state: it lacks the row '{name}'" in refusal(d, broken)
+    damaged(path, broken, lambda tree, rows: rows.update(more=np.zeros(1)))
+    assert "no place for the row 'more'" in refusal(d, broken)
+    damaged(path, broken, lambda tree, rows: rows.update(between=np.array(0)))
+    assert "its last recorded row is incomplete" in refusal(d, broken)
 
 
 def places(tree: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -384,56 +380,45 @@ def test_grids_of_a_run_that_goes_on_count_from_where_it_was_begun(tmp_path: Pat
     for rest in (run.finish(), d.run(resume=tmp_path / "half", **settings)):
         assert rest.t.tolist() == whole.t.tolist()[2:]
         assert rest.values.tobytes() == whole.values[2:].tobytes()
-    (tmp_path / "odd").write_bytes(json_changed(tmp_path / "half", "start", "1e9"))
+    damaged(tmp_path / "half", tmp_path / "odd", lambda tree, rows: tree.update(start="1e9"))
     with pytest.raises(UsageError, match="is not a saved state"):
         d.run(resume=tmp_path / "odd", **settings)
 
 
-def json_changed(path: Path, key: str, value: Any) -> bytes:
-    """The bytes of a saved state with another value at a key."""
-    made = io.BytesIO()
-    with zipfile.ZipFile(path) as old, zipfile.ZipFile(made, "w") as new:
-        for name in old.namelist():
-            text = old.read(name)
-            new.writestr(name, json.dumps({**json.loads(text), key: value}) if name == "state.json" else text)
-    return made.getvalue()
+def _longer(tree: dict[str, Any], rows: dict[str, Any]) -> None:
+    rows["measures.known"] = np.full(1000, 1e300)
 
 
-def _longer(tree: dict[str, Any], arrays: list[Any]) -> None:
-    arrays[tree["measures"]["known"]["array"]] = np.full(1000, 1e300)
+def _crowded(tree: dict[str, Any], rows: dict[str, Any]) -> None:
+    rows["crossed"] = np.arange(2000.0)
 
 
-def _crowded(tree: dict[str, Any], arrays: list[Any]) -> None:
-    arrays[tree["crossed"]["array"]] = np.arange(2000.0)
+def _of_another_kind(tree: dict[str, Any], rows: dict[str, Any]) -> None:
+    rows["fixed"] = np.array(2.0**65)
 
 
-def _counted(tree: dict[str, Any], arrays: list[Any]) -> None:
-    tree["fixed"] = str(2**64 + 5)
-
-
-def _without_past(tree: dict[str, Any], arrays: list[Any]) -> None:
+def _without_past(tree: dict[str, Any], rows: dict[str, Any]) -> None:
     for key, shape in (("starts", (0,)), ("ends", (0,)), ("parts", (0, 6, 1))):
-        arrays[tree["past"][key]["array"]] = np.empty(shape)
-    tree["past"]["passed"] = [3]
+        rows[f"past.{key}"] = np.empty(shape)
+    rows["past.passed"][0] = 3
 
 
-def _out_of_order(tree: dict[str, Any], arrays: list[Any]) -> None:
-    arrays[tree["past"]["breaks"]["array"]][0, 1] = 1e12
+def _out_of_order(tree: dict[str, Any], rows: dict[str, Any]) -> None:
+    rows["past.orders"][0] = -5
 
 
-def _shortened(tree: dict[str, Any], arrays: list[Any]) -> None:
-    arrays[tree["memory"]["carried"]["array"]] = np.zeros(3)
+def _shortened(tree: dict[str, Any], rows: dict[str, Any]) -> None:
+    rows["carried"] = np.zeros(3)
 
 
-def _beside_the_pivots(tree: dict[str, Any], arrays: list[Any]) -> None:
-    place = tree["memory"]["carried"]["array"]
-    arrays[place] = np.append(arrays[place], 1e6)
+def _beside_the_pivots(tree: dict[str, Any], rows: dict[str, Any]) -> None:
+    rows["carried"] = np.append(rows["carried"], 1e6)
 
 
 @pytest.mark.parametrize(
     ("damage", "method"),
     [
-        *((damage, "dopri5") for damage in (_longer, _crowded, _counted, _without_past, _out_of_order)),
+        *((damage, "dopri5") for damage in (_longer, _crowded, _of_another_kind, _without_past, _out_of_order)),
         (_shortened, "radau"),
         (_beside_the_pivots, "radau"),
     ],
@@ -450,17 +435,7 @@ def test_a_state_that_compiled_code_could_not_hold_is_refused(damage: Any, metho
     run = diagram.start()
     run.advance_to(0.5)
     run.save(tmp_path / "good.state")
-    with zipfile.ZipFile(tmp_path / "good.state") as archive:
-        tree, shapes = (json.loads(archive.read(f"{name}.json")) for name in ("state", "arrays"))
-        flat = np.frombuffer(archive.read("arrays.f64"), dtype="<f8")
-    ends = np.cumsum([math.prod(shape) for shape in shapes])
-    parts = zip(np.split(flat, ends[:-1]), shapes, strict=True)
-    arrays = [part.reshape(shape).copy() for part, shape in parts]
-    damage(tree, arrays)
-    with zipfile.ZipFile(tmp_path / "bad.state", "w") as archive:
-        archive.writestr("state.json", json.dumps(tree))
-        archive.writestr("arrays.json", json.dumps([list(array.shape) for array in arrays]))
-        archive.writestr("arrays.f64", b"".join(array.astype("<f8").tobytes() for array in arrays))
+    damaged(tmp_path / "good.state", tmp_path / "bad.state", damage)
     assert len(diagram.run(resume=tmp_path / "good.state").t) > 1
     for engine in ("native", "reference"):
         with pytest.raises(UsageError, match="E506"):
