@@ -54,6 +54,10 @@ _CODES = (
 )  # fmt: skip
 """The code of each failure of runtime.h, by its number."""
 _CROWD = 1000
+_KINDS = {
+    "ticks": np.int64, "fixed": np.int64, "past.passed": np.int64,
+    "past.orders": np.int32, "past.open": np.int32, "past.seen": np.int32,
+}  # fmt: skip
 _MEASURED = ("total", "span", "first", "begin", "target", "last")
 _TRIED = 20  # steps in which the reference engine must fail as the native one did
 
@@ -430,10 +434,9 @@ class NativeEngine:
         self._drain()
         sim = self.sim
         place, (first, count) = self.model.place, (sim.crossed_first, sim.crossed_count)
-        kinds = {"fixed": np.int64, "past.open": np.int32, "past.seen": np.int32}
+        numbers = {name: np.array(getattr(owner, field)) for name, (owner, field) in self._numbers().items()}
         rows = {
-            **{name: row.copy() for name, row in self._arrays().items()},
-            **{name: np.array(getattr(*at), kinds.get(name, float)) for name, at in self._numbers().items()},
+            **{name: row.astype(_KINDS.get(name, float)) for name, row in (self._arrays() | numbers).items()},
             "x": self._x[place],
             "stiffness": np.array([sim.hits, sim.calm, sim.stiff_from]),
             "crossed": self._crossed[(first + np.arange(count)) % _CROWD],

@@ -204,7 +204,8 @@ class Measures:
 
     def restored(self, rows: Mapping[str, Array]) -> Measures:
         """Return the measures of the same plan as `rows` gave them."""
-        saved = {name.removeprefix("measures."): row for name, row in rows.items()}
+        prefix = "measures."
+        saved = {name.removeprefix(prefix): row for name, row in rows.items() if name.startswith(prefix)}
         measures = self._copy()
         measures.total, measures.span = saved["total"].copy(), saved["span"].copy()
         measures.first = [None if math.isnan(t) else t for t in saved["first"].tolist()]

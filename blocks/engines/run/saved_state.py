@@ -201,7 +201,9 @@ class Kept:
             raise UsageError(Fault("E506", self.place, f"cannot be read: {error.strerror}.")) from None
         except UsageError:
             raise
-        except (zipfile.BadZipFile, zlib.error, LookupError, TypeError, ValueError, RuntimeError, EOFError) as error:
+        except (
+            zipfile.BadZipFile, zlib.error, AttributeError, LookupError, TypeError, ValueError, RuntimeError, EOFError,
+        ) as error:  # fmt: skip
             raise self.refusal(str(error) or type(error).__name__) from None
         if self.seed is not None and (type(self.seed) is not int or not 0 <= self.seed <= LARGEST_SEED):
             raise self.refusal("its seed is not a whole number")
