@@ -87,7 +87,7 @@ def test_a_path_keeps_what_may_be_the_last_outside_and_no_more() -> None:
     diagram.measure("settling", "settling_time", plant.y, step.y)
     run = diagram.start(stop=300.0, engine="native", **RK4)
     run.advance_to(300.0)
-    path = run.snapshot().measures["paths"]["0"]
+    path = run.snapshot().rows["measures.path 0"]
     assert len(path) < 16_500 < run.results.statistics.steps / 1.8
     reference = diagram.run(stop=300.0, engine="reference", **RK4)
     assert run.results.measures["settling"] == pytest.approx(reference.measures["settling"], abs=1e-9)

@@ -62,7 +62,6 @@ from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
 from blocks.engines import selection as engines
 from blocks.engines.native import engine as native_engine
-from blocks.engines.run.snapshot import frozen
 from blocks.library import LIBRARY
 from tests.support.documents import SHIPPED, is_unlike, span
 from tests.support.library_variants import VARIANTS
@@ -85,8 +84,8 @@ def effect_of_one_ulp(diagram: Diagram, **settings: Any) -> np.ndarray[Any, Any]
         begun = diagram.start(engine="native", **settings)
         begun.advance_to(round(share * settings["stop"], 3))
         state = begun.snapshot()
-        x, memory = np.nextafter(state.snapshot.x, np.inf), replace(state.snapshot.memory, first=None)
-        pushed = replace(state, snapshot=replace(state.snapshot, x=frozen(x), memory=memory))
+        rows = {name: row for name, row in state.rows.items() if name != "first"}
+        pushed = replace(state, rows={**rows, "x": np.nextafter(rows["x"], np.inf)})
         plain = diagram.run(engine="native", resume=state, **settings).values
         other = diagram.run(engine="native", resume=pushed, **settings).values
         if plain.shape == other.shape:

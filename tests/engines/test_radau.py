@@ -344,4 +344,4 @@ def test_what_converges_at_once_is_not_taken_for_a_run_that_has_kept_nothing(eng
     d.wire("x.u", "one.y")
     run = d.start(stop=1.0, method="radau", engine=engine)
     run.advance_past(1e-5)
-    assert run.snapshot().snapshot.memory.carried[2] == np.finfo(float).eps
+    assert run.snapshot().rows["carried"][2] == np.finfo(float).eps

@@ -73,6 +73,7 @@ from blocks.compile.plan import Plan, Reference
 from blocks.compile.plan_builder import plan as plan_of
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.engines.reference.python_code import CompiledPrograms
+from blocks.engines.run.snapshot import Snapshot
 from blocks.library import LIBRARY
 from tests.support.documents import ALIKE, span
 from tests.support.fmus import DIAGRAMS, ERROR, FILES, Fmu, Instance, exported, load, of_file
@@ -934,7 +935,8 @@ def test_directional_derivatives_are_the_jacobian_of_the_diagram(name: str, fmi:
         *(Reference("u", i) for i in range(made.shape[1] - len(plan.states))),
     ]
     exact = PlanJacobian(plan, [*plan.derivatives, *outputs], by)
-    now = run.snapshot().snapshot
+    state = run.snapshot()
+    now = Snapshot.of_rows(state.rows, state.exact, plan.histories)
     u = [float(item) for key in derived.inputs for item in np.ravel(run[key])]
     memory = now.t, now.x, now.d, now.s, plan.parameters, u, now.ticks, now.delayed(now.t), now.z
     values = CompiledPrograms(plan).program("outputs", exact.outputs)(*memory)
