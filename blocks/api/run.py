@@ -16,7 +16,7 @@ from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
 import numpy as np
 
 from ..compile.coupling import Coupling
-from ..compile.equation_record import Equations
+from ..compile.equation_record import Equations, named_numbers
 from ..compile.inputs import InputTable, constant, read_csv, read_inputs
 from ..compile.plan import Plan
 from ..contract.enumerations import resting
@@ -228,12 +228,12 @@ class Run:
         if own.family is kept.family and [*prepared.plan.parameters] == parameters:
             return ()
         flat = prepared.flat
-        changed = of_values(kept.record, own.record, parameters, flat.blocks)
+        changed = of_values(kept.record, own.record, parameters, named_numbers(flat))
         if given and any(changed):
             with contextlib.suppress(ModelError):  # it may be nothing without them
                 flat = prepared.flat_with(state.overrides)
                 own = Equations(flat, prepared.plan)
-        return tuple(of_values(kept.record, own.record, parameters, flat.blocks))
+        return tuple(of_values(kept.record, own.record, parameters, named_numbers(flat)))
 
     @property
     def warnings(self) -> tuple[Fault, ...]:

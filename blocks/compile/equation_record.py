@@ -18,9 +18,10 @@ from ..contract.tape import Tape
 from ..model.flatten import Flat, FlatBlock, InputSource, Source, ValueSource
 from ..text.errors import BlocksError
 from .coupling import Coupling
+from .memory_layout import names_of, parameter_places
 from .plan import Plan
 
-__all__ = ["Equations", "Record"]
+__all__ = ["Equations", "Numbers", "Record", "named_numbers"]
 
 MOST_NUMBERS = 16
 """The text of a parameter with more numbers holds a digest of them."""
@@ -29,6 +30,9 @@ SHORT = 16
 """Hexadecimal digits of the digests of blocks, which serve to find differences."""
 
 Record = dict[str, Any]
+
+Numbers = list[tuple[str, float]]
+"""The numbers of one block in the row p, by the names of their elements."""
 
 
 class Equations:
@@ -123,6 +127,17 @@ def _file(path: Any) -> str:
         return sha256_of(path)
     except (BlocksError, OSError):  # it is no longer there: its token says which one it was
         return ""
+
+
+def named_numbers(flat: Flat) -> Iterator[tuple[str, Numbers]]:
+    """Yield the path of each block and its numbers, in the order of the row p."""
+    for block in flat.blocks:
+        interface, values, numbers = block.interface, block.resolved.values, Numbers()
+        for name, places in parameter_places(interface).items():
+            shape = interface.shape(interface.declaration.parameters[name])
+            names = names_of(f"{block.path}.{name}", len(places), shape)
+            numbers += zip(names, np.ravel(np.asarray(values[name].value, dtype=float)).tolist(), strict=True)
+        yield block.path, numbers
 
 
 class _Recorder:

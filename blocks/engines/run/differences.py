@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-import numpy as np
-
-from ...compile.equation_record import Record
-from ...compile.memory_layout import names_of, parameter_places
-from ...model.flatten import FlatBlock
+from ...compile.equation_record import Numbers, Record
 from ...text.errors import Fault
 from ...text.printable import legible
 
@@ -49,27 +45,26 @@ def _refusal(place: str, text: str) -> Fault:
 
 
 def of_values(
-    kept: Record, own: Record, parameters: Sequence[float], blocks: Iterable[FlatBlock]
+    kept: Record, own: Record, parameters: Sequence[float], numbers: Iterable[tuple[str, Numbers]]
 ) -> Iterator[Fault]:
     """Yield the parameters that have other values than in a saved state, and programs with another text (W303).
 
-    parameters: the row p of the state. blocks: those of the diagram, in the order of that row.
+    parameters: the row p of the state. numbers: those of each block of the diagram, by its path, in the order of p.
     """
     faults: list[Fault] = []
     first = 0
-    for block in blocks if kept["blocks"] != own["blocks"] else ():
-        size = sum(map(len, parameter_places(block.interface).values()))
-        values = parameters[first : first + size]
-        first += size
-        was, now = kept["blocks"].get(block.path), own["blocks"][block.path]
+    for path, ours in numbers if kept["blocks"] != own["blocks"] else ():
+        values = parameters[first : first + len(ours)]
+        first += len(ours)
+        was, now = kept["blocks"].get(path), own["blocks"][path]
         if was is None:
             continue
         if was[PROGRAM] != now[PROGRAM]:
             message = "the text of its program has changed since the state was saved."
             cure = "Make sure that its saved values still have the same meaning."
-            faults.append(Fault("W303", block.path, message, cure))
+            faults.append(Fault("W303", path, message, cure))
         if was[VALUES] != now[VALUES]:
-            faults += _changes(block, values)
+            faults += _changes(path, ours, values)
     yield from faults[:MOST]
     if len(faults) > MOST:
         rest = some([fault.place for fault in faults[MOST:]])
@@ -77,22 +72,13 @@ def of_values(
         yield Fault("W303", "resume", message, "The run continues with the new values.")
 
 
-def _changes(block: FlatBlock, values: Sequence[float]) -> list[Fault]:
+def _changes(path: str, ours: Numbers, values: Sequence[float]) -> list[Fault]:
     """The numbers of a block that differ from those of a state. Texts, tables and start values are not among these."""
     cure = "The run continues with the new value."
     changes = [
         Fault("W303", legible(name), f"is {now!r}, and was {was!r} (SI) when the state was saved.", cure)
-        for (name, now), was in zip(_numbers(block), values, strict=True)
+        for (name, now), was in zip(ours, values, strict=True)
         if repr(now) != repr(was)  # -0.0 is another value than 0.0
     ]
     message = "a table, a text or a start value of this block has changed since the state was saved."
-    return changes or [Fault("W303", block.path, message, cure)]
-
-
-def _numbers(block: FlatBlock) -> Iterator[tuple[str, float]]:
-    """The names and values of the numbers of a block in the row p."""
-    interface, values = block.interface, block.resolved.values
-    for name, places in parameter_places(interface).items():
-        shape = interface.shape(interface.declaration.parameters[name])
-        names = names_of(f"{block.path}.{name}", len(places), shape)
-        yield from zip(names, np.ravel(np.asarray(values[name].value, dtype=float)).tolist(), strict=True)
+    return changes or [Fault("W303", path, message, cure)]
