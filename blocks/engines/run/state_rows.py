@@ -163,7 +163,7 @@ def input_rows(inputs: InputTable) -> dict[str, Array]:
 
 
 def inputs_of(rows: Mapping[str, Array], count: int) -> InputTable:
-    """Return so many inputs, which `input_rows` gave."""
+    """Return the inputs of rows that `input_rows` gave."""
     return InputTable(
         tuple(
             Track(rows[f"inputs.{k}.t"].copy(), rows[f"inputs.{k}.u"].copy(), bool(rows[f"inputs.{k}.linear"]))
