@@ -323,7 +323,7 @@ def test_random_bytes_give_an_error_of_blocks(name: str, data: bytes) -> None:
 
 
 @settings(max_examples=60, deadline=None)
-@given(damage=damages, member=st.sampled_from(["state.json", "arrays.json", "arrays.f64"]))
+@given(damage=damages, member=st.sampled_from(["state.json", "rows"]))
 def test_a_state_whose_members_are_damaged_is_refused_or_taken(
     damage: list[tuple[int, int, bytes]], member: str
 ) -> None:

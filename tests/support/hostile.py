@@ -1012,13 +1012,15 @@ NOT_FILES: dict[str, Callable[[Path], object]] = {
 }
 
 
-def kept(tree: Any, shapes: Any = "[]", array: bytes = b"") -> Callable[[Path], object]:
+def kept(tree: Any, rows: bytes = b"") -> Callable[[Path], object]:
     """A state's archive of these members."""
     tree = tree if isinstance(tree, bytes) else json.dumps(tree).encode()
-    return lambda path: packed(path, {"state.json": tree, "arrays.json": shapes.encode(), "arrays.f64": array})
+    return lambda path: packed(path, {"state.json": tree, "rows": rows})
 
 
-HEADER = {"format": "blocks-state", "version": 1, "overrides": {}}
+HEADER: dict[str, Any] = {
+    "format": "blocks-state", "version": 2, "overrides": {}, "seed": None, "start": None, "exact": None, "rows": {},
+}  # fmt: skip
 for what, put in NOT_FILES.items():
     state(what, put)
     given(f"an input table: {what}", "E502", "", ("run", "a.json", "--stop", "1", "--input", "t.csv"), put, "t.csv")
@@ -1039,19 +1041,22 @@ state("a terabyte", sparse, "too large")
 state("nothing", data(b""))
 state(
     "a bomb",
-    lambda path: packed(path, {"state.json": b"{}", "arrays.json": b"[]", "arrays.f64": bytes(300 * 2**20)}),
+    lambda path: packed(path, {"state.json": b"{}", "rows": bytes(300 * 2**20)}),
     "large",
 )
 state("a tree that is a pickle", kept(PICKLE))
 state("a tree of 100,000 lists", kept(b"[" * 100_000))
 state("a tree that is a list", kept([]))
-state("no overrides", kept({"format": "blocks-state", "version": 1}), "no parameters")
-state("a newer version", kept({**HEADER, "version": 2}), "version 2")
+state("no overrides", kept({**HEADER, "overrides": None}), "no parameters")
+state("a newer version", kept({**HEADER, "version": 3}), "version 3")
+state("an older version", kept({"format": "blocks-state", "version": 1, "overrides": {}}), "version 1")
 state("nothing but a header", kept(HEADER))
-state("an array of a negative shape", kept(HEADER, "[[-1]]"))
-state("an array of a giant shape", kept(HEADER, "[[1000000000000, 1000000000000]]"))
-state("a shape of texts", kept(HEADER, '["a"]'))
-state("arrays that are cut", kept(HEADER, "[[10]]", b"\0" * 8))
+state("an array of a negative shape", kept({**HEADER, "rows": {"x": ["<f8", [-1]]}}), "no shape")
+state("an array of a giant shape", kept({**HEADER, "rows": {"x": ["<f8", [10**12, 10**12]]}}), "incomplete")
+state("a shape of texts", kept({**HEADER, "rows": {"x": ["<f8", ["a"]]}}), "no shape")
+state("a row of objects", kept({**HEADER, "rows": {"x": ["|O", [1]]}}, b"\0" * 8), "no shape")
+state("rows that are a list", kept({**HEADER, "rows": [1, 2]}))
+state("rows that are cut", kept({**HEADER, "rows": {"x": ["<f8", [10]]}}, b"\0" * 8), "incomplete")
 state("an override that is not there", kept({**HEADER, "overrides": {"\x1b[2J": 1}}))
 state("ten thousand members", lambda path: packed(path, {f"m{k}": b"" for k in range(10_000)}))
 state("a member that leaves the folder", lambda path: packed(path, {"../../evil": b"x", "/tmp/evil": b"x"}))

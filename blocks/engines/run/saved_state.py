@@ -196,7 +196,9 @@ class Kept:
             self.seed: int | None = tree["seed"]
             self.start = None if tree["start"] is None else _fraction(tree["start"])
             self.exact = None if tree["exact"] is None else _fraction(tree["exact"])
-            self.overrides: Mapping[str, Any] = dict(tree["overrides"])
+            if not isinstance(tree.get("overrides"), dict):
+                raise ValueError("it has no parameters")
+            self.overrides: Mapping[str, Any] = tree["overrides"]
         except OSError as error:
             raise UsageError(Fault("E506", self.place, f"cannot be read: {error.strerror}.")) from None
         except UsageError:
