@@ -22,8 +22,6 @@ from ..model.values import in_si
 from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.printable import aligned
 
-__all__ = ["AMPLITUDES", "LoopReport", "ObserverReport", "ObserverRow", "loop_report", "observer_report"]
-
 Array = np.ndarray[Any, Any]
 AMPLITUDES = (1e-3, 1e-2, 1e-1, 1.0)
 """Amplitudes of the error, unless others are given."""

@@ -12,8 +12,6 @@ from ..contract.block import Block
 from ..contract.equations import crossing, output
 from ..contract.variables import Discrete, Input, Parameter, State
 
-__all__ = ["TONE", "Correlator", "Injection", "Multitone", "Sweep", "Tone"]
-
 TONE = 5
 """The elements of a tone, which is one vector so that one call sets all of them at one instant:"""
 AMPLITUDE, OMEGA, AT, BEGIN, LENGTH = range(TONE)

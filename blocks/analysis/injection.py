@@ -21,8 +21,6 @@ from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import quoted
 from .excitation import Injection
 
-__all__ = ["Target", "free_name", "inject", "is_port", "known", "probe", "target"]
-
 
 @dataclass(frozen=True, slots=True)
 class Target:

@@ -22,8 +22,6 @@ from ..text.errors import AnalysisError, Fault, UsageError
 if TYPE_CHECKING:
     from ..model.trust import Paths
 
-__all__ = ["find_operating_point", "limit_cycles", "operating_points"]
-
 SETTLED = 1e-6
 """How much an output may still change, relative to its size, where FMUs of Co-Simulation are left to settle."""
 _MOST = 8  # times that a settling run goes on, twice as far each time

@@ -12,8 +12,6 @@ from ..frequency.response import response
 from ..frequency.systems import frd, label
 from ..text.errors import Fault, UsageError
 
-__all__ = ["Comparison", "Response", "compare"]
-
 Array = np.ndarray[Any, Any]
 
 

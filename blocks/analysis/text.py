@@ -19,8 +19,6 @@ from ..model.copies import alike
 from ..text.errors import AnalysisError, Fault
 from ..text.printable import counted
 
-__all__ = ["check_loop", "entry", "figure", "lines"]
-
 
 def _numbers(values: Any) -> list[list[float]]:
     return [[float(p.real), float(p.imag)] for p in np.asarray(values, dtype=complex)]

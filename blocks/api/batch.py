@@ -41,8 +41,6 @@ from .values import check_settings, time_of
 if TYPE_CHECKING:
     from ..contract.block import Block
 
-__all__ = ["STATUSES", "Batch", "BatchRows"]
-
 Array = np.ndarray[Any, Any]
 STATUSES = ("ok", "diverged", "budget", "refused", "failed", "left")
 """What may become of a row: it ran to its end; its numbers or its steps failed (E301 to E309); it took more steps than

@@ -25,8 +25,6 @@ from typing import Any, Protocol
 from ..engines.run.many_runs import Row
 from ..text.errors import Fault
 
-__all__ = ["Rows", "Worker", "in_processes", "packed"]
-
 BEGIN = f"import sys; sys.path[:] = {{}}; from {__name__} import _serve; _serve()"
 
 

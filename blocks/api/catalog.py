@@ -16,8 +16,6 @@ from ..model.block_types import Library, library_types
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import legible
 
-__all__ = ["Catalog", "Found", "ParameterRow", "PortRow", "Sheet", "Word", "measures", "sheet_of", "word_of", "words"]
-
 
 class PortRow(NamedTuple):
     """A port. unit: "*" where it follows from the units that structural parameters say. default: in words, or ""."""

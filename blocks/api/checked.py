@@ -15,8 +15,6 @@ from ..model.trust import Found, found, to_be_refused
 from ..text.errors import BlocksError, Fault
 from .diagram import Diagram
 
-__all__ = ["Checked", "checked"]
-
 
 @dataclass(frozen=True)
 class Checked:

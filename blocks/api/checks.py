@@ -20,8 +20,6 @@ from ..text.errors import Fault, ModelError
 from .ports import plain_settings
 from .values import check_settings
 
-__all__ = ["checked", "coupled_block", "faults_beside", "flat_of", "refuse_fmus", "single_plan"]
-
 
 def flat_of(
     value: DiagramValue,

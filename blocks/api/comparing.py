@@ -9,8 +9,6 @@ from ..model.document import load, loads
 from ..model.resolver import resolver_of
 from ..text.errors import Fault, ModelError
 
-__all__ = ["Readable", "compared", "nothing", "readable"]
-
 Readable = tuple[DiagramValue, tuple[Fault, ...]]
 """A diagram, and the faults of its file; of one with faults, what could be read of it."""
 

@@ -66,8 +66,6 @@ if TYPE_CHECKING:
     from .prepared_model import PreparedModel
     from .run import Run, RunOptions
 
-__all__ = ["Diagram", "Subdiagram", "run_of", "subdiagram"]
-
 
 @dataclass(frozen=True, slots=True)
 class Subdiagram:

@@ -19,8 +19,6 @@ from ..model.version_3 import converted, with_expressions
 from ..text.errors import BlocksError, Fault, ModelError
 from .entries import block_entry, checked_entry
 
-__all__ = ["Draft"]
-
 
 class Draft:
     """What a Diagram holds. types: the block types that it may use, by name."""

@@ -11,8 +11,6 @@ from ..model.diagram import DiagramValue
 from ..model.hierarchy import Resolver
 from ..text.errors import BlocksError, Fault
 
-__all__ = ["drawn"]
-
 
 class Drawing(str):
     """The text of an SVG, which a notebook shows as a picture."""

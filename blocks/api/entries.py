@@ -25,15 +25,6 @@ from ..text.errors import Fault, UsageError
 from ..text.printable import quoted
 from ..text.quantity_text import read_quantity
 
-__all__ = [
-    "as_name",
-    "block_entry",
-    "checked_entry",
-    "input_entry",
-    "input_like",
-    "parameter_entry",
-]
-
 # --- names -----------------------------------------------------------------------------------------------------
 
 

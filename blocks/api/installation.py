@@ -22,8 +22,6 @@ from ..engines.run.engine import VARIABLE
 from ..text.errors import CompilerError, Fault
 from ..text.version import __version__
 
-__all__ = ["Health", "clear_cache", "examine"]
-
 PACKAGES = ("numpy", "scipy")
 
 # x' = -x from 1, by the classical Runge-Kutta method over 1 s in 64 steps: off from exp(-1) by 2e-10. Two units, so

@@ -17,8 +17,6 @@ from ..model.study_grammar import LANES
 from ..text.errors import CompilerError, Fault, UsageError, did_you_mean
 from ..text.printable import legible
 
-__all__ = ["Lanes", "no_lanes"]
-
 
 @dataclass(frozen=True, slots=True)
 class Lanes:

@@ -16,8 +16,6 @@ from typing import Any
 from ..contract.block import BlockMeta
 from ..model.diagram import DiagramValue
 
-__all__ = ["LastMade", "names_files"]
-
 
 class LastMade:
     """The last one of each kind, and the key that it was made for. Threads may share it."""

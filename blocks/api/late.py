@@ -10,8 +10,6 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-__all__ = ["late"]
-
 _MODULES = {
     "sweep": "studies.sweep_run", "tune": "studies.tuning", "fit": "studies.identification",
     "live": "server.live_server", "edit": "server.live_server",

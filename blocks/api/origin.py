@@ -18,8 +18,6 @@ from ..model.settings import MasterSettings, RunSettings
 from ..results.provenance import Origin
 from ..text.version import __version__
 
-__all__ = ["origin_of"]
-
 MOST_NUMBERS = 50
 
 

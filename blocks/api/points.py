@@ -26,8 +26,6 @@ from .ports import plain_settings
 from .run import Run, RunOptions, engine_of, started
 from .values import at_rest, time_of
 
-__all__ = ["PointOptions", "point_of"]
-
 MOST_KEPT = 3
 """Forms of a model that are kept ready for other points."""
 

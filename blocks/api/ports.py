@@ -14,8 +14,6 @@ from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import quoted
 from ..text.quantity_text import read_quantity
 
-__all__ = ["Handle", "PortName", "plain_settings", "signal_names", "sink_text", "source_text", "text_of"]
-
 
 class Named(Protocol):
     """What a port belongs to: a diagram. A port needs its name alone."""

@@ -30,8 +30,6 @@ from .values import check_settings
 if TYPE_CHECKING:
     from ..contract.block import Block
 
-__all__ = ["PreparedModel"]
-
 MOST_KEPT = 8
 """Forms of a model (other logs, methods, structural values) that are kept ready."""
 MOST_BLOCKS = 50_000

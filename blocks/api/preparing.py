@@ -11,8 +11,6 @@ from ..compile.toolchain.platforms import PLATFORMS, this_platform
 from ..model import trust
 from ..model.diagram import DiagramValue
 
-__all__ = ["longest_compilation", "new_folders", "other_platforms"]
-
 
 def longest_compilation() -> float:
     """Return the time in s after which a hanging compiler is stopped."""

@@ -47,8 +47,6 @@ from .origin import origin_of
 from .streaming import Streaming, part_to_resume
 from .values import check_settings, time_of
 
-__all__ = ["Run", "RunOptions", "engine_of", "started"]
-
 FAR = 10**9
 """s: so far goes a run without a stop time that goes on until it is told to stop."""
 

@@ -25,8 +25,6 @@ from ..results.provenance import Origin
 from ..results.results import Results
 from ..text.errors import Fault, UsageError
 
-__all__ = ["Streaming", "part_to_resume"]
-
 CHUNK = 2**24
 """Bytes of rows that are written together."""
 SECONDS = 60.0

@@ -17,8 +17,6 @@ from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 
-__all__ = ["at_rest", "check_settings", "time_of"]
-
 
 def time_of(place: str, raw: Any) -> Fraction:
     """Return a time in s, exactly. place: named in errors. Raises UsageError (E501)."""

@@ -14,8 +14,6 @@ from .output import emit, fault_entry, printable, say
 if TYPE_CHECKING:
     from ..editing.edits import Change, Edit
 
-__all__ = ["add", "change_entry", "change_line", "tell_elsewhere"]
-
 
 def add(verbs: Any) -> None:
     apply = verbs.add_parser(

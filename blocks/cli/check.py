@@ -14,8 +14,6 @@ from .options import takes_json, takes_library, takes_variants
 from .output import emit, fault_entry, fault_lines, printable
 from .values import variants_of
 
-__all__ = ["add"]
-
 
 def add(verbs: Any) -> None:
     check = verbs.add_parser(

@@ -20,8 +20,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-__all__ = ["add", "words_after"]
-
 SHELLS = ("bash", "zsh", "fish")
 LARGEST = 4 * 2**20  # bytes of a diagram that is read between two keys
 DEEPEST = 8  # subdiagrams

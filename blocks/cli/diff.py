@@ -15,8 +15,6 @@ from .output import emit, printable, say
 if TYPE_CHECKING:
     from ..api.comparing import Readable
 
-__all__ = ["add"]
-
 STDIN = "-"
 MOST_BYTES = 2**25  # of stdin; the reader refuses what is larger than 16 MiB
 

@@ -8,8 +8,6 @@ from typing import Any
 from .options import takes_json
 from .output import emit, printable, say, tell_faults
 
-__all__ = ["add"]
-
 
 def add(verbs: Any) -> None:
     doctor = verbs.add_parser(

@@ -12,8 +12,6 @@ from .values import variants_of
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
 
-__all__ = ["add"]
-
 
 def add(verbs: Any) -> None:
     drawing = verbs.add_parser(

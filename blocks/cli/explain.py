@@ -11,8 +11,6 @@ from typing import Any
 from .options import takes_json
 from .output import emit, printable
 
-__all__ = ["add"]
-
 WIDEST = 100
 """Longer lines are hard to read, however wide the terminal is."""
 

@@ -12,8 +12,6 @@ from .options import takes_json, takes_library, takes_parameters, takes_several,
 from .output import emit, printable, say
 from .values import assignments, check_writable, number_of, time_of, variants_of
 
-__all__ = ["add"]
-
 
 def add(verbs: Any) -> None:
     export = verbs.add_parser(

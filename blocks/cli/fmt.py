@@ -11,8 +11,6 @@ from ..text.printable import counted
 from .options import takes_json, takes_library
 from .output import emit, printable, say, tell_faults
 
-__all__ = ["add"]
-
 
 def add(verbs: Any) -> None:
     fmt = verbs.add_parser(

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from ..fmi.schema import ModelVariable
     from ..model.fmu_block import Foreign
 
-__all__ = ["add"]
-
 _SIZE = "structuralParameter"
 _SHOWN = 30  # names
 

@@ -13,8 +13,6 @@ from .values import assignments, check_writable, number_of, parsed, raw_number, 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
 
-__all__ = ["add"]
-
 FIGURES = ("bode", "nyquist", "nichols", "step", "poles")
 
 

@@ -14,8 +14,6 @@ from .output import emit, printable
 if TYPE_CHECKING:
     from ..api.catalog import Catalog, Found, Sheet, Word
 
-__all__ = ["add"]
-
 
 def add(verbs: Any) -> None:
     listing = verbs.add_parser(

@@ -27,8 +27,6 @@ from .output import emit, printable
 from .signals import INTERRUPTED, end_now
 from .values import assignments, variants_of
 
-__all__ = ["add"]
-
 LOOK = 0.5
 """Seconds between two looks at whether Ctrl-C was pressed, which Windows does not tell who waits for a question."""
 

@@ -16,8 +16,6 @@ from ..text.errors import Fault, UsageError
 from ..text.printable import legible
 from .output import printable
 
-__all__ = ["add"]
-
 TEMPLATE = "project"
 """The folder of the files, which are data: `NAME` stands for the name, `dot-` for a dot, and each ends with `.txt`."""
 SCHEMA = "schemas/diagram.schema.json"

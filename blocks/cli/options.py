@@ -5,11 +5,6 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-__all__ = [
-    "takes_engine", "takes_json", "takes_library", "takes_parameters", "takes_point", "takes_run", "takes_settings",
-    "takes_several", "takes_trust", "takes_variants",
-]  # fmt: skip
-
 
 def takes_several(verb: argparse.ArgumentParser, option: str, metavar: str, help: str, **more: Any) -> None:
     """Add an option that may be repeated. Its values are a list, which is empty unless `more` has a default."""

@@ -14,11 +14,6 @@ from typing import Any, TextIO
 from ..text.errors import Fault
 from ..text.json_line import json_line
 
-__all__ = [
-    "Excerpts", "Progress", "emit", "fault_entry", "fault_lines", "printable", "say", "silence", "tell_faults",
-    "waiting",
-]  # fmt: skip
-
 LONG = 0.7  # s before a message says what is being done
 LATE = 30.0  # s
 

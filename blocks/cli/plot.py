@@ -12,8 +12,6 @@ from .options import takes_several
 from .output import printable
 from .values import check_writable
 
-__all__ = ["add"]
-
 MOST = 8
 """Signals of one figure: each has a panel."""
 

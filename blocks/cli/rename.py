@@ -10,8 +10,6 @@ from .apply import change_entry, change_line, tell_elsewhere
 from .options import takes_json, takes_library
 from .output import emit, printable
 
-__all__ = ["add"]
-
 KINDS = ("block", "input", "parameter", "output")
 
 

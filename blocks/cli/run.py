@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from ..api.run import Run
     from ..results.results import Results
 
-__all__ = ["add", "run_diagram"]
-
 TIMES = ("start", "stop", "step", "every")
 """The settings that are times."""
 PRINTED = "rows on stdout"

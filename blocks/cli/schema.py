@@ -7,8 +7,6 @@ from typing import Any
 
 from .options import takes_library
 
-__all__ = ["add"]
-
 
 def add(verbs: Any) -> None:
     schema = verbs.add_parser(

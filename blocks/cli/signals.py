@@ -19,8 +19,6 @@ from typing import Any
 from ..fmi.patience import pressed_again
 from .output import say
 
-__all__ = ["INTERRUPTED", "Heard", "end_now", "ended_at_once", "hearing"]
-
 INTERRUPTED = 128 + int(signal.SIGINT)
 ENDING = tuple(number for name in ("SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None)
 PATIENCE = 3.0  # s that Python has to end by itself after the second signal

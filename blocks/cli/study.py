@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from ..studies.sweep import Sweep
     from ..studies.tuned import Tuning
 
-__all__ = ["add"]
-
 
 def add(verbs: Any) -> None:
     study = verbs.add_parser(

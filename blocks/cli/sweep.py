@@ -27,7 +27,6 @@ from .values import as_options, assignments, check_writable, number_of, parsed, 
 if TYPE_CHECKING:
     from ..studies.sweep import Sweep
 
-__all__ = ["add"]
 _WORDS = {r"\bn=(\d+)": r"--n \1", r"^Leave n out": "Leave --n out", r"resume=False, --anew": "--anew"}
 """How the command line says what messages tell of arguments of Python."""
 

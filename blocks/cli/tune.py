@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from ..studies.tuned import Tuning
     from ..studies.tuning import Problem
 
-__all__ = ["add"]
-
 
 def add(verbs: Any) -> None:
     tune = verbs.add_parser(

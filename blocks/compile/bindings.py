@@ -41,8 +41,6 @@ from .memory_layout import parameter_places
 from .plan import Plan
 from .setting_programs import Program, Setting, evaluated, program_of, recorded
 
-__all__ = ["Bindings", "Given", "bindings", "bindings_of"]
-
 
 class Given(NamedTuple):
     """A setting whose value was set by its path, maybe by one that means other copies too.

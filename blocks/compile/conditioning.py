@@ -19,8 +19,6 @@ from ..library.continuous import TransferFunction
 from ..library.discrete import DiscreteTransferFunction
 from ..text.errors import Fault
 
-__all__ = ["lost_poles", "unsure"]
-
 _HALF = float(np.finfo(float).eps) / 2
 _MOST = 60  # degrees; eigenvalues of more take long
 _FEW = 1e-3  # of the distance to the point of rest: a doubt below it leaves a pole three digits

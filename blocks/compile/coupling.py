@@ -41,19 +41,6 @@ if TYPE_CHECKING:
     from ..fmi.schema import ModelVariable
     from ..model.fmu_block import Foreign
 
-__all__ = [
-    "CoupledElement",
-    "CoupledUnit",
-    "Coupling",
-    "CouplingLoop",
-    "Get",
-    "Group",
-    "Link",
-    "Slot",
-    "Stage",
-    "couple",
-]
-
 Link = Reference
 """Where an element of an input comes from: row "y", an element that units exchange; "u", an element of the diagram's
 inputs; "k", a number. "source": of a signal, a `Source` that is not exchanged."""

@@ -23,8 +23,6 @@ from ..contract.scalars import LOGICAL, Scalar
 from ..contract.variables import Parameter
 from .setting_programs import Program, evaluated, program_of, recorded
 
-__all__ = ["Untraceable", "default_programs"]
-
 LONGEST = 1000
 """Steps of the program of a computed default; each condition doubles what follows it."""
 

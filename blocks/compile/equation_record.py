@@ -21,8 +21,6 @@ from .coupling import Coupling
 from .memory_layout import names_of, parameter_places
 from .plan import Plan
 
-__all__ = ["Equations", "Numbers", "Record", "named_numbers"]
-
 MOST_NUMBERS = 16
 """The text of a parameter with more numbers holds a digest of them."""
 

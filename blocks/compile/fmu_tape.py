@@ -18,8 +18,6 @@ from ..contract.tape import Argument, Result, Tape, TapeNode
 if TYPE_CHECKING:
     from ..fmi.schema import ModelVariable, Unknown
 
-__all__ = ["EVENT", "FmuTape", "Opaque", "OpaqueItem", "Request", "asked", "opaque"]
-
 EVENT = "time_event"
 """The name under which the time events of an FMU are reported."""
 

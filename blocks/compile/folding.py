@@ -36,8 +36,6 @@ from ..text.errors import BlocksError
 from .memory_layout import ROWS
 from .plan import Plan, PlanSignal, Rate, Reference
 
-__all__ = ["At", "Folded", "folded"]
-
 # mypy: disable-error-code="no-untyped-def,misc,operator,index"
 
 

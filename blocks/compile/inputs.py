@@ -23,8 +23,6 @@ from ..text.plain_files import opened
 from ..text.quantity_text import quantity_in
 from .plan import Plan
 
-__all__ = ["InputTable", "Segment", "read_csv", "read_inputs"]
-
 Array = np.ndarray[Any, Any]
 _BOOLS = {"true": 1, "false": 0}
 MAX_CSV_BYTES = 512 * 2**20

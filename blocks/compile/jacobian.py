@@ -46,8 +46,6 @@ from .folding import Folded
 from .plan import AlgebraicLoop, Node, Plan, Program, Reference
 from .scheduler import schedule
 
-__all__ = ["Doubt", "Evaluated", "PlanJacobian", "Solve", "Sum", "on_arrays", "terms_on_arrays"]
-
 Array = np.ndarray[Any, Any]
 
 _LARGE = 4096  # partials of one group; a larger one is derived result by result, each by what it alone reads

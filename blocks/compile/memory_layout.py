@@ -17,8 +17,6 @@ from ..contract.tracing import trace
 from ..contract.variables import Discrete, Stepped
 from .fmu_tape import EVENT, opaque
 
-__all__ = ["ROWS", "CauseLayout", "Clocked", "Footprint", "Start", "names_of", "parameter_places"]
-
 ROWS = {row: number for number, row in enumerate("xdspwhc")}
 """The rows that blocks have places in, and their numbers in `Footprint.sizes`."""
 

@@ -16,8 +16,6 @@ from .fmu_tape import FmuTape
 from .plan import AlgebraicLoop, Node, Plan, Reference
 from .scheduler import schedule
 
-__all__ = ["BENT", "LOOKS", "Motion", "Motions", "looked_at"]
-
 LOOKS = ("crossings", "measured", "remembered", "logged", "projections")
 """What is looked at inside steps; runtime.h has the same order."""
 

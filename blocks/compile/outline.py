@@ -13,8 +13,6 @@ from .plan import AlgebraicLoop, Plan, Reference
 from .scheduler import schedule
 from .tick_stages import stages_of, tick_program
 
-__all__ = ["order", "outline", "own_tolerance", "rates"]
-
 MOST_SHOWN = 60
 """Blocks that a line of an order names."""
 

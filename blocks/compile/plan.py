@@ -40,28 +40,6 @@ from ..text.shown import Part, Shown
 if TYPE_CHECKING:
     from ..model.fmu_block import Foreign
 
-__all__ = [
-    "NOTHING",
-    "TICK",
-    "TIME",
-    "AlgebraicLoop",
-    "Cause",
-    "EnabledPart",
-    "ForeignPart",
-    "History",
-    "Instance",
-    "LoopPart",
-    "Node",
-    "Plan",
-    "PlanInput",
-    "PlanSignal",
-    "Program",
-    "ProgramStep",
-    "Rate",
-    "Reference",
-    "StepperPart",
-]
-
 
 class Reference(NamedTuple):
     """Where a value is read: a row, and the place in it; for "k" the number itself."""

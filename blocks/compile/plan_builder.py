@@ -45,8 +45,6 @@ from .scheduler import schedule
 from .tick_stages import coinciding, stages_of, tick_program
 from .upstream import Upstream
 
-__all__ = ["plan"]
-
 
 @paused()
 def plan(flat: Flat) -> Plan:

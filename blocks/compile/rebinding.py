@@ -24,8 +24,6 @@ from .bindings import Given, bindings_of
 from .plan import Plan
 from .setting_programs import Setting, evaluated, numbers, put
 
-__all__ = ["Rebinding"]
-
 
 class Rebinding:
     """Values of some parameters in a Plan.

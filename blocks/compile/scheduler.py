@@ -18,8 +18,6 @@ from .fmu_tape import FmuTape, asked
 from .plan import AlgebraicLoop, LoopPart, Node, Plan, Program, ProgramStep, Reference
 from .tearing import stages
 
-__all__ = ["components", "schedule"]
-
 
 def schedule(
     plan: Plan,

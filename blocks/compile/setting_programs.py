@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from ..contract.scalars import OPERATIONS, Scalar
 from ..contract.tape import TapeNode
 
-__all__ = ["Program", "Setting", "computed", "evaluated", "numbers", "program_of", "put", "recorded"]
-
 # --- programs --------------------------------------------------------------------------------------------------
 
 Program = tuple[TapeNode, ...]

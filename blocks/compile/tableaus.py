@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["METHODS", "STIFF", "Tableau", "c_header", "end_apart"]
-
 Array = np.ndarray[Any, Any]
 
 

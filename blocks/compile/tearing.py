@@ -15,8 +15,6 @@ from ..contract.tracing import jacobian
 from .fmu_tape import FmuTape
 from .plan import AlgebraicLoop, LoopPart, Node, Plan
 
-__all__ = ["Sensitivities", "Slopes", "bounds", "sensitivities", "slopes", "stages"]
-
 
 def stages(needs: Mapping[Node, Sequence[Node]], torn: frozenset[Node]) -> dict[Node, int]:
     """Return the stage at which each node of a loop is computed: after all that it needs. Torn nodes are the last.

@@ -15,8 +15,6 @@ from .fmu_tape import FmuTape
 from .plan import AlgebraicLoop, ForeignPart, Node, Plan, Program, Rate, Reference
 from .scheduler import components, schedule
 
-__all__ = ["UnitPlace", "coinciding", "rate_sets", "sequence_at", "sequence_of", "stages_of", "tick_program"]
-
 
 def tick_program(plan: Plan, slots: Sequence[int]) -> Program:
     """The program that computes the sampled outputs at these places in d, which are due. Raises ModelError (E102)."""

@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 
-__all__ = ["Grid", "within_ulps"]
-
 
 def within_ulps(a: float, b: float, scale: float = 0.0, count: int = 4) -> bool:
     """Whether two times are at most `count` spacings of floats apart.

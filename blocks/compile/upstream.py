@@ -6,8 +6,6 @@ from collections.abc import Iterable
 
 from .plan import Node, Plan, Reference
 
-__all__ = ["Upstream", "changed_by", "remembers_inputs"]
-
 
 class Upstream:
     """The memory of a Plan that values depend on, through rates, ticks, resets, sides and delays as well.

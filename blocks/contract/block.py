@@ -34,9 +34,6 @@ from .inheritance import Entry, completed, merged, taken_over
 from .reads import refuse
 from .variables import REQUIRED, Parameter, plain_value
 
-__all__ = ["Block", "BlockMeta", "is_abstract"]
-
-
 _ENTRIES = "__entries__"
 """Where an abstract class keeps what it and those above it say; no variable can have this name."""
 

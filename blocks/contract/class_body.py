@@ -31,8 +31,6 @@ from .variables import (
     Variable,
 )
 
-__all__ = ["RESERVED", "Body", "check_parts", "declare"]
-
 RESERVED = frozenset({"t", "tick", "time", "name", "parameters", "declaration"})
 """Names that equations or users need for something else."""
 

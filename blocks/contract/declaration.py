@@ -21,8 +21,6 @@ from .variables import (
     Variable,
 )
 
-__all__ = ["DESCRIBING", "Declaration"]
-
 DESCRIBING = {
     "relay": ("on_at", "off_at", "on", "off"),
     "quantizer": ("interval",),

@@ -12,8 +12,6 @@ from .reads import arguments, refuse
 from .unit_expression import UnitExpression
 from .variables import Discrete, Equation, Input, Parameter, State, Stepped, Variable
 
-__all__ = ["check_declaration"]
-
 
 def check_declaration(declaration: Declaration) -> None:
     """Refuse what can be refused without numbers. Raises DeclarationError (E402 to E405)."""

@@ -21,8 +21,6 @@ from .recorded_nodes import nodes_of
 from .scalars import MINUS_ONE, ONE, OPERATIONS, Scalar, choose, constant, record
 from .tape import TapeNode, nodes_needed
 
-__all__ = ["derived"]
-
 _Edge = tuple[int, int, int]
 """A node, the place of an operand by which it may have a derivative, and that operand."""
 

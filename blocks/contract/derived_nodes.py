@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 from .scalars import JUMPS, KEEPS_WHOLE, WHOLE
 from .tape import Argument, TapeNode, nodes_needed
 
-__all__ = ["are_whole", "with_phases", "with_reciprocals"]
-
 _MOVING = frozenset({"time", "input", "state", "algebraic", "history", "output"})
 """The kinds of arguments that may change between instants."""
 _TURNS = {"sin": 1 / (2 * math.pi), "cos": 1 / (2 * math.pi), "tan": 1 / math.pi, "floor": 1.0, "ceil": 1.0}

@@ -15,8 +15,6 @@ from itertools import islice
 from numbers import Real
 from typing import Any
 
-__all__ = ["Enumeration", "enumeration_of", "resting", "same_members", "type_text"]
-
 _PLAIN = re.compile(r"[^\s\"\\,=()]+(?: [^\s\"\\,=()]+)*")
 _TEXT = r'(?:"(?:[^"\\]|\\.)*"|[^"\\,=()]+)'
 _ENUM = re.compile(rf"enum ({_TEXT})\((.*)\)", re.DOTALL)

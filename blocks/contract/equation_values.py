@@ -13,8 +13,6 @@ from .equations import Local, Output
 from .interface import Interface
 from .variables import Equation
 
-__all__ = ["EquationValues", "numeric", "refusal"]
-
 Array = np.ndarray[Any, Any]
 
 

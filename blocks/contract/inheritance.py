@@ -16,8 +16,6 @@ from .reads import refuse
 from .unit_expression import UnitExpression
 from .variables import Clock, Equation, Role, Variable
 
-__all__ = ["Entry", "completed", "merged", "taken_over"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Entry:

@@ -21,8 +21,6 @@ from .declaration import Declaration
 from .reads import arguments
 from .variables import Discrete, Parameter, State, Variable
 
-__all__ = ["LARGEST", "Array", "Interface", "Port", "Value", "check_differences"]
-
 Array = np.ndarray[Any, Any]
 # Every element of a state, and every port, is looked at by itself; a matrix is not.
 LARGEST, LARGEST_MEMORY, MOST_PORTS = 1_000_000, 20_000, 100_000

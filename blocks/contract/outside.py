@@ -29,8 +29,6 @@ import numpy as np
 from .declaration import Declaration
 from .variables import Variable
 
-__all__ = ["Outside", "is_settled", "outside", "outside_of"]
-
 _MISSING: Any = type("Missing", (), {"__repr__": lambda self: "MISSING"})()
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
 _SETTLED = frozenset({"blocks", "numpy", "scipy", "control"})

@@ -20,8 +20,6 @@ import numpy as np
 
 from .outside import is_settled
 
-__all__ = ["program_text"]
-
 _PLAIN = (bool, int, float, complex, str, bytes, np.generic)
 
 

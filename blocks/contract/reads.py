@@ -10,8 +10,6 @@ from typing import Any, NoReturn
 from ..text.errors import DeclarationError, Fault
 from .unit_expression import UnitExpression
 
-__all__ = ["Function", "arguments", "refuse"]
-
 _VARIADIC = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
 
 Function = Callable[..., Any]

@@ -11,8 +11,6 @@ from collections.abc import Iterable, Sequence
 from .scalars import OPERATIONS, Scalar
 from .tape import TapeNode, nodes_needed
 
-__all__ = ["NodeList", "nodes_of"]
-
 _ZERO = TapeNode("constant", (), 0.0)
 _LOOKUPS = ("search", "pick")
 _FOLDED = frozenset({"add", "sub", "mul", "div", "neg", "not", "lt", "le", "eq", "ne"})

@@ -31,8 +31,6 @@ from .sparse import SparseMatrix
 from .uses import sizing, uses
 from .variables import NO_LIMIT, REQUIRED, Algebraic, Clock, Discrete, History, Parameter, State, Stepped
 
-__all__ = ["Resolved", "default_value", "limits", "loose", "memory_start", "resolve", "with_numbers"]
-
 LEAST_DELAY = 1e-15  # s
 NO_DELAY = "For no delay, leave the block out; in a sweep, begin at a small delay, such as 1 ms."
 

@@ -19,12 +19,6 @@ import numpy as np
 
 from .table_lookup import pick, search
 
-__all__ = [
-    "BENDS", "COSTLY", "JOINS", "JUMPS", "KEEPS_WHOLE", "LOGICAL", "MINUS_ONE", "ONE", "OPERATIONS", "WHOLE",
-    "Operation", "Scalar", "choose", "constant", "record", "unknown",
-]  # fmt: skip
-
-
 _Operator = Callable[[Any, Any], "Scalar"]
 
 

@@ -11,8 +11,6 @@ import numpy as np
 
 from ..text.errors import Fault, ModelError
 
-__all__ = ["SparseMatrix", "edges_of"]
-
 Array = np.ndarray[Any, Any]
 
 

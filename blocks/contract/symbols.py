@@ -23,18 +23,6 @@ from .scalars import JOINS, LOGICAL, OPERATIONS, Scalar, choose, record, unknown
 from .scalars import constant as number
 from .table_lookup import TracedTable
 
-__all__ = [
-    "SymbolError",
-    "SymbolicTable",
-    "Symbols",
-    "as_symbols",
-    "begin",
-    "constant",
-    "elements",
-    "returned",
-    "symbol",
-]
-
 Array = np.ndarray[Any, Any]
 
 

@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["TracedTable", "pick", "search"]
-
 
 class TracedTable(ABC):
     """A table while equations are traced: its numbers are not known, its size is."""

@@ -16,14 +16,6 @@ from typing import Any
 from .interface import Interface
 from .outside import Outside
 
-__all__ = [
-    "Argument",
-    "Result",
-    "Tape",
-    "TapeNode",
-    "nodes_needed",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Argument:

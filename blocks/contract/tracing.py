@@ -26,8 +26,6 @@ from .scalars import Scalar
 from .tape import Argument, Result, Tape, TapeNode, nodes_needed
 from .variables import Discrete, Equation, Role
 
-__all__ = ["fine", "jacobian", "trace"]
-
 _Kind = tuple[Interface, bool]
 """A type, and whether its tape is fine."""
 _TAPES: dict[_Kind, Tape] = {}

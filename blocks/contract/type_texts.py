@@ -12,8 +12,6 @@ from .interface import Interface, Value
 from .resolution import Resolved, resolve
 from .variables import REQUIRED
 
-__all__ = ["NO_NAMES", "interface_of", "names_of", "pieces_of", "resolved_of"]
-
 NO_NAMES = formulas.Names(vectors=frozenset("rxyzu"))
 """For texts that belong to no block."""
 

@@ -8,8 +8,6 @@ from typing import Any, Protocol, runtime_checkable
 from ..text import units
 from ..text.errors import DeclarationError, Fault, ModelError
 
-__all__ = ["UnitExpression"]
-
 
 class UnitExpression:
     """The unit that a text parameter of the class names, or a product, a quotient or a power of units.

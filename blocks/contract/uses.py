@@ -15,8 +15,6 @@ from .equations import Output
 from .reads import arguments
 from .variables import Clock, Parameter, Stepped
 
-__all__ = ["CONSTANT", "FIXED", "TUNABLE", "Use", "sizing", "uses"]
-
 TUNABLE, FIXED, CONSTANT = range(3)
 """When a parameter may be set: at any time, before the start only, never."""
 

@@ -19,31 +19,6 @@ from .reads import Function, arguments, refuse
 from .sparse import edges_of
 from .unit_expression import UnitExpression
 
-__all__ = [
-    "NO_LIMIT",
-    "REQUIRED",
-    "UNLIMITED",
-    "Algebraic",
-    "AnyUnit",
-    "Clock",
-    "Discrete",
-    "Equation",
-    "Given",
-    "History",
-    "Input",
-    "Kind",
-    "Memory",
-    "Parameter",
-    "Role",
-    "Shape",
-    "State",
-    "Stepped",
-    "Variable",
-    "checked_type",
-    "plain_value",
-]
-
-
 # Far beyond every signal, and its square is still a finite number.
 UNLIMITED = 1e100
 NO_LIMIT: Mapping[str, float] = MappingProxyType({"inf": UNLIMITED, "-inf": -UNLIMITED})

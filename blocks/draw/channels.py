@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from itertools import pairwise
 
-__all__ = ["Trunk", "tracks_of"]
-
 NEAR = 7.0
 """Heights nearer than this count as one."""
 APART = 8.0

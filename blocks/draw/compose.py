@@ -18,8 +18,6 @@ from .pinned import pinned
 from .shapes import HEADER, Shape, Text, flag_shape, frame_header
 from .text import fitted, plain
 
-__all__ = ["picture"]
-
 NAME = 11.0  # size of a block's name
 CODE = 10.0  # size of a fault's code
 LONGEST_NAME = 150.0

@@ -15,8 +15,6 @@ from itertools import accumulate
 
 from .order import Columns
 
-__all__ = ["heights_of"]
-
 BETWEEN_NODES = 22.0
 BETWEEN_TERMINALS = 0.0
 BESIDE_WIRE = 14.0  # a node and a wire that passes it

@@ -17,8 +17,6 @@ from .graph import Arranged, Graph, Path, Point, bounds, crossings, simplified
 from .heights import heights_of
 from .order import Columns, Pin, columns_ordered
 
-__all__ = ["layered"]
-
 MARGIN = 16.0  # from a column to the first track
 TRACK = 12.0  # from one track to the next
 EMPTY = 34.0  # a channel without tracks

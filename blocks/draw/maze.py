@@ -18,8 +18,6 @@ from itertools import pairwise
 
 from .graph import Graph, Path, Point, simplified
 
-__all__ = ["Maze", "TooFarApart"]
-
 STEP = 10.0
 CLEAR = 5.0  # lines of the lattice nearer to a port's line are left out
 BEND = 30.0

@@ -9,8 +9,6 @@ from itertools import pairwise
 
 from .graph import Graph
 
-__all__ = ["Columns", "Pin", "columns_ordered"]
-
 SWEEPS = 10
 SWAPPED = 600  # items, above which no swaps are tried
 

@@ -19,8 +19,6 @@ from ..model.flatten import interface_of
 from ..model.hierarchy import Resolver
 from ..text.errors import ModelError
 
-__all__ = ["BEFORE", "UNKNOWN", "Net", "Part", "Parts", "Ports", "parts_of", "ports_of"]
-
 BEFORE = "\0"
 """Prefix of a port's name for the end of a wire that another wire has replaced."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["PICTOGRAMS"]
-
 _CORNER = ("thin", "M-16 -13V12H16")  # time to the right
 _CROSS = ("thin", "M-17 0H17M0 -14V14")  # output over input
 

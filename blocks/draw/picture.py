@@ -10,8 +10,6 @@ from ..text.errors import Fault
 from .graph import Path, Point
 from .shapes import Shape, Text
 
-__all__ = ["Box", "Dot", "Kept", "Mark", "Marks", "Open", "Picture", "Wire"]
-
 _Made = TypeVar("_Made")
 
 

@@ -14,8 +14,6 @@ from .picture import Kept, Picture
 from .shapes import PITCH, Shape, Text, block_shape, named_box
 from .text import plain, shown
 
-__all__ = ["Piece", "extent", "graph_of", "reachable", "shape_of", "tip", "with_replaced"]
-
 STUB = 14.0  # room for the arrow head before an input
 FARTHEST = 100_000.0  # positions beyond this are ignored
 ASIDE = 8.0  # between an input and the end of a wire that was replaced

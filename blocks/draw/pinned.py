@@ -8,8 +8,6 @@ from .graph import Arranged, Graph, Path, Point
 from .layered import layered
 from .maze import Maze, TooFarApart
 
-__all__ = ["pinned"]
-
 GAP = 44.0  # between blocks and the terminals beside them
 BELOW = 24.0  # between blocks one above the other
 BESIDE = 40.0  # between blocks side by side, and as much again as wires may need

@@ -11,8 +11,6 @@ from typing import Any
 from .pictograms import PICTOGRAMS
 from .text import cut, fitted, shown, width_of
 
-__all__ = ["PITCH", "Pins", "Shape", "Stroke", "Text", "block_shape", "flag_shape", "frame_header", "named_box", "num"]
-
 PITCH = 20.0
 """Distance between two ports of one side."""
 HEADER = 11.0  # size of a type's name

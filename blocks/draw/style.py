@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = ["RATES", "style_of"]
-
 # They differ in pattern as well as in color, for print and for the color-blind.
 RATES = (
     ("#b45309", "#fbbf24", "7 3"),

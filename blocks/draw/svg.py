@@ -27,8 +27,6 @@ from .shapes import Pins, Text, num, polygon
 from .style import RATES, style_of
 from .text import cut, escaped, fitted, plain, width_of
 
-__all__ = ["rendered", "svg"]
-
 MARGIN = 16.0
 TITLE = 15.0
 CORNER = 4.0  # radius of a wire's corner

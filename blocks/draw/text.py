@@ -7,8 +7,6 @@ from typing import Any
 
 from ..text.json_number import Number
 
-__all__ = ["cut", "escaped", "fitted", "plain", "shown", "width_of"]
-
 # Widths of Helvetica in thousandths of the size, as its metrics file (AFM) has them, from the space to the tilde.
 _ASCII = (
     278, 278, 355, 556, 556, 889, 667, 191, 333, 333, 389, 584, 278, 333, 278, 278,

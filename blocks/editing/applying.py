@@ -18,8 +18,6 @@ from .edits import Edit, Workspace
 from .operations import OPERATIONS
 from .spots import spot_of
 
-__all__ = ["edit_file", "operations_of"]
-
 
 def edit_file(
     path: str | Path,

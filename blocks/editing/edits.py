@@ -33,8 +33,6 @@ from ..text.json_number import Number
 from . import tree
 from .references import Documents
 
-__all__ = ["Change", "Edit", "Workspace", "files_with"]
-
 MOST_FOLDERS, MOST_FILES, MOST_BYTES = 2_000, 2_000, 64 * 2**20
 """How much of the project is searched for other uses of a name."""
 

@@ -29,8 +29,6 @@ from .references import Reference, Target, references
 from .rename import READ, drawing, same_flat
 from .spots import Spot, blocks_of, entries_around
 
-__all__ = ["group", "ungroup"]
-
 _ELEMENTS = re.compile(r"(.*?)((?:\[[^\[\]]*\])*)\Z", re.DOTALL)
 
 

@@ -39,8 +39,6 @@ from .rename import check_name as check_new_name
 from .spots import Spot, blocks_of
 from .swapping import existing, swapped
 
-__all__ = ["OPERATIONS", "Operation"]
-
 _PLACE = AnyOf(
     Text(is_empty=False),
     ListOf(AnyOf(Text(), Scalar(low=0, high=1_000_000, is_whole=True), what="a key or an index"), 1),

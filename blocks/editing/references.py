@@ -26,8 +26,6 @@ from ..text.errors import Fault, ModelError
 from ..text.grammar import Found, Object
 from ..text.json_document import Document
 
-__all__ = ["SECTIONS", "Body", "Documents", "Kind", "Reference", "Steps", "Target", "references", "table"]
-
 Steps: TypeAlias = tuple[str | int, ...]
 Kind: TypeAlias = Literal["block", "input", "parameter", "output", "measure", "variant", "run"]
 SECTIONS: Mapping[Kind, str] = {

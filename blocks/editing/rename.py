@@ -35,10 +35,6 @@ from . import tree
 from .edits import Change, Edit, Workspace, files_with, rewritten
 from .references import SECTIONS, Body, Documents, Kind, Reference, Steps, Target, references, table
 
-__all__ = [
-    "NAMED", "READ", "Renamed", "Renaming", "check_name", "drawing", "renaming", "same_flat", "same_values",
-]  # fmt: skip
-
 NAMED: tuple[Kind, ...] = ("block", "input", "parameter", "output")
 """What a path such as "control.eso" may mean."""
 _NUMBER = r"(?:\[[0-9]+\])?"  # of a copy

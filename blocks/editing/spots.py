@@ -16,8 +16,6 @@ from . import tree
 from .edits import Workspace, faults_of
 from .references import Body
 
-__all__ = ["Spot", "blocks_of", "entries_around", "spot_of"]
-
 
 @dataclass(frozen=True)
 class Spot:

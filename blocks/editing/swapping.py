@@ -12,8 +12,6 @@ from ..model.variants import Match, Swap, match, used_ports
 from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.printable import legible, quoted
 
-__all__ = ["existing", "swapped"]
-
 
 def existing(value: DiagramValue, name: str) -> BlockEntry:
     """The block that is to be swapped. Raises ModelError (E105) where there is none."""

@@ -22,11 +22,6 @@ from ..text.json_number import Number
 from ..text.printable import legible, quoted
 from .references import Reference, Target
 
-__all__ = [
-    "entry_at", "grammar_of", "holder_of", "is_within", "put_in", "replaced", "steps_of", "table_at", "with_key",
-    "with_names", "without",
-]  # fmt: skip
-
 _STEP = re.compile(r'(?:^|\.)([\w$-]+)|\[(\d{1,9})\]|\[("(?:[^"\\]|\\.)*")\]')
 _DROPPED = (diagrams.RUN, diagrams.MASTER, studies.SETTINGS)
 """The objects that say nothing when they are empty."""

@@ -30,8 +30,6 @@ from .run.memory_estimate import COPIES, COPIES_OF_MASTER, no_room
 from .run.saved_state import State
 from .run.stiffness import StiffWatch
 
-__all__ = ["Simulation"]
-
 Array = np.ndarray[Any, Any]
 
 

@@ -35,8 +35,6 @@ from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.gc_pause import paused
 from ..text.printable import legible
 
-__all__ = ["Prepared"]
-
 _OF_THE_CLOCK = ("start", "stop", "step", "rtol", "atol", "gives_rtol", "every", "jumps", "stops")
 """The settings of a run that no Plan depends on."""
 _OF_THE_ROW = (*_OF_THE_CLOCK, "seed")

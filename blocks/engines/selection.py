@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from ..fmi.instance import Loaded
     from .run.model_exchange import Foreigns
 
-__all__ = ["check_room", "compiled_model", "simulation"]
-
 _told: set[str] = set()
 
 

@@ -21,8 +21,6 @@ from ..text import units
 from ..text.errors import Fault, ModelError, UsageError
 from .fmu_model import Dependencies, ExportedVariable, Model
 
-__all__ = ["build_description", "model_description"]
-
 LOG_CATEGORIES = {
     "logEvents": "Events: ticks, crossings and event times",
     "logStatusWarning": "Messages of calls that return a warning",

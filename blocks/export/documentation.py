@@ -6,8 +6,6 @@ import html
 
 from .fmu_model import ExportedVariable, Model
 
-__all__ = ["index_html"]
-
 _STYLE = """
 :root { --ink: #1f2937; --soft: #4b5563; --line: #e5e7eb; --paper: #fff }
 @media screen and (prefers-color-scheme: dark) {

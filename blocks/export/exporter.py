@@ -44,8 +44,6 @@ from .tables import tables_text
 from .variable_docs import doc_of, docs_of, prefix_of
 from .variables import Variables
 
-__all__ = ["Exported", "export"]
-
 NAMES = {"CS": "Co-Simulation", "ME": "Model Exchange"}
 KINDS = tuple(NAMES)
 _TIME = (1980, 1, 1, 0, 0, 0)  # the first one that ZIP knows: files have no dates

@@ -31,8 +31,6 @@ from ..fmi.xmltree import Element
 from ..text.atomic_write import write_atomically
 from ..text.errors import CompilerError, Fault, FMUError
 
-__all__ = ["CompiledFmu", "compile_sources"]
-
 BUILD = "sources/buildDescription.xml"
 MAX_TEXT = 64 * 2**20  # bytes of one source; tables of numbers are long
 TEXTS = (".c", ".h", ".inc", ".def", ".cfg", ".txt", ".hpp")

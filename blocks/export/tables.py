@@ -19,8 +19,6 @@ from ..model.settings import RunSettings
 from .fmu_model import Dependencies
 from .variables import Variables
 
-__all__ = ["tables_text"]
-
 _TYPES = {"real": 0, "int": 1, "bool": 2, "enum": 3, "text": 4}
 _ROWS = ("time", "state", "rate", "input", "setting", "output", "local", "indicator", "text")
 _CONSTANT, _FIXED, _TUNABLE, _CALCULATED, _VARYING = range(5)

@@ -9,8 +9,6 @@ from ..model.diagram import DiagramValue
 from ..model.flatten import Flat
 from ..text.units import si_text
 
-__all__ = ["doc_of", "docs_of", "prefix_of"]
-
 
 def doc_of(raw: Any) -> str:
     """A "doc" of a file as one line."""

@@ -15,8 +15,6 @@ from ..model.flatten import Flat
 from ..text.units import quotient, si_text
 from .fmu_model import ExportedVariable
 
-__all__ = ["Place", "Variables"]
-
 
 @dataclass(frozen=True, slots=True)
 class Place:

@@ -44,8 +44,6 @@ from typing import Self
 from ..text.errors import Fault, FMUError, ModelError
 from .patience import undisturbed
 
-__all__ = ["DESCRIPTION", "NEEDED", "Archive", "Unpacked", "drop_folders", "sha256_of", "unpack"]
-
 DESCRIPTION = "modelDescription.xml"
 NEEDED = ("binaries", "resources", "extra")
 """The folders that a running FMU may look into."""

@@ -15,8 +15,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
 
-__all__ = ["Binary", "functions", "inspect"]
-
 # A header names sizes; what is read of a file stays within these, whatever it says.
 LARGEST_FILE = 2**40
 LARGEST_TABLE = 64 * 2**20

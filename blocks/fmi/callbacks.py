@@ -19,8 +19,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-__all__ = ["Called", "callbacks_of_2", "callbacks_of_3", "instances", "is_called"]
-
 
 class Called:
     """An instance as its FMU calls it. raised: what was deferred. intermediate: gives the time of an early return."""

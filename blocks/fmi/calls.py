@@ -34,10 +34,6 @@ from .patience import patient, undisturbed
 from .schema import Description, Interface
 from .types import call_of, full_name
 
-__all__ = [
-    "ASKED", "DISCARD", "ERROR", "FATAL", "OK", "PENDING", "WARNING", "Binding", "Message", "Running", "running",
-]  # fmt: skip
-
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 WORDS = ("ok", "a warning", "discard", "an error", "a fatal error", "pending")
 KEPT = 20

@@ -11,8 +11,6 @@ from .schema import Display, Type, UnitDefinition
 from .types import TYPES
 from .xmltree import Element
 
-__all__ = ["Definitions"]
-
 ATTRIBUTES = {
     "name", "description", "quantity", "unit", "displayUnit", "relativeQuantity", "min", "max", "nominal", "unbounded",
     "mimeType", "maxSize", "canBeDeactivated", "priority", "intervalVariability", "intervalDecimal", "shiftDecimal",

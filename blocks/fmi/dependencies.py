@@ -12,8 +12,6 @@ from .schema import Structure, Unknown
 from .variables import Variables
 from .xmltree import Element
 
-__all__ = ["Dependencies"]
-
 _KINDS = {"dependent", "constant", "fixed", "tunable", "discrete"}
 _UNKNOWN = {"index", "valueReference", "dependencies", "dependenciesKind"}
 

@@ -38,8 +38,6 @@ from .schema import (
 from .variables import Variables
 from .xmltree import Element
 
-__all__ = ["EXPERIMENT", "parse", "read_description", "remembered"]
-
 EXPERIMENT = "DefaultExperiment"
 _INTERFACES = {"ModelExchange": "ME", "CoSimulation": "CS", "ScheduledExecution": "SE"}
 _ORDER = (

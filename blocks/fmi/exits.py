@@ -28,8 +28,6 @@ from typing import Any
 from ..text.errors import Fault, FMUError
 from .callbacks import instances, is_called
 
-__all__ = ["Ended", "forget", "telling", "watch"]
-
 DEEPEST = 1000
 """Functions on the stack that are looked at."""
 

@@ -13,8 +13,6 @@ from functools import lru_cache
 
 from ..text.errors import Fault
 
-__all__ = ["MOST_FAULTS", "Findings", "quoted", "real_number", "shown", "whole_number"]
-
 MOST_FAULTS = 100
 MOST_NAMED = 3
 

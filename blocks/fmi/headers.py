@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["standard_headers"]
-
 
 def standard_headers(fmi: int) -> dict[str, str]:
     name = f"fmi{fmi}.h"

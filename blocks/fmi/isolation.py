@@ -36,8 +36,6 @@ from ..text.errors import CompilerError, Fault, FMUError
 from . import library as libraries
 from .library import TIMEOUT
 
-__all__ = ["CompileC", "failure", "isolated", "process", "why"]
-
 MARK = b"BLOCKS-PROXY-SETTINGS:1\0"
 SETTINGS = 32768  # bytes; as in proxy.c
 MOST_LIBRARIES = 60

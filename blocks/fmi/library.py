@@ -43,25 +43,6 @@ from .binary import Binary, inspect
 from .findings import quoted
 from .schema import Description, Interface
 
-__all__ = [
-    "TIMEOUT",
-    "Notes",
-    "binaries",
-    "claimed",
-    "faults",
-    "find",
-    "folders",
-    "function",
-    "lacks",
-    "load",
-    "no_kind",
-    "refused",
-    "suffix",
-    "this_machine",
-    "unload",
-    "with_neighbors",
-]
-
 TIMEOUT = 10.0
 """s; how long a library may take to load: one whose constructor waits for something waits for ever."""
 NOTE = "fmu-loaded"

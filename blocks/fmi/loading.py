@@ -29,8 +29,6 @@ from .library import TIMEOUT, Notes, find, folders, load, no_kind, suffix
 from .patience import undisturbed
 from .schema import Description, Interface
 
-__all__ = ["Loaded", "open_fmu"]
-
 
 class _Shared:
     """A binding with its folder and its users."""

@@ -15,8 +15,6 @@ from typing import Any
 
 from .callbacks import is_called
 
-__all__ = ["patient", "pressed_again", "undisturbed"]
-
 _waiting: list[Callable[[int, FrameType | None], None]] = []
 
 

@@ -17,8 +17,6 @@ from functools import lru_cache
 from ..text import units
 from ..text.errors import ModelError
 
-__all__ = ["spelled"]
-
 # Files round factors, 1/min to 0.0167; no two units of one quantity are that near to each other.
 ROUNDED = 5e-3
 # Without J, which is N.m as well, and Hz, which others take for a turn a second.

@@ -8,8 +8,6 @@ from dataclasses import fields, replace
 
 from .schema import Description, ModelVariable, Structure, Unknown
 
-__all__ = ["resized"]
-
 
 def resized(description: Description, sizes: Mapping[str, int]) -> tuple[Description, frozenset[str]]:
     """The description with these values of structural parameters, and the names of all variables that they change.

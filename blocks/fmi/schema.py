@@ -11,23 +11,6 @@ from typing import Any
 
 from ..text.errors import Fault
 
-__all__ = [
-    "Alias",
-    "Category",
-    "Clock",
-    "Description",
-    "Display",
-    "Experiment",
-    "Interface",
-    "ModelVariable",
-    "Structure",
-    "Type",
-    "UnitDefinition",
-    "Unknown",
-    "Value",
-    "variable_of",
-]
-
 Value = float | int | bool | str | bytes
 
 

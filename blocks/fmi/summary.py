@@ -14,8 +14,6 @@ from .description import parse
 from .library import binaries, faults, folders
 from .schema import Description, ModelVariable, Type
 
-__all__ = ["Told", "tell"]
-
 NAMES = {"ME": "Model Exchange", "CS": "Co-Simulation", "SE": "Scheduled Execution"}
 GROUPS = ("input", "output", "parameter", "structuralParameter")
 MORE = ("calculatedParameter", "local")

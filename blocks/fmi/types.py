@@ -9,20 +9,6 @@ from __future__ import annotations
 import ctypes
 from typing import Any
 
-__all__ = [
-    "CALLS",
-    "FLOATS",
-    "INTEGERS",
-    "NUMBERS",
-    "TYPES",
-    "c_type",
-    "call_of",
-    "call_of_code",
-    "code_of",
-    "full_name",
-    "limits_of",
-]
-
 FLOATS = ("Float64", "Float32")
 INTEGERS = {
     "Int8": (-(2**7), 2**7 - 1), "UInt8": (0, 2**8 - 1), "Int16": (-(2**15), 2**15 - 1), "UInt16": (0, 2**16 - 1),

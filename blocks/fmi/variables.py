@@ -15,8 +15,6 @@ from .schema import Alias, Clock, ModelVariable, Value, variable_of
 from .types import CALLS, FLOATS, INTEGERS, TYPES, limits_of
 from .xmltree import Element
 
-__all__ = ["LARGEST_ARRAY", "Variables"]
-
 LARGEST_ARRAY = 10_000_000
 """Elements; 80 MB of doubles."""
 

@@ -11,8 +11,6 @@ from xml.parsers import expat
 
 from ..text.errors import Fault, FMUError
 
-__all__ = ["Element", "parse"]
-
 # Tag, attributes, children, line. Plain tuples: 10,000 variables are 20,000 of them.
 Element = tuple[str, dict[str, str], list[Any], int]
 

@@ -25,25 +25,6 @@ import numpy as np
 
 from ..text.errors import AnalysisError, Fault, UsageError
 
-__all__ = [
-    "Controller",
-    "EulerCycle",
-    "Gains",
-    "SamplingLimits",
-    "adrc_gains",
-    "bandwidth_gains",
-    "controller",
-    "disturbance_bandwidth",
-    "disturbance_estimate",
-    "equivalent_bandwidth",
-    "euler_cycles",
-    "half_gain",
-    "half_gain_poles",
-    "noise_gain",
-    "observer",
-    "sampling_limits",
-]
-
 Array = np.ndarray[Any, Any]
 
 _DECADES_POINTS = 40  # of the search for cycles: laws of ADRC change their gain slowly along a decade

@@ -18,8 +18,6 @@ import numpy as np
 
 from ..text.errors import AnalysisError, Fault, UsageError
 
-__all__ = ["PLACE", "breaks_of", "finite", "positive", "refused", "sign_changes", "switched", "undescribed", "values"]
-
 Array = np.ndarray[Any, Any]
 Law = Callable[[Array], Any]
 

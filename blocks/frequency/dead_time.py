@@ -19,8 +19,6 @@ import numpy as np
 from .realization import Realization
 from .search import summit
 
-__all__ = ["extrema", "is_stable", "stretches"]
-
 Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 _FIRST = 64  # turns from zero frequency on that are looked at

@@ -14,8 +14,6 @@ import numpy as np
 
 from .realization import Realization, balanced
 
-__all__ = ["DelayedModel", "Rational"]
-
 Array = np.ndarray[Any, Any]
 _CHUNK = 1 << 22  # entries of the matrices that are solved at once
 

@@ -16,18 +16,6 @@ import numpy as np
 from .lapack import eigenvectors
 from .realization import Realization, components, growth
 
-__all__ = [
-    "eigenvalues_with_doubt",
-    "growth_of",
-    "is_root",
-    "is_singular",
-    "onto_border",
-    "parts_with_doubt",
-    "root_doubts",
-    "rounding",
-    "stability",
-]
-
 Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 

@@ -17,11 +17,6 @@ from .response import dc_gain
 from .search import layout, refined
 from .systems import StateSpace, is_of, source
 
-__all__ = [
-    "curve_of", "decibel_of", "draw_step_figures", "full_curve_of", "phase_of", "settling_time", "shown_of",
-    "single_channels", "span_of", "step_response",
-]  # fmt: skip
-
 Array = np.ndarray[Any, Any]
 
 _MOST = len(STYLES)

@@ -13,8 +13,6 @@ from ..results import plots
 from ..results.plots import GRID, INK, STYLES, WIDTH, ink, plain
 from .systems import Source
 
-__all__ = ["FAINT", "SMALL", "Shown", "finished", "limit_decibel", "new_figure", "note", "plot_curve", "tick_degrees"]
-
 Array = np.ndarray[Any, Any]
 
 FAINT = "#94a3b8"

@@ -12,8 +12,6 @@ from ..results.plots import INK, STYLES
 from .figure_look import FAINT, SMALL, note
 from .margins import Margins
 
-__all__ = ["margins_on_bode", "margins_on_nichols", "margins_on_nyquist"]
-
 Array = np.ndarray[Any, Any]
 
 _DRAWN = 4  # crossings of each kind

@@ -13,8 +13,6 @@ from .figure_curves import decibel_of
 from .figure_look import FAINT, Shown, note
 from .margins import Margins
 
-__all__ = ["draw_arrow", "draw_contours", "draw_half_plane", "draw_unit_circle", "view_of"]
-
 Array = np.ndarray[Any, Any]
 
 _CONTOURS = (12.0, 6.0, 3.0, 1.0, -1.0, -3.0, -6.0, -12.0, -20.0, -40.0)  # dB of T in a Nichols chart

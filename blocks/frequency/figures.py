@@ -36,8 +36,6 @@ from .margins import margins as margins_of
 from .response import poles, zeros
 from .search import highest, refined
 
-__all__ = ["bode", "gang_of_four", "nichols", "nyquist", "pole_map", "sigma", "step_figure"]
-
 Array = np.ndarray[Any, Any]
 
 # Poles and zeros of each style.

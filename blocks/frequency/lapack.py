@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["balancing", "eigenvectors", "generalized_eigenvalues"]
-
 Array = np.ndarray[Any, Any]
 
 

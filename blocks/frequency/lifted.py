@@ -21,8 +21,6 @@ import numpy as np
 from ..text.errors import AnalysisError, Fault
 from .realization import Realization, growth
 
-__all__ = ["MOST_GAIN", "Factored", "Lifted", "gain_borders", "phase_borders"]
-
 Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 MOST_GAIN = 1e8

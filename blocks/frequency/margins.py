@@ -37,8 +37,6 @@ from .response import HALF_POWER, dc_gain
 from .search import Peak, curve, first_fall, highest, layout, refined, root, summit
 from .systems import Source, StateSpace, is_of, polynomials, source
 
-__all__ = ["IN_JSON", "Margins", "margins"]
-
 Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 # Of the sine of the phase and of the logarithm of the gain: what rounding leaves of a zero in a response.

@@ -19,20 +19,6 @@ import numpy as np
 
 from .lapack import balancing, generalized_eigenvalues
 
-__all__ = [
-    "Realization",
-    "around_zero",
-    "balanced",
-    "components",
-    "count_at_zero",
-    "equivalent",
-    "growth",
-    "invariant_zeros",
-    "period",
-    "regular",
-    "variable",
-]
-
 Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 _SURE = 1e6 * _EPS  # of the norm of a matrix: rounding that moves the coefficients of a cluster of eigenvalues

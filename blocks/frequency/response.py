@@ -31,8 +31,6 @@ from .realization import (
 from .search import Peak, curve, first_fall, highest, largest, layout, refined, summit
 from .systems import Source, StateSpace, is_of, polynomials, source
 
-__all__ = ["HALF_POWER", "bandwidth", "dc_gain", "h2", "hinf", "peak", "poles", "response", "zeros"]
-
 Array = np.ndarray[Any, Any]
 
 HALF_POWER = 10.0 * math.log10(2.0)  # dB: a gain of 1/sqrt(2)

@@ -11,8 +11,6 @@ import numpy as np
 
 from .systems import Source, interpolated
 
-__all__ = ["Peak", "curve", "first_fall", "highest", "largest", "layout", "refined", "root", "summit"]
-
 Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 _PER_DECADE = 40

@@ -15,8 +15,6 @@ import numpy as np
 from ..text.errors import AnalysisError, Fault, UsageError
 from .realization import Realization, balanced, equivalent, invariant_zeros, period, variable
 
-__all__ = ["Responding", "Source", "StateSpace", "frd", "interpolated", "is_of", "label", "polynomials", "source"]
-
 Array = np.ndarray[Any, Any]
 _MANY = 200  # states; above, zeros of channels would cost more than they are worth
 _PART = 256  # frequencies between two calls of a check

@@ -16,8 +16,6 @@ import numpy as np
 
 from ..text.errors import AnalysisError, Fault
 
-__all__ = ["Entries", "eliminated", "reach", "without_noise"]
-
 Array = np.ndarray[Any, Any]
 MOST_DENSE = 2**18
 """Numbers in a matrix that is kept as an array."""

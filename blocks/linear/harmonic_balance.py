@@ -36,8 +36,6 @@ from .signals import Names, listed, place, places
 from .sinusoidal_gains import Laws, Rest, gain_matrix
 from .transfer import Transfer
 
-__all__ = ["Balance", "HarmonicResponse", "Linearizer", "speeds"]
-
 Array = np.ndarray[Any, Any]
 _CLOSE = 1e-10
 _ROUNDS = 200

@@ -26,8 +26,6 @@ from ..compile.fmu_tape import FmuTape
 from ..compile.plan import Node, Plan, Reference
 from .type_partials import TypePartials
 
-__all__ = ["BlockGroup", "Interconnection", "is_of_older_version"]
-
 Array = np.ndarray[Any, Any]
 
 

@@ -26,8 +26,6 @@ from ..compile.plan import Plan
 from ..compile.time_grid import within_ulps
 from ..text.errors import AnalysisError, Fault
 
-__all__ = ["MOST", "Kept", "LateCopies", "Time", "too_long"]
-
 Array = np.ndarray[Any, Any]
 Time = int | Fraction
 """In base steps of the ticks: whole numbers are exact, and equal times compare equal."""

@@ -35,8 +35,6 @@ from .signals import places
 from .sinusoidal_gains import MOVED, NEAR, Laws, Rest, gain_matrix
 from .transfer import Transfer
 
-__all__ = ["LimitCycle", "LimitCycles", "limit_cycles"]
-
 Array = np.ndarray[Any, Any]
 Model = Transfer | DelayedModel
 _GRID, _NEAR = 161, 41

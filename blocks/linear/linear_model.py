@@ -11,8 +11,6 @@ import numpy as np
 from ..frequency.systems import label
 from .transfer import LoopOfRates, Transfer
 
-__all__ = ["LiftedLoop", "LiftedModel", "LinearModel", "state_space"]
-
 Array = np.ndarray[Any, Any]
 
 

@@ -32,8 +32,6 @@ from .wiring import wiring
 if TYPE_CHECKING:
     from .linear_model import LiftedModel, LinearModel
 
-__all__ = ["Linearization"]
-
 Array = np.ndarray[Any, Any]
 
 

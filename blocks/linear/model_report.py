@@ -12,8 +12,6 @@ import numpy as np
 from .nonlinearities import StaticLaw, nonlinear
 from .replaced_slopes import ReplacedSlopes, is_of_one_signal
 
-__all__ = ["BlockReport", "hints_of", "report_of"]
-
 Array = np.ndarray[Any, Any]
 _CHANGES = 0.05
 """A slope that changes by more within ten times the distance from a singular point is one of this distance."""

@@ -19,8 +19,6 @@ import numpy as np
 
 from .transfer import Transfer
 
-__all__ = ["GrowthZero", "LinearRest", "Mode", "Resting", "crossings", "groups"]
-
 Array = np.ndarray[Any, Any]
 Gains = Callable[[Array], Array]
 """Of the phasors of the signals, a matrix N with n = N s. Raises Resting."""

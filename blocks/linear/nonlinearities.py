@@ -31,8 +31,6 @@ from .interconnection import Interconnection
 from .slopes import Slopes
 from .thresholds import evident
 
-__all__ = ["StaticLaw", "nonlinear", "remembers"]
-
 Array = np.ndarray[Any, Any]
 _BENT: WeakKeyDictionary[Interconnection, dict[int, dict[int, frozenset[int]]]] = WeakKeyDictionary()
 _GAINS: WeakKeyDictionary[Interconnection, dict[Any, complex]] = WeakKeyDictionary()

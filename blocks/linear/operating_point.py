@@ -27,8 +27,6 @@ from ..text.printable import quoted
 from ..text.shown import Part, Shown, Table
 from .point import Point
 
-__all__ = ["Free", "OperatingPoint", "Quantity", "search", "standing"]
-
 Array = np.ndarray[Any, Any]
 RESIDUAL = 1e-8
 """How large a residual may be, of its nominal size, at an operating point."""

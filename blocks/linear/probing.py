@@ -14,8 +14,6 @@ from ..compile.plan import Node
 from ..contract.tracing import jacobian
 from .interconnection import BlockGroup, Interconnection
 
-__all__ = ["ROUNDING", "Probe"]
-
 Array = np.ndarray[Any, Any]
 _NEAR = 1e-9
 """What counts as at a corner, relative to the terms of which the value is the sum."""

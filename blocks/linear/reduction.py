@@ -23,8 +23,6 @@ from .signals import SignalElement
 from .slopes import Law
 from .wiring import Wiring
 
-__all__ = ["Wired", "contributing", "delayed_model", "matrices_of", "reduced", "with_pade_models"]
-
 Array = np.ndarray[Any, Any]
 
 

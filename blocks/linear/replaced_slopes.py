@@ -19,8 +19,6 @@ from .nonlinearities import StaticLaw, nonlinear
 from .signals import SignalElement, places
 from .slopes import Slopes
 
-__all__ = ["ReplacedSlopes", "is_of_one_signal", "or_a_gain"]
-
 Array = np.ndarray[Any, Any]
 
 

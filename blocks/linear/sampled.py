@@ -29,8 +29,6 @@ from ..compile.plan import Plan
 from ..text.errors import AnalysisError, Fault
 from .late_copies import MOST, Kept, LateCopies, Time, too_long
 
-__all__ = ["Sampled"]
-
 Array = np.ndarray[Any, Any]
 _MOST = 10_000
 """Ticks in one pattern of several rates."""

@@ -17,8 +17,6 @@ from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import legible, quoted
 from .interconnection import Interconnection, is_of_older_version
 
-__all__ = ["Names", "SignalElement", "listed", "passes_on", "place", "places", "told"]
-
 Names = str | Sequence[str]
 
 _MEMORY = ("state", "discrete")

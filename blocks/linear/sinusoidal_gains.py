@@ -25,8 +25,6 @@ from .linearization import Linearization
 from .nonlinearities import StaticLaw
 from .transfer import Transfer
 
-__all__ = ["MOVED", "NEAR", "PER_DECADE", "Answer", "Laws", "Rest", "gain_matrix"]
-
 Array = np.ndarray[Any, Any]
 Answer = Callable[[int, Array], tuple[complex, float]]
 """From the number of a law and the means of its signals: the phasor and the mean of what it gives."""

@@ -23,8 +23,6 @@ from .point import Point
 from .probing import ROUNDING, Probe
 from .type_partials import TypePartials
 
-__all__ = ["Law", "Slopes", "slopes_at"]
-
 Array = np.ndarray[Any, Any]
 
 _GRAPHS: WeakKeyDictionary[Any, dict[bool, Interconnection]] = WeakKeyDictionary()

@@ -12,8 +12,6 @@ from collections.abc import Callable, Sequence
 
 from ..contract.tape import Tape
 
-__all__ = ["evident", "places"]
-
 Constant = Callable[[int], float]
 _COMPARED = frozenset({"lt", "le", "eq", "ne", "fmin", "fmax"})
 _AT_ZERO = frozenset({"crossing", "fabs", "sign", "copysign", "sqrt", "log", "atan2", "hypot"})

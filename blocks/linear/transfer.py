@@ -14,8 +14,6 @@ import numpy as np
 
 from .model_report import BlockReport
 
-__all__ = ["LoopOfRates", "Transfer"]
-
 Array = np.ndarray[Any, Any]
 
 

@@ -13,8 +13,6 @@ from ..contract.scalars import BENDS
 from ..contract.tape import Tape
 from ..contract.tracing import fine, jacobian
 
-__all__ = ["TypePartials"]
-
 _SIGNALS = frozenset({"input", "state", "discrete", "history", "output", "held", "algebraic", "local"})
 _ROLES = frozenset({"output", "local", "derivative", "next", "residual", "crossing"})
 _MANY = 4096  # partials that are derived at once

@@ -18,8 +18,6 @@ from .interconnection import Interconnection
 from .replaced_slopes import ReplacedSlopes
 from .signals import SignalElement, passes_on, told
 
-__all__ = ["Wiring", "wiring"]
-
 Array = np.ndarray[Any, Any]
 Key = tuple[int, tuple[int, ...] | None]
 """What makes a place an analysis point: its column and its slots."""

@@ -14,8 +14,6 @@ from .diagram import BASE, BlockEntry, DiagramValue
 from .flatten import interface_of
 from .hierarchy import Hierarchy, Resolver, spelling
 
-__all__ = ["Ports", "Probe", "listed", "parameter_units", "port_units"]
-
 MOST_LISTED = 40
 """Ports that an error lists."""
 Ports = tuple[Mapping[str, str], Mapping[str, str]]

@@ -18,8 +18,6 @@ from .copies import Fleet, without_numbers
 from .expansion import Expansion
 from .wires import BlockSource, Source
 
-__all__ = ["FlatSignal", "Signals", "element_of"]
-
 
 @dataclass(frozen=True, slots=True)
 class FlatSignal:

@@ -17,8 +17,6 @@ from ..text.errors import BlocksError, Fault, UsageError
 from ..text.printable import legible
 from .modules import current
 
-__all__ = ["Library", "library_types"]
-
 GROUP = "blocks.library"
 """The entry points of packages that bring blocks."""
 Library = Iterable[type[Block] | ModuleType | str] | type[Block] | ModuleType | str

@@ -17,8 +17,6 @@ from ..contract.block import Block
 from ..contract.equations import crossing, output
 from ..contract.variables import Discrete, Input, Parameter
 
-__all__ = ["Enabled", "Gate", "OutputGate", "TickGate", "Time", "TriggerGate"]
-
 
 class Time(Block):
     """y = t, as it is seen where the subdiagram stands."""

@@ -25,11 +25,6 @@ from ..text.element_names import matching
 from ..text.errors import Fault, ModelError
 from ..text.printable import counted
 
-__all__ = [
-    "Copy", "CopySource", "EachSource", "Fleet", "Later", "Layout", "alike", "depth_of", "dimensions", "labelled",
-    "named", "own_value", "spellings", "stream_of", "unnumbered", "without_numbers",
-]  # fmt: skip
-
 T = TypeVar("T")
 
 

@@ -16,24 +16,6 @@ from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.json_document import AT_KEY, nearest
 from ..text.printable import quoted
 
-__all__ = [
-    "BASE",
-    "DEEPEST",
-    "FORMAT",
-    "MADE",
-    "NAME",
-    "PLAIN_VERSION",
-    "VERSION",
-    "BlockEntry",
-    "DiagramValue",
-    "FaultList",
-    "beside",
-    "check_name",
-    "is_name",
-    "is_plain_number",
-    "name_cure",
-]
-
 FORMAT = "blocks-diagram"
 VERSION = 3
 PLAIN_VERSION = 2

@@ -37,13 +37,6 @@ from ..text.quantity_text import DECIMAL, in_a_file
 from . import streams
 from .diagram import BASE, FORMAT, NAME, PLAIN_VERSION, VERSION, name_cure
 
-__all__ = [
-    "BLOCK", "BODY", "COLUMN", "COPIES", "DIAGRAM", "EDGES", "ELEMENT", "ENABLE", "FIXED_STEP", "INPUT",
-    "INTERPOLATIONS", "LARGEST_SEED", "LARGEST_SIZE", "LEAST_RTOL", "MASTER", "MEASURE", "MEASURES", "MEASURE_NUMBERS",
-    "MEASURE_UNITS", "METHODS", "NUMBER", "OPTIONS", "QUANTITY", "RUN", "SCHEMA", "SHAPE", "TABLE", "TRIGGER",
-    "VARIANT", "header", "quantity", "signal",
-]  # fmt: skip
-
 LARGEST_SIZE = 100_000
 LARGEST_MATRIX = 1_000_000  # rows or columns of one given by its edges
 MOST_ROWS = 1_000_000  # of a table

@@ -26,22 +26,6 @@ from .project import Project, read_inside
 from .values import Column
 from .version_3 import with_expressions
 
-__all__ = [
-    "alone",
-    "block",
-    "canonical",
-    "dumps",
-    "entries",
-    "entry_document",
-    "from_document",
-    "load",
-    "loads",
-    "relocated",
-    "self_contained",
-    "to_document",
-    "written_version",
-]
-
 # --- reading ---------------------------------------------------------------------------------------------------
 
 

@@ -42,8 +42,6 @@ from .project import Project, project_of, read_inside
 from .streams import is_stream
 from .values import Column, EdgeTable
 
-__all__ = ["DocumentReader", "Loading"]
-
 EDGE = ["row", "column", "value"]
 """The columns of a CSV file of edges."""
 

@@ -13,8 +13,6 @@ from .copies import CopySource, EachSource, Fleet, Layout
 from .flat_block import FlatBlock, FlatEnabled
 from .wires import BlockSource, Source
 
-__all__ = ["Expansion"]
-
 
 @dataclass(frozen=True, eq=False)
 class Expansion:

@@ -13,8 +13,6 @@ from .diagram import BlockEntry, DiagramValue
 from .document import to_document
 from .values import Column
 
-__all__ = ["fingerprint"]
-
 
 def fingerprint(value: DiagramValue) -> str:
     """The SHA-256 of all that a diagram computes: its canonical JSON with the subdiagrams' in place of their paths,

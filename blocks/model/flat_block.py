@@ -9,8 +9,6 @@ from ..contract.interface import Interface
 from ..contract.resolution import Resolved
 from .wires import Source
 
-__all__ = ["FlatBlock", "FlatEnabled"]
-
 
 @dataclass(frozen=True, slots=True)
 class FlatBlock:

@@ -37,8 +37,6 @@ from ..text import units
 from ..text.errors import Fault, FMUError, ModelError, UsageError
 from .diagram_grammar import LONGEST_TIMEOUT, TIMEOUT
 
-__all__ = ["KINDS", "Foreign", "fmu", "fmu_type"]
-
 KINDS = {"CS": "Co-Simulation", "ME": "Model Exchange"}
 _TYPES: dict[Any, type[Block]] = {}
 _LARGEST = 2**53

@@ -29,8 +29,6 @@ from .diagram_grammar import LARGEST_SIZE
 from .origins import Origin, Origins
 from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 
-__all__ = ["DiagramScope", "Hierarchy", "InLane", "Leaf", "Resolver", "Spot", "bound_faults", "spelling"]
-
 MAX_BLOCKS = 1_000_000
 _COPIES_ARE = "an integer from 1 to 100,000"
 

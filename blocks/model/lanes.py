@@ -14,8 +14,6 @@ from .hierarchy import DiagramScope, Hierarchy, InLane, Leaf, is_equal
 from .origins import are_alike
 from .values import names_in
 
-__all__ = ["look_into_copies"]
-
 
 def look_into_copies(hierarchy: Hierarchy) -> None:
     """Fill in `each` of the leaves and the diagrams.

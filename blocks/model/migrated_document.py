@@ -10,8 +10,6 @@ from ..text.errors import Fault, ModelError
 from ..text.json_document import AT_KEY, Document, Path
 from ..text.printable import legible
 
-__all__ = ["MigratedDocument"]
-
 
 class MigratedDocument:
     """A document on its way: `value` may be changed; `move` and `rewrite` take the places along."""

@@ -20,8 +20,6 @@ from types import ModuleType
 from ..text.errors import Fault, UsageError
 from ..text.printable import legible
 
-__all__ = ["current"]
-
 
 @dataclass(frozen=True, slots=True)
 class _Loaded:

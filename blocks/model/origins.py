@@ -13,8 +13,6 @@ from typing import Any, NamedTuple
 from .copies import Copy, own_value
 from .values import Unit
 
-__all__ = ["Origin", "Origins", "are_alike"]
-
 
 class Origin(NamedTuple):
     """What the value of a parameter is computed from.

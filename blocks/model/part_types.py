@@ -14,8 +14,6 @@ from ..contract.equations import output, wiring
 from ..contract.variables import Input, Parameter
 from ..library.logic import chosen_of
 
-__all__ = ["Link", "Weights", "WholeGain", "WholeProduct", "WholeReduction", "WholeSwitch"]
-
 
 def _rows(K):
     return int(K.split()[0])

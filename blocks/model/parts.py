@@ -29,8 +29,6 @@ from .copies import CopySource, EachSource
 from .part_types import Link, Weights, WholeGain, WholeProduct, WholeReduction, WholeSwitch
 from .wires import BlockSource, Source, ValueSource
 
-__all__ = ["Parts", "is_taken_apart", "whole_of"]
-
 LONGEST = 64  # elements of a vector that is reduced by one block
 NOTHING = ValueSource(0.0)
 LINK = 16  # elements that one link of a chain takes

@@ -22,8 +22,6 @@ if os.name == "posix":
     import grp
     import pwd
 
-__all__ = ["MAX_BYTES", "Project", "open_below", "project_of", "read_inside"]
-
 MARKS = ("pyproject.toml", ".git")
 MAX_BYTES = 16 * 2**20
 """Of a file that is read."""

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from .diagram import BlockEntry, DiagramValue
     from .hierarchy import Resolver
 
-__all__ = ["given_value", "given_values", "raw_of"]
-
 
 def raw_of(value: Any) -> Any:
     """A value as the file would hold it. Raises UsageError (E501)."""

@@ -11,8 +11,6 @@ from ..text.printable import legible, quoted
 from .diagram import BlockEntry
 from .hierarchy import Resolver
 
-__all__ = ["resolver_of"]
-
 
 class _Classes:
     """The block classes that a diagram may use; see `blocks.model.hierarchy.Resolver`."""

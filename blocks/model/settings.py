@@ -18,16 +18,6 @@ from ..text.json_number import Number
 from ..text.printable import quoted
 from .diagram_grammar import FIXED_STEP, LEAST_RTOL, MASTER, METHODS, QUANTITY, RUN
 
-__all__ = [
-    "TIMES",
-    "MasterSettings",
-    "MeasureSpec",
-    "RunSettings",
-    "read_settings",
-    "seconds",
-    "seed_of",
-]
-
 # What other tools call them, or others of their kind.
 OTHER_NAMES = {
     **dict.fromkeys(("rk45", "ode45", "ode23", "rk23", "dop853", "adaptive"), "dopri5"),

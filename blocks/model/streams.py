@@ -13,8 +13,6 @@ import hashlib
 import re
 from typing import Any
 
-__all__ = ["NAME", "is_stream", "joined", "number_of"]
-
 _PART = r"[A-Za-z_][A-Za-z0-9_]{0,199}(?:\[[0-9]{1,6}\])?"
 NAME = re.compile(rf"/?{_PART}(?:\.{_PART}){{0,30}}\Z", re.ASCII)
 """The name of a stream: that of a block or a copy, or a path; with "/" it counts from the whole diagram, else from its

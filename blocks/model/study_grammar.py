@@ -11,11 +11,6 @@ from ..text.grammar import AnyOf, Choice, Field, Kind, ListOf, Object, Ref, Rule
 from .diagram import is_name
 from .diagram_grammar import DOC, FILLED, FLAG, NAMES, NUMBER, OPEN_DOC, PLAIN, QUANTITY, RUN, TEXT, TIME, header
 
-__all__ = [
-    "ASSUMED", "CLAIM", "FIGURE", "FORMAT", "LINE", "MARGIN", "MARGINS", "MARKER", "ONE_RUN", "ONE_SWEEP", "ONE_TUNING",
-    "OPTIMIZERS", "PANEL", "SAMPLERS", "SETTINGS", "STUDY", "SWEEP_FIGURE", "SWEEP_FIGURES", "VERSION", "named",
-]  # fmt: skip
-
 FORMAT, VERSION = "blocks-study", 1
 
 # --- runs ------------------------------------------------------------------------------------------------------

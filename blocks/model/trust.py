@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from ..fmi.library import Notes
     from .fmu_block import Foreign
 
-__all__ = ["Found", "Paths", "check_trust", "found", "is_trusted", "new_folders", "to_be_refused"]
-
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 """Files, or folders with all that is in them."""
 NOTE = "fmu-folders"

@@ -27,11 +27,6 @@ from ..text.printable import quoted
 from ..text.quantity_text import read_quantity
 from .diagram_grammar import EDGES, NUMBER, QUANTITY, SHAPE
 
-__all__ = [
-    "Absent", "Column", "EdgeTable", "Known", "Unit", "expressions_in", "in_si", "in_unit", "is_expression",
-    "names_in", "order_of", "value_of",
-]  # fmt: skip
-
 Known = Mapping[str, Value | None]
 """The parameters of a diagram by name; None where a fault was reported already."""
 

@@ -18,9 +18,6 @@ from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.printable import legible, quoted
 from .diagram import BASE, DEEPEST, BlockEntry, DiagramValue
 
-__all__ = ["Match", "Swap", "match", "port_of", "taken", "used_ports"]
-
-
 # --- which one is taken ----------------------------------------------------------------------------------------
 
 

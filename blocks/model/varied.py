@@ -32,8 +32,6 @@ from .raw_values import raw_of
 from .values import Absent, value_of
 from .variants import taken
 
-__all__ = ["Column", "Target", "columns_of", "each_of", "given_values", "is_element", "raw_values"]
-
 
 @dataclass(frozen=True, slots=True)
 class Target:

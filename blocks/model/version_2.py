@@ -21,8 +21,6 @@ from ..text.json_number import Number
 from .diagram import DEEPEST
 from .migrated_document import MigratedDocument
 
-__all__ = ["pid_takes_r_and_y"]
-
 PARAMETERS = {  # the units of those that a PID had; {0} is its unit, {1} its unit_u
     "kp": "({0})/({1})", "ki": "({0})/({1})/s", "kd": "({0})/({1}).s", "Tf": "s", "Tt": "s", "lower": "{0}",
     "upper": "{0}", "integral_start": "{0}", "smoothed_start": "{1}",

@@ -14,8 +14,6 @@ from typing import Any
 
 from .diagram import VERSION, DiagramValue, is_plain_number
 
-__all__ = ["converted", "with_expressions"]
-
 
 def converted(value: DiagramValue, in_si: Mapping[str, str]) -> DiagramValue:
     """Convert an older diagram to version 3. in_si: the SI units of the numbers that would change, by measure."""

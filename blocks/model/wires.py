@@ -31,19 +31,6 @@ from .diagram_grammar import shape_of
 from .hierarchy import DiagramScope, Hierarchy, Leaf, Spot
 from .values import Absent
 
-__all__ = [
-    "BlockSource",
-    "FlatInput",
-    "InputSource",
-    "Source",
-    "Strand",
-    "ValueSource",
-    "WireElement",
-    "WireSource",
-    "Wires",
-]
-
-
 COMMON = ".y"
 """How most outputs are called, so that it does not tell which one is meant."""
 

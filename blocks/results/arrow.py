@@ -27,11 +27,6 @@ from ..text.plain_files import opened
 from ..text.printable import legible, one_line
 from .table import TIMES, Content, FileTable, Refuse, optional, parsed, refusal, unique, versioned, without_twins
 
-__all__ = [
-    "END", "PART", "Part", "Stored", "Window", "checksum", "held", "part_of", "read_parquet", "read_part", "stream_of",
-    "target_of", "write_parquet",
-]  # fmt: skip
-
 Array = np.ndarray[Any, Any]
 PART = ".part"
 GROUP = 2**22

@@ -12,8 +12,6 @@ from typing import Any
 
 from matplotlib.figure import Figure as Drawn
 
-__all__ = ["Figure"]
-
 
 class Figure(Drawn):
     """A figure of matplotlib with its forms for a notebook, by media type.

@@ -19,8 +19,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["check"]
-
 Order = Literal["little", "big"]
 HEADER = 128
 MATRIX, COMPRESSED = 14, 15

@@ -21,27 +21,6 @@ import numpy as np
 from ..text.atomic_write import known_ending, write_atomically
 from ..text.errors import Fault, UsageError
 
-__all__ = [
-    "FORMATS",
-    "GRID",
-    "INK",
-    "PAPER",
-    "STYLES",
-    "WIDTH",
-    "Line",
-    "Marker",
-    "Panel",
-    "check_format",
-    "check_loads",
-    "defaults",
-    "ink",
-    "new_figure",
-    "panels",
-    "plain",
-    "save",
-    "svg_text",
-]
-
 Array = np.ndarray[Any, Any]
 
 # Two lines that stay apart in greyscale and for the color-blind, by color and by pattern; then more of the kind.

@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-__all__ = ["Origin"]
-
 
 class _Asked:
     """A text that is computed when it is first read: most results never need it."""

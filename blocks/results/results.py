@@ -20,8 +20,6 @@ from ..text.shown import Part, Shown, Table, as_html, as_text
 from . import files
 from .provenance import Origin
 
-__all__ = ["Event", "Events", "Results", "Signal", "Statistics", "measured", "spark_line"]
-
 Array = np.ndarray[Any, Any]
 BARS = "▁▂▃▄▅▆▇█"
 SPARKS = 10

@@ -15,11 +15,6 @@ from ..text.element_names import element_names
 from ..text.errors import Fault, UsageError
 from ..text.printable import legible
 
-__all__ = [
-    "TIMES", "VERSION", "Content", "FileTable", "Refuse", "columns_of", "optional", "parsed", "refusal", "sizes_of",
-    "unique", "versioned", "without_twins",
-]  # fmt: skip
-
 Array = np.ndarray[Any, Any]
 VERSION = 1
 TIMES = ("time", "t")

@@ -22,8 +22,6 @@ import numpy as np
 
 from ..text.element_names import element_names
 
-__all__ = ["Curve", "Source", "Window", "elements", "extremes", "packed", "row_at", "thinned", "values_at"]
-
 Array = np.ndarray[Any, Any]
 LATE = 2
 """Rows at the end that may still change."""

@@ -43,8 +43,6 @@ from .live_run import LiveRun
 from .messages import Answer, handles, handles_aside
 from .session import Session
 
-__all__ = ["band", "color", "cycles", "modes", "response"]
-
 Amplitude = dict[str, float] | None
 MOST_ROWS = 500
 """Runs of a band that is asked for in a page."""

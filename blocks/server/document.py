@@ -20,8 +20,6 @@ from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import legible, quoted
 from .facts import Fact, facts_of, text_of
 
-__all__ = ["Document", "inside", "told_fault"]
-
 LONGEST_STOP = 100
 """Characters of a stop time that are shown."""
 

@@ -29,8 +29,6 @@ from ..text.printable import legible
 from .document import Document
 from .history import History, Step
 
-__all__ = ["Editor", "Operations", "move", "write_blank"]
-
 Operations = Sequence[Mapping[str, Any]]
 _GONE, _CHANGE = "the deletion on disk", "the change on disk"
 FARTHEST = 1e6

@@ -22,8 +22,6 @@ from ..model.values import expressions_in
 from ..text.json_number import Number
 from ..text.units import converted, same_quantity
 
-__all__ = ["Fact", "facts_of", "text_of"]
-
 
 @dataclass(frozen=True, slots=True)
 class Fact:

@@ -10,8 +10,6 @@ from .knobs import ACTIVE
 from .live_run import LiveRun
 from .session import Session
 
-__all__ = ["follow", "followed"]
-
 
 def followed(session: Session) -> Mapping[str, Fact]:
     """What the file says of parameters and inputs, where anything has to follow it."""

@@ -23,8 +23,6 @@ from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
-__all__ = ["Admitted", "Guard", "Refusal"]
-
 SOCKET = "/ws"
 PAGES, TICKET = "/k/", "/t/"
 LONGEST_PATH = 1000  # characters

@@ -9,8 +9,6 @@ from typing import NamedTuple
 
 from ..editing.edits import Edit
 
-__all__ = ["History", "Step"]
-
 MOST_BYTES = 64 * 2**20
 """What a history holds; the oldest steps are forgotten first."""
 

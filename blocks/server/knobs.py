@@ -17,8 +17,6 @@ from .messages import Answer, handles
 from .panel import knobs_of
 from .session import Session
 
-__all__ = ["ACTIVE"]
-
 ACTIVE = ("running", "paused")
 """The states of a run that can be turned."""
 

@@ -29,8 +29,6 @@ from ..text.available_memory import Watch
 from ..text.element_names import element_names
 from ..text.errors import BlocksError, Fault, FMUError, SimulationError, UsageError
 
-__all__ = ["LiveRun", "Turned", "check_pace", "own_fault"]
-
 Array = np.ndarray[Any, Any]
 SLICE = 0.01
 """s of computing after which the engine comes back at the latest."""

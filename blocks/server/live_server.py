@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from ..model.trust import Paths
     from .session import Asks, Session
 
-__all__ = ["LiveServer", "edit", "live"]
-
 FAR = ("JUPYTERHUB_USER", "COLAB_RELEASE_TAG", "KAGGLE_KERNEL_RUN_TYPE", "BINDER_SERVICE_HOST")
 """Variables of the environment of notebooks whose browser is on another machine."""
 _OPENING = threading.Lock()

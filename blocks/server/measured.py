@@ -15,8 +15,6 @@ from ..text import units
 from ..text.csv_text import read_columns
 from ..text.errors import BlocksError, Fault, UsageError
 
-__all__ = ["Measured"]
-
 Array = np.ndarray[Any, Any]
 LARGEST = 8 * 2**20
 _HEAD = re.compile(r"(.*\S)\s+[\[(]([^\[\]()]*(?:\([^()]*\)[^\[\]()]*)?)[\])]")

@@ -21,8 +21,6 @@ from typing import Any
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import quoted
 
-__all__ = ["ASIDE", "HANDLERS", "Answer", "answer", "handles", "handles_aside", "message_of"]
-
 Answer = dict[str, Any] | None
 HANDLERS: dict[str, Callable[..., Answer]] = {}
 """The functions by the names of their messages."""

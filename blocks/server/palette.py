@@ -13,8 +13,6 @@ from ..api.catalog import Catalog, sheet_of, words
 from ..contract.block import Block
 from ..draw.shapes import Shape, block_shape, num
 
-__all__ = ["diagrams_in", "entries_of", "files_beside", "files_in", "is_diagram"]
-
 MOST_FILES, MOST_LOOKED_AT, DEEPEST = 200, 20_000, 3
 """Files that are listed, and those that are looked at for them, in folders so deep."""
 FIRST = ("sources", "arithmetic", "continuous", "pid", "adrc", "nonlinear", "sampled", "discrete", "logic", "wiring")

@@ -24,8 +24,6 @@ from .facts import facts_of, text_of
 from .messages import Answer, handles
 from .session import Session
 
-__all__ = ["knobs_of"]
-
 MOST_ROWS = 300
 """Parameters, inputs and outputs that are shown, each: an FMU may have 100,000."""
 LONGEST_DOC = 20_000

@@ -14,8 +14,6 @@ from ..text.available_memory import available
 from ..text.errors import Fault, UsageError
 from .curves import Curve, Source, Window, elements, row_at
 
-__all__ = ["EventRows", "Live", "Page", "Scope", "trim"]
-
 Array = np.ndarray[Any, Any]
 MOST_SIGNALS, MOST_SCOPES, MOST_RUNS = 64, 32, 8
 MOST_BYTES = 2**30

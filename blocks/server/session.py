@@ -27,8 +27,6 @@ from .live_run import PATIENCE, LiveRun, check_pace, own_fault
 from .messages import ASIDE, Answer, answer, handles
 from .scopes import Page, trim
 
-__all__ = ["Asks", "Client", "Session"]
-
 Asks = Callable[[str, Callable[[bool], None]], None]
 
 LOOK = 0.5

@@ -32,8 +32,6 @@ from .session import Session
 if TYPE_CHECKING:
     from ..results.figure import Figure
 
-__all__ = ["joined", "page_of", "script_safe", "zooming"]
-
 Array = np.ndarray[Any, Any]
 PAGE = Path(__file__).parent / "page"
 MOST = 3_000_000

@@ -29,8 +29,6 @@ from ..text.json_line import json_line
 from .guard import PAGES, SOCKET, TICKET, Admitted, Guard
 from .messages import message_of
 
-__all__ = ["Client", "Transport", "new_token"]
-
 Message = dict[str, Any]
 PAGE = Path(__file__).parent / "page"
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}

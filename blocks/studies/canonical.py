@@ -19,8 +19,6 @@ from ..text import json_text
 from ..text.errors import BlocksError, Fault
 from . import study
 
-__all__ = ["Canonical", "canonical"]
-
 
 @dataclass(frozen=True)
 class Canonical:

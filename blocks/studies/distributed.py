@@ -47,8 +47,6 @@ from .sweep_margins import Margin, RowMargins
 if TYPE_CHECKING:
     from ..contract.block import Block
 
-__all__ = ["Chunk", "Job", "Put", "run_on", "serve"]
-
 Array = np.ndarray[Any, Any]
 SECONDS = 1.0, 5.0
 """The work of a chunk. An empty task costs some 10 ms, and what a lost worker had begun is run again."""

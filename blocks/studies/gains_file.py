@@ -29,8 +29,6 @@ from ..text.units import converted
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
 
-__all__ = ["Found", "Value", "changes", "edit_of", "written"]
-
 _GIVE_THE_FILE = "Give the file that the diagram was loaded from, or pass the values to run(parameters=...)."
 CLOSE = 1e-12
 """By how much a value may be off, which is written in another unit, with 13 digits."""

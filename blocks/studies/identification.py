@@ -34,8 +34,6 @@ from .tuned import short
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
 
-__all__ = ["Fit", "fit"]
-
 Array = np.ndarray[Any, Any]
 STEP = 1e-3
 """Of central differences, in parts of the range of a value: far above the errors of steps at usual tolerances."""

@@ -26,8 +26,6 @@ from ..model.study_grammar import STUDY
 from ..text import json_writer, units
 from ..text.grammar import AnyOf, Choice, Kind, ListOf, Scalar, Schema
 
-__all__ = ["DIALECT", "KINDS", "diagram_schema", "path_of", "study_schema", "text_of"]
-
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 KINDS = ("diagram", "study")
 

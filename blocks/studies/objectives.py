@@ -22,8 +22,6 @@ from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import quoted
 from ..text.quantity_text import quantity_in
 
-__all__ = ["Constraint", "Objective", "constraints_of", "objective_of"]
-
 Array = np.ndarray[Any, Any]
 Measured = Mapping[str, Mapping[str, Array]]
 """Measures (n,) by scenario and name."""

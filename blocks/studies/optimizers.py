@@ -15,8 +15,6 @@ import numpy as np
 from ..results.table import optional
 from ..text.errors import BlocksError
 
-__all__ = ["METHODS", "Spent", "check_installed"]
-
 Array = np.ndarray[Any, Any]
 Evaluate = Callable[[Array], Array]
 SPREAD = 0.2

@@ -36,8 +36,6 @@ from .sweep_tables import cell_text, tabular
 from .sweep_tables import table as sweep_table
 from .tuned import Tuning
 
-__all__ = ["latex_table", "markdown_table", "summary_line", "table_text", "write"]
-
 Array = np.ndarray[Any, Any]
 MOST_POINTS = 2**24
 """Of the grid of a spectrum, which takes 1 GB with its transform."""

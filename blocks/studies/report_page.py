@@ -14,8 +14,6 @@ from ..results import plots
 from ..text.atomic_write import write_atomically
 from ..text.errors import Fault, UsageError
 
-__all__ = ["escaped", "folder_for", "own_ids", "plotted", "table", "warned", "written"]
-
 
 def folder_for(folder: Path) -> None:
     """Make a folder where there is none. Raises UsageError (E501)."""

@@ -14,8 +14,6 @@ from ..model.varied import columns_of
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.printable import legible
 
-__all__ = ["DIGITS", "Space", "units_of_parameters"]
-
 Array = np.ndarray[Any, Any]
 FAR_APART = 10.0
 """Bounds of which the upper is so many times the lower are searched on a logarithmic scale."""

@@ -6,8 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["SobolIndex", "correlation", "quantiles", "sobol_indices"]
-
 Array = np.ndarray[Any, Any]
 RESAMPLES = 200
 

@@ -40,10 +40,6 @@ from .sweep_margins import margins_of
 from .sweep_run import units_of_measures
 from .tuned import Tuning
 
-__all__ = [
-    "Claim", "Run", "Study", "StudyResults", "Verdict", "canonical", "checked", "load", "prepared", "run",
-]  # fmt: skip
-
 
 @dataclass(frozen=True, slots=True)
 class Run:

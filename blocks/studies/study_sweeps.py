@@ -25,8 +25,6 @@ from .statistics import quantiles
 from .sweep import Sweep
 from .sweep_margins import RowMargins, margins_of
 
-__all__ = ["ManyRuns", "StudySweep", "faults_of", "figure_of", "names_missing", "plain", "run_sweep", "statistic_of"]
-
 Array = np.ndarray[Any, Any]
 _OPTIONS = ("n", "sampler", "seed", "budget", "measures", "log", "margins", "scenarios", "lanes")
 

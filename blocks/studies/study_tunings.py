@@ -18,8 +18,6 @@ from .study_sweeps import ManyRuns, plain
 from .tuned import Tuning
 from .tuning import measured
 
-__all__ = ["OBJECTIVE", "StudyTuning", "faults_of", "limits_of", "needs", "run_tuning", "values_of"]
-
 OBJECTIVE = "objective"
 """In a claim: what is minimized."""
 _OPTIONS = ("minimize", "subject_to", "method", "budget", "seed", "scenarios", "lanes")

@@ -27,8 +27,6 @@ from .sweep_tables import cell_text
 if TYPE_CHECKING:
     from ..results.results import Results
 
-__all__ = ["Sweep"]
-
 Array = np.ndarray[Any, Any]
 QUANTILES = (0.05, 0.5, 0.95)
 

@@ -25,8 +25,6 @@ from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import counted, legible
 from .statistics import correlation, quantiles
 
-__all__ = ["column", "plot", "told_rows"]
-
 Array = np.ndarray[Any, Any]
 Sweep = Any  # a `Sweep`, whose module calls this one
 BAD = "#be123c"

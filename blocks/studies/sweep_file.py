@@ -27,8 +27,6 @@ from ..text.errors import Fault, UsageError
 from ..text.plain_files import opened
 from ..text.printable import legible, one_line
 
-__all__ = ["SweepPart", "check_target", "read", "read_rows", "told_of", "write"]
-
 Array = np.ndarray[Any, Any]
 FORMAT, VERSION = "blocks sweep", 1
 

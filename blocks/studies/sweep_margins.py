@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from ..linear.harmonic_balance import Linearizer
     from ..linear.transfer import Transfer
 
-__all__ = ["Margin", "RowMargins", "margins_of"]
-
 Array = np.ndarray[Any, Any]
 _OF_POINT = ("at", "held", "amplitude", "sigma", "overrides")
 _OF_LOOP = ("openings", "pade")

@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from ..api.diagram import Diagram
     from ..results.results import Results
 
-__all__ = ["sweep", "units_of_measures"]
-
 Array = np.ndarray[Any, Any]
 CHUNK = 2.0
 """Seconds of work after which rows are written to the file of a sweep."""

@@ -12,8 +12,6 @@ from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import legible
 from .statistics import quantiles
 
-__all__ = ["cell_text", "latex", "markdown", "table", "tabular"]
-
 Array = np.ndarray[Any, Any]
 Sweep = Any  # a `Sweep`, whose module calls this one
 Cell = str | float

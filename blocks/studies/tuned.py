@@ -21,8 +21,6 @@ from .search_space import Space
 if TYPE_CHECKING:
     pass
 
-__all__ = ["Candidates", "Condition", "Tuning", "short"]
-
 Array = np.ndarray[Any, Any]
 MOST_SIGNALS = 4
 """Of a scenario, in the report."""

@@ -41,8 +41,6 @@ from .tuning_part import TuningPart
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
 
-__all__ = ["Problem", "problem_of", "tune"]
-
 Array = np.ndarray[Any, Any]
 _T = TypeVar("_T")
 STEPS, LEAST_STEPS = 20, 10_000

@@ -18,8 +18,6 @@ from ..text.printable import legible
 from .sweep_file import SweepPart, told_of
 from .tuned import Candidates
 
-__all__ = ["TuningPart"]
-
 Array = np.ndarray[Any, Any]
 Problem = Any  # a `Problem`, whose module calls this one
 

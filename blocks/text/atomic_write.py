@@ -31,8 +31,6 @@ if sys.platform != "win32":
 
         LOCKS = True
 
-__all__ = ["check_target", "drop_parts", "hold", "known_ending", "real", "refused", "write_atomically"]
-
 LONGEST = 100  # bytes of a name that stand in that of its part, which must not be too long
 STALE = 86400.0  # s
 PATIENCE = 2.0  # s for which a lock of another program on a file is waited for

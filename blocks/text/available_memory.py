@@ -12,8 +12,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["NoRoom", "Watch", "available", "for_recording", "told"]
-
 LEAST = 32 * 2**20
 """Bytes that a run leaves free, for what is done with the results."""
 INTERVAL = 0.1  # s between two looks

@@ -12,8 +12,6 @@ from itertools import pairwise
 from types import FrameType, TracebackType
 from typing import Any
 
-__all__ = ["Brief", "UnknownName", "UnknownPort"]
-
 _HIDDEN = {"blocks", "IPython", "ipykernel", *sys.stdlib_module_names}
 
 

@@ -16,8 +16,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["read_columns"]
-
 Array = np.ndarray[Any, Any]
 _UNITS = re.compile(r"[\ufeff \t]*#\s*units:(.*)$", re.DOTALL)
 

@@ -23,18 +23,6 @@ from html import escape
 
 from .formulas import Code, Formula, Names, Part, Words, formulas_in, html
 
-__all__ = [
-    "Entry",
-    "Lines",
-    "Paragraph",
-    "Piece",
-    "References",
-    "html_of",
-    "inline_html",
-    "is_readable",
-    "paragraphs_of",
-]
-
 _ENTRY = re.compile(r"([A-Za-z_][\w, ]{0,40}): (?=\S)")
 _POINT = re.compile(r"[-*] (?=\S)")
 

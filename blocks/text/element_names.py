@@ -7,8 +7,6 @@ from collections.abc import Iterable
 
 import numpy as np
 
-__all__ = ["element_names", "indexed", "matching", "named_element"]
-
 _NAME = re.compile(r"(.*)\[([A-Za-z_][A-Za-z0-9_]*)\]\Z", re.DOTALL)
 _INDEX = re.compile(r"(.*)\[(0|[1-9][0-9]{0,6})\]\Z", re.DOTALL)
 

@@ -23,21 +23,6 @@ from typing import Any
 
 from .brief import Brief
 
-__all__ = [
-    "NOT_FINITE",
-    "OVERFLOW",
-    "AnalysisError",
-    "BlocksError",
-    "CompilerError",
-    "DeclarationError",
-    "FMUError",
-    "Fault",
-    "ModelError",
-    "SimulationError",
-    "UsageError",
-    "did_you_mean",
-]
-
 NOT_FINITE = "Check its inputs at this time: look for a division by 0, or a root or logarithm of a negative number."
 """What to do about a value that is not finite (E303), whoever finds it."""
 

@@ -15,29 +15,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "ENGLISH",
-    "FUNCTIONS",
-    "GREEK",
-    "RELATIONS",
-    "SIGNS",
-    "Applied",
-    "Call",
-    "Derivative",
-    "Dots",
-    "Group",
-    "Name",
-    "Names",
-    "Node",
-    "Number",
-    "Power",
-    "Product",
-    "Relation",
-    "Style",
-    "Sum",
-    "Whole",
-]
-
 GREEK = {
     "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "zeta": "ζ", "eta": "η", "theta": "θ",
     "iota": "ι", "kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "xi": "ξ", "pi": "π", "rho": "ρ", "sigma": "σ",

@@ -20,11 +20,6 @@ from .json_number import Number
 from .printable import quoted
 from .quantity_text import in_a_file
 
-__all__ = [
-    "OWN", "AnyOf", "Choice", "Constant", "Field", "Flag", "Found", "Kind", "ListOf", "Object", "Ref",
-    "Refusal", "Rule", "Scalar", "Schema", "Steps", "Table", "Text", "Told", "in_words", "kind_of", "listed",
-]  # fmt: skip
-
 Steps = tuple[str | int, ...]
 """The place of something in a document: keys and indices from the root."""
 Schema = dict[str, Any]

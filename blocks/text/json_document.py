@@ -9,8 +9,6 @@ from typing import Any, TypeAlias
 
 from .printable import quoted
 
-__all__ = ["AT_KEY", "Document", "Path", "Position", "nearest", "place_of"]
-
 Path: TypeAlias = tuple[str | int, ...]
 Position: TypeAlias = tuple[int, int]
 

@@ -22,8 +22,6 @@ from . import json_writer
 from .json_document import Document, Path, Position
 from .json_number import Number
 
-__all__ = ["Splice", "edited", "position", "same"]
-
 _SPACE = re.compile(r"[ \t\n\r]*")
 _DECODER = json.JSONDecoder()
 _CHARACTER = re.compile(

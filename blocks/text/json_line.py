@@ -7,8 +7,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["json_line"]
-
 
 def json_line(entry: Mapping[str, Any]) -> str:
     return json.dumps(_finite(entry), allow_nan=False)

@@ -10,8 +10,6 @@ from typing import Self
 from .errors import Fault, ModelError
 from .printable import quoted
 
-__all__ = ["NUMBER", "Number", "number_cure", "spelled"]
-
 # Every double has a spelling of 25 characters, every integer below 1.8e308 one of 310.
 LONGEST_NUMBER = 400
 # Possessive quantifiers (*+, ++) never give back: a match that fails costs one pass over the text.

@@ -10,8 +10,6 @@ from .json_document import Path, Position
 from .json_number import number_cure
 from .printable import quoted
 
-__all__ = ["CLOSERS", "INSIDE", "Slip", "Wanted", "slip"]
-
 Wanted: TypeAlias = Literal["value", "key", "colon", "comma", "end"]
 """What may stand at a place."""
 CLOSERS = {"{": "}", "[": "]"}

@@ -28,8 +28,6 @@ from .json_number import NUMBER, Number
 from .json_slips import CLOSERS, INSIDE, Wanted, slip
 from .printable import quoted
 
-__all__ = ["meant", "read", "without_text"]
-
 # Each slip that is stepped over costs a copy of the text.
 MOST_SLIPS = 50
 FAR_TOO_MANY = 250_000

@@ -13,8 +13,6 @@ from .errors import Fault, ModelError
 from .json_document import Path, place_of
 from .json_number import Number
 
-__all__ = ["piece", "string", "write"]
-
 
 @runtime_checkable
 class _Array(Protocol):

@@ -11,8 +11,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-__all__ = ["in_rows", "live_line"]
-
 SOON, AGAIN = 0.5, 0.2  # s until it is first shown, and between two of it
 Told = Callable[..., None]
 

@@ -7,8 +7,6 @@ import stat
 from io import BufferedReader
 from pathlib import Path
 
-__all__ = ["INHERITED", "opened"]
-
 INHERITED = ("/dev/fd/", "/dev/stdin", "/proc/self/fd/")
 """How the paths of pipes begin that this process inherited."""
 

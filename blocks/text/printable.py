@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = ["aligned", "counted", "legible", "one_line", "quoted"]
-
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     """The lines of a table, each column as wide as its longest cell."""

@@ -9,8 +9,6 @@ from typing import Any
 from .errors import ModelError
 from .json_number import Number, spelled
 
-__all__ = ["DECIMAL", "in_a_file", "quantity_in", "read_quantity", "value_in"]
-
 DECIMAL = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _number = re.compile(DECIMAL).match
 

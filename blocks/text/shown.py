@@ -13,8 +13,6 @@ from typing import NamedTuple
 
 from .printable import aligned
 
-__all__ = ["Part", "Shown", "Table", "as_html", "as_text"]
-
 # A number, maybe with what stands behind it in such cells: "5.2", "-", "+3 % -4 %", "0.12 ± 0.03".
 _NUMBERS = re.compile(r"-|([+-]?(\d[\d.]*(e[+-]?\d+)?|inf|nan)( [%±])?( |$))+", re.ASCII)
 _CELL = "padding:0.15em 0.6em"

@@ -27,26 +27,6 @@ from functools import lru_cache
 
 from .errors import Fault, ModelError
 
-__all__ = [
-    "BASE",
-    "UNKNOWN",
-    "Unit",
-    "affine",
-    "converted",
-    "difference",
-    "from_si",
-    "has_offset",
-    "parse",
-    "power",
-    "product",
-    "quotient",
-    "same_quantity",
-    "scale",
-    "scale_exact",
-    "si_text",
-    "to_si",
-]
-
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """The base units, in the order of the exponents of a dimension."""
 

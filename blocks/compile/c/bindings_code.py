@@ -10,8 +10,6 @@ from ...contract.scalars import COSTLY, LOGICAL, OPERATIONS
 from ..setting_programs import Program, Setting
 from .functions import number, operation_text
 
-__all__ = ["bindings_c"]
-
 _CALLS = [op for op in ("pow", *FUNCTIONS, "expm1") if op in COSTLY]
 ALIKE = 8
 """From this number on, programs that differ only in references and constants are a loop over a table."""

@@ -12,8 +12,6 @@ import numpy as np
 
 from .functions import number
 
-__all__ = ["Filled", "ints", "reals", "table", "texts"]
-
 Array = np.ndarray[Any, Any]
 
 

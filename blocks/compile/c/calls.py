@@ -17,8 +17,6 @@ from ..folding import At
 from .functions import ONE, Numbers, comment
 from .loops import LEAST, Call, CallOrder, CallSequence, Copy, EqualCalls, Place, Sink, Value, at_of, is_affine
 
-__all__ = ["Printed", "Tables", "print_program", "print_selected"]
-
 MOST_RUNS = 8  # runs of equal programs in sequence; for more, a table is shorter
 MOST_ON_STACK = 8192  # doubles of scratch
 SAME = "@"  # in a text: the lane, or 0 where all lanes read the same number

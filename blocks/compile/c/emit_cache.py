@@ -24,8 +24,6 @@ from ..plan import Node, Plan, Reference
 from ..toolchain import cache as caches
 from .model_code import Clique, Emitted, Stage, emit
 
-__all__ = ["emitted", "plan_key"]
-
 LEAST = 200
 """Plans of fewer instances are not cached."""
 

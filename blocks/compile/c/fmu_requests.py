@@ -10,8 +10,6 @@ from ...fmi.types import code_of
 from ..fmu_tape import FmuTape, Request
 from .functions import number
 
-__all__ = ["KINDS", "request_text"]
-
 KINDS = ("state", "derivative", "indicator", "value", "event_time", "given", "number", "partial")
 
 def request_text(name: str, tape: FmuTape, request: Request) -> str:

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from ...contract.scalars import COSTLY, JOINS, LOGICAL, OPERATIONS
 from ...contract.tape import Tape, TapeNode
 
-__all__ = ["LANES", "ONE", "Function", "Numbers", "comment", "function_text", "is_costly", "number", "operation_text"]
-
 _UNVECTORISED = COSTLY | {"pick", "floor", "ceil", "copysign"}
 _BOUNDS = {"fmin": "blocks_at_most", "fmax": "blocks_at_least"}
 _DEPTH = 6  # expressions nested deeper than this get a name, for readability

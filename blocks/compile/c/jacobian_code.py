@@ -14,8 +14,6 @@ from ..jacobian import PlanJacobian, Solve, Sum
 from .c_text import ints, reals, table
 from .functions import function_text
 
-__all__ = ["JacobianText", "elimination", "in_order", "jacobian_text"]
-
 Array = np.ndarray[Any, Any]
 
 

@@ -22,8 +22,6 @@ from .calls import Printed
 from .functions import LANES, comment
 from .loops import Call
 
-__all__ = ["LANE_FILES", "LANE_PROGRAMS", "LaneCode", "Machine", "why_no_gain", "why_no_lanes"]
-
 LANE_PROGRAMS = frozenset(
     {"rates", "rates_and_sides", "rates_and_measured", "plain_measured", "bent_measured", "measured"}
 )

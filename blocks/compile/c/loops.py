@@ -16,10 +16,6 @@ from typing import Any
 from ..folding import At
 from .functions import Function
 
-__all__ = [
-    "LEAST", "Call", "CallOrder", "CallSequence", "Copy", "EqualCalls", "Place", "Sink", "Value", "at_of", "is_affine"
-]  # fmt: skip
-
 Value = tuple[str, Any]
 """A row of memory and an index in it (in q, n and v: or a name for what has no place yet; in c: an offset). Also
 ("t", 0); ("r", number): a value of a call of this program; ("ge", number): 1 where that is not negative, else 0;

@@ -23,8 +23,6 @@ from .fmu_requests import request_text
 from .functions import Function, function_text, is_costly, needed_from
 from .loops import Call, Place, Value
 
-__all__ = ["FIXED", "HELD", "MOVING", "PlanReader", "ProgramScope"]
-
 FIXED, HELD, MOVING = 0, 1, 2
 _PLAIN = frozenset({"x", "d", "s", "p", "u", "h", "t"})  # rows that are read in place
 _OF_BLOCKS = frozenset("xdspwh")

@@ -10,8 +10,6 @@ from ..plan import Plan
 from ..time_grid import Grid
 from . import runtime_layout
 
-__all__ = ["HORIZON", "grid_of", "why_not"]
-
 LARGEST = 2**62
 MOST = 2**53  # beyond it, doubles do not hold every integer
 HORIZON = 10**9  # s: a run without an end is taken to be so long

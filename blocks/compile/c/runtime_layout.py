@@ -10,11 +10,6 @@ import numpy as np
 from .runtime_texts import packaged
 from .structures import structures
 
-__all__ = [
-    "CALLBACK", "CAUSE", "CLIQUE", "ENABLED", "HISTORY", "MEASURE", "MEASURED", "PROJECTION", "RATE", "RESET", "SLOT",
-    "STAGE", "STEPPER", "STRUCTURES", "TRACK", "BlocksBatch", "BlocksGrid", "BlocksSetup", "BlocksSim",
-]  # fmt: skip
-
 STRUCTURES = structures(*packaged("model.h", "runtime.h", "batch.h").values())
 CALLBACK = c.CFUNCTYPE(c.c_int, c.c_int, c.c_int, c.c_double, c.POINTER(c.c_double), c.POINTER(c.c_double))
 BlocksBatch: Any = STRUCTURES["BlocksBatch"]

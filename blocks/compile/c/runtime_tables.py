@@ -14,8 +14,6 @@ from ..plan import Node, Plan, Reference
 from . import runtime_layout
 from .model_code import Emitted
 
-__all__ = ["RuntimeTables", "SetupTable"]
-
 Array = np.ndarray[Any, Any]
 
 

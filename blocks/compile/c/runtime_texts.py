@@ -7,8 +7,6 @@ from pathlib import Path
 
 from ..tableaus import STIFF, c_header
 
-__all__ = ["RUNTIME", "loop_units", "packaged", "stiff_units"]
-
 RUNTIME = ("runtime.h", "model.h", "methods.h", "steps.h", "jacobian.h", "stiff.h")
 
 

@@ -31,20 +31,6 @@ from pathlib import Path
 
 from ...text.errors import CompilerError, Fault
 
-__all__ = [
-    "MAX_BYTES",
-    "MAX_ENTRIES",
-    "VARIABLE",
-    "Cache",
-    "Size",
-    "clear",
-    "of_user",
-    "refuse",
-    "size",
-    "temporary",
-    "unwritable",
-]
-
 VARIABLE = "BLOCKS_CACHE_DIR"
 """The environment variable that names another folder."""
 MAX_BYTES = 512 * 2**20

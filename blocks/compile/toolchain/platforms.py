@@ -33,20 +33,6 @@ from types import MappingProxyType
 from ...text.errors import CompilerError, Fault, UsageError, did_you_mean
 from .compiler import FLAGS, SUFFIX, Compiler, TranslationUnit, build, find_compiler, find_zig, is_zig
 
-__all__ = [
-    "INSTALL",
-    "PLATFORMS",
-    "Platform",
-    "check_compilers",
-    "compiler_for",
-    "folder_of",
-    "folders",
-    "shared_library",
-    "suffix_of",
-    "this_platform",
-    "universal",
-]
-
 INSTALL = "pip install ziglang"
 WITHOUT_RUNTIME = "-rtlib=none"
 

@@ -10,8 +10,6 @@ from typing import Any, Literal
 from ...model.diagram_grammar import BODY
 from .meaning import clean
 
-__all__ = ["GLYPHS", "GROUPS", "Change", "Kind"]
-
 Kind = Literal["added", "removed", "changed", "renamed"]
 GROUPS = ("diagram", *(key for key in BODY.keys if key not in ("name", "doc", "layout")))
 GLYPHS: dict[Kind, str] = {"added": "+", "removed": "-", "changed": "~", "renamed": ">"}

@@ -18,8 +18,6 @@ from .meaning import clean, digest_of, legible_value, same, same_unit
 from .renames import Edge, renames
 from .wording import added, at, both, changed, end_of, only, removed, rewired, texts, values
 
-__all__ = ["Compared", "Level", "Pairs"]
-
 MOST = 100_000
 """Changes that are reported; files that contain each other many times could make any number."""
 

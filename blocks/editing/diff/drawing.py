@@ -16,8 +16,6 @@ from .comparison import Compared, Pairs
 from .meaning import clean
 from .wording import end_of
 
-__all__ = ["svg"]
-
 MOST_LINES = 3  # below the name of a block
 MOST_TOLD = 30  # in a tooltip
 MOST_OPENED = 100  # subdiagrams

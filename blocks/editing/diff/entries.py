@@ -22,8 +22,6 @@ from .changes import Change
 from .meaning import clean, legible_value, same
 from .wording import NOT_GIVEN, both, changed, only, texts, values
 
-__all__ = ["Entries", "document_of", "sha256_of"]
-
 LARGEST_FMU = 2**30  # bytes; of a larger one the path alone is compared
 MOST_PARAMETERS = 4  # of a block that was added or removed
 

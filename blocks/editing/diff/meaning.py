@@ -16,8 +16,6 @@ from ...text.errors import ModelError
 from ...text.json_number import Number
 from ...text.printable import quoted
 
-__all__ = ["clean", "digest_of", "is_quantity", "legible_value", "parts_that_differ", "same", "same_unit"]
-
 QUANTITY = ("value", "unit", "doc")
 LONGEST = 60  # characters of a value that are shown
 MOST_SHOWN = 6  # elements of a list that are shown

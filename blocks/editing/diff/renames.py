@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-__all__ = ["Edge", "renames"]
-
 MOST_WORK = 1_500_000
 """Ends of wires that are looked at; what is not paired by then counts as removed and added."""
 MOST_PAIRS = 10_000

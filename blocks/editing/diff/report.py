@@ -13,8 +13,6 @@ from .comparison import Compared, Pairs
 from .drawing import svg
 from .meaning import clean
 
-__all__ = ["Differences", "differences"]
-
 
 def differences(
     a: DiagramValue,

@@ -10,8 +10,6 @@ from ...model.values import Unit
 from .changes import Change
 from .meaning import clean, digest_of, legible_value, parts_that_differ, same
 
-__all__ = ["NOT_GIVEN", "added", "at", "both", "changed", "end_of", "only", "removed", "rewired", "texts", "values"]
-
 NOT_GIVEN = "not given"
 
 

@@ -13,8 +13,6 @@ from ...compile.inputs import InputTable
 from .limits import MOST_GUESSES
 from .stepped_units import Course, Running, unsolved
 
-__all__ = ["Exchange", "Point", "course_of"]
-
 Array = np.ndarray[Any, Any]
 Point = tuple[float, float]
 

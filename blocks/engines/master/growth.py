@@ -17,8 +17,6 @@ from ...compile.scheduler import components
 from ...text.errors import Fault
 from .limits import GROWTH, MISSES, NEAR_MISSES
 
-__all__ = ["Growth", "circles", "warning"]
-
 
 def circles(coupling: Coupling, can_save: list[bool]) -> Iterator[tuple[int, list[int]]]:
     """Elements that are guessed in a circle of units, with the number of the circle. can_save: of each unit.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["limits_header"]
-
 MOST_PASSES = 100
 """So many instants may follow each other at one time."""
 MOST_GUESSES = 50

@@ -53,8 +53,6 @@ from .stepped_units import (
     unconverged,
 )
 
-__all__ = ["MOST_LEARNT", "ReferenceMaster", "Row"]
-
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
 MOST_LEARNT = 300

@@ -12,8 +12,6 @@ from ...text.errors import Fault
 from ..run.measures import Measures
 from ..run.step_polynomial import NODES
 
-__all__ = ["measured"]
-
 Array = np.ndarray[Any, Any]
 MOST_AT_ONCE = 65536
 """Communication points whose measures are taken at once."""

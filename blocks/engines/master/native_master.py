@@ -56,8 +56,6 @@ if TYPE_CHECKING:
     from ...compile.plan import Plan, Reference
     from ..native.model import Model
 
-__all__ = ["NativeMaster", "master_library"]
-
 Array = np.ndarray[Any, Any]
 _SPARE: list[tuple[Any, int]] = []  # memory for rows that no run has now
 _P, _L, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 from ...compile.coupling import Coupling
 
-__all__ = ["Policy"]
-
 _ALWAYS = 2**62
 
 

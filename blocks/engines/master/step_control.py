@@ -18,8 +18,6 @@ from .limits import LEAST, MOST, MOST_SMALL, ROUNDING, SAFETY
 from .policy import Policy
 from .stepped_units import Running, too_short
 
-__all__ = ["StepControl"]
-
 
 class Stepped(Protocol):
     """The part of a master that the control of its steps needs."""

@@ -28,8 +28,6 @@ from ...text.errors import NOT_FINITE, Fault, FMUError, SimulationError
 from ..run.model_exchange import Foreigns
 from .limits import MOST_PASSES, NEAR, SMALLEST
 
-__all__ = ["Course", "FmuUnit", "PlanUnit", "Running", "set_up"]
-
 Course = tuple[float, float, float]
 """How an input goes over a step from t: its value, and its first and second derivative by time."""
 

@@ -21,8 +21,6 @@ from ..run.measures import Measures
 from .engine import NativeEngine, in_brief
 from .model import Model
 
-__all__ = ["run_rows"]
-
 Array = np.ndarray[Any, Any]
 _KEPT = 8  # numbers of a measure
 _LEFT, _DONE, _FAILED, _BUDGET, _NO_MEMORY = range(5)

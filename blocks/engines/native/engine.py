@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     from ..run.model_exchange import Foreigns
     from .fmu_bridge import NativeForeigns
 
-__all__ = ["NativeEngine", "in_brief"]
-
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
 

@@ -18,8 +18,6 @@ from ...fmi.types import NUMBERS, call_of, call_of_code, code_of, full_name
 from ...text.errors import Fault, FMUError, SimulationError
 from ..run.model_exchange import Foreigns, ModelExchangeUnit
 
-__all__ = ["NativeForeigns"]
-
 Array = np.ndarray[Any, Any]
 _INITIALIZES, _CONTINUOUS, _AT_EVENT = 0, 1, 2
 _MODES = ("initialization", "continuous", "event")

@@ -29,8 +29,6 @@ from ..run.measures import Measures
 from ..run.step_parts import longest_step
 from .stiff import CarriedOrder
 
-__all__ = ["Model", "model_of"]
-
 Array = np.ndarray[Any, Any]
 
 _LOCK = threading.Lock()

@@ -13,8 +13,6 @@ from ...compile.inputs import InputTable
 if TYPE_CHECKING:
     from .model import Model
 
-__all__ = ["LARGEST_SPARE", "MOST_SPARE", "Handle", "array", "track_table"]
-
 Array = np.ndarray[Any, Any]
 MOST_SPARE, LARGEST_SPARE = 4, 2**22  # pieces of memory, bytes
 

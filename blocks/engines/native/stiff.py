@@ -12,8 +12,6 @@ from ...compile.jacobian import PlanJacobian
 from ...compile.plan import Plan
 from ..run.snapshot import CARRIED_NUMBERS, frozen
 
-__all__ = ["CarriedOrder"]
-
 Array = np.ndarray[Any, Any]
 
 

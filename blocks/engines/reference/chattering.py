@@ -14,8 +14,6 @@ from ...text.errors import Fault, SimulationError
 from . import event_location
 from .event_update import Instants
 
-__all__ = ["TO_AND_FRO", "CrossingWatch", "ProgressWatch"]
-
 Array = np.ndarray[Any, Any]
 
 # So many located crossings within so small a part of the run are Zeno or chattering; no model needs 1e9 of them.

@@ -25,8 +25,6 @@ from typing import Any
 from ...compile.plan import Plan
 from .python_code import CompiledPrograms
 
-__all__ = ["MOST_CORNERS", "Corners", "first_change"]
-
 MOST_CORNERS = 1000  # on the way to one solution
 _SAFETY = 8.0  # times the rounding of the unknowns that a crossing reads: solutions are found to 4 times theirs
 _WIDE = 2.0**20  # unknowns are moved by so many times their rounding, so that the crossings do not round much

@@ -44,8 +44,6 @@ from .python_code import CompiledPrograms, Evaluator
 from .rows import Row, RunRows
 from .touches import Touches
 
-__all__ = ["ReferenceEngine"]
-
 Array = np.ndarray[Any, Any]
 Rates = Callable[[float, Array], Array]
 

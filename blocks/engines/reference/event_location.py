@@ -15,8 +15,6 @@ import numpy as np
 
 from ..run.history import NODES, POWERS
 
-__all__ = ["Array", "Found", "first_change", "narrowed", "slope"]
-
 Array = np.ndarray[Any, Any]
 # Coefficients of powers -> Bernstein coefficients: b_i = sum_k C(i, k) / C(4, k) a_k.
 _BERNSTEIN = (

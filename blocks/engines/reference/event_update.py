@@ -38,8 +38,6 @@ from ..run.snapshot import MethodMemory, Snapshot, frozen
 from .corners import MOST_CORNERS, Corners, at, first_change
 from .python_code import CompiledPrograms, Evaluator
 
-__all__ = ["MOST_PASSES", "Instants"]
-
 Array = np.ndarray[Any, Any]
 _Update = tuple[Evaluator, list[int]]  # a program, and the places in d of what it gives
 _Item = UnitPlace | tuple[_Update, list[int]]  # the time event of an FMU, or sampled outputs and programs

@@ -16,8 +16,6 @@ from .event_update import Instants
 from .methods import Trial
 from .python_code import CompiledPrograms
 
-__all__ = ["Failures"]
-
 Array = np.ndarray[Any, Any]
 Memory = tuple[Any, ...]
 """(t, x, d, s, p, u, k, h, z, FMUs), as programs read it."""

@@ -18,8 +18,6 @@ from ..run.step_polynomial import NODES as LOBATTO
 from ..run.step_polynomial import Interpolant
 from .python_code import CompiledPrograms, Evaluator
 
-__all__ = ["InsideStep", "in_time"]
-
 Array = np.ndarray[Any, Any]
 
 

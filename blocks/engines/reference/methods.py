@@ -14,8 +14,6 @@ import numpy as np
 
 from ...compile.tableaus import Tableau
 
-__all__ = ["Flow", "Retaken", "StepRefused", "Trial", "error_norm", "first_step", "retaking", "trial", "worst"]
-
 Array = np.ndarray[Any, Any]
 Rates = Callable[[float, Array], Array]
 """dx/dt at (t, x): arrays of shape (n,)."""

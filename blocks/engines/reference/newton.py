@@ -19,8 +19,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["Nearest", "newton", "spread"]
-
 MOST_STEPS, MOST_HALVINGS = 60, 30
 FEW_STEPS, FEW_HALVINGS = 10, 4
 _CLOSE = 1e-13  # relative size of a last step: the next one would be rounding

@@ -23,8 +23,6 @@ from ...contract.tape import Tape
 from ...text.errors import NOT_FINITE, OVERFLOW
 from .newton import Nearest, newton, spread
 
-__all__ = ["CompiledPrograms", "Evaluator"]
-
 Evaluator = Callable[..., tuple[float, ...]]
 """f(t, x, d, s, p, u, k, h, z, f) -> values: rows of memory as sequences of floats, k the tick numbers by rate; f: the
 FMUs of the run, as `blocks.engines.run.model_exchange` has them."""

@@ -18,8 +18,6 @@ from ..run.step_parts import BETWEEN_ROWS, LEFT_OUT
 from ..run.step_polynomial import Interpolant
 from .inside_step import InsideStep, in_time
 
-__all__ = ["MOST_BETWEEN", "Row", "RunRows"]
-
 Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
 _AT_ONCE = 4096  # rows of the grid

@@ -34,8 +34,6 @@ from ..run.snapshot import frozen
 from .methods import Flow, Polynomial, Rates, Retaken, first_step, worst
 from .python_code import CompiledPrograms
 
-__all__ = ["Carried", "Radau", "Slopes", "Step"]
-
 Array = np.ndarray[Any, Any]
 
 # SuperLU overtakes LAPACK from 60 to 80 states on where a matrix is tridiagonal. With 10 % of all entries, scattered,

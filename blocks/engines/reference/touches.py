@@ -14,8 +14,6 @@ import numpy as np
 
 from .event_location import Array, Found, narrowed
 
-__all__ = ["Touches"]
-
 # A change of side that reaches no further than this share of the values in the part is looked at closely. So are all
 # where rounding may be all that moves: in a part that is shorter than _SHORT of a usual step, and of values that are
 # not smooth (third or fourth differences of no less than _UNSMOOTH of them) or are a few multiples of one difference.

@@ -9,8 +9,6 @@ from ...compile.equation_record import Numbers, Record
 from ...text.errors import Fault
 from ...text.printable import legible
 
-__all__ = ["of_equations", "of_values", "some"]
-
 MOST = 8
 """The most blocks, and the most values, that are reported one by one."""
 

@@ -15,8 +15,6 @@ from ...text.errors import Fault
 from .saved_state import State
 from .stiffness import StateRates
 
-__all__ = ["ENGINES", "VARIABLE", "Engine", "Recorded", "heard_by_python"]
-
 Array = np.ndarray[Any, Any]
 ENGINES = ("auto", "native", "reference")
 VARIABLE = "BLOCKS_ENGINE"

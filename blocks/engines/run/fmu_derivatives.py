@@ -17,8 +17,6 @@ from ...compile.plan import ForeignPart, Plan
 from ...fmi.schema import ModelVariable
 from .fmu_values import FmuValues
 
-__all__ = ["FmuDerivatives"]
-
 _ROOT = math.sqrt(float(np.finfo(float).eps))
 _AGREES = 1e-3
 """How far a directional derivative may be from a quotient of differences, of the larger of the two."""

@@ -21,8 +21,6 @@ from ...compile.plan import ForeignPart, Plan
 from ...fmi.instance import Instance
 from ...fmi.schema import ModelVariable
 
-__all__ = ["FmuValues"]
-
 LEAST = 5e-324
 
 

@@ -24,8 +24,6 @@ import numpy as np
 from ...compile.plan import History, Plan
 from ...compile.time_grid import within_ulps
 
-__all__ = ["COURSE", "Past", "Store", "has_jumped"]
-
 Array = np.ndarray[Any, Any]
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 POWERS = np.linalg.inv(NODES[:, None] ** np.arange(5))  # values at the nodes -> coefficients of 1, th, ..., th^4

@@ -13,8 +13,6 @@ import numpy as np
 from ...compile.time_grid import Grid
 from ...text.errors import BlocksError, Fault
 
-__all__ = ["Row", "cores", "times_of"]
-
 Array = np.ndarray[Any, Any]
 
 

@@ -39,8 +39,6 @@ from .step_polynomial import (
     weighted,
 )
 
-__all__ = ["Measures"]
-
 Array = np.ndarray[Any, Any]
 _SQUARES = ("ISE", "ISU", "mean_square", "RMS")
 _ABSOLUTES = ("IAE", "ITAE")

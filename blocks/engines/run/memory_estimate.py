@@ -12,8 +12,6 @@ from ...compile.plan import Plan
 from ...text import available_memory
 from ...text.errors import Fault, SimulationError, UsageError
 
-__all__ = ["COPIES", "COPIES_OF_MASTER", "check", "check_plan", "no_room", "rows_of"]
-
 COPIES = 1.1
 """The recorded rows, and the part of them that is held twice while they become results."""
 COPIES_OF_MASTER = 2

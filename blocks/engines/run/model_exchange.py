@@ -25,8 +25,6 @@ from ...fmi.schema import ModelVariable
 from ...text.errors import Fault, FMUError, SimulationError, UsageError
 from .fmu_derivatives import FmuDerivatives
 
-__all__ = ["Foreigns", "ModelExchangeUnit"]
-
 Array = np.ndarray[Any, Any]
 MOST_UPDATES = 100
 """Event iterations of one FMU at one instant."""

@@ -10,8 +10,6 @@ import numpy as np
 
 from ...fmi.patience import patient
 
-__all__ = ["Recording"]
-
 Array = np.ndarray[Any, Any]
 CHUNK = 4096  # rows
 MOST_BYTES = 2**24  # of a chunk

@@ -33,8 +33,6 @@ from .differences import of_equations, some
 from .snapshot import MethodMemory
 from .state_rows import check_rows, input_rows, inputs_of
 
-__all__ = ["Kept", "State", "check", "fit", "packed", "standing"]
-
 Array = np.ndarray[Any, Any]
 
 FORMAT, VERSION = "blocks-state", 2

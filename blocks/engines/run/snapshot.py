@@ -13,8 +13,6 @@ import numpy as np
 from ...compile.plan import History
 from .history import Past
 
-__all__ = ["CARRIED_NUMBERS", "MethodMemory", "Snapshot", "frozen", "told_method"]
-
 Array = np.ndarray[Any, Any]
 
 CARRIED_NUMBERS = 5

@@ -19,8 +19,6 @@ from ...compile.tableaus import STIFF
 from .measures import Measures
 from .snapshot import CARRIED_NUMBERS
 
-__all__ = ["check_rows", "input_rows", "inputs_of"]
-
 Array = np.ndarray[Any, Any]
 
 MOST_CROSSED = 1000

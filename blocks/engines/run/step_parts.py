@@ -22,8 +22,6 @@ from ...compile.plan import Plan
 from ...text.errors import Fault
 from .history import Past
 
-__all__ = ["BETWEEN_ROWS", "CHECKS", "LEFT_OUT", "Look", "Part", "Unseen", "longest_step", "unseen_faults"]
-
 Array = np.ndarray[Any, Any]
 Values = Callable[[float], Any]
 """The values of signals or phases where a share, from 0 to 1, of a piece of a step has gone by."""

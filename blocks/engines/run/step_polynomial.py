@@ -11,21 +11,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-__all__ = [
-    "FINE",
-    "NODES",
-    "TO_FINE",
-    "WEIGHTS",
-    "Interpolant",
-    "absolute_integrals",
-    "entry",
-    "first_reach",
-    "fourier",
-    "reached",
-    "variations",
-    "weighted",
-]  # fmt: skip
-
 Array = np.ndarray[Any, Any]
 NODES = np.array([0.0, (1 - math.sqrt(3 / 7)) / 2, 0.5, (1 + math.sqrt(3 / 7)) / 2, 1.0])
 WEIGHTS = np.array([1 / 20, 49 / 180, 16 / 45, 49 / 180, 1 / 20])

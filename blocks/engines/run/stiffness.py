@@ -18,8 +18,6 @@ import numpy as np
 
 from ...text.errors import Fault
 
-__all__ = ["StateRates", "StiffWatch"]
-
 Array = np.ndarray[Any, Any]
 
 _FIRST, _PART = 2_000, 0.25  # steps before the first look, and between looks as a part of all before

@@ -23,8 +23,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NoReturn
 
-__all__ = ["Example", "Explanation", "explanation_in"]
-
 _DIAGRAM, _SCRIPT = "loop.json", "example.py"
 """The names of what is an example by itself."""
 
