@@ -75,7 +75,7 @@ def _beside(axis: Any, x: float, y: float, text: str, curve: tuple[Array, Array]
     """A text beside x, on the side and at the height where the curve does not run through it."""
     low, high = axis.get_ylim()
     span = np.log(np.asarray(axis.get_xlim()))
-    # Of the panel: a letter is a ninetieth wide, the gap beside x a fiftieth, a line a twentieth high, at 8 points here.
+    # Of the panel: a letter is a ninetieth wide, the gap beside x a fiftieth, a line a twentieth high (at 8 points).
     width, height = (0.0112 * len(text) + 0.02) * (span[1] - span[0]), 0.08 * (high - low)
     best: tuple[float, bool, float] | None = None
     for shift in np.arange(-3.0, 3.1, 0.5):
