@@ -328,7 +328,7 @@ class Plan(Shown):
     corners: tuple[int, ...] = field(default=(), compare=False, repr=False)
     """Crossings that depend on what a loop solves for; first those of `inner_corners`."""
     inner_corners: tuple[int, ...] = field(default=(), compare=False, repr=False)
-    """Those of them whose sides or resets a loop reads; the others, and FMUs, wait for its solution."""
+    """Those whose sides or resets a loop reads, and those of enabled parts; others, and FMUs, wait for solutions."""
     guessed: tuple[int, ...] = field(default=(), compare=False, repr=False)
     """Places in d that are guessed at the start, as sides are: steps of what a loop solves for, which reads them."""
     folded: Any = field(default=None, compare=False, repr=False)

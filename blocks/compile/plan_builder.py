@@ -425,18 +425,21 @@ def _settled(plan: Plan) -> Plan:
 def _corners(plan: Plan, loops: Iterable[AlgebraicLoop]) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """The crossings that depend on a loop, as its solution rounds in another way at each search.
 
-    First those whose sides or resets a loop reads, then those behind loops and those of FMUs.
+    First those whose sides or resets a loop reads, and those that enable or trigger parts, which fire together. Then
+    those behind all loops, and those of FMUs.
     """
     unknowns = {reference for loop in loops for reference in loop.unknowns}
     nodes = enumerate(cause.node for cause in plan.crossings)
     corners = [j for j, node in nodes if not unknowns.isdisjoint(_reached(plan, [node]))]
     read = _reached(plan, (plan.outputs[reference.index] for reference in unknowns))
-    read |= {Reference("s", part.side) for part in plan.enabled}  # which may turn parts of loops on
     inner = tuple(
         j
         for j in corners
         if j not in plan.foreign_crossings
-        and not read.isdisjoint({Reference("s", j), *(target for _, target in plan.crossings[j].resets)})
+        and (
+            plan.instances[plan.crossings[j].instance].hidden
+            or not read.isdisjoint({Reference("s", j), *(target for _, target in plan.crossings[j].resets)})
+        )
     )
     return inner, tuple(j for j in corners if j not in inner)
 

@@ -295,12 +295,15 @@ def test_values_that_no_run_could_have_left_are_refused(tmp_path: Path) -> None:
     for name, number in (
         ("step", math.nan), ("step", -1.0), ("error", 0.0), ("x", math.inf), ("d", math.nan), ("s", 0.5), ("t", 0.25),
         ("broken", math.nan), ("z", math.nan), ("events", math.nan), ("ticks", -1), ("fixed", -1),
-        ("stiffness", 0.5), ("parameters", math.inf), ("fired", math.nan),
+        ("stiffness", 0.5), ("parameters", math.inf), ("fired", math.nan), ("ticks", 0), ("events", -1.0),
     ):  # fmt: skip
         assert "is not a saved state" in refusal(d, with_number(name, number)), name
-    for key, value in (("exact", "1e999999999"), ("exact", "2/1"), ("steppers", [1, 2]), ("foreign", [1])):
+    times = (("exact", "1e999999999"), ("exact", "2/1"), ("start", "1/0"))
+    for key, value in (*times, ("steppers", [1, 2]), ("foreign", [1])):
         damaged(path, broken, lambda tree, rows, key=key, value=value: tree.update({key: value}))
         assert "is not a saved state" in refusal(d, broken), key
+    damaged(path, broken, lambda tree, rows: rows["past.breaks"].fill(-1e300))
+    assert "its past breaks at times that are not possible" in refusal(d, broken)
     for name in ("x", "past.parts", "measures.known"):
         damaged(path, broken, lambda tree, rows, name=name: rows.pop(name))
         assert f"is not a saved state: it lacks the row '{name}'" in refusal(d, broken)

@@ -47,16 +47,18 @@ def of_values(
 ) -> Iterator[Fault]:
     """Yield the parameters that have other values than in a saved state, and programs with another text (W303).
 
-    parameters: the row p of the state. numbers: those of each block of the diagram, by its path, in the order of p.
+    parameters: the row p of the state. numbers: those of each block of the diagram, by its path.
     """
     faults: list[Fault] = []
+    known = dict(numbers if kept["blocks"] != own["blocks"] else ())
     first = 0
-    for path, ours in numbers if kept["blocks"] != own["blocks"] else ():
+    for path in kept["blocks"]:  # in whose order the state has them
+        ours = known.get(path)
+        if ours is None:
+            continue
         values = parameters[first : first + len(ours)]
         first += len(ours)
-        was, now = kept["blocks"].get(path), own["blocks"][path]
-        if was is None:
-            continue
+        was, now = kept["blocks"][path], own["blocks"][path]
         if was[PROGRAM] != now[PROGRAM]:
             message = "the text of its program has changed since the state was saved."
             cure = "Make sure that its saved values still have the same meaning."

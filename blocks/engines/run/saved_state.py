@@ -12,7 +12,6 @@ import math
 import os
 import re
 import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -108,7 +107,8 @@ def check(kept: Mapping[str, Any], plan: Plan, was: Equations | None, own: Equat
         if theirs == names:
             continue
         theirs = theirs if isinstance(theirs, list) else []
-        added, missing = [n for n in names if n not in theirs], [n for n in theirs if n not in names]
+        old, new = {*theirs}, {*names}
+        added, missing = [n for n in names if n not in old], [n for n in theirs if n not in new]
         parts = [f"the diagram has {some(added)}, which the state lacks"] if added else []
         parts += [f"the state has {some(missing)}, which the diagram lacks"] if missing else []
         text = "; ".join(parts) or "their order differs"
@@ -201,9 +201,9 @@ class Kept:
             raise UsageError(Fault("E506", self.place, f"cannot be read: {error.strerror}.")) from None
         except UsageError:
             raise
-        except (
-            zipfile.BadZipFile, zlib.error, AttributeError, LookupError, TypeError, ValueError, RuntimeError, EOFError,
-        ) as error:  # fmt: skip
+        except MemoryError:
+            raise
+        except Exception as error:  # whatever a damaged archive leads to
             raise self.refusal(str(error) or type(error).__name__) from None
         if self.seed is not None and (type(self.seed) is not int or not 0 <= self.seed <= LARGEST_SEED):
             raise self.refusal("its seed is not a whole number")
@@ -282,6 +282,6 @@ def _rows(shapes: Mapping[str, Any], data: bytes) -> dict[str, Array]:
 
 def _fraction(text: Any) -> Fraction:
     """An exact time as it is written: no decimals, whose exponents could be of any size."""
-    if not isinstance(text, str) or not re.fullmatch(r"-?[0-9]{1,400}(/[0-9]{1,400})?", text):
+    if not isinstance(text, str) or not re.fullmatch(r"-?[0-9]{1,400}(/[1-9][0-9]{0,399})?", text):
         raise ValueError("its exact time is not a fraction")
     return Fraction(text)

@@ -77,7 +77,7 @@ def _table(plan: Plan, method: str) -> dict[str, Row]:
         "located_t": Row((), _any),
         "located": Row((crossings,), _any),
         "fired": Row((crossings,), _is_number),
-        "crossed": Row((None,), lambda t: len(t) <= MOST_CROSSED),
+        "crossed": Row((None,), lambda t: len(t) <= (MOST_CROSSED if crossings else 0)),
         "parameters": Row((len(plan.parameters),)),
         "recorded": Row((1 + sum(len(plan.signal(name).references) for name in plan.log),), _any, is_optional=True),
         "between": Row((), lambda n: n >= 0, "i8", is_optional=True),
@@ -89,7 +89,7 @@ def _table(plan: Plan, method: str) -> dict[str, Row]:
             "past.starts": Row((None,), _is_number),
             "past.ends": Row((None,), _is_number),
             "past.parts": Row((None, 6, len(plan.histories)), _any),
-            "past.breaks": Row((None,), _is_number),
+            "past.breaks": Row((None,)),
             "past.orders": Row((None,), _is_count, "i4"),
             "past.open": Row((), _is_side, "i4"),
             "past.passed": Row((len(plan.histories),), _is_count, "i8"),
@@ -125,12 +125,21 @@ def check_rows(rows: Mapping[str, Array], exact: Fraction | None, plan: Plan, me
         value = float(rows["d"][slot])
         if not (value in members if members else value.is_integer()):
             raise ValueError(f"'{plan.discretes[slot]}' is {value}")
+    t = _some_ulp_before(rows["t"])
+    ticks = zip(plan.rates, rows["ticks"].tolist(), strict=True)
+    if (rows["events"] < t).any() or any(float(rate.offset + n * rate.period) < t for rate, n in ticks):
+        raise ValueError("its next event or tick lies before its time")
     if "carried" in rows:
         _check_carried(rows["carried"], plan)
     if plan.histories:
-        _check_past(rows)
+        _check_past(rows, plan)
     if any(len(rows[f"inputs.{k}.t"]) != len(rows[f"inputs.{k}.u"]) for k in range(len(plan.inputs))):
         raise ValueError("one of its inputs is not a table")
+
+
+def _some_ulp_before(t: Any) -> float:
+    """A time before t by more than the ulps by which instants at one time may differ."""
+    return float(t) - 1e-12 * max(1.0, abs(float(t)))
 
 
 def _check_carried(carried: Array, plan: Plan) -> None:
@@ -143,12 +152,17 @@ def _check_carried(carried: Array, plan: Plan) -> None:
         raise ValueError("the memory of its method does not fit its states")
 
 
-def _check_past(rows: Mapping[str, Array]) -> None:
-    parts, breaks, passed = rows["past.parts"], len(rows["past.breaks"]), rows["past.passed"]
+def _check_past(rows: Mapping[str, Array], plan: Plan) -> None:
+    parts, breaks, passed, t = rows["past.parts"], rows["past.breaks"], rows["past.passed"], float(rows["t"])
+    before = _some_ulp_before(t)
     sizes = {len(rows["past.starts"]), len(rows["past.ends"]), len(parts)}
-    is_whole = len(sizes) == 1 and 0 < breaks == len(rows["past.orders"])
-    if not is_whole or (passed > breaks).any() or (passed.any() and not len(parts)):
+    is_whole = len(sizes) == 1 and 0 < len(breaks) == len(rows["past.orders"])
+    if not is_whole or (passed > len(breaks)).any() or (passed.any() and not len(parts)):
         raise ValueError("its past is incomplete")
+    pairs = zip(plan.histories, passed.tolist(), strict=True)
+    following = [float(breaks[n]) + history.delay for history, n in pairs if n < len(breaks)]
+    if (np.diff(breaks) < 0).any() or breaks[-1] > 2 * t - before or any(time < before for time in following):
+        raise ValueError("its past breaks at times that are not possible")
 
 
 def input_rows(inputs: InputTable) -> dict[str, Array]:
