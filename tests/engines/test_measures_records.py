@@ -160,14 +160,10 @@ def same(ours: Measures, theirs: Measures) -> None:
     assert list(made) == list(others)
     assert np.array_equal(list(made.values()), list(others.values()), equal_nan=True)
     assert why == whys
-    first, other = ours.saved(), theirs.saved()
+    first, other = ours.rows(), theirs.rows()
     assert first.keys() == other.keys()
     for key, value in first.items():
-        if isinstance(value, dict):
-            assert value.keys() == other[key].keys()
-            assert all(np.array_equal(rows, other[key][name]) for name, rows in value.items())
-        else:
-            assert np.array_equal(value, other[key], equal_nan=True), key
+        assert np.array_equal(value, other[key], equal_nan=True), key
 
 
 COURSES = {"seed": st.integers(0, 10**6), "steps": st.integers(2, 40), "windowed": st.booleans()}
@@ -219,9 +215,9 @@ def test_measures_go_on_from_saved_ones_and_those_before_stay_as_they_were() -> 
     measures = course.measures()
     records = course.records(measures)
     before = measures.after_records(np.concatenate(records[:20]))
-    saved, again = before.saved(), measures.restored(before.saved())
+    saved, again = before.rows(), measures.restored(before.rows())
     same(again, before)
-    assert np.concatenate([again.known[0], again.known[1]], axis=None).tolist() == saved["known"].tolist() != []
+    assert np.concatenate([again.known[0], again.known[1]], axis=None).tolist() == saved["measures.known"].tolist() != []
     same(again.after_records(np.concatenate(records[20:])), measures.after_records(np.concatenate(records)))
     before.after_records(np.concatenate(records[20:]))
     same(before, again)
@@ -231,10 +227,11 @@ def test_a_path_holds_the_parts_of_steps_in_its_window() -> None:
     """No instants: at the end of a run they would be a step of their own."""
     course = Course(5, steps=30)
     measures = course.measures()
-    paths = measures.after_records(np.concatenate(course.records(measures))).saved()["paths"]
+    kept = measures.after_records(np.concatenate(course.records(measures))).rows()
+    paths = {i: kept[f"measures.path {i}"] for i in measures.paths}
     assert sum(course.instants) > 5
     for i, rows in paths.items():
-        low, high = measures.low[int(i)], measures.high[int(i)]
+        low, high = measures.low[i], measures.high[i]
         steps = enumerate(pairwise(course.t))
         ends = [course.cuts[k, a, b] for k, (t0, t1) in steps if (a := max(low, t0)) < (b := min(high, t1))]
         parts = [part for cuts in ends for part in pairwise(cuts)]
