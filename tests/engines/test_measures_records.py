@@ -217,7 +217,8 @@ def test_measures_go_on_from_saved_ones_and_those_before_stay_as_they_were() -> 
     before = measures.after_records(np.concatenate(records[:20]))
     saved, again = before.rows(), measures.restored(before.rows())
     same(again, before)
-    assert np.concatenate([again.known[0], again.known[1]], axis=None).tolist() == saved["measures.known"].tolist() != []
+    known = np.concatenate([again.known[0], again.known[1]], axis=None).tolist()
+    assert known == saved["measures.known"].tolist() != []
     same(again.after_records(np.concatenate(records[20:])), measures.after_records(np.concatenate(records)))
     before.after_records(np.concatenate(records[20:]))
     same(before, again)
