@@ -235,7 +235,7 @@ class Run:
 
     @property
     def warnings(self) -> tuple[Fault, ...]:
-        """What was found where the run continues from a saved state: W303. Its results have it too."""
+        """The changes since the state was saved from which the run continues (W303). The results list them too."""
         return self._warnings
 
     def _in_memory(self) -> Results:

@@ -1,4 +1,4 @@
-"""What a prepared diagram computes, as digests: for each block one of its equations and one of its values.
+"""Digests of a prepared diagram: for each block one of its equations, and one of its values.
 
 They are computed only when they are asked for: a run that is neither saved nor written to a file pays nothing for them.
 """

@@ -580,11 +580,7 @@ def test_corners_of_a_loop_at_the_events_of_an_fmu(fmi: int, kind: str, engine: 
     hold, lag = UnitDelay(period=0.1), FirstOrder(T=0.3)
     settings = {"stop": 2.0, "every": 0.05, "method": "euler", "step": 0.01, "loops": "solve", "engine": engine}
     ours = diagram(hold, lag).run(**settings)
-    inner = Diagram("part")
-    b, u = inner.add("b", hold if kind == "before" else lag), inner.input("u")
-    inner.wire(b.u, u)
-    inner.output("y", b.y)
-    inner.export(tmp_path / "part.fmu", fmi=fmi)
+    Diagram.alone(hold if kind == "before" else lag).export(tmp_path / "part.fmu", fmi=fmi)
     part = fmu(tmp_path / "part.fmu", kind="ME")
     theirs = diagram(*((part, lag) if kind == "before" else (hold, part))).run(**settings)
     h, x = np.asarray(theirs["h.y"]), np.asarray(theirs["x.y"])
@@ -600,11 +596,7 @@ def test_corners_of_a_loop_at_the_events_of_an_fmu(fmi: int, kind: str, engine: 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_jump_that_an_fmu_makes_passes_the_corners_on_its_way_only(engine: str, tmp_path: Path) -> None:
     """x = h - 2 - 5 sat(x), sat within 0.2, where h jumps from 0 to 1.4 or 3.6: from x = -1 to 0.133 or 0.6."""
-    inner = Diagram("held")
-    held, u = inner.add("held", ZeroOrderHold(period=0.1)), inner.input("u")
-    inner.wire(held.u, u)
-    inner.output("y", held.y)
-    inner.export(tmp_path / "held.fmu")
+    Diagram.alone(ZeroOrderHold(period=0.1)).export(tmp_path / "held.fmu")
     for after, x_after, passed in ((1.4, -0.1, ["below"]), (3.6, 0.6, ["above", "below"])):  # both at once, as declared
         for part in (ZeroOrderHold(period=0.1), fmu(tmp_path / "held.fmu", kind="ME")):
             d = Diagram("jump")
@@ -621,11 +613,7 @@ def test_a_jump_that_an_fmu_makes_passes_the_corners_on_its_way_only(engine: str
 @pytest.mark.parametrize("engine", ENGINES)
 def test_an_idle_fmu_hinders_no_way_along_corners(engine: str, tmp_path: Path) -> None:
     """x = h - f(x) of a law that falls in the middle: no solution there, but one behind it."""
-    inner = Diagram("idle")
-    lag, u = inner.add("lag", FirstOrder(T=0.3)), inner.input("u")
-    inner.wire(lag.u, u)
-    inner.output("y", lag.y)
-    inner.export(tmp_path / "idle.fmu")
+    Diagram.alone(FirstOrder(T=0.3)).export(tmp_path / "idle.fmu")
     for idle in (FirstOrder(T=0.3), fmu(tmp_path / "idle.fmu", kind="ME")):
         d = Diagram("d")
         h, x, f = d.add("h", Step(at=0.5, before=-0.8, after=0.4)), d.add("x", Sum(signs="+-")), d.add("f", Falling())
@@ -642,11 +630,7 @@ def test_an_idle_fmu_hinders_no_way_along_corners(engine: str, tmp_path: Path) -
 def test_an_fmu_with_corners_is_solved_in_a_loop_and_behind_one(fmi: int, engine: str, tmp_path: Path) -> None:
     """y = sat(r - y) of an FMU that saturates at 12, with r = 20 t: y = min(10 t, 12). Behind it another one at 3."""
     for limit in (12.0, 3.0):
-        inner = Diagram("limited")
-        law, u = inner.add("law", Saturation(lower=-limit, upper=limit)), inner.input("u")
-        inner.wire(law.u, u)
-        inner.output("y", law.y)
-        inner.export(tmp_path / f"{limit:g}.fmu", fmi=fmi)
+        Diagram.alone(Saturation(lower=-limit, upper=limit)).export(tmp_path / f"{limit:g}.fmu", fmi=fmi)
     d = Diagram("d")
     r, e = d.add("r", Ramp(slope=20.0)), d.add("e", Sum(signs="+-"))
     law, behind = (d.add(name, fmu(tmp_path / f"{name[1:]}.fmu", kind="ME")) for name in ("x12", "x3"))

@@ -1,4 +1,4 @@
-"""What differs between the diagram of a saved state and the diagram whose run is to continue from it."""
+"""The differences between the diagram of a saved state and the diagram whose run is to continue from the state."""
 
 from __future__ import annotations
 

@@ -106,12 +106,6 @@ class Past:
         """A step that is shorter than every delay, also when it is stretched a little, needs no future."""
         return min(history.delay for history in self.histories) / 1.02
 
-    def own(self) -> Past:
-        """The same with lists of its own, for a run that goes on from a Snapshot of another one."""
-        kept, n = self.store, self.known
-        own_store = Store(kept.starts[:n], kept.ends[:n], kept.parts[:n], kept.breaks[: self.broken])
-        return replace(self, store=own_store)
-
     def values(self, t: float) -> tuple[float, ...]:
         """What the histories give at t, which lies between now and the next break."""
         return tuple(self._value(i, history, t) for i, history in enumerate(self.histories))

@@ -30,12 +30,12 @@ from ...text.plain_files import opened
 from ...text.printable import legible, one_line
 from .differences import of_equations, some
 from .snapshot import MethodMemory
-from .state_rows import check_rows, input_rows, inputs_of
+from .state_rows import check_rows, input_rows, inputs_of, recorded_width
 
 Array = np.ndarray[Any, Any]
 
 FORMAT, VERSION = "blocks-state", 2
-MOST_BYTES, MOST_MEMBERS = 2**28, 2
+MOST_BYTES, MOST_MEMBERS = 2**28, 3  # states of version 1, which are refused by their version, have three
 KINDS = ("<f8", "<i8", "<i4")
 
 
@@ -238,7 +238,7 @@ class Kept:
         check(tree["plan"], plan, equations, own)
         method = (str(tree["method"][0]), str(tree["method"][1]))
         recorded = self.rows.get("recorded")
-        if recorded is not None and len(recorded) != 1 + sum(len(plan.signal(name).references) for name in plan.log):
+        if recorded is not None and len(recorded) != recorded_width(plan):
             message = "the state does not fit the run: it was saved with other recorded signals."
             cure = "Record the same signals, or start a new run."
             raise UsageError(Fault("E506", "recorded signals", message, cure))
@@ -257,7 +257,7 @@ class Kept:
 def _read(stream: BinaryIO) -> tuple[Any, bytes]:
     with zipfile.ZipFile(stream) as archive:
         members = archive.infolist()
-        if len(members) > MOST_MEMBERS + 1 or sum(member.file_size for member in members) > MOST_BYTES:
+        if len(members) > MOST_MEMBERS or sum(member.file_size for member in members) > MOST_BYTES:
             raise ValueError("it is too large")
         names = {member.filename for member in members}
         return json.loads(archive.read("state.json")), archive.read("rows") if "rows" in names else b""

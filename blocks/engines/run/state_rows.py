@@ -42,7 +42,7 @@ def _is_side(values: Array) -> Any:
 
 
 class Row(NamedTuple):
-    """What a row may hold. shape: None for an axis of any length. allowed: which numbers. kind: that of numpy."""
+    """The numbers that a row may hold: their shape (None: any length), a test of them, and their kind in numpy."""
 
     shape: tuple[int | None, ...]
     allowed: Callable[[Array], Any] = np.isfinite
@@ -54,6 +54,11 @@ class Row(NamedTuple):
         is_alike = values.dtype == np.dtype(self.kind) and values.ndim == len(self.shape)
         pairs = zip(values.shape, self.shape, strict=False)
         return is_alike and all(size is None or n == size for n, size in pairs) and bool(np.all(self.allowed(values)))
+
+
+def recorded_width(plan: Plan) -> int:
+    """Return how many numbers a recorded row has: the time, and the elements of the signals of the log."""
+    return 1 + sum(len(plan.signal(name).references) for name in plan.log)
 
 
 def _table(plan: Plan, method: str) -> dict[str, Row]:
@@ -79,7 +84,7 @@ def _table(plan: Plan, method: str) -> dict[str, Row]:
         "fired": Row((crossings,), _is_number),
         "crossed": Row((None,), lambda t: len(t) <= (MOST_CROSSED if crossings else 0)),
         "parameters": Row((len(plan.parameters),)),
-        "recorded": Row((1 + sum(len(plan.signal(name).references) for name in plan.log),), _any, is_optional=True),
+        "recorded": Row((recorded_width(plan),), _any, is_optional=True),
         "between": Row((), lambda n: n >= 0, "i8", is_optional=True),
     }
     if method in STIFF:
