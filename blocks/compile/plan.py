@@ -109,6 +109,13 @@ class Cause:
     resets: tuple[tuple[Node, Reference], ...]
 
 
+class Wait(NamedTuple):
+    """A cause and the causes that it waits for, by number: crossings, then event times, then algebraic loops."""
+
+    cause: int
+    needed: tuple[int, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class History:
     """One element of h: what `source` was `delay` seconds ago, and `before` where that is before the start.
@@ -328,7 +335,9 @@ class Plan(Shown):
     corners: tuple[int, ...] = field(default=(), compare=False, repr=False)
     """Crossings that depend on what a loop solves for; first those of `inner_corners`."""
     inner_corners: tuple[int, ...] = field(default=(), compare=False, repr=False)
-    """Those whose sides or resets a loop reads, and those of enabled parts; others, and FMUs, wait for solutions."""
+    """Those that a loop finds with its solution, as it reads their sides; FMUs wait for them."""
+    waits: tuple[Wait, ...] = field(default=(), compare=False, repr=False)
+    """Which causes wait for which at an instant (`firing_order`); not of a diagram that is planned for one copy."""
     guessed: tuple[int, ...] = field(default=(), compare=False, repr=False)
     """Places in d that are guessed at the start, as sides are: steps of what a loop solves for, which reads them."""
     folded: Any = field(default=None, compare=False, repr=False)

@@ -18,6 +18,7 @@ from ..model.flatten import BlockSource, Flat, FlatBlock, FlatSignal, InputSourc
 from ..text.errors import Fault, ModelError
 from ..text.gc_pause import paused
 from .conditioning import unsure
+from .firing_order import firing_order
 from .fmu_tape import FmuTape
 from .folding import At, folded
 from .memory_layout import ROWS, Footprint, Start, names_of
@@ -402,46 +403,27 @@ def _settled(plan: Plan) -> Plan:
     starting, start, guessed = _start(plan)
     _check_ticks(plan)
     unknowns: tuple[Reference, ...] = ()
-    corners: tuple[int, ...] = ()
-    inner: tuple[int, ...] = ()
+    loops: list[AlgebraicLoop] = []
     if any(isinstance(step, AlgebraicLoop) for step in continuous.steps):
         steps = schedule(plan, [Reference("w", i) for i in range(len(plan.outputs))]).steps
         loops = [step for step in steps if isinstance(step, AlgebraicLoop)]
         unknowns = tuple(reference for loop in loops for reference in loop.unknowns)
-        inner, behind = _corners(plan, loops)
-        corners = (*inner, *behind)
+    order = firing_order(plan, loops)
+    # The solution of a loop rounds in another way at each search.
+    searched = enumerate(cause.node for cause in plan.crossings) if unknowns else ()
+    corners = [j for j, node in searched if not _reached(plan, [node]).isdisjoint(unknowns)]
+    inner = [j for j in order.inner if j in corners]
     return replace(
         plan,
         starting=starting,
         start=start,
         continuous=continuous,
         unknowns=unknowns,
-        corners=corners,
-        inner_corners=inner,
+        corners=(*inner, *(j for j in corners if j not in inner)),
+        inner_corners=tuple(inner),
+        waits=order.waits,
         guessed=guessed,
     )
-
-
-def _corners(plan: Plan, loops: Iterable[AlgebraicLoop]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """The crossings that depend on a loop, as its solution rounds in another way at each search.
-
-    First those whose sides or resets a loop reads, and those that enable or trigger parts, which fire together. Then
-    those behind all loops, and those of FMUs.
-    """
-    unknowns = {reference for loop in loops for reference in loop.unknowns}
-    nodes = enumerate(cause.node for cause in plan.crossings)
-    corners = [j for j, node in nodes if not unknowns.isdisjoint(_reached(plan, [node]))]
-    read = _reached(plan, (plan.outputs[reference.index] for reference in unknowns))
-    inner = tuple(
-        j
-        for j in corners
-        if j not in plan.foreign_crossings
-        and (
-            plan.instances[plan.crossings[j].instance].hidden
-            or not read.isdisjoint({Reference("s", j), *(target for _, target in plan.crossings[j].resets)})
-        )
-    )
-    return inner, tuple(j for j in corners if j not in inner)
 
 
 def _reached(plan: Plan, nodes: Iterable[Node]) -> set[Reference]:

@@ -16,10 +16,10 @@ BlocksBatch: Any = STRUCTURES["BlocksBatch"]
 BlocksGrid: Any = STRUCTURES["BlocksGrid"]
 BlocksSetup: Any = STRUCTURES["BlocksSetup"]
 BlocksSim: Any = STRUCTURES["BlocksSim"]
-CAUSE, RESET, PROJECTION, RATE, SLOT, STAGE, CLIQUE, STEPPER, ENABLED, HISTORY, MEASURE, MEASURED, TRACK = (
+CAUSE, RESET, WAIT, PROJECTION, RATE, SLOT, STAGE, CLIQUE, STEPPER, ENABLED, HISTORY, MEASURE, MEASURED, TRACK = (
     np.dtype(STRUCTURES[f"Blocks{name}"])
     for name in (
-        "Cause", "Reset", "Projection", "Rate", "Slot", "Stage", "Clique", "Stepper", "Enabled", "History", "Measure",
+        "Cause", "Reset", "Wait", "Projection", "Rate", "Slot", "Stage", "Clique", "Stepper", "Enabled", "History", "Measure",
         "Measured", "Track",
     )
 )  # fmt: skip

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...text.gc_pause import paused
+from ..firing_order import waits_of_copies
 from ..fmu_tape import FmuTape
 from ..folding import Folded
-from ..plan import Node, Plan, Reference
+from ..plan import Node, Plan, Reference, Wait
 from . import runtime_layout
 from .model_code import Emitted
 
@@ -33,6 +35,8 @@ class SetupTable(NamedTuple):
 SETUP = (
     SetupTable("causes", "BlocksCause", "ncauses"),
     SetupTable("resets", "BlocksReset", "nresets"),
+    SetupTable("waits", "BlocksWait", "nwaits"),
+    SetupTable("waits_for", "int32_t"),
     SetupTable("rates", "BlocksRate"),
     SetupTable("cliques", "BlocksClique", "ncliques"),
     SetupTable("stages", "BlocksStage"),
@@ -79,6 +83,7 @@ class RuntimeTables:
     def _tables(self, plan: Plan) -> None:
         """What the runtime reads: causes and their resets, rates and their stages, gates, projections, histories."""
         self._of_causes(plan)
+        self._of_waits(plan.waits if plan.folded is None else waits_of_copies(plan))
         self._of_ticks(plan)
         self._of_steppers(plan)
         self._of_enabled(plan)
@@ -172,6 +177,13 @@ class RuntimeTables:
         self.resets = _table([reset for _, reset in sorted(resets)], runtime_layout.RESET)
         self.listed = np.array([number for _, number in sorted(listed)], dtype=np.int32)
         self.told_as = told
+
+    def _of_waits(self, waits: Sequence[Wait]) -> None:
+        """Which causes wait for which."""
+        ends = accumulate(len(wait.needed) for wait in waits)
+        rows = [(wait.cause, end - len(wait.needed), len(wait.needed)) for wait, end in zip(waits, ends, strict=True)]
+        self.waits = _table(rows, runtime_layout.WAIT)
+        self.waits_for = np.array([number for wait in waits for number in wait.needed], dtype=np.int32)
 
     def _of_ticks(self, plan: Plan) -> None:
         """Rates, and what is computed where some of them tick together."""

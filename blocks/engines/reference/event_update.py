@@ -111,8 +111,7 @@ class Instants:
             program(f"reset_{index}", [node for node, _ in cause.resets]) if cause.resets else None
             for index, cause in enumerate(self.causes)
         ]
-        of_fmus = plan.foreign_crossings | {len(plan.crossings) + part.event for part in plan.foreign}
-        self.waiting = of_fmus | ({*plan.corners} - {*plan.inner_corners})  # for the solution of loops
+        self.of_fmus = plan.foreign_crossings | {len(plan.crossings) + part.event for part in plan.foreign}
         # By block, then as declared: so events are listed, and so the reset that is declared later wins.
         self.order = sorted(range(len(self.causes)), key=lambda i: self._rank(self.causes[i].node))
         self.ranks = [[self._rank(node) for node, _ in cause.resets] for cause in self.causes]
@@ -451,11 +450,9 @@ class Instants:
         for _ in range(MOST_PASSES):
             values = self.sides_now(snapshot if seen is None else seen, u)
             sides, firing, changed = self._changes(values, snapshot, due)
-            asked: Mapping[int, tuple[float, tuple[float, ...]]] = {}
-            if seen is None and self._is_between(changed):
-                sides, firing, changed, due = self._without_waiting(snapshot, sides, firing, changed, due)
-            else:
-                asked, due = self.asked(snapshot, u, firing, changed), {}
+            late = self._late(changed) if seen is None else frozenset[int]()
+            sides, firing, changed, due = self._without(late, snapshot, sides, firing, changed, due)
+            asked = self.asked(snapshot, u, firing, changed, late)
             if not firing and not changed and not asked and seen is None:
                 return snapshot
             seen = None
@@ -469,7 +466,7 @@ class Instants:
                 if is_reset:
                     snapshot = self._latched_at(z, snapshot, u, firing)
                 if asked:  # FMUs do not go back: a way from corner to corner begins after their events
-                    self.restart = self._restart(replace(snapshot, z=z), {}, fired)
+                    self.restart = self._restart(replace(snapshot, z=z), due, fired)
                 self._widen(self.with_solutions(snapshot, u), u)
                 now = snapshot.x.tobytes(), snapshot.d, snapshot.s, self.slack, self.foreign.events
                 if now in known:
@@ -506,27 +503,34 @@ class Instants:
                     firing[j] = snapshot.t + self.later
         return sides, firing, changed
 
-    def _without_waiting(
+    def _late(self, changed: Iterable[int]) -> frozenset[int]:
+        """Return the causes that wait, as crossings change whose sides they see.
+
+        FMUs wait for all corners of loops too: they do not go back.
+        """
+        plan, moving, late = self.plan, {*changed}, set[int]()
+        for cause, needed in plan.waits if moving else ():
+            if not moving.isdisjoint(needed):
+                moving.add(cause)
+                late.add(cause)
+        is_between = any(j in plan.inner_corners and j not in late for j in changed)
+        return frozenset(late | self.of_fmus if is_between else late)
+
+    def _without(
         self,
+        late: frozenset[int],
         snapshot: Snapshot,
         sides: tuple[float, ...],
         firing: Mapping[int, float],
-        changed: Iterable[int],
+        changed: list[int],
         due: Mapping[int, float],
     ) -> tuple[tuple[float, ...], dict[int, float], list[int], dict[int, float]]:
-        """Return changes without those that wait, and what stays due.
-
-        While a corner changes, FMUs and crossings behind loops wait: the solutions that they see are not final.
-        """
-        late = self.waiting
-        sides = tuple(old if j in late else new for j, (old, new) in enumerate(zip(snapshot.s, sides, strict=True)))
+        """Return changes without those that wait, and what stays due."""
+        if late:
+            sides = tuple(old if j in late else new for j, (old, new) in enumerate(zip(snapshot.s, sides, strict=True)))
         rest = {index: time for index, time in firing.items() if index not in late}
         still_due = {index: time for index, time in due.items() if index in late}
         return sides, rest, [j for j in changed if j not in late], still_due
-
-    def _is_between(self, changed: Iterable[int]) -> bool:
-        """Whether a corner changes, so that the loops are not solved yet."""
-        return self.corners is not None and any(j in self.corners.inner for j in changed)
 
     def _fire(
         self,
@@ -557,9 +561,9 @@ class Instants:
         assert self.corners is not None
         values = self.corners.crossings(*at(self._memory_now(after, u), z))
         sides = list(after.s)
-        for j in fired:
+        for j in self.corners.resets.keys() & fired:
             other = "down" if values[j] >= 0 else "up"  # the direction that does not fire again
-            is_other = j in self.corners.resets and (values[j] >= 0) != (sides[j] > 0)
+            is_other = (values[j] >= 0) != (sides[j] > 0)
             if is_other and self.plan.crossings[j].direction == other:
                 sides[j] = 1.0 - sides[j]
         return after if tuple(sides) == after.s else replace(after, s=tuple(sides))
@@ -596,9 +600,9 @@ class Instants:
                 continue
             self.slack = tuple(map(max, self.slack, corners.slack(at(memory, end))))
             sides, firing, changed = self._changes(self.sides(*at(memory, end)), snapshot, due)
-            own, still_due = [j for j in changed if j in corners.inner], dict[int, float]()
-            if own:
-                sides, firing, changed, still_due = self._without_waiting(snapshot, sides, firing, changed, due)
+            late = self._late(changed)
+            sides, firing, changed, still_due = self._without(late, snapshot, sides, firing, changed, due)
+            own = [j for j in changed if j in corners.inner]
             if len(still_due) < len(due) or not own:
                 # Corners wait until the loop is solved with what else has changed.
                 sides = tuple(
@@ -606,7 +610,7 @@ class Instants:
                 )
                 firing = {index: time for index, time in firing.items() if index not in own}
                 changed = [j for j in changed if j not in own]
-                asked = {} if own else self.asked(snapshot, u, firing, changed)
+                asked = {} if own else self.asked(snapshot, u, firing, changed, late)
                 if not firing and not changed and not asked and not own:
                     return snapshot
                 snapshot = snapshot if own else replace(snapshot, z=end)
@@ -614,12 +618,12 @@ class Instants:
                 due = still_due
                 continue
 
-            def turned_at(z: Sequence[float], memory: Any = memory) -> list[int]:
+            def turned_at(z: Sequence[float], memory: Any = memory, late: frozenset[int] = late) -> list[int]:
                 values = self._beyond(corners.crossings(*at(memory, z)), memory[3])
                 return [
                     j
                     for j in corners.inner
-                    if not self._is_gated(j, memory[3]) and (values[j] >= 0) != (memory[3][j] > 0)
+                    if j not in late and not self._is_gated(j, memory[3]) and (values[j] >= 0) != (memory[3][j] > 0)
                 ]
 
             z = first_change(lambda z: bool(turned_at(z)), snapshot.z, end)
@@ -658,7 +662,12 @@ class Instants:
         return self.memory(snapshot, self.inputs_later, snapshot.t + self.later)
 
     def asked(
-        self, snapshot: Snapshot, u: Sequence[float], firing: Mapping[int, float], changed: Sequence[int]
+        self,
+        snapshot: Snapshot,
+        u: Sequence[float],
+        firing: Mapping[int, float],
+        changed: Sequence[int],
+        late: frozenset[int],
     ) -> dict[int, tuple[float, tuple[float, ...]]]:
         """Return, for the FMUs that have an event now, its time and their inputs."""
         if not self.plan.foreign:
@@ -668,7 +677,7 @@ class Instants:
             inputs = tuple(values[first : first + len(part.inputs)])
             first += len(part.inputs)
             event = len(self.plan.crossings) + part.event
-            if self.foreign[k].waits:
+            if self.foreign[k].waits or event in late:
                 continue
             crossed = any(j in changed for j in part.crossings)
             if crossed or event in firing or self.foreign[k].has_event(inputs, self.plan):

@@ -352,27 +352,10 @@ static int asked(BlocksSim *s, const uint8_t *due, const uint8_t *changed, int f
         f->due_time = due[first + f->event] && s->firing_time[first + f->event] > s->t ? s->firing_time[first + f->event] : s->t;
         for (int i = 0; i < f->ncrossings; i++) f->due |= changed[f->crossings[i]];
         for (int i = 0; i < f->nu; i++) f->due |= !(f->given[i] == f->seen[i]);
-        if (f->over || f->waits) f->due = 0;
+        if (f->over || f->waits || s->late[first + f->event]) f->due = 0;
         any |= f->due;
     }
     return any;
-}
-
-static int put_off(BlocksSim *s, double *sides, int first, const int32_t *due, int n)
-{
-    BlocksForeigns *all = units_of(s);
-    int are_theirs = 0;
-    for (int k = 0; k < all->n; k++) {
-        const BlocksForeign *f = &all->units[k];
-        for (int i = 0; i < f->ncrossings; i++) {
-            int j = f->crossings[i];
-            s->firing[j] = s->changed_sides[j] = 0;
-            sides[j] = s->memory.s[j];
-        }
-        for (int i = 0; i < n; i++) are_theirs |= due[i] == f->event;
-        s->firing[first + f->event] = 0;
-    }
-    return are_theirs;
 }
 
 /* Event mode, and back, of those that have an event. */
@@ -510,4 +493,4 @@ static int64_t epoch(const BlocksSim *s)
     return sum;
 }
 
-const BlocksHooks blocks_hooks = {initialized, started, asked, put_off, events, postponed, waits, turn, completed, epoch};
+const BlocksHooks blocks_hooks = {initialized, started, asked, events, postponed, waits, turn, completed, epoch};

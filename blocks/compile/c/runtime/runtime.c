@@ -2109,6 +2109,15 @@ int blocks_chatters(BlocksSim *s, double step)
 
 /* --- instants; see docs/semantics.md, "Order inside an instant" -------------------------------------------------- */
 
+/* How many may wait: causes, and what stands behind them. */
+static size_t late_places(const BlocksSetup *setup)
+{
+    int most = setup->ncauses;
+    for (int i = 0; i < setup->nwaits; i++)
+        if (setup->waits[i].cause >= most) most = setup->waits[i].cause + 1;
+    return (size_t)most;
+}
+
 static int tell(BlocksSim *s, int cause)
 {
     if (!s->setup->causes[cause].told) return 0;
@@ -2310,6 +2319,12 @@ static void copy_memory(const BlocksSim *s, double *row, int is_back)
     }
 }
 
+/* The event times that are due and have not fired, and those of a restart. */
+static int32_t *still_due(const BlocksSim *s)
+{
+    return (int32_t *)(void *)(s->ticks_backup + s->model->nrates + s->model->nh + s->model->nevents);
+}
+
 /* Where the search for quiet may begin again: at its start, or after the last events of FMUs. Its memory is in the backup. */
 typedef struct {
     int64_t told, fmu_events;
@@ -2321,6 +2336,7 @@ static Restart keep_restart(const BlocksSim *s, const double *z, int ndue, int t
     copy_memory(s, corner_backup(s), 0);
     memcpy(some_passes_ago(s) - s->model->nevents, s->own, (size_t)s->model->nevents * sizeof(double));
     memcpy(solutions_backup(s), z, (size_t)s->model->nz * sizeof(double));
+    memcpy(still_due(s) + s->model->nevents, still_due(s), (size_t)ndue * sizeof(int32_t));
     return (Restart){s->fired_events.used, s->model->hooks ? s->model->hooks->epoch(s) : 0, touched, s->is_loose, ndue};
 }
 
@@ -2329,19 +2345,11 @@ static void go_to_restart(BlocksSim *s, const Restart *restart)
     copy_memory(s, corner_backup(s), 1);
     memcpy(s->own, some_passes_ago(s) - s->model->nevents, (size_t)s->model->nevents * sizeof(double));
     memcpy(s->memory.z, solutions_backup(s), (size_t)s->model->nz * sizeof(double));
+    memcpy(still_due(s), still_due(s) + s->model->nevents, (size_t)restart->ndue * sizeof(int32_t));
     s->is_loose = restart->is_loose;
     s->fired_events.used = restart->told;
     s->model->refresh(&s->memory);
     s->failure = BLOCKS_FINE;
-}
-
-/* Whether a corner changes, so that the loops are not solved yet. */
-static int is_between(const BlocksSim *s)
-{
-    const BlocksCorners *c = s->model->corners;
-    for (int i = 0; c && i < c->ninner; i++)
-        if (s->changed_sides[c->numbers[i]]) return 1;
-    return 0;
 }
 
 static int is_as_before(const BlocksSim *s)
@@ -2353,28 +2361,48 @@ static int is_as_before(const BlocksSim *s)
            !memcmp(sides, m->s, ns * sizeof(double)) && !memcmp(slack, s->slack, ns * sizeof(double));
 }
 
-/* While a corner changes, crossings behind loops and FMUs wait: the solutions that they see are not final. Whether the event
-   times that are due wait too. */
-static int put_off(BlocksSim *s, double *sides, int first, const int32_t *due, int ndue)
+/* Let causes wait, in s->late, as crossings change whose sides they see: what they do is taken out of s->firing,
+   s->changed_sides and `sides`. FMUs wait for all corners of loops too: they do not go back. Returns how many of the n event
+   times that are due stay so; those come first. */
+static int let_wait(BlocksSim *s, double *sides, int first, int32_t *due, int n)
 {
+    const BlocksSetup *setup = s->setup;
     const BlocksCorners *c = s->model->corners;
-    for (int i = c->ninner; i < c->n; i++) {
-        int j = c->numbers[i];
-        s->firing[j] = s->changed_sides[j] = 0;
-        sides[j] = s->memory.s[j];
+    int any = 0, between = 0, left = 0;
+    memset(s->late, 0, late_places(setup));
+    for (int i = 0; i < setup->nwaits; i++) {
+        const BlocksWait *w = &setup->waits[i];
+        for (int k = w->first; k < w->first + w->n && !s->late[w->cause]; k++) {
+            int other = setup->waits_for[k];
+            any |= s->late[w->cause] = (other < s->model->ns && s->changed_sides[other]) || s->late[other];
+        }
     }
-    return s->model->hooks && s->model->hooks->put_off(s, sides, first, due, ndue);
+    for (int i = 0; c && i < c->ninner; i++) between |= s->changed_sides[c->numbers[i]] && !s->late[c->numbers[i]];
+    for (int a = 0; between && s->model->hooks && a < setup->ncauses; a++)
+        if (setup->causes[a].foreign) any = s->late[a] = 1;
+    if (!any) return 0;
+    for (int a = 0; a < setup->ncauses; a++) {
+        if (!s->late[a]) continue;
+        s->firing[a] = 0;
+        if (a < s->model->ns) s->changed_sides[a] = 0, sides[a] = s->memory.s[a];
+    }
+    for (int i = 0; i < n; i++)
+        if (s->late[first + due[i]]) due[left++] = due[i];
+    return left;
 }
 
-/* Fire events and crossings until no side changes any more, all that changes at once. seen: whether crossings fire by what the
-   step has seen at first; restart: null where there are no corners. */
-HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int seen, int *touched, Restart *restart)
+/* Fire events and crossings until no side changes any more, all that changes at once. ndue: how many event times are still
+   due; seen: whether crossings fire by what the step has seen at first; restart: null where there are no corners. */
+HOT static int quiet_at_once(BlocksSim *s, int ndue, int seen, int *touched, Restart *restart)
 {
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
     int ns = model->ns, first = setup->ncauses - model->nevents;
     const BlocksCorners *corners = has_corners(s) ? model->corners : NULL;
     double *values = s->crossing_values, *sides = s->distances;
+    int32_t *due = still_due(s);
+    const int can_wait = setup->nwaits || (corners && model->hooks);
+    if (can_wait) memset(s->late, 0, late_places(setup));
     for (int i = 0; i < ndue; i++) {
         s->own[due[i]] = s->events[due[i]];
         *touched = 1;
@@ -2400,13 +2428,9 @@ HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int see
                 }
             }
         }
-        int asked = 0, is_first = seen && pass == 0;
-        if (corners && !is_first && is_between(s)) {
-            if (!put_off(s, sides, first, due, ndue)) ndue = 0;
-        } else {
-            ndue = 0;
-            if (model->hooks) asked = model->hooks->asked(s, s->firing, s->changed_sides, first);
-        }
+        int is_first = seen && pass == 0;
+        ndue = can_wait && !is_first ? let_wait(s, sides, first, due, ndue) : 0;
+        int asked = model->hooks ? model->hooks->asked(s, s->firing, s->changed_sides, first) : 0;
         if (!any && !changed && !asked) {
             if (is_first) continue;
             return 0;
@@ -2422,7 +2446,7 @@ HOT static int quiet_at_once(BlocksSim *s, const int32_t *due, int ndue, int see
         if (is_reset || asked) evaluate_now(s, model->solutions, z);
         if (fire(s, sides, asked, 0)) return BLOCKS_FAILED;
         if (is_reset) latch_at(s, z, s->firing + setup->ncauses);
-        if (asked) *restart = keep_restart(s, z, 0, 1); /* FMUs do not go back: a way along corners begins after their events */
+        if (asked) *restart = keep_restart(s, z, ndue, 1); /* FMUs do not go back: a way along corners begins after their events */
         if (solve(s, s->t, s->memory.x, z)) return BLOCKS_FAILED;
         loosen(s, s->t, s->memory.x, z, 1);
         /* Where all is as it was before, it goes on without end (Brent's search for a cycle). */
@@ -2443,7 +2467,7 @@ static int turned(BlocksSim *s)
     memset(s->firing, 0, (size_t)s->setup->ncauses);
     for (int i = 0; i < c->ninner; i++) {
         int j = c->numbers[i];
-        s->firing[j] = (values[j] >= 0) != (s->memory.s[j] > 0.0);
+        s->firing[j] = !s->late[j] && (values[j] >= 0) != (s->memory.s[j] > 0.0);
         any |= s->firing[j];
     }
     return any;
@@ -2466,7 +2490,7 @@ static int fire_corners(BlocksSim *s)
 }
 
 /* The same, where corners fire one after the other, on the way from the last solution of the loops to the next. */
-static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
+static int quiet_along(BlocksSim *s, int ndue, int *touched)
 {
     const BlocksSetup *setup = s->setup;
     const BlocksModel *model = s->model;
@@ -2475,6 +2499,7 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
     int ns = model->ns, nz = model->nz, first = setup->ncauses - model->nevents;
     double *values = s->crossing_values, *sides = s->distances, *end = s->corner + 3 * ns + 3 * nz, *begin = end + nz;
     uint8_t *fired = s->firing + setup->ncauses;
+    int32_t *due = still_due(s);
     for (int i = 0; i < ndue; i++) s->own[due[i]] = s->events[due[i]];
     for (int step = 0; step < MOST_CORNERS; step++) {
         evaluate_now(s, model->solutions, end);
@@ -2514,15 +2539,16 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
             s->changed_sides[j] = sides[j] != m->s[j];
             any |= s->changed_sides[j];
         }
-        for (int i = 0; i < c->ninner; i++) own |= s->changed_sides[c->numbers[i]];
         if (!any && !model->hooks) return 0;
         *touched |= any;
         for (int i = 0; i < ndue; i++) {
             s->firing[first + due[i]] = 1;
             s->firing_time[first + due[i]] = s->events[due[i]];
         }
-        int waits = own && put_off(s, sides, first, due, ndue);
-        if ((ndue && !waits) || !own) {
+        int left = let_wait(s, sides, first, due, ndue), has_fired = left < ndue;
+        ndue = left;
+        for (int i = 0; i < c->ninner; i++) own |= s->changed_sides[c->numbers[i]];
+        if (has_fired || !own) {
             /* Corners wait until the loop is solved with what else has changed. */
             for (int i = 0; i < c->ninner; i++) sides[c->numbers[i]] = m->s[c->numbers[i]], s->changed_sides[c->numbers[i]] = 0;
             for (int j = 0; j < ns; j++) {
@@ -2530,7 +2556,6 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
                 s->firing[j] = 1;
                 s->firing_time[j] = s->t + s->later;
             }
-            ndue = 0;
             int asked = model->hooks && !own ? model->hooks->asked(s, s->firing, s->changed_sides, first) : 0;
             if (!any && !asked) return 0;
             *touched = 1;
@@ -2552,10 +2577,11 @@ static int quiet_along(BlocksSim *s, const int32_t *due, int ndue, int *touched)
    touched: whether anything was. */
 HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int seen, int *touched)
 {
-    if (!has_corners(s)) return quiet_at_once(s, due, ndue, seen, touched, NULL);
+    if (ndue) memcpy(still_due(s), due, (size_t)ndue * sizeof(int32_t));
+    if (!has_corners(s)) return quiet_at_once(s, ndue, seen, touched, NULL);
     const BlocksHooks *hooks = s->model->hooks;
     Restart restart = keep_restart(s, s->memory.z, ndue, *touched);
-    if (!quiet_at_once(s, due, ndue, seen, touched, &restart)) return 0;
+    if (!quiet_at_once(s, ndue, seen, touched, &restart)) return 0;
     int failure = s->failure, culprit = s->culprit;
     double value = s->value;
     /* FMUs do not go back. */
@@ -2563,8 +2589,7 @@ HOT static int quiet(BlocksSim *s, const int32_t *due, int ndue, int seen, int *
     /* The sides that are shown are those of no solution: the way to it goes from corner to corner. */
     go_to_restart(s, &restart);
     *touched = restart.touched;
-    ndue = restart.ndue;
-    if (!quiet_along(s, due, ndue, touched)) return 0;
+    if (!quiet_along(s, restart.ndue, touched)) return 0;
     return blocks_fail(s, failure, culprit, value);
 }
 
@@ -3207,7 +3232,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
     int count = (int)(sizeof pieces / sizeof pieces[0]);
     for (int i = 0; i < count; i++) doubles += room(pieces[i].n) + 8;
     for (int i = 0; i < model->stages; i++) doubles += room(nx + ns + nm) + 8;
-    size_t integers = 2 * nr + nx + nh + ne + 8, bytes = 4 * nc + nr + ns + 64;
+    size_t integers = 2 * nr + nx + nh + 2 * ne + 8, bytes = 2 * nc + nr + ns + late_places(setup);
     s->arena = calloc(doubles + 8, sizeof(double));
     int64_t *longs = calloc(integers, sizeof(int64_t));
     uint8_t *flags = calloc(bytes, 1);
@@ -3235,6 +3260,7 @@ BlocksSim *blocks_new(const BlocksSetup *setup)
     s->ticks_backup = longs + nr + nx; /* and, behind it, what else an instant goes back to */
     s->firing = flags + nr;
     s->changed_sides = flags + nr + 2 * nc;
+    s->late = flags + nr + 2 * nc + ns;
     if (model->implicit && model->implicit->open(s)) {
         blocks_free(s);
         return NULL;

@@ -50,9 +50,6 @@ typedef struct {
     int (*initialized)(BlocksSim *, const double *inputs);
     int (*started)(BlocksSim *);
     int (*asked)(BlocksSim *, const uint8_t *firing, const uint8_t *changed, int first_event); /* whether any has an event */
-    /* While the loops are not solved, none has an event: what of theirs fires is taken out of s->firing and stays due, and
-       their sides stay. Whether the event times that are due are theirs: FMUs take their turns alone. */
-    int (*put_off)(BlocksSim *, double *sides, int first_event, const int32_t *due, int n);
     int (*events)(BlocksSim *);
     /* Those with a time event at this instant wait for their turn. due: what of n event times is left for others, whose
        number is returned; waiting: how many wait. */
@@ -74,14 +71,14 @@ typedef struct {
     int32_t rows; /* of a recording: BLOCKS_LEFT_OUT or BLOCKS_BETWEEN_ROWS */
 } BlocksUnseen;
 
-/* Crossings of what a loop solves for, whose sides or resets that loop reads: corners. Programs of given unknowns read these
+/* Crossings of what a loop solves for: corners. Programs of given unknowns read these
    from z; rounding: how far it may move each of them there. start_solved gives the unknowns behind all else. guessed: places
    in d that are guessed at the start, as sides are. */
 typedef struct {
     BlocksProgram crossings, rounding, start_given, start_solved;
     void (*resets)(const BlocksMemory *, double, const double *, int, double *);
     const int32_t *numbers, *guessed;
-    int32_t n, ninner, nguessed; /* ninner: the first ones, whose sides or resets a loop reads; others wait for its solution */
+    int32_t n, ninner, nguessed; /* ninner: the first ones, which a loop finds with its solution */
 } BlocksCorners;
 
 struct BlocksModel {
@@ -132,6 +129,12 @@ typedef struct {
 typedef struct {
     int32_t cause, number, row, place; /* row 0: x, 1: d */
 } BlocksReset;
+
+/* A cause that waits at an instant while others change or wait themselves: n places in waits_for, from `first` on. Numbers
+   of causes; algebraic loops and what enters copies stand behind them. */
+typedef struct {
+    int32_t cause, first, n;
+} BlocksWait;
 
 typedef struct {
     int32_t row, place, condition;
@@ -188,13 +191,15 @@ typedef int (*BlocksCallback)(int stepper, int what, double t, const double *inp
 /* What describes a run and does not change. Every pointer belongs to the caller and outlives the run. */
 typedef struct {
     const BlocksModel *model;
-    int32_t ncauses, nresets, ncliques, nnexts, nsteppers, nenabled, nintegers, ntracks, nmeasures;
+    int32_t ncauses, nresets, nwaits, ncliques, nnexts, nsteppers, nenabled, nintegers, ntracks, nmeasures;
     int64_t base_numerator, base_denominator;
     const double *atol; /* (nx) model order */
     double rtol, plain_atol, longest, scale, end, start;
     BlocksGrid fixed, every;
     const BlocksCause *causes;
     const BlocksReset *resets; /* in the order in which they are applied */
+    const BlocksWait *waits;   /* each after those of what it waits for */
+    const int32_t *waits_for;
     const int32_t *order;      /* causes in the order in which they are listed */
     const BlocksRate *rates;
     const BlocksClique *cliques;
@@ -330,6 +335,7 @@ struct BlocksSim {
     int32_t is_loose; /* whether any has a slack */
     double *distances, *projected_once, *projected_often, *z1;
     uint8_t *due, *firing, *changed_sides;
+    uint8_t *late; /* causes that wait in this pass of an instant */
     double *firing_time;
     int64_t *ticks_backup;
     void *arena;
