@@ -9,8 +9,8 @@ time) waits while a crossing changes whose side it sees, by itself or in its res
 The index of a table is such a memory: its crossings reset it, and the output reads it beside the input that the
 crossings judge. A state or a count that events reset is none: it has its value from before until they fire.
 
-Causes that see each other's sides fire at once, as the corners of an algebraic loop do. An algebraic loop is a member of
-this order too: it waits for the sides that its equations see, and who sees its solution waits with it.
+Causes that see each other's sides fire at once, as the corners of an algebraic loop do. An algebraic loop is a part of
+this order: it waits for the sides that its equations see, and what sees its solution waits with it.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from itertools import accumulate
 from typing import NamedTuple
 
 from .fmu_tape import FmuTape
+from .folding import Folded
 from .plan import AlgebraicLoop, Cause, EnabledPart, Instance, Node, Plan, Reference, Wait
 from .scheduler import components
 
@@ -27,7 +28,7 @@ _GIVEN = frozenset("spck")  # rows that no crossing judges: sides, parameters, t
 
 
 class Mark(NamedTuple):
-    """Something that is waited for. kind: "cause", "loop", "gather"; lane: the copy that has it, -1 the reader's own."""
+    """Something that a cause sees. kind: "cause", "loop" or "gather"; lane: of which copy, -1: the reader's."""
 
     kind: str
     number: int
@@ -68,7 +69,7 @@ class Marks:
         late = (cause for cause in plan.events if cause.instance in part.instances)
         nodes = [*(start for start in starts if isinstance(start, Node)), *(n for c in late for n, _ in c.resets)]
         seen = self.of(reference for node in nodes for reference in plan.bind(node))
-        return [m for m in seen if m.kind != "cause" or not (self._instance(m).hidden or self._instance(m).condition is not None)]
+        return [mark for mark in seen if not (self._is_hidden(mark) or self._is_inside(mark))]
 
     def of_loop(self, loop: AlgebraicLoop) -> frozenset[Mark]:
         """Return what the equations of a loop see but its own unknowns."""
@@ -135,6 +136,9 @@ class Marks:
     def _is_hidden(self, mark: Mark) -> bool:
         return mark.kind == "cause" and self._instance(mark).hidden
 
+    def _is_inside(self, mark: Mark) -> bool:
+        return mark.kind == "cause" and self._instance(mark).condition is not None
+
     def _instance(self, mark: Mark) -> Instance:
         return self.plan.instances[self.plan.crossings[mark.number].instance]
 
@@ -166,15 +170,17 @@ def firing_order(plan: Plan, loops: Sequence[AlgebraicLoop]) -> FiringOrder:
     groups = components({number: sorted(needed) for number, needed in needs.items()})
     of_loops = (group for group in groups if any(unit >= first_loop for unit in group))
     inner = {number for group in of_loops for unit in group for number in members[unit] if number < first_event}
-    return FiringOrder(tuple(_waits(needs, groups, members, first_event)), tuple(sorted(inner - plan.foreign_crossings)))
+    waits = _waits(needs, groups, members, first_event)
+    return FiringOrder(tuple(waits), tuple(sorted(inner - plan.foreign_crossings)))
 
 
 def waits_of_copies(plan: Plan) -> tuple[Wait, ...]:
     """Find what waits for what in a plan that is known of one copy; it has no loops, FMUs or enabled parts."""
-    folded = plan.folded
+    folded: Folded = plan.folded
     one, gathers = folded.plan, folded.gathers
     marks, first_event = Marks(one, gathers=gathers), len(plan.crossings)
-    begin = dict(zip(gathers, accumulate(map(len, gathers.values()), initial=first_event + len(plan.events))))
+    sizes = accumulate(map(len, gathers.values()), initial=first_event + len(plan.events))
+    begin = dict(zip(gathers, sizes, strict=False))
 
     def number(mark: Mark, reader: int) -> int:
         lane = reader if mark.lane < 0 else mark.lane

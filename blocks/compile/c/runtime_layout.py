@@ -19,7 +19,7 @@ BlocksSim: Any = STRUCTURES["BlocksSim"]
 CAUSE, RESET, WAIT, PROJECTION, RATE, SLOT, STAGE, CLIQUE, STEPPER, ENABLED, HISTORY, MEASURE, MEASURED, TRACK = (
     np.dtype(STRUCTURES[f"Blocks{name}"])
     for name in (
-        "Cause", "Reset", "Wait", "Projection", "Rate", "Slot", "Stage", "Clique", "Stepper", "Enabled", "History", "Measure",
-        "Measured", "Track",
+        "Cause", "Reset", "Wait", "Projection", "Rate", "Slot", "Stage", "Clique", "Stepper", "Enabled", "History",
+        "Measure", "Measured", "Track",
     )
 )  # fmt: skip
