@@ -6,8 +6,9 @@ time) waits while a crossing changes whose side it sees, by itself or in its res
 
     cause --> outputs that it depends on at one time --> sides, and memory that serves as one, that these read
 
-The index of a table is such a memory: its crossings reset it, and the output reads it beside the input that the
-crossings judge. A state or a count that events reset is none: it has its value from before until they fire.
+The index of a table and the state of a relay are such memory: discretes that an output reads and that the crossings of
+the block judge by as well as reset, or that the output reads beside the input that these judge. A state or a count that
+events reset is none: it has its value from before until they fire.
 
 Causes that see each other's sides fire at once, as the corners of an algebraic loop do. An algebraic loop is a part of
 this order: it waits for the sides that its equations see, and what sees its solution waits with it.
@@ -124,10 +125,11 @@ class Marks:
         is_foreign = isinstance(self.plan.instances[node.instance].tape, FmuTape)
         for j in self.of_instance.get(node.instance, ()):
             cause, mark = self.plan.crossings[j], Mark("cause", j)
-            targets = {target for _, target in cause.resets}
+            judged_by = self.plan.bind(cause.node)
+            targets = {target for _, target in cause.resets if target in read}
             given = {reference for reference in read if reference.row not in _GIVEN and reference not in targets}
-            seen = given.intersection(self.plan.bind(cause.node))
-            is_mode = mark in modes or (seen and not targets.isdisjoint(read))
+            seen = given.intersection(judged_by)
+            is_mode = mark in modes or any(seen or (to.row == "d" and to in judged_by) for to in targets)
             if is_mode or (is_foreign and any(reference.row in "wu" for reference in given)):
                 modes.add(mark)
                 judged |= seen
