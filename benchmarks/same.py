@@ -14,7 +14,8 @@ of their own, side by side, by the same Python; what they say and compute is com
     loads       states, results and the cache that BASE wrote, read by both
 
 Exit code 1 where something differs. `--only PART ...` takes some of them, `--as-c` compares code as `cc -E -P` leaves
-it alone (comments and names of files may differ then). Times, paths and addresses are no part of what is compared.
+it alone (comments and names of files may differ then). `--share N` takes every N-th diagram, hostile file and changed
+value of what takes long: with 8 it is done in minutes. Times, paths and addresses are no part of what is compared.
 """
 
 from __future__ import annotations
@@ -77,8 +78,8 @@ Facts = Iterator[tuple[str, str]]
 class Probe:
     """The work of one checkout, in the folder `work`, which holds copies of BASE's files."""
 
-    def __init__(self, root: Path, work: Path, tests: Path) -> None:
-        self.root, self.work, self.tests = root, work, tests
+    def __init__(self, root: Path, work: Path, tests: Path, share: int) -> None:
+        self.root, self.work, self.tests, self.share = root, work, tests, share
         self.diagrams = sorted(
             path.relative_to(work)
             for path in (work / "diagrams").rglob("*.json")
@@ -170,7 +171,7 @@ class Probe:
         """Diagrams by name, and how each is made anew."""
         from blocks import Diagram
 
-        for path in self.diagrams:
+        for path in self.diagrams[:: self.share]:
             yield str(path), lambda path=path: Diagram.load(path)
         yield "large", _large
 
@@ -262,7 +263,7 @@ class Probe:
         module = importlib.util.module_from_spec(place)
         sys.modules[place.name] = module
         place.loader.exec_module(module)
-        for case in module.CASES:
+        for case in module.CASES[:: self.share]:
             with tempfile.TemporaryDirectory(dir=self.work) as folder:
                 inside = Path(folder, "project")
                 inside.mkdir()
@@ -307,7 +308,7 @@ class Probe:
         files = [*self.diagrams, *self.studies, *golden]
         documents = {path: json.loads((self.work / path).read_text(encoding="utf-8")) for path in files}
         everywhere = [(path, place) for path, made in documents.items() for place in _places(made)]
-        for number, (path, place) in enumerate(choice.sample(everywhere, min(MUTANTS, len(everywhere)))):
+        for number, (path, place) in enumerate(choice.sample(everywhere, min(MUTANTS // self.share, len(everywhere)))):
             made = copy.deepcopy(documents[path])
             what = _mutated(made, place, choice)
             file = path.with_name("mutant.json")
@@ -323,7 +324,7 @@ class Probe:
         from blocks import Diagram, Results
 
         kept = self.work / "kept"
-        for path in self.diagrams:
+        for path in self.diagrams[:: self.share]:
             folder = kept / _digest(str(path).encode())[:16]
             for engine in ("native", "reference"):
                 state = folder / f"{engine}.state"
@@ -338,7 +339,7 @@ class Probe:
         """Write the states and results that `loads` reads."""
         from blocks import BlocksError, Diagram
 
-        for path in self.diagrams:
+        for path in self.diagrams[:: self.share]:
             folder = self.work / "kept" / _digest(str(path).encode())[:16]
             folder.mkdir(parents=True, exist_ok=True)
             for engine in ("native", "reference"):
@@ -458,14 +459,14 @@ def _mutated(document: Any, place: tuple[Any, ...], choice: random.Random) -> st
     return what
 
 
-def probe(root: str, work: str, tests: str, parts: list[str]) -> None:
+def probe(root: str, work: str, tests: str, share: str, parts: list[str]) -> None:
     """Do the parts and write what is so, one JSON list a line."""
     sys.path[:] = [root, *(path for path in sys.path if Path(path or ".").resolve() not in (HERE, HERE / "benchmarks"))]
     import blocks
 
     assert Path(str(blocks.__file__)).resolve().is_relative_to(Path(root).resolve()), blocks.__file__
     os.chdir(work)
-    made = Probe(Path(root), Path(work), Path(tests))
+    made = Probe(Path(root), Path(work), Path(tests), int(share))
     with open(Path(work, "facts"), "a", encoding="utf-8", buffering=1) as file:
         for part in parts:
             if part == "leave":
@@ -497,7 +498,7 @@ exec {real} "$@"
     return file
 
 
-def _start(root: Path, work: Path, tests: Path, parts: list[str]) -> subprocess.Popen[bytes]:
+def _start(root: Path, work: Path, tests: Path, share: int, parts: list[str]) -> subprocess.Popen[bytes]:
     surroundings = {name: value for name, value in os.environ.items() if name not in ("BLOCKS_ENGINE", "PYTHONPATH")}
     surroundings |= {
         "BLOCKS_CACHE_DIR": str(work / "cache"),
@@ -508,7 +509,8 @@ def _start(root: Path, work: Path, tests: Path, parts: list[str]) -> subprocess.
         "COLUMNS": "120",
         "SOURCE_DATE_EPOCH": "0",
     }
-    command = [sys.executable, "-P", str(Path(__file__).resolve()), "--probe", str(root), str(work), str(tests), *parts]
+    where = map(str, (root, work, tests, share))
+    command = [sys.executable, "-P", str(Path(__file__).resolve()), "--probe", *where, *parts]
     return subprocess.Popen(command, cwd=work, env=surroundings, stdin=subprocess.DEVNULL)
 
 
@@ -558,6 +560,7 @@ def main(arguments: list[str] | None = None) -> int:
     reads.add_argument("base", metavar="BASE", help="a checkout's folder, or a revision of this repository")
     reads.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART", help=", ".join(PARTS))
     reads.add_argument("--as-c", action="store_true", help="compare C without its comments and names of files")
+    reads.add_argument("--share", type=int, default=1, metavar="N", help="take every N-th of what takes long")
     reads.add_argument("--keep", metavar="DIR", help="keep what both did in this folder")
     given = reads.parse_args(arguments)
     if "code" in given.only and "runs" not in given.only:
@@ -578,15 +581,15 @@ def main(arguments: list[str] | None = None) -> int:
             shutil.copytree(golden, works[side] / "golden")
             _compiler(works[side])
         parts = [part for part in PARTS if part in given.only and part != "loads"]
-        if _failed([_start(roots[side], works[side], hostile, parts) for side in roots]):
+        if _failed([_start(roots[side], works[side], hostile, given.share, parts) for side in roots]):
             return 2
         if "loads" in given.only:
-            if _failed([_start(roots["base"], works["base"], hostile, ["leave"])]):
+            if _failed([_start(roots["base"], works["base"], hostile, given.share, ["leave"])]):
                 return 2
             for name in ("kept", "cache"):
                 shutil.rmtree(works["ours"] / name, ignore_errors=True)
                 shutil.copytree(works["base"] / name, works["ours"] / name)
-            if _failed([_start(roots[side], works[side], hostile, ["loads"]) for side in roots]):
+            if _failed([_start(roots[side], works[side], hostile, given.share, ["loads"]) for side in roots]):
                 return 2
         differing = _report(given.only, *(_facts(works[side]) for side in roots), given.as_c)
     print("the same" if not differing else f"{differing} differences")
@@ -602,6 +605,6 @@ def _failed(processes: list[subprocess.Popen[bytes]]) -> bool:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--probe"]:
-        probe(sys.argv[2], sys.argv[3], sys.argv[4], sys.argv[5:])
+        probe(*sys.argv[2:6], sys.argv[6:])
     else:
         sys.exit(main())

@@ -6,12 +6,14 @@ time) waits while a crossing changes whose side it sees, by itself or in its res
 
     cause --> outputs that it depends on at one time --> sides, and memory that serves as one, that these read
 
-The index of a table and the state of a relay are such memory: discretes that an output reads and that the crossings of
-the block judge by as well as reset, or that the output reads beside the input that these judge. A state or a count that
-events reset is none: it has its value from before until they fire.
+Such memory are discretes that crossings of their block reset to what follows from the signals that they judge, and from
+memory: the state of a relay, the index of a table, a count. A discrete that takes another input, as a sample does, has
+its value from before until it is reset, and so has every state.
 
-Causes that see each other's sides fire at once, as the corners of an algebraic loop do. An algebraic loop is a part of
-this order: it waits for the sides that its equations see, and what sees its solution waits with it.
+In a circle, memory counts only if the crossings of its block judge by it, or an output reads it beside what they judge;
+a count, for one, does not. Causes that see each other's sides even so fire at once, as the corners of an algebraic loop
+do. An algebraic loop is a part of this order: it waits for the sides that its equations see, and what sees its solution
+waits with it.
 """
 
 from __future__ import annotations
@@ -25,15 +27,22 @@ from .folding import Folded
 from .plan import AlgebraicLoop, Cause, EnabledPart, Instance, Node, Plan, Reference, Wait
 from .scheduler import components
 
-_GIVEN = frozenset("spck")  # rows that no crossing judges: sides, parameters, tables, numbers
+_GIVEN = frozenset("spck")  # rows that are no signals: sides, parameters, tables, numbers
 
 
 class Mark(NamedTuple):
-    """Something that a cause sees. kind: "cause", "loop" or "gather"; lane: of which copy, -1: the reader's."""
+    """Something that a cause sees. kind: "cause", "loop" or "gather"; lane: of which copy, -1: the reader's.
+
+    is_loose: whether it does not count in a circle.
+    """
 
     kind: str
     number: int
     lane: int = -1
+    is_loose: bool = False
+
+
+_Needs = dict[int, set[tuple[int, bool]]]  # by cause or loop: what it sees, and whether that is loose
 
 
 class FiringOrder(NamedTuple):
@@ -50,6 +59,7 @@ class Marks:
         self.plan, self.loops, self.gathers = plan, loops, frozenset(gathers)
         self.loop_of = {reference: k for k, loop in enumerate(loops) for reference in loop.unknowns}
         self.known: dict[int, frozenset[Mark]] = {}
+        self.memory: dict[int, set[Reference]] = {}  # what `_sides_of` gave
         self.of_instance: dict[int, list[int]] = {}
         for j, cause in enumerate(plan.crossings):
             self.of_instance.setdefault(cause.instance, []).append(j)
@@ -123,17 +133,31 @@ class Marks:
         modes = {Mark("cause", int(index), getattr(index, "lane", -1)) for row, index in read if row == "s"}
         judged: set[Reference] = set()
         is_foreign = isinstance(self.plan.instances[node.instance].tape, FmuTape)
+        sees_inputs = any(reference.row in "wu" for reference in read)
         for j in self.of_instance.get(node.instance, ()):
-            cause, mark = self.plan.crossings[j], Mark("cause", j)
-            judged_by = self.plan.bind(cause.node)
-            targets = {target for _, target in cause.resets if target in read}
-            given = {reference for reference in read if reference.row not in _GIVEN and reference not in targets}
-            seen = given.intersection(judged_by)
-            is_mode = mark in modes or any(seen or (to.row == "d" and to in judged_by) for to in targets)
-            if is_mode or (is_foreign and any(reference.row in "wu" for reference in given)):
-                modes.add(mark)
-                judged |= seen
+            memory, judges = self._sides_of(j).intersection(read), self.plan.bind(self.plan.crossings[j].node)
+            signals = (reference for reference in read if reference.row not in _GIVEN and reference.row not in "xd")
+            is_tight = any(one in judges for one in (*signals, *memory)) if memory else is_foreign and sees_inputs
+            if is_tight or Mark("cause", j) in modes:
+                modes.add(Mark("cause", j))
+                judged.update(judges)
+            elif memory:
+                modes.add(Mark("cause", j, is_loose=True))
         return modes, [reference for reference in read if reference.row == "w" and reference not in judged]
+
+    def _sides_of(self, crossing: int) -> set[Reference]:
+        """Return the discretes that a crossing resets to what follows from memory and the signals that it judges."""
+        if crossing in self.memory:
+            return self.memory[crossing]
+        plan, cause = self.plan, self.plan.crossings[crossing]
+        own = {target for j in self.of_instance[cause.instance] for _, target in plan.crossings[j].resets}
+        known = own.union(plan.bind(cause.node))
+        self.memory[crossing] = {
+            target
+            for node, target in cause.resets
+            if target.row == "d" and all(read in known or read.row in _GIVEN for read in plan.bind(node))
+        }
+        return self.memory[crossing]
 
     def _is_hidden(self, mark: Mark) -> bool:
         return mark.kind == "cause" and self._instance(mark).hidden
@@ -152,11 +176,12 @@ def firing_order(plan: Plan, loops: Sequence[AlgebraicLoop]) -> FiringOrder:
     causes, marks = [*plan.crossings, *plan.events], Marks(plan, loops)
     first_event, first_loop = len(plan.crossings), len(causes)
     united = _united(plan)
-    needs: dict[int, set[int]] = {}
+    needs: _Needs = {}
 
     def add(number: int, seen: Iterable[Mark]) -> None:
-        numbers = (first_loop + mark.number if mark.kind == "loop" else mark.number for mark in seen)
-        needs.setdefault(united.get(number, number), set()).update(united.get(other, other) for other in numbers)
+        pairs = ((first_loop + mark.number if mark.kind == "loop" else mark.number, mark.is_loose) for mark in seen)
+        own = needs.setdefault(united.get(number, number), set())
+        own.update((united.get(other, other), is_loose) for other, is_loose in pairs)
 
     for number, cause in enumerate(causes):
         add(number, marks.of_cause(cause))
@@ -169,10 +194,10 @@ def firing_order(plan: Plan, loops: Sequence[AlgebraicLoop]) -> FiringOrder:
     members: dict[int, list[int]] = {}
     for number in range(first_loop + len(loops)):
         members.setdefault(united.get(number, number), []).append(number)
-    groups = components({number: sorted(needed) for number, needed in needs.items()})
+    tight, groups = _grouped(needs)
     of_loops = (group for group in groups if any(unit >= first_loop for unit in group))
     inner = {number for group in of_loops for unit in group for number in members[unit] if number < first_event}
-    waits = _waits(needs, groups, members, first_event)
+    waits = _waits(tight, groups, members, first_event)
     return FiringOrder(tuple(waits), tuple(sorted(inner - plan.foreign_crossings)))
 
 
@@ -195,15 +220,25 @@ def waits_of_copies(plan: Plan) -> tuple[Wait, ...]:
     seen = [(row, k, first, marks.of_cause(cause)) for row, causes, first in kinds for k, cause in enumerate(causes)]
     if not any(own for *_, own in seen):
         return ()
-    needs: dict[int, set[int]] = {}
+    needs: _Needs = {}
     for row, k, first, own in seen:
         for lane, place in enumerate(folded.places(row, k)):
-            needs[first + place] = {number(mark, lane) for mark in own}
+            needs[first + place] = {(number(mark, lane), mark.is_loose) for mark in own}
     for instance, sources in gathers.items():
         for lane, source in enumerate(sources):
-            needs[begin[instance] + lane] = {number(mark, lane) for mark in marks.of([source])}
-    groups = components({number: sorted(needed) for number, needed in needs.items()})
-    return tuple(_waits(needs, groups, {number: (number,) for number in needs}, first_event))
+            needs[begin[instance] + lane] = {(number(mark, lane), mark.is_loose) for mark in marks.of([source])}
+    return tuple(_waits(*_grouped(needs), {number: (number,) for number in needs}, first_event))
+
+
+def _grouped(needs: _Needs) -> tuple[dict[int, set[int]], list[list[int]]]:
+    """Return what each needs without what is loose in circles, and the groups that need each other even so."""
+    every = components({number: sorted({other for other, _ in needed}) for number, needed in needs.items()})
+    group_of = {number: k for k, group in enumerate(every) for number in group}
+    tight = {
+        number: {other for other, is_loose in needed if not is_loose or group_of[other] != group_of[number]}
+        for number, needed in needs.items()
+    }
+    return tight, components({number: sorted(needed) for number, needed in tight.items()})
 
 
 def _waits(

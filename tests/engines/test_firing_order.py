@@ -157,7 +157,7 @@ class Machine:
             self.rest.append((block, sources, law))
 
     def block(self) -> tuple[Block, Callable[..., float], int]:
-        a, b = sorted(round(self.rng.uniform(-4, 4), 2) for _ in range(2))
+        a, b = sorted(self.rng.sample([k / 100 for k in range(-400, 400)], 2))
         kind = self.rng.choice(["sum", "gain", "saturation", "dead zone", "relay", "table", "quantizer", "counter"])
         state: list[float] = []
         if kind == "sum":
