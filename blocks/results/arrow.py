@@ -1,10 +1,10 @@
-"""Rows in the formats of Arrow: Parquet files, and the parts that runs leave while they go on.
+"""Rows in the formats of Arrow: Parquet files, and the parts that runs, sweeps and tunings leave while they go on.
 
     FILE.parquet.part     an Arrow IPC stream: the schema of the Parquet file, and chunks of rows, each with a note:
-                          the CRC-32 of its columns, and the state from which the run goes on after it
+                          the CRC-32 of its columns, and of a run the state from which it goes on after the chunk
 
-A chunk counts when all of it is there: what a process that was killed has left can be read, and gone on from, up to its
-last whole one. Columns are `time` and one for each recorded element, as in the Parquet file.
+A chunk counts if all of it is there: the rows that a killed process has left can be read, and continued, up to the
+last whole chunk. Columns of a run are `time` and one for each recorded element, as in the Parquet file.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import json
 import math
 import os
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -29,6 +29,8 @@ from .table import TIMES, Content, FileTable, Refuse, optional, parsed, refusal,
 
 Array = np.ndarray[Any, Any]
 PART = ".part"
+END = 8
+"""Bytes of the mark at the end of an IPC stream, which a part does not have."""
 GROUP = 2**22
 """Numbers of a row group of a Parquet file, of which so many are in memory at once."""
 
@@ -107,39 +109,126 @@ def write_parquet(stream: Any, table: FileTable) -> None:
 
 
 def part_of(target: str | Path) -> Path:
-    """The part of a Parquet file that is being written."""
+    """Return the part of a Parquet file that is being written."""
     return Path(f"{real(Path(target))}{PART}")
 
 
 def target_of(path: Any) -> str | None:
-    """The Parquet file that a part belongs to; None where the path is not that of a part."""
+    """Return the Parquet file that a part belongs to; None if the path is not that of a part."""
     text = os.fspath(path) if isinstance(path, (str, Path)) else ""
     return text[: -len(PART)] if text.lower().endswith(f".parquet{PART}") else None
 
 
-class Part:
-    """The part of a Parquet file, open for more rows: of a new run, or of one that goes on.
+class PartFile:
+    """A part that is open for more chunks, and locked as long as it is open.
 
-    state: what stands behind its last whole chunk (None: nothing). It is locked as long as it is open. Methods raise
-    UsageError (E501) where it cannot be written.
+    length: the bytes up to the end of its last whole chunk; 0 if nothing is written.
+    """
+
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
+        self.path, self.stream, self.length = path, stream, 0
+
+    def add_batch(self, batch: Any, state: bytes | None = None) -> None:
+        """Write a chunk, and the state after it. Raises UsageError (E501)."""
+        notes = {"crc32": str(checksum(batch)), **({} if state is None else {"state": base64.b64encode(state)})}
+        header = header_of(batch.schema)
+        try:
+            if not self.length:
+                self._write(header, 0)
+            self._write(_stream_of(batch.schema, batch, notes)[len(header) : -END], self.length)
+        except OSError as error:
+            raise refused(self.path, error) from None
+
+    def _write(self, message: Any, at: int) -> None:
+        self.stream.seek(at)
+        self.stream.truncate()  # what follows is no whole chunk
+        self.stream.write(message)
+        self.stream.flush()
+        self.length = self.stream.tell()
+
+    def close(self) -> None:
+        """Release the part, so that another run may continue it."""
+        with suppress(OSError):  # the failed write was reported already
+            self.stream.close()
+
+
+def created(path: Path) -> BinaryIO:
+    """Open the part of a new run, over the part of an earlier one. Raises UsageError (E501)."""
+    try:
+        return held(path, os.O_RDWR | os.O_CREAT)
+    except OSError as error:
+        raise refused(path, error) from None
+
+
+def held(path: Path, flags: int) -> BinaryIO:
+    """Open a file that no other process writes. Raises UsageError (E501), OSError."""
+    flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
+    while True:
+        stream = open(os.open(path, flags, 0o666), "r+b")  # noqa: SIM115 - it stays open
+        if not hold(stream.fileno()):
+            stream.close()
+            cure = "Wait until it ends, or use another file."
+            raise UsageError(Fault("E501", legible(str(path)), "is being written by another run.", cure))
+        if os.fstat(stream.fileno()).st_nlink:
+            return stream
+        stream.close()  # the run that had it has just removed it
+
+
+def header_of(schema: Any) -> Any:
+    """Return the bytes with which a part begins."""
+    return _stream_of(schema, None)[:-END]
+
+
+def _stream_of(schema: Any, batch: Any, notes: Any = None) -> Any:
+    """Return the bytes of an IPC stream of one batch, or of none."""
+    import pyarrow as pa
+
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, schema) as writer:
+        if batch is not None:
+            writer.write_batch(batch, custom_metadata=notes)
+    return memoryview(sink.getvalue())
+
+
+def checksum(batch: Any) -> int:
+    """Compute the CRC-32 of the columns of a batch: numbers, lists of numbers, texts."""
+    import pyarrow as pa
+
+    crc = 0
+    for column in batch.columns:
+        if pa.types.is_string(column.type):
+            crc = zlib.crc32(json.dumps(column.to_pylist()).encode(), crc)
+        else:
+            crc = zlib.crc32((column.flatten() if pa.types.is_large_list(column.type) else column).to_numpy(), crc)
+    return crc
+
+
+class Part(PartFile):
+    """The part of the file of a run, open for more rows: of a new run, or of one that goes on.
+
+    state: what stands behind its last whole chunk (None: nothing).
     """
 
     def __init__(self, path: Path, stream: BinaryIO, schema: Any) -> None:
-        self.path, self.stream, self.schema = path, stream, schema
-        self.rows, self.first, self.end = 0, math.nan, 0
+        super().__init__(path, stream)
+        self.schema, self.rows, self.first = schema, 0, math.nan
         self.state: bytes | None = None
 
     @classmethod
     def begun(cls, target: str | Path, table: FileTable, notes: Mapping[str, str]) -> Part:
-        """A new one, in the place of what a run has left. table: whose rows will follow. notes: more metadata."""
+        """Begin a new one over the part of an earlier run. Raises UsageError (E501).
+
+        table: whose rows will follow. notes: more metadata.
+        """
         path = part_of(target)
+        schema = schema_of(table)
+        part = cls(path, created(path), schema.with_metadata({**schema.metadata, **notes}))
         try:
-            schema = schema_of(table)
-            schema = schema.with_metadata({**schema.metadata, **notes})
-            part = cls(path, held(path, os.O_RDWR | os.O_CREAT), schema)
             if os.fstat(part.stream.fileno()).st_size:
-                _chunks(part.stream, _foreign(path))
-            part._write(stream_of(part.schema, None)[:-END], 0)
+                _chunks(
+                    part.stream, refusal(path, "E501", "would be replaced, but ", "Move it away, or use another file.")
+                )
+            part._write(header_of(part.schema), 0)
         except OSError as error:
             raise refused(path, error) from None
         return part
@@ -154,13 +243,9 @@ class Part:
 
     @classmethod
     def found(cls, path: str | Path) -> Part:
-        """One that a run has left. Raises UsageError: E506 where nothing can go on from it, E504."""
-        place = legible(str(path))
-        optional("pyarrow", place)
-
-        def refuse(message: str, cure: str = "Start a new run.") -> UsageError:
-            return UsageError(Fault("E506", place, message, cure))
-
+        """Open one that a run has left. Raises UsageError: E506 where nothing can go on from it, E501, E504."""
+        optional("pyarrow", legible(str(path)))
+        refuse = refusal(path, "E506", otherwise="Start a new run.")
         try:
             opened(path).close()  # no device, no pipe
             stream = held(Path(path), os.O_RDWR)
@@ -169,8 +254,8 @@ class Part:
         try:
             schema, chunks = _chunks(stream, refuse)
             part = cls(Path(path), stream, schema)
-            for batch, state, end in chunks:
-                part._count(batch.column(0).to_numpy(), end, state)
+            for batch, state, part.length in chunks:
+                part._count(batch.column(0).to_numpy(), state)
             if not part.rows:
                 raise refuse("does not hold a complete chunk of rows.")
             if part.state is None:
@@ -186,112 +271,44 @@ class Part:
         return found
 
     def add(self, rows: Array, state: bytes | None) -> None:
-        """Write a chunk of rows (n, 1 + columns), and the state after it."""
+        """Write a chunk of rows (n, 1 + columns), and the state after it. Raises UsageError (E501)."""
         import pyarrow as pa
 
         columns = [pa.array(np.ascontiguousarray(column)) for column in rows.T]
-        batch = pa.RecordBatch.from_arrays(columns, schema=self.schema)
-        notes = {"crc32": str(checksum(batch)), **({} if state is None else {"state": base64.b64encode(state)})}
-        header = len(stream_of(self.schema, None)) - END
-        try:
-            self._write(stream_of(self.schema, batch, notes)[header:-END], self.end)
-        except OSError as error:
-            raise refused(self.path, error) from None
-        self._count(rows[:, 0], self.stream.tell(), state)
+        self.add_batch(pa.RecordBatch.from_arrays(columns, schema=self.schema), state)
+        self._count(rows[:, 0], state)
 
-    def _write(self, message: Any, at: int) -> None:
-        self.stream.seek(at)
-        self.stream.truncate()  # what follows is no whole chunk
-        self.stream.write(message)
-        self.stream.flush()
-        self.end = self.stream.tell()
-
-    def _count(self, t: Array, end: int, state: bytes | None) -> None:
+    def _count(self, t: Array, state: bytes | None) -> None:
         self.first = self.first if self.rows else float(t[0])
-        self.rows, self.end, self.state = self.rows + len(t), end, state
-
-    def close(self) -> None:
-        """Another run may go on from it."""
-        with suppress(OSError):  # what could not be written is told already
-            self.stream.close()
-
-    __del__ = close
+        self.rows, self.state = self.rows + len(t), state
 
     def drop(self) -> None:
         """Remove it: the file that it was a part of is there."""
         self.path.unlink(missing_ok=True)
         self.close()
 
-
-END = 8
-"""Bytes of the mark at the end of an IPC stream, which a part does not have."""
-
-
-def held(path: Path, flags: int) -> BinaryIO:
-    """A file that no other process writes. Raises UsageError (E501), OSError."""
-    flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
-    while True:
-        stream = open(os.open(path, flags, 0o666), "r+b")  # noqa: SIM115 - it stays open
-        if not hold(stream.fileno()):
-            stream.close()
-            cure = "Wait until it ends, or use another file."
-            raise UsageError(Fault("E501", legible(str(path)), "is being written by another run.", cure))
-        if os.fstat(stream.fileno()).st_nlink:
-            return stream
-        stream.close()  # the run that had it has just removed it
-
-
-def _foreign(path: Path) -> Refuse:
-    """Why a file that stands in the place of a part is not replaced."""
-
-    def refuse(message: str, cure: str = "") -> UsageError:
-        cure = cure or "Move it away, or use another file."
-        return UsageError(Fault("E501", legible(str(path)), f"would be replaced, but {message}", cure))
-
-    return refuse
-
-
-def stream_of(schema: Any, batch: Any, notes: Mapping[str, Any] | None = None) -> Any:
-    """The bytes of an IPC stream of one batch, or of none."""
-    import pyarrow as pa
-
-    sink = pa.BufferOutputStream()
-    with pa.ipc.new_stream(sink, schema) as writer:
-        if batch is not None:
-            writer.write_batch(batch, custom_metadata=notes)
-    return memoryview(sink.getvalue())
-
-
-def checksum(batch: Any) -> int:
-    """The CRC-32 of the columns of a batch: numbers, lists of numbers, texts."""
-    import pyarrow as pa
-
-    crc = 0
-    for column in batch.columns:
-        if pa.types.is_string(column.type):
-            crc = zlib.crc32(json.dumps(column.to_pylist()).encode(), crc)
-        else:
-            crc = zlib.crc32((column.flatten() if pa.types.is_large_list(column.type) else column).to_numpy(), crc)
-    return crc
+    __del__ = PartFile.close
 
 
 # --- reading -----------------------------------------------------------------------------------------------------
 
 
-def _chunks(stream: BinaryIO, refuse: Refuse) -> tuple[Any, Iterator[tuple[Any, bytes | None, int]]]:
-    """The schema of a part, and its whole chunks: rows, the state after them, where they end."""
+def chunks_of(
+    stream: BinaryIO, check: Callable[[Any], object], refuse: Refuse, what: str
+) -> tuple[Any, Iterator[tuple[Any, bytes | None, int]]]:
+    """Return the schema of a part, and its whole chunks: rows, the state after them, where they end.
+
+    check: raises UsageError or ValueError for the schema of another file. what: the part, for messages.
+    """
     import pyarrow as pa
 
     try:
         reader = pa.ipc.open_stream(stream)
-        metadata = reader.schema.metadata or {}
-        if b"blocks" not in metadata or any(field.type != pa.float64() for field in reader.schema):
-            raise ValueError("another program wrote it")
-        parsed(metadata[b"blocks"], refuse)
+        check(reader.schema)
     except UsageError:
         raise
     except (pa.ArrowException, ValueError, OSError) as error:
-        raise refuse(f"is not a part of a result file: {one_line(str(error)).rstrip(' .')}.") from None
+        raise refuse(f"is not {what}: {one_line(str(error)).rstrip(' .')}.") from None
 
     def chunks() -> Iterator[tuple[Any, bytes | None, int]]:
         while True:
@@ -306,6 +323,19 @@ def _chunks(stream: BinaryIO, refuse: Refuse) -> tuple[Any, Iterator[tuple[Any, 
             yield batch, state, stream.tell()
 
     return reader.schema, chunks()
+
+
+def _chunks(stream: BinaryIO, refuse: Refuse) -> tuple[Any, Iterator[tuple[Any, bytes | None, int]]]:
+    """Return the schema of the part of a run, and its whole chunks, as `chunks_of` does."""
+    import pyarrow as pa
+
+    def check(schema: Any) -> None:
+        metadata = schema.metadata or {}
+        if b"blocks" not in metadata or any(field.type != pa.float64() for field in schema):
+            raise ValueError("another program wrote it")
+        parsed(metadata[b"blocks"], refuse)
+
+    return chunks_of(stream, check, refuse, "a part of a result file")
 
 
 def read_part(path: Path, refuse: Refuse, window: Window) -> Content:
@@ -404,7 +434,7 @@ class Stored:
 
     def __init__(self, part: Part, tail: Array) -> None:
         self.path, self.tail = part.path.absolute(), tail
-        self.end, self.rows = part.end, part.rows + len(tail)
+        self.length, self.rows = part.length, part.rows + len(tail)
         self.span = (part.first, float(tail[-1, 0]))
         self._ends: tuple[Array, Array, Array, Array] | None = None
         self._mark: tuple[int, ...] | None = None  # by which the file is known again
@@ -451,7 +481,7 @@ class Stored:
             if target_of(self.path):
                 for batch, _, end in _chunks(stream, refusal(self.path))[1]:
                     yield [batch.column(k).to_numpy() for k in columns]
-                    if end >= self.end:
+                    if end >= self.length:
                         break
             else:
                 file = pq.ParquetFile(stream)

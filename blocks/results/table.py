@@ -125,10 +125,13 @@ def parsed(text: str | bytes, refuse: Refuse) -> dict[str, Any]:
     return metadata
 
 
-def refusal(place: Any) -> Refuse:
-    """Makes the errors of a file that cannot be read: E503."""
+def refusal(place: Any, code: str = "E503", before: str = "", otherwise: str = "") -> Refuse:
+    """Return what makes the errors of a file: without another code, of a file that cannot be read.
+
+    before: begins each message. otherwise: the cure of errors without their own.
+    """
 
     def refuse(message: str, cure: str = "") -> UsageError:
-        return UsageError(Fault("E503", legible(str(place)), message, cure))
+        return UsageError(Fault(code, legible(str(place)), before + message, cure or otherwise))
 
     return refuse

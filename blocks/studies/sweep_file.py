@@ -11,7 +11,7 @@ from __future__ import annotations
 import errno
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..model.raw_values import raw_of
-from ..results.arrow import END, checksum, held, part_of, stream_of, target_of
+from ..results.arrow import PartFile, chunks_of, created, part_of, target_of
 from ..results.provenance import Origin
 from ..results.table import Refuse, optional, parsed, refusal, unique
 from ..text.atomic_write import known_ending, refused, write_atomically
@@ -29,6 +29,7 @@ from ..text.printable import legible, one_line
 
 Array = np.ndarray[Any, Any]
 FORMAT, VERSION = "blocks sweep", 1
+PARTIAL = "a partial sweep file"
 
 
 def check_target(target: str | Path) -> None:
@@ -68,8 +69,8 @@ def read(path: str | Path) -> dict[str, Any]:
             if target_of(path) is None:
                 table = pq.ParquetFile(stream, page_checksum_verification=True).read()
             else:
-                schema, chunks = _chunks(stream, refuse)
-                table = pa.Table.from_batches([batch for batch, _ in chunks], schema)
+                schema, chunks = chunks_of(stream, lambda schema: _notes(schema, refuse), refuse, PARTIAL)
+                table = pa.Table.from_batches([batch for batch, _, _ in chunks], schema)
         return _sweep_of(table, refuse)
     except UsageError:
         raise
@@ -141,11 +142,8 @@ def _check_same(notes: Mapping[str, Any], told: Mapping[str, Any], refuse: Refus
 
 
 def _in_the_way(path: str | Path) -> Refuse:
-    def refuse(message: str, cure: str = "") -> UsageError:
-        cure = cure or "Move the file away, or name another file."
-        return UsageError(Fault("E506", legible(str(path)), f"cannot be continued, because it {message}", cure))
-
-    return refuse
+    cure = "Move the file away, or name another file."
+    return refusal(path, "E506", "cannot be continued, because it ", cure)
 
 
 def _rows_of(sweep: Mapping[str, Any], told: Mapping[str, Any]) -> Any:
@@ -238,32 +236,6 @@ def _notes(schema: Any, refuse: Refuse) -> dict[str, Any]:
     return notes
 
 
-def _chunks(stream: BinaryIO, refuse: Refuse) -> tuple[Any, Iterator[tuple[Any, int]]]:
-    """The schema of a part, and its whole chunks, each with where it ends."""
-    import pyarrow as pa
-
-    try:
-        reader = pa.ipc.open_stream(stream)
-        _notes(reader.schema, refuse)
-    except UsageError:
-        raise
-    except (pa.ArrowException, ValueError, OSError) as error:
-        raise refuse(f"is not a partial sweep file: {one_line(str(error)).rstrip(' .')}.") from None
-
-    def chunks() -> Iterator[tuple[Any, int]]:
-        while True:
-            try:
-                batch, notes = reader.read_next_batch_with_custom_metadata()
-                batch.validate()
-                if int(notes[b"crc32"]) != checksum(batch):
-                    return
-            except (StopIteration, pa.ArrowException, OSError, ValueError, KeyError, TypeError):
-                return  # it is not whole
-            yield batch, stream.tell()
-
-    return reader.schema, chunks()
-
-
 def told_of(origin: Origin | None, key: Mapping[str, Any]) -> dict[str, Any]:
     """What a sweep is of, for the metadata of its files. origin: of a run; key: what else the rows follow from."""
     texts = {name: repr(value) for name, value in key.items()}
@@ -278,8 +250,8 @@ def _key(told: Mapping[str, Any]) -> dict[str, Any]:
     return {**known, **told.get("key", {})}
 
 
-class SweepPart:
-    """The file of a sweep that is under way. It is locked as long as it is open.
+class SweepPart(PartFile):
+    """The file of a sweep that is under way.
 
     told: what it is of. resume: go on from a part of the same sweep. found: the fields of the chunks that are there.
     Raises UsageError: E501 where it cannot be written, E504, E506 where it is of another sweep.
@@ -287,13 +259,9 @@ class SweepPart:
 
     def __init__(self, target: str | Path, told: Mapping[str, Any], *, resume: bool) -> None:
         check_target(target)
-        self.target, self.path = target, part_of(target)
-        self.told = told
-        self.end_of_rows = 0
-        try:
-            self.stream = held(self.path, os.O_RDWR | os.O_CREAT)
-        except OSError as error:
-            raise refused(self.path, error) from None
+        path = part_of(target)
+        super().__init__(path, created(path))
+        self.target, self.told = target, told
         try:
             self.found = self._pieces(resume) if os.fstat(self.stream.fileno()).st_size else []
         except BaseException:
@@ -305,31 +273,18 @@ class SweepPart:
         import pyarrow as pa
 
         refuse = _in_the_way(self.path)
-        schema, chunks = _chunks(self.stream, refuse)
+        schema, chunks = chunks_of(self.stream, lambda schema: _notes(schema, refuse), refuse, PARTIAL)
         if not resume:
             return []
         _check_same(_notes(schema, refuse), self.told, refuse)
         pieces = []
-        for batch, end in chunks:
+        for batch, _, self.length in chunks:
             pieces.append(_sweep_of(pa.Table.from_batches([batch]), refuse))
-            self.end_of_rows = end
         return pieces
 
     def add(self, sweep: Mapping[str, Any]) -> None:
         """Write rows that are done, by the fields of a sweep. Raises UsageError (E501)."""
-        batch = _rows_of(sweep, self.told)
-        header = stream_of(batch.schema, None)[:-END]
-        try:
-            self.stream.seek(self.end_of_rows)
-            self.stream.truncate()  # what follows is no whole chunk
-            if not self.end_of_rows:
-                self.stream.write(header)
-            notes = {"crc32": str(checksum(batch))}
-            self.stream.write(stream_of(batch.schema, batch, notes)[len(header) : -END])
-            self.stream.flush()
-            self.end_of_rows = self.stream.tell()
-        except OSError as error:
-            raise refused(self.path, error) from None
+        self.add_batch(_rows_of(sweep, self.told))
 
     def end(self, sweep: Mapping[str, Any]) -> None:
         """Write the whole file. The part goes, unless the sweep was interrupted and can go on from it."""
@@ -338,8 +293,8 @@ class SweepPart:
             self.path.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Another sweep may go on from it; one without rows is removed."""
-        with suppress(OSError):  # what could not be written is told already
+        """Release the part, so that another sweep may continue it; remove one without rows."""
+        with suppress(OSError):  # the failed write was reported already
             if not os.fstat(self.stream.fileno()).st_size:
                 self.path.unlink(missing_ok=True)
-            self.stream.close()
+        super().close()
