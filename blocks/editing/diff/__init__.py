@@ -3,9 +3,9 @@
     differences(a, b) -> Differences: lines for a person, changes for a program, and a drawing of both in one
 
 Layout, the order of keys and entries, and the spelling of numbers and expressions are no differences; 1200 mOhm is
-1.2 Ohm. A block with another name but the same content and the same wires was renamed. `comparison` goes
-section by section, with `entries` for blocks, `meaning` for values and `renames` for names; `drawing` puts both into
-one picture.
+1.2 Ohm. A block with another name but the same content and the same wires was renamed. `walk` goes
+section by section, with `block_facts` for blocks, `meaning` for values and `renames` for names; `report` writes the
+lines, and `drawing` puts both diagrams into one picture.
 """
 
 from .changes import Change

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -13,7 +13,6 @@ from .meaning import clean
 Kind = Literal["added", "removed", "changed", "renamed"]
 GROUPS = ("diagram", *(key for key in BODY.keys if key not in ("name", "doc", "layout")))
 GLYPHS: dict[Kind, str] = {"added": "+", "removed": "-", "changed": "~", "renamed": ">"}
-MIRRORED: dict[Kind, Kind] = {"added": "removed", "removed": "added", "changed": "changed", "renamed": "renamed"}
 LONGEST_PATH = 300
 
 
@@ -45,34 +44,25 @@ class Change:
         return self.path or self.before_path
 
     def under(self, before: str, name: str, *, is_inside: bool = False) -> Change:
-        """The change with paths below a name, `before` in A, `name` in B. is_inside: it is in a block's diagram."""
+        """Return the change with paths below a name: `before` in A, `name` in B.
 
-        def path(first: str, rest: str, other: str) -> str:
-            return f"{first}.{rest}" if rest else "" if other else first
+        is_inside: it is in a block's diagram.
+        """
+        is_only_in_a, is_only_in_b = self.kind == "removed", self.kind == "added"
+
+        def path(first: str, rest: str, is_missing: bool) -> str:
+            return f"{first}.{rest}" if rest else "" if is_missing else first
 
         return replace(
             self,
-            before_path=path(before, self.before_path, self.path),
-            path=path(name, self.path, self.before_path),
-            diagram=path(name, self.diagram, "") if is_inside else self.diagram,
-        )
-
-    def mirrored(self) -> Change:
-        """The same change, from B to A."""
-        return replace(
-            self,
-            kind=MIRRORED[self.kind],
-            before_path=self.path,
-            path=self.before_path,
-            old=self.new,
-            new=self.old,
-            before=self.after,
-            after=self.before,
+            before_path=path(before, self.before_path, is_only_in_b),
+            path=path(name, self.path, is_only_in_a),
+            diagram=path(name, self.diagram, False) if is_inside else self.diagram,
         )
 
     @property
-    def told(self) -> str:
-        """What changed, without its place: "type Gain -> PID"."""
+    def summary(self) -> str:
+        """Describe what changed, without its place: "type Gain -> PID"."""
         match self.kind:
             case "added":
                 return self.after
@@ -87,11 +77,11 @@ class Change:
         glyph, place = GLYPHS[self.kind], clean(self.place, LONGEST_PATH)
         if self.kind == "renamed":
             return f"{glyph} {clean(self.before_path, LONGEST_PATH)} -> {place}: renamed"
-        told = self.told
+        summary = self.summary
         if not place:
-            return f"{glyph} {told}"
-        separator = " " if told.startswith("<-") else ": " if told else ""
-        return f"{glyph} {place}{separator}{told}"
+            return f"{glyph} {summary}"
+        separator = " " if summary.startswith("<-") else ": " if summary else ""
+        return f"{glyph} {place}{separator}{summary}"
 
     def entry(self) -> dict[str, Any]:
         """The change as plain values, for JSON."""
@@ -106,8 +96,8 @@ class Change:
         }
 
 
-def in_order(changes: Iterator[Change]) -> tuple[Change, ...]:
-    """By group and place, the type of a block before its parameters; numbers in names compare as numbers."""
+def in_order(changes: Iterable[Change]) -> tuple[Change, ...]:
+    """Sort by group and place, the type of a block before its parameters; numbers in names compare as numbers."""
 
     def natural(text: str) -> list[tuple[str, int]]:
         return [(word, int(digits or 0)) for word, digits in re.findall(r"([^0-9]*)([0-9]{0,18})", text)]

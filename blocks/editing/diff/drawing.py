@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from ...draw import ports_of
@@ -12,9 +12,9 @@ from ...draw.parts import BEFORE, UNKNOWN, Ports
 from ...draw.picture import Mark, Marks
 from ...model.diagram import DEEPEST, BlockEntry, DiagramValue
 from .changes import Change
-from .comparison import Compared, Pairs
 from .meaning import clean
-from .wording import end_of
+from .renames import end_of
+from .walk import Level, Walk
 
 MOST_LINES = 3  # below the name of a block
 MOST_TOLD = 30  # in a tooltip
@@ -22,18 +22,16 @@ MOST_OPENED = 100  # subdiagrams
 MOST_NOTES = 12  # below the drawing
 
 
-def svg(made: Compared, depth: int | None = None) -> str:
-    """The drawing of all differences; see `Differences.svg`."""
-    both = _Both(made, DEEPEST if depth is None else depth)
-    union = both.union(made.a, made.b, "")
-    notes = [
-        f"{change.group}: {change}" for change in made.changes if change.group in ("parameters", "run", "measures")
-    ]
+def svg(level: Level, changes: Sequence[Change], names: Iterable[str], depth: int | None) -> str:
+    """Return the drawing of two diagrams and their changes; see `Differences.svg`. names: of the diagrams."""
+    both = _Both(level.walk, changes, DEEPEST if depth is None else depth)
+    union = both.union(level.a, level.b, "")
+    notes = [f"{change.group}: {change}" for change in changes if change.group in ("parameters", "run", "measures")]
     if len(notes) > MOST_NOTES:
         notes[MOST_NOTES - 1 :] = [f"and {len(notes) - MOST_NOTES + 1} more"]
     marks = Marks(both.boxes, both.wires, both.replaced, frozenset(both.opened), tuple(notes))
-    title = " → ".join(clean(name.rpartition("/")[2], 60) for name in made.names)
-    resolver = made.pairs.resolver
+    title = " → ".join(clean(name.rpartition("/")[2], 60) for name in names)
+    resolver = level.facts.resolver
     known = None if resolver is None else ports_of(union, resolver)
 
     def ports(path: str) -> Ports:
@@ -48,9 +46,8 @@ def svg(made: Compared, depth: int | None = None) -> str:
 class _Both:
     """Merges two diagrams, level by level, and collects the marks. depth: how many levels are opened."""
 
-    def __init__(self, compared: Compared, depth: int) -> None:
-        self.depth = depth
-        self.pairs: Pairs = compared.pairs
+    def __init__(self, walk: Walk, changes: Iterable[Change], depth: int) -> None:
+        self.walk, self.depth = walk, depth
         self.boxes: dict[tuple[str, str], Mark] = {}
         self.wires: dict[tuple[str, str], Mark] = {}
         self.replaced: dict[str, list[tuple[str, str, bool]]] = {}
@@ -59,7 +56,7 @@ class _Both:
         """Changes by the diagram in which they lie."""
         self.within: dict[str, list[Change]] = {}
         """Changes by each subdiagram around them."""
-        for change in compared.changes:
+        for change in changes:
             self.here.setdefault(change.diagram, []).append(change)
             steps = change.diagram.split(".") if change.diagram else []
             for count in range(1, len(steps) + 1):
@@ -68,7 +65,7 @@ class _Both:
     def union(self, a: DiagramValue, b: DiagramValue, path: str) -> DiagramValue:
         """One level of both, merged. path: that of the diagram."""
         prefix = f"{path}." if path else ""
-        new_names = self.pairs.level(a, b, is_top=not path).new_names
+        new_names = self.walk.level(a, b, is_top=not path).new_names
         keys = _keys(a, b, new_names)
         old_names = {new: old for old, new in new_names.items()}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -24,7 +24,7 @@ MOST_SHOWN = 6  # elements of a list that are shown
 # --- what a value means ----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Quantity:
     """A number in SI. exact: its exact value, where known. dimension: of its unit; None where no unit is known."""
 
@@ -32,17 +32,19 @@ class _Quantity:
     exact: Fraction | None
     dimension: Any
 
-    def same(self, other: _Quantity) -> bool:
-        if self.dimension != other.dimension:
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, _Quantity) or self.dimension != other.dimension:
             return False
         if self.exact is not None and other.exact is not None:
             return self.exact == other.exact
         return self.value == other.value
 
+    __hash__ = None  # type: ignore[assignment]  # equal numbers may have different exact values
+
 
 def same(a: Any, b: Any, declared: Unit = "", declared_b: Unit | None = None) -> bool:
     """Whether two raw values mean the same, if bare numbers are in a declared unit ("" where it is not known)."""
-    return _alike(_meaning(a, declared), _meaning(b, declared if declared_b is None else declared_b))
+    return bool(_meaning(a, declared) == _meaning(b, declared if declared_b is None else declared_b))
 
 
 def same_unit(a: Any, b: Any) -> bool:
@@ -54,16 +56,6 @@ def same_unit(a: Any, b: Any) -> bool:
     except ModelError:
         return False
     return (unit_a.dimension, unit_a.factor, unit_a.offset) == (unit_b.dimension, unit_b.factor, unit_b.offset)
-
-
-def _alike(a: Any, b: Any) -> bool:
-    if isinstance(a, _Quantity) and isinstance(b, _Quantity):
-        return a.same(b)
-    if isinstance(a, tuple) and isinstance(b, tuple):
-        return len(a) == len(b) and all(map(_alike, a, b))
-    if isinstance(a, dict) and isinstance(b, dict):
-        return a.keys() == b.keys() and all(_alike(a[key], b[key]) for key in a)
-    return type(a) is type(b) and bool(a == b)
 
 
 def is_quantity(raw: Any) -> bool:
@@ -205,27 +197,29 @@ def _with_unit(text: str, unit: str) -> str:
 
 
 def parts_that_differ(a: Any, b: Any, declared: Unit = "", declared_b: Unit = "") -> tuple[str, Any, Any, str]:
-    """Where two long lists of one length differ: the first element, "[17]", its values, and a note on the others."""
-    plain_a, plain_b = (raw["value"] if is_quantity(raw) else raw for raw in (a, b))
-    lists = isinstance(plain_a, Sequence) and isinstance(plain_b, Sequence)
-    if not lists or isinstance(plain_a, str) or isinstance(plain_b, str) or len(plain_a) != len(plain_b):
+    """Return where two long lists of one length differ: the first element, "[17]", its values, a note on the others."""
+    elements_a, elements_b = _elements(a, declared), _elements(b, declared_b)
+    count = len(elements_a)
+    if count <= MOST_SHOWN or count != len(elements_b):
         return "", a, b, ""
-    if len(plain_a) <= MOST_SHOWN:
+    pairs = enumerate(zip(elements_a, elements_b, strict=True))
+    apart = [i for i, ((x, unit_x), (y, unit_y)) in pairs if not same(x, y, unit_x, unit_y)]
+    if not apart:
         return "", a, b, ""
-
-    def units_of(raw: Any, unit: Unit, count: int) -> tuple[str, ...]:
-        given = _text(raw.get("unit")) if isinstance(raw, Mapping) else ""
-        each = given or unit
-        return each if isinstance(each, tuple) and len(each) == count else (_single(each),) * count
 
     def wrapped(item: Any, unit: str) -> Any:
         return {"value": item, "unit": unit} if unit and not isinstance(item, Mapping) else item
 
-    count = len(plain_a)
-    units_a, units_b = units_of(a, declared, count), units_of(b, declared_b, count)
-    apart = [i for i in range(count) if not same(plain_a[i], plain_b[i], units_a[i], units_b[i])]
-    if not apart:
-        return "", a, b, ""
     first = apart[0]
     note = f" (and {len(apart) - 1} more of {count} elements)" if len(apart) > 1 else ""
-    return f"[{first}]", wrapped(plain_a[first], units_a[first]), wrapped(plain_b[first], units_b[first]), note
+    return f"[{first}]", wrapped(*elements_a[first]), wrapped(*elements_b[first]), note
+
+
+def _elements(raw: Any, declared: Unit) -> list[tuple[Any, str]]:
+    """Return the elements of a list with their units."""
+    if is_quantity(raw):
+        raw, declared = raw["value"], _text(raw.get("unit")) or declared
+    if not isinstance(raw, (list, tuple)):
+        return []
+    each = declared if isinstance(declared, tuple) and len(declared) == len(raw) else (_single(declared),) * len(raw)
+    return [*zip(raw, each, strict=True)]

@@ -10,6 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
+
+from ...model.diagram import BASE, BlockEntry, DiagramValue
+from .meaning import digest_of
 
 MOST_WORK = 1_500_000
 """Ends of wires that are looked at; what is not paired by then counts as removed and added."""
@@ -17,6 +21,58 @@ MOST_PAIRS = 10_000
 
 Edge = tuple[str, str, str, str]
 """A wire: node and port of its source, node and port of its sink."""
+
+
+def renamed(a: DiagramValue, b: DiagramValue, digests: dict[int, str], *, is_top: bool) -> dict[str, str]:
+    """Return the new names of blocks and inputs of A by their old names. digests: of subdiagrams, by their id."""
+    gone, come = _nodes(a, b, digests), _nodes(b, a, digests)
+    return _paired(gone, come, _edges(a, is_top), _edges(b, is_top)) if gone and come else {}
+
+
+def end_of(text: str) -> tuple[str, str]:
+    """Return the block or input that the end of a wire names, and the rest: ".y", "[0]"."""
+    node = text.partition(".")[0].partition("[")[0]
+    return node, text[len(node) :]
+
+
+def _nodes(value: DiagramValue, other: DiagramValue, digests: dict[int, str]) -> dict[str, str]:
+    """Return digests of the content of blocks and inputs whose names another diagram does not have."""
+    nodes = {name: _digest(entry, digests) for name, entry in value.blocks.items() if name not in other.blocks}
+    return nodes | {name: "input " + digest_of(raw) for name, raw in value.inputs.items() if name not in other.inputs}
+
+
+def _digest(entry: BlockEntry, digests: dict[int, str]) -> str:
+    """Return a text that is the same for blocks that mean the same."""
+    inner = entry.inner
+    content = entry.fmu or entry.type or str(entry.diagram)
+    if inner is not None:
+        content = digests.get(id(inner), "")
+        if not content:
+            blocks = {name: _digest(other, digests) for name, other in inner.blocks.items()}
+            parts = [_digests(inner.parameters), _digests(inner.inputs), dict(inner.outputs), blocks, dict(inner.wires)]
+            content = digests[id(inner)] = digest_of(parts)
+    return digest_of([
+        content, [bool(entry.fmu), inner is not None, entry.variant or BASE], _digests(entry.parameters), entry.copies,
+        *(dict(table) for table in (entry.control, entry.options, entry.ports)),
+        {name: _digest(variant, digests) for name, variant in entry.variants.items()},
+    ])  # fmt: skip
+
+
+def _digests(table: Mapping[str, Any]) -> dict[str, str]:
+    return {name: digest_of(raw) for name, raw in table.items()}
+
+
+def _edges(value: DiagramValue, is_top: bool) -> list[Edge]:
+    """Return the wires of a level; other uses of its blocks are edges to nodes whose names no block can have."""
+    ends: list[tuple[tuple[str, str], Any]] = [(end_of(sink), source) for sink, source in value.wires.items()]
+    ends += [((f".{name}", ""), source) for name, source in value.outputs.items()]
+    if is_top:
+        for name, measure in value.measures.items():
+            ends += [((f".{name}", key), measure.get(key)) for key in ("of", "against")]
+        log, inputs = value.run.get("log"), value.run.get("inputs")
+        ends += [((".log", ""), source) for source in log] if isinstance(log, (list, tuple)) else []
+        ends += [((".given", digest_of(inputs[name])), name) for name in inputs] if isinstance(inputs, Mapping) else []
+    return [(*end_of(source), *sink) for sink, source in ends if isinstance(source, str)]
 
 
 @dataclass
@@ -41,10 +97,10 @@ class _Side:
         return self.colors[name], tuple(sorted(around))
 
 
-def renames(
+def _paired(
     gone: Mapping[str, str], come: Mapping[str, str], wires_a: Sequence[Edge], wires_b: Sequence[Edge]
 ) -> dict[str, str]:
-    """New names by old ones. gone, come: digests of the content of nodes that only A and only B has.
+    """Return new names by old ones. gone, come: digests of the content of nodes that only A and only B has.
 
     A node with the same content and at least half of its wires the same is renamed as well.
     """

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ...model.diagram import DiagramValue
 from ...model.hierarchy import Resolver
 from .changes import GLYPHS, LONGEST_PATH, Change, in_order
-from .comparison import Compared, Pairs
 from .drawing import svg
 from .meaning import clean
+from .walk import Level, Walk
 
 
 def differences(
@@ -22,24 +22,27 @@ def differences(
     doc: bool = False,
     resolver: Resolver | None = None,
 ) -> Differences:
-    """What differs from diagram a to diagram b.
+    """Find what differs from diagram a to diagram b.
 
     names: what the two are called (their own names unless given). doc: compare doc texts and keys "x-..." as well.
     resolver: from the name of a block type to its class, which declares the units of bare numbers; without one, a bare
     number and a quantity with a unit are never the same. FMUs are compared by path and by the SHA-256 of their bytes;
     they are not opened. Raises ModelError (E008) for more than 100,000 changes.
     """
-    pairs = Pairs(doc, resolver)
-    changes = in_order(iter(pairs.level(a, b, is_top=True).changes))
-    return Differences(a, b, (names[0] or a.name, names[1] or b.name), changes, pairs)
+    level = Walk(doc, resolver).level(a, b, is_top=True)
+    return Differences((names[0] or a.name, names[1] or b.name), in_order(level.changes), level)
 
 
 @dataclass(frozen=True)
-class Differences(Compared):
+class Differences:
     """All that differs from diagram A to diagram B, in order; false where nothing does.
 
     names: of A and B, as they are shown. Its text is a line for each change, by section.
     """
+
+    names: tuple[str, str]
+    changes: tuple[Change, ...]
+    level: Level = field(repr=False, compare=False)
 
     def __bool__(self) -> bool:
         return bool(self.changes)
@@ -77,7 +80,7 @@ class Differences(Compared):
 
         depth: how many levels of subdiagrams are opened, where they differ inside; all unless given.
         """
-        return svg(self, depth)
+        return svg(self.level, self.changes, self.names, depth)
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
         """What a notebook shows: the drawing, and the text where it cannot draw."""
