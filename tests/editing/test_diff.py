@@ -539,6 +539,17 @@ def test_values_of_the_wrong_kind_are_compared_and_drawn() -> None:
     ElementTree.fromstring(made.svg())
 
 
+def test_a_matrix_whose_edges_are_no_list_is_compared() -> None:
+    def read(edges: Any) -> DiagramValue:
+        with pytest.raises(ModelError) as caught:
+            loads(json.dumps(document(parameters={"p": {"edges": edges, "shape": [2, 2]}})))
+        value: DiagramValue = caught.value.readable
+        return value
+
+    changes = [str(one) for one in differences(read(1), read(2))]
+    assert changes == ["~ p: {edges: 1, shape: [2, 2]} -> {edges: 2, shape: [2, 2]}"]
+
+
 def test_a_wire_to_a_block_that_comes_with_a_rename_is_kept_apart() -> None:
     a = document(blocks={"g": {"type": "Gain"}}, wires={"g.u": "r", "k.u": "s"}, inputs={"r": {}, "s": {}})
     b = document(blocks={"k": {"type": "Gain"}}, wires={"k.u": "r"}, inputs={"r": {}, "s": {}})

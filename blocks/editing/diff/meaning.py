@@ -165,7 +165,7 @@ def _escape(character: str) -> str:
 def legible_value(raw: Any, declared: Unit = "") -> str:
     """A raw value as a file has it, shortened: 0.10 V, "+-", =kp, [1, 0.2, 1]; a bare number with its declared unit."""
     match raw:
-        case {"shape": [rows, columns]}:
+        case {"shape": [rows, columns]} if isinstance(raw.get("edges", []), (list, tuple)):
             given = f"of {quoted(str(raw['csv']))}" if "csv" in raw else f"of {len(raw.get('edges', ())):,} edges"
             return clean(f"{rows} x {columns} matrix {given}")
         case Column() | {"csv": _}:
