@@ -29,9 +29,9 @@ from ..model.trust import Paths
 from ..model.varied import Column, columns_of, given_values, is_element, raw_values
 from ..results.results import Results
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
-from ..text.live_line import in_rows, live_line
 from ..text.printable import counted, legible
-from ..text.shown import Part, Shown, Table
+from ..text.progress_line import in_rows, live_line
+from ..text.rich_output import Part, Shown, Table
 from .batch_processes import Worker, in_processes, packed
 from .lanes import Lanes, no_lanes
 from .prepared_model import PreparedModel

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..compile.coupling import Coupling
-from ..compile.outline import order, rates
 from ..compile.plan import Plan
+from ..compile.plan_summary import order, rates
 from ..engines.selection import check_room
 from ..model.block_types import Library
 from ..model.trust import Found, found, to_be_refused

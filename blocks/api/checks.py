@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 from ..compile.coupling import Coupling, couple
-from ..compile.outline import outline
 from ..compile.plan import Plan
 from ..compile.plan_builder import plan
+from ..compile.plan_summary import outline
 from ..model.diagram import DiagramValue, beside
 from ..model.flatten import Flat, flatten
 from ..model.hierarchy import Resolver

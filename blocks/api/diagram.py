@@ -41,8 +41,8 @@ from ..model.resolver import resolver_of
 from ..model.variants import Swap, taken
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
-from ..text.brief import UnknownName
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.ipython_errors import UnknownName
 from ..text.printable import legible, quoted
 from ..text.quantity_text import read_quantity
 from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan

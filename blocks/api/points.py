@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..compile.plan import Plan
-from ..contract.outside import Outside
+from ..contract.captured_values import Outside
 from ..engines.prepared import Prepared
 from ..engines.reference.engine import ReferenceEngine
 from ..linear.operating_point import OperatingPoint

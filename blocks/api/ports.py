@@ -8,9 +8,9 @@ from typing import Any, Protocol
 
 from ..model.block_ports import listed
 from ..model.settings import TIMES
-from ..text.brief import UnknownPort
 from ..text.element_names import named_element
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
+from ..text.ipython_errors import UnknownPort
 from ..text.printable import quoted
 from ..text.quantity_text import read_quantity
 

@@ -37,11 +37,11 @@ from ..results.arrow import Part, target_of
 from ..results.provenance import Origin
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
-from ..text.brief import UnknownName
 from ..text.element_names import indexed
 from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
-from ..text.live_line import live_line
+from ..text.ipython_errors import UnknownName
 from ..text.printable import quoted
+from ..text.progress_line import live_line
 from ..text.quantity_text import read_quantity
 from .origin import origin_of
 from .streaming import Streaming, part_to_resume
@@ -544,7 +544,7 @@ def tolerances_of_fmus(run: Run) -> list[float] | None:
     plan = run.plan
     if isinstance(plan, Plan):
         return None
-    from ..compile.outline import own_tolerance
+    from ..compile.plan_summary import own_tolerance
 
     return sorted({value for unit in plan.units if (value := own_tolerance(unit, plan)) is not None})
 

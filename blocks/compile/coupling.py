@@ -31,7 +31,7 @@ from ..model.flatten import (
 )
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault, ModelError
-from ..text.shown import Part, Shown
+from ..text.rich_output import Part, Shown
 from .plan import Plan, PlanInput, PlanSignal, Reference
 from .plan_builder import plan
 from .scheduler import components

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from ..contract.captured_values import Outside, outside
 from ..contract.expressions import FUNCTIONS
-from ..contract.outside import Outside, outside
 from ..contract.reads import arguments
 from ..contract.resolution import Resolved
 from ..contract.scalars import LOGICAL, Scalar

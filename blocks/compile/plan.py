@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ..contract.tape import Tape
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault
-from ..text.shown import Part, Shown
+from ..text.rich_output import Part, Shown
 
 if TYPE_CHECKING:
     from ..model.fmu_block import Foreign
@@ -345,7 +345,7 @@ class Plan(Shown):
     written_out: Callable[[], Plan] | None = field(default=None, compare=False, repr=False)
     """Of such a one: the plan of the diagram written out, whose long tables are its own, once they are asked for."""
     outline: Callable[[Any], Iterator[Part]] | None = field(default=None, compare=False, repr=False)
-    """How it is told to a person, where it was made for one: `compile.outline`, which stands on this module."""
+    """How it is told to a person, where it was made for one: `compile.plan_summary`, which stands on this module."""
 
     def tick_time(self, count: int) -> float:
         """The time of a base step, correctly rounded: Python divides integers exactly."""

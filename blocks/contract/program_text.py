@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from .outside import is_settled
+from .captured_values import is_settled
 
 _PLAIN = (bool, int, float, complex, str, bytes, np.generic)
 

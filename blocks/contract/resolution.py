@@ -21,11 +21,11 @@ import numpy as np
 from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.units import parse as parse_unit
 from ..text.units import si_text, to_si
+from .captured_values import outside
 from .declaration import Declaration
 from .equations import Output
 from .expressions import exact_decimal, exact_time
 from .interface import LARGEST, Array, Interface, Value, not_computed
-from .outside import outside
 from .reads import arguments
 from .sparse import SparseMatrix
 from .uses import sizing, uses

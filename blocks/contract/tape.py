@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from .captured_values import Outside
 from .interface import Interface
-from .outside import Outside
 
 
 @dataclass(frozen=True, slots=True)

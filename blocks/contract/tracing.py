@@ -15,12 +15,12 @@ import numpy as np
 
 from ..text.errors import DeclarationError, Fault
 from . import symbols
+from .captured_values import outside
 from .derivatives import derived
 from .derived_nodes import are_whole, with_phases, with_reciprocals
 from .equation_values import EquationValues, refusal
 from .equations import Local, Output
 from .interface import Interface
-from .outside import outside
 from .recorded_nodes import nodes_of
 from .scalars import Scalar
 from .tape import Argument, Result, Tape, TapeNode, nodes_needed

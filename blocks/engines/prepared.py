@@ -18,7 +18,7 @@ from ..compile.equation_record import Equations
 from ..compile.plan import Plan
 from ..compile.plan_builder import plan
 from ..compile.rebinding import Rebinding
-from ..contract.outside import Outside, outside_of
+from ..contract.captured_values import Outside, outside_of
 from ..contract.resolution import Resolved
 from ..model.copies import spellings
 from ..model.diagram import DiagramValue

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..text.errors import AnalysisError, Fault, UsageError
-from ..text.shown import Shown, Table
+from ..text.rich_output import Shown, Table
 from .dead_time import extrema, is_stable, stretches
 from .delayed import DelayedModel
 from .doubt import (

@@ -30,7 +30,7 @@ from ..frequency.systems import frd
 from ..model.values import in_si
 from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.printable import counted
-from ..text.shown import Part, Shown
+from ..text.rich_output import Part, Shown
 from .linearization import Linearization
 from .signals import Names, listed, place, places
 from .sinusoidal_gains import Laws, Rest, gain_matrix

@@ -20,11 +20,11 @@ import numpy as np
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan, Reference
 from ..text import units
-from ..text.brief import UnknownName
 from ..text.element_names import indexed
 from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
+from ..text.ipython_errors import UnknownName
 from ..text.printable import quoted
-from ..text.shown import Part, Shown, Table
+from ..text.rich_output import Part, Shown, Table
 from .point import Point
 
 Array = np.ndarray[Any, Any]

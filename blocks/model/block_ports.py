@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import islice
 from typing import Any
 
-from ..contract.outside import Outside, outside
+from ..contract.captured_values import Outside, outside
 from ..contract.resolution import loose
 from ..text.json_number import Number
 from .diagram import BASE, BlockEntry, DiagramValue

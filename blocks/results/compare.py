@@ -20,7 +20,7 @@ import numpy as np
 
 from ..text import units
 from ..text.errors import BlocksError, Fault, UsageError
-from ..text.shown import Part, Shown, Table, as_text
+from ..text.rich_output import Part, Shown, Table, as_text
 from .provenance import Origin
 from .results import Results
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from ..text import units
 from ..text.atomic_write import write_atomically
-from ..text.brief import UnknownName
 from ..text.element_names import element_names, indexed, named_element
 from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.ipython_errors import UnknownName
 from ..text.printable import counted, quoted
-from ..text.shown import Part, Shown, Table, as_html, as_text
+from ..text.rich_output import Part, Shown, Table, as_html, as_text
 from . import files
 from .provenance import Origin
 

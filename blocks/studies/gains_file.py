@@ -23,7 +23,7 @@ from ..model.variants import taken
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.grammar import Steps
 from ..text.printable import legible
-from ..text.shown import Shown
+from ..text.rich_output import Shown
 from ..text.units import converted
 
 if TYPE_CHECKING:

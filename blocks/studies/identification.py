@@ -26,7 +26,7 @@ from ..text import units
 from ..text.csv_text import read_columns
 from ..text.errors import Fault, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import legible
-from ..text.shown import Part, Table, as_text
+from ..text.rich_output import Part, Table, as_text
 from .gains_file import Found
 from .search_space import DIGITS, Space, units_of_parameters
 from .tuned import short

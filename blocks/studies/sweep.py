@@ -16,10 +16,10 @@ import numpy as np
 
 from ..api.batch import STATUSES
 from ..results.table import optional, unique
-from ..text.brief import UnknownName
 from ..text.errors import Fault, UsageError, did_you_mean
+from ..text.ipython_errors import UnknownName
 from ..text.printable import counted, legible
-from ..text.shown import Part, Shown, Table, as_text
+from ..text.rich_output import Part, Shown, Table, as_text
 from . import statistics
 from .sweep_file import read, write
 from .sweep_tables import cell_text

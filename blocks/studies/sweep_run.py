@@ -28,8 +28,8 @@ from ..model.varied import each_of
 from ..results.table import optional
 from ..text import units as unit_texts
 from ..text.errors import Fault, UsageError
-from ..text.live_line import in_rows, live_line
 from ..text.printable import legible
+from ..text.progress_line import in_rows, live_line
 from ..text.quantity_text import read_quantity
 from .sampling import Rows, rows_of, seed_of
 from .sweep import Sweep

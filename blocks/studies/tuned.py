@@ -13,7 +13,7 @@ import numpy as np
 from ..results import plots
 from ..results.results import Results
 from ..text.printable import counted
-from ..text.shown import Part, Table, as_text
+from ..text.rich_output import Part, Table, as_text
 from .gains_file import Found
 from .report_page import escaped, folder_for, plotted, table, warned, written
 from .search_space import Space

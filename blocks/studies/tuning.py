@@ -27,8 +27,8 @@ from ..model.flatten import Flat, element_of
 from ..model.wires import BlockSource
 from ..results.results import Results
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
-from ..text.live_line import in_rows, live_line
 from ..text.printable import legible, quoted
+from ..text.progress_line import in_rows, live_line
 from .gains_file import changes
 from .objectives import Constraint, Objective, constraints_of, objective_of
 from .optimizers import METHODS, Spent, check_installed

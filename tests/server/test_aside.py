@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 from blocks import Diagram, Gain, Integrator, Relay, TransferFunction, ZeroOrderHold
-from blocks.server import deeper, gestures, knobs  # noqa: F401  # the messages that they answer
+from blocks.server import analysis_messages, gestures, knobs  # noqa: F401  # the messages that they answer
 from blocks.server.editor import Editor
 from blocks.server.messages import ASIDE, HANDLERS
 from blocks.server.session import Session
 
-from .test_deeper import loop
+from .test_analysis_messages import loop
 from .test_knobs import Page
 
 GAINS = [0.5 + 0.25 * k for k in range(8)]

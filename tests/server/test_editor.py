@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from blocks import PID, Block, BlocksError, Diagram, Input, Parameter, PMDCMotor, Step, UsageError, output, subdiagram
 from blocks.draw import picture, ports_of, rendered
 from blocks.model.document import dumps
-from blocks.server import deeper, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
+from blocks.server import analysis_messages, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
 from blocks.server.editor import Editor
 from blocks.server.live_server import LiveServer
 from blocks.server.messages import answer

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from blocks import BlocksError, Diagram, Gain, ModelError, UsageError
-from blocks.server import deeper, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
+from blocks.server import analysis_messages, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
 from blocks.server.document import Document
 from blocks.server.editor import Editor
 from blocks.server.messages import HANDLERS, answer

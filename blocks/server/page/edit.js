@@ -1,7 +1,7 @@
 /** Editing: commands and keys, forms in the panel, cures beside faults. Each gesture is one message and one step of undo. */
 import { choose, prompted } from "./chooser.js";
 import { element, give, isTyped, settle } from "./elements.js";
-import * as hand from "./hand.js";
+import * as pointer from "./pointer.js";
 
 const TYPED = 700; // ms after which a value that is typed counts, without Return
 const SHOWN = 60;
@@ -131,7 +131,7 @@ export function start(app) {
   };
   /** Insert what is typed: a type with parameters, or an input, an output, a parameter. place: of a click, or of a wire. */
   app.insert = (text, event = null, wire = {}) => {
-    const at = event ? hand.near(app, event) : {};
+    const at = event ? pointer.near(app, event) : {};
     const shown = choose(app, {
       label: "Insert", placeholder: "pid kp=20, gain 3, input r, ...", text,
       find: (said, full) => {
@@ -140,7 +140,7 @@ export function start(app) {
         // Names of several words are known as well, as "dc motor".
         const whole = plain(rest) && !rest.includes("=") ? palette.filter((entry) => [title(entry), ...(entry.words ?? [])].some((one) => plain(one).includes(plain(said)))) : [];
         const shownOf = (entry, given) => ({
-          name: title(entry), told: told(entry, given && full), picture: picture(entry), group: word ? "" : entry.group, why: entry.word ? entry.doc : "", go: () => add(entry, given, { ...at, ...wire }), drop: (dropped) => add(entry, given, hand.near(app, dropped)),
+          name: title(entry), told: told(entry, given && full), picture: picture(entry), group: word ? "" : entry.group, why: entry.word ? entry.doc : "", go: () => add(entry, given, { ...at, ...wire }), drop: (dropped) => add(entry, given, pointer.near(app, dropped)),
         });
         const entries = [...whole.map((entry) => shownOf(entry, "")), ...meant(word).filter((entry) => !whole.includes(entry)).map((entry) => shownOf(entry, rest))].slice(0, word ? SHOWN : 999);
         return defined.some(({ name }) => name === word.toLowerCase()) ? [...defined, ...entries] : [...entries, ...defined];
@@ -173,7 +173,7 @@ export function start(app) {
     } })),
   });
   /** The signal on the open level that is chosen, or the first output of the chosen block. */
-  const chosenSource = () => (app.state.wire && own(app.state.wire)) || [...picked].flatMap((name) => hand.ports(app, name, "out"))[0]?.port || "";
+  const chosenSource = () => (app.state.wire && own(app.state.wire)) || [...picked].flatMap((name) => pointer.ports(app, name, "out"))[0]?.port || "";
 
   // --- wires by keys ------------------------------------------------------------------------------------------------
 
@@ -196,9 +196,9 @@ export function start(app) {
   function connect() {
     const [name] = picked;
     if (name === undefined) return say("Select a block first.");
-    const driven = hand.driven(app);
-    const free = hand.ports(app, name, "in").filter(({ port }) => !driven.has(port));
-    const all = [...hand.ports(app, name, "out").map(({ port }) => [port, "out"]), ...free.map(({ port }) => [port, "in"])];
+    const driven = pointer.driven(app);
+    const free = pointer.ports(app, name, "in").filter(({ port }) => !driven.has(port));
+    const all = [...pointer.ports(app, name, "out").map(({ port }) => [port, "out"]), ...free.map(({ port }) => [port, "in"])];
     if (!all.length) return say(`${name} has no port that is free.`);
     if (all.length === 1) return app.connect(...all[0]);
     choose(app, { label: `Port of ${name}`, placeholder: "Port", find: (text) => all.filter(([port]) => port.includes(text)).map(([port, kind]) => ({ name: port, told: kind === "out" ? "output" : "input, not wired", go: () => app.connect(port, kind) })) });
@@ -231,7 +231,7 @@ export function start(app) {
     if (told) pick(told.names);
   }
   async function remove() {
-    const sinks = !picked.size && app.state.wire ? (app.state.sink ? [app.state.sink] : [...hand.driven(app)].filter(([, source]) => source === own(app.state.wire)).map(([sink]) => sink)) : [];
+    const sinks = !picked.size && app.state.wire ? (app.state.sink ? [app.state.sink] : [...pointer.driven(app)].filter(([, source]) => source === own(app.state.wire)).map(([sink]) => sink)) : [];
     const names = [...picked];
     if (!names.length && !sinks.length) return;
     const told = await act("delete", { names, sinks });
@@ -239,7 +239,7 @@ export function start(app) {
   }
   function rename() {
     const [name] = picked;
-    hand.typedOver(app, name, async (to) => {
+    pointer.typedOver(app, name, async (to) => {
       const section = app.block(app.drawing.full(name)) ? "blocks" : app.drawing.boxes().get(name).classList.contains("input") ? "inputs" : "outputs";
       const isDone = await edit([{ rename: [section, name], to }], `rename ${name} to ${to}`);
       if (isDone) pick([to]);
@@ -459,7 +459,7 @@ export function start(app) {
       const block = app.drawing.full(port.split(/[.[]/)[0]);
       return app.block(block) ? link(port, `Select ${block}`, () => app.reveal(block)) : port;
     };
-    const sinks = [...hand.driven(app)].filter(([, source]) => source === net).map(([sink]) => sink);
+    const sinks = [...pointer.driven(app)].filter(([, source]) => source === net).map(([sink]) => sink);
     const ends = sinks.map((sink) => line("to", to(sink), link("Take off", `Take the wire off ${sink}`, () => act("delete", { names: [], sinks: [sink] }))));
     return [
       element("header", {}, element("h2", {}, name), element("p", { class: "type" }, shape.length ? `signal of ${shape.join("×")}` : "signal"), element("button", { onclick: () => app.openScope([name]) }, "Scope")),
@@ -504,7 +504,7 @@ export function start(app) {
     bar.hidden = false;
     document.getElementById("drawing").prepend(bar);
     document.body.classList.add("edits");
-    hand.start(app, { picked, pick, act, say, wire });
+    pointer.start(app, { picked, pick, act, say, wire });
     list();
     app.drawing.view.append(hint);
     if (document.activeElement === document.body) app.drawing.view.focus();

@@ -16,7 +16,7 @@ import pytest
 
 from blocks import Block, BlocksError, DeclarationError, Diagram, Input, Parameter, local, output
 from blocks.compile.toolchain.compiler import find_compiler
-from blocks.contract.outside import outside
+from blocks.contract.captured_values import outside
 from blocks.library import LIBRARY
 
 ENGINES = ["reference", *(["native"] if find_compiler() else [])]

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from ..model.copies import alike
 from ..model.parts import whole_of
 from ..text.printable import counted
-from ..text.shown import Part
+from ..text.rich_output import Part
 from .coupling import CoupledUnit, Coupling
 from .plan import AlgebraicLoop, Plan, Reference
 from .scheduler import schedule
