@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 
 from .runtime_texts import packaged
-from .structures import structures
+from .structures import constants, structures
 
+_IS = constants(packaged("runtime.h")["runtime.h"])
+FILED, HERE = _IS["BLOCKS_FILED"], _IS["BLOCKS_HERE"]
+"""Flags of entries in the table of a run's memory."""
 STRUCTURES = structures(*packaged("model.h", "runtime.h", "batch.h").values())
 CALLBACK = c.CFUNCTYPE(c.c_int, c.c_int, c.c_int, c.c_double, c.POINTER(c.c_double), c.POINTER(c.c_double))
 BlocksBatch: Any = STRUCTURES["BlocksBatch"]

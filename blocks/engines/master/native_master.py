@@ -385,7 +385,7 @@ class NativeMaster(ReferenceMaster):
         if not plan.foreign:
             self._c_follows(c_unit, running, seen)
         c_unit.counted = self._array(np.zeros(2 * len(plan.crossings) + len(plan.events) + 1))
-        size = self.library.master_state_bytes(ctypes.byref(c_unit))
+        size = c_unit.saved_bytes = self.library.master_state_bytes(ctypes.byref(c_unit))
         for whose in range(len(c_unit.saved)):
             c_unit.saved[whose] = self._array(np.zeros(size // 8 + 2))
 

@@ -51,11 +51,6 @@ _CODES = (
     "E308",
 )  # fmt: skip
 """The code of each failure of runtime.h, by its number."""
-_CROWD = 1000
-_KINDS = {
-    "ticks": np.int64, "fixed": np.int64, "past.passed": np.int64,
-    "past.orders": np.int32, "past.open": np.int32, "past.seen": np.int32,
-}  # fmt: skip
 _MEASURED = ("total", "span", "first", "begin", "target", "last")
 _TRIED = 20  # steps in which the reference engine must fail as the native one did
 
@@ -91,11 +86,11 @@ class NativeEngine:
 
             self._foreign = NativeForeigns(plan, foreign or Foreigns.of(plan), self.model.place)
         self._handle = self._made()
+        self.sim, self._row = self._handle.sim, self._handle.row
         self._handle.setup.is_silent = int(is_silent)
         if is_silent:
             self._handle.setup.every.is_given = 0  # no row is made that nobody takes
         self._measured = self.model.measures_of(plan)
-        self._views()
         self._clear()
 
     def _clear(self) -> None:
@@ -120,10 +115,11 @@ class NativeEngine:
         """Set the values that C begins with."""
         plan, sim, start = self.plan, self.sim, self.settings.start
         sim.t = sim.broken = float(start)
-        self._ticks[:] = [max(0, math.ceil((start / plan.base - rate.offset) / rate.period)) for rate in plan.rates]
+        count = start / plan.base
+        self._row("ticks")[:] = [max(0, math.ceil((count - rate.offset) / rate.period)) for rate in plan.rates]
         self._set_exact(start)
-        self._p[:] = plan.parameters
-        self._z[:], self._s[:], self._located[:] = self.model.begin
+        self._row("p")[:] = plan.parameters
+        self._row("z")[:], self._row("s")[:], self._row("located")[:] = self.model.begin
         sim.crossing = int(plan.starting is True)
         if self._foreign is not None:
             self._foreign.begin(plan, sim.t)
@@ -132,7 +128,7 @@ class NativeEngine:
         """Put it where it begins; the numbers of the next ticks."""
         self._clear()
         self._set_start()
-        return self._ticks.copy()
+        return self._row("ticks").copy()
 
     # --- the C side ------------------------------------------------------------------------------------------------
 
@@ -165,31 +161,10 @@ class NativeEngine:
         setup.ntracks, setup.tracks = len(table), table.ctypes.data
         return table
 
-    def _views(self) -> None:
-        """Rows of the C side as arrays."""
-        plan, sim = self.plan, self._handle.sim
-        self.sim, memory = sim, sim.memory
-        nx, ns, ne = len(plan.states), len(plan.crossings), len(plan.events)
-        self._d = array(memory.d, len(plan.discretes))
-        self._s = array(memory.s, ns)
-        self._p = array(memory.p, len(plan.parameters))
-        self._z = array(memory.z, len(plan.unknowns))
-        self._events, self._own = array(sim.events, ne), array(sim.own, ne)
-        self._located = array(sim.located, ns)
-        self._fired = array(sim.fired, ns)
-        self._crossed = array(sim.crossed, _CROWD if ns else 0)
-        self._ticks = array(sim.ticks, len(plan.rates), ctypes.c_int64)
-        self._nx = nx
-
     @property
     def address(self) -> int:
         """Of the C side."""
         return int(self._handle.address)
-
-    @property
-    def _x(self) -> Array:
-        """The states in the order of the model; C swaps where they stand."""
-        return array(self.sim.memory.x, self._nx)
 
     def _set_exact(self, time: Fraction | None) -> None:
         sim = self.sim
@@ -304,7 +279,8 @@ class NativeEngine:
                     return 0
                 part = self.plan.steppers[number]
                 count = sum(len(references) for _, references, _ in part.inputs)
-                d = instants.stepped_with(number, t, tuple(inputs[k] for k in range(count)), tuple(self._d.tolist()))
+                before = tuple(self._row("d").tolist())
+                d = instants.stepped_with(number, t, tuple(inputs[k] for k in range(count)), before)
                 for place, slot in enumerate(slot for _, slots, _ in part.outputs for slot in slots):
                     outputs[place] = d[slot]
                 return 0
@@ -382,38 +358,8 @@ class NativeEngine:
         """Return the end of the last step before projections, if crossings are still to fire by it."""
         if self.sim.crossing != 2:
             return None
-        values = array(self.sim.unprojected, self._nx + len(self._d))
-        return frozen(values[: self._nx][self.model.place]), tuple(values[self._nx :].tolist())
-
-    def _arrays(self) -> dict[str, Array]:
-        """Rows of a saved state where C has them."""
-        past, n = self.sim.past, len(self.plan.histories)
-        known, broken = past.known, past.broken
-        of_past = {
-            "past.starts": array(past.starts, known),
-            "past.ends": array(past.ends, known),
-            "past.parts": array(past.parts, known * 6 * n).reshape(known, 6, n),
-            "past.breaks": array(past.breaks, broken),
-            "past.orders": array(past.orders, broken, ctypes.c_int32),
-            "past.passed": array(past.passed, n, ctypes.c_int64),
-        }
-        return {
-            "d": self._d,
-            "s": self._s,
-            "z": self._z,
-            "ticks": self._ticks,
-            "events": self._events,
-            "own": self._own,
-            "fired": self._fired,
-            "located": self._located,
-            **(of_past if n else {}),
-        }
-
-    def _numbers(self) -> dict[str, tuple[Any, str]]:
-        """Rows of a saved state that are one number, by the fields of C's structures."""
-        fields = {name: (self.sim, name) for name in ("t", "error", "fixed", "broken", "located_t")}
-        of_past = {f"past.{name}": (self.sim.past, name) for name in ("open", "seen")} if self.plan.histories else {}
-        return {**fields, "step": (self.sim, "h"), **of_past}
+        values, place = self._row("unprojected"), self.model.place
+        return frozen(values[: len(place)][place]), tuple(values[len(place) :].tolist())
 
     def snapshot(self, overrides: Mapping[str, Any]) -> State:
         self._settle()
@@ -432,19 +378,21 @@ class NativeEngine:
         self._drain()
         sim = self.sim
         place, (first, count) = self.model.place, (sim.crossed_first, sim.crossed_count)
-        numbers = {name: np.array(getattr(owner, field)) for name, (owner, field) in self._numbers().items()}
+        crossed = self._row("crossed")
         rows = {
-            **{name: row.astype(_KINDS.get(name, float)) for name, row in (self._arrays() | numbers).items()},
-            "x": self._x[place],
+            **{name: row.copy() for name, row in self._handle.filed().items()},
+            "x": self._row("x")[place],
             "stiffness": np.array([sim.hits, sim.calm, sim.stiff_from]),
-            "crossed": self._crossed[(first + np.arange(count)) % _CROWD],
+            "crossed": np.roll(crossed, -first)[:count],
             "parameters": np.array(self.plan.parameters),
             **self._measures().rows(),
         }
+        if self.plan.histories:
+            rows["past.parts"] = rows["past.parts"].reshape(-1, 6, len(self.plan.histories))
         if sim.has_first:
-            rows["first"] = array(sim.k[0], self._nx)[place]
+            rows["first"] = self._row("first")[place]
             if sim.ncarried:
-                rows["carried"] = self.model.carried_order(self.plan).taken(array(sim.carried, sim.ncarried))
+                rows["carried"] = self.model.carried_order(self.plan).taken(self._row("carried"))
         if sim.last_row:
             rows |= {"recorded": array(sim.last_row, self._first.shape[1]).copy(), "between": np.array(sim.between)}
         oracle = self._oracle
@@ -463,24 +411,22 @@ class NativeEngine:
             self._oracle = reference if plan.steppers else None
         rows, outstanding = standing(state, plan, self.inputs)
         self._make_room(rows)
-        for name, values in self._arrays().items():
-            values[:] = rows[name]
-        for name, (owner, field) in self._numbers().items():
-            setattr(owner, field, rows[name].item())
+        for name, values in self._handle.filed().items():
+            values[...] = rows[name].reshape(values.shape)
         self._set_exact(state.exact)
-        self._x[:], self._p[:] = rows["x"][self.model.order], plan.parameters
+        self._row("x")[:], self._row("p")[:] = rows["x"][self.model.order], plan.parameters
         hits, calm, sim.stiff_from = rows["stiffness"].tolist()
         sim.hits, sim.calm = int(hits), int(calm)
         if "first" in rows:
-            array(sim.k[0], self._nx)[:] = rows["first"][self.model.order]
+            self._row("first")[: len(rows["first"])] = rows["first"][self.model.order]
             sim.has_first = 1
             if sim.ncarried:
-                row = array(sim.carried, sim.ncarried)
+                row = self._row("carried")
                 row[:] = 0.0  # nothing is known of steps before
                 if "carried" in rows:
                     self.model.carried_order(plan).put(rows["carried"], row)
         sim.crossed_count = len(rows["crossed"])
-        self._crossed[: sim.crossed_count] = rows["crossed"]
+        self._row("crossed")[: sim.crossed_count] = rows["crossed"]
         self._put_measures(self._measured.restored(rows).rows())
         settings = self.settings
         sim.row = 0 if settings.every is None else Grid.of(settings.start, settings.every).after(self.t)
@@ -576,7 +522,7 @@ class NativeEngine:
     def take(self, plan: Plan) -> None:
         """The values of parameters, and the tolerances that follow from them."""
         self.plan = plan
-        self._p[:] = plan.parameters
+        self._row("p")[:] = plan.parameters
         self._atol[:] = self._tolerances(plan)
         self.model.library.blocks_reload(self.address)
 
@@ -608,14 +554,13 @@ class NativeEngine:
 
     @property
     def blamed(self) -> Array:
-        counts: Array = array(self.sim.blamed, self._nx, ctypes.c_int64)
-        return counts[self.model.place]
+        return self._row("blamed")[self.model.place]
 
     def state_rates(self) -> StateRates | None:
         if self.plan.foreign:
             return None
         order, place, library, t = self.model.order, self.model.place, self.model.library, self.t
-        out = np.empty(self._nx + len(self.plan.crossings))  # crossings may stand behind the rates
+        out = np.empty(len(place) + len(self.plan.crossings))  # crossings may stand behind the rates
 
         def rates(x: Array) -> Array:
             given = np.ascontiguousarray(x[order])
@@ -625,7 +570,7 @@ class NativeEngine:
                 self.sim.evaluations = counted
             return out[place]
 
-        x = self._x[place]
+        x = self._row("x")[place]
         weights = self._atol[place] + self.settings.rtol * np.abs(x)
         return StateRates(self.plan.states, x, weights, rates, self.sim.instants, self._handle.setup.longest)
 

@@ -27,6 +27,7 @@ from ...compile.toolchain.compiler import TranslationUnit, build, load
 from ...text.errors import CompilerError
 from ..run.measures import Measures
 from ..run.step_parts import longest_step
+from .rows import Entry
 from .stiff import CarriedOrder
 
 Array = np.ndarray[Any, Any]
@@ -95,6 +96,7 @@ class Model(RuntimeTables):
         self._of_measures: tuple[Any, Any, Measures] | None = None
         self._of_settings: tuple[Any, Any, int] | None = None  # of the last run
         self.spare: list[Any] = []  # memory for rows that no run has now
+        self.entries: dict[str, Entry] = {}  # of the memory of its runs; empty before the first of them
         library = load(_built(plan, units))
         self.library = _prepared(library, has_batch=not plan.foreign, has_lanes=self.lanes is not None)
         self.address = ctypes.cast(self.library["blocks_model"], ctypes.c_void_p).value
@@ -203,7 +205,6 @@ def _prepared(library: ctypes.CDLL, *, has_batch: bool, has_lanes: bool) -> ctyp
         ("blocks_record", c.c_int, [sim]),
         ("blocks_take_rows", None, [sim, sim, c.c_int64, sim, sim, c.c_int64]),
         ("blocks_rates", None, [sim, c.c_double, sim, sim]),
-        ("blocks_size", c.c_int64, [c.c_int32]),
         ("blocks_list_room", c.c_int, [sim, c.c_int64]),
         ("blocks_past_room", c.c_int, [sim, c.c_int64, c.c_int64]),
         *([("blocks_batch", c.c_int64, [sim, sim, sim])] if has_batch else []),
@@ -219,7 +220,7 @@ def _prepared(library: ctypes.CDLL, *, has_batch: bool, has_lanes: bool) -> ctyp
     ):
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
-    sizes = [library.blocks_size(k) for k in (0, 1, 3)]
+    sizes = [*(c.c_int64 * 3).in_dll(library, "blocks_sizes")]
     if sizes != [c.sizeof(runtime_layout.STRUCTURES[f"Blocks{name}"]) for name in ("Sim", "Setup", "Memory")]:
         raise AssertionError(f"the structures of the runtime do not match its headers: {sizes}")
     return library

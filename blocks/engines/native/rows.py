@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,32 @@ if TYPE_CHECKING:
 
 Array = np.ndarray[Any, Any]
 MOST_SPARE, LARGEST_SPARE = 4, 2**22  # pieces of memory, bytes
+_KINDS = {"d": ctypes.c_double, "q": ctypes.c_int64, "i": ctypes.c_int32}
+
+
+class Entry(NamedTuple):
+    """An entry in C's table of the memory of a run. place, count: in bytes from the begin of the run. is_here: the
+    numbers stand at `place`, else their address. is_filed: files of states have it, under the same name."""
+
+    place: int
+    count: int | None
+    n: int
+    kind: Any
+    is_here: bool
+    is_filed: bool
+
+    @classmethod
+    def all(cls, sim: Any) -> dict[str, Entry]:
+        """Return the named entries of a run, which are the same in all runs of its model."""
+        begin = ctypes.addressof(sim)
+        return {
+            ctypes.string_at(e.name).decode(): cls(
+                e.place - begin, e.count and e.count - begin, e.n, _KINDS[chr(e.kind)],
+                bool(e.flags & runtime_layout.HERE), bool(e.flags & runtime_layout.FILED),
+            )
+            for e in sim.entries[: sim.nentries]
+            if e.name
+        }  # fmt: skip
 
 
 class Handle:
@@ -27,6 +53,23 @@ class Handle:
         if not self.address:
             raise MemoryError
         self.sim = runtime_layout.BlocksSim.from_address(self.address)
+        if not model.entries:
+            model.entries = Entry.all(self.sim)
+        self.entries = model.entries
+
+    def row(self, name: str) -> Array:
+        """Return numbers of the run by their name in C's table, as a view; C swaps and moves some of them."""
+        entry = self.entries[name]
+        place, n = self.address + entry.place, entry.n
+        if entry.is_here:
+            return array(place, n, entry.kind).reshape(())
+        if entry.count is not None:
+            n *= ctypes.c_int64.from_address(self.address + entry.count).value
+        return array(ctypes.c_void_p.from_address(place).value, n, entry.kind)
+
+    def filed(self) -> dict[str, Array]:
+        """Return what C has as files of states have it."""
+        return {name: self.row(name) for name, entry in self.entries.items() if entry.is_filed}
 
     def rows(self, shape: tuple[int, int]) -> Array:
         """Memory for rows that are copied before anyone keeps them. That of runs before is taken again: in new memory,
@@ -49,7 +92,7 @@ class Handle:
 def array(address: Any, size: int, kind: Any = ctypes.c_double) -> Array:
     """Memory of C as an array, which does not own it."""
     if size == 0:
-        return np.empty(0)
+        return np.empty(0, kind)
     return np.ctypeslib.as_array((kind * size).from_address(address))
 
 

@@ -13,7 +13,6 @@
 
 enum { OUTPUTS_KNOWN = 1, LOCALS_KNOWN = 2, RATES_KNOWN = 4, INDICATORS_KNOWN = 8, JACOBIAN_KNOWN = 16, BEGUN = 32 };
 enum { INPUTS_SET = 1, SETTINGS_SET = 2 };
-enum { CROWD = 1000 };
 
 /* What is saved as it stands. */
 typedef struct {
@@ -24,6 +23,9 @@ typedef struct {
 
 struct Fmu {
     Live live;
+    BlocksEntry entries[20]; /* its own memory, beside that of the run */
+    int nentries;
+    void *arena;
     BlocksSim *sim;
     BlocksSetup setup;
     BlocksTrack track;
@@ -58,13 +60,6 @@ int fmu_say(Fmu *f, int status, int category, const char *format, ...)
     return status;
 }
 
-static double *piece(double **place, size_t n)
-{
-    double *made = *place;
-    *place += n + 1;
-    return made;
-}
-
 Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *owner)
 {
     const FmuModel *model = &fmu_model;
@@ -80,29 +75,28 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
     }
     f = calloc(1, sizeof *f);
     if (f) {
-        size_t nx = (size_t)model->nstates, nu = (size_t)model->setup->model->nu, ns = (size_t)model->setup->model->ns;
-        size_t nrates = nx + ns, nboth = nrates + (size_t)model->noutputs; /* rates may come with crossings behind them */
-        size_t sizes[] = {nx, nu, 5 * nu, 4 * nu, 4 * nu, nu,
-                          (size_t)model->nsettings, (size_t)model->noutputs, (size_t)model->nlocals, nrates, ns, ns,
-                          blocks_jacobian_room(jacobian), (size_t)jacobian->first[jacobian->ncolumns],
-                          nx + (size_t)model->setup->model->nd + ns, nboth, nboth};
-        double **places[] = {&f->atol, &f->input, &f->terms, &f->bends, &f->samples, &f->slack,
-                             &f->settings, &f->outputs, &f->locals, &f->rates, &f->indicators, &f->largest,
-                             &f->room, &f->data,
-                             &f->moved, &f->above, &f->below};
-        size_t total = 0, count = sizeof sizes / sizeof *sizes;
-        for (size_t i = 0; i < count; i++) total += sizes[i] + 1;
-        double *all = calloc(total, sizeof(double));
+#define ROW(field, n, flags) {NULL, &f->field, NULL, n, 0.0, sizeof(double), 'd', flags}
+        const BlocksModel *m = model->setup->model;
+        const int64_t nx = model->nstates, nu = m->nu, ns = m->ns, nboth = nx + ns + model->noutputs;
+        /* nboth: rates may come with crossings behind them */
+        const BlocksEntry entries[] = {
+            {NULL, &f->live, NULL, 1, 0.0, sizeof f->live, 'B', BLOCKS_SAVED | BLOCKS_HERE},
+            ROW(atol, nx, 0), ROW(input, nu, BLOCKS_SAVED), ROW(terms, 5 * nu, BLOCKS_SAVED), ROW(bends, 4 * nu, 0),
+            ROW(samples, 4 * nu, 0), ROW(slack, nu, 0), ROW(settings, model->nsettings, BLOCKS_SAVED),
+            ROW(outputs, model->noutputs, 0), ROW(locals, model->nlocals, 0), ROW(rates, nx + ns, 0), ROW(indicators, ns, 0),
+            ROW(largest, ns, BLOCKS_SAVED), ROW(room, (int64_t)blocks_jacobian_room(jacobian), 0),
+            ROW(data, jacobian->first[jacobian->ncolumns], 0), ROW(moved, nx + m->nd + ns, 0), ROW(above, nboth, 0),
+            ROW(below, nboth, 0),
+        };
+        f->nentries = sizeof entries / sizeof *entries;
+        memcpy(f->entries, entries, sizeof entries);
+        f->arena = blocks_allocate(entries, f->nentries);
         f->setup = *model->setup;
-        f->setup.atol = f->atol = all;
-        f->sim = all ? blocks_new(&f->setup) : NULL;
-        if (f->sim)
-            for (size_t i = 0; i < count; i++) *places[i] = piece(&all, sizes[i]);
-        else
-            free(all);
+        f->setup.atol = f->atol;
+        f->sim = f->arena ? blocks_new(&f->setup) : NULL;
     }
     if (!f || !f->sim) {
-        free(f);
+        fmu_free(f);
         if (log) log(owner, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for an instance");
         return NULL;
     }
@@ -126,7 +120,7 @@ void fmu_free(Fmu *f)
 {
     if (!f) return;
     blocks_free(f->sim);
-    free(f->atol); /* the first piece of all */
+    free(f->arena);
     free(f);
 }
 
@@ -1163,115 +1157,47 @@ int fmu_step(Fmu *f, double t, double h, int early, FmuIntermediate intermediate
 /* --- states of the FMU ------------------------------------------------------------------------------------------------ */
 
 struct FmuSaved {
-    size_t size, room;
-    unsigned char *bytes;
+    size_t size;
+    unsigned char bytes[];
 };
 
-/* Goes over all that is saved. */
-typedef struct {
-    unsigned char *at, *end;
-    int writes; /* to the instance */
-    int failed;
-} Walk;
-
-static void walk(Walk *w, void *place, size_t size)
+/* All that is saved, behind the token of the FMU. */
+static void walk_all(Fmu *f, BlocksWalk *w)
 {
-    if (!w->at) { /* only counted */
-        w->end += size;
-        return;
-    }
-    if ((size_t)(w->end - w->at) < size) {
-        w->failed = 1;
-        return;
-    }
-    if (size) {
-        if (w->writes) memcpy(place, w->at, size);
-        else memcpy(w->at, place, size);
-    }
-    w->at += size;
-}
-
-#define WALK(place) walk(w, &(place), sizeof(place))
-#define WALK_ROW(place, n) walk(w, (place), (size_t)(n) * sizeof *(place))
-
-static void walk_all(Fmu *f, Walk *w)
-{
-    BlocksSim *s = f->sim;
-    const BlocksModel *m = f->setup.model;
-    BlocksPast *past = &s->past;
-    char token[64] = {0};
+    char token[64] = {0}, found[64];
     strncpy(token, fmu_model.token, sizeof token - 1);
-    char own[64];
-    memcpy(own, token, sizeof own);
-    WALK(own);
-    if (w->at && memcmp(own, token, sizeof own)) {
-        w->failed = 1;
-        return;
-    }
-    WALK(f->live);
-    WALK(s->t), WALK(s->count), WALK(s->has_before), WALK(s->exact), WALK(s->has_first), WALK(s->h), WALK(s->error);
-    WALK(s->fixed), WALK(s->broken), WALK(s->outstanding), WALK(s->crossing), WALK(s->changed), WALK(s->is_constant);
-    WALK(s->moving), WALK(s->located_t), WALK(s->sides_t), WALK(s->steps), WALK(s->rejected), WALK(s->evaluations);
-    WALK(s->instants), WALK(s->crossed_first), WALK(s->crossed_count), WALK(s->paced), WALK(s->chatters);
-    WALK_ROW(s->memory.x, m->nx), WALK_ROW(s->memory.d, m->nd), WALK_ROW(s->memory.s, m->ns);
-    WALK_ROW(s->memory.p, m->np), WALK_ROW(s->memory.u, m->nu), WALK_ROW(s->memory.h, m->nh);
-    WALK_ROW(s->memory.z, m->nz), WALK_ROW(s->ticks, m->nrates), WALK_ROW(s->events, m->nevents);
-    WALK_ROW(s->own, m->nevents), WALK_ROW(s->located, m->ns), WALK_ROW(s->sides, m->ns);
-    WALK_ROW(s->unprojected, m->nprojections ? m->nx + m->nd : 0);
-    WALK_ROW(s->fired, f->setup.ncauses), WALK_ROW(s->crossed, m->ns ? CROWD : 0);
-    if (m->stages) WALK_ROW(s->k[0], m->nx + m->ns);
-    WALK_ROW(s->carried, s->ncarried), WALK(s->hits), WALK(s->calm), WALK(s->stiff_from);
-    WALK_ROW(s->before, m->nx + m->ns), WALK_ROW(s->base, m->nu), WALK_ROW(s->aim, m->nu);
-    WALK_ROW(s->begin, m->nu), WALK_ROW(s->finish, m->nu);
-    WALK_ROW(f->input, m->nu), WALK_ROW(f->terms, 5 * m->nu), WALK_ROW(f->settings, fmu_model.nsettings);
-    WALK_ROW(f->largest, m->ns), WALK(s->touched_t), WALK_ROW(s->touched, m->ns);
-    if (m->nh) {
-        int64_t known = past->known, broken = past->broken;
-        WALK(known), WALK(broken), WALK(past->open), WALK(past->seen);
-        if (w->failed) return;
-        if (w->at && w->writes) {
-            past->known = past->broken = 0;
-            if (known < 0 || broken < 0 || known > (int64_t)(w->end - w->at) || broken > (int64_t)(w->end - w->at)
-                || blocks_past_room(s, known, broken)) {
-                w->failed = 1;
-                return;
-            }
-        }
-        WALK_ROW(past->starts, known), WALK_ROW(past->ends, known), WALK_ROW(past->parts, known * 6 * m->nh);
-        WALK_ROW(past->breaks, broken), WALK_ROW(past->orders, broken), WALK_ROW(past->passed, m->nh);
-        if (w->at && w->writes) past->known = known, past->broken = broken;
-    }
+    memcpy(found, token, sizeof found);
+    blocks_walk(w, found, sizeof found);
+    w->failed |= memcmp(found, token, sizeof found) != 0;
+    blocks_walk_entries(w, f->entries, f->nentries);
+    blocks_walk_run(w, f->sim);
 }
 
-static size_t saved_size(Fmu *f)
+static BlocksWalk over(const FmuSaved *saved, int writes)
 {
-    unsigned char *nowhere = NULL;
-    Walk w = {NULL, nowhere, 0, 0};
-    walk_all(f, &w);
-    return (size_t)(w.end - nowhere);
+    unsigned char *bytes = (unsigned char *)saved->bytes;
+    return (BlocksWalk){bytes, bytes + saved->size, writes, 0, 0};
+}
+
+/* A state of so many bytes, in the place of *saved; null, with a message, where there is no memory. */
+static FmuSaved *sized(Fmu *f, FmuSaved **saved, size_t size)
+{
+    FmuSaved *made = realloc(*saved, sizeof *made + size);
+    if (!made) fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for a state");
+    else made->size = size, *saved = made;
+    return made;
 }
 
 int fmu_save(Fmu *f, FmuSaved **saved)
 {
-    size_t size = saved_size(f);
-    FmuSaved *made = *saved ? *saved : calloc(1, sizeof *made);
-    if (!made) return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for a state");
-    if (made->room < size) {
-        unsigned char *bytes = realloc(made->bytes, size);
-        if (!bytes) {
-            if (!*saved) fmu_forget(made);
-            return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for a state");
-        }
-        made->bytes = bytes;
-        made->room = size;
-    }
-    made->size = size;
-    Walk w = {made->bytes, made->bytes + size, 0, 0};
+    BlocksWalk w = {0};
+    walk_all(f, &w);
+    if (!sized(f, saved, w.count)) return FMU_ERROR;
+    w = over(*saved, 0);
     int known = f->live.known;
     f->live.known = 0; /* all that is known is computed again, and equal states have equal bytes */
     walk_all(f, &w);
     f->live.known = known;
-    *saved = made;
     return FMU_OK;
 }
 
@@ -1281,13 +1207,10 @@ int fmu_restore(Fmu *f, const FmuSaved *saved)
     FmuSaved *undo = NULL;
     if (fmu_save(f, &undo)) return FMU_ERROR;
     int kind = f->live.kind;
-    Walk w = {saved->bytes, saved->bytes + saved->size, 1, 0};
+    BlocksWalk w = over(saved, 1), back = over(undo, 1);
     walk_all(f, &w);
     int wrong = w.failed || w.at != w.end || f->live.kind != kind;
-    if (wrong) {
-        Walk back = {undo->bytes, undo->bytes + undo->size, 1, 0};
-        walk_all(f, &back);
-    }
+    if (wrong) walk_all(f, &back);
     fmu_forget(undo);
     configure(f);
     s->slice = INFINITY;
@@ -1300,12 +1223,7 @@ int fmu_restore(Fmu *f, const FmuSaved *saved)
     return wrong ? fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the state is not one of such an instance of this FMU") : FMU_OK;
 }
 
-void fmu_forget(FmuSaved *saved)
-{
-    if (!saved) return;
-    free(saved->bytes);
-    free(saved);
-}
+void fmu_forget(FmuSaved *saved) { free(saved); }
 
 /* FNV-1a: as bytes, a state ends with it, so that one that was damaged on its way is not taken in. */
 static uint64_t digest_of(const unsigned char *bytes, size_t size)
@@ -1334,16 +1252,9 @@ int fmu_deserialize(Fmu *f, const unsigned char *bytes, size_t size, FmuSaved **
     if (taken) memcpy(&digest, bytes + taken, sizeof digest);
     if (!taken || digest != digest_of(bytes, taken))
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "these bytes are not those of a state, or they were changed");
-    FmuSaved *made = calloc(1, sizeof *made);
-    if (made) made->bytes = malloc(taken);
-    if (!made || !made->bytes) {
-        fmu_forget(made);
-        return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "there is no memory for a state");
-    }
+    FmuSaved *made = sized(f, saved, taken);
+    if (!made) return FMU_ERROR;
     memcpy(made->bytes, bytes, taken);
-    made->size = made->room = taken;
-    if (*saved) fmu_forget(*saved);
-    *saved = made;
     return FMU_OK;
 }
 

@@ -87,6 +87,60 @@ int blocks_clock(BlocksSim *s)
 
 /* --- memory ------------------------------------------------------------------------------------------------- */
 
+static void *address_of(const BlocksEntry *e)
+{
+    void *address = e->place;
+    if (!(e->flags & BLOCKS_HERE)) memcpy(&address, e->place, sizeof address);
+    return address;
+}
+
+static size_t bytes_of(const BlocksEntry *e) { return (size_t)((e->count ? *e->count : 1) * e->n) * (size_t)e->size; }
+
+void *blocks_allocate(const BlocksEntry *entries, int n)
+{
+    for (char *arena = NULL;;) {
+        size_t total = 0;
+        for (const BlocksEntry *e = entries; e < entries + n; e++) {
+            if (address_of(e)) continue;
+            char *row = arena + total;
+            if (arena) memcpy(e->place, &row, sizeof row);
+            total += (bytes_of(e) + 7) / 8 * 8 + 64;
+        }
+        if (arena) return arena;
+        if (!(arena = calloc(total + 64, 1))) return NULL;
+    }
+}
+
+void blocks_walk(BlocksWalk *w, void *place, size_t size)
+{
+    w->count += size;
+    if (!w->at || !size) return;
+    w->failed |= (size_t)(w->end - w->at) < size;
+    if (w->failed) return;
+    if (w->writes) memcpy(place, w->at, size);
+    else memcpy(w->at, place, size);
+    w->at += size;
+}
+
+void blocks_walk_entries(BlocksWalk *w, const BlocksEntry *entries, int n)
+{
+    for (const BlocksEntry *e = entries; e < entries + n; e++)
+        if (e->flags & BLOCKS_SAVED) blocks_walk(w, address_of(e), bytes_of(e));
+}
+
+void blocks_walk_run(BlocksWalk *w, BlocksSim *s)
+{
+    BlocksPast *past = &s->past;
+    blocks_walk_entries(w, s->entries, s->nsteady);
+    if (s->keeps_past) return;
+    const int64_t left = w->end - w->at, known = past->known, broken = past->broken;
+    if (w->writes && (known < 0 || known > left || broken < 0 || broken > left || blocks_past_room(s, 0, 0))) {
+        past->known = past->broken = 0;
+        w->failed = 1;
+    }
+    blocks_walk_entries(w, s->entries + s->nsteady, s->nentries - s->nsteady);
+}
+
 int blocks_fail(BlocksSim *s, int failure, int culprit, double value)
 {
     s->failure = failure;
@@ -170,10 +224,7 @@ void blocks_take_rows(BlocksSim *s, const double *first, int64_t count, double *
 HOT static int add_row(BlocksSim *s, double t, const double *values)
 {
     double *row = blocks_row(s);
-    if (!row) {
-        s->failure = -1;
-        return BLOCKS_FAILED;
-    }
+    if (!row) return no_memory(s);
     row[0] = t;
     memcpy(row + 1, values, (size_t)s->model->nlogged * sizeof(double));
     blocks_keep_row(s, row);
@@ -330,31 +381,24 @@ static int pass_breaks(BlocksSim *s, double t)
     return moved;
 }
 
+static int has_grown(BlocksSim *s, const int64_t *count, int64_t more, int64_t *most)
+{
+    int64_t room = (2 * *most > *count + more ? 2 * *most : *count + more) + 64;
+    if (*count + more <= *most) return 0;
+    for (int i = s->nsteady; i < s->nentries; i++) {
+        const BlocksEntry *e = &s->entries[i];
+        void *place = e->count == count ? realloc(address_of(e), (size_t)(room * e->n) * (size_t)e->size) : e->place;
+        if (!place) return 1;
+        if (e->count == count) memcpy(e->place, &place, sizeof place);
+    }
+    *most = room;
+    return 0;
+}
+
 int blocks_past_room(BlocksSim *s, int64_t parts, int64_t breaks)
 {
     BlocksPast *past = &s->past;
-    size_t n = (size_t)s->model->nh;
-    if (past->known + parts > past->most_known) {
-        int64_t count = 2 * past->most_known + parts + 64;
-        double *starts = realloc(past->starts, (size_t)count * sizeof(double));
-        if (starts) past->starts = starts;
-        double *ends = realloc(past->ends, (size_t)count * sizeof(double));
-        if (ends) past->ends = ends;
-        double *held = realloc(past->parts, (size_t)count * 6 * n * sizeof(double));
-        if (held) past->parts = held;
-        if (!starts || !ends || !held) return 1;
-        past->most_known = count;
-    }
-    if (past->broken + breaks > past->most_broken) {
-        int64_t count = 2 * past->most_broken + breaks + 64;
-        double *times = realloc(past->breaks, (size_t)count * sizeof(double));
-        if (times) past->breaks = times;
-        int32_t *orders = realloc(past->orders, (size_t)count * sizeof(int32_t));
-        if (orders) past->orders = orders;
-        if (!times || !orders) return 1;
-        past->most_broken = count;
-    }
-    return 0;
+    return has_grown(s, &past->known, parts, &past->most_known) || has_grown(s, &past->broken, breaks, &past->most_broken);
 }
 
 /* A break at t, whose order is known once the signals after it are. */
@@ -692,11 +736,12 @@ void blocks_forget(BlocksSim *s, double t)
     done = done > 1 ? done - 1 : 0;
     if (old < (past->known / 2 > 1024 ? past->known / 2 : 1024) && done < (past->broken / 2 > 1024 ? past->broken / 2 : 1024))
         return;
-    memmove(past->starts, past->starts + old, (size_t)(past->known - old) * sizeof(double));
-    memmove(past->ends, past->ends + old, (size_t)(past->known - old) * sizeof(double));
-    memmove(past->parts, past->parts + old * 6 * n, (size_t)((past->known - old) * 6 * n) * sizeof(double));
-    memmove(past->breaks, past->breaks + done, (size_t)(past->broken - done) * sizeof(double));
-    memmove(past->orders, past->orders + done, (size_t)(past->broken - done) * sizeof(int32_t));
+    for (int i = s->nsteady; i < s->nentries; i++) {
+        const BlocksEntry *e = &s->entries[i];
+        size_t size = (size_t)e->n * (size_t)e->size, gone = (size_t)(e->count == &past->known ? old : done) * size;
+        char *row = address_of(e);
+        memmove(row, row + gone, (size_t)*e->count * size - gone);
+    }
     past->known -= old;
     past->broken -= done;
     for (int i = 0; i < n; i++) past->passed[i] -= done;
@@ -3132,8 +3177,6 @@ HOT int blocks_advance(BlocksSim *s, double end, int64_t count, int32_t exact)
     return BLOCKS_DONE;
 }
 
-static size_t room(size_t n) { return n > 0 ? n : 1; }
-
 static void forget_rows(BlocksRows *rows)
 {
     for (int64_t i = 0; i < rows->nchunks; i++) free(rows->chunks[i]);
@@ -3142,129 +3185,118 @@ static void forget_rows(BlocksRows *rows)
     rows->bytes = 0.0;
 }
 
+static int64_t most(int64_t a, int64_t b) { return a > b ? a : b; }
+
+/* Here alone stands what a run remembers and computes with: it is allocated, reset, saved and freed by this table. */
+static void list_memory(BlocksSim *s)
+{
+#define ENTRY(kind, name, field, n, flags, begin) {name, &s->field, NULL, n, begin, sizeof *s->field, kind, flags}
+#define NUMBER(kind, name, field, flags) {name, &s->field, NULL, 1, 0.0, sizeof s->field, kind, (flags) | BLOCKS_HERE}
+#define NUMBERS(first, bytes) {NULL, &s->first, NULL, (int64_t)(bytes), 0.0, 1, 'B', BLOCKS_SAVED | BLOCKS_RESET | BLOCKS_HERE}
+#define GROWS(kind, name, field, count, n) {name, &s->past.field, &s->past.count, n, 0.0, sizeof *s->past.field, kind, both}
+#define ROW(name, field, n, flags) ENTRY('d', name, field, n, flags, 0.0)
+#define SCRATCH(field, n) ROW(NULL, field, n, 0)
+    const BlocksSetup *setup = s->setup;
+    const BlocksModel *model = s->model;
+    const int64_t nx = model->nx, nd = model->nd, ns = model->ns, nu = model->nu, nh = model->nh, nz = model->nz,
+                  nr = model->nrates, ne = model->nevents, nl = model->nlogged, nc = setup->ncauses, nm = model->nmeasured;
+    int64_t anew = 0, stepper = 0, looked = 0, turning = 0;
+    for (int i = 0; i < setup->nenabled; i++) anew = most(anew, setup->enabled[i].nresets);
+    for (const BlocksStepper *one = setup->steppers; one < setup->steppers + setup->nsteppers; one++)
+        stepper = most(stepper, one->ninputs + one->noutputs);
+    for (const BlocksLook *look = model->looks; look < model->looks + BLOCKS_LOOKS; look++)
+        looked = most(looked, look->n), turning = most(turning, look->nphases + look->nhistories);
+    const int64_t values = nx + nd + ns + 2 * ne + 2 * nz + 2 * model->nprojections + anew + stepper
+                           + (model->hooks ? nx + nd + ns + 2 * model->ntaken : 0);
+    const int32_t saved = BLOCKS_SAVED, filed = BLOCKS_FILED, both = saved | filed, reset = BLOCKS_RESET;
+    const BlocksEntry steady[] = {
+        NUMBERS(t, offsetof(BlocksSim, row) - offsetof(BlocksSim, t)),
+        NUMBERS(past.known, offsetof(BlocksPast, most_known) - offsetof(BlocksPast, known)), NUMBER('d', "t", t, filed),
+        NUMBER('d', "step", h, filed), NUMBER('d', "error", error, filed), NUMBER('q', "fixed", fixed, filed),
+        NUMBER('d', "broken", broken, filed), NUMBER('d', "located_t", located_t, filed),
+        NUMBER('i', "past.open", past.open, nh ? filed : 0), NUMBER('i', "past.seen", past.seen, nh ? filed : 0),
+        ROW("x", memory.x, nx, saved), ROW("d", memory.d, nd, both), ROW("s", memory.s, ns, both),
+        ROW("p", memory.p, model->np, saved), ROW(NULL, memory.u, nu, saved), ROW(NULL, memory.h, nh, saved),
+        ROW("z", memory.z, nz, both), SCRATCH(memory.k, nr), SCRATCH(memory.q, model->nq), SCRATCH(memory.v, model->nv),
+        SCRATCH(memory.w, model->nw), ROW("events", events, ne, both), ENTRY('d', "own", own, ne, both | reset, NAN),
+        ROW("located", located, ns, both), ROW(NULL, sides, ns, saved), ROW(NULL, touched, ns, saved), SCRATCH(until, ns),
+        ENTRY('d', "fired", fired, ns, both | reset, -INFINITY), ROW("crossed", crossed, ns ? CROWD : 0, saved),
+        SCRATCH(left, nl), ROW(NULL, before, nx + ns + nm, saved), SCRATCH(latched, ns), SCRATCH(x1, nx),
+        SCRATCH(known, 1 + 6 * nm), ROW(NULL, base, nu, saved), ROW(NULL, aim, nu, saved), ROW(NULL, begin, nu, saved),
+        ROW(NULL, finish, nu, saved), SCRATCH(xs, nx), SCRATCH(x2, nx + ns), SCRATCH(weights, nx * BLOCKS_MOST_DEGREE),
+        SCRATCH(crossing_values, ns), SCRATCH(first_values, 5 * ns), SCRATCH(part_values, 6 * looked),
+        SCRATCH(part_phases, 3 * turning), SCRATCH(reset_values, setup->nresets + setup->nenabled), SCRATCH(d1, nd),
+        SCRATCH(backup, 2 * (nx + nd + ns + ne) + nz), SCRATCH(row_values, nl), SCRATCH(stage_values, values),
+        SCRATCH(z1, nz), SCRATCH(distances, 2 * ns), SCRATCH(projected_once, nx + nd), SCRATCH(projected_often, nx + nd),
+        ROW("unprojected", unprojected, model->nprojections ? nx + nd : 0, saved), SCRATCH(firing_time, nc), ROW(NULL, slack, ns, reset),
+        SCRATCH(corner, model->corners ? 3 * ns + 8 * nz + 2 * (nx + nd + 2 * ns) + ne : 0),
+        ENTRY('q', "ticks", ticks, nr, both, 0.0), ENTRY('q', "blamed", blamed, nx, reset, 0.0),
+        ENTRY('q', NULL, ticks_backup, nr + nh + 2 * ne, 0, 0.0),
+        ENTRY('q', "past.passed", past.passed, nh, (nh ? both : 0) | reset, 0.0), ENTRY('B', NULL, due, nr, 0, 0.0),
+        ENTRY('B', NULL, firing, 2 * nc, 0, 0.0), ENTRY('B', NULL, changed_sides, ns, 0, 0.0),
+        ENTRY('B', NULL, late, (int64_t)late_places(setup), 0, 0.0),
+        ENTRY('B', NULL, measured, setup->nmeasures, 0, 0.0), ROW("carried", carried, s->ncarried, saved | reset),
+    }, growing[] = {
+        GROWS('d', "past.starts", starts, known, 1), GROWS('d', "past.ends", ends, known, 1),
+        GROWS('d', "past.parts", parts, known, 6 * nh), GROWS('d', "past.breaks", breaks, broken, 1),
+        GROWS('i', "past.orders", orders, broken, 1),
+    };
+    _Static_assert(sizeof steady + sizeof growing + BLOCKS_MOST_STAGES * sizeof *steady <= sizeof s->entries, "too many entries");
+    memcpy(s->entries, steady, sizeof steady);
+    s->nsteady = sizeof steady / sizeof *steady;
+    for (int i = 0; i < model->stages; i++)
+        s->entries[s->nsteady++] = (BlocksEntry)ROW(i ? NULL : "first", k[i], nx + ns + nm, i ? 0 : saved);
+    memcpy(s->entries + s->nsteady, growing, sizeof growing);
+    s->nentries = s->nsteady + (nh ? (int32_t)(sizeof growing / sizeof *growing) : 0);
+}
+
 void blocks_reset(BlocksSim *s)
 {
     const BlocksModel *model = s->model = s->setup->model;
     forget_rows(&s->rows);
     s->rows.columns = model->nlogged;
     s->rows.capacity = 1024;
+    for (const BlocksEntry *e = s->entries; e < s->entries + s->nentries; e++) {
+        if (!(e->flags & BLOCKS_RESET)) continue;
+        if (e->begin == 0.0) memset(address_of(e), 0, bytes_of(e));
+        else for (int64_t i = 0; i < e->n; i++) ((double *)address_of(e))[i] = e->begin;
+    }
     s->last_row = NULL;
-    s->t = s->located_t = s->sides_t = s->touched_t = s->known[0] = NAN;
-    s->h = 0.0;
+    s->t = s->located_t = s->sides_t = s->touched_t = s->stiff_from = s->known[0] = NAN;
     s->error = 1e-4;
     s->fixed = 1;
-    s->row = 0;
+    s->paced = -INFINITY;
+    s->row = s->between = 0;
     s->timed = -1;
     s->slice = 0.05;
     s->soft = INFINITY;
-    s->exact = s->has_first = s->has_before = s->outstanding = s->crossing = s->changed = s->has_left = s->is_factored = s->hits = s->calm = 0;
-    s->stiff_from = NAN;
-    for (int64_t i = 0; i < s->ncarried; i++) s->carried[i] = 0.0;
-    s->steps = s->rejected = s->evaluations = s->instants = 0;
-    for (int i = 0; i < model->nx; i++) s->blamed[i] = 0;
+    s->has_left = s->is_factored = s->is_loose = 0;
+    s->later = 0.0;
+    s->looseness = 1.0;
     s->failure = BLOCKS_FINE;
     s->fired_events.used = 0;
     for (int i = 0; i < s->setup->nmeasures; i++) {
-        BlocksMeasured *made = &s->measured[i];
-        made->total = made->span = 0.0;
-        made->first = made->begin = made->target = made->last = NAN;
-        made->low = INFINITY, made->high = -INFINITY;
-        made->path.used = 0;
+        BlocksList path = {s->measured[i].path.data, 0, s->measured[i].path.capacity};
+        s->measured[i] = (BlocksMeasured){0.0, 0.0, NAN, NAN, NAN, NAN, INFINITY, -INFINITY, path};
     }
-    s->past.known = s->past.broken = 0;
-    s->past.open = s->past.seen = 0;
-    for (int i = 0; i < model->nh; i++) s->past.passed[i] = 0;
-    s->crossed_first = s->crossed_count = 0;
-    s->between = 0;
-    s->later = 0.0;
-    s->is_loose = 0;
-    s->looseness = 1.0;
-    for (int i = 0; i < model->ns; i++) s->slack[i] = 0.0;
     for (int i = 0; i < BLOCKS_LOOKS; i++) s->unseen[i] = (BlocksUnseen){NAN, 0, 0};
-    s->paced = -INFINITY;
-    s->chatters = 0;
-    for (int i = 0; i < s->setup->ncauses; i++) s->fired[i] = -INFINITY;
-    for (int i = 0; i < model->nevents; i++) s->own[i] = NAN;
 }
 
 BlocksSim *blocks_new(const BlocksSetup *setup)
 {
-    const BlocksModel *model = setup->model;
-    size_t nx = (size_t)model->nx, nd = (size_t)model->nd, ns = (size_t)model->ns, nu = (size_t)model->nu,
-           nh = (size_t)model->nh, nz = (size_t)model->nz, ne = (size_t)model->nevents, nr = (size_t)model->nrates,
-           nl = (size_t)model->nlogged, nc = (size_t)setup->ncauses, nm = (size_t)model->nmeasured;
-    size_t anew = 0, stepper = 0;
-    for (int i = 0; i < setup->nenabled; i++)
-        if ((size_t)setup->enabled[i].nresets > anew) anew = (size_t)setup->enabled[i].nresets;
-    for (int i = 0; i < setup->nsteppers; i++) {
-        size_t both = (size_t)setup->steppers[i].ninputs + (size_t)setup->steppers[i].noutputs;
-        if (both > stepper) stepper = both;
-    }
-    size_t values = nx + nd + ns + 2 * ne + 2 * nz + 2 * (size_t)model->nprojections + anew + stepper;
-    if (model->hooks) values += nx + nd + ns + 2 * (size_t)model->ntaken;
-    size_t looked = 0, turning = 0;
-    for (int i = 0; i < BLOCKS_LOOKS; i++) {
-        const BlocksLook *look = &model->looks[i];
-        if ((size_t)look->n > looked) looked = (size_t)look->n;
-        size_t both = (size_t)look->nphases + (size_t)look->nhistories;
-        if (both > turning) turning = both;
-    }
-    size_t np = (size_t)model->np, nq = (size_t)model->nq, nv = (size_t)model->nv;
-    size_t doubles = 0;
     BlocksSim *s = calloc(1, sizeof(BlocksSim));
     if (!s) return NULL;
-    struct { double **place; size_t n; } pieces[] = {
-        {&s->memory.x, nx}, {&s->memory.d, nd}, {&s->memory.s, ns}, {&s->memory.p, np}, {&s->memory.u, nu},
-        {&s->memory.h, nh}, {&s->memory.z, nz}, {&s->memory.k, nr}, {&s->memory.q, nq}, {&s->memory.v, nv},
-        {&s->memory.w, (size_t)model->nw},
-        {&s->events, ne}, {&s->own, ne}, {&s->located, ns}, {&s->sides, ns}, {&s->touched, ns}, {&s->until, ns},
-        {&s->fired, nc}, {&s->crossed, ns ? CROWD : 0},
-        {&s->left, nl}, {&s->before, nx + ns + nm}, {&s->latched, ns}, {&s->x1, nx}, {&s->known, 1 + 6 * nm}, {&s->base, nu}, {&s->aim, nu},
-        {&s->begin, nu}, {&s->finish, nu}, {&s->xs, nx}, {&s->x2, nx + ns},
-        {&s->weights, nx * BLOCKS_MOST_DEGREE}, {&s->crossing_values, ns}, {&s->first_values, 5 * ns},
-        {&s->part_values, 6 * looked}, {&s->part_phases, 3 * turning},
-        {&s->reset_values, (size_t)setup->nresets + (size_t)setup->nenabled}, {&s->d1, nd},
-        {&s->backup, 2 * (nx + nd + ns) + 2 * ne + nz}, {&s->row_values, nl}, {&s->stage_values, values},
-        {&s->z1, nz}, {&s->distances, 2 * ns}, {&s->projected_once, nx + nd},
-        {&s->projected_often, nx + nd}, {&s->unprojected, model->nprojections ? nx + nd : 0}, {&s->firing_time, nc},
-        {&s->slack, ns}, {&s->corner, model->corners ? 3 * ns + 8 * nz + 2 * (nx + nd + 2 * ns) + ne : 0},
-    };
-    int count = (int)(sizeof pieces / sizeof pieces[0]);
-    for (int i = 0; i < count; i++) doubles += room(pieces[i].n) + 8;
-    for (int i = 0; i < model->stages; i++) doubles += room(nx + ns + nm) + 8;
-    size_t integers = 2 * nr + nx + nh + 2 * ne + 8, bytes = 2 * nc + nr + ns + late_places(setup);
-    s->arena = calloc(doubles + 8, sizeof(double));
-    int64_t *longs = calloc(integers, sizeof(int64_t));
-    uint8_t *flags = calloc(bytes, 1);
-    s->past.passed = calloc(room(nh), sizeof(int64_t));
-    s->measured = calloc(room((size_t)setup->nmeasures), sizeof(BlocksMeasured));
-    s->ticks = longs;
-    s->due = flags;
     s->setup = setup;
-    s->model = model;
-    if (!s->arena || !longs || !flags || !s->past.passed || !s->measured) {
+    s->model = setup->model;
+    if (!s->model->implicit || !s->model->implicit->open(s)) {
+        list_memory(s);
+        s->arena = blocks_allocate(s->entries, s->nsteady);
+    }
+    if (!s->arena) {
         blocks_free(s);
         return NULL;
-    }
-    double *place = s->arena;
-    for (int i = 0; i < count; i++) {
-        *pieces[i].place = place;
-        place += room(pieces[i].n) + 8;
     }
     s->nodes = s->known + 1;
-    for (int i = 0; i < model->stages; i++) {
-        s->k[i] = place;
-        place += room(nx + ns + nm) + 8;
-    }
-    s->blamed = longs + nr;
-    s->ticks_backup = longs + nr + nx; /* and, behind it, what else an instant goes back to */
-    s->firing = flags + nr;
-    s->changed_sides = flags + nr + 2 * nc;
-    s->late = flags + nr + 2 * nc + ns;
-    if (model->implicit && model->implicit->open(s)) {
-        blocks_free(s);
-        return NULL;
-    }
     blocks_reset(s);
     return s;
 }
@@ -3278,27 +3310,10 @@ void blocks_free(BlocksSim *s)
     free(s->rows.counts);
     free(s->fired_events.data);
     for (int i = 0; s->measured && i < s->setup->nmeasures; i++) free(s->measured[i].path.data);
-    free(s->measured);
     free(s->parts.data);
-    free(s->past.starts);
-    free(s->past.ends);
-    free(s->past.parts);
-    free(s->past.breaks);
-    free(s->past.orders);
-    free(s->past.passed);
-    free(s->ticks);
-    free(s->due);
+    for (int i = s->nsteady; i < s->nentries; i++) free(address_of(&s->entries[i]));
     free(s->arena);
     free(s);
 }
 
-int64_t blocks_size(int32_t what)
-{
-    switch (what) {
-    case 0: return (int64_t)sizeof(BlocksSim);
-    case 1: return (int64_t)sizeof(BlocksSetup);
-    case 2: return (int64_t)sizeof(BlocksModel);
-    case 3: return (int64_t)sizeof(BlocksMemory);
-    default: return 0;
-    }
-}
+const int64_t blocks_sizes[3] = {sizeof(BlocksSim), sizeof(BlocksSetup), sizeof(BlocksMemory)};

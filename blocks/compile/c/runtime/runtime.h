@@ -260,32 +260,62 @@ typedef struct {
     double *breaks;
     int32_t *orders;
     int64_t *passed; /* (nh) */
-    int64_t known, most_known, broken, most_broken;
+    int64_t known, broken; /* saved, up to `seen` */
     int32_t open, seen;
+    int64_t most_known, most_broken;
 } BlocksPast;
+
+/* An entry in the table of a memory: a row, or numbers. SAVED: with a state of the run; FILED: in files of states too, under
+   its name; RESET: it starts as `begin` in each run; HERE: numbers, which stand at `place`, where rows have their address. */
+enum { BLOCKS_SAVED = 1, BLOCKS_FILED = 2, BLOCKS_RESET = 4, BLOCKS_HERE = 8 };
+typedef struct {
+    const char *name; /* null: Python does not use it */
+    void *place;
+    const int64_t *count; /* of a row that grows: how many times n elements it has; else null */
+    int64_t n;
+    double begin;
+    int32_t size, kind, flags; /* kind: the letter of the type in numpy */
+} BlocksEntry;
+#define BLOCKS_ENTRIES 88
+
+/* Memory goes to bytes, or comes from them (writes); where `at` is null, bytes are only counted. */
+typedef struct {
+    uint8_t *at, *end;
+    int32_t writes, failed;
+    size_t count;
+} BlocksWalk;
 
 /* The part of a run that Python reads and writes; x, d, s and the other rows are in `memory`. */
 struct BlocksSim {
     const BlocksSetup *setup;
     const BlocksModel *model;
     BlocksMemory memory;
-    double t;
+    BlocksEntry entries[BLOCKS_ENTRIES]; /* all that is allocated or saved; those from nsteady on grow */
+    int32_t nentries, nsteady;
+    double t;          /* the first of the numbers that are saved */
     int64_t count;     /* t in base steps, where exact is 1 */
     int32_t has_before;
     int32_t exact;     /* 1: t is count base steps; 2: it is the stop; 0: neither */
     int32_t has_first; /* whether stage 0 holds the rates at t */
     double h, error;   /* proposed step (0: none), last error */
     int64_t fixed;     /* number of the next point of the fixed-step grid */
-    int64_t row;       /* number of the next row of the recording grid */
-    int32_t keeps_past; /* set by a master, which goes back in time, and calls blocks_forget itself */
-    int32_t recourses; /* set by a master: inputs go on by another extrapolation, without a jump; 2: delays remember them */
     double broken;     /* the last input breakpoint passed */
-    int32_t outstanding, changed, has_left;
+    int32_t outstanding, changed;
     int32_t crossing; /* whether a side has changed in the last step; 2: and projections have moved its end since */
     int32_t moving;    /* whether inputs or histories change with time now */
     int32_t is_constant;
-    double located_t, sides_t;
+    double located_t, sides_t, touched_t;
     int64_t steps, rejected, evaluations, instants;
+    int64_t crossed_first, crossed_count;
+    double paced;        /* when the steps were looked at last, for chattering */
+    int32_t chatters;    /* how many looks in a row have found it */
+    int32_t hits, calm;  /* of runs that are asked whether they are stiff: steps that say so, and those since that do not */
+    double stiff_from;   /* when it was found; NaN: not yet. The last of the numbers that are saved */
+    int64_t row;         /* number of the next row of the recording grid */
+    int32_t keeps_past;  /* set by a master, which goes back in time, and calls blocks_forget itself */
+    int32_t recourses;   /* set by a master: inputs go on by another extrapolation, without a jump; 2: delays remember them */
+    int32_t has_left, chattered_before;
+    double paced_before; /* paced and chatters before the last look */
     int32_t failure, culprit;
     double value;
     int64_t budget, budget_start; /* steps until the clock is looked at */
@@ -297,12 +327,8 @@ struct BlocksSim {
     double *located, *sides;      /* (ns) distances beyond, and values at sides_t */
     double *unprojected;          /* (nx + nd) the end of a step in which a side has changed, before projections */
     double *touched, *until;      /* (ns) values at touched_t of what touches 0 there, else NaN; up to where it does, of a step */
-    double touched_t;
-    double *fired;                /* (ncauses) when each crossing fired last; -inf: never */
+    double *fired;                /* (ns) when each crossing fired last; -inf: never */
     double *crossed;              /* ring of the last crossings */
-    int64_t crossed_first, crossed_count;
-    double paced, paced_before; /* when the steps were looked at last, for chattering; the same before that look */
-    int32_t chatters, chattered_before; /* how many looks in a row have found it */
     double *left;                 /* (nlogged) */
     double *last_row;             /* time and values of the last row; null: there is none */
     double next_row;              /* the time of row number `timed` of the recording grid; inf: there is none */
@@ -344,8 +370,6 @@ struct BlocksSim {
     double *carried;     /* (ncarried) what it keeps from step to step; it counts while the rates at t do */
     int64_t ncarried;
     int32_t is_factored; /* whether its factors are those that `carried` speaks of */
-    int32_t hits, calm;  /* of runs that are asked whether they are stiff: steps that say so, and those since that do not */
-    double stiff_from;   /* when it was found; NaN: not yet */
 };
 
 #if defined(BLOCKS_INSIDE) /* a part of a library that shows other functions */
@@ -381,12 +405,19 @@ BLOCKS_API void blocks_evaluate(BlocksSim *s, BlocksProgram program, double t, c
 BLOCKS_API void blocks_beyond(const BlocksSim *s, double *crossings); /* less the slack by which corners leave their side */
 BLOCKS_API void blocks_loosen(BlocksSim *s); /* that slack as it is now */
 BLOCKS_API void blocks_rates(BlocksSim *s, double t, const double *x, double *out);
-BLOCKS_API int64_t blocks_size(int32_t what);            /* of the structures, for those who mirror them */
-BLOCKS_API int blocks_past_room(BlocksSim *s, int64_t parts, int64_t breaks);
+BLOCKS_API extern const int64_t blocks_sizes[3];         /* of the structures, for those who mirror them */
+BLOCKS_API int blocks_past_room(BlocksSim *s, int64_t parts, int64_t breaks); /* for so many more */
 BLOCKS_API int blocks_list_room(BlocksList *list, int64_t more);
 
 /* Forgets what no history sees any more from t on. */
 BLOCKS_API void blocks_forget(BlocksSim *s, double t);
+
+/* Give memory to the rows of a table, to be freed; null where there is none. */
+void *blocks_allocate(const BlocksEntry *entries, int n);
+/* Take some bytes, the saved entries of a table, or those of a run along. What a run of a master has kept is left out. */
+void blocks_walk(BlocksWalk *w, void *place, size_t size);
+void blocks_walk_entries(BlocksWalk *w, const BlocksEntry *entries, int n);
+void blocks_walk_run(BlocksWalk *w, BlocksSim *s);
 
 /* For the stepping loops. */
 void blocks_outside(BlocksSim *s, double t);

@@ -271,42 +271,20 @@ static int get(Master *m, MasterUnit *u, double *to)
     return 0;
 }
 
-/* Saves a native unit (0), restores it (1), or counts the bytes (2). */
-static int64_t native_copy(MasterUnit *u, unsigned char *begin, int writes)
+/* Saves a native unit, or restores it (writes); gives how many bytes that takes. Its past only grows meanwhile: it stays. */
+static int64_t native_copy(MasterUnit *u, unsigned char *bytes, int writes)
 {
     BlocksSim *s = u->component;
-    const BlocksModel *model = s->model;
-    unsigned char *at = begin;
-#define ROW(place, n)                                                                                                  \
-    do {                                                                                                               \
-        size_t size = (size_t)(n) * sizeof *(place);                                                                   \
-        if (size && writes < 2) writes ? memcpy((place), at, size) : memcpy(at, (place), size);                        \
-        at += size;                                                                                                    \
-    } while (0)
-#define ONE(place) ROW(&(place), 1)
-    ONE(s->t); ONE(s->count); ONE(s->has_before); ONE(s->exact); ONE(s->has_first); ONE(s->h); ONE(s->error); ONE(s->fixed);
-    ONE(s->broken); ONE(s->outstanding); ONE(s->crossing); ONE(s->changed); ONE(s->is_constant); ONE(s->moving);
-    ONE(s->located_t); ONE(s->sides_t); ONE(s->steps); ONE(s->rejected); ONE(s->evaluations); ONE(s->instants);
-    ONE(s->crossed_first); ONE(s->crossed_count); ONE(s->polynomials); ONE(s->fired_events.used); ONE(s->flowed);
-    ROW(s->memory.x, model->nx); ROW(s->memory.d, model->nd); ROW(s->memory.s, model->ns); ROW(s->memory.u, model->nu);
-    ROW(s->memory.z, model->nz); ROW(s->ticks, model->nrates); ROW(s->events, model->nevents); ROW(s->own, model->nevents);
-    ROW(s->located, model->ns); ROW(s->sides, model->ns);
-    ROW(s->unprojected, model->nprojections ? model->nx + model->nd : 0);
-    ROW(s->fired, s->setup->ncauses); ROW(s->crossed, model->ns ? 1000 : 0);
-    if (model->stages) ROW(s->k[0], model->nx + model->ns);
-    ROW(s->carried, s->ncarried); ONE(s->hits); ONE(s->calm); ONE(s->stiff_from);
-    ROW(s->before, model->nx + model->ns); ROW(s->base, model->nu); ROW(s->aim, model->nu); ROW(s->begin, model->nu);
-    ROW(s->finish, model->nu); ROW(u->inputs, u->ninputs); ROW(u->terms, 4 * u->ninputs); ONE(u->polynomials.t0);
-    if (u->ninputs) ROW(u->track, u->ninputs);
-    /* The past itself only grows meanwhile. */
-    ONE(s->past.known); ONE(s->past.broken); ONE(s->past.open); ONE(s->past.seen);
-    ROW(s->past.passed, model->nh); ROW(s->memory.h, model->nh);
-#undef ONE
-#undef ROW
-    return at - begin;
+    BlocksWalk w = {bytes, bytes ? bytes + u->saved_bytes : NULL, writes, 0, 0};
+    size_t row = (size_t)u->ninputs * sizeof(double);
+#define WALK(number) blocks_walk(&w, &(number), sizeof(number))
+    blocks_walk_run(&w, s);
+    WALK(s->polynomials), WALK(s->fired_events.used), WALK(s->flowed), WALK(u->polynomials.t0);
+    blocks_walk(&w, u->inputs, row), blocks_walk(&w, u->terms, 4 * row), blocks_walk(&w, u->track, row);
+    return (int64_t)w.count;
 }
 
-int64_t master_state_bytes(MasterUnit *u) { return native_copy(u, NULL, 2); }
+int64_t master_state_bytes(MasterUnit *u) { return native_copy(u, NULL, 0); }
 
 static int save(Master *m, MasterUnit *u, int whose)
 {
@@ -459,7 +437,7 @@ static int step_native(Master *m, MasterUnit *u, double t1)
         if (c[1] != 0.0 || c[2] != 0.0) has_slopes = 1;
     }
     u->polynomials.t0 = s->t;
-    if (s->setup->ncauses) memcpy(u->counted, s->fired, (size_t)s->setup->ncauses * sizeof(double));
+    memcpy(u->counted, s->fired, (size_t)s->model->ns * sizeof(double));
     u->crossed_first = s->crossed_first;
     u->crossed_count = s->crossed_count;
     native_inputs(u, has_slopes);
@@ -648,7 +626,7 @@ static int instant_unit(Master *m, MasterUnit *u, int is_first)
         int is_ahead = s->t - u->uncounted > NEAR * blocks_ulp(s->t); /* else it comes back again and again */
         if (has_crossed && is_ahead && s->fired_events.used == told && !memcmp(u->counted + s->setup->ncauses, s->memory.s, ns * sizeof(double))) {
             /* By the inputs as they are it is not crossed yet: soon it will be, and that is no chattering. */
-            memcpy(s->fired, u->counted, (size_t)s->setup->ncauses * sizeof(double));
+            memcpy(s->fired, u->counted, ns * sizeof(double));
             s->crossed_first = u->crossed_first;
             s->crossed_count = u->crossed_count;
             s->located_t = NAN;

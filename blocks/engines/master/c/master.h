@@ -76,6 +76,7 @@ typedef struct {
     /* where it stands; its next point; where the step under way began; where it came to; where a state was kept */
     double t, next_t, begin, reached, kept_t;
     void *saved[2];                   /* states: MASTER_OF_STEP, MASTER_OF_CONTROL; native: room for them */
+    int64_t saved_bytes;              /* of that room */
     double *counted;                  /* native: when crossings fired last (ncauses), as the step began; sides (ns) */
     int64_t crossed_first, crossed_count;
     double uncounted; /* when a crossing was found last that was none by the inputs as they were */
