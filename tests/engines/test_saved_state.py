@@ -13,6 +13,7 @@ import pytest
 
 from blocks import (
     PID,
+    Block,
     BlocksError,
     BouncingBall,
     Constant,
@@ -25,12 +26,15 @@ from blocks import (
     RateLimiter,
     Sine,
     Step,
+    Stepped,
     Sum,
     TransferFunction,
     TransportDelay,
     UnitDelay,
     UsageError,
     ZeroOrderHold,
+    fmu,
+    stepper,
 )  # fmt: skip
 from tests.support.marks import long_but
 from tests.support.places import ROOT
@@ -443,3 +447,76 @@ def test_a_state_that_compiled_code_could_not_hold_is_refused(damage: Any, metho
     for engine in ("native", "reference"):
         with pytest.raises(UsageError, match="E506"):
             diagram.run(resume=tmp_path / "bad.state", engine=engine)
+
+
+class Counter:
+    """Count the steps."""
+
+    def __init__(self) -> None:
+        self.count = 0.0
+
+    def step(self, t: float) -> float:
+        self.count += 1
+        return self.count
+
+    def save(self) -> dict[str, float]:
+        return {"count": self.count}
+
+    def restore(self, value: dict[str, float]) -> None:
+        self.count = value["count"]
+
+
+class Counted(Block):
+    """Give the number of steps of a program."""
+
+    y = Stepped()
+
+    @stepper(every=0.1)
+    def program():  # type: ignore[no-untyped-def]
+        return Counter()
+
+
+@pytest.mark.parametrize("engine", ["native", "reference"])
+@pytest.mark.parametrize("blob", [7, "x", {}, {"saved": None}, {"saved": {}}, ["saved"]], ids=repr)
+def test_a_damaged_state_of_a_stepper_is_refused_by_its_name(blob: Any, engine: Any, tmp_path: Path) -> None:
+    diagram = Diagram("counted")
+    diagram.add("counter", Counted())
+    run = diagram.start(stop=1.0)
+    run.advance_to(0.5)
+    run.save(tmp_path / "good.state")
+    damaged(tmp_path / "good.state", tmp_path / "bad.state", lambda tree, rows: tree.update(steppers=[blob]))
+    assert diagram.run(stop=1.0, resume=tmp_path / "good.state")["counter.y"][-1] == 11
+    with pytest.raises(UsageError, match=r"E506 counter: its stepper cannot be restored: "):
+        diagram.run(stop=1.0, resume=tmp_path / "bad.state", engine=engine)
+
+
+@pytest.mark.parametrize("engine", ["native", "reference"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda blob: None,
+        lambda blob: "x",
+        lambda blob: {"state": blob["state"]},
+        lambda blob: {**blob, "state": None},
+        lambda blob: {**blob, "state": blob["state"][:-8]},
+        lambda blob: {**blob, "state": "!" + blob["state"]},
+        lambda blob: {**blob, "numbers": blob["numbers"][:8]},
+        lambda blob: {**blob, "numbers": ""},
+    ],
+    ids=["none", "text", "no numbers", "no state", "cut", "no base64", "few numbers", "without numbers"],
+)
+def test_a_damaged_state_of_an_fmu_is_refused_by_its_name(damage: Any, engine: Any, tmp_path: Path) -> None:
+    diagram = Diagram("driven")
+    wave, motor = diagram.add("wave", Sine()), diagram.add("motor", fmu(ROOT / "fmus" / "PMDCMotor.fmu", kind="ME"))
+    diagram.wire(motor.v, wave.y)
+    run = diagram.start(stop=1.0)
+    run.advance_to(0.5)
+    run.save(tmp_path / "good.state")
+
+    def change(tree: dict[str, Any], rows: dict[str, Any]) -> None:
+        tree["foreign"] = [damage(blob) for blob in tree["foreign"]]
+
+    damaged(tmp_path / "good.state", tmp_path / "bad.state", change)
+    assert len(diagram.run(stop=1.0, resume=tmp_path / "good.state").t) > 1
+    with pytest.raises(UsageError, match=r"E506 motor: the state of PMDCMotor\.fmu cannot be restored: "):
+        diagram.run(stop=1.0, resume=tmp_path / "bad.state", engine=engine)

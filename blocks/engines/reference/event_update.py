@@ -34,6 +34,7 @@ from ...results.results import Event
 from ...text.errors import NOT_FINITE, Fault, SimulationError, UsageError
 from ..run.history import Past
 from ..run.model_exchange import Foreigns
+from ..run.saved_state import restoring
 from ..run.snapshot import MethodMemory, Snapshot, frozen
 from .corners import MOST_CORNERS, Corners, at, first_change
 from .python_code import CompiledPrograms, Evaluator
@@ -920,14 +921,12 @@ class Instants:
             raise UsageError(Fault("E506", part.path, message, cure)) from error
 
     def restore(self, number: int, blob: Any) -> None:
-        """A stepper as it was saved."""
+        """Restore a stepper as it was saved. Raises UsageError (E506)."""
         if blob is not None:
             part = self.plan.steppers[number]
             program = self.made(part)
-            try:
+            with restoring(part.path, "its stepper"):
                 program.restore(copy.deepcopy(blob["saved"]))
-            except Exception as error:  # a program of the user may raise anything
-                raise self._failed(part, f"could not be restored: {type(error).__name__}: {error}") from error
             self.programs[number] = program
 
     def _taken(self, part: StepperPart, returned: Any, before: tuple[float, ...], t: float) -> tuple[float, ...]:

@@ -24,6 +24,7 @@ from ...fmi.library import Notes
 from ...fmi.schema import ModelVariable
 from ...text.errors import Fault, FMUError, SimulationError, UsageError
 from .fmu_derivatives import FmuDerivatives
+from .saved_state import restoring
 
 Array = np.ndarray[Any, Any]
 MOST_UPDATES = 100
@@ -322,13 +323,14 @@ class ModelExchangeUnit(FmuDerivatives):
         }
 
     def restore(self, plan: Plan, kept: Mapping[str, Any], t: float) -> None:
-        """As it was when it was saved, in a new instance."""
+        """Restore it as it was saved, in a new instance. Raises UsageError (E506)."""
         self.begin(plan, t)
         one = self.one
         one.exit_initialization()
-        one.deserialize(base64.b64decode(kept["state"]))
-        numbers = base64.b64decode(kept["numbers"])
-        *seen, self.next_event = struct.unpack(f"<{len(numbers) // 8}d", numbers)
+        with restoring(self.part.path, f"the state of {self.foreign.path.name}"):
+            numbers = base64.b64decode(kept["numbers"], validate=True)
+            *seen, self.next_event = struct.unpack(f"<{len(self.u) + 1}d", numbers)
+            one.deserialize(base64.b64decode(kept["state"], validate=True))
         self.mode, self.t, self.is_stale = "continuous", math.nan, True
         if self.n:
             one.call("GetContinuousStates", self.x_c, self.n)

@@ -12,7 +12,8 @@ import math
 import os
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -25,7 +26,7 @@ from ...compile.inputs import InputTable
 from ...compile.plan import Plan
 from ...compile.time_grid import Grid
 from ...model.diagram_grammar import LARGEST_SEED
-from ...text.errors import Fault, UsageError
+from ...text.errors import BlocksError, Fault, UsageError
 from ...text.plain_files import opened
 from ...text.printable import legible, one_line
 from .differences import of_equations, some
@@ -142,6 +143,19 @@ def standing(state: State, plan: Plan, inputs: InputTable) -> tuple[dict[str, Ar
     for name in ("first", "carried") if is_changed or is_other else ():  # as if values were set now
         rows.pop(name, None)
     return rows, is_changed
+
+
+@contextmanager
+def restoring(place: str, what: str) -> Iterator[None]:
+    """Raise UsageError (E506), which names a block, if its part of a saved state cannot be restored."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever a damaged value leads to, in a program of the user or an FMU too
+        why = error.faults[0].message if isinstance(error, BlocksError) else f"{type(error).__name__}: {error}"
+        message = f"{what} cannot be restored: {one_line(why).rstrip('.')}."
+        raise UsageError(Fault("E506", place, message, "Use a state that was saved with it.")) from error
 
 
 # --- files -------------------------------------------------------------------------------------------------------
