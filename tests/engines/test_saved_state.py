@@ -520,3 +520,15 @@ def test_a_damaged_state_of_an_fmu_is_refused_by_its_name(damage: Any, engine: A
     assert len(diagram.run(stop=1.0, resume=tmp_path / "good.state").t) > 1
     with pytest.raises(UsageError, match=r"E506 motor: the state of PMDCMotor\.fmu cannot be restored: "):
         diagram.run(stop=1.0, resume=tmp_path / "bad.state", engine=engine)
+
+
+def test_a_state_of_few_bytes_that_would_fill_the_memory_is_refused(tmp_path: Path) -> None:
+    diagram = mixed()
+    diagram.start().save(tmp_path / "good.state")
+
+    def fill(tree: dict[str, Any], rows: dict[str, Any]) -> None:
+        tree["overrides"] = {"filling": [[]] * 2**21}
+
+    damaged(tmp_path / "good.state", tmp_path / "bad.state", fill)
+    with pytest.raises(UsageError, match=r"E506 .*is not a saved state: it is too large"):
+        diagram.run(stop=1.0, resume=tmp_path / "bad.state")

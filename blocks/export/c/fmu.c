@@ -63,7 +63,6 @@ int fmu_say(Fmu *f, int status, int category, const char *format, ...)
 Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *owner)
 {
     const FmuModel *model = &fmu_model;
-    const BlocksJacobian *jacobian = &model->jacobian;
     const char *why = NULL;
     Fmu *f = NULL;
     if (!name || !name[0]) why = "an instance needs a name";
@@ -75,17 +74,17 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
     }
     f = calloc(1, sizeof *f);
     if (f) {
-#define ROW(field, n, flags) {NULL, &f->field, NULL, n, 0.0, sizeof(double), 'd', flags}
+#define ROW(field, n, flags) {NULL, &f->field, NULL, n, 0.0, sizeof(double), 'd', flags, 0}
         const BlocksModel *m = model->setup->model;
         const int64_t nx = model->nstates, nu = m->nu, ns = m->ns, nboth = nx + ns + model->noutputs;
         /* nboth: rates may come with crossings behind them */
         const BlocksEntry entries[] = {
-            {NULL, &f->live, NULL, 1, 0.0, sizeof f->live, 'B', BLOCKS_SAVED | BLOCKS_HERE},
+            {NULL, &f->live, NULL, 1, 0.0, sizeof f->live, 'B', BLOCKS_SAVED | BLOCKS_HERE, 0},
             ROW(atol, nx, 0), ROW(input, nu, BLOCKS_SAVED), ROW(terms, 5 * nu, BLOCKS_SAVED), ROW(bends, 4 * nu, 0),
             ROW(samples, 4 * nu, 0), ROW(slack, nu, 0), ROW(settings, model->nsettings, BLOCKS_SAVED),
             ROW(outputs, model->noutputs, 0), ROW(locals, model->nlocals, 0), ROW(rates, nx + ns, 0), ROW(indicators, ns, 0),
-            ROW(largest, ns, BLOCKS_SAVED), ROW(room, (int64_t)blocks_jacobian_room(jacobian), 0),
-            ROW(data, jacobian->first[jacobian->ncolumns], 0), ROW(moved, nx + m->nd + ns, 0), ROW(above, nboth, 0),
+            ROW(largest, ns, BLOCKS_SAVED), ROW(room, (int64_t)blocks_jacobian_room(&model->jacobian), 0),
+            ROW(data, model->jacobian.first[model->jacobian.ncolumns], 0), ROW(moved, nx + m->nd + ns, 0), ROW(above, nboth, 0),
             ROW(below, nboth, 0),
         };
         f->nentries = sizeof entries / sizeof *entries;

@@ -381,24 +381,18 @@ static int pass_breaks(BlocksSim *s, double t)
     return moved;
 }
 
-static int has_grown(BlocksSim *s, const int64_t *count, int64_t more, int64_t *most)
-{
-    int64_t room = (2 * *most > *count + more ? 2 * *most : *count + more) + 64;
-    if (*count + more <= *most) return 0;
-    for (int i = s->nsteady; i < s->nentries; i++) {
-        const BlocksEntry *e = &s->entries[i];
-        void *place = e->count == count ? realloc(address_of(e), (size_t)(room * e->n) * (size_t)e->size) : e->place;
-        if (!place) return 1;
-        if (e->count == count) memcpy(e->place, &place, sizeof place);
-    }
-    *most = room;
-    return 0;
-}
-
 int blocks_past_room(BlocksSim *s, int64_t parts, int64_t breaks)
 {
-    BlocksPast *past = &s->past;
-    return has_grown(s, &past->known, parts, &past->most_known) || has_grown(s, &past->broken, breaks, &past->most_broken);
+    for (BlocksEntry *e = s->entries + s->nsteady; e < s->entries + s->nentries; e++) {
+        int64_t needed = *e->count + (e->count == &s->past.known ? parts : breaks);
+        if (needed <= e->room) continue;
+        int64_t room = (2 * e->room > needed ? 2 * e->room : needed) + 64;
+        void *row = realloc(address_of(e), (size_t)(room * e->n) * (size_t)e->size);
+        if (!row) return 1;
+        memcpy(e->place, &row, sizeof row);
+        e->room = room;
+    }
+    return 0;
 }
 
 /* A break at t, whose order is known once the signals after it are. */
@@ -736,8 +730,7 @@ void blocks_forget(BlocksSim *s, double t)
     done = done > 1 ? done - 1 : 0;
     if (old < (past->known / 2 > 1024 ? past->known / 2 : 1024) && done < (past->broken / 2 > 1024 ? past->broken / 2 : 1024))
         return;
-    for (int i = s->nsteady; i < s->nentries; i++) {
-        const BlocksEntry *e = &s->entries[i];
+    for (const BlocksEntry *e = s->entries + s->nsteady; e < s->entries + s->nentries; e++) {
         size_t size = (size_t)e->n * (size_t)e->size, gone = (size_t)(e->count == &past->known ? old : done) * size;
         char *row = address_of(e);
         memmove(row, row + gone, (size_t)*e->count * size - gone);
@@ -3190,10 +3183,10 @@ static int64_t most(int64_t a, int64_t b) { return a > b ? a : b; }
 /* Here alone stands what a run remembers and computes with: it is allocated, reset, saved and freed by this table. */
 static void list_memory(BlocksSim *s)
 {
-#define ENTRY(kind, name, field, n, flags, begin) {name, &s->field, NULL, n, begin, sizeof *s->field, kind, flags}
-#define NUMBER(kind, name, field, flags) {name, &s->field, NULL, 1, 0.0, sizeof s->field, kind, (flags) | BLOCKS_HERE}
-#define NUMBERS(first, bytes) {NULL, &s->first, NULL, (int64_t)(bytes), 0.0, 1, 'B', BLOCKS_SAVED | BLOCKS_RESET | BLOCKS_HERE}
-#define GROWS(kind, name, field, count, n) {name, &s->past.field, &s->past.count, n, 0.0, sizeof *s->past.field, kind, both}
+#define ENTRY(kind, name, field, n, flags, begin) {name, &s->field, NULL, n, begin, sizeof *s->field, kind, flags, 0}
+#define NUMBER(kind, name, field, flags) {name, &s->field, NULL, 1, 0.0, sizeof s->field, kind, (flags) | BLOCKS_HERE, 0}
+#define NUMBERS(first, bytes) {NULL, &s->first, NULL, (int64_t)(bytes), 0.0, 1, 'B', BLOCKS_SAVED | BLOCKS_RESET | BLOCKS_HERE, 0}
+#define GROWS(kind, name, field, count, n) {name, &s->past.field, &s->past.count, n, 0.0, sizeof *s->past.field, kind, both, 0}
 #define ROW(name, field, n, flags) ENTRY('d', name, field, n, flags, 0.0)
 #define SCRATCH(field, n) ROW(NULL, field, n, 0)
     const BlocksSetup *setup = s->setup;
@@ -3211,7 +3204,7 @@ static void list_memory(BlocksSim *s)
     const int32_t saved = BLOCKS_SAVED, filed = BLOCKS_FILED, both = saved | filed, reset = BLOCKS_RESET;
     const BlocksEntry steady[] = {
         NUMBERS(t, offsetof(BlocksSim, row) - offsetof(BlocksSim, t)),
-        NUMBERS(past.known, offsetof(BlocksPast, most_known) - offsetof(BlocksPast, known)), NUMBER('d', "t", t, filed),
+        NUMBERS(past.known, sizeof s->past - offsetof(BlocksPast, known)), NUMBER('d', "t", t, filed),
         NUMBER('d', "step", h, filed), NUMBER('d', "error", error, filed), NUMBER('q', "fixed", fixed, filed),
         NUMBER('d', "broken", broken, filed), NUMBER('d', "located_t", located_t, filed),
         NUMBER('i', "past.open", past.open, nh ? filed : 0), NUMBER('i', "past.seen", past.seen, nh ? filed : 0),
@@ -3228,7 +3221,8 @@ static void list_memory(BlocksSim *s)
         SCRATCH(part_phases, 3 * turning), SCRATCH(reset_values, setup->nresets + setup->nenabled), SCRATCH(d1, nd),
         SCRATCH(backup, 2 * (nx + nd + ns + ne) + nz), SCRATCH(row_values, nl), SCRATCH(stage_values, values),
         SCRATCH(z1, nz), SCRATCH(distances, 2 * ns), SCRATCH(projected_once, nx + nd), SCRATCH(projected_often, nx + nd),
-        ROW("unprojected", unprojected, model->nprojections ? nx + nd : 0, saved), SCRATCH(firing_time, nc), ROW(NULL, slack, ns, reset),
+        ROW("unprojected", unprojected, model->nprojections ? nx + nd : 0, saved), SCRATCH(firing_time, nc),
+        ROW(NULL, slack, ns, reset),
         SCRATCH(corner, model->corners ? 3 * ns + 8 * nz + 2 * (nx + nd + 2 * ns) + ne : 0),
         ENTRY('q', "ticks", ticks, nr, both, 0.0), ENTRY('q', "blamed", blamed, nx, reset, 0.0),
         ENTRY('q', NULL, ticks_backup, nr + nh + 2 * ne, 0, 0.0),

@@ -260,9 +260,8 @@ typedef struct {
     double *breaks;
     int32_t *orders;
     int64_t *passed; /* (nh) */
-    int64_t known, broken; /* saved, up to `seen` */
+    int64_t known, broken;
     int32_t open, seen;
-    int64_t most_known, most_broken;
 } BlocksPast;
 
 /* An entry in the table of a memory: a row, or numbers. SAVED: with a state of the run; FILED: in files of states too, under
@@ -275,6 +274,7 @@ typedef struct {
     int64_t n;
     double begin;
     int32_t size, kind, flags; /* kind: the letter of the type in numpy */
+    int64_t room;              /* of a row that grows: for which count there is memory */
 } BlocksEntry;
 #define BLOCKS_ENTRIES 88
 
