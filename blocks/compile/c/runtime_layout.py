@@ -17,12 +17,13 @@ STRUCTURES = structures(*packaged("model.h", "runtime.h", "batch.h").values())
 CALLBACK = c.CFUNCTYPE(c.c_int, c.c_int, c.c_int, c.c_double, c.POINTER(c.c_double), c.POINTER(c.c_double))
 BlocksBatch: Any = STRUCTURES["BlocksBatch"]
 BlocksGrid: Any = STRUCTURES["BlocksGrid"]
+BlocksMeasured: Any = STRUCTURES["BlocksMeasured"]
 BlocksSetup: Any = STRUCTURES["BlocksSetup"]
 BlocksSim: Any = STRUCTURES["BlocksSim"]
-CAUSE, RESET, WAIT, PROJECTION, RATE, SLOT, STAGE, CLIQUE, STEPPER, ENABLED, HISTORY, MEASURE, MEASURED, TRACK = (
+CAUSE, RESET, WAIT, PROJECTION, RATE, SLOT, STAGE, CLIQUE, STEPPER, ENABLED, HISTORY, MEASURE, TRACK = (
     np.dtype(STRUCTURES[f"Blocks{name}"])
     for name in (
         "Cause", "Reset", "Wait", "Projection", "Rate", "Slot", "Stage", "Clique", "Stepper", "Enabled", "History",
-        "Measure", "Measured", "Track",
+        "Measure", "Track",
     )
 )  # fmt: skip

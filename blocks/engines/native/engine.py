@@ -427,7 +427,7 @@ class NativeEngine:
                     self.model.carried_order(plan).put(rows["carried"], row)
         sim.crossed_count = len(rows["crossed"])
         self._row("crossed")[: sim.crossed_count] = rows["crossed"]
-        self._put_measures(self._measured.restored(rows).rows())
+        self._put_measures(rows)
         settings = self.settings
         sim.row = 0 if settings.every is None else Grid.of(settings.start, settings.every).after(self.t)
         sim.outstanding = sim.changed = int(outstanding)
@@ -451,43 +451,35 @@ class NativeEngine:
         """The measures as C has them."""
         if not self._measured.count:
             return self._measured
-        rows, known = self._measured_rows(), array(self.sim.known, 1 + 2 * self._measured.count)
-        made = {
-            **{name: rows[name] for name in _MEASURED},
-            "extremes": np.column_stack([rows["low"], rows["high"]]),
-            "known": known[:0] if math.isnan(known[0]) else known,
-            **{f"path {i}": path for i, path in self.paths().items()},
-        }
-        return self._measured.restored({f"measures.{name}": row for name, row in made.items()})
+        known = self._row("known")[: 1 + 2 * self._measured.count]
+        return self._measured.kept(self._numbers_of_measures().copy(), self.paths(), known)
 
     def paths(self) -> dict[int, Array]:
         """The rows (parts, 7) that C keeps of measures that look back."""
-        kept = {i: self._measured_rows()["path"][i] for i in self._measured.paths}
-        return {i: array(int(p["data"] or 0), int(p["used"])).reshape(-1, 7).copy() for i, p in kept.items()}
+        kept = {i: self._kept_measures()[i].path for i in self._measured.paths}
+        return {i: array(path.data, path.used).reshape(-1, 7).copy() for i, path in kept.items()}
 
-    def _measured_rows(self) -> Array:
-        """What C keeps of each measure."""
-        size = self._measured.count * runtime_layout.MEASURED.itemsize
-        raw = (ctypes.c_char * size).from_address(self.sim.measured)
-        return np.frombuffer(raw, dtype=runtime_layout.MEASURED)
+    def _kept_measures(self) -> Any:
+        """Return what C keeps of each measure."""
+        return (runtime_layout.BlocksMeasured * self._measured.count).from_address(self.sim.measured)
+
+    def _numbers_of_measures(self) -> Array:
+        """Return the numbers (m, 8) that `Measures.kept` takes, as C has them."""
+        return np.frombuffer(self._kept_measures()).reshape(self._measured.count, -1)[:, :8]
 
     def _put_measures(self, saved: Mapping[str, Array]) -> None:
         if not self._measured.count:
             return
-        rows, library = self._measured_rows(), self.model.library
-        for name in _MEASURED:
-            rows[name] = saved[f"measures.{name}"]
-        rows["low"], rows["high"] = saved["measures.extremes"].T
+        columns = [saved[f"measures.{name}"] for name in (*_MEASURED, "extremes")]
+        self._numbers_of_measures()[:] = np.column_stack(columns)
         known = saved["measures.known"]
-        array(self.sim.known, len(known))[:] = known
+        self._row("known")[: len(known)] = known
         for i in self._measured.paths:
-            path = saved[f"measures.path {i}"]
-            place = self.sim.measured + i * runtime_layout.MEASURED.itemsize
-            place += runtime_layout.MEASURED.fields["path"][1]
-            if library.blocks_list_room(place, path.size):
+            path, kept = saved[f"measures.path {i}"], self._kept_measures()[i].path
+            if self.model.library.blocks_list_room(ctypes.addressof(kept), path.size):
                 raise MemoryError
-            array(int(rows["path"][i]["data"]), path.size)[:] = path.ravel()
-            rows["path"]["used"][i] = path.size
+            array(kept.data, path.size)[:] = path.ravel()
+            kept.used = path.size
 
     # --- from outside ------------------------------------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,29 +18,20 @@ MOST_SPARE, LARGEST_SPARE = 4, 2**22  # pieces of memory, bytes
 _KINDS = {"d": ctypes.c_double, "q": ctypes.c_int64, "i": ctypes.c_int32}
 
 
-class Entry(NamedTuple):
-    """An entry in C's table of the memory of a run. place, count: in bytes from the begin of the run. is_here: the
-    numbers stand at `place`, else their address. is_filed: files of states have it, under the same name."""
+Entry = tuple[int, int | None, int, Any, int]
 
-    place: int
-    count: int | None
-    n: int
-    kind: Any
-    is_here: bool
-    is_filed: bool
 
-    @classmethod
-    def all(cls, sim: Any) -> dict[str, Entry]:
-        """Return the named entries of a run, which are the same in all runs of its model."""
-        begin = ctypes.addressof(sim)
-        return {
-            ctypes.string_at(e.name).decode(): cls(
-                e.place - begin, e.count and e.count - begin, e.n, _KINDS[chr(e.kind)],
-                bool(e.flags & runtime_layout.HERE), bool(e.flags & runtime_layout.FILED),
-            )
-            for e in sim.entries[: sim.nentries]
-            if e.name
-        }  # fmt: skip
+def entries_of(sim: Any) -> dict[str, Entry]:
+    """Return the named entries of C's table of the memory of a run, which all runs of a model share.
+
+    Each has its place and that of its count, in bytes from the begin of the run, its size, kind and flags.
+    """
+    begin = ctypes.addressof(sim)
+    named = {ctypes.string_at(e.name).decode(): e for e in sim.entries[: sim.nentries] if e.name}
+    return {
+        name: (e.place - begin, e.count and e.count - begin, e.n, _KINDS[chr(e.kind)], e.flags)
+        for name, e in named.items()
+    }
 
 
 class Handle:
@@ -54,22 +45,21 @@ class Handle:
             raise MemoryError
         self.sim = runtime_layout.BlocksSim.from_address(self.address)
         if not model.entries:
-            model.entries = Entry.all(self.sim)
+            model.entries = entries_of(self.sim)
         self.entries = model.entries
 
     def row(self, name: str) -> Array:
         """Return numbers of the run by their name in C's table, as a view; C swaps and moves some of them."""
-        entry = self.entries[name]
-        place, n = self.address + entry.place, entry.n
-        if entry.is_here:
-            return array(place, n, entry.kind).reshape(())
-        if entry.count is not None:
-            n *= ctypes.c_int64.from_address(self.address + entry.count).value
-        return array(ctypes.c_void_p.from_address(place).value, n, entry.kind)
+        place, count, n, kind, flags = self.entries[name]
+        if flags & runtime_layout.HERE:
+            return array(self.address + place, n, kind).reshape(())
+        if count is not None:
+            n *= ctypes.c_int64.from_address(self.address + count).value
+        return array(ctypes.c_void_p.from_address(self.address + place).value, n, kind)
 
     def filed(self) -> dict[str, Array]:
         """Return what C has as files of states have it."""
-        return {name: self.row(name) for name, entry in self.entries.items() if entry.is_filed}
+        return {name: self.row(name) for name, (*_, flags) in self.entries.items() if flags & runtime_layout.FILED}
 
     def rows(self, shape: tuple[int, int]) -> Array:
         """Memory for rows that are copied before anyone keeps them. That of runs before is taken again: in new memory,

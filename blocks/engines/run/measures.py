@@ -215,12 +215,14 @@ class Measures:
         measures.pending = ()
         return measures
 
-    def kept(self, numbers: Array, paths: Mapping[int, Array]) -> Measures:
-        """The measures of the same plan where a run has ended, for their results.
+    def kept(self, numbers: Array, paths: Mapping[int, Array], known: Array | None = None) -> Measures:
+        """Return the measures of the same plan as compiled code has them.
 
         numbers: (m, 8) total, span, first, begin, target, last and the two extremes. paths: their rows (parts, 7).
+        known: the time (NaN: unknown) and the values of the last node.
         """
         measures = copy(self)
+        measures.known = None if known is None or math.isnan(known[0]) else (float(known[0]), known[1:].copy())
         measures.total, measures.span = numbers[:, 0], numbers[:, 1]
         first, *lists, low, high = numbers[:, 2:].T.tolist()
         measures.first = [None if math.isnan(t) else t for t in first]

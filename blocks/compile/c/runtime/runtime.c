@@ -3215,7 +3215,7 @@ static void list_memory(BlocksSim *s)
         ROW("located", located, ns, both), ROW(NULL, sides, ns, saved), ROW(NULL, touched, ns, saved), SCRATCH(until, ns),
         ENTRY('d', "fired", fired, ns, both | reset, -INFINITY), ROW("crossed", crossed, ns ? CROWD : 0, saved),
         SCRATCH(left, nl), ROW(NULL, before, nx + ns + nm, saved), SCRATCH(latched, ns), SCRATCH(x1, nx),
-        SCRATCH(known, 1 + 6 * nm), ROW(NULL, base, nu, saved), ROW(NULL, aim, nu, saved), ROW(NULL, begin, nu, saved),
+        ROW("known", known, 1 + 6 * nm, 0), ROW(NULL, base, nu, saved), ROW(NULL, aim, nu, saved), ROW(NULL, begin, nu, saved),
         ROW(NULL, finish, nu, saved), SCRATCH(xs, nx), SCRATCH(x2, nx + ns), SCRATCH(weights, nx * BLOCKS_MOST_DEGREE),
         SCRATCH(crossing_values, ns), SCRATCH(first_values, 5 * ns), SCRATCH(part_values, 6 * looked),
         SCRATCH(part_phases, 3 * turning), SCRATCH(reset_values, setup->nresets + setup->nenabled), SCRATCH(d1, nd),
