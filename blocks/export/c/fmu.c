@@ -87,6 +87,7 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
             ROW(data, model->jacobian.first[model->jacobian.ncolumns], 0), ROW(moved, nx + m->nd + ns, 0), ROW(above, nboth, 0),
             ROW(below, nboth, 0),
         };
+        _Static_assert(sizeof entries <= sizeof f->entries, "too many entries");
         f->nentries = sizeof entries / sizeof *entries;
         memcpy(f->entries, entries, sizeof entries);
         f->arena = blocks_allocate(entries, f->nentries);
@@ -1160,7 +1161,7 @@ struct FmuSaved {
     unsigned char bytes[];
 };
 
-/* All that is saved, behind the token of the FMU. */
+/* Copy all that is saved, behind the token of the FMU. */
 static void walk_all(Fmu *f, BlocksWalk *w)
 {
     char token[64] = {0}, found[64];
@@ -1178,7 +1179,7 @@ static BlocksWalk over(const FmuSaved *saved, int writes)
     return (BlocksWalk){bytes, bytes + saved->size, writes, 0, 0};
 }
 
-/* A state of so many bytes, in the place of *saved; null, with a message, where there is no memory. */
+/* Make a state of some bytes in the place of *saved. Returns null, with a message, if there is no memory. */
 static FmuSaved *sized(Fmu *f, FmuSaved **saved, size_t size)
 {
     FmuSaved *made = realloc(*saved, sizeof *made + size);

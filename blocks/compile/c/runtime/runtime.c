@@ -3180,7 +3180,7 @@ static void forget_rows(BlocksRows *rows)
 
 static int64_t most(int64_t a, int64_t b) { return a > b ? a : b; }
 
-/* Here alone stands what a run remembers and computes with: it is allocated, reset, saved and freed by this table. */
+/* List all that a run remembers and computes with. By this table alone it is allocated, reset, saved and freed. */
 static void list_memory(BlocksSim *s)
 {
 #define ENTRY(kind, name, field, n, flags, begin) {name, &s->field, NULL, n, begin, sizeof *s->field, kind, flags, 0}

@@ -264,8 +264,8 @@ typedef struct {
     int32_t open, seen;
 } BlocksPast;
 
-/* An entry in the table of a memory: a row, or numbers. SAVED: with a state of the run; FILED: in files of states too, under
-   its name; RESET: it starts as `begin` in each run; HERE: numbers, which stand at `place`, where rows have their address. */
+/* An entry in the table of a memory: a row, or numbers. SAVED: a state of the run has it; FILED: files of states have it, under
+   its name; RESET: it starts as `begin` in each run; HERE: `place` points to the numbers, else to the address of a row. */
 enum { BLOCKS_SAVED = 1, BLOCKS_FILED = 2, BLOCKS_RESET = 4, BLOCKS_HERE = 8 };
 typedef struct {
     const char *name; /* null: Python does not use it */
@@ -278,7 +278,7 @@ typedef struct {
 } BlocksEntry;
 #define BLOCKS_ENTRIES 88
 
-/* Memory goes to bytes, or comes from them (writes); where `at` is null, bytes are only counted. */
+/* Bytes that memory is copied to, or from (writes). If `at` is null, they are only counted. */
 typedef struct {
     uint8_t *at, *end;
     int32_t writes, failed;
@@ -290,7 +290,7 @@ struct BlocksSim {
     const BlocksSetup *setup;
     const BlocksModel *model;
     BlocksMemory memory;
-    BlocksEntry entries[BLOCKS_ENTRIES]; /* all that is allocated or saved; those from nsteady on grow */
+    BlocksEntry entries[BLOCKS_ENTRIES]; /* see `list_memory`; rows from nsteady on grow */
     int32_t nentries, nsteady;
     double t;          /* the first of the numbers that are saved */
     int64_t count;     /* t in base steps, where exact is 1 */
@@ -412,9 +412,9 @@ BLOCKS_API int blocks_list_room(BlocksList *list, int64_t more);
 /* Forgets what no history sees any more from t on. */
 BLOCKS_API void blocks_forget(BlocksSim *s, double t);
 
-/* Give memory to the rows of a table, to be freed; null where there is none. */
+/* Give memory to the rows of a table that have none and do not grow; returns what is to be freed, null if there is none. */
 void *blocks_allocate(const BlocksEntry *entries, int n);
-/* Take some bytes, the saved entries of a table, or those of a run along. What a run of a master has kept is left out. */
+/* Copy some bytes, the saved entries of a table, or those of a run. Of a run that keeps its past, the past is left out. */
 void blocks_walk(BlocksWalk *w, void *place, size_t size);
 void blocks_walk_entries(BlocksWalk *w, const BlocksEntry *entries, int n);
 void blocks_walk_run(BlocksWalk *w, BlocksSim *s);

@@ -271,7 +271,7 @@ static int get(Master *m, MasterUnit *u, double *to)
     return 0;
 }
 
-/* Saves a native unit, or restores it (writes); gives how many bytes that takes. Its past only grows meanwhile: it stays. */
+/* Save a native unit, or restore it (writes). Returns the number of bytes. Its past only grows meanwhile, and is kept. */
 static int64_t native_copy(MasterUnit *u, unsigned char *bytes, int writes)
 {
     BlocksSim *s = u->component;
