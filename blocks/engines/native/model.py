@@ -27,7 +27,6 @@ from ...compile.toolchain.compiler import TranslationUnit, build, load
 from ...text.errors import CompilerError
 from ..run.measures import Measures
 from ..run.step_parts import longest_step
-from .rows import Entry
 from .stiff import CarriedOrder
 
 Array = np.ndarray[Any, Any]
@@ -35,6 +34,9 @@ Array = np.ndarray[Any, Any]
 _LOCK = threading.Lock()
 MOST_MODELS = 32
 _MODELS: dict[Any, Model] = {}  # by all of a plan but its values: plans that differ in these alone share one
+Entry = tuple[int, int | None, int, Any, int]
+"""A part of a run's memory: its place and that of its count, in bytes from the start of the run; its size, kind and
+flags."""
 EXTRA_FLAGS: tuple[str, ...] = ()  # of the compiler, such as sanitizers in tests
 LARGE = 10_000
 """From so many operations on, the equations of one block may be why a compiler fails."""

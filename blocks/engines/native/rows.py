@@ -11,21 +11,15 @@ from ...compile.c import runtime_layout
 from ...compile.inputs import InputTable
 
 if TYPE_CHECKING:
-    from .model import Model
+    from .model import Entry, Model
 
 Array = np.ndarray[Any, Any]
 MOST_SPARE, LARGEST_SPARE = 4, 2**22  # pieces of memory, bytes
 _KINDS = {"d": ctypes.c_double, "q": ctypes.c_int64, "i": ctypes.c_int32}
 
 
-Entry = tuple[int, int | None, int, Any, int]
-
-
 def entries_of(sim: Any) -> dict[str, Entry]:
-    """Return the named entries of C's table of the memory of a run, which all runs of a model share.
-
-    Each has its place and that of its count, in bytes from the begin of the run, its size, kind and flags.
-    """
+    """Return the named entries of C's table of the memory of a run, which all runs of a model share."""
     begin = ctypes.addressof(sim)
     named = {ctypes.string_at(e.name).decode(): e for e in sim.entries[: sim.nentries] if e.name}
     return {
