@@ -37,6 +37,7 @@ from blocks import (
     Ramp,
     RateLimiter,
     Relay,
+    Saturation,
     Sine,
     State,
     Step,
@@ -955,6 +956,30 @@ def test_an_fmu_that_switches_by_an_extrapolated_input_switches_as_a_block(
     )["part.y"]
     # It switches at a time that is off by less than a step.
     assert np.mean(np.abs(made - truth)) < 1e-2
+
+
+@each_engine
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("method", ["dopri5", "rk4"])
+def test_an_fmu_that_stops_some_ulp_before_a_limit_passes_it(
+    method: str, order: int, engine: str, tmp_path: Path
+) -> None:
+    alone = Diagram("alone")
+    inner = alone.add("part", Saturation(lower=-0.3, upper=0.25))
+    alone.wire(inner.u, alone.input("u", default=0.0))
+    alone.output("y", inner.y)
+    alone.export(tmp_path / "part.fmu", fmi=3)
+    d = Diagram("lagged")
+    lag = d.add("lag", FirstOrder(k=0.806614, T=0.568871))
+    d.wire(lag.u, d.add("wave", Sine(omega=5.315937, amplitude=0.960992, phase=2.373037)).y)
+    d.wire(d.add("part", fmu(tmp_path / "part.fmu", "CS")).u, lag.y)
+    d.add("step", Step(at=1.0))  # the blocks have an instant, so the FMU repeats each step that it ends early
+    results = d.run(
+        stop=2.0, every=0.01, engine=engine, method=method, step=0.01 if method == "rk4" else None,
+        master={"step": 0.01, "algorithm": "jacobi", "order": order},
+    )  # fmt: skip
+    # It switches at a time that is off by the error of the extrapolation.
+    assert results["part.y"] == pytest.approx(np.clip(results["lag.y"], -0.3, 0.25), abs=1e-3)
 
 
 @each_engine

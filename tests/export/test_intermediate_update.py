@@ -29,6 +29,7 @@ from blocks import (
     Logic,
     MatrixGain,
     Relay,
+    Saturation,
     StateSpace,
     TransportDelay,
     ZeroOrderHold,
@@ -394,6 +395,34 @@ def test_an_importer_that_sets_nothing_gets_the_bits_of_one_without_updates(name
             assert one.reals() == plain.reals()
             assert times[-1] == (k + 1) * 0.0625
         assert one.serialized() == plain.serialized()
+
+
+@pytest.mark.parametrize("slope", [-0.38, -0.7, -5.0, -300.0])
+@pytest.mark.parametrize("ulps", [4, 16, 64, 1024])
+def test_a_line_crosses_a_limit_in_a_step_of_some_ulp_too(ulps: int, slope: float) -> None:
+    # A cubic through the rounding of its samples turns back behind the step, as if the limit were only touched.
+    middle = 0.598956903685299
+    first, last = (middle + side * ulps / 2 * math.ulp(middle) for side in (-1, 1))
+    fmu = exported(Diagram.alone(Saturation(lower=-0.3, upper=1.0)), fmi=3)
+    given = Given(fmu, {"u": lambda t: -0.3 + slope * (t - middle)}, event_mode=True, early=True)
+    with given.instance() as one:
+        one.begin({"u": given.signals["u"](0.0)})
+        one.events()
+        one.raw.enterStepMode()
+        t = 0.0
+        while t < first:  # the upper limit, if the line begins beyond it
+            needed, _, _, t = one.step(t, first - t)
+            if needed:
+                one.raw.enterEventMode()
+                one.events()
+                one.raw.enterStepMode()
+        assert one["y"] == one["u"] > -0.3
+        needed, _, _, t = one.step(first, last - first)
+        assert needed
+        one.raw.enterEventMode()
+        one.events()
+        one.raw.enterStepMode()
+        assert one["y"] == -0.3 > given.signals["u"](last)
 
 
 def test_what_stays_the_same_stays_exactly_the_same() -> None:

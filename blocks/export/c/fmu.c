@@ -992,7 +992,8 @@ int fmu_completed_step(Fmu *f, int *enter_event_mode, int *terminate)
 /* --- Co-Simulation --------------------------------------------------------------------------------------------------- */
 
 /* The polynomial of an input through its samples, exact for cubic ones; 0 where it is a constant. The terms come from
-   differences to the first sample, so that constants stay what they are, and lines are lines but for rounding. */
+   differences to the first sample, so that constants stay what they are. Samples that lie on a line but for rounding make a
+   line: beyond a step of some ulp a cubic through their rounding turns back, as if a crossing were only touched. */
 static int bend(Fmu *f, int i, const double *t)
 {
     const int n = f->setup.model->nu;
@@ -1001,8 +1002,10 @@ static int bend(Fmu *f, int i, const double *t)
     const double v1 = u[n] - first, v2 = u[2 * n] - first, v3 = last - first;
     const double size = fmax(fmax(fabs(first), fabs(u[n])), fmax(fabs(u[2 * n]), fabs(last)));
     const double range = fmax(fmax(fabs(v1), fabs(v2)), fabs(v3));
+    const double rounding = 4 * DBL_EPSILON * size + blocks_ulp(t[3]) * range / s3;
+    const double off = fmax(fabs(v1 - v3 * (s1 / s3)), fabs(v2 - v3 * (s2 / s3)));
     double slope = 0.0, square = 0.0, cube = 0.0;
-    if (0 < s1 && s1 < s2 && s2 < s3) { /* Newton's divided differences of (u - first) / s */
+    if (0 < s1 && s1 < s2 && s2 < s3 && off > rounding) { /* Newton's divided differences of (u - first) / s */
         double q1 = v1 / s1, q12 = (v2 / s2 - q1) / (s2 - s1), q13 = (v3 / s3 - q1) / (s3 - s1);
         cube = (q13 - q12) / (s3 - s2);
         square = q12 - cube * (s1 + s2);
@@ -1012,7 +1015,7 @@ static int bend(Fmu *f, int i, const double *t)
     }
     int is_bent = range > 0.0 && isfinite(slope) && isfinite(square) && isfinite(cube);
     /* Some ulp of its size, and what it moves by in some ulp of the time. */
-    f->slack[i] = 16 * DBL_EPSILON * size + (is_bent ? 4 * blocks_ulp(t[3]) * range / s3 : 0.0);
+    f->slack[i] = is_bent ? 4 * rounding : 16 * DBL_EPSILON * size;
     f->bends[i] = first;
     f->bends[n + i] = is_bent ? slope : 0.0;
     f->bends[2 * n + i] = is_bent ? 2 * square : 0.0;
