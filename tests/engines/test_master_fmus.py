@@ -29,6 +29,7 @@ from blocks import (
     BouncingBall,
     Constant,
     Counter,
+    DeadZone,
     Diagram,
     FirstOrder,
     Input,
@@ -958,28 +959,82 @@ def test_an_fmu_that_switches_by_an_extrapolated_input_switches_as_a_block(
     assert np.mean(np.abs(made - truth)) < 1e-2
 
 
+def behind_a_lag(part: Block, folder: Path) -> Diagram:
+    """Give a part, as an FMU that may end its steps early, the output of a lag.
+
+    The blocks have an instant too, so the FMU repeats each step that it ends early.
+    """
+    alone = Diagram("alone")
+    inner = alone.add("part", part)
+    alone.wire(inner.u, alone.input("u", default=0.0))
+    alone.output("y", inner.y)
+    alone.export(folder / "part.fmu", fmi=3)
+    d = Diagram("lagged")
+    lag = d.add("lag", FirstOrder())
+    d.wire(lag.u, d.add("wave", Sine()).y)
+    d.wire(d.add("part", fmu(folder / "part.fmu", "CS")).u, lag.y)
+    d.add("step", Step(at=1.0))
+    return d
+
+
 @each_engine
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("method", ["dopri5", "rk4"])
 def test_an_fmu_that_stops_some_ulp_before_a_limit_passes_it(
     method: str, order: int, engine: str, tmp_path: Path
 ) -> None:
-    alone = Diagram("alone")
-    inner = alone.add("part", Saturation(lower=-0.3, upper=0.25))
-    alone.wire(inner.u, alone.input("u", default=0.0))
-    alone.output("y", inner.y)
-    alone.export(tmp_path / "part.fmu", fmi=3)
-    d = Diagram("lagged")
-    lag = d.add("lag", FirstOrder(k=0.806614, T=0.568871))
-    d.wire(lag.u, d.add("wave", Sine(omega=5.315937, amplitude=0.960992, phase=2.373037)).y)
-    d.wire(d.add("part", fmu(tmp_path / "part.fmu", "CS")).u, lag.y)
-    d.add("step", Step(at=1.0))  # the blocks have an instant, so the FMU repeats each step that it ends early
+    d = behind_a_lag(Saturation(lower=-0.3, upper=0.25), tmp_path)
+    given = {"lag.k": 0.806614, "lag.T": 0.568871}
+    given |= {"wave.omega": 5.315937, "wave.amplitude": 0.960992, "wave.phase": 2.373037}
     results = d.run(
-        stop=2.0, every=0.01, engine=engine, method=method, step=0.01 if method == "rk4" else None,
+        stop=2.0, every=0.01, engine=engine, method=method, step=0.01 if method == "rk4" else None, parameters=given,
         master={"step": 0.01, "algorithm": "jacobi", "order": order},
     )  # fmt: skip
     # It switches at a time that is off by the error of the extrapolation.
     assert results["part.y"] == pytest.approx(np.clip(results["lag.y"], -0.3, 0.25), abs=1e-3)
+
+
+@each_engine
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"omega": 3.4725551483117383, "amplitude": 1.046717518036683, "phase": 4.727785151772, "k": 0.7577488818366324,
+         "T": 0.39993171039035114},
+        {"omega": 5.438659954168475, "amplitude": 0.8969951411884483, "phase": 1.6776736593111383,
+         "k": 1.0087279306471069, "T": 0.35491578690210035},
+    ],
+    ids=["up", "down"],
+)  # fmt: skip
+def test_nothing_is_extrapolated_through_points_that_lie_some_ulp_apart(
+    given: dict[str, float], engine: str, tmp_path: Path
+) -> None:
+    """The FMU stops several times in front of a corner, at times that approach each other."""
+    d = behind_a_lag(DeadZone(lower=-0.3, upper=0.25), tmp_path)
+    parameters = {f"{'lag' if name in ('k', 'T') else 'wave'}.{name}": value for name, value in given.items()}
+    results = d.run(
+        stop=2.0, every=0.01, engine=engine, method="rk4", step=0.01, parameters=parameters,
+        master={"step": 0.01, "algorithm": "jacobi", "order": 2},
+    )  # fmt: skip
+    u = results["lag.y"]
+    assert results["part.y"] == pytest.approx(u - np.clip(u, -0.3, 0.25), abs=1e-3)
+
+
+@each_engine
+@pytest.mark.parametrize(("order", "error"), [(1, 0.01), (2, 0.001)])
+def test_extrapolation_follows_points_that_ticks_set_close_together(
+    order: int, error: float, engine: str, tmp_path: Path
+) -> None:
+    """A hold beside the lag ticks at a fiftieth of the step, and each tick is a communication point."""
+    d = behind_a_lag(FirstOrder(T=0.05), tmp_path)
+    d.add("reader", fmu(tmp_path / "part.fmu", "CS"))
+    d.wire("reader.u", d.add("hold", ZeroOrderHold(period=0.002)).y)
+    d.wire("hold.u", d.add("other", Sine(omega=3.0)).y)
+    settings: dict[str, Any] = {"stop": 2.0, "every": 0.1, "rtol": 1e-9, "atol": 1e-11}
+    settings["parameters"] = {"wave.omega": 5.3, "lag.T": 0.5}
+    made = d.run(**settings, engine=engine, master={"step": 0.1, "algorithm": "jacobi", "order": order})["part.y"]
+    for name, block in (("part", FirstOrder(T=0.05)), ("reader", FirstOrder(T=0.05))):
+        d.swap(name, block)
+    assert made == pytest.approx(d.run(**settings, engine=engine)["part.y"], abs=error)
 
 
 @each_engine

@@ -13,8 +13,9 @@ DEEPEST = 3
 """A step is iterated until so many instants inside it have cut it short."""
 NEAR = 4096
 """So many ulp apart times are near each other."""
-CLOSE = 0.1
-"""A point that comes less than this part of a step after the last one replaces it, if something happened there."""
+CLOSE, ROUGH = 0.1, 1e-3
+"""Extrapolation uses only one of two points that are closer than this part of a step: CLOSE if something happened in
+the unit, else ROUGH, because rounding would bend a course through both."""
 SMALLEST = 1024
 """The smallest part of a step that is tried where a whole one is discarded."""
 MISSES, NEAR_MISSES, GROWTH = 30, 10, 1e6

@@ -36,7 +36,7 @@ from ..run.recording import Recording
 from ..run.saved_state import State
 from .exchange import Exchange, Point, course_of
 from .growth import Growth, circles, warning
-from .limits import CLOSE, CONVERGED, DEEPEST, MOST_PASSES, NEAR
+from .limits import CLOSE, CONVERGED, DEEPEST, MOST_PASSES, NEAR, ROUGH
 from .measured import measured
 from .policy import Policy
 from .step_control import StepControl
@@ -87,6 +87,7 @@ class ReferenceMaster(Exchange):
         self.control = StepControl()
         self.fresh = 0  # so many steps since something jumped
         self.inverse: tuple[Any, Array] | None = None
+        self.set_aside: dict[int, Point] = {}  # past points that closer ones have replaced, by element
         self.ends: list[float] = []  # all elements at the end of the last step, before what happened there
         self.crowd = 0  # how many instants followed each other within some ulp
         self.depth = 0  # how many instants have cut the step under way short
@@ -439,22 +440,39 @@ class ReferenceMaster(Exchange):
         self._wait(behind, renewed, jumps, at_break=is_set)
         is_new = is_late = False
         for g in here:
-            points, unit = self.past[g], coupling.elements[g].unit
+            unit = coupling.elements[g].unit
             is_followed = bool(coupling.readers[g] and not coupling.elements[g].held)
             if g in renewed:
                 self.past[g] = [(t, self.y[g])]
+                self.set_aside.pop(g, None)
                 is_new = is_new or is_followed
-            elif unit in acted and points and t - points[-1][0] < CLOSE * self._length(unit):
-                points[-1] = (t, self.y[g])  # a line through points that are so close would be one of their errors
-                is_late = is_late or is_followed
-            elif not points or points[-1][0] < t:
-                points.append((t, self.y[g]))
-                del points[:-3]
+            elif self._add_point(g, (CLOSE if unit in acted else ROUGH) * self._length(unit)):
+                is_late = is_late or (is_followed and unit in acted)
         self.fresh = 0 if is_new else self.fresh + (not is_late)
         self._record(left, is_start=is_start)
         if jumps or is_start or at_break:
             self._measure(1.0)
         return not is_new
+
+    def _add_point(self, g: int, apart: float) -> bool:
+        """Add the present value to the past points of an element; return whether it replaces the last one.
+
+        It does if it is closer than `apart`: a course through both would be one of their errors. The replaced point is
+        set aside, and comes back once a point lies far enough from it: points do not grow old if all are close.
+        """
+        points, point, aside = self.past[g], (self.t, self.y[g]), self.set_aside.get(g)
+        is_close = bool(points) and self.t - points[-1][0] < apart
+        if is_close and (aside is None or self.t - aside[0] < apart):
+            if points[-1][0] < self.t:
+                self.set_aside.setdefault(g, points[-1])
+            points[-1] = point
+            return True
+        if is_close and aside is not None:
+            points[-1] = aside
+        self.set_aside.pop(g, None)
+        points.append(point)
+        del points[:-3]
+        return False
 
     def _length(self, k: int) -> float:
         """Return the length of a usual step of a unit."""
@@ -566,7 +584,7 @@ class ReferenceMaster(Exchange):
 
     def kept(self) -> dict[str, Any]:
         """All that a step changes, to go back to; it is dropped when it is not needed any more."""
-        names = ("t", "exact", "at", "next", "y", "past", "segment", "broken", "fresh", "instants")
+        names = ("t", "exact", "at", "next", "y", "past", "set_aside", "segment", "broken", "fresh", "instants")
         return {
             **{name: copy.deepcopy(getattr(self, name)) for name in names},
             "rows": self.recording.rows,

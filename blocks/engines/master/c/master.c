@@ -155,9 +155,25 @@ static void remember(MasterPast *p, double t, double y)
     if (p->n < 3) p->n++;
 }
 
+/* Adds a point; 1 where it replaces the last one, which is closer than `apart`: a course through both would be one of their
+   errors. */
+static int add_point(MasterPast *p, double t, double y, double apart)
+{
+    int is_close = p->n && t - p->t[0] < apart;
+    if (is_close && (!p->has_aside || t - p->aside_t < apart)) {
+        if (!p->has_aside && p->t[0] < t) p->aside_t = p->t[0], p->aside_y = p->y[0], p->has_aside = 1;
+        p->t[0] = t, p->y[0] = y;
+        return 1;
+    }
+    if (is_close) p->t[0] = p->aside_t, p->y[0] = p->aside_y;
+    p->has_aside = 0;
+    remember(p, t, y);
+    return 0;
+}
+
 static void begin_anew(MasterPast *p, double t, double y)
 {
-    p->n = 1;
+    p->n = 1, p->has_aside = 0;
     p->t[0] = t, p->y[0] = y;
 }
 
@@ -1052,7 +1068,10 @@ static int arrived(Master *m, int *calm)
     if (!has) {
         if (m->needs_past)
             for (int g = 0; g < m->nelements; g++)
-                if (m->units[m->elements[g].unit].t == t && m->past[g].t[0] < t) remember(&m->past[g], t, m->y[g]);
+                if (m->units[m->elements[g].unit].t == t && m->past[g].t[0] < t) {
+                    double length = length_of(m, &m->units[m->elements[g].unit]);
+                    add_point(&m->past[g], t, m->y[g], ROUGH * length);
+                }
         m->fresh++;
         return record(m, NULL);
     }
@@ -1068,18 +1087,15 @@ static int arrived(Master *m, int *calm)
     keep_waiting(m, at_break);
     for (int g = 0; g < m->nelements; g++) {
         MasterPast *p = &m->past[g];
-        if (m->units[m->elements[g].unit].t != t) continue;
+        const MasterUnit *u = &m->units[m->elements[g].unit];
+        if (u->t != t) continue;
         if (m->renewed[g]) {
             begin_anew(p, t, m->y[g]);
             if (m->elements[g].first_reader == m->elements[g + 1].first_reader) continue;
             is_again = 1;
             if (!m->elements[g].is_held) is_new = 1;
-        } else if (m->units[m->elements[g].unit].is_bent && p->n && t - p->t[0] < CLOSE * length_of(m, &m->units[m->elements[g].unit])) {
-            /* A line through points that are so close would be one of their errors. */
-            p->t[0] = t, p->y[0] = m->y[g];
+        } else if (add_point(p, t, m->y[g], (u->is_bent ? CLOSE : ROUGH) * length_of(m, u)) && u->is_bent) {
             if (m->elements[g].first_reader < m->elements[g + 1].first_reader && !m->elements[g].is_held) is_late = 1;
-        } else if (p->n == 0 || p->t[0] < t) {
-            remember(p, t, m->y[g]);
         }
     }
     m->fresh = is_new ? 0 : m->fresh + !is_late;
