@@ -1037,6 +1037,25 @@ def test_extrapolation_follows_points_that_ticks_set_close_together(
     assert made == pytest.approx(d.run(**settings, engine=engine)["part.y"], abs=error)
 
 
+def test_both_engines_let_a_delay_bend_at_the_communication_point_beside_it() -> None:
+    """1.2 s + 0.14 s is a double beside 1.34 s, and a step from the one to the other would show no bend."""
+    d = Diagram("late")
+    off, hold = d.add("off", Sum(signs="+-")), d.add("hold", ZeroOrderHold(period=0.1))
+    plant, late = d.add("plant", FirstOrder(k=1.470914, T=0.314546)), d.add("late", TransportDelay(delay=0.14))
+    d.wire(off.u1, d.add("wave", Sine(omega=5.014174, amplitude=1.034268, phase=1.677322)).y)
+    d.wire(off.u2, late.y)
+    d.wire(hold.u, off.y)
+    d.wire(plant.u, hold.y)
+    d.wire(late.u, plant.y)
+    bound = d.add("bound", FirstOrder(k=1.4, T=0.9))
+    d.wire(bound.u, plant.y)
+    d.wire(d.add("lag", fmu(lag_fmu(2), "CS")).u, bound.y)
+    settings: dict[str, Any] = {"stop": 2.0, "every": 0.05, "method": "euler", "step": 0.01, "log": ["lag.y"]}
+    settings["master"] = {"step": 0.01, "algorithm": "jacobi", "order": 1}
+    native, reference = (d.run(**settings, engine=engine)["lag.y"] for engine in ("native", "reference"))
+    assert native == pytest.approx(reference, rel=1e-9, abs=1e-12)
+
+
 @each_engine
 def test_an_fmu_whose_input_jumps_still_finds_what_fires_ever_faster(tmp_path: Path, engine: str) -> None:
     inner = Diagram("bounces")

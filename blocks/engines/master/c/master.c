@@ -458,7 +458,8 @@ static int step_native(Master *m, MasterUnit *u, double t1)
     u->crossed_count = s->crossed_count;
     native_inputs(u, has_slopes);
     double next = CALL(Next, u, CALL_next)(s), goal = t1;
-    if (blocks_within_ulps(next, t1, s->setup->scale)) goal = next;
+    /* A tick happens at its own time only; the edge of a delay happens at a point beside it. */
+    if (s->target_exact && blocks_within_ulps(next, t1, s->setup->scale)) goal = next;
     u->reached = t1;
     u->is_due = 0;
     while (s->t < goal) {
