@@ -148,7 +148,6 @@ class Instance:
         self._flags: Any = [ctypes.c_bool() for _ in range(5)]
         self._time: Any = ctypes.c_double()
         self._refs: list[Any] = [ctypes.byref(buffer) for buffer in (*self._flags, self._time)]
-        self._vectors: dict[str, Any] = {}
         self._is_set_up = False  # whether its experiment is set up
 
         held = self._raw.held
@@ -324,7 +323,6 @@ class Instance:
         self.call("ExitConfigurationMode")
         self._sizes.update((variable.name, index(value)) for variable, value in zip(variables, values, strict=True))  # type: ignore[arg-type]
         self._plans.clear()
-        self._vectors.clear()
 
     def _plan(self, variables: Iterable[ModelVariable]) -> tuple[list[_VariableGroup], int]:
         """The calls that transfer variables, and the number of elements."""
@@ -401,14 +399,6 @@ class Instance:
         n = len(variables)
         references = (ctypes.c_uint * n)(*(variable.reference for variable in variables))
         self.call("SetRealInputDerivatives", references, n, (ctypes.c_int * n)(*[order] * n), _doubles(values))
-
-    def output_derivatives(self, variables: Sequence[ModelVariable], order: int) -> list[float]:
-        """Derivatives of outputs at the end of the last step. Raises FMUError (E213)."""
-        n = len(variables)
-        references = (ctypes.c_uint * n)(*(variable.reference for variable in variables))
-        orders, row = (ctypes.c_int * n)(*[order] * n), (ctypes.c_double * sum(map(self.size, variables)))()
-        self.call("GetOutputDerivatives", references, n, orders, row, *self._count(row))
-        return row[:]
 
     def directional(
         self, unknowns: Sequence[ModelVariable], knowns: Sequence[ModelVariable], seed: Sequence[float]
@@ -593,55 +583,6 @@ class Instance:
         """From event mode to continuous time. Raises FMUError (E213)."""
         self.call("EnterContinuousTimeMode")
         self._raw.has_begun = True
-
-    def set_time(self, t: float) -> None:
-        """Raises FMUError (E213)."""
-        self._alive().t = t
-        self.call("SetTime", t)
-
-    def _vector(self, what: str) -> Any:
-        """The buffer of that vector."""
-        vector = self._vectors.get(what)
-        if vector is None:
-            if what == "indicators":
-                of = [indicator.variable for indicator in self.description.structure.indicators]
-                n = self.description.indicators if self.fmi == 2 else sum(map(self.size, of))
-            else:
-                n = sum(map(self.size, self.description.structure.states))
-            vector = self._vectors[what] = (ctypes.c_double * n)()
-        return vector
-
-    def _read(self, what: str, name: str) -> list[float]:
-        row = self._vector(what)
-        if len(row):
-            self.call(name, row, len(row))
-        return row[:]  # type: ignore[no-any-return]
-
-    def set_states(self, x: Sequence[float]) -> None:
-        """Raises FMUError (E213), UsageError (E501) for another number of states."""
-        row = self._vector("states")
-        if len(x) != len(row):
-            message = f"{len(x)} values were given for {len(row)} continuous states."
-            raise UsageError(Fault("E501", self.name, message, "Give one value for each state."))
-        if len(row):
-            row[:] = x if isinstance(x, (list, tuple)) else [float(value) for value in x]
-            self.call("SetContinuousStates", row, len(row))
-
-    def states(self) -> list[float]:
-        """Raises FMUError (E213)."""
-        return self._read("states", "GetContinuousStates")
-
-    def rates(self) -> list[float]:
-        """The derivatives of the states by time. Raises FMUError (E213)."""
-        return self._read("rates", "GetContinuousStateDerivatives")
-
-    def nominals(self) -> list[float]:
-        """Magnitudes of the states. Raises FMUError (E213)."""
-        return self._read("nominals", "GetNominalsOfContinuousStates")
-
-    def indicators(self) -> list[float]:
-        """What changes its sign at an event. Raises FMUError (E213)."""
-        return self._read("indicators", "GetEventIndicators")
 
     def completed_step(self, *, forgets: bool | None = None) -> tuple[bool, bool]:
         """Reports an accepted step; whether event mode and whether the end is asked for. Raises FMUError (E213).

@@ -444,15 +444,6 @@ def measured(value: float) -> str:
     return f"{value:.7g}" if math.isfinite(value) else "-"
 
 
-def spark_line(t: Array, values: Array) -> str:
-    """A signal in 10 characters: its value at so many times, on the scale from its least to its largest value."""
-    if len(t) == 0:
-        return ""
-    times = np.linspace(t[0], t[-1], SPARKS)
-    picked = values[np.searchsorted(t, times, side="right") - 1]
-    return _bars(picked, float(np.min(values)), float(np.max(values)))
-
-
 class _AtNeed:
     """A field of Results that may be a function, which is called when it is first read."""
 

@@ -78,11 +78,6 @@ class Client:
             self._loop.call_soon_threadsafe(self._ready.set)
         return self._is_open and not replaced
 
-    def is_behind(self, slot: str) -> bool:
-        """Whether a frame still waits in this slot: who would append to it makes a larger one later."""
-        with self._lock:
-            return slot in self._waiting
-
     def answered(self) -> None:
         """Its oldest message was: the page may ask more."""
         with contextlib.suppress(RuntimeError):  # the server has ended

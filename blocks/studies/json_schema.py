@@ -14,13 +14,11 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from ..contract.block import Block
 from ..contract.declaration import Declaration
 from ..contract.variables import NO_LIMIT, REQUIRED, Parameter, Variable
-from ..model import diagram, study_grammar
 from ..model import diagram_grammar as g
 from ..model.study_grammar import STUDY
 from ..text import json_writer, units
@@ -36,12 +34,6 @@ FLAGS = AnyOf(*_FLAGS, g.quantity(AnyOf(*_FLAGS)), name="flags")
 WORDS = AnyOf(g.EXPRESSION, g.quantity(g.TEXT, "A text."), name="words")
 _NUMBERS = (g.NUMBER, g.EXPRESSION, g.LIST)
 NUMBERS = AnyOf(*_NUMBERS, g.quantity(AnyOf(*_NUMBERS)), g.COLUMN, name="numbers")
-
-
-def path_of(kind: str) -> Path:
-    """The file of a schema that ships; the name holds the version of the format that it describes."""
-    version = {"diagram": diagram.VERSION, "study": study_grammar.VERSION}[kind]
-    return Path(__file__).parents[1] / "schemas" / f"{kind}-{version}.schema.json"
 
 
 def text_of(kind: str, types: Mapping[str, type[Block]]) -> str:

@@ -88,10 +88,6 @@ class Condition:
         return self.right if self.is_lower else self.left
 
     @property
-    def held_before(self) -> bool:
-        return self.left_before <= self.right_before
-
-    @property
     def holds(self) -> bool:
         return self.left <= self.right
 

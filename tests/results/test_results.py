@@ -13,7 +13,7 @@ import pytest
 from blocks import Constant, Diagram, Integrator, Product, Results, SimulationError, Sine, StateSpace, Step
 from blocks.engines.run.recording import CHUNK, Recording
 from blocks.model.fingerprint import fingerprint
-from blocks.results.results import Event, Events, Signal, Statistics, spark_line
+from blocks.results.results import Event, Events, Signal, Statistics
 
 
 def results(**settings: Any) -> Results:
@@ -264,12 +264,16 @@ def test_a_run_without_signals_has_rows_of_time() -> None:
     assert made.table()
 
 
+def spark_line(t: Any, values: Any) -> str:
+    made = Results("d", t, values[:, np.newaxis], {"y": (0, (), "")})
+    return made.table().splitlines()[1].split()[-1]
+
+
 def test_spark_lines_follow_the_signal_over_time() -> None:
     t = np.linspace(0.0, 1.0, 1000)
     assert spark_line(t, t) == "▁▁▂▃▄▅▆▇██" or spark_line(t, t)[0] == "▁"
     assert spark_line(t, t)[-1] == "█"
     assert spark_line(t, np.ones(1000)) == "▄" * 10
-    assert spark_line(np.empty(0), np.empty(0)) == ""
     assert spark_line(t, np.full(1000, math.nan)) == "?" * 10
     uneven = np.concatenate([np.linspace(0, 0.01, 999), [1.0]])  # nearly all rows at the beginning
     assert spark_line(uneven, uneven).count("▁") >= 8

@@ -73,9 +73,15 @@ def with_parts(path: tuple[Any, ...], value: Any, source: Any) -> Any:
 # --- the schema itself -----------------------------------------------------------------------------------------
 
 
+def path_of(kind: str) -> Path:
+    """Return the file of a schema that ships; its name holds the version of the format."""
+    (path,) = (ROOT / "blocks" / "schemas").glob(f"{kind}-*.schema.json")
+    return path
+
+
 @pytest.mark.parametrize("kind", json_schema.KINDS)
 def test_the_files_that_ship_are_what_the_tables_make(kind: str) -> None:
-    path = json_schema.path_of(kind)
+    path = path_of(kind)
     cure = f"python -m blocks schema {kind} -o {path.relative_to(ROOT)}"
     assert path.read_text(encoding="utf-8") == json_schema.text_of(kind, LIBRARY), cure
 
@@ -97,7 +103,7 @@ def schemas(node: Any) -> Iterator[dict[str, Any]]:
 
 @pytest.mark.parametrize("kind", json_schema.KINDS)
 def test_a_schema_is_one_by_its_metaschema_and_has_no_word_that_means_nothing(kind: str) -> None:
-    made = json.loads(json_schema.path_of(kind).read_text(encoding="utf-8"))
+    made = json.loads(path_of(kind).read_text(encoding="utf-8"))
     Draft202012Validator.check_schema(made)
     assert made["$schema"] == json_schema.DIALECT
     known = {"$schema", "$defs", "$ref", "title", "description", "default", "examples", "type", "enum", "const"}
@@ -115,7 +121,7 @@ def test_a_schema_is_one_by_its_metaschema_and_has_no_word_that_means_nothing(ki
 
 @pytest.mark.parametrize("kind", json_schema.KINDS)
 def test_editors_have_something_to_show_for_every_key(kind: str) -> None:
-    made = json.loads(json_schema.path_of(kind).read_text(encoding="utf-8"))
+    made = json.loads(path_of(kind).read_text(encoding="utf-8"))
     for node in schemas(made):
         if node.get("additionalProperties") is False:
             for key, entry in node["properties"].items():
@@ -594,11 +600,11 @@ def test_the_command_prints_what_ships_or_writes_it(tmp_path: Path, capsys: pyte
     assert library_types() == LIBRARY
     for kind in json_schema.KINDS:
         assert main(["schema", kind]) == 0
-        assert capsys.readouterr().out == json_schema.path_of(kind).read_text(encoding="utf-8")
+        assert capsys.readouterr().out == path_of(kind).read_text(encoding="utf-8")
     out = tmp_path / "s.json"
     assert main(["schema", "-o", str(out)]) == 0
     assert capsys.readouterr().out == f"{out}\n"
-    assert out.read_bytes() == json_schema.path_of("diagram").read_bytes()
+    assert out.read_bytes() == path_of("diagram").read_bytes()
     assert main(["schema", "stdy"]) == 2
     assert main(["schema", "-o", str(tmp_path / "missing" / "s.json")]) == 2
 
