@@ -35,7 +35,7 @@ from ..text.rich_output import Part, Shown
 from .plan import Plan, PlanInput, PlanSignal, Reference
 from .plan_builder import plan
 from .scheduler import components
-from .upstream import Upstream
+from .upstream import Upstream, at_once
 
 if TYPE_CHECKING:
     from ..fmi.schema import ModelVariable
@@ -582,7 +582,7 @@ class _Coupler:
         island_plan = plan(Flat(name, blocks, inputs, signals, (), settings, log, (), (), enabled, flat.diagram))
         self.warnings += island_plan.warnings
         references = tuple(island_plan.signal(str(n)).references[0] for n in range(len(mine)))
-        closures = [_closure(island_plan, reference) for reference in references]
+        closures = [at_once(island_plan, [reference]) for reference in references]
         upstream = Upstream(island_plan)
         feeds = []
         reset = {r for cause in (*island_plan.crossings, *island_plan.events) for _, r in cause.resets}
@@ -632,27 +632,12 @@ def _told_step(foreign: Foreign) -> Fraction | None:
     return exact_time(step) if step and math.isfinite(step) and step > 0 else None
 
 
-def _closure(island_plan: Plan, begin: Reference) -> set[Reference]:
-    """All memory that a value depends on at once."""
-    closure: set[Reference] = set()
-    waiting = [begin]
-    while waiting:
-        reference = waiting.pop()
-        if reference in closure:
-            continue
-        closure.add(reference)
-        if reference.row == "w":
-            waiting += island_plan.bind(island_plan.outputs[reference.index])
-    return closure
-
-
 def _sampled(island_plan: Plan) -> tuple[int, ...]:
     """The inputs that what is computed at ticks depends on at once."""
     nodes = (node for rate in island_plan.rates for node, _ in rate.outputs)
-    read = {r for node in nodes for reference in island_plan.bind(node) for r in _closure(island_plan, reference)}
-    begin = (reference for part in island_plan.steppers for _, references, _ in part.inputs for reference in references)
-    read |= {r for reference in begin for r in _closure(island_plan, reference)}
-    return tuple(sorted(index for row, index in read if row == "u"))
+    read = [reference for node in nodes for reference in island_plan.bind(node)]
+    read += [reference for part in island_plan.steppers for _, references, _ in part.inputs for reference in references]
+    return tuple(sorted(index for row, index in at_once(island_plan, read) if row == "u"))
 
 
 # --- in which order --------------------------------------------------------------------------------------------

@@ -38,6 +38,7 @@ from typing import Any
 
 import numpy as np
 
+from ..contract.closure import closure
 from ..contract.scalars import LOGICAL, OPERATIONS
 from ..contract.tape import Tape
 from ..contract.tracing import jacobian
@@ -511,14 +512,8 @@ class _JacobianBuilder:
 
     def _needed(self, of: Sequence[Node | Reference]) -> set[Node]:
         """The nodes between the results and the variables (or cuts)."""
-        stack = [node for item in of if item not in self.columns and (node := self.node(item)) is not None]
-        needed: set[Node] = set()
-        while stack:
-            node = stack.pop()
-            if node not in needed:
-                needed.add(node)
-                stack += [other for ref in self.plan.bind(node) if (other := self.before(ref)) is not None]
-        return needed
+        begin = (node for item in of if item not in self.columns and (node := self.node(item)) is not None)
+        return closure(begin, lambda node: filter(None, map(self.before, self.plan.bind(node))))
 
     def _depends(self) -> set[Node]:
         """The needed nodes that depend on a variable."""

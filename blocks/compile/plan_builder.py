@@ -44,7 +44,7 @@ from .plan import (
 )
 from .scheduler import schedule
 from .tick_stages import coinciding, stages_of, tick_program
-from .upstream import Upstream
+from .upstream import Upstream, at_once
 
 
 @paused()
@@ -411,7 +411,7 @@ def _settled(plan: Plan) -> Plan:
     order = firing_order(plan, loops)
     # The solution of a loop rounds in another way at each search.
     searched = enumerate(cause.node for cause in plan.crossings) if unknowns else ()
-    corners = [j for j, node in searched if not _reached(plan, [node]).isdisjoint(unknowns)]
+    corners = [j for j, node in searched if not at_once(plan, plan.bind(node)).isdisjoint(unknowns)]
     inner = [j for j in order.inner if j in corners]
     return replace(
         plan,
@@ -424,19 +424,6 @@ def _settled(plan: Plan) -> Plan:
         waits=order.waits,
         guessed=guessed,
     )
-
-
-def _reached(plan: Plan, nodes: Iterable[Node]) -> set[Reference]:
-    """What nodes depend on at one time: unsampled outputs, and memory."""
-    reached: set[Reference] = set()
-    stack = [reference for node in nodes for reference in plan.bind(node)]
-    while stack:
-        reference = stack.pop()
-        if reference not in reached:
-            reached.add(reference)
-            if reference.row == "w":
-                stack += plan.bind(plan.outputs[reference.index])
-    return reached
 
 
 def _continuous(plan: Plan) -> list[Node | Reference]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from ..contract.closure import closure
 from .plan import Node, Plan, Reference
 
 
@@ -52,23 +53,23 @@ class Upstream:
 
     def of(self, begin: Iterable[Reference]) -> frozenset[Reference]:
         """Return all memory that some values depend on, these included."""
-        found = set(begin)
-        waiting = [*found]
-        while waiting:
-            reference = waiting.pop()
-            nodes = self.written_by.get(reference, [])
-            if reference.row == "w":
-                nodes = [self.plan.outputs[reference.index]]
-            reached = [*self.read_by.get(reference, ())]
-            for node in nodes:
-                condition = self.plan.instances[node.instance].condition
-                reached += self.plan.bind(node) + self.foreign.get(node.instance, [])
-                reached += [] if condition is None else [Reference("s", condition)]
-            for other in reached:
-                if other not in found:
-                    found.add(other)
-                    waiting.append(other)
-        return frozenset(found)
+        return frozenset(closure(begin, self._before))
+
+    def _before(self, reference: Reference) -> list[Reference]:
+        nodes = self.written_by.get(reference, [])
+        if reference.row == "w":
+            nodes = [self.plan.outputs[reference.index]]
+        reached = [*self.read_by.get(reference, ())]
+        for node in nodes:
+            condition = self.plan.instances[node.instance].condition
+            reached += self.plan.bind(node) + self.foreign.get(node.instance, [])
+            reached += [] if condition is None else [Reference("s", condition)]
+        return reached
+
+
+def at_once(plan: Plan, begin: Iterable[Reference]) -> set[Reference]:
+    """Return all memory and all unsampled outputs that values depend on at one time, these included."""
+    return closure(begin, lambda value: plan.bind(plan.outputs[value.index]) if value.row == "w" else ())
 
 
 def changed_by(plan: Plan) -> list[frozenset[Reference]]:

@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Any
 
 from .captured_values import Outside
+from .closure import closure
 from .interface import Interface
 
 
@@ -183,11 +184,4 @@ class Tape:
 
 def nodes_needed(nodes: Sequence[TapeNode], results: Iterable[int]) -> list[int]:
     """The nodes that these nodes need, themselves included, in order."""
-    wanted: set[int] = set()
-    stack = list(results)
-    while stack:
-        node = stack.pop()
-        if node not in wanted:
-            wanted.add(node)
-            stack.extend(nodes[node].operands)
-    return sorted(wanted)
+    return sorted(closure(results, lambda node: nodes[node].operands))

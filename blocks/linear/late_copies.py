@@ -24,6 +24,7 @@ import numpy as np
 
 from ..compile.plan import Plan
 from ..compile.time_grid import within_ulps
+from ..contract.closure import closure
 from ..text.errors import AnalysisError, Fault
 
 Array = np.ndarray[Any, Any]
@@ -112,29 +113,18 @@ class LateCopies:
 
     def _read(self, k: int) -> tuple[set[int], set[int]]:
         """Find what a delayed signal needs: elements of z, and the delays that they or the signal itself read."""
-        elements = set(np.nonzero(self._own["h"][k])[0].tolist())
-        delays = set(np.nonzero(self._late["h"][k])[0].tolist())
-        waiting = list(elements)
-        while waiting:
-            row = waiting.pop()
-            if row < self.nx:
-                delays.update(np.nonzero(self._late["x"][row])[0].tolist())
-                new = set(np.nonzero(self._own["x"][row])[0].tolist()) - elements
-                elements |= new
-                waiting += new
-        return elements, delays
+        first: list[int] = np.nonzero(self._own["h"][k])[0].tolist()
+        elements = closure(first, lambda row: np.nonzero(self._own["x"][row])[0].tolist() if row < self.nx else ())
+        late = [self._late["h"][k], *(self._late["x"][row] for row in elements if row < self.nx)]
+        return elements, {delay for row in late for delay in np.nonzero(row)[0].tolist()}
 
     def _check_circles(self) -> None:
         """Raise AnalysisError (E707) if a delayed signal depends on itself in continuous time."""
-        inside = []
-        for k in range(len(self._delays)):
-            reached, waiting = set[int](), [k]
-            while waiting:
-                new = self._reads[waiting.pop()][1] - reached
-                reached |= new
-                waiting += new
-            if k in reached:
-                inside.append(self._names[k])
+        inside = [
+            self._names[k]
+            for k, (_, delays) in enumerate(self._reads)
+            if k in closure(delays, lambda other: self._reads[other][1])
+        ]
         if inside:
             delays = ", ".join(inside)
             message = f"exact delays act back on themselves in continuous time, through no sampled block: {delays}."

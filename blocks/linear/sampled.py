@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from ..compile.plan import Plan
+from ..contract.closure import closure
 from ..text.errors import AnalysisError, Fault
 from .late_copies import MOST, Kept, LateCopies, Time, too_long
 
@@ -286,12 +287,5 @@ class Sampled:
 
 def _used(A: Array, C: Array) -> list[int]:
     """The states that can be seen: what was held is forgotten where it is computed anew at each tick."""
-    seen = set(np.nonzero(np.any(C != 0, axis=0))[0].tolist())
-    waiting = list(seen)
-    while waiting:
-        row = waiting.pop()
-        for k in np.nonzero(A[row])[0].tolist():
-            if k not in seen:
-                seen.add(k)
-                waiting.append(k)
-    return sorted(seen)
+    seen: list[int] = np.nonzero(np.any(C != 0, axis=0))[0].tolist()
+    return sorted(closure(seen, lambda row: np.nonzero(A[row])[0].tolist()))

@@ -12,6 +12,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from ...contract.closure import closure
 from ...contract.scalars import COSTLY, JOINS, LOGICAL, OPERATIONS
 from ...contract.tape import Tape, TapeNode
 
@@ -271,11 +272,4 @@ class _Printer:
 
 def needed_from(tape: Tape, results: Sequence[int], inputs: Mapping[int, str]) -> list[int]:
     """The nodes that must be computed to get results from inputs, in order."""
-    wanted: set[int] = set()
-    stack = list(results)
-    while stack:
-        n = stack.pop()
-        if n not in wanted and n not in inputs:
-            wanted.add(n)
-            stack.extend(tape.nodes[n].operands)
-    return sorted(wanted)
+    return sorted(closure(results, lambda n: () if n in inputs else tape.nodes[n].operands) - inputs.keys())
