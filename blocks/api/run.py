@@ -292,8 +292,7 @@ class Run:
             size = np.size(before) if isinstance(before, list) else 1
             if owner in blocks and name in blocks[owner].interface.declaration.parameters:
                 interface = blocks[owner].interface
-                units_ = set(interface.declared_units(interface.declaration.parameters[name]))
-                unit = units_.pop() if len(units_) == 1 else ""
+                unit = interface.declared_unit(interface.declaration.parameters[name])
                 size = np.size(blocks[owner].resolved.values[name].value)
             bare = raw.get("value") if isinstance(raw, Mapping) else raw
             is_filled = size > 1 and isinstance(bare, (int, float)) and not isinstance(bare, bool)

@@ -453,8 +453,7 @@ def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _DraftSetting]]:
         value = values[name].value
         if value is None:
             continue
-        declared = set(interface.declared_units(parameter)) if not isinstance(value, str) else set()
-        unit = declared.pop() if len(declared) == 1 else ""
+        unit = "" if isinstance(value, str) else interface.declared_unit(parameter)
         _, _, level, why = strictest.get(name) or Use(name, "value")
         kind = _Kind(parameter.type, (), si_text(unit), "" if unit == si_text(unit) else unit, parameter.doc)
         kind = kind._replace(members=parameter.members)
@@ -465,7 +464,7 @@ def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _DraftSetting]]:
             type_ = "enum" if parameter.members else parameter.type
             kind = kind._replace(type=type_, shape=array.shape, values=_floats(array), whole=type_ == "int")
         if kind.type in ("real", "int"):
-            low, high = limits(parameter, values)
+            low, high = limits(parameter, unit)
             is_open = parameter.positive and (low is None or low <= 0)
             kind = kind._replace(low=0.0 if is_open else low, high=high, low_open=is_open)
         yield parameter, _DraftSetting("", kind, level, why, places[name].start if name in places else -1)

@@ -36,6 +36,7 @@ from ..contract.tape import Tape
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault
 from ..text.rich_output import Part, Shown
+from ..text.units import single
 
 if TYPE_CHECKING:
     from ..model.fmu_block import Foreign
@@ -201,12 +202,12 @@ class PlanSignal:
 
     @property
     def unit(self) -> str:
-        return self.units[0] if len(set(self.units)) == 1 else ""
+        return single(self.units)
 
     @property
     def declared_unit(self) -> str:
         """The one declared unit of all elements, or "" where they differ."""
-        return self.declared[0] if len(set(self.declared)) == 1 else ""
+        return single(self.declared)
 
 
 class ProgramStep(NamedTuple):

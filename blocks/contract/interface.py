@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..text.errors import Fault, ModelError
-from ..text.units import difference, has_offset, si_text, to_si
+from ..text.units import Declared, difference, has_offset, si_text, single, to_si
 from .declaration import Declaration
 from .reads import arguments
 from .variables import Discrete, Parameter, State, Variable
@@ -53,7 +53,7 @@ class Port:
     @property
     def unit(self) -> str:
         """The one unit of all elements, or "" where they differ."""
-        return self.units[0] if len(set(self.units)) == 1 else ""
+        return single(self.units)
 
     @property
     def types(self) -> tuple[str, ...]:
@@ -80,6 +80,14 @@ def not_computed(code: str, place: str, what: str, error: Exception) -> Fault:
     if isinstance(error, ModelError):
         return replace(error.faults[0], place=place)
     return Fault(code, place, f"{what} cannot be computed: {type(error).__name__}: {error}.")
+
+
+def unit_from(parameter: Parameter, known: Mapping[str, Value]) -> Declared:
+    """Return the declared unit of a parameter, or of each element. known: the values that it follows from."""
+    if isinstance(parameter.unit, str):
+        return parameter.unit
+    unit = parameter.unit(*(known[name].value for name in arguments(parameter.unit, parameter.name)))
+    return unit if isinstance(unit, str) else tuple(unit)
 
 
 class Interface:
@@ -159,6 +167,10 @@ class Interface:
                 Fault("E110", f"{self.name}.{variable.name}", f"has {size} elements but {len(unit)} units.")
             )
         return tuple(unit)
+
+    def declared_unit(self, variable: Variable) -> str:
+        """Return the one declared unit of all elements; "" if they differ."""
+        return variable.unit if isinstance(variable.unit, str) else single(self.declared_units(variable))
 
     def memory_units(self, name: str) -> tuple[str, ...]:
         """Return the declared unit of each element of a state or a discrete; nothing if there is none of this name."""

@@ -19,16 +19,16 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from ..text.errors import Fault, ModelError, did_you_mean
+from ..text.units import Declared, si_text, single, to_si
 from ..text.units import parse as parse_unit
-from ..text.units import si_text, to_si
 from .captured_values import outside
 from .declaration import Declaration
 from .equations import Output
 from .expressions import exact_decimal, exact_time
-from .interface import LARGEST, Array, Interface, Value, not_computed
+from .interface import LARGEST, Array, Interface, Value, not_computed, unit_from
 from .reads import arguments
 from .sparse import SparseMatrix
-from .uses import sizing, uses
+from .uses import late_units, sizing, uses
 from .variables import NO_LIMIT, REQUIRED, Algebraic, Clock, Discrete, History, Parameter, State, Stepped
 
 LEAST_DELAY = 1e-15  # s
@@ -117,7 +117,12 @@ class _Resolving:
 
     def default(self) -> None:
         """The values that are not given, and with them all structural values and sizes."""
+        late = late_units(self.declaration) - self.values.keys()
         self.structural = _Defaults(self.declaration, self.values, self.place).filled()
+        for name in late:
+            parameter = self.declaration.parameters[name]
+            if not callable(parameter.default):
+                self.values[name] = _plain_default(parameter, self.interface.declared_units(parameter))
 
     @cached_property
     def interface(self) -> Interface:
@@ -151,7 +156,7 @@ class _Resolving:
         for name, parameter in self.declaration.parameters.items():
             if self.values[name] is settled.get(name):
                 continue
-            problem = _range_problem(parameter, self.values[name].value, _unit(parameter, self.values))
+            problem = _range_problem(parameter, self.values[name].value, self.interface)
             if problem:
                 is_no_delay = any(h.delay is parameter for h in self.declaration.histories.values())
                 is_no_delay = is_no_delay and not np.any(self.values[name].value)
@@ -449,7 +454,8 @@ class _Defaults:
                 values[name] = settled[name]
             elif name not in values and not callable(parameter.default):
                 try:
-                    values[name] = _plain_default(parameter, _unit(parameter, values))
+                    unit = "" if name in late_units(self.declaration) else unit_from(parameter, values)
+                    values[name] = _plain_default(parameter, unit)
                 except (TypeError, ValueError) as error:
                     place = f"{self.place}.{name}"
                     if isinstance(error, ModelError):  # of its unit
@@ -494,7 +500,7 @@ class _Defaults:
 
 
 @lru_cache(maxsize=4096)
-def _plain_default(parameter: Parameter, unit: str) -> Value:
+def _plain_default(parameter: Parameter, unit: Declared) -> Value:
     """The default of a parameter in its type, where it is a value. Raises TypeError, ValueError."""
     default = Value(None) if parameter.default is None else default_value(parameter, unit)
     return default if default.value is None else _typed(parameter, default)
@@ -521,13 +527,31 @@ def loose(declaration: Declaration) -> Mapping[str, tuple[float, float] | None]:
     return bounds
 
 
+def late_units_of(cls: Any, given: Mapping[str, Value]) -> Mapping[str, Declared]:
+    """The declared units of given parameters that follow from sizes or computed defaults.
+
+    given: values; those of these parameters may be in any unit. Of values that `resolve` refuses there are none.
+    """
+    names = late_units(cls.declaration) & given.keys()
+    resolving = _Resolving(cls, "")
+    try:
+        if names:
+            resolving.take(given)
+            resolving.stop_at_faults()
+            resolving.default()
+        units = {name: resolving.interface.declared_units(cls.declaration.parameters[name]) for name in names}
+    except ModelError:
+        return {}
+    return {name: single(unit) or unit for name, unit in units.items()}
+
+
 def with_numbers(resolved: Resolved, changed: Mapping[str, Value]) -> Resolved | None:
     """The same block with other numbers for loose parameters, in SI; None where they are not allowed."""
     resolving, values = _Resolving(resolved.interface.cls, ""), dict(resolved.values)
     resolving.values, resolving.structural = values, resolved.interface.structural
     for name, value in changed.items():
         parameter = resolving.declaration.parameters[name]
-        if not math.isfinite(value.value) or _range_problem(parameter, value.value, _unit(parameter, values)):
+        if not math.isfinite(value.value) or _range_problem(parameter, value.value, resolved.interface):
             return None
         values[name] = _typed(parameter, value)
     resolving.check_requirements()
@@ -546,25 +570,17 @@ def _settled(declaration: Declaration) -> Mapping[str, Value]:
         if is_scalar and type(parameter.default) is float and parameter.type == "real" and isinstance(unit, str):
             with contextlib.suppress(ValueError, ModelError):  # reported where it is used
                 value = _typed(parameter, default_value(parameter, unit))
-                if not _range_problem(parameter, value.value, unit):
+                if not _range_problem(parameter, value.value, None):
                     settled[name] = value
     return settled
 
 
-def _unit(parameter: Parameter, values: Mapping[str, Value]) -> str:
-    """The declared unit of a parameter, once structural values are known; "" where its elements have several."""
-    if isinstance(parameter.unit, str):
-        return parameter.unit
-    names = arguments(parameter.unit, parameter.name)
-    if not all(name in values for name in names):
-        return ""
-    unit = parameter.unit(*(values[name].value for name in names))
-    return unit if isinstance(unit, str) else unit[0] if len(set(unit)) == 1 else ""
+def default_value(parameter: Parameter, declared: Declared) -> Value:
+    """The plain default of a parameter, given in its declared unit, in SI; exact where decimal and unit are.
 
-
-def default_value(parameter: Parameter, unit: str) -> Value:
-    """The plain default of a parameter, given in its declared unit, in SI; exact where decimal and unit are."""
-    raw = parameter.default
+    declared: of each element, where they differ; a single number for all of these is in SI.
+    """
+    raw, unit = parameter.default, single(declared)
     if isinstance(raw, (bool, str)) or parameter.type in ("bool", "string", "int") or parameter.members:
         return Value(raw)
     scaled = bool(unit) and (parse_unit(unit).factor != 1.0 or parse_unit(unit).offset != 0.0)
@@ -576,24 +592,21 @@ def default_value(parameter: Parameter, unit: str) -> Value:
             exact_si = exact * factor if is_plain else None  # type: ignore[operator]
             return Value(to_si(float(raw), unit), exact_si)
         return Value(float(raw), exact)
+    if isinstance(declared, tuple) and not unit:
+        pairs = zip(np.ravel(raw).tolist(), declared, strict=True)
+        return Value(np.reshape([to_si(float(x), own) if own else float(x) for x, own in pairs], np.shape(raw)))
     return Value(np.vectorize(lambda x: to_si(float(x), unit))(raw) if scaled else raw)
 
 
-def limits(parameter: Parameter, values: Mapping[str, Value]) -> tuple[float | None, float | None]:
-    """The smallest and the largest value of a parameter in SI, None where there is none. `positive` is apart.
-
-    values: those of its block, from which its unit may follow.
-    """
-    return _limits(parameter, _unit(parameter, values))
-
-
-def _limits(parameter: Parameter, unit: str) -> tuple[float | None, float | None]:
+def limits(parameter: Parameter, unit: str) -> tuple[float | None, float | None]:
+    """The smallest and the largest value of a parameter in SI, None where there is none. `positive` is apart."""
     # min and max are in the unit of the declaration, the value is in SI.
     low, high = (None if x is None else to_si(float(x), unit) if unit else x for x in (parameter.min, parameter.max))
     return low, high
 
 
-def _range_problem(parameter: Parameter, raw: Any, unit: str) -> str:
+def _range_problem(parameter: Parameter, raw: Any, interface: Interface | None) -> str:
+    """The sentence for a value outside the range of its parameter, or "". interface: None if the unit is a text."""
     if raw is None:
         return ""
     if parameter.choices:
@@ -602,7 +615,8 @@ def _range_problem(parameter: Parameter, raw: Any, unit: str) -> str:
         return ""
     if parameter.min is None and parameter.max is None and not parameter.positive:
         return ""
-    low, high = _limits(parameter, unit)
+    unit = str(parameter.unit) if interface is None else interface.declared_unit(parameter)
+    low, high = limits(parameter, unit)
     unit = "" if unit == "1" else unit
     numbers, in_unit = np.asarray(raw, dtype=float), f" {unit}" if unit else ""
     if parameter.positive and not (numbers > 0).all():

@@ -49,6 +49,16 @@ def sizing(declaration: Declaration) -> frozenset[str]:
     return frozenset(name for size in sizes if callable(size) for name in arguments(size, "the shape"))
 
 
+@lru_cache(maxsize=256)
+def late_units(declaration: Declaration) -> frozenset[str]:
+    """Find the parameters whose units follow from sizes or from computed defaults."""
+    if declaration.foreign is not None:  # it may have 300,000, and their units are texts
+        return frozenset()
+    known = {name for name, parameter in declaration.parameters.items() if not callable(parameter.default)}
+    units = {name: parameter.unit for name, parameter in declaration.parameters.items() if callable(parameter.unit)}
+    return frozenset(name for name, unit in units.items() if not known.issuperset(arguments(unit, name)))
+
+
 def _of_parameters(declaration: Declaration) -> Iterator[Use]:
     for name, parameter in declaration.parameters.items():
         if parameter.type == "string" or parameter.structural:

@@ -14,6 +14,7 @@ from itertools import product
 
 from ..contract.interface import Port
 from ..text.element_names import indexed, matching
+from ..text.units import single
 from .copies import Fleet, without_numbers
 from .expansion import Expansion
 from .wires import BlockSource, Source
@@ -35,12 +36,12 @@ class FlatSignal:
 
     @property
     def unit(self) -> str:
-        return self.units[0] if len(set(self.units)) == 1 else ""
+        return single(self.units)
 
     @property
     def declared_unit(self) -> str:
         """The one declared unit of all elements, or "" where they differ."""
-        return self.declared[0] if len(set(self.declared)) == 1 else ""
+        return single(self.declared)
 
 
 class Signals(Mapping[str, FlatSignal]):

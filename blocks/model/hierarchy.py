@@ -13,9 +13,10 @@ from fractions import Fraction
 from typing import Any, NamedTuple, Protocol
 
 from ..contract.declaration import Declaration
-from ..contract.interface import LARGEST, Interface, Value, check_differences
+from ..contract.interface import LARGEST, Interface, Value, check_differences, unit_from
 from ..contract.reads import arguments
-from ..contract.resolution import Resolved, loose, resolve, with_numbers
+from ..contract.resolution import Resolved, late_units_of, loose, resolve, with_numbers
+from ..contract.uses import late_units
 from ..contract.variables import Parameter
 from ..text import units
 from ..text.errors import BlocksError, Fault, ModelError
@@ -417,6 +418,11 @@ class Hierarchy:
             if declared is not None and value is not None:
                 given[key], written = value, entry.parameters.get(key)
                 origins[key] = Origin(written, raw, raw is not said, declared, depth, set_at, True)
+        for key, late in late_units_of(cls, given).items() if len(given) == len(raws) else ():
+            value = self.evaluated(within, origins[key].raw, late, f"{shown}.{key}", raws[key][2])
+            given.pop(key)
+            if value is not None:
+                given[key], origins[key] = value, origins[key]._replace(unit=late)
         is_complete = len(given) == len(raws)
         for key in declaration.streams:
             stream = streams.joined(scope.streams, stream_of(entry.stream or name, copy))
@@ -493,23 +499,23 @@ class Hierarchy:
         """
         if isinstance(parameter.unit, str):
             return parameter.unit
-        known = []
+        if parameter.name in late_units(cls.declaration):
+            return ""  # `late_units_of` knows it once all values are known
+        known: dict[str, Value] = {}
         for read in arguments(parameter.unit, parameter.name):
-            structural = cls.declaration.parameters.get(read)
-            if structural is None or callable(structural.default):
-                return ""  # a size or a computed default: known to `resolve` only
+            structural = cls.declaration.parameters[read]
             if read in raws and read not in given:
                 return None
             value = given[read].value if read in given else structural.default
-            known.append(int(value) if structural.type == "int" and isinstance(value, float) else value)
-            if isinstance(known[-1], int) and abs(known[-1]) > LARGEST:
+            value = int(value) if structural.type == "int" and isinstance(value, float) else value
+            if isinstance(value, int) and abs(value) > LARGEST:
                 return ""  # `resolve` refuses it
+            known[read] = Value(value)
         try:
-            key = (parameter, _hashable(known))
+            key = (parameter, *(_hashable(value.value) for value in known.values()))
             if key in self.units:
                 return self.units[key]
-            unit = parameter.unit(*known)
-            declared = unit if isinstance(unit, str) else tuple(unit)
+            declared = unit_from(parameter, known)
             for text in dict.fromkeys((declared,) if isinstance(declared, str) else declared):
                 if text:
                     units.parse(text)

@@ -25,12 +25,13 @@ from ..text.errors import Fault, ModelError, UsageError
 from ..text.json_number import Number
 from ..text.printable import quoted
 from ..text.quantity_text import read_quantity
+from ..text.units import Declared, single
 from .diagram_grammar import EDGES, NUMBER, QUANTITY, SHAPE
 
 Known = Mapping[str, Value | None]
 """The parameters of a diagram by name; None where a fault was reported already."""
 
-Unit = str | tuple[str, ...]
+Unit = Declared
 """The unit of a parameter, or of each of its elements."""
 
 
@@ -131,7 +132,7 @@ def value_of(raw: Any, declared: Unit, known: Known) -> Value:
         return _array(raw, declared, known)
     if raw is None or isinstance(raw, bool):
         return Value(raw)
-    return _number(raw, _single(declared))
+    return _number(raw, single(declared))
 
 
 def in_si(raw: Any, declared: Unit, place: str, *, is_difference: bool = False) -> Any:
@@ -151,7 +152,7 @@ def in_si(raw: Any, declared: Unit, place: str, *, is_difference: bool = False) 
     try:
         raw = read_quantity(raw)
         if is_difference:
-            declared = units.difference(_single(declared))
+            declared = units.difference(single(declared))
             if isinstance(raw, Mapping) and isinstance(raw.get("unit"), str):
                 raw = {**raw, "unit": units.difference(raw["unit"])}
         value = value_of(raw, declared, {}).value
@@ -181,13 +182,6 @@ def in_unit(raw: Any, declared: str, place: str) -> Any:
     except ModelError as error:
         raise ModelError(*(replace(fault, place=place) for fault in error.faults)) from None
     return float(value) * scale if exact is None else float(exact_decimal(float(value)) * exact)
-
-
-def _single(declared: Unit) -> str:
-    """The one unit of all elements, or "" where they differ."""
-    if isinstance(declared, str):
-        return declared
-    return declared[0] if len(set(declared)) == 1 else ""
 
 
 def _check_unit(what: str, unit: str, declared: Unit) -> None:
@@ -229,7 +223,7 @@ def _sparse(raw: Mapping[str, Any], edges: Sequence[Any], declared: Unit) -> Val
         _refuse("an edge must be three numbers: a row and a column, which count from 0, and a value.")
     rows, columns = shape  # type: ignore[misc]
     matrix = SparseMatrix(np.array(edges, dtype=float).reshape(-1, 3), (int(rows), int(columns)))
-    unit = _single(raw.get("unit") or declared)
+    unit = single(raw.get("unit") or declared)
     if unit:
         matrix = matrix.scaled(np.array([units.to_si(value, unit) for value in matrix.values.tolist()]))
     return Value(matrix, None, units.si_text(unit))
@@ -238,7 +232,7 @@ def _sparse(raw: Mapping[str, Any], edges: Sequence[Any], declared: Unit) -> Val
 def _text(raw: str, declared: Unit, known: Known) -> Value:
     if not is_expression(raw):
         return Value(raw[1:] if raw.startswith("==") else raw)
-    expression, unit = expressions.parse(raw[1:]), _single(declared)
+    expression, unit = expressions.parse(raw[1:]), single(declared)
     if expression.name is None or expression.name not in known:
         return _computed(expression, unit, known)
     value = known[expression.name]
@@ -292,7 +286,7 @@ def _array(raw: Sequence[Any], declared: Unit, known: Known) -> Value:
         if len(declared) != len(raw):
             _refuse(f"has {len(raw)} elements, but {len(declared)} are needed.", code="E110")
         return Value([element(item, unit) for item, unit in zip(raw, declared, strict=True)])
-    unit = _single(declared)
+    unit = single(declared)
     return Value([element(item, unit) for item in raw], None, units.si_text(unit))
 
 

@@ -27,6 +27,9 @@ from functools import lru_cache
 
 from .errors import Fault, ModelError
 
+Declared = str | tuple[str, ...]
+"""The unit of a variable, or of each of its elements."""
+
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """The base units, in the order of the exponents of a dimension."""
 
@@ -228,6 +231,11 @@ def difference(unit: str) -> str:
     assert plain is not None
     factor = "" if plain["factor"] is None else f"{plain['factor']}*"
     return factor + plain["product"]
+
+
+def single(unit: Declared) -> str:
+    """Return the one unit of all elements; "" if they differ."""
+    return unit if isinstance(unit, str) else unit[0] if len(set(unit)) == 1 else ""
 
 
 @lru_cache(maxsize=4096)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from blocks import Block, Constant, Diagram, Gain, Input, ModelError, Noise, Parameter, Step, UsageError, output
 from blocks.cli import main
+from blocks.compile.bindings import bindings
 
 
 def end(diagram: Diagram, signal: str, **how: Any) -> float:
@@ -109,3 +112,87 @@ def test_a_name_is_given_one_value(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "a second value" in capsys.readouterr().err
     with pytest.raises(UsageError, match="E502"):
         through_gain(unit="V").run(stop=1.0)
+
+
+# --- units that follow from sizes and from computed values --------------------------------------------------------
+
+
+class Angles(Block):
+    """Angles."""
+
+    a = Parameter([90.0, 30.0], shape="n", unit=lambda n: ("deg",) * n, min=-180.0, max=180.0)
+
+    @output(shape=lambda n: n)
+    def y(a):
+        return a
+
+
+class Speed(Block):
+    """A speed whose unit follows from a computed default."""
+
+    order = Parameter(1, type="int", structural=True)
+    form = Parameter(lambda order: order, type="int", structural=True)
+    speed = Parameter(30.0, unit=lambda form: "rpm" if form == 1 else "rad/s")
+
+    @output
+    def y(speed):
+        return speed
+
+
+class Pose(Block):
+    """An angle and a length."""
+
+    form = Parameter(1, type="int", structural=True)
+    a = Parameter([90.0, 2.0], shape=2, unit=lambda form: ("deg", "mm"))
+
+    @output(shape=2)
+    def y(a):
+        return a
+
+
+@pytest.mark.parametrize(
+    ("block", "wanted"),
+    [
+        (Angles(), [math.pi / 2, math.pi / 6]),
+        (Angles(a=[60.0]), [math.pi / 3]),
+        (Angles(a={"value": [1.0], "unit": "rad"}), [1.0]),
+        (Speed(), [math.pi]),
+        (Speed(speed=60.0), [2 * math.pi]),
+        (Speed(form=2), [30.0]),
+        (Speed(form=1, speed=60.0), [2 * math.pi]),
+        (Speed(order=2, speed=60.0), [60.0]),
+        (Pose(), [math.pi / 2, 0.002]),
+        (Pose(a=[180.0, 1.0]), [math.pi, 0.001]),
+    ],
+)
+def test_a_bare_number_is_in_its_unit_whatever_the_unit_follows_from(block: Block, wanted: list[float]) -> None:
+    """By hand; that of a setting is of the same unit."""
+    diagram = Diagram("d")
+    diagram.add("s", block)
+    flat = diagram.flatten()
+    (settled,) = flat.blocks
+    name = "speed" if isinstance(block, Speed) else "a"
+    assert np.ravel(settled.resolved.values[name].value).tolist() == pytest.approx(wanted, rel=1e-15)
+    (setting,) = [one for one in bindings(flat, None) if one.path == f"s.{name}"]
+    assert setting.values == pytest.approx(wanted, rel=1e-15)
+    if isinstance(block, Angles):
+        assert (setting.display, setting.high) == ("deg", pytest.approx(math.pi))
+
+
+def test_a_range_is_in_the_unit_that_follows_from_a_size() -> None:
+    diagram = Diagram("d")
+    with pytest.raises(ModelError, match=r"must be at most 180.0 deg, not \[6.28318531 0. *\] rad"):
+        diagram.add("s", Angles(a=[360.0, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [({"s.a": [180.0, 60.0]}, [math.pi, math.pi / 3]), ({"s.a[1]": 45.0}, [math.pi / 2, math.pi / 4])],
+)
+def test_other_values_are_in_the_unit_that_follows_from_a_size(given: Any, wanted: list[float]) -> None:
+    diagram = Diagram("d")
+    diagram.add("s", Angles())
+    settings = {"stop": 0.1, "method": "rk4", "step": 0.1}
+    model = diagram.prepare(**settings)
+    for made in (diagram.run(parameters=given, **settings), model.run(parameters=given)):
+        assert made["s.y"][-1].tolist() == pytest.approx(wanted, rel=1e-15)
