@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from ..contract.resolution import Resolved
+from ..contract.interface import Value
+from ..contract.sparse import SparseMatrix
 from ..text.element_names import element_names
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible
@@ -29,7 +30,7 @@ from .flatten import Flat, flatten
 from .hierarchy import DiagramScope, Leaf, Resolver, bound_faults
 from .origins import Origin
 from .raw_values import raw_of
-from .values import Absent, value_of
+from .values import Absent, names_in, value_of
 from .variants import taken
 
 
@@ -99,9 +100,8 @@ class _Parameters:
     def __init__(self, flat: Flat) -> None:
         assert flat.root is not None
         self.copies = flat.copies
-        leaves: dict[str, Leaf] = {}
-        self.known = dict(_of_diagrams(flat.root, leaves))
-        self.known.update(_of_blocks(flat, leaves))
+        found = sorted(_of_diagram(flat.root), key=lambda each: each[0])  # those of diagrams first
+        self.known = {path: known for _, path, known in found}
 
     def numbers(self, path: str) -> list[tuple[int, int | None]]:
         """For each of the fleets that a path goes through, how many copies there are, and the number of one, if any."""
@@ -277,7 +277,7 @@ def _target(path: str, name: str, element: str, parameters: _Parameters) -> Targ
     if not element:
         unit = parameter.unit() if len(set(parameter.units)) == 1 else ""  # of unlike ones a number is in SI
         return Target(path, None, unit, _in_unit(value, unit))
-    shape = np.shape(value) if value is not None and not isinstance(value, str) else ()
+    shape = np.shape(value) if value is not None and not isinstance(value, (str, SparseMatrix)) else ()
     elements = [each[len(path) :] for each in element_names(path, shape)] if shape else []
     if value is None:
         message = f"the elements of {path} are not known: its value is computed, or differs between copies."
@@ -298,48 +298,40 @@ def _in_unit(value: Any, unit: str) -> float:
     return from_si(float(array), unit) if array.dtype.kind in "iuf" and array.ndim == 0 else math.nan
 
 
-def _of_blocks(flat: Flat, leaves: Mapping[str, Leaf]) -> Iterator[tuple[str, _Known]]:
-    """Yield the parameters of blocks, parameters in copies once. leaves: by path, without the numbers of copies."""
-    blocks: dict[str, list[tuple[int, Resolved]]] = {}  # the numbers of copy 0, and of the lanes where they are others
-    for k, block in enumerate(flat.one_of_each):
-        found = blocks.setdefault(_plain(block.path), [])
-        found.append((len(found), block.resolved))
-        found += () if flat.expansion is None else flat.expansion.each[k].items()
-    for path, ((_, first), *others) in blocks.items():
-        declaration = first.interface.declaration
-        origins = leaves[path].origins if path in leaves else {}
-        for name, parameter in declaration.parameters.items():
-            if name in declaration.streams:
-                continue
-            value: Any = first.values[name].value if name in first.values else None
-            found_values = ((lane, resolved.values[name].value) for lane, resolved in others if name in resolved.values)
-            differ = {lane: other for lane, other in found_values if not np.array_equal(other, value)}
-            units = tuple(first.interface.declared_units(parameter)) or ("",)
-            yield f"{path}.{name}", _Known(units, value, differ, origins[name].written if name in origins else None)
+def _of_diagram(like: DiagramScope) -> Iterator[tuple[bool, str, _Known]]:
+    """Yield the parameters of a diagram and of all in it: whether it is of a block, its path, and it; copies once.
 
-
-def _of_diagrams(like: DiagramScope, leaves: dict[str, Leaf]) -> Iterator[tuple[str, _Known]]:
-    """Yield the parameters of a diagram and of its subdiagrams, and take in the blocks in it.
-
-    The value of a parameter is not known that is set in single copies.
+    The value of a diagram's parameter is not known if it is computed from others or set in single copies.
     """
     for name in like.value.parameters:
-        origins, first = {lane: scope.origins[name] for lane, scope in like.each.items()}, like.origins[name]
-        is_known = not any("[" in origin.set_at for origin in origins.values())
-        value: Any = _value(first) if is_known else None
-        others: dict[int, Any] = {lane: _value(origin) for lane, origin in origins.items()} if is_known else {}
-        differ = {lane: other for lane, other in others.items() if not np.array_equal(other, value)}
-        yield like.prefix + name, _Known((str(first.unit),), value, differ, first.written)
+        first = like.origins[name]
+        in_lanes = {lane: (scope.origins[name], scope.parameters[name]) for lane, scope in like.each.items()}
+        is_known = not any("[" in origin.set_at for origin, _ in in_lanes.values())
+        lanes = {lane: _value(*found) for lane, found in in_lanes.items()} if is_known else {}
+        value = _value(first, like.parameters[name]) if is_known else None
+        yield False, like.prefix + name, _Known((str(first.unit),), value, _unlike(value, lanes), first.written)
     for child in like.children.values():
-        if isinstance(child, Leaf):
-            leaves[child.path] = child
+        if isinstance(child, DiagramScope):
+            yield from _of_diagram(child)
         elif child is not None:
-            yield from _of_diagrams(child, leaves)
+            yield from _of_block(child)
 
 
-def _value(origin: Origin) -> Any:
+def _of_block(leaf: Leaf) -> Iterator[tuple[bool, str, _Known]]:
+    declaration, values = leaf.interface.declaration, leaf.resolved.values
+    for name, parameter in declaration.parameters.items():
+        if name not in declaration.streams:
+            value = values[name].value
+            others = _unlike(value, {lane: resolved.values[name].value for lane, resolved in leaf.each.items()})
+            units = leaf.interface.declared_units(parameter) or ("",)
+            written = leaf.origins[name].written if name in leaf.origins else None
+            yield True, f"{leaf.path}.{name}", _Known(units, value, others, written)
+
+
+def _unlike(value: Any, lanes: Mapping[int, Any]) -> dict[int, Any]:
+    return {lane: other for lane, other in lanes.items() if not np.array_equal(other, value)}
+
+
+def _value(origin: Origin, value: Value | None) -> Any:
     """Return the value in SI, or None if it is computed from other values."""
-    try:
-        return value_of(origin.raw, origin.unit, {}).value
-    except (ModelError, Absent, ValueError, TypeError, ArithmeticError):
-        return None
+    return None if value is None or names_in(origin.raw) else value.value
