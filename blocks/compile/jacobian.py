@@ -30,7 +30,7 @@ share a difference quotient).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, chain
@@ -324,16 +324,21 @@ class Evaluated:
 
     def _apart(self, columns: Array) -> list[list[int]]:
         """Columns in groups that have no row in common."""
-        groups: list[tuple[set[int], list[int]]] = []
-        for j in columns.tolist():
-            rows = set(self.jacobian.indices[self.jacobian.indptr[j] : self.jacobian.indptr[j + 1]].tolist())
-            free = next((group for group in groups if not group[0] & rows), None)
-            if free is None:
-                groups.append((rows, [j]))
-            else:
-                free[0].update(rows)
-                free[1].append(j)
-        return [group for _, group in groups]
+        indices, ends = self.jacobian.indices, self.jacobian.indptr
+        return apart({j: set(indices[ends[j] : ends[j + 1]].tolist()) for j in columns.tolist()})
+
+
+def apart(rows_of: Mapping[int, set[int]]) -> list[list[int]]:
+    """Put columns into groups that have no row in common. rows_of: the rows of each."""
+    groups: list[tuple[set[int], list[int]]] = []
+    for column, rows in rows_of.items():
+        free = next((group for group in groups if not group[0] & rows), None)
+        if free is None:
+            groups.append(({*rows}, [column]))
+        else:
+            free[0].update(rows)
+            free[1].append(column)
+    return [group for _, group in groups]
 
 
 # --- stages ----------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 from ..model.copies import alike
-from ..model.parts import whole_of
+from ..text.element_names import whole_of
 from ..text.printable import counted
 from ..text.rich_output import Part
 from .coupling import CoupledUnit, Coupling

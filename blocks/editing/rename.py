@@ -25,9 +25,9 @@ from ..model.block_types import library_types
 from ..model.diagram import BASE, DEEPEST, FORMAT, is_name, name_cure
 from ..model.document import alone, loads
 from ..model.flatten import Flat, element_of, flatten
-from ..model.parts import whole_of
 from ..model.resolver import resolver_of
 from ..model.wires import BlockSource
+from ..text.element_names import whole_of
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.json_document import Document
 from ..text.printable import legible, quoted

@@ -12,6 +12,7 @@ from ..compile.scheduler import components
 from ..compile.setting_programs import Setting
 from ..contract.enumerations import enumeration_of
 from ..model.flatten import Flat
+from ..text.element_names import element_names
 from ..text.units import quotient, si_text
 from .fmu_model import ExportedVariable
 
@@ -69,7 +70,7 @@ class Variables:
         self.output_references: list[int] = []
         for name in flat.outputs:
             signal_ = plan.signal(name)
-            as_state = [states.get(f"{self.prefix}{text}") for text in _elements(name, signal_.shape)]
+            as_state = [states.get(f"{self.prefix}{text}") for text in element_names(name, signal_.shape)]
             pairs = zip(as_state, signal_.references, strict=True)
             is_state = all(i is not None and Reference("x", i) == reference for i, reference in pairs)
             if is_state and as_state:
@@ -328,15 +329,6 @@ def _kind(type_: str) -> tuple[str, dict[int, str], str]:
     return (type_, {}, "") if known is None else ("enum", known.names, known.name)
 
 
-def _elements(name: str, shape: tuple[int, ...]) -> list[str]:
-    if not shape:
-        return [name]
-    indices = [""]
-    for size in shape:
-        indices = [f"{text},{k}" if text else str(k) for text in indices for k in range(size)]
-    return [f"{name}[{text}]" for text in indices]
-
-
 def _shape(names: Sequence[str]) -> tuple[int, ...] | None:
     """The shape of the array whose elements have these names in C order; None where there is none."""
     if len(names) == 1 and "[" not in names[0]:
@@ -348,5 +340,4 @@ def _shape(names: Sequence[str]) -> tuple[int, ...] | None:
         return None
     if len(names) != math.prod(shape):
         return None
-    written = {_elements(base, shape)[k] for k in range(len(names))}
-    return shape if written == {re.sub(r"\]\[", ",", name) for name in names} else None
+    return shape if {*element_names(base, shape)} == {re.sub(r"\]\[", ",", name) for name in names} else None

@@ -10,7 +10,7 @@ the block itself: the results are the same to the last bit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import repeat
@@ -37,16 +37,6 @@ LINK = 16  # elements that one link of a chain takes
 @lru_cache(maxsize=4096)
 def _made(cls: Any, *given: tuple[str, Any]) -> Resolved:
     return resolve(cls, {name: Value(value) for name, value in given})
-
-
-def whole_of(path: str, blocks: Container[str]) -> str:
-    """The block that a path is, or that it is a part of; "" for what stands at the edge of a subdiagram.
-
-    blocks: the paths of those that are not hidden.
-    """
-    while path and path not in blocks:
-        path = path.rpartition(".")[0]
-    return path
 
 
 def is_taken_apart(block: Any) -> bool:

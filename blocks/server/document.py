@@ -15,7 +15,7 @@ from ..compile.plan import Plan
 from ..draw import Ports, picture, ports_of, rendered
 from ..model.diagram import BlockEntry, DiagramValue
 from ..text.atomic_write import real
-from ..text.element_names import indexed
+from ..text.element_names import indexed, whole_of
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import legible, quoted
 from .facts import Fact, facts_of, text_of
@@ -180,7 +180,7 @@ class Document:
         planned = self.planned
         for name in () if planned is None else planned.signals:
             signal = planned.signal(name)  # type: ignore[union-attr]
-            yield {"name": name, "unit": signal.unit, "shape": list(signal.shape), "block": _owner(name, paths)}
+            yield {"name": name, "unit": signal.unit, "shape": list(signal.shape), "block": whole_of(name, paths)}
 
     def _inputs(self) -> Iterator[dict[str, Any]]:
         for name, shape, unit, type_, default in () if self.planned is None else self.planned.inputs:
@@ -266,15 +266,8 @@ def told_fault(fault: Fault, paths: set[str]) -> dict[str, Any]:
         "message": fault.message,
         "cure": fault.cure,
         "warning": fault.is_warning,
-        "block": _owner(fault.place, paths),
+        "block": whole_of(fault.place, paths),
     }
-
-
-def _owner(name: str, paths: set[str]) -> str:
-    """The longest path of a block that a name begins with; "" where there is none."""
-    while name and name not in paths:
-        name = name.rpartition(".")[0]
-    return name
 
 
 def _blocks_of(value: DiagramValue, prefix: str) -> Iterator[dict[str, Any]]:

@@ -20,7 +20,7 @@ import numpy as np
 from ..api.diagram import Diagram
 from ..results.plots import STYLES, Line
 from ..results.results import Results
-from ..text.element_names import element_names
+from ..text.element_names import element_names, whole_of
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted, quoted
 from . import panel, scope_messages  # noqa: F401  # what they answer stands in the page
@@ -78,20 +78,13 @@ def _signals(document: Mapping[str, Any], results: Results) -> list[dict[str, An
     """The signals that the results hold. Raises UsageError (E501) where none is of the diagram."""
     paths, inputs = {block["path"] for block in document["blocks"]}, {one["name"] for one in document["inputs"]}
     signals = [
-        {"name": name, "unit": unit, "shape": list(shape), "block": _owner(name, paths)}
+        {"name": name, "unit": unit, "shape": list(shape), "block": whole_of(name, paths)}
         for name, (_, shape, unit) in results.columns.items()
     ]
     if not any(one["block"] or one["name"] in inputs for one in signals):
         message = f"they contain no signal of {quoted(document['name'])}, only {', '.join(results.names[:8])}."
         raise UsageError(Fault("E501", "results", message, "Give a file that `blocks run` wrote for this diagram."))
     return signals
-
-
-def _owner(name: str, paths: set[str]) -> str:
-    """The path of the block that a signal is of; "" where it is of none."""
-    while name and name not in paths:
-        name = name.rpartition(".")[0]
-    return name
 
 
 def _rows(results: Results | None) -> dict[str, Any]:

@@ -243,41 +243,29 @@ def run(
     diagrams, known = _prepared(study, library, parameters)
     for tuned in study.tunings:
         study_tunings.needs(tuned)
-    results: dict[str, Results] = {}
-    sweeps: dict[str, Sweep] = {}
-    tunings: dict[str, Tuning] = {}
+    found: dict[str, Any] = {}
     with contextlib.suppress(KeyboardInterrupt):
-        for entry in study.runs:
+        for entry in study.all_runs:
             if begun is not None:
                 begun(entry.name)
-            parameters = {**entry.parameters, **extra.get(entry.name, {})}
-            run_results = diagrams[entry.name].run(parameters=parameters, trust=trust, **dict(entry.settings))
-            if run_results.interrupted:
+            diagram, given = diagrams[entry.name], {**entry.parameters, **extra.get(entry.name, {})}
+            made: Results | Sweep | Tuning
+            if isinstance(entry, Run):
+                made = diagram.run(parameters=given, trust=trust, **dict(entry.settings))
+            elif isinstance(entry, StudySweep):
+                made = run_sweep(entry, diagram, given, trust)
+            else:
+                made = tuning = run_tuning(entry, diagram, given, trust)
+                if any(r.interrupted for r in (*tuning.before.values(), *tuning.after.values())):
+                    break
+            if made.interrupted:
                 break
-            results[entry.name] = run_results
+            found[entry.name] = made
             if finished is not None:
-                finished(entry.name, run_results)
-        for each in study.sweeps if len(results) == len(study.runs) else ():
-            if begun is not None:
-                begun(each.name)
-            given = {**each.parameters, **extra.get(each.name, {})}
-            swept = run_sweep(each, diagrams[each.name], given, trust)
-            if swept.interrupted:
-                break
-            sweeps[each.name] = swept
-            if finished is not None:
-                finished(each.name, swept)
-        for tuned in study.tunings if len(results) + len(sweeps) == len(study.runs) + len(study.sweeps) else ():
-            if begun is not None:
-                begun(tuned.name)
-            given = {**tuned.parameters, **extra.get(tuned.name, {})}
-            tuning = run_tuning(tuned, diagrams[tuned.name], given, trust)
-            if tuning.interrupted or any(r.interrupted for r in (*tuning.before.values(), *tuning.after.values())):
-                break
-            tunings[tuned.name] = tuning
-            if finished is not None:
-                finished(tuned.name, tuning)
-    missing = tuple(entry.name for entry in study.all_runs if entry.name not in {**results, **sweeps, **tunings})
+                finished(entry.name, made)
+    groups = (study.runs, study.sweeps, study.tunings)
+    results, sweeps, tunings = ({each.name: found[each.name] for each in of if each.name in found} for of in groups)
+    missing = tuple(entry.name for entry in study.all_runs if entry.name not in found)
     about = [claim for claim in study.claims if not {*claim.runs, claim.many} & {*missing}]
     verdicts = [judge(claim, results, sweeps, tunings, factor=_factor(claim, known)) for claim in about]
     for name, tuning in tunings.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 
 import numpy as np
 
@@ -26,6 +26,13 @@ def named_element(text: str) -> tuple[str, str]:
     """A signal's text and the name of the element that it names: "pose.y[theta]" -> ("pose.y", "theta"), else ""."""
     match = _NAME.match(text) if text.endswith("]") else None
     return (match[1], match[2]) if match else (text, "")
+
+
+def whole_of(path: str, known: Container[str]) -> str:
+    """Return the longest beginning of a path that is known: the block that holds a signal or a part; "" if none is."""
+    while path and path not in known:
+        path = path.rpartition(".")[0]
+    return path
 
 
 def matching(pattern: str, names: Iterable[str]) -> list[str]:

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ...compile.fmu_tape import OpaqueItem
+from ...compile.jacobian import apart
 from ...compile.plan import ForeignPart, Plan
 from ...fmi.schema import ModelVariable
 from .fmu_values import FmuValues
@@ -169,17 +170,8 @@ class FmuDerivatives(FmuValues):
         place = {item: n for n, item in enumerate(distinct)}
         self.set_point(t, states, inputs)
         base = self.read(distinct, point[1:])
-        groups: list[tuple[set[int], list[int]]] = []
-        for argument, numbers in columns.items():
-            rows = {place[items[k]] for k in numbers}
-            free = next((group for group in groups if not group[0] & rows), None)
-            if free is None:
-                groups.append((rows, [argument]))
-            else:
-                free[0].update(rows)
-                free[1].append(argument)
         nominal = {a: size for (a, _), size in zip(self.opaque.states, self.part.nominal, strict=True)}
-        for _, arguments in groups:
+        for arguments in apart({a: {place[items[k]] for k in numbers} for a, numbers in columns.items()}):
             for sign in (1.0, -1.0):
                 moved = list(point)
                 for a in arguments:
