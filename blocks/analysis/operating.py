@@ -17,7 +17,7 @@ from ..linear.operating_point import Free, OperatingPoint, Quantity, declared_un
 from ..model.flatten import Flat
 from ..model.values import in_si
 from ..text import units
-from ..text.errors import AnalysisError, Fault, UsageError
+from ..text.errors import AnalysisError, Fault, check_mappings
 
 if TYPE_CHECKING:
     from ..model.trust import Paths
@@ -56,8 +56,7 @@ def find_operating_point(
 
     Raises AnalysisError (E702), which reports what remains by block, UsageError (E501).
     """
-    if inputs is not None and not isinstance(inputs, Mapping):
-        raise UsageError(Fault("E501", "inputs", f"must be a mapping, not {inputs!r}.", "Write inputs={name: value}."))
+    check_mappings(inputs=inputs)
     flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
     chosen: dict[str, Any] = {"parameters": parameters, "variants": variants, "trust": trust}
     if _is_coupled(flat):

@@ -19,7 +19,7 @@ from ..model.flatten import Flat
 from ..model.hierarchy import Resolver
 from ..model.trust import Paths
 from ..model.variants import taken
-from ..text.errors import AnalysisError, Fault, UsageError
+from ..text.errors import AnalysisError, Fault, UsageError, check_mappings
 from .checks import coupled_block, flat_of
 from .last_made import LastMade, names_files
 from .ports import plain_settings
@@ -58,11 +58,7 @@ def point_of(value: DiagramValue, resolver: Resolver, options: PointOptions, las
             cure = "Import them as Model Exchange, or estimate the response by simulation."
             raise AnalysisError(Fault("E703", at.name, message, cure))
         return at.point
-    for word, table in (("held", held), ("parameters", parameters), ("variants", variants)):
-        if table is not None and not isinstance(table, Mapping):
-            raise UsageError(
-                Fault("E501", word, f"must be a mapping, not {table!r}.", f"Write {word}={{name: value}}.")
-            )
+    check_mappings(held=held, parameters=parameters, variants=variants)
     plain = [{name: _plainly(given) for name, given in (table or {}).items()} for table in (held, parameters)]
     key = (id(value), value, at, repr((*(sorted(table.items()) for table in plain), variants, options.settings)))
     known: tuple[Point, tuple[Outside, ...]] | None = last.known("point", key)

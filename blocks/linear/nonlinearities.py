@@ -272,24 +272,15 @@ class StaticLaw:
 
         bias = self.inputs[0]
         with self.named():
+            level = self._parameter("on_at") if self.remembers == "relay" else 0.0
+            has_hysteresis = self.remembers == "relay" and level != self._parameter("off_at")
+            if has_hysteresis or self.remembers == "backlash":
+                what = "relay with hysteresis" if has_hysteresis else "backlash"
+                message = f"is a {what}, which has no describing function for a random signal."
+                cure = "Give an amplitude instead of a sigma, or estimate the response."
+                raise AnalysisError(Fault("E704", self.path, message, cure))
             if self.remembers == "relay":
-                on_at, off_at = self._parameter("on_at"), self._parameter("off_at")
-                if on_at != off_at:
-                    message = "is a relay with hysteresis, which has no describing function for a random signal."
-                    raise AnalysisError(
-                        Fault(
-                            "E704",
-                            self.path,
-                            message,
-                            "Give an amplitude instead of a sigma, or estimate the response.",
-                        )
-                    )
-                return describing.gaussian_relay(on_at, self._parameter("on"), self._parameter("off"), sigma, bias)
-            if self.remembers == "backlash":
-                message = "is a backlash, which has no describing function for a random signal."
-                raise AnalysisError(
-                    Fault("E704", self.path, message, "Give an amplitude instead of a sigma, or estimate the response.")
-                )
+                return describing.gaussian_relay(level, self._parameter("on"), self._parameter("off"), sigma, bias)
             if self.remembers == "quantizer":
                 return describing.gaussian_quantizer(self._parameter("interval"), sigma, bias)
             breaks = self.breaks(bias, 40 * sigma)

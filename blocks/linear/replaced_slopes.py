@@ -13,7 +13,7 @@ import numpy as np
 from ..compile.plan import Node, Reference
 from ..frequency.systems import is_of
 from ..model.values import in_si
-from ..text.errors import AnalysisError, Fault, UsageError
+from ..text.errors import AnalysisError, Fault, UsageError, check_mappings
 from .interconnection import Interconnection
 from .nonlinearities import StaticLaw, nonlinear
 from .signals import SignalElement, places
@@ -43,11 +43,7 @@ class ReplacedSlopes:
         self.extra: dict[tuple[int, int], float] = {}  # partials that no tape has
         self.described: dict[tuple[int, int], str] = {}  # how, by node and slot
         self.gains: dict[tuple[int, int], float] = {}  # those of describing functions
-        for word, mapping in (("amplitude", amplitude), ("sigma", sigma), ("overrides", overrides)):
-            if mapping is not None and not isinstance(mapping, Mapping):
-                raise UsageError(
-                    Fault("E501", word, f"must be a mapping, not {mapping!r}.", f"Write {word}={{name: value}}.")
-                )
+        check_mappings(amplitude=amplitude, sigma=sigma, overrides=overrides)
         for given, is_random in ((amplitude or {}, False), (sigma or {}, True)):
             for name, values in given.items():
                 self._describe(name, values, is_random=is_random)

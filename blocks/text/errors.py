@@ -17,7 +17,7 @@ in a file of `blocks.text.explanations`.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -124,6 +124,14 @@ class CompilerError(BlocksError, RuntimeError):
 
 class AnalysisError(BlocksError, ValueError):
     """A linear model, a margin or a response that does not exist (E7xx)."""
+
+
+def check_mappings(**tables: object) -> None:
+    """Refuse arguments that are neither mappings nor None. Raises UsageError (E501)."""
+    for word, table in tables.items():
+        if table is not None and not isinstance(table, Mapping):
+            message, cure = f"must be a mapping, not {table!r}.", f"Write {word}={{name: value}}."
+            raise UsageError(Fault("E501", word, message, cure))
 
 
 # Tracebacks name them as a caller imports them.
