@@ -91,48 +91,14 @@ _UNMOVED = (
 )
 
 
-_NO_MEMBERS: Mapping[str, int] = {}
-
-
-class _Kind(NamedTuple):
-    """What equal blocks share of a setting: fields of `Setting`, in its order."""
-
-    type: str
-    shape: tuple[int, ...]
-    unit: str
-    display: str
-    doc: str
-    low: float | None = None
-    high: float | None = None
-    low_open: bool = False
-    high_open: bool = False
-    whole: bool = False
-    members: Mapping[str, int] = _NO_MEMBERS
-    values: tuple[Any, ...] = ()
-
-    def narrowed(self, other: _Kind) -> _Kind:
-        """Return the same with the range of another one, too."""
-        made = self
-        if other.low is not None and (self.low is None or (other.low, other.low_open) > (self.low, self.low_open)):
-            made = made._replace(low=other.low, low_open=other.low_open)
-        if other.high is not None and (self.high is None or other.high < self.high):
-            made = made._replace(high=other.high, high_open=other.high_open)
-        return made._replace(whole=self.whole or other.whole, members=self.members or other.members)
-
-
 @dataclass(slots=True)
-class _DraftSetting:
-    """A setting under construction; level, why: the strictest use of it or of what is computed from it."""
+class _Draft:
+    """A setting under construction; level, why: the strictest use of it or of a setting that is computed from it."""
 
-    path: str
-    kind: _Kind
+    setting: Setting
     level: int = TUNABLE
     why: str = ""
-    place: int = -1  # in p, of the first element
     cause: str = ""  # the path of the setting that `why` is about, where it is another
-    first: int = -1  # of its elements among the numbers of all settings
-    bound: bool = False
-    elements: tuple[Program, ...] | None = None
     reads: tuple[int, ...] = ()  # settings that it is computed from
     followed: bool = True  # whether C computes it from them too
 
@@ -140,22 +106,26 @@ class _DraftSetting:
         if level > self.level:
             self.level, self.why = level, why
 
-    def finished(self, level: int, why: str) -> Setting:
-        causality, places = "calculatedParameter" if self.bound else "parameter", range(len(self.kind.values))
-        return Setting(
-            self.path,
-            causality,
-            _VARIABILITY[level],
-            *self.kind,
-            tuple(() if self.place < 0 else (self.place + k,) for k in places),
-            self.elements,
-            self.first,
-            "" if level == TUNABLE else why,
-        )
+    def bind(self, elements: tuple[Program, ...] | None, reads: tuple[int, ...]) -> None:
+        """Let it be computed by programs; None for a text."""
+        self.setting = self.setting._replace(causality="calculatedParameter", elements=elements)
+        self.reads = reads
+
+    def narrow(self, copy: Setting) -> None:
+        """Take on the range of a copy of it."""
+        own = self.setting
+        if copy.low is not None and (own.low is None or (copy.low, copy.low_open) > (own.low, own.low_open)):
+            own = own._replace(low=copy.low, low_open=copy.low_open)
+        if copy.high is not None and (own.high is None or copy.high < own.high):
+            own = own._replace(high=copy.high, high_open=copy.high_open)
+        self.setting = own._replace(whole=own.whole or copy.whole, members=own.members or copy.members)
 
 
 class _Names(NamedTuple):
-    """What names in expressions stand for: settings (None: of neither numbers nor text), and the numbers of a copy."""
+    """The names that expressions may read: of settings, and of the numbers of a copy.
+
+    settings: by name the number of a setting; None if the parameter has no setting.
+    """
 
     settings: Mapping[str, int | None]
     numbers: Mapping[str, float]
@@ -175,8 +145,8 @@ class _Numberless(Exception):
 class _Binder:
     def __init__(self, flat: Flat, plan: Plan | None) -> None:
         self.flat, self.plan = flat, plan
-        self.made: list[_DraftSetting] = []
-        self.plain: dict[int, tuple[tuple[Parameter, _DraftSetting], ...]] = {}  # by the id of Resolved
+        self.made: list[_Draft] = []
+        self.plain: dict[int, tuple[tuple[Parameter, _Draft], ...]] = {}  # by the id of Resolved
         self.numbers: list[float] = []  # of all settings
         self.owners: list[int] = []  # the setting of each number
         self.origins: list[Origin | None] = []  # of each setting
@@ -230,32 +200,33 @@ class _Binder:
                     self.open(child, inside, within)
         return names
 
-    def add(self, draft: _DraftSetting, origin: Origin | None, fleet: Fleet | None, lane: int) -> int:
+    def add(self, draft: _Draft, origin: Origin | None, fleet: Fleet | None, lane: int) -> int:
         """Add a setting in a lane; return its number."""
-        index = len(self.made)
+        index, setting = len(self.made), draft.setting
         self.made.append(draft)
         self.origins.append(origin)
         if origin is not None and origin.set_at:
             copies = () if fleet is None else fleet.copies(lane)
             self.given.append((index, origin, unnumbered(origin.set_at, copies)))
         if origin is not None and origin.stream:
-            self.streams.append((origin.stream, (draft.place,)))
-        if draft.kind.type != "text":
-            draft.first = len(self.numbers)
-            self.numbers += draft.kind.values
-            self.owners += [index] * len(draft.kind.values)
+            self.streams.append((origin.stream, setting.places[0]))
+        if setting.type != "text":
+            draft.setting = setting._replace(first=len(self.numbers))
+            self.numbers += setting.values
+            self.owners += [index] * len(setting.values)
         return index
 
-    def bind(self, draft: _DraftSetting, raw: Any, at: _Names) -> None:
+    def bind(self, draft: _Draft, raw: Any, at: _Names) -> None:
         """Say what a setting is computed from, where its raw value holds expressions over the parameters of `at`."""
         if not any(expressions_in(raw)):
             return
-        draft.bound, draft.reads = True, self.read(at, raw)
-        if draft.kind.type != "text":
+        values, programs = draft.setting.values, None
+        if draft.setting.type != "text":
             try:
-                draft.elements = tuple(self.programs(raw, at, draft))
+                programs = tuple(self.programs(raw, at, values))
             except _Numberless:  # members by their names: texts are constants, so nothing can change
-                draft.elements = tuple(map(_constant, draft.kind.values))
+                programs = tuple(map(_constant, values))
+        draft.bind(programs, self.read(at, raw))
 
     def read(self, names: _Names, raw: Any) -> tuple[int, ...]:
         indices = (names.settings.get(name) for name in names_in(raw))
@@ -267,8 +238,8 @@ class _Binder:
             for index in self.read(names, raw):
                 self.made[index].restrict(level, why)
 
-    def programs(self, raw: Any, names: _Names, draft: _DraftSetting) -> list[Program]:
-        """Return a program for each element of a raw value that holds expressions."""
+    def programs(self, raw: Any, names: _Names, values: Sequence[Any]) -> list[Program]:
+        """Return a program for each element of a raw value that holds expressions. values: of the elements."""
         programs: list[Program | None] = []
 
         def visit(part: Any) -> None:
@@ -283,22 +254,17 @@ class _Binder:
                     programs.append(self.compiled(expression, names))
                     return
                 index = names.settings[expression.name]
-                if index is None or self.made[index].kind.type == "text":
+                if index is None or self.made[index].setting.type == "text":
                     raise _Numberless
-                programs.extend(map(_copy, self.places(index)))
+                programs.extend(map(_copy, self.made[index].setting.span))
             else:
                 programs.append(None)
 
         visit(raw)
         if len(programs) == 1:  # a scalar fills an array
-            programs *= len(draft.kind.values)
-        pairs = zip(programs, draft.kind.values, strict=True)
+            programs *= len(values)
+        pairs = zip(programs, values, strict=True)
         return [_constant(x) if program is None else program for program, x in pairs]
-
-    def places(self, setting: int) -> range:
-        """Return the places of the elements of a setting among the numbers of all settings."""
-        draft = self.made[setting]
-        return range(draft.first, draft.first + len(draft.kind.values))
 
     def compiled(self, expression: Expression, names: _Names) -> Program:
         """Return an expression over settings."""
@@ -310,7 +276,7 @@ class _Binder:
                 return Scalar("constant", (), names.numbers[step.word])
             index = names.settings[step.word]
             assert index is not None
-            return Scalar("argument", (), float(self.made[index].first))
+            return Scalar("argument", (), float(self.made[index].setting.first))
 
         return program_of(expression.folded(operand, lambda step, operands: recorded(step.op, *operands)))
 
@@ -322,11 +288,12 @@ class _Binder:
         self.index += 1
         origins = leaf.origins_of.get(lane, leaf.origins)
         own: dict[str, int] = {}
-        late: dict[str, tuple[Parameter, _DraftSetting]] = {}
+        late: dict[str, tuple[Parameter, _Draft]] = {}
         for parameter, known in self.known(block.resolved):
             key, origin = parameter.name, origins.get(parameter.name)
-            place = -1 if known.place < 0 else self.place + known.place
-            draft = _DraftSetting(f"{block.path}.{key}", known.kind, known.level, known.why, place)
+            places = tuple(tuple(self.place + k for k in each) for each in known.setting.places)
+            setting = known.setting._replace(path=f"{block.path}.{key}", places=places)
+            draft = _Draft(setting, known.level, known.why)
             if origin is None and callable(parameter.default):
                 late[key] = (parameter, draft)
                 continue
@@ -340,7 +307,7 @@ class _Binder:
             own[key] = self.add(draft, None, leaf.fleet, lane)
         self.place += _sizes(block)
 
-    def known(self, resolved: Resolved) -> tuple[tuple[Parameter, _DraftSetting], ...]:
+    def known(self, resolved: Resolved) -> tuple[tuple[Parameter, _Draft], ...]:
         """Return the settings of a block without its path and its place in p; equal blocks share them."""
         drafts = self.plain.get(id(resolved))
         if drafts is None:
@@ -351,7 +318,7 @@ class _Binder:
         self,
         resolved: Resolved,
         parameter: Parameter,
-        draft: _DraftSetting,
+        draft: _Draft,
         own: Mapping[str, int],
         given: Container[str],
     ) -> None:
@@ -360,20 +327,20 @@ class _Binder:
         numeric = [name for name in names if name in own and not declared[name].structural]
         if not numeric:
             return
-        draft.reads = tuple(own[name] for name in numeric)
+        draft.reads, setting = tuple(own[name] for name in numeric), draft.setting
         try:
-            if draft.kind.type not in ("real", "int"):
-                raise Untraceable(f"it is {'an enumeration' if draft.kind.type == 'enum' else f'a {draft.kind.type}'}")
-            programs = default_programs(parameter, resolved, tuple(numeric), len(draft.kind.values))
-            places = [place for index in draft.reads for place in self.places(index)]
-            draft.elements = tuple(_placed(program, places) for program in programs)
-            draft.bound = True
-            if tuple(evaluated(program, self.numbers) for program in draft.elements) != draft.kind.values:
+            if setting.type not in ("real", "int"):
+                raise Untraceable(f"it is {'an enumeration' if setting.type == 'enum' else f'a {setting.type}'}")
+            programs = default_programs(parameter, resolved, tuple(numeric), len(setting.values))
+            places = [place for index in draft.reads for place in self.made[index].setting.span]
+            programs = tuple(_placed(program, places) for program in programs)
+            if tuple(evaluated(program, self.numbers) for program in programs) != setting.values:
                 raise Untraceable("its steps give another number")
+            draft.bind(programs, draft.reads)
         except Untraceable as reason:
-            draft.elements, draft.bound, draft.followed = None, False, False
+            draft.followed = False
             for index in draft.reads:
-                message = f"{draft.path} is computed from it, which only Python can do ({reason})"
+                message = f"{setting.path} is computed from it, which only Python can do ({reason})"
                 self.made[index].restrict(CONSTANT, message)
             rivals = [name for name in names if parameter.name in _excluded(declared, name)]
             if any(name in given for name in rivals):
@@ -387,11 +354,11 @@ class _Binder:
             for index in draft.reads if draft.followed else ():
                 source = self.made[index]
                 if draft.level > source.level:
-                    source.level, source.why, source.cause = draft.level, draft.why, draft.cause or draft.path
-            copied = (node for (node, *more) in draft.elements or () if not more and node.op == "argument")
+                    source.level, source.why, source.cause = draft.level, draft.why, draft.cause or draft.setting.path
+            copied = (node for (node, *more) in draft.setting.elements or () if not more and node.op == "argument")
             for index in dict.fromkeys(self.owners[int(node.value)] for node in copied):
-                if draft.kind.type != "bool":
-                    self.made[index].kind = self.made[index].kind.narrowed(draft.kind)
+                if draft.setting.type != "bool":
+                    self.made[index].narrow(draft.setting)
 
     def finished(self) -> tuple[Setting, ...]:
         settings: list[Setting] = []
@@ -399,23 +366,25 @@ class _Binder:
         assert self.plan is None or self.place + rest == len(self.plan.parameters)
         for draft in self.made:
             level, why = draft.level, f"{draft.cause}: {draft.why}" if draft.cause else draft.why
-            if draft.bound:
+            if draft.setting.is_bound:
                 level = min((_VARIABILITY.index(settings[k].variability) for k in draft.reads), default=CONSTANT)
                 why = why or _UNMOVED[level]
-            settings.append(draft.finished(level, why))
+            why = "" if level == TUNABLE else why
+            settings.append(draft.setting._replace(variability=_VARIABILITY[level], why=why))
         return tuple(settings)
 
 
-def _of_diagram(path: str, value: Value, entry: Any) -> _DraftSetting | None:
+def _of_diagram(path: str, value: Value, entry: Any) -> _Draft | None:
     """Begin the setting of a diagram's parameter.
 
     None where it has no value, is a sparse matrix, or has rows of unequal length.
     """
     declared, doc = (entry.get("unit", ""), entry.get("doc", "")) if isinstance(entry, Mapping) else ("", "")
     unit = si_text(declared)
-    kind = _Kind("real", (), unit, "" if unit == declared else declared, _text(doc))
+    setting = Setting(path, unit=unit, display="" if unit == declared else declared, doc=_text(doc))
     if isinstance(value.value, str):
-        return _DraftSetting(path, kind._replace(type="text", values=(value.value,)), CONSTANT, "it is a text")
+        text = setting._replace(type="text", values=(value.value,), places=((),))
+        return _Draft(text, CONSTANT, "it is a text")
     if value.value is None or isinstance(value.value, SparseMatrix):
         return None
     try:
@@ -423,7 +392,8 @@ def _of_diagram(path: str, value: Value, entry: Any) -> _DraftSetting | None:
     except ValueError:
         return None
     type_ = "bool" if array.dtype == bool else "real"
-    return _DraftSetting(path, kind._replace(type=type_, shape=array.shape, values=_floats(array)))
+    places: tuple[tuple[int, ...], ...] = ((),) * array.size
+    return _Draft(setting._replace(type=type_, shape=array.shape, values=_floats(array), places=places))
 
 
 def _constant(value: float) -> Program:
@@ -444,8 +414,8 @@ def _sizes(block: FlatBlock) -> int:
     return sum(map(len, parameter_places(block.interface).values()))
 
 
-def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _DraftSetting]]:
-    """Return the parameters of a block that have a value; `place` counts from the block's first one."""
+def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _Draft]]:
+    """Return the parameters of a block that have a value; their places in p count from the block's first one."""
     interface, values = resolved.interface, resolved.values
     places = parameter_places(interface)
     strictest = _strictest(interface.declaration)
@@ -453,21 +423,20 @@ def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _DraftSetting]]:
         value = values[name].value
         if value is None:
             continue
-        unit = "" if isinstance(value, str) else interface.declared_unit(parameter)
+        is_text, array = isinstance(value, str), np.asarray(value)
+        type_ = "text" if is_text else "enum" if parameter.members else parameter.type
+        unit = "" if is_text else interface.declared_unit(parameter)
+        low, high = limits(parameter, unit) if type_ in ("real", "int") else (None, None)
+        is_open = type_ in ("real", "int") and parameter.positive and (low is None or low <= 0)
+        elements: tuple[Any, ...] = (value,) if is_text else _floats(array)
+        setting = Setting(
+            "", type=type_, shape=array.shape, unit=si_text(unit), display="" if unit == si_text(unit) else unit,
+            doc=parameter.doc, low=0.0 if is_open else low, high=high, low_open=is_open, whole=type_ == "int",
+            members=parameter.members, values=elements,
+            places=tuple((place,) for place in places[name]) if name in places else ((),) * len(elements),
+        )  # fmt: skip
         _, _, level, why = strictest.get(name) or Use(name, "value")
-        kind = _Kind(parameter.type, (), si_text(unit), "" if unit == si_text(unit) else unit, parameter.doc)
-        kind = kind._replace(members=parameter.members)
-        if isinstance(value, str):
-            kind = kind._replace(type="text", values=(value,))
-        else:
-            array = np.asarray(value)
-            type_ = "enum" if parameter.members else parameter.type
-            kind = kind._replace(type=type_, shape=array.shape, values=_floats(array), whole=type_ == "int")
-        if kind.type in ("real", "int"):
-            low, high = limits(parameter, unit)
-            is_open = parameter.positive and (low is None or low <= 0)
-            kind = kind._replace(low=0.0 if is_open else low, high=high, low_open=is_open)
-        yield parameter, _DraftSetting("", kind, level, why, places[name].start if name in places else -1)
+        yield parameter, _Draft(setting, level, why)
 
 
 @lru_cache(maxsize=256)

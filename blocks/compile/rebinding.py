@@ -56,12 +56,12 @@ class Rebinding:
             return False
         if any(one.setting.is_bound for one in self.given):
             return False
-        touched = {place for one in self.given for place in _elements(one.setting)}
+        touched = {place for one in self.given for place in one.setting.span}
         for setting in settings:
             reads = {int(node.value) for p in setting.elements or () for node in p if node.op == "argument"}
             if reads & touched:
                 self.bound.append(setting)
-                touched.update(_elements(setting))
+                touched.update(setting.span)
         changed = [*(one.setting for one in self.given), *self.bound]
         if any(setting.type != "real" or setting.variability == "constant" for setting in changed):
             return False
@@ -151,10 +151,6 @@ def _value(setting: Setting, s: list[float]) -> Any:
     """Return the value of a parameter as a block type sees it."""
     values = s[setting.first : setting.first + len(setting.values)]
     return np.array(values).reshape(setting.shape) if setting.shape else np.array(values[0])
-
-
-def _elements(setting: Setting) -> range:
-    return range(setting.first, setting.first + len(setting.values))
 
 
 def _numbers(given: Given, raw: Any) -> list[float] | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, MutableSequence, Sequence
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 from ..contract.scalars import OPERATIONS, Scalar
 from ..contract.tape import TapeNode
@@ -65,11 +65,13 @@ def evaluated(program: Program, numbers: Sequence[float], *, is_strict: bool = F
     return values[-1]
 
 
+NO_MEMBERS: Mapping[str, int] = {}
+
+
 # --- settings --------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
+class Setting(NamedTuple):
     """A parameter by its path ("Kp", "left.Kp", "motor.Ra") and what it does.
 
     causality: "parameter" (a leaf, which is set) or "calculatedParameter" (bound: it is computed). variability: of a
@@ -86,28 +88,33 @@ class Setting:
     """
 
     path: str
-    causality: str
-    variability: str
-    type: str
-    shape: tuple[int, ...]
-    unit: str
-    display: str
-    doc: str
-    low: float | None
-    high: float | None
-    low_open: bool
-    high_open: bool
-    whole: bool
-    members: Mapping[str, int]
-    values: tuple[float, ...] | tuple[str, ...]
-    places: tuple[tuple[int, ...], ...]
-    elements: tuple[Program, ...] | None
-    first: int
-    why: str
+    causality: str = "parameter"
+    variability: str = "tunable"
+    type: str = "real"
+    shape: tuple[int, ...] = ()
+    unit: str = ""
+    display: str = ""
+    doc: str = ""
+    low: float | None = None
+    high: float | None = None
+    low_open: bool = False
+    high_open: bool = False
+    whole: bool = False
+    members: Mapping[str, int] = NO_MEMBERS
+    values: tuple[Any, ...] = ()
+    places: tuple[tuple[int, ...], ...] = ()
+    elements: tuple[Program, ...] | None = None
+    first: int = -1
+    why: str = ""
 
     @property
     def is_bound(self) -> bool:
         return self.causality == "calculatedParameter"
+
+    @property
+    def span(self) -> range:
+        """The indices of its elements among the numbers of all settings."""
+        return range(self.first, self.first + len(self.values))
 
 
 def numbers(settings: Sequence[Setting]) -> list[float]:
