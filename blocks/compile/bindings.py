@@ -1,4 +1,4 @@
-"""The settings of a diagram, and what is computed from them: from parameter values to the row p, without Python.
+"""The settings of a diagram: they lead from the values of parameters to the row p, without Python.
 
     Flat + Plan --bindings--> Settings --bindings_c--> C: s (all numbers that can be set) -> p
 
@@ -217,7 +217,7 @@ class _Binder:
         return index
 
     def bind(self, draft: _Draft, raw: Any, at: _Names) -> None:
-        """Say what a setting is computed from, where its raw value holds expressions over the parameters of `at`."""
+        """Find the programs of a setting whose raw value holds expressions over the parameters of `at`."""
         if not any(expressions_in(raw)):
             return
         values, programs = draft.setting.values, None
@@ -322,7 +322,7 @@ class _Binder:
         own: Mapping[str, int],
         given: Container[str],
     ) -> None:
-        """Say what a computed default is computed from. Where C cannot compute it, what it reads is constant."""
+        """Find the programs of a computed default. If C cannot compute it, the parameters in it are constant."""
         declared, names = resolved.interface.declaration.parameters, arguments(parameter.default, parameter.name)
         numeric = [name for name in names if name in own and not declared[name].structural]
         if not numeric:

@@ -21,7 +21,7 @@ its place among the numbers of all settings, or among those that a computed defa
 
 
 def recorded(op: str, *operands: Scalar) -> Scalar:
-    """An operation; one of constants alone is folded here, as compilers may round differently."""
+    """Return an operation; one on constants alone is folded, as compilers may round differently."""
     scalar = Scalar(op, operands)
     if all(operand.op == "constant" for operand in operands):
         return Scalar("constant", (), evaluated(program_of(scalar), ()))
@@ -29,7 +29,7 @@ def recorded(op: str, *operands: Scalar) -> Scalar:
 
 
 def program_of(result: Scalar) -> Program:
-    """What was recorded, with what occurs twice twice."""
+    """Return a recorded expression as a program; an operand that occurs twice is computed twice."""
     order: list[Scalar] = []  # from the end: results before their operands, the last of these first
     stack = [result]
     while stack:
@@ -45,9 +45,9 @@ def program_of(result: Scalar) -> Program:
 
 
 def evaluated(program: Program, numbers: Sequence[float], *, is_strict: bool = False) -> float:
-    """The value of a program, given the numbers that it reads; NaN where Python refuses an operation.
+    """Return the value of a program, given the numbers that it reads; NaN if Python refuses an operation.
 
-    is_strict: raises then what Python raises.
+    is_strict: raise the error of Python instead.
     """
     values: list[float] = []
     for node in program:
@@ -118,14 +118,14 @@ class Setting(NamedTuple):
 
 
 def numbers(settings: Sequence[Setting]) -> list[float]:
-    """The elements of all settings that are no texts, one after the other, unchanged."""
+    """Return the elements of all settings that are no texts, one after the other, unchanged."""
     return [float(x) for setting in settings if setting.first >= 0 for x in setting.values]
 
 
 def computed(settings: Sequence[Setting], s: Sequence[float]) -> list[float]:
-    """The numbers of all settings with the bound ones computed anew from the leaves.
+    """Return the numbers of all settings with the bound ones computed again from the leaves.
 
-    What cannot be computed is NaN here, and not finite in C: callers that set leaves refuse that.
+    A number that cannot be computed is NaN here, and not finite in C: callers that set leaves refuse it.
     """
     values = list(s)
     for setting in settings:

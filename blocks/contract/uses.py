@@ -1,7 +1,7 @@
-"""What reads the parameters of a block type besides its equations, and so what another value of one changes.
+"""The uses of the parameters of a block type besides its equations: they decide how far another value reaches.
 
-It is one table, of which others ask what they need: which blocks differ in a number alone, which values need a Plan of
-their own, and when a parameter may be set.
+The table tells which blocks differ in a number alone, which values need a Plan of their own, and when a parameter may
+be set.
 """
 
 from __future__ import annotations

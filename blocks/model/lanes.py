@@ -1,7 +1,7 @@
-"""What differs among the copies of a block: the numbers of the blocks in them.
+"""The numbers that differ between the copies of a block.
 
-A diagram that has copies is opened once, as copy 0 has it. Here the other copies are gone through, as far as something
-in them is another number: by a list, by an expression with `index`, by what was set in one copy, or by a stream.
+A diagram that has copies is opened once, with the numbers of copy 0. This module visits the other copies where a number
+may differ: by a list, by an expression with `index`, by a value that was set in one copy, or by a stream.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Where the values of parameters come from: the one record of it, which the hierarchy leaves.
+"""The record of where the values of parameters come from; the hierarchy writes it.
 
 The hierarchy decides which raw value counts for a parameter: that of the file, of the block entry around, or one that
-is set by a path. It chooses the element for one copy, and it knows the unit of a bare number. Flattening evaluates what
-it found; settings, other values in a Plan and sweeps read it here.
+is set by a path. It chooses the element for one copy, and it knows the unit of a bare number. Flattening evaluates this
+raw value; settings, other values in a Plan and sweeps read the record.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from .values import Unit
 
 
 class Origin(NamedTuple):
-    """What the value of a parameter is computed from.
+    """The source of the value of a parameter.
 
-    written: what the file says, for all copies; None where it says nothing. raw: what counts in one copy. is_listed:
-    whether it is an element of a list for copies. unit: of a bare number. depth: the declared dimensions. set_at: the
-    path under which the raw value was set; "" where it is that of the file. is_outer: whether its names are the
-    parameters of the diagram around the block, and not of the diagram itself. stream: of the number of a stream, its
-    name; no raw value says it.
+    written: the entry of the file, for all copies; None if it has none. raw: the raw value that counts in one copy.
+    is_listed: whether it is an element of a list for copies. unit: of a bare number. depth: the declared dimensions.
+    set_at: the path under which the raw value was set; "" if it is that of the file. is_outer: whether its names are
+    the parameters of the diagram around the block, and not of the diagram itself. stream: the name of the stream, if
+    the value is the number of a stream; it has no raw value then.
     """
 
     written: Any
@@ -34,7 +34,7 @@ class Origin(NamedTuple):
     stream: str = ""
 
     def again(self, raw: Any, copies: Sequence[Copy]) -> Any:
-        """What another raw value that is set at the same path says in one copy. Raises ModelError."""
+        """Return the part of another raw value at the same path that counts in one copy. Raises ModelError."""
         return own_value(raw, self.depth, copies)
 
 
@@ -43,7 +43,7 @@ Origins = Mapping[str, Origin]
 
 
 def are_alike(some: Origins, others: Origins) -> bool:
-    """Return whether two records of the same parameters say the same."""
+    """Return whether two records of the same parameters are equal."""
 
     def is_same(one: Origin, other: Origin) -> bool:
         return one.raw is other.raw and (one.set_at, one.stream) == (other.set_at, other.stream)

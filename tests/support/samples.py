@@ -77,7 +77,7 @@ def assert_same(made: str, shown: str) -> None:
 
 
 def run_command(line: str) -> str:
-    """What a `blocks ...` line prints on stdout and stderr, in the order of a terminal."""
+    """Return the text that a `blocks ...` line prints on stdout and stderr, in the order of a terminal."""
     words = shlex.split(line)
     assert words[0] == "blocks", line
     printed = io.StringIO()
