@@ -19,10 +19,10 @@ from ..linear.linear_model import LinearModel
 from ..linear.nonlinearities import nonlinear
 from ..linear.signals import places
 from ..model.values import in_si
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.printable import aligned
 
-Array = np.ndarray[Any, Any]
 AMPLITUDES = (1e-3, 1e-2, 1e-1, 1.0)
 """Amplitudes of the error, unless others are given."""
 

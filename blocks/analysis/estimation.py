@@ -31,6 +31,7 @@ from ..contract.block import Block
 from ..frequency.response import poles
 from ..model.values import in_si
 from ..results.results import Results
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, FMUError, SimulationError, UsageError
 from .excitation import TONE, Correlator, Multitone, Sweep, Tone
 from .injection import free_name, inject, is_port, known, probe, target
@@ -40,8 +41,6 @@ if TYPE_CHECKING:
     from ..model.trust import Paths
 
 __all__ = ["Chirp", "Comparison", "OddMultisine", "Response", "SineStream", "compare", "estimate_response"]
-
-Array = np.ndarray[Any, Any]
 
 RTOL = 1e-8
 """Tolerance of the solver, unless the diagram has a smaller one: phasors are right to some 1e-7."""

@@ -10,9 +10,8 @@ import numpy as np
 
 from ..frequency.response import response
 from ..frequency.systems import frd, label
+from ..text.arrays import Array
 from ..text.errors import Fault, UsageError
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, eq=False)

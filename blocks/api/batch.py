@@ -28,6 +28,7 @@ from ..model.resolver import resolver_of
 from ..model.trust import Paths
 from ..model.varied import Column, columns_of, given_values, is_element, raw_values
 from ..results.results import Results
+from ..text.arrays import Array
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import counted, legible
 from ..text.progress_line import in_rows, live_line
@@ -41,7 +42,6 @@ from .values import check_settings, time_of
 if TYPE_CHECKING:
     from ..contract.block import Block
 
-Array = np.ndarray[Any, Any]
 STATUSES = ("ok", "diverged", "budget", "refused", "failed", "left")
 """What may become of a row: it ran to its end; its numbers or its steps failed (E301 to E309); it took more steps than
 it may; its values are refused, and it did not run; something else failed, as an FMU; it was not reached."""

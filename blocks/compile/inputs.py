@@ -16,6 +16,7 @@ from ..contract.enumerations import Enumeration, enumeration_of
 from ..model.diagram_grammar import INTERPOLATIONS, TABLE
 from ..model.values import in_si
 from ..text import units
+from ..text.arrays import Array
 from ..text.csv_text import read_columns
 from ..text.element_names import element_names
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
@@ -23,7 +24,6 @@ from ..text.plain_files import opened
 from ..text.quantity_text import quantity_in
 from .plan import Plan
 
-Array = np.ndarray[Any, Any]
 _BOOLS = {"true": 1, "false": 0}
 MAX_CSV_BYTES = 512 * 2**20
 

@@ -42,12 +42,11 @@ from ..contract.closure import closure
 from ..contract.scalars import LOGICAL, OPERATIONS
 from ..contract.tape import Tape
 from ..contract.tracing import jacobian
+from ..text.arrays import Array
 from .fmu_tape import FmuTape
 from .folding import Folded
 from .plan import AlgebraicLoop, Node, Plan, Program, Reference
 from .scheduler import schedule
-
-Array = np.ndarray[Any, Any]
 
 _LARGE = 4096  # partials of one group; a larger one is derived result by result, each by what it alone reads
 

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.errors import DeclarationError, Fault
 from .equations import Local, Output
 from .interface import Interface
 from .variables import Equation
-
-Array = np.ndarray[Any, Any]
 
 
 class EquationValues:

@@ -21,7 +21,6 @@ from .declaration import Declaration
 from .reads import arguments
 from .variables import Discrete, Parameter, State, Variable
 
-Array = np.ndarray[Any, Any]
 # Every element of a state, and every port, is looked at by itself; a matrix is not.
 LARGEST, LARGEST_MEMORY, MOST_PORTS = 1_000_000, 20_000, 100_000
 """The most elements of a variable, of a state or a discrete, and of a variable whose elements are ports."""

@@ -18,6 +18,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from ..text.arrays import Array, frozen
 from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.units import Declared, si_text, single, to_si
 from ..text.units import parse as parse_unit
@@ -25,7 +26,7 @@ from .captured_values import outside
 from .declaration import Declaration
 from .equations import Output
 from .expressions import exact_decimal, exact_time
-from .interface import LARGEST, Array, Interface, Value, not_computed, unit_from
+from .interface import LARGEST, Interface, Value, not_computed, unit_from
 from .reads import arguments
 from .sparse import SparseMatrix
 from .uses import late_units, sizing, uses
@@ -320,7 +321,7 @@ def _typed(parameter: Parameter, value: Value) -> Value:
         if math.prod(raw.shape) > LARGEST:
             message = f"is {_shape(raw.shape)}, and all of its elements are needed here; the limit is {LARGEST:,}."
             raise ValueError(message)
-        return Value(_frozen(raw.dense()), None, value.unit)
+        return Value(frozen(raw.dense()), None, value.unit)
     if parameter.type == "string":
         if not isinstance(raw, str):
             raise ValueError(f"must be a text, not {raw!r}.")
@@ -329,15 +330,15 @@ def _typed(parameter: Parameter, value: Value) -> Value:
         flags = _array(raw)
         if flags.dtype != bool or (parameter.structural and flags.ndim):
             raise ValueError(f"must be true or false, not {raw!r}.")
-        return Value(bool(raw)) if parameter.structural else Value(_frozen(flags.astype(float)))
+        return Value(bool(raw)) if parameter.structural else Value(frozen(flags.astype(float)))
     if parameter.members:
-        return Value(_frozen(_members(parameter, raw)))
+        return Value(frozen(_members(parameter, raw)))
     if isinstance(raw, str):
         if parameter.is_limit and raw in NO_LIMIT:
-            return Value(_frozen(np.array(NO_LIMIT[raw])), None, value.unit)
+            return Value(frozen(np.array(NO_LIMIT[raw])), None, value.unit)
         raise _NoNumber(raw)
     if type(raw) is float and parameter.type == "real" and not parameter.structural and math.isfinite(raw):
-        return Value(_frozen(np.array(raw)), value.exact, value.unit)
+        return Value(frozen(np.array(raw)), value.exact, value.unit)
     array = _array(raw)
     if array.dtype.kind not in "iuf":
         raise ValueError(f"must be a number, not {raw!r}.")
@@ -349,11 +350,11 @@ def _typed(parameter: Parameter, value: Value) -> Value:
         if not all(float(x).is_integer() and abs(float(x)) <= 2**53 for x in array.flat):
             raise ValueError(f"must be {'an integer' if array.ndim == 0 else 'integers'}, not {_shown(raw)}.")
         if not parameter.structural:
-            return Value(_frozen(array.astype(float)), value.exact, value.unit)
+            return Value(frozen(array.astype(float)), value.exact, value.unit)
         return Value(_structural(array, int, parameter))
     if parameter.structural:
         return Value(_structural(array, float, parameter), value.exact, value.unit)
-    return Value(_frozen(array.astype(float)), value.exact, value.unit)
+    return Value(frozen(array.astype(float)), value.exact, value.unit)
 
 
 def _members(parameter: Parameter, raw: Any) -> Array:
@@ -385,11 +386,6 @@ def _array(raw: Any) -> Array:
         raise ValueError(f"must be numbers in rows of equal length, not {raw!r}.") from None
     whole = array.dtype == object and all(isinstance(x, int) for x in array.flat)  # too long for numpy's integers
     return array.astype(float) if whole else array
-
-
-def _frozen(array: Array) -> Array:
-    array.setflags(write=False)
-    return array
 
 
 class _Defaults:

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.errors import Fault, ModelError
-
-Array = np.ndarray[Any, Any]
 
 
 class SparseMatrix:

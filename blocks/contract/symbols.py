@@ -19,11 +19,10 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from ..text.arrays import Array
 from .scalars import JOINS, LOGICAL, OPERATIONS, Scalar, choose, record, unknown
 from .scalars import constant as number
 from .table_lookup import TracedTable
-
-Array = np.ndarray[Any, Any]
 
 
 class SymbolError(TypeError):

@@ -17,20 +17,17 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
-import numpy as np
-
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
 from ..fmi.exits import Ended
 from ..results.results import Results
+from ..text.arrays import Array
 from ..text.available_memory import Watch
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError
 from .run.engine import Engine
 from .run.memory_estimate import COPIES, COPIES_OF_MASTER, no_room
 from .run.saved_state import State
 from .run.stiffness import StiffWatch
-
-Array = np.ndarray[Any, Any]
 
 
 class Simulation:

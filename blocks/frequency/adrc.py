@@ -23,9 +23,8 @@ from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
-
-Array = np.ndarray[Any, Any]
 
 _DECADES_POINTS = 40  # of the search for cycles: laws of ADRC change their gain slowly along a decade
 

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 
-Array = np.ndarray[Any, Any]
 Law = Callable[[Array], Any]
 
 PLACE = "describing function"

@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from .realization import Realization
 from .search import summit
 
-Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 _FIRST = 64  # turns from zero frequency on that are looked at
 _BESIDE = 4  # turns on either side of each place of interest

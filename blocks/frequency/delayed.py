@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from .realization import Realization, balanced
 
-Array = np.ndarray[Any, Any]
 _CHUNK = 1 << 22  # entries of the matrices that are solved at once
 
 

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betainc, gamma, gammainc, gammaincc, ndtr
 
+from ..text.arrays import Array
 from .corners import breaks_of, finite, positive, refused, undescribed
 from .quadrature import Described, Spectrum, fundamental, gaussian, harmonics, sinusoidal
 
@@ -53,8 +54,6 @@ __all__ = [
     "sinusoidal",
     "tanh",
 ]
-
-Array = np.ndarray[Any, Any]
 
 _SUMMED = 1000  # steps of a quantizer at each end that are summed one by one; the rest is off by 1e-14 of one
 _SO_MANY = 1e9  # intervals of amplitude from which a quantizer does nothing: 1e-13 in gain, 1e-14 A in mean

@@ -9,14 +9,13 @@ Reference: L. N. Trefethen, M. Embree, Spectra and Pseudospectra, Princeton 2005
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from .lapack import eigenvectors
 from .realization import Realization, components, growth
 
-Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 
 

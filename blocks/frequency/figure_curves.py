@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from ..results.plots import INK, STYLES
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from .figure_look import FAINT, Shown, note
 from .realization import balanced, equivalent, period
 from .response import dc_gain
 from .search import layout, refined
 from .systems import StateSpace, is_of, source
-
-Array = np.ndarray[Any, Any]
 
 _MOST = len(STYLES)
 

@@ -11,9 +11,8 @@ import numpy as np
 
 from ..results import plots
 from ..results.plots import GRID, INK, STYLES, WIDTH, ink, plain
+from ..text.arrays import Array
 from .systems import Source
-
-Array = np.ndarray[Any, Any]
 
 FAINT = "#94a3b8"
 SMALL = 8  # points

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..results.plots import INK, STYLES
+from ..text.arrays import Array
 from .figure_look import FAINT, SMALL, note
 from .margins import Margins
-
-Array = np.ndarray[Any, Any]
 
 _DRAWN = 4  # crossings of each kind
 

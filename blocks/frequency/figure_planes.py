@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from ..results.plots import INK
+from ..text.arrays import Array
 from .figure_curves import decibel_of
 from .figure_look import FAINT, Shown, note
 from .margins import Margins
-
-Array = np.ndarray[Any, Any]
 
 _CONTOURS = (12.0, 6.0, 3.0, 1.0, -1.0, -3.0, -6.0, -12.0, -20.0, -40.0)  # dB of T in a Nichols chart
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..results.plots import INK, STYLES, defaults
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from .figure_curves import (
     curve_of,
@@ -35,8 +36,6 @@ from .margins import Margins
 from .margins import margins as margins_of
 from .response import poles, zeros
 from .search import highest, refined
-
-Array = np.ndarray[Any, Any]
 
 # Poles and zeros of each style.
 _MARKS = (("x", "o"), ("+", "s"), ("1", "D"), ("2", "^"), ("3", "v"), ("4", "p"))

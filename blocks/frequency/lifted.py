@@ -14,14 +14,14 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault
 from .realization import Realization, growth
 
-Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 MOST_GAIN = 1e8
 """The largest gain up to which borders are looked for; 1 over it is the least."""

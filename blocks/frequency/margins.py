@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.rich_output import Shown, Table
 from .dead_time import extrema, is_stable, stretches
@@ -37,7 +38,6 @@ from .response import HALF_POWER, dc_gain
 from .search import Peak, curve, first_fall, highest, layout, refined, root, summit
 from .systems import Source, StateSpace, is_of, polynomials, source
 
-Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 # Of the sine of the phase and of the logarithm of the gain: what rounding leaves of a zero in a response.
 _TOUCH = 1e-10

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from .lapack import balancing, generalized_eigenvalues
 
-Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 _SURE = 1e6 * _EPS  # of the norm of a matrix: rounding that moves the coefficients of a cluster of eigenvalues
 _STRONG = 1e4  # of the norm of A: a larger feedback from y = 0 leaves too few digits to zeros

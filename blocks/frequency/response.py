@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from .realization import (
     Realization,
@@ -30,8 +31,6 @@ from .realization import (
 )
 from .search import Peak, curve, first_fall, highest, largest, layout, refined, summit
 from .systems import Source, StateSpace, is_of, polynomials, source
-
-Array = np.ndarray[Any, Any]
 
 HALF_POWER = 10.0 * math.log10(2.0)  # dB: a gain of 1/sqrt(2)
 _EPS = float(np.finfo(float).eps)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from .systems import Source, interpolated
 
-Array = np.ndarray[Any, Any]
 _EPS = float(np.finfo(float).eps)
 _PER_DECADE = 40
 _SUMMITS = 100  # of a gain, which are searched

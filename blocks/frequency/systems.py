@@ -12,10 +12,10 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from .realization import Realization, balanced, equivalent, invariant_zeros, period, variable
 
-Array = np.ndarray[Any, Any]
 _MANY = 200  # states; above, zeros of channels would cost more than they are worth
 _PART = 256  # frequencies between two calls of a check
 

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault
 
-Array = np.ndarray[Any, Any]
 MOST_DENSE = 2**18
 """Numbers in a matrix that is kept as an array."""
 

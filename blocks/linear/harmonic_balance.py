@@ -28,6 +28,7 @@ from ..frequency.delayed import DelayedModel
 from ..frequency.response import poles, response
 from ..frequency.systems import frd
 from ..model.values import in_si
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.printable import counted
 from ..text.rich_output import Part, Shown
@@ -36,7 +37,6 @@ from .signals import Names, listed, place, places
 from .sinusoidal_gains import Laws, Rest, gain_matrix
 from .transfer import Transfer
 
-Array = np.ndarray[Any, Any]
 _CLOSE = 1e-10
 _ROUNDS = 200
 _LEAST, _MOST = 1e-12, 1e5

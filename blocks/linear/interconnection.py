@@ -24,9 +24,8 @@ import numpy as np
 
 from ..compile.fmu_tape import FmuTape
 from ..compile.plan import Node, Plan, Reference
+from ..text.arrays import Array
 from .type_partials import TypePartials
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(slots=True)

@@ -25,9 +25,9 @@ import numpy as np
 from ..compile.plan import Plan
 from ..compile.time_grid import within_ulps
 from ..contract.closure import closure
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault
 
-Array = np.ndarray[Any, Any]
 Time = int | Fraction
 """In base steps of the ticks: whole numbers are exact, and equal times compare equal."""
 

@@ -27,6 +27,7 @@ from ..compile.plan import Reference
 from ..frequency.delayed import DelayedModel
 from ..frequency.response import response
 from ..model.values import in_si
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from .harmonic_balance import speeds
 from .linearization import Linearization
@@ -35,7 +36,6 @@ from .signals import places
 from .sinusoidal_gains import MOVED, NEAR, Laws, Rest, gain_matrix
 from .transfer import Transfer
 
-Array = np.ndarray[Any, Any]
 Model = Transfer | DelayedModel
 _GRID, _NEAR = 161, 41
 _PER_DECADE = 8

@@ -9,9 +9,8 @@ import control
 import numpy as np
 
 from ..frequency.systems import label
+from ..text.arrays import Array
 from .transfer import LoopOfRates, Transfer
-
-Array = np.ndarray[Any, Any]
 
 
 def _labels(names: Sequence[str]) -> list[str]:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..frequency.delayed import DelayedModel
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from .model_report import BlockReport, hints_of, report_of
 from .nonlinearities import nonlinear
@@ -31,8 +32,6 @@ from .wiring import wiring
 
 if TYPE_CHECKING:
     from .linear_model import LiftedModel, LinearModel
-
-Array = np.ndarray[Any, Any]
 
 
 def _state_space(transfer: Transfer) -> LinearModel:

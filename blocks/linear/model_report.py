@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from .nonlinearities import StaticLaw, nonlinear
 from .replaced_slopes import ReplacedSlopes, is_of_one_signal
 
-Array = np.ndarray[Any, Any]
 _CHANGES = 0.05
 """A slope that changes by more within ten times the distance from a singular point is one of this distance."""
 

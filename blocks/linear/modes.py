@@ -13,13 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from .transfer import Transfer
 
-Array = np.ndarray[Any, Any]
 Gains = Callable[[Array], Array]
 """Of the phasors of the signals, a matrix N with n = N s. Raises Resting."""
 _ROUNDS = 15

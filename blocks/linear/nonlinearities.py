@@ -26,12 +26,12 @@ from ..compile.jacobian import on_arrays
 from ..contract.scalars import BENDS
 from ..frequency import quadrature
 from ..frequency.corners import PLACE
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault
 from .interconnection import Interconnection
 from .slopes import Slopes
 from .thresholds import evident
 
-Array = np.ndarray[Any, Any]
 _BENT: WeakKeyDictionary[Interconnection, dict[int, dict[int, frozenset[int]]]] = WeakKeyDictionary()
 _GAINS: WeakKeyDictionary[Interconnection, dict[Any, complex]] = WeakKeyDictionary()
 _MANY = 4096

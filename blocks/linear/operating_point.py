@@ -20,6 +20,7 @@ import numpy as np
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan, Reference
 from ..text import units
+from ..text.arrays import Array
 from ..text.element_names import indexed
 from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
 from ..text.ipython_errors import UnknownName
@@ -27,7 +28,6 @@ from ..text.printable import quoted
 from ..text.rich_output import Part, Shown, Table
 from .point import Point
 
-Array = np.ndarray[Any, Any]
 RESIDUAL = 1e-8
 """How large a residual may be, of its nominal size, at an operating point."""
 

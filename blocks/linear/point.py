@@ -20,7 +20,6 @@ from ..compile.plan import Plan, Reference
 if TYPE_CHECKING:
     from ..engines.reference.engine import ReferenceEngine
 
-Array = np.ndarray[Any, Any]
 _PASSES = 20
 
 

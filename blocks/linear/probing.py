@@ -12,9 +12,9 @@ import numpy as np
 from ..compile.jacobian import on_arrays, terms_on_arrays
 from ..compile.plan import Node
 from ..contract.tracing import jacobian
+from ..text.arrays import Array
 from .interconnection import BlockGroup, Interconnection
 
-Array = np.ndarray[Any, Any]
 _NEAR = 1e-9
 """What counts as at a corner, relative to the terms of which the value is the sum."""
 _DIFFERS = 1e-3

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..compile.plan import Node, Plan
 from ..frequency.delayed import DelayedModel
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from .elimination import Entries, eliminated, reach, without_noise
 from .interconnection import Interconnection
@@ -22,8 +23,6 @@ from .replaced_slopes import ReplacedSlopes, or_a_gain
 from .signals import SignalElement
 from .slopes import Law
 from .wiring import Wiring
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,12 @@ import numpy as np
 from ..compile.plan import Node, Reference
 from ..frequency.systems import is_of
 from ..model.values import in_si
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError, check_mappings
 from .interconnection import Interconnection
 from .nonlinearities import StaticLaw, nonlinear
 from .signals import SignalElement, places
 from .slopes import Slopes
-
-Array = np.ndarray[Any, Any]
 
 
 class ReplacedSlopes:

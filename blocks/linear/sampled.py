@@ -21,16 +21,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from ..compile.plan import Plan
 from ..contract.closure import closure
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault
 from .late_copies import MOST, Kept, LateCopies, Time, too_long
 
-Array = np.ndarray[Any, Any]
 _MOST = 10_000
 """Ticks in one pattern of several rates."""
 

@@ -13,19 +13,18 @@ import math
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ..frequency import quadrature
 from ..frequency.delayed import DelayedModel
 from ..frequency.realization import Realization
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault
 from .linearization import Linearization
 from .nonlinearities import StaticLaw
 from .transfer import Transfer
 
-Array = np.ndarray[Any, Any]
 Answer = Callable[[int, Array], tuple[complex, float]]
 """From the number of a law and the means of its signals: the phasor and the mean of what it gives."""
 PER_DECADE = 24

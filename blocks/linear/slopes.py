@@ -17,13 +17,12 @@ import numpy as np
 
 from ..compile.fmu_tape import FmuTape, Request
 from ..compile.jacobian import on_arrays, terms_on_arrays
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault
 from .interconnection import Interconnection, is_of_older_version
 from .point import Point
 from .probing import ROUNDING, Probe
 from .type_partials import TypePartials
-
-Array = np.ndarray[Any, Any]
 
 _GRAPHS: WeakKeyDictionary[Any, dict[bool, Interconnection]] = WeakKeyDictionary()
 

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from .model_report import BlockReport
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.errors import Fault, UsageError
 from .elimination import Entries
 from .interconnection import Interconnection
 from .replaced_slopes import ReplacedSlopes
 from .signals import SignalElement, passes_on, told
 
-Array = np.ndarray[Any, Any]
 Key = tuple[int, tuple[int, ...] | None]
 """What makes a place an analysis point: its column and its slots."""
 

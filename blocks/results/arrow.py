@@ -21,13 +21,13 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.atomic_write import hold, real, refused
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.plain_files import opened
 from ..text.printable import legible, one_line
 from .table import TIMES, Content, FileTable, Refuse, optional, parsed, refusal, unique, versioned, without_twins
 
-Array = np.ndarray[Any, Any]
 PART = ".part"
 END = 8
 """Bytes of the mark at the end of an IPC stream, which a part does not have."""

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from ..text import units
+from ..text.arrays import Array
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.rich_output import Part, Shown, Table, as_text
 from .provenance import Origin
@@ -26,7 +27,6 @@ from .results import Results
 
 __all__ = ["TOLERANCE", "Comparison", "Difference", "compare"]
 
-Array = np.ndarray[Any, Any]
 TOLERANCE = 1e-6
 # A signal that varies by less, as a part of its magnitude, is a constant with rounding errors.
 FLAT = 1e-12

@@ -33,6 +33,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.atomic_write import known_ending, write_atomically
 from ..text.errors import Fault, UsageError
 from ..text.plain_files import INHERITED, opened
@@ -60,7 +61,6 @@ __all__ = [
     "write_csv",
 ]  # fmt: skip
 
-Array = np.ndarray[Any, Any]
 FORMATS = (".csv", ".parquet", ".mat")
 FIRST_LINE = f"# blocks results {VERSION}"
 ROWS = 4096

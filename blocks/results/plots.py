@@ -18,10 +18,9 @@ from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.atomic_write import known_ending, write_atomically
 from ..text.errors import Fault, UsageError
-
-Array = np.ndarray[Any, Any]
 
 # Two lines that stay apart in greyscale and for the color-blind, by color and by pattern; then more of the kind.
 STYLES = (

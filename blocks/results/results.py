@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TextIO, overload
 import numpy as np
 
 from ..text import units
+from ..text.arrays import Array
 from ..text.atomic_write import write_atomically
 from ..text.element_names import element_names, indexed, named_element
 from ..text.errors import Fault, UsageError, did_you_mean
@@ -20,7 +21,6 @@ from ..text.rich_output import Part, Shown, Table, as_html, as_text
 from . import files
 from .provenance import Origin
 
-Array = np.ndarray[Any, Any]
 BARS = "▁▂▃▄▅▆▇█"
 SPARKS = 10
 MOST = 40

@@ -9,13 +9,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
+from ..text.arrays import Array
 from ..text.element_names import element_names
 from ..text.errors import Fault, UsageError
 from ..text.printable import legible
 
-Array = np.ndarray[Any, Any]
 VERSION = 1
 TIMES = ("time", "t")
 

@@ -20,9 +20,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.element_names import element_names
 
-Array = np.ndarray[Any, Any]
 LATE = 2
 """Rows at the end that may still change."""
 SHORTEST = 1e-300

@@ -25,11 +25,11 @@ from ..engines.driver import Simulation
 from ..engines.run.memory_estimate import COPIES_OF_MASTER
 from ..model.flatten import BlockSource, ValueSource
 from ..results.results import Event, Results
+from ..text.arrays import Array
 from ..text.available_memory import Watch
 from ..text.element_names import element_names
 from ..text.errors import BlocksError, Fault, FMUError, SimulationError, UsageError
 
-Array = np.ndarray[Any, Any]
 SLICE = 0.01
 """s of computing after which the engine comes back at the latest."""
 PERIOD = 0.03

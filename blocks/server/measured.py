@@ -6,16 +6,15 @@ import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ..results.table import TIMES, columns_of, parsed, refusal, sizes_of, without_twins
 from ..text import units
+from ..text.arrays import Array
 from ..text.csv_text import read_columns
 from ..text.errors import BlocksError, Fault, UsageError
 
-Array = np.ndarray[Any, Any]
 LARGEST = 8 * 2**20
 _HEAD = re.compile(r"(.*\S)\s+[\[(]([^\[\]()]*(?:\([^()]*\)[^\[\]()]*)?)[\])]")
 """A name and a unit: "omega [rad/s]"; the number of an element is none: "u[0]"."""

@@ -10,11 +10,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..text import units
+from ..text.arrays import Array
 from ..text.available_memory import available
 from ..text.errors import Fault, UsageError
 from .curves import Curve, Source, Window, elements, row_at
 
-Array = np.ndarray[Any, Any]
 MOST_SIGNALS, MOST_SCOPES, MOST_RUNS = 64, 32, 8
 MOST_BYTES = 2**30
 """Of the rows of earlier runs, where as many are left to this process: the oldest are forgotten first."""

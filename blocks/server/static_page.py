@@ -20,6 +20,7 @@ import numpy as np
 from ..api.diagram import Diagram
 from ..results.plots import STYLES, Line
 from ..results.results import Results
+from ..text.arrays import Array
 from ..text.element_names import element_names, whole_of
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted, quoted
@@ -32,7 +33,6 @@ from .session import Session
 if TYPE_CHECKING:
     from ..results.figure import Figure
 
-Array = np.ndarray[Any, Any]
 PAGE = Path(__file__).parent / "page"
 MOST = 3_000_000
 """Bytes of rows in a page; of more rows each stretch keeps its least and its largest value."""

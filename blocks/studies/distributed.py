@@ -38,6 +38,7 @@ from ..model.diagram import DiagramValue
 from ..model.document import dumps, self_contained
 from ..model.variants import taken
 from ..results.table import optional
+from ..text.arrays import Array
 from ..text.errors import Fault, FMUError, UsageError
 from ..text.printable import legible, one_line
 from .sweep import Sweep
@@ -47,7 +48,6 @@ from .sweep_margins import Margin, RowMargins
 if TYPE_CHECKING:
     from ..contract.block import Block
 
-Array = np.ndarray[Any, Any]
 SECONDS = 1.0, 5.0
 """The work of a chunk. An empty task costs some 10 ms, and what a lost worker had begun is run again."""
 GROWTH = 8

@@ -23,6 +23,7 @@ from ..model.varied import columns_of, raw_values
 from ..results import plots
 from ..results.results import Results
 from ..text import units
+from ..text.arrays import Array
 from ..text.csv_text import read_columns
 from ..text.errors import Fault, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import legible
@@ -34,7 +35,6 @@ from .tuned import short
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
 
-Array = np.ndarray[Any, Any]
 STEP = 1e-3
 """Of central differences, in parts of the range of a value: far above the errors of steps at usual tolerances."""
 FAILED = 1e3

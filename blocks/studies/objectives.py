@@ -18,11 +18,11 @@ import numpy as np
 from ..contract.expressions import Expression, PostfixStep, parse
 from ..contract.scalars import OPERATIONS
 from ..text import units
+from ..text.arrays import Array
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import quoted
 from ..text.quantity_text import quantity_in
 
-Array = np.ndarray[Any, Any]
 Measured = Mapping[str, Mapping[str, Array]]
 """Measures (n,) by scenario and name."""
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from ..results.table import optional
+from ..text.arrays import Array
 from ..text.errors import BlocksError
 
-Array = np.ndarray[Any, Any]
 Evaluate = Callable[[Array], Array]
 SPREAD = 0.2
 """The deviation of the first generation of CMA-ES, in parts of the range of each variable."""

@@ -20,6 +20,7 @@ import numpy as np
 
 from ..results import plots
 from ..results.results import Results
+from ..text.arrays import Array
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.grammar import Steps
 from ..text.json_document import place_of
@@ -36,7 +37,6 @@ from .sweep_tables import cell_text, tabular
 from .sweep_tables import table as sweep_table
 from .tuned import Tuning
 
-Array = np.ndarray[Any, Any]
 MOST_POINTS = 2**24
 """Of the grid of a spectrum, which takes 1 GB with its transform."""
 FEWEST_RATIOS = 4

@@ -23,6 +23,7 @@ import numpy as np
 
 from ..model.study_grammar import SAMPLERS
 from ..text import units as unit_texts
+from ..text.arrays import Array
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible
 from ..text.quantity_text import read_quantity
@@ -32,7 +33,6 @@ __all__ = [
     "check_draws", "each", "in_one_unit", "named_values", "rows_of", "seed_of", "unit_points",
 ]  # fmt: skip
 
-Array = np.ndarray[Any, Any]
 MOST_ROWS = 10**8
 LEAST = 2.0**-53
 """Points lie so far from the sides of the unit cube, where many distributions are infinite."""

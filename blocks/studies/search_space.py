@@ -11,10 +11,10 @@ import numpy as np
 
 from ..model.values import in_unit
 from ..model.varied import columns_of
+from ..text.arrays import Array
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.printable import legible
 
-Array = np.ndarray[Any, Any]
 FAR_APART = 10.0
 """Bounds of which the upper is so many times the lower are searched on a logarithmic scale."""
 DIGITS = 6

@@ -16,6 +16,7 @@ from ..api.diagram import Diagram
 from ..model.flatten import Flat, element_of
 from ..model.trust import Paths
 from ..model.varied import columns_of
+from ..text.arrays import Array
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.grammar import Steps
 from ..text.json_number import Number
@@ -25,7 +26,6 @@ from .statistics import quantiles
 from .sweep import Sweep
 from .sweep_margins import RowMargins, margins_of
 
-Array = np.ndarray[Any, Any]
 _OPTIONS = ("n", "sampler", "seed", "budget", "measures", "log", "margins", "scenarios", "lanes")
 
 

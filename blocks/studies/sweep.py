@@ -16,6 +16,7 @@ import numpy as np
 
 from ..api.batch import STATUSES
 from ..results.table import optional, unique
+from ..text.arrays import Array
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.ipython_errors import UnknownName
 from ..text.printable import counted, legible
@@ -27,7 +28,6 @@ from .sweep_tables import cell_text
 if TYPE_CHECKING:
     from ..results.results import Results
 
-Array = np.ndarray[Any, Any]
 QUANTILES = (0.05, 0.5, 0.95)
 
 

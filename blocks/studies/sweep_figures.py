@@ -20,12 +20,12 @@ import numpy as np
 from ..frequency.figure_look import SMALL, finished, new_figure
 from ..model.study_grammar import SWEEP_FIGURES
 from ..results.plots import INK, STYLES, WIDTH, defaults, plain
+from ..text.arrays import Array
 from ..text.element_names import element_names
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import counted, legible
 from .statistics import correlation, quantiles
 
-Array = np.ndarray[Any, Any]
 Sweep = Any  # a `Sweep`, whose module calls this one
 BAD = "#be123c"
 """The color of rows that failed."""

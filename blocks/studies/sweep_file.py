@@ -22,12 +22,12 @@ from ..model.raw_values import raw_of
 from ..results.arrow import PartFile, chunks_of, created, part_of, target_of
 from ..results.provenance import Origin
 from ..results.table import Refuse, optional, parsed, refusal, unique
+from ..text.arrays import Array
 from ..text.atomic_write import known_ending, refused, write_atomically
 from ..text.errors import Fault, UsageError
 from ..text.plain_files import opened
 from ..text.printable import legible, one_line
 
-Array = np.ndarray[Any, Any]
 FORMAT, VERSION = "blocks sweep", 1
 PARTIAL = "a partial sweep file"
 

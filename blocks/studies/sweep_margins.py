@@ -21,6 +21,7 @@ from ..api.batch import Batch, BatchRows
 from ..frequency.margins import Margins, margins
 from ..frequency.response import bandwidth, poles
 from ..model.study_grammar import MARGIN
+from ..text.arrays import Array
 from ..text.errors import AnalysisError, BlocksError, Fault, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.grammar import Steps
 from ..text.printable import legible
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from ..linear.harmonic_balance import Linearizer
     from ..linear.transfer import Transfer
 
-Array = np.ndarray[Any, Any]
 _OF_POINT = ("at", "held", "amplitude", "sigma", "overrides")
 _OF_LOOP = ("openings", "pade")
 _BY_LOOP: Mapping[str, Callable[[Margins], float | None]] = {

@@ -27,6 +27,7 @@ from ..model.values import in_unit
 from ..model.varied import each_of
 from ..results.table import optional
 from ..text import units as unit_texts
+from ..text.arrays import Array
 from ..text.errors import Fault, UsageError
 from ..text.printable import legible
 from ..text.progress_line import in_rows, live_line
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     from ..api.diagram import Diagram
     from ..results.results import Results
 
-Array = np.ndarray[Any, Any]
 CHUNK = 2.0
 """Seconds of work after which rows are written to the file of a sweep."""
 STEPS, TIMES = 1_000_000, 1000

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from ..text.arrays import Array
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import legible
 from .statistics import quantiles
 
-Array = np.ndarray[Any, Any]
 Sweep = Any  # a `Sweep`, whose module calls this one
 Cell = str | float
 _TEX = {**{c: f"\\{c}" for c in "&%$#_{}"}, "~": r"\textasciitilde{}", "^": r"\^{}", "\\": r"\textbackslash{}",

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..results import plots
 from ..results.results import Results
+from ..text.arrays import Array
 from ..text.printable import counted
 from ..text.rich_output import Part, Table, as_text
 from .gains_file import Found
@@ -21,7 +22,6 @@ from .search_space import Space
 if TYPE_CHECKING:
     pass
 
-Array = np.ndarray[Any, Any]
 MOST_SIGNALS = 4
 """Of a scenario, in the report."""
 

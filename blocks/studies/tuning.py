@@ -26,6 +26,7 @@ from ..api.batch import Batch
 from ..model.flatten import Flat, element_of
 from ..model.wires import BlockSource
 from ..results.results import Results
+from ..text.arrays import Array
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible, quoted
 from ..text.progress_line import in_rows, live_line
@@ -41,7 +42,6 @@ from .tuning_part import TuningPart
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
 
-Array = np.ndarray[Any, Any]
 _T = TypeVar("_T")
 STEPS, LEAST_STEPS = 20, 10_000
 """A run of a candidate may take STEPS times the steps of the run of the diagram itself, and LEAST_STEPS more."""

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from ..model.raw_values import raw_of
+from ..text.arrays import Array
 from ..text.errors import Fault, UsageError
 from ..text.printable import legible
 from .sweep_file import SweepPart, told_of
 from .tuned import Candidates
 
-Array = np.ndarray[Any, Any]
 Problem = Any  # a `Problem`, whose module calls this one
 
 

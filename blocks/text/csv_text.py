@@ -12,11 +12,11 @@ import re
 from array import array
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
-Array = np.ndarray[Any, Any]
+from .arrays import Array
+
 _UNITS = re.compile(r"[\ufeff \t]*#\s*units:(.*)$", re.DOTALL)
 
 

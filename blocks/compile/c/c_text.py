@@ -6,13 +6,11 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
+from ...text.arrays import Array
 from .functions import number
-
-Array = np.ndarray[Any, Any]
 
 
 def ints(name: str, values: Iterable[int], kind: str = "int32_t") -> str:

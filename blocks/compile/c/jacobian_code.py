@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from ...contract.tracing import jacobian
+from ...text.arrays import Array
 from ..fmu_tape import FmuTape
 from ..jacobian import PlanJacobian, Solve, Sum
 from .c_text import ints, reals, table
 from .functions import function_text
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)

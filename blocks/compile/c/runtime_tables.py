@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...text.arrays import Array
 from ...text.gc_pause import paused
 from ..firing_order import waits_of_copies
 from ..fmu_tape import FmuTape
@@ -15,8 +16,6 @@ from ..folding import Folded
 from ..plan import Node, Plan, Reference, Wait
 from . import runtime_layout
 from .model_code import Emitted
-
-Array = np.ndarray[Any, Any]
 
 
 class SetupTable(NamedTuple):

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from ...compile.coupling import Coupling, CouplingLoop, Get, Link
 from ...compile.inputs import InputTable
+from ...text.arrays import Array
 from .limits import MOST_GUESSES
 from .stepped_units import Course, Running, unsolved
 
-Array = np.ndarray[Any, Any]
 Point = tuple[float, float]
 
 

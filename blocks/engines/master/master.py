@@ -29,6 +29,7 @@ from ...fmi.exits import Ended
 from ...fmi.instance import Loaded
 from ...fmi.patience import patient, undisturbed
 from ...results.results import Event, Statistics
+from ...text.arrays import Array
 from ...text.errors import BlocksError, Fault, UsageError
 from ..run.engine import Recorded
 from ..run.measures import Measures
@@ -53,7 +54,6 @@ from .stepped_units import (
     unconverged,
 )
 
-Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
 MOST_LEARNT = 300
 """An iterated step learns how up to so many exchanged elements depend on each other."""

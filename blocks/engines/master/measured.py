@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from ...compile.coupling import Coupling
+from ...text.arrays import Array
 from ...text.errors import Fault
 from ..run.measures import Measures
 from ..run.step_polynomial import NODES
 
-Array = np.ndarray[Any, Any]
 MOST_AT_ONCE = 65536
 """Communication points whose measures are taken at once."""
 

@@ -28,6 +28,7 @@ from ...fmi.calls import ASKED, WARNING
 from ...fmi.instance import PATIENCE, Loaded, some
 from ...fmi.types import code_of, full_name
 from ...results.results import Event
+from ...text.arrays import Array
 from ...text.available_memory import for_recording
 from ...text.errors import Fault, FMUError
 from ..native.rows import LARGEST_SPARE, MOST_SPARE, array, track_table
@@ -56,7 +57,6 @@ if TYPE_CHECKING:
     from ...compile.plan import Plan, Reference
     from ..native.model import Model
 
-Array = np.ndarray[Any, Any]
 _SPARE: list[tuple[Any, int]] = []  # memory for rows that no run has now
 _P, _L, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 _C = resources(__package__) / "c"

@@ -15,13 +15,13 @@ import numpy as np
 from ...compile.c import runtime_layout
 from ...compile.inputs import InputTable
 from ...compile.plan import Plan
+from ...text.arrays import Array
 from ...text.errors import Fault
 from ..run.many_runs import Row, cores
 from ..run.measures import Measures
 from .engine import NativeEngine, in_brief
 from .model import Model
 
-Array = np.ndarray[Any, Any]
 _KEPT = 8  # numbers of a measure
 _LEFT, _DONE, _FAILED, _BUDGET, _NO_MEMORY = range(5)
 _LOOK = 0.05  # s, after which progress is told and Ctrl-C seen

@@ -25,13 +25,14 @@ from ...compile.plan import Plan, Reference
 from ...compile.time_grid import Grid, within_ulps
 from ...fmi.patience import patient
 from ...results.results import Event, Events, Statistics
+from ...text.arrays import Array, frozen
 from ...text.available_memory import for_recording
 from ...text.errors import BlocksError, Fault, SimulationError, UsageError
 from ..run.engine import Recorded, heard_by_python
 from ..run.measures import Measures
 from ..run.memory_estimate import COPIES
 from ..run.saved_state import State, fit, standing
-from ..run.snapshot import frozen, told_method
+from ..run.snapshot import told_method
 from ..run.step_parts import Unseen, unseen_faults
 from ..run.stiffness import StateRates
 from .model import Model, model_of
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from ..run.model_exchange import Foreigns
     from .fmu_bridge import NativeForeigns
 
-Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
 
 _DONE, _PAUSED, _FAILED, _NO_MEMORY = range(4)

@@ -15,10 +15,10 @@ from ...compile.plan import Plan
 from ...fmi.exits import Ended
 from ...fmi.schema import ModelVariable
 from ...fmi.types import NUMBERS, call_of, call_of_code, code_of, full_name
+from ...text.arrays import Array
 from ...text.errors import Fault, FMUError, SimulationError
 from ..run.model_exchange import Foreigns, ModelExchangeUnit
 
-Array = np.ndarray[Any, Any]
 _INITIALIZES, _CONTINUOUS, _AT_EVENT = 0, 1, 2
 _MODES = ("initialization", "continuous", "event")
 _CALLS = (

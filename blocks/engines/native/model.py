@@ -29,8 +29,6 @@ from ..run.measures import Measures
 from ..run.step_parts import longest_step
 from .stiff import CarriedOrder
 
-Array = np.ndarray[Any, Any]
-
 _LOCK = threading.Lock()
 MOST_MODELS = 32
 _MODELS: dict[Any, Model] = {}  # by all of a plan but its values: plans that differ in these alone share one

@@ -9,11 +9,11 @@ import numpy as np
 
 from ...compile.c import runtime_layout
 from ...compile.inputs import InputTable
+from ...text.arrays import Array
 
 if TYPE_CHECKING:
     from .model import Entry, Model
 
-Array = np.ndarray[Any, Any]
 MOST_SPARE, LARGEST_SPARE = 4, 2**22  # pieces of memory, bytes
 _KINDS = {"d": ctypes.c_double, "q": ctypes.c_int64, "i": ctypes.c_int32}
 

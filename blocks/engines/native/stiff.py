@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from ...compile.c.jacobian_code import in_order
 from ...compile.jacobian import PlanJacobian
 from ...compile.plan import Plan
-from ..run.snapshot import CARRIED_NUMBERS, frozen
-
-Array = np.ndarray[Any, Any]
+from ...text.arrays import Array, frozen
+from ..run.snapshot import CARRIED_NUMBERS
 
 
 class CarriedOrder:

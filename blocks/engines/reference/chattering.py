@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 
 from ...compile.plan import Plan
+from ...text.arrays import Array
 from ...text.errors import Fault, SimulationError
 from . import event_location
 from .event_update import Instants
-
-Array = np.ndarray[Any, Any]
 
 # So many located crossings within so small a part of the run are Zeno or chattering; no model needs 1e9 of them.
 _CROWD, _CROWD_PART = 1000, 1e-6

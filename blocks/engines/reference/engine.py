@@ -24,13 +24,14 @@ from ...compile.time_grid import Grid, within_ulps
 from ...compile.upstream import remembers_inputs
 from ...fmi.patience import patient
 from ...results.results import Event, Statistics
+from ...text.arrays import Array, frozen
 from ...text.errors import Fault, SimulationError
 from ..run.engine import Recorded, heard_by_python
 from ..run.history import POWERS, Past, has_jumped
 from ..run.measures import Measures
 from ..run.model_exchange import Foreigns
 from ..run.saved_state import State, fit, standing
-from ..run.snapshot import MethodMemory, Snapshot, frozen, told_method
+from ..run.snapshot import MethodMemory, Snapshot, told_method
 from ..run.step_parts import longest_step
 from ..run.step_polynomial import Interpolant
 from ..run.stiffness import StateRates
@@ -44,7 +45,6 @@ from .python_code import CompiledPrograms, Evaluator
 from .rows import Row, RunRows
 from .touches import Touches
 
-Array = np.ndarray[Any, Any]
 Rates = Callable[[float, Array], Array]
 
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from ...text.arrays import Array
 from ..run.history import NODES, POWERS
 
-Array = np.ndarray[Any, Any]
 # Coefficients of powers -> Bernstein coefficients: b_i = sum_k C(i, k) / C(4, k) a_k.
 _BERNSTEIN = (
     np.array([[math.comb(i, k) / math.comb(4, k) if k <= i else 0.0 for k in range(5)] for i in range(5)]) @ POWERS

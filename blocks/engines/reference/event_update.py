@@ -31,15 +31,15 @@ import numpy as np
 from ...compile.plan import Cause, EnabledPart, Node, Plan, Reference, StepperPart
 from ...compile.tick_stages import UnitPlace, rate_sets, sequence_at
 from ...results.results import Event
+from ...text.arrays import Array, frozen
 from ...text.errors import NOT_FINITE, Fault, SimulationError, UsageError
 from ..run.history import Past
 from ..run.model_exchange import Foreigns
 from ..run.saved_state import restoring
-from ..run.snapshot import MethodMemory, Snapshot, frozen
+from ..run.snapshot import MethodMemory, Snapshot
 from .corners import MOST_CORNERS, Corners, at, first_change
 from .python_code import CompiledPrograms, Evaluator
 
-Array = np.ndarray[Any, Any]
 _Update = tuple[Evaluator, list[int]]  # a program, and the places in d of what it gives
 _Item = UnitPlace | tuple[_Update, list[int]]  # the time event of an FMU, or sampled outputs and programs
 MOST_PASSES = 100

@@ -11,12 +11,12 @@ import numpy as np
 
 from ...compile.plan import Plan, Reference
 from ...compile.scheduler import schedule
+from ...text.arrays import Array
 from ...text.errors import NOT_FINITE, OVERFLOW, Fault, SimulationError
 from .event_update import Instants
 from .methods import Trial
 from .python_code import CompiledPrograms
 
-Array = np.ndarray[Any, Any]
 Memory = tuple[Any, ...]
 """(t, x, d, s, p, u, k, h, z, FMUs), as programs read it."""
 

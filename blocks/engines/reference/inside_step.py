@@ -10,6 +10,7 @@ import numpy as np
 
 from ...compile.motion import Motions, looked_at
 from ...compile.plan import Plan, Reference
+from ...text.arrays import Array
 from ...text.errors import Fault
 from ..run.history import NODES
 from ..run.snapshot import Snapshot
@@ -17,8 +18,6 @@ from ..run.step_parts import CHECKS, Look, Part, unseen_faults
 from ..run.step_polynomial import NODES as LOBATTO
 from ..run.step_polynomial import Interpolant
 from .python_code import CompiledPrograms, Evaluator
-
-Array = np.ndarray[Any, Any]
 
 
 class InsideStep:

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ...compile.tableaus import Tableau
+from ...text.arrays import Array
 
-Array = np.ndarray[Any, Any]
 Rates = Callable[[float, Array], Array]
 """dx/dt at (t, x): arrays of shape (n,)."""
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from ...compile.plan import Plan
 from ...compile.time_grid import Grid, within_ulps
+from ...text.arrays import Array
 from ...text.available_memory import Watch
 from ..run.memory_estimate import COPIES
 from ..run.recording import Recording
@@ -18,7 +18,6 @@ from ..run.step_parts import BETWEEN_ROWS, LEFT_OUT
 from ..run.step_polynomial import Interpolant
 from .inside_step import InsideStep, in_time
 
-Array = np.ndarray[Any, Any]
 Row = tuple[float, ...]
 _AT_ONCE = 4096  # rows of the grid
 MOST_BETWEEN = 100_000  # rows inside steps, in a run without a grid

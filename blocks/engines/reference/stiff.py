@@ -30,11 +30,9 @@ import numpy as np
 
 from ...compile.jacobian import PlanJacobian
 from ...compile.plan import Plan
-from ..run.snapshot import frozen
+from ...text.arrays import Array, frozen
 from .methods import Flow, Polynomial, Rates, Retaken, first_step, worst
 from .python_code import CompiledPrograms
-
-Array = np.ndarray[Any, Any]
 
 # SuperLU overtakes LAPACK from 60 to 80 states on where a matrix is tridiagonal. With 10 % of all entries, scattered,
 # it fills them all in and never does.

@@ -12,7 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .event_location import Array, Found, narrowed
+from ...text.arrays import Array
+from .event_location import Found, narrowed
 
 # A change of side that reaches no further than this share of the values in the part is looked at closely. So are all
 # where rounding may be all that moves: in a part that is shorter than _SHORT of a usual step, and of values that are

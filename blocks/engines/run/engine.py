@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Protocol
 
-import numpy as np
-
 from ...results.results import Event, Events, Statistics
+from ...text.arrays import Array
 from ...text.errors import Fault
 from .saved_state import State
 from .stiffness import StateRates
 
-Array = np.ndarray[Any, Any]
 ENGINES = ("auto", "native", "reference")
 VARIABLE = "BLOCKS_ENGINE"
 """The environment variable that names the engine where a run does not."""

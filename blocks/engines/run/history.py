@@ -17,14 +17,13 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from ...compile.plan import History, Plan
 from ...compile.time_grid import within_ulps
+from ...text.arrays import Array
 
-Array = np.ndarray[Any, Any]
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 POWERS = np.linalg.inv(NODES[:, None] ** np.arange(5))  # values at the nodes -> coefficients of 1, th, ..., th^4
 Row = Sequence[float]

@@ -6,14 +6,12 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
 from ...compile.time_grid import Grid
+from ...text.arrays import Array
 from ...text.errors import BlocksError, Fault
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,13 +17,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
-from typing import Any
 
 import numpy as np
 
 from ...compile.plan import Plan, Reference
 from ...compile.time_grid import within_ulps
 from ...model.settings import MeasureSpec
+from ...text.arrays import Array
 from ...text.errors import Fault
 from .step_polynomial import (
     FINE,
@@ -39,7 +39,6 @@ from .step_polynomial import (
     weighted,
 )
 
-Array = np.ndarray[Any, Any]
 _SQUARES = ("ISE", "ISU", "mean_square", "RMS")
 _ABSOLUTES = ("IAE", "ITAE")
 _ROWS = 512  # parts that are looked through at once

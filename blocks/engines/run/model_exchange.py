@@ -22,11 +22,11 @@ from ...fmi.instance import Instance, Saved, ended, open_fmu
 from ...fmi.isolation import CompileC
 from ...fmi.library import Notes
 from ...fmi.schema import ModelVariable
+from ...text.arrays import Array
 from ...text.errors import Fault, FMUError, SimulationError, UsageError
 from .fmu_derivatives import FmuDerivatives
 from .saved_state import restoring
 
-Array = np.ndarray[Any, Any]
 MOST_UPDATES = 100
 """Event iterations of one FMU at one instant."""
 MOST_LOOKS, MOST_WATCHED, LAGS = 1000, 8, 3

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from ...fmi.patience import patient
+from ...text.arrays import Array
 
-Array = np.ndarray[Any, Any]
 CHUNK = 4096  # rows
 MOST_BYTES = 2**24  # of a chunk
 

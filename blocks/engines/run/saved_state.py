@@ -26,14 +26,13 @@ from ...compile.inputs import InputTable
 from ...compile.plan import Plan
 from ...compile.time_grid import Grid
 from ...model.diagram_grammar import LARGEST_SEED
+from ...text.arrays import Array
 from ...text.errors import BlocksError, Fault, UsageError
 from ...text.plain_files import opened
 from ...text.printable import legible, one_line
 from .differences import of_equations, some
 from .snapshot import MethodMemory
 from .state_rows import check_rows, input_rows, inputs_of, recorded_width
-
-Array = np.ndarray[Any, Any]
 
 FORMAT, VERSION = "blocks-state", 2
 MOST_BYTES, MOST_MEMBERS = 2**28, 3  # states of version 1, which are refused by their version, have three

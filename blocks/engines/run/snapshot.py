@@ -6,23 +6,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
 from ...compile.plan import History
+from ...text.arrays import Array, frozen
 from .history import Past
-
-Array = np.ndarray[Any, Any]
 
 CARRIED_NUMBERS = 5
 """With so many single numbers begins what a stiff method keeps; the polynomial, slopes and pivots follow."""
-
-
-def frozen(array: Array) -> Array:
-    """The array, which nobody can change from now on."""
-    array.setflags(write=False)
-    return array
 
 
 def told_method(method: str, stiff_from: float) -> str:

@@ -16,10 +16,9 @@ from ...compile.inputs import InputTable, Track
 from ...compile.jacobian import PlanJacobian
 from ...compile.plan import Plan
 from ...compile.tableaus import STIFF
+from ...text.arrays import Array
 from .measures import Measures
 from .snapshot import CARRIED_NUMBERS
-
-Array = np.ndarray[Any, Any]
 
 MOST_CROSSED = 1000
 """The most times of crossings that are remembered, by which chattering is seen."""

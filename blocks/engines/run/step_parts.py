@@ -19,10 +19,10 @@ import numpy as np
 
 from ...compile.motion import Motion
 from ...compile.plan import Plan
+from ...text.arrays import Array
 from ...text.errors import Fault
 from .history import Past
 
-Array = np.ndarray[Any, Any]
 Values = Callable[[float], Any]
 """The values of signals or phases where a share, from 0 to 1, of a piece of a step has gone by."""
 

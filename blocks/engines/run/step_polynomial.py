@@ -7,11 +7,12 @@ does not depend, bit for bit, on how many come at once.
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-Array = np.ndarray[Any, Any]
+from ...text.arrays import Array
+
 NODES = np.array([0.0, (1 - math.sqrt(3 / 7)) / 2, 0.5, (1 + math.sqrt(3 / 7)) / 2, 1.0])
 WEIGHTS = np.array([1 / 20, 49 / 180, 16 / 45, 49 / 180, 1 / 20])
 FINE = np.linspace(0.0, 1.0, 129)

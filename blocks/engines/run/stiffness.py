@@ -16,9 +16,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ...text.arrays import Array
 from ...text.errors import Fault
-
-Array = np.ndarray[Any, Any]
 
 _FIRST, _PART = 2_000, 0.25  # steps before the first look, and between looks as a part of all before
 _LOOKS = 3  # in a row that must find the run stiff
