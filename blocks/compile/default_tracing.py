@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import builtins
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from types import CellType, CodeType, FunctionType, SimpleNamespace
+from collections.abc import Callable, Mapping, Sequence
+from types import CellType, FunctionType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from ..contract.captured_values import Outside, outside
 from ..contract.expressions import FUNCTIONS
+from ..contract.program_text import code_names
 from ..contract.reads import arguments
 from ..contract.resolution import Resolved
 from ..contract.scalars import LOGICAL, Scalar
@@ -192,7 +193,7 @@ def _lifted(function: FunctionType, known: dict[FunctionType, FunctionType]) -> 
         tuple(_lifted_cell(cell, known) for cell in function.__closure__ or ()),
     )
     lifted.__kwdefaults__ = function.__kwdefaults__
-    for name in _names_of(function.__code__):
+    for name in code_names(function.__code__):
         original = function.__globals__.get(name)
         if name in function.__globals__ and original is not math:
             names[name] = _lifted(original, known) if isinstance(original, FunctionType) else original
@@ -209,14 +210,6 @@ def _lifted_cell(cell: Any, known: dict[FunctionType, FunctionType]) -> Any:
     except ValueError:  # nothing is in it yet
         return cell
     return CellType(_lifted(held, known)) if isinstance(held, FunctionType) else cell
-
-
-def _names_of(code: CodeType) -> Iterator[str]:
-    """The names that a function, and those inside it, read from its module."""
-    yield from code.co_names
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            yield from _names_of(constant)
 
 
 _DEFAULTS: dict[Any, tuple[Outside, tuple[Program, ...] | Untraceable]] = {}

@@ -36,7 +36,7 @@ from ..contract.tape import Tape
 from ..model.settings import MeasureSpec, RunSettings
 from ..text.errors import Fault
 from ..text.rich_output import Part, Shown
-from ..text.units import single
+from ..text.units import OfUnits
 
 if TYPE_CHECKING:
     from ..model.fmu_block import Foreign
@@ -188,7 +188,7 @@ class EnabledPart:
 
 
 @dataclass(frozen=True, slots=True)
-class PlanSignal:
+class PlanSignal(OfUnits):
     """A named value that can be recorded or measured.
 
     units: in SI. declared: the units of its ports, in which plain numbers about it are meant.
@@ -199,15 +199,6 @@ class PlanSignal:
     shape: tuple[int, ...]
     units: tuple[str, ...]
     declared: tuple[str, ...]
-
-    @property
-    def unit(self) -> str:
-        return single(self.units)
-
-    @property
-    def declared_unit(self) -> str:
-        """The one declared unit of all elements, or "" where they differ."""
-        return single(self.declared)
 
 
 class ProgramStep(NamedTuple):

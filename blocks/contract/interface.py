@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..text.errors import Fault, ModelError
-from ..text.units import Declared, difference, has_offset, si_text, single, to_si
+from ..text.units import Declared, OfUnits, difference, has_offset, si_text, single, to_si
 from .declaration import Declaration
 from .reads import arguments
 from .variables import Discrete, Parameter, State, Variable
@@ -36,7 +36,7 @@ class Value:
 
 
 @dataclass(frozen=True, slots=True)
-class Port:
+class Port(OfUnits):
     """An input or an output by the name that wires use: elements `first` to `first + size` of a variable."""
 
     name: str
@@ -48,11 +48,6 @@ class Port:
     declared: tuple[str, ...]  # as the class says it
     type: str
     default: tuple[float, ...] | None = None  # of an input: one for each element, in SI
-
-    @property
-    def unit(self) -> str:
-        """The one unit of all elements, or "" where they differ."""
-        return single(self.units)
 
     @property
     def types(self) -> tuple[str, ...]:

@@ -74,7 +74,7 @@ def _named_by(function: FunctionType) -> Iterator[tuple[str, Any]]:
     for index, value in enumerate((*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values())):
         if value is not None:
             yield f"{function.__qualname__} default {index}", value
-    names = dict.fromkeys(_names(function.__code__))
+    names = dict.fromkeys(code_names(function.__code__))
     for name in names:
         if name.startswith("__"):  # what a module knows of itself, such as its file
             continue
@@ -85,11 +85,12 @@ def _named_by(function: FunctionType) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def _names(code: CodeType) -> Iterator[str]:
+def code_names(code: CodeType) -> Iterator[str]:
+    """Yield the names that a function, and the functions inside it, read from outside."""
     yield from (*code.co_names, *code.co_freevars)
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
-            yield from _names(constant)
+            yield from code_names(constant)
 
 
 def _source(value: Any) -> str:

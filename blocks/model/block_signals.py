@@ -14,14 +14,14 @@ from itertools import product
 
 from ..contract.interface import Port
 from ..text.element_names import indexed, matching
-from ..text.units import single
+from ..text.units import OfUnits
 from .copies import Fleet, without_numbers
 from .expansion import Expansion
 from .wires import BlockSource, Source
 
 
 @dataclass(frozen=True, slots=True)
-class FlatSignal:
+class FlatSignal(OfUnits):
     """A value that can be recorded, by name: where its elements come from.
 
     units: in SI. declared: the units of its ports, in which plain numbers about it are meant.
@@ -33,15 +33,6 @@ class FlatSignal:
     units: tuple[str, ...]
     declared: tuple[str, ...]
     type: str
-
-    @property
-    def unit(self) -> str:
-        return single(self.units)
-
-    @property
-    def declared_unit(self) -> str:
-        """The one declared unit of all elements, or "" where they differ."""
-        return single(self.declared)
 
 
 class Signals(Mapping[str, FlatSignal]):

@@ -238,6 +238,24 @@ def single(unit: Declared) -> str:
     return unit if isinstance(unit, str) else unit[0] if len(set(unit)) == 1 else ""
 
 
+class OfUnits:
+    """Something whose elements have units: `units` in SI, and `declared` as the class of the block has them."""
+
+    __slots__ = ()
+    units: tuple[str, ...]
+    declared: tuple[str, ...]
+
+    @property
+    def unit(self) -> str:
+        """The one unit of all elements, or "" if they differ."""
+        return single(self.units)
+
+    @property
+    def declared_unit(self) -> str:
+        """The one declared unit of all elements, or "" if they differ."""
+        return single(self.declared)
+
+
 @lru_cache(maxsize=4096)
 def si_text(unit: str) -> str:
     """The unit in which SI values of this unit are shown: mOhm -> Ohm, rpm -> rad/s, km/h -> m/s, unknown -> ''.
