@@ -98,34 +98,15 @@ class FmuDerivatives(FmuValues):
         self, columns: Mapping[int, list[int]], items: Sequence[OpaqueItem], partials: list[float]
     ) -> None:
         """By the FMU's own directional derivatives; what it has none of stays NaN."""
-        structure = self.foreign.description.structure
-        fmi2 = self.foreign.description.fmi == 2
         for argument, numbers in columns.items():
             known = self._seed(argument)
+            wanted: dict[int, tuple[ModelVariable, int]] = {}
             for k in numbers:
                 if items[k].kind == "given":
                     partials[k] = float(items[k].index == argument)
-            wanted: dict[int, tuple[ModelVariable, int]] = {}
-            for k in numbers:
-                item = items[k]
-                variable = item.variable
-                first = 0
-                if item.kind == "derivative":
-                    for number, unknown in enumerate(structure.derivatives):
-                        size = math.prod(structure.states[number].shape)
-                        if first <= item.index < first + size:
-                            variable = unknown.variable
-                            break
-                        first += size
-                elif item.kind == "indicator" and not fmi2:
-                    for unknown in structure.indicators:
-                        size = math.prod(unknown.variable.shape)
-                        if first <= item.index < first + size:
-                            variable = unknown.variable
-                            break
-                        first += size
-                if variable is not None and variable.type == "Float64" and self.has_directional(item):
-                    wanted[k] = variable, item.index - (first if item.kind != "value" else 0)
+                variable, element = self._variable(items[k])
+                if variable is not None and variable.type == "Float64" and self.has_directional(items[k]):
+                    wanted[k] = variable, element
             if not wanted or known is None:
                 continue
             variable_in, element_in, scale_in = known
@@ -139,6 +120,21 @@ class FmuDerivatives(FmuValues):
             begins = dict(zip(distinct, np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))
             for k, (variable, element) in wanted.items():
                 partials[k] = out[begins[id(variable)] + element] * items[k].scale / scale_in
+
+    def _variable(self, item: OpaqueItem) -> tuple[ModelVariable | None, int]:
+        """Return the variable of an item, and which of its elements it is."""
+        structure, first = self.foreign.description.structure, 0
+        unknowns: list[tuple[ModelVariable, tuple[int, ...]]] = []
+        if item.kind == "derivative":
+            pairs = zip(structure.derivatives, structure.states, strict=True)
+            unknowns = [(unknown.variable, state.shape) for unknown, state in pairs]
+        elif item.kind == "indicator":  # of FMI 2 only their number is known
+            unknowns = [(unknown.variable, unknown.variable.shape) for unknown in structure.indicators]
+        for variable, shape in unknowns:
+            if item.index < first + math.prod(shape):
+                return variable, item.index - first
+            first += math.prod(shape)
+        return item.variable, item.index
 
     def _seed(self, argument: int) -> tuple[ModelVariable, int, float] | None:
         """The variable behind an argument that is derived by, its element, and its scale."""
