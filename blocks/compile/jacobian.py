@@ -2,7 +2,7 @@
 
     jacobian = PlanJacobian(plan)                     # d(dx/dt)/dx
     exact = jacobian.at(memory, outputs)              # outputs: values of jacobian.outputs, by an engine
-    exact.matrix()                                    # scipy.sparse, CSC; NaN where a derivative is not finite
+    exact.dense()                                     # an array; NaN where a derivative is not finite
     exact.doubtful()                                  # which equations those are
 
     PlanJacobian(plan, [*plan.derivatives, *y], [*x, *u])        # A, B, C and D in one matrix
@@ -273,13 +273,6 @@ class Evaluated:
     jacobian: PlanJacobian
     data: Array
     bad: tuple[int, ...] = field(repr=False, default=())
-
-    def matrix(self) -> Any:
-        """A scipy.sparse.csc_matrix."""
-        from scipy.sparse import csc_matrix
-
-        pattern = self.jacobian
-        return csc_matrix((self.data, pattern.indices, pattern.indptr), shape=pattern.shape)
 
     def dense(self) -> Array:
         matrix = np.zeros(self.jacobian.shape)

@@ -122,18 +122,6 @@ def numbers(settings: Sequence[Setting]) -> list[float]:
     return [float(x) for setting in settings if setting.first >= 0 for x in setting.values]
 
 
-def computed(settings: Sequence[Setting], s: Sequence[float]) -> list[float]:
-    """Return the numbers of all settings with the bound ones computed again from the leaves.
-
-    A number that cannot be computed is NaN here, and not finite in C: callers that set leaves refuse it.
-    """
-    values = list(s)
-    for setting in settings:
-        for k, program in enumerate(setting.elements or ()):
-            values[setting.first + k] = evaluated(program, values)
-    return values
-
-
 def put(settings: Iterable[Setting], s: Sequence[float], row: MutableSequence[float]) -> None:
     """Put the numbers of settings into their places in the row p."""
     for setting in settings:

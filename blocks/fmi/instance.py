@@ -448,13 +448,6 @@ class Instance:
         self._alive().must_terminate = False
         self.call("Terminate")
 
-    def reset(self) -> None:
-        """Back to how it was when it was made, also after an error. Raises FMUError (E213)."""
-        raw = self._alive()
-        raw.must_terminate = raw.has_begun = self._is_set_up = False
-        self.call("Reset")
-        raw.t, raw.has_failed = math.nan, False
-
     def close(self) -> None:
         """Frees the instance, whatever happened before; once more does nothing."""
         self._finalizer()

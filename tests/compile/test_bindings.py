@@ -21,7 +21,7 @@ from blocks.compile.bindings import bindings
 from blocks.compile.c.bindings_code import bindings_c
 from blocks.compile.plan import Plan
 from blocks.compile.plan_builder import plan
-from blocks.compile.setting_programs import Setting, computed, evaluated, numbers, put
+from blocks.compile.setting_programs import Setting, evaluated, numbers, put
 from blocks.contract.derivatives import derived
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
@@ -159,6 +159,15 @@ class Bound:
         """p of the diagram flattened with overrides. Raises ModelError."""
         raws = {path: raw(self.named[path], values) for path, values in leaves.items()}
         return list(plan(flatten(self.value, self.resolver, overrides={**self.overrides, **raws})).parameters)
+
+
+def computed(settings: Sequence[Setting], s: Sequence[float]) -> list[float]:
+    """Return the numbers of all settings with the bound ones computed from the leaves."""
+    values = list(s)
+    for setting in settings:
+        for place, program in zip(setting.span, setting.elements or (), strict=False):
+            values[place] = evaluated(program, values)
+    return values
 
 
 def raw(setting: Setting, values: Sequence[float]) -> Any:

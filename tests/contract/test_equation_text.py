@@ -16,13 +16,13 @@ import pytest
 
 from blocks import BouncingBall
 from blocks.contract.equation_text import digest_of, equation_texts, sha256
-from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
 from blocks.contract.table_lookup import pick, search
 from blocks.contract.tape import Tape, TapeNode
 from blocks.contract.tracing import trace
 from tests.support.library_variants import VARIANTS, resolved
+from tests.support.on_numbers import numeric
 from tests.support.places import ROOT
 
 HEAD = """

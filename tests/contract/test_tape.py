@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from blocks.contract.block import Block
-from blocks.contract.equation_values import numeric
 from blocks.contract.equations import crossing, event_time, local, output, wiring
 from blocks.contract.interface import Interface, Value
 from blocks.contract.resolution import resolve
@@ -24,6 +23,7 @@ from blocks.contract.tape import Tape
 from blocks.contract.tracing import trace
 from blocks.contract.variables import Discrete, Input, Parameter, State
 from blocks.text.errors import DeclarationError
+from tests.support.on_numbers import numeric
 from tests.support.places import ROOT
 
 C = {

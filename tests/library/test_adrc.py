@@ -34,10 +34,10 @@ from blocks import (
     ZeroOrderHold,
     subdiagram,
 )
-from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
 from blocks.contract.resolution import Resolved, resolve
 from blocks.library import LIBRARY
+from tests.support.on_numbers import numeric
 from tests.support.places import ROOT
 
 Array = np.ndarray[Any, Any]

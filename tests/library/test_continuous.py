@@ -38,12 +38,12 @@ from blocks import (
     ZeroPoleGain,
 )
 from blocks.compile.plan_builder import plan
-from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
 from blocks.contract.resolution import Resolved, resolve
 from blocks.contract.tracing import trace
 from blocks.library import LIBRARY
 from tests.support.marks import long_but
+from tests.support.on_numbers import numeric
 
 Array = np.ndarray[Any, Any]
 

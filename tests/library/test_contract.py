@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 import blocks.library
 from blocks.contract.block import Block, is_abstract
-from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Interface
 from blocks.contract.resolution import Resolved
 from blocks.contract.table_lookup import pick, search
@@ -26,6 +25,7 @@ from blocks.text.errors import ModelError
 from tests.support.cases import in_one_test
 from tests.support.library_variants import VARIANTS, Array, evaluate, reads, resolved
 from tests.support.marks import long
+from tests.support.on_numbers import numeric
 
 ROUNDING = 1e-12
 """Floats and symbols run the same operations; what remains is the last bits of the elementary functions."""

@@ -30,10 +30,10 @@ from blocks import (
     TwoLinkArm,
     VanDerPol,
 )
-from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
 from blocks.library import LIBRARY
+from tests.support.on_numbers import numeric
 from tests.support.places import ROOT
 
 Array = np.ndarray[Any, Any]

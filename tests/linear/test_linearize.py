@@ -78,7 +78,6 @@ from blocks import (
     output,
     stepper,
 )
-from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Interface, Value
 from blocks.contract.resolution import resolve
 from blocks.contract.tracing import trace
@@ -91,6 +90,7 @@ from blocks.linear.slopes import slopes_at
 from blocks.text.errors import AnalysisError, UsageError
 from tests.support.fmus import DIAGRAMS
 from tests.support.library_variants import VARIANTS, resolved
+from tests.support.on_numbers import numeric
 from tests.support.zoo import zoo
 
 Array = np.ndarray[Any, Any]

@@ -27,7 +27,6 @@ import blocks.analysis
 import blocks.graph
 from blocks import Block, Diagram, cli
 from blocks.contract import expressions
-from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
 from blocks.contract.type_texts import interface_of, names_of, pieces_of, resolved_of
 from blocks.contract.variables import REQUIRED
@@ -38,6 +37,7 @@ from blocks.text import docstrings, formulas
 from blocks.text.explanations import EXPLAINED
 from blocks.text.grammar import Object
 from tests.support.marks import long_but
+from tests.support.on_numbers import numeric
 from tests.support.samples import PAGES, ROOT, Page, workplace
 
 DOCS = ROOT / "docs"

@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from blocks.contract.equation_values import numeric
 from blocks.contract.interface import Value
 from blocks.contract.resolution import Resolved, resolve
 from blocks.contract.tracing import trace
 from blocks.library import LIBRARY
+from tests.support.on_numbers import numeric
 
 Array = np.ndarray[Any, Any]
 VARIANTS: list[tuple[str, dict[str, Any]]] = [

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,7 +26,6 @@ from ...text.arrays import Array
 
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 POWERS = np.linalg.inv(NODES[:, None] ** np.arange(5))  # values at the nodes -> coefficients of 1, th, ..., th^4
-Row = Sequence[float]
 
 ORDER = 4  # derivatives above this one may jump inside a step: the methods do not see it
 COURSE = 2  # of a break that a master makes between two pieces of an extrapolation: no jump of what is meant
