@@ -20,6 +20,7 @@ FLEET = ROOT / "diagrams" / "fleet"
 Array = np.ndarray[Any, Any]
 
 
+@pytest.mark.usefixtures("native")
 def test_every_verdict_of_the_study_is_the_expected_one() -> None:
     outcome = study.run(study.load(FLEET / "study.json"))
     assert outcome.is_fine, [(v.claim.measure, v.value) for v in outcome.verdicts if not v.is_expected]
@@ -167,6 +168,7 @@ def by_hand(law: Any, tolerance: float) -> tuple[Array, Array]:
     return gathered, np.array(missed)
 
 
+@pytest.mark.usefixtures("native")
 @pytest.mark.parametrize(
     ("variant", "law", "tolerance"),
     [("base", improved, 1e-8), long("adrc", classical, 1e-6)],
