@@ -118,7 +118,7 @@ def test_other_values_of_a_block_make_the_plan_that_is_made_anew(name: str) -> N
     chance = random.Random(name)
     for given in [given for kind, given in VARIANTS if kind == name]:
         diagram = Diagram.alone(LIBRARY[name](**given))
-        compared(diagram, {"stop": 1.0}, chance, 12)
+        compared(diagram, {"stop": 1.0}, chance, 6)
 
 
 def is_small(path: Path) -> bool:

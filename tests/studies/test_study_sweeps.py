@@ -190,7 +190,6 @@ def test_the_schema_and_the_canonical_form_know_sweeps(tmp_path: Path) -> None:
     assert main(["fmt", "--check", str(path)]) == 0
 
 
-@pytest.mark.usefixtures("native")
 def test_the_study_of_the_motor_holds(tmp_path: Path) -> None:
     path = ROOT / "diagrams" / "adrc" / "study.json"
     assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 0
