@@ -41,8 +41,8 @@ def assert_agreement(chosen: list[Case]) -> None:
     assert not failed, "\n".join(failed)
 
 
-# Three of ten cases run in `make test`; all pairs of capabilities have met after `make test-long`.
-@pytest.mark.parametrize("part", long_but(range(PARTS), lambda part: part % 4 == 1))
+# Two of ten cases run in `make test`; all pairs of capabilities have met after `make test-long`.
+@pytest.mark.parametrize("part", long_but(range(PARTS), lambda part: part in (1, 5)))
 def test_all_ways_to_run_a_diagram_agree_where_capabilities_meet(part: int) -> None:
     assert_agreement(cases(SHORT)[part::PARTS])
 

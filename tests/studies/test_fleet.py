@@ -13,7 +13,6 @@ from scipy.linalg import expm
 from blocks import Diagram, graph
 from blocks.studies import study
 from tests.support import witness_paper as paper
-from tests.support.marks import long
 from tests.support.places import ROOT
 
 FLEET = ROOT / "diagrams" / "fleet"
@@ -168,10 +167,11 @@ def by_hand(law: Any, tolerance: float) -> tuple[Array, Array]:
     return gathered, np.array(missed)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("native")
 @pytest.mark.parametrize(
     ("variant", "law", "tolerance"),
-    [("base", improved, 1e-8), long("adrc", classical, 1e-6)],
+    [("base", improved, 1e-8), ("adrc", classical, 1e-6)],
     ids=["IADRC", "ADRC"],
 )
 def test_the_formation_is_that_of_scipy_by_hand(variant: str, law: Any, tolerance: float) -> None:
