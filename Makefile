@@ -29,6 +29,9 @@ BUILDER := $(PY:.venv/%=$(RELEASE)/tools/%)
 # Modules of another Python, as other tools put them on these paths, must not leak into the environment.
 unexport PYTHONPATH PYTHONHOME
 
+# Each worker, and each process that a test starts, would compile all modules again: half a second, and 18 s for tests.
+unexport PYTHONDONTWRITEBYTECODE
+
 # The tests that say what happens in a run, which the native engine must pass as well.
 BY_BOTH := events hybrid steps instants instant_order enabled loops loops_of_textbooks sampled stepper saved_state \
 	random_diagrams no_silent_answers

@@ -173,6 +173,7 @@ def lag(k: float = 3.0) -> Diagram:
     return diagram
 
 
+@pytest.mark.usefixtures("native")
 @pytest.mark.parametrize("units", [None, "rpm", "deg/s"])
 @pytest.mark.parametrize("kind", ["file", "mapping"])
 def test_measured_data_are_in_the_unit_of_the_signal_or_their_own(units: str | None, kind: str, tmp_path: Path) -> None:
@@ -189,6 +190,7 @@ def test_measured_data_are_in_the_unit_of_the_signal_or_their_own(units: str | N
         assert fit.values["k"] == pytest.approx(5.0, rel=1e-4)
 
 
+@pytest.mark.usefixtures("native")
 def test_limits_and_bounds_of_a_tuning_take_units() -> None:
     options: dict[str, Any] = {"minimize": "-largest", "method": "de", "budget": 40, "seed": 1}
     plain = lag().tune(over={"k": (1, 9)}, subject_to=[f"largest <= {5 * RPM!r}"], **options)
@@ -201,6 +203,7 @@ def test_limits_and_bounds_of_a_tuning_take_units() -> None:
         lag().tune(over={"k": ("1 V", 9)}, **options)
 
 
+@pytest.mark.usefixtures("native")
 def test_the_command_line_takes_units_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     saturated().save(path := tmp_path / "saturated.json")
     outputs = []

@@ -26,6 +26,7 @@ def motor(La: Any) -> Diagram:
     return d
 
 
+@pytest.mark.usefixtures("native")
 def test_a_number_with_a_unit_is_a_quantity_wherever_a_value_is_given() -> None:
     d, quantity = motor("2 mH"), {"value": 2, "unit": "mH"}
     assert d.value.blocks["motor"].parameters["La"] == quantity
@@ -67,6 +68,7 @@ def gains(*values: Any) -> Diagram:
     return d
 
 
+@pytest.mark.usefixtures("native")
 @pytest.mark.parametrize("given", [600, "600 1/s2", "0.0006 1/ms2", {"value": 600, "unit": "1/s2"}])
 def test_an_element_is_set_in_its_own_unit_where_units_differ(given: Any) -> None:
     d, name = gains(30, 500, 1500), "eso.gains[1]"
@@ -89,6 +91,7 @@ def test_an_element_takes_no_other_quantity_than_its_own() -> None:
         gains(30, 500, 1500).run(parameters={"eso.gains[1]": "600 1/s"})
 
 
+@pytest.mark.usefixtures("native")
 def test_a_single_number_that_fills_an_array_shows_how_many_elements_it_fills() -> None:
     d = gains(30, 500, 1500)
     run = d.start(parameters={"eso.gains": 20})
@@ -99,6 +102,7 @@ def test_a_single_number_that_fills_an_array_shows_how_many_elements_it_fills() 
     assert d.start(parameters={"eso.b0": 2}).given == {"eso.b0": "2 rad/(s3.V)"}
 
 
+@pytest.mark.usefixtures("native")
 def test_a_sweep_tells_quantities_in_the_unit_of_the_parameter() -> None:
     d = motor(0.001)
     d.measure("peak", "peak", "motor.omega")

@@ -59,6 +59,7 @@ def cells_of(html: str) -> list[str]:
 # --- figures ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("native")
 def test_every_figure_shows_itself_once_as_svg_and_as_png(shell: InteractiveShell) -> None:
     made = loop()
     figures = [
@@ -83,6 +84,7 @@ def test_every_figure_shows_itself_once_as_svg_and_as_png(shell: InteractiveShel
 # --- tables ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("native")
 def test_html_and_text_are_of_the_same_cells() -> None:
     made = loop()
     results = made.run()
@@ -105,6 +107,7 @@ def test_html_and_text_are_of_the_same_cells() -> None:
     assert {"lag.y", "V", "min", "IAE"} <= set(cells_of(results._repr_html_()))
 
 
+@pytest.mark.usefixtures("native")
 def test_a_tuning_and_a_fit_show_their_tables() -> None:
     made = loop()
     tuning = made.tune(minimize="IAE", over={"gain.k": (1, 9)}, budget=6)
@@ -183,6 +186,7 @@ def test_the_error_that_one_came_from_is_shown_where_it_has_lines_of_the_user(sh
 # --- how far a call is, and Tab ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("native")
 def test_a_long_call_shows_a_line_that_is_gone_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[dict[str, str]] = []
     with live_line(None, in_rows("rows")) as told:
@@ -206,6 +210,7 @@ def test_a_long_call_shows_a_line_that_is_gone_at_the_end(monkeypatch: pytest.Mo
     assert len(shown) == count
 
 
+@pytest.mark.usefixtures("native")
 def test_tab_completes_blocks_ports_and_signals(shell: InteractiveShell) -> None:
     made = loop()
     sweep = made.sweep({"gain.k": Normal(3, 0.1)}, n=2, scenarios={"quiet": {}, "loud": {"lag.T": 0.4}})

@@ -62,7 +62,7 @@ def test_versions_compiler_engine_and_cache_are_told(
     assert f"  compiler  {compiler.command[0]} [{compiler.version}], from {compiler.origin}\n" in out
     assert "a small model was compiled and ran correctly" in out
     assert "auto takes native: the compiler works" in out
-    assert f"  cache     {folder}: 0 entries, 0.0 MiB (at most 1000 entries, 512 MiB)\n" in out
+    assert f"  cache     {folder}: 0 entries, 0.0 MiB (at most 4000 entries, 512 MiB)\n" in out
     assert list(tmp_path.iterdir()) == [folder]
 
 

@@ -41,6 +41,7 @@ def test_what_varies_is_read_from_words() -> None:
     }  # fmt: skip
 
 
+@pytest.mark.usefixtures("native")
 def test_numbers_of_ranges_and_distributions_have_units(capsys: pytest.CaptureFixture[str]) -> None:
     words = [
         "a=normal:160 mOhm,10 mOhm", "b=normal:160 mOhm,0.01 Ohm", "c=truncatednormal:160 mOhm,10 mOhm,0 Ohm,inf",

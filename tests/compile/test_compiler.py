@@ -508,6 +508,17 @@ def test_a_build_keeps_the_limits(folder: Path) -> None:
     assert not paths[0].exists()
 
 
+def test_sizes_are_read_after_one_build_in_16(tmp_path: Path, folder: Path) -> None:
+    folder.mkdir()
+    keys = entries(Cache(folder), tmp_path, 5, length=10_000)
+    place = Cache(folder, max_bytes=25_000)
+    for digit in "123456789abcdef":
+        place.make_room(digit * 64)
+    assert all((folder / key).exists() for key in keys)
+    place.make_room("0" * 64)
+    assert [key for key in keys if (folder / key).exists()] == keys[3:]
+
+
 def test_clearing_takes_entries_and_nothing_else(folder: Path) -> None:
     build([runtime(), model()])
     (folder / "letter.txt").write_text("mine", encoding="utf-8")

@@ -191,7 +191,7 @@ def test_rows_without_a_grid_end_at_a_hundred_thousand_and_it_is_told() -> None:
 
 def test_crossings_that_are_too_many_for_a_step_are_told() -> None:
     d = wired(("sine", Sine(omega=6e11, bias=3.0)), ("counter", Counter()))
-    results = d.run(stop=1.0, every=1.0, log=["counter.y"], engine="native")
+    results = d.run(stop=0.1, every=0.1, log=["counter.y"], engine="native")
     assert [(fault.code, fault.place) for fault in results.warnings] == [("W304", "sine")]
     assert "its crossings may be missed" in results.warnings[0].message
 

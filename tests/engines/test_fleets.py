@@ -116,7 +116,7 @@ def compare(document: dict[str, Any], run: dict[str, Any], engine: str, toleranc
             assert np.array_equal(mine, wanted), (name, np.abs(mine - wanted).max())
 
 
-@pytest.mark.parametrize("engine", ["reference", "native"])
+@pytest.mark.parametrize("engine", ["reference", long("native")])
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(document=fleets(), run=st.sampled_from(RUNS))
 def test_copies_are_the_diagram_that_is_written_out(engine: str, document: dict[str, Any], run: dict[str, Any]) -> None:
@@ -241,7 +241,7 @@ def test_implicit_methods_are_close() -> None:
         compare(of_agents(AGENT, wires={"robots.u": "wave.y"}), {"method": "radau", "rtol": 1e-9}, engine, 1e-6)
 
 
-@pytest.mark.parametrize("method", ["radau", "auto"])
+@pytest.mark.parametrize("method", ["radau", long("auto")])
 @settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(document=fleets())
 def test_implicit_methods_of_copies_are_those_written_out(method: str, document: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 import dataclasses
 import random
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -117,10 +118,14 @@ def test_other_values_of_a_block_make_the_plan_that_is_made_anew(name: str) -> N
     chance = random.Random(name)
     for given in [given for kind, given in VARIANTS if kind == name]:
         diagram = Diagram.alone(LIBRARY[name](**given))
-        compared(diagram, {"stop": 1.0}, chance, 12)
+        compared(diagram, {"stop": 1.0}, chance, 6)
 
 
-@pytest.mark.parametrize("path", long_but(SHIPPED, is_unlike), ids=lambda path: path.stem)
+def is_small(path: Path) -> bool:
+    return is_unlike(path) and path.stem not in ("formation", "platoon")
+
+
+@pytest.mark.parametrize("path", long_but(SHIPPED, is_small), ids=lambda path: path.stem)
 def test_other_values_in_a_shipped_diagram_make_the_plan_that_is_made_anew(path: Any) -> None:
     diagram = Diagram.load(path)
     if not isinstance(diagram.check(), Plan):

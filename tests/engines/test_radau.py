@@ -242,12 +242,17 @@ def busy() -> Diagram:
     return d
 
 
+@pytest.fixture(scope="module")
+def tight() -> Results:
+    return busy().run(rtol=1e-10, atol=1e-12, stop=2.0, every=0.01)
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("method", ["radau", "auto"])
-def test_events_ticks_and_delays_are_those_of_dopri5_at_a_tight_tolerance(method: str, engine: str) -> None:
-    settings: dict[str, Any] = {"stop": 2.0, "every": 0.01}
-    tight = busy().run(rtol=1e-10, atol=1e-12, **settings)
-    made = busy().run(method=method, rtol=1e-7, atol=1e-9, engine=engine, **settings)
+def test_events_ticks_and_delays_are_those_of_dopri5_at_a_tight_tolerance(
+    method: str, engine: str, tight: Results
+) -> None:
+    made = busy().run(method=method, rtol=1e-7, atol=1e-9, engine=engine, stop=2.0, every=0.01)
     assert [event.block for event in made.events] == [event.block for event in tight.events]
     assert [event.t for event in made.events] == pytest.approx([event.t for event in tight.events], abs=1e-7)
     assert len(made.events) >= 2

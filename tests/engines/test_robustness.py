@@ -624,7 +624,8 @@ def wait_for(condition: Any) -> None:
 
 @LINUX
 @NEEDS_COMPILER
-@pytest.mark.parametrize("engine", [long("reference"), "native"])
+@pytest.mark.long
+@pytest.mark.parametrize("engine", ["reference", "native"])
 def test_an_fmu_that_hangs_is_ended_by_a_second_signal(engine: str, folder: Path) -> None:
     command = Command(folder, *plant(folder, "hang", isolate=False), "--engine", engine, "--out", "out.csv")
     wait_for(lambda: [*command.temporary.iterdir()])

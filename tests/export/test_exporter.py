@@ -90,9 +90,14 @@ SAMPLED = ["sampled_loop", "paper/iadrc_sampled", "paper/control_iadrc_sampled"]
 # Both versions hold the same model: what takes long is looked at in FMI 3, and in FMI 2 by `make test-long`.
 FMI_2 = long(2)
 FEW = ("bouncing_ball", "sampled_loop", "motor_pid", "paper/iadrc")
+# Smaller ones have these too: copies in "fleet/consensus", ticks in "control_iadrc_sampled", noise in "wheel_iadrc".
+SLOW = ("fleet/formation", "fleet/platoon", "paper/iadrc_noisy", "paper/iadrc_sampled")
 each_file = pytest.mark.parametrize(
     ("name", "fmi"),
-    long_but(itertools.product(FILES, (2, 3)), lambda name, fmi: name not in ALIKE if fmi == 3 else name in FEW[:3]),
+    long_but(
+        itertools.product(FILES, (2, 3)),
+        lambda name, fmi: name not in (*ALIKE, *SLOW) if fmi == 3 else name in FEW[:3],
+    ),
 )
 
 

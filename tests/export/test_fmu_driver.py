@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import shutil
 import zipfile
 from pathlib import Path
@@ -12,19 +11,14 @@ from fmpy import read_model_description
 
 from blocks import Diagram
 from tests.support.fmu_drivers import build_driver, faults, run_driver
-from tests.support.marks import long_but
 from tests.support.places import ROOT
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc")
 
 
-@pytest.mark.parametrize(
-    ("name", "version"),
-    long_but(
-        itertools.product(["bouncing_ball", "motor_pid", "paper/control_iadrc_sampled", "sampled_loop"], (2, 3)),
-        lambda name, version: (name, version) == ("bouncing_ball", 3),
-    ),
-)
+@pytest.mark.long
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("name", ["bouncing_ball", "motor_pid", "paper/control_iadrc_sampled", "sampled_loop"])
 def test_every_call_in_every_mode_is_answered_as_the_standard_says(name: str, version: int, tmp_path: Path) -> None:
     """Allowed or not, with good and bad arguments: an error is returned where it must be, and nothing crashes."""
     place = tmp_path / "x.fmu"

@@ -167,6 +167,7 @@ def test_the_results_of_version_1_are_those_of_closed_forms() -> None:
     assert end["third"] == 1.0  # 1000 mV
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
 def test_a_golden_study_means_what_it_meant(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("BLOCKS_ENGINE", "reference")

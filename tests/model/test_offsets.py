@@ -105,6 +105,7 @@ def test_inputs_measures_and_operating_points_take_degrees(tmp_path: Path) -> No
     assert point["body.T"] == pytest.approx(293.15 - 30.0, rel=1e-9)
 
 
+@pytest.mark.usefixtures("native")
 def test_a_limit_of_a_measure_is_a_difference(tmp_path: Path) -> None:
     diagram = body()
     diagram.measure("far", "peak", of="body.T", against=20)

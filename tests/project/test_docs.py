@@ -432,6 +432,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "html"
 
 
+@pytest.mark.long
 def test_the_site_builds_without_a_warning_and_has_every_block(site: Path) -> None:
     text = "".join(path.read_text(encoding="utf-8") for path in (site / "library").glob("*.html"))
     for name in LIBRARY:
@@ -448,6 +449,7 @@ def test_the_site_builds_without_a_warning_and_has_every_block(site: Path) -> No
     assert all(f'id="{code.lower()}"' in codes for code in EXPLAINED)
 
 
+@pytest.mark.long
 def test_an_opened_page_asks_nothing_of_the_network(site: Path) -> None:
     """Nothing is loaded from elsewhere; links that a reader may follow are another matter."""
     for path in site.rglob("*.html"):
@@ -465,6 +467,7 @@ def test_an_opened_page_asks_nothing_of_the_network(site: Path) -> None:
         assert not re.search(r"url\(\s*['\"]?(https?:)?//|MathJax|katex", text, re.IGNORECASE), path
 
 
+@pytest.mark.long
 def test_every_link_inside_the_site_leads_somewhere(site: Path) -> None:
     pages = {}
     for path in site.rglob("*.html"):
@@ -481,6 +484,7 @@ def test_every_link_inside_the_site_leads_somewhere(site: Path) -> None:
                 assert unquote(parts.fragment) in pages[target].ids, (path.name, value)
 
 
+@pytest.mark.long
 def test_simulinks_words_lead_to_blocks_and_pages_that_are_there(site: Path) -> None:
     words = json.loads((ROOT / "blocks" / "api" / "simulink_words.json").read_text(encoding="utf-8"))
     assert {"Scope", "Clock", "Fcn", "Memory", "To Workspace", "Goto", "Rate Transition", "S-Function"} <= set(words)

@@ -13,13 +13,13 @@ from scipy.linalg import expm
 from blocks import Diagram, graph
 from blocks.studies import study
 from tests.support import witness_paper as paper
-from tests.support.marks import long
 from tests.support.places import ROOT
 
 FLEET = ROOT / "diagrams" / "fleet"
 Array = np.ndarray[Any, Any]
 
 
+@pytest.mark.usefixtures("native")
 def test_every_verdict_of_the_study_is_the_expected_one() -> None:
     outcome = study.run(study.load(FLEET / "study.json"))
     assert outcome.is_fine, [(v.claim.measure, v.value) for v in outcome.verdicts if not v.is_expected]
@@ -167,9 +167,11 @@ def by_hand(law: Any, tolerance: float) -> tuple[Array, Array]:
     return gathered, np.array(missed)
 
 
+@pytest.mark.long
+@pytest.mark.usefixtures("native")
 @pytest.mark.parametrize(
     ("variant", "law", "tolerance"),
-    [("base", improved, 1e-8), long("adrc", classical, 1e-6)],
+    [("base", improved, 1e-8), ("adrc", classical, 1e-6)],
     ids=["IADRC", "ADRC"],
 )
 def test_the_formation_is_that_of_scipy_by_hand(variant: str, law: Any, tolerance: float) -> None:

@@ -57,6 +57,7 @@ def by_seconds(name: str) -> Results:
     return Diagram.load(PAPER / f"{name}.json").run(every=1.0, log=log)
 
 
+@pytest.mark.usefixtures("native")
 @pytest.mark.parametrize("name", [long("adrc"), "iadrc"])
 def test_the_steady_controls_are_those_of_the_equilibrium(name: str) -> None:
     results = by_seconds(name)
@@ -90,6 +91,7 @@ def test_the_improved_controller_agrees_with_dop853_on_independent_equations() -
     assert np.max(np.abs(results["control_right.u"][rows] - u)) <= 1e-6 * np.ptp(u)
 
 
+@pytest.mark.usefixtures("native")
 def test_theorem_1_gives_what_the_observer_estimates() -> None:
     results = by_seconds("iadrc")
     before, under = (np.searchsorted(results.t, t, side="right") - 1 for t in (24, 49))

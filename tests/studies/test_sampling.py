@@ -183,6 +183,7 @@ def test_rows_without_a_number_do_not_count() -> None:
     assert np.isnan(statistics.quantiles(np.full((3, 2), np.nan), np.array([0.5]))).all()
 
 
+@pytest.mark.usefixtures("native")
 @pytest.mark.parametrize(
     ("law", "plain"),
     [

@@ -20,7 +20,6 @@ from blocks.cli import main
 from blocks.results import plots
 from blocks.studies import report, report_page, study
 from blocks.text.errors import Fault
-from tests.support.marks import long
 from tests.support.places import ROOT
 
 PAPER = ROOT / "diagrams" / "paper" / "study.json"
@@ -60,6 +59,7 @@ def motor_study(path: Path, **changes: Any) -> str:
     return str(path)
 
 
+@pytest.mark.usefixtures("native")
 def test_a_study_judges_every_claim_and_ends_with_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = motor_study(tmp_path / "s.json")
     assert main(["study", path, "--json", "--out", str(tmp_path / "out")]) == 0
@@ -80,6 +80,7 @@ def test_a_study_judges_every_claim_and_ends_with_0(tmp_path: Path, capsys: pyte
     assert "report: " in told.err
 
 
+@pytest.mark.usefixtures("native")
 def test_every_form_of_the_table_has_all_claims(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     claims = [
         {"run": "my_law", "measure": "ITAE", "unit": "rad.s"},
@@ -114,6 +115,7 @@ def test_every_form_of_the_table_has_all_claims(tmp_path: Path, capsys: pytest.C
     assert printed("--wide")[0].split() == ["measure", "unit", "my_law", "other", "my_law", "/", "other"]
 
 
+@pytest.mark.usefixtures("native")
 def test_a_perturbed_parameter_turns_a_verdict_and_the_exit_code(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -140,6 +142,7 @@ class _Reader(HTMLParser):
                 self.fetched.append(value or "")
 
 
+@pytest.mark.usefixtures("native")
 def test_the_report_stands_alone_and_escapes_what_it_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", motor_study(tmp_path / "s.json"), "--out", str(tmp_path / "out")]) == 0
     capsys.readouterr()
@@ -305,6 +308,7 @@ def figure_of(label: str, **more: Any) -> dict[str, Any]:
     return {"name": "f", "panels": [{"ylabel": "$y", "lines": [line, line]}], **more}
 
 
+@pytest.mark.usefixtures("native")
 @pytest.mark.parametrize("label", ["cost $\\frac{x$", "$x^2$", "5 $ and 6 $", "_hidden", "\\$a\\$", "a\u0000b"])
 def test_a_label_of_a_figure_is_text(label: str, tmp_path: Path) -> None:
     path = motor_study(tmp_path / "s.json", figures=[figure_of(label, xlabel="$t$ [s]")])
@@ -314,9 +318,8 @@ def test_a_label_of_a_figure_is_text(label: str, tmp_path: Path) -> None:
         assert f">{shown}</text>" in text
 
 
-@pytest.mark.parametrize(
-    "settings", [b"text.usetex: True\nfont.size: 30\naxes.facecolor: red\n", long(b"\xff\xfe: 1\n")]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("settings", [b"text.usetex: True\nfont.size: 30\naxes.facecolor: red\n", b"\xff\xfe: 1\n"])
 def test_settings_of_matplotlib_in_the_current_folder_change_no_figure(settings: bytes, tmp_path: Path) -> None:
     """The truth is the picture of a folder without such a file: the same bytes. Settings that matplotlib itself cannot
     read cost the figures, and nothing else."""

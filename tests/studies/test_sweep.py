@@ -32,11 +32,10 @@ from blocks import (
     UsageError,
     each,
 )
-from blocks.compile.toolchain.compiler import find_compiler
 from blocks.studies import sweep_run
 from blocks.studies.sampling import seed_of
 
-pytestmark = pytest.mark.skipif(find_compiler() is None, reason="without a compiler each call begins processes")
+pytestmark = pytest.mark.usefixtures("native")  # by the reference engine each call would begin processes
 VARY: dict[Any, Any] = {"k": Normal(2.0, 0.3), "lag_*.T": [0.5, 1.0]}
 asked: dict[str, Any] = {
     "n": 6, "seed": 3, "log": ["out.y"], "every": 0.25, "threads": 1, "engine": "native",

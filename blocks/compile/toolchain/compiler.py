@@ -307,7 +307,7 @@ class _Job:
                 _check_room(refusal, work)
                 raise self.fault(refusal, place, key, work) from None
             library = place.store(key, linked)
-        place.trim(keep=key)
+        place.make_room(key)
         return library
 
     def object_key(self, unit: TranslationUnit) -> str:

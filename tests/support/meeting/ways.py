@@ -203,7 +203,7 @@ def reference(case: Case, base: Outcome) -> Iterator[Disagreement]:
 
 @way
 def values(case: Case, base: Outcome) -> Iterator[Disagreement]:
-    """Run a prepared model with other values: as a run of its own with these, and as the reference engine."""
+    """Run a prepared model with other values as a run of its own; in a case of four, also as the reference engine."""
     if base.error:
         return
     given = case["values"]
@@ -212,8 +212,9 @@ def values(case: Case, base: Outcome) -> Iterator[Disagreement]:
     yield from differences("run with values | prepared", alone, _outcome(lambda: model.run(parameters=given)), 0.0)
     yield from differences("base | prepared", base, _outcome(model.run), 0.0)
     yield from within(case, alone, "same, other values")
-    other = run(case, "reference", parameters=given)
-    yield from differences("native | reference, other values", alone, other, tolerance_of(case))
+    if case["seed"] % 4 == 0:  # the reference engine takes as long as all other ways of a case
+        other = run(case, "reference", parameters=given)
+        yield from differences("native | reference, other values", alone, other, tolerance_of(case))
 
 
 def _is_signal(name: str) -> bool:
