@@ -19,7 +19,6 @@ waits with it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import accumulate
 from typing import NamedTuple
 
 from .fmu_tape import FmuTape
@@ -31,7 +30,7 @@ _GIVEN = frozenset("spck")  # rows that are no signals: sides, parameters, table
 
 
 class Mark(NamedTuple):
-    """Something that a cause sees. kind: "cause", "loop" or "gather"; lane: of which copy, -1: the reader's.
+    """Something that a cause sees. kind: "cause", "loop", "gather" or "output"; lane: of which copy, -1: the reader's.
 
     is_loose: whether it does not count in a circle.
     """
@@ -41,6 +40,9 @@ class Mark(NamedTuple):
     lane: int = -1
     is_loose: bool = False
 
+
+MANY = 8
+"""An output that sees more is a part of the order itself, so that it takes no n^2 places if n causes see n sides."""
 
 _Needs = dict[int, set[tuple[int, bool]]]  # by cause or loop: what it sees, and whether that is loose
 
@@ -59,6 +61,8 @@ class Marks:
         self.plan, self.loops, self.gathers = plan, loops, frozenset(gathers)
         self.loop_of = {reference: k for k, loop in enumerate(loops) for reference in loop.unknowns}
         self.known: dict[int, frozenset[Mark]] = {}
+        self.shared: dict[int, frozenset[Mark]] = {}  # what outputs see that see much: others see these outputs
+        self.order: dict[int, int] = {}  # the number of each of these
         self.memory: dict[int, set[Reference]] = {}  # what `_sides_of` gave
         self.of_instance: dict[int, list[int]] = {}
         for j, cause in enumerate(plan.crossings):
@@ -70,7 +74,7 @@ class Marks:
         marks = self.of(reference for node in nodes for reference in self.plan.bind(node))
         if self.plan.instances[cause.instance].condition is not None:
             # Inside an enabled part: what fires when it is turned off fires with that.
-            marks = frozenset(mark for mark in marks if not self._is_hidden(mark))
+            marks = frozenset(mark for mark in self._each(marks) if not self._is_hidden(mark))
         return marks
 
     def of_turning_on(self, part: EnabledPart) -> Iterable[Mark]:
@@ -80,7 +84,7 @@ class Marks:
         late = (cause for cause in plan.events if cause.instance in part.instances)
         nodes = [*(start for start in starts if isinstance(start, Node)), *(n for c in late for n, _ in c.resets)]
         seen = self.of(reference for node in nodes for reference in plan.bind(node))
-        return [mark for mark in seen if not (self._is_hidden(mark) or self._is_inside(mark))]
+        return [mark for mark in self._each(seen) if not (self._is_hidden(mark) or self._is_inside(mark))]
 
     def of_loop(self, loop: AlgebraicLoop) -> frozenset[Mark]:
         """Return what the equations of a loop see but its own unknowns."""
@@ -125,7 +129,21 @@ class Marks:
                     stack += above
                     continue
                 self.known[place] = self.of(rest) | modes
+                if len(self.known[place]) > MANY:
+                    self.order[place], self.shared[place] = len(self.order), self.known[place]
+                    self.known[place] = frozenset({Mark("output", place)})
         return self.known[index]
+
+    def _each(self, marks: Iterable[Mark]) -> set[Mark]:
+        """Return marks with what shared outputs see in place of these."""
+        each, rest = set[Mark](), [*marks]
+        while rest:
+            mark = rest.pop()
+            if mark.kind == "output":
+                rest += self.shared[mark.number]
+            else:
+                each.add(mark)
+        return each
 
     def _read(self, node: Node) -> tuple[set[Mark], list[Reference]]:
         """Return the sides that a node reads itself, and what else it reads that their crossings do not judge."""
@@ -175,13 +193,18 @@ def firing_order(plan: Plan, loops: Sequence[AlgebraicLoop]) -> FiringOrder:
         return FiringOrder((), ())
     causes, marks = [*plan.crossings, *plan.events], Marks(plan, loops)
     first_event, first_loop = len(plan.crossings), len(causes)
+    first_output = first_loop + len(loops)
     united = _united(plan)
     needs: _Needs = {}
 
+    def number_of(mark: Mark) -> int:
+        if mark.kind == "cause":
+            return united.get(mark.number, mark.number)
+        return first_loop + mark.number if mark.kind == "loop" else first_output + marks.order[mark.number]
+
     def add(number: int, seen: Iterable[Mark]) -> None:
-        pairs = ((first_loop + mark.number if mark.kind == "loop" else mark.number, mark.is_loose) for mark in seen)
         own = needs.setdefault(united.get(number, number), set())
-        own.update((united.get(other, other), is_loose) for other, is_loose in pairs)
+        own.update((number_of(mark), mark.is_loose) for mark in seen)
 
     for number, cause in enumerate(causes):
         add(number, marks.of_cause(cause))
@@ -191,42 +214,56 @@ def firing_order(plan: Plan, loops: Sequence[AlgebraicLoop]) -> FiringOrder:
         add(part.side, marks.of_turning_on(part))
     for unit in plan.foreign:
         add(first_event + unit.event, marks.of(unit.inputs))
+    for place, number in marks.order.items():
+        add(first_output + number, marks.shared[place])
     members: dict[int, list[int]] = {}
-    for number in range(first_loop + len(loops)):
+    for number in range(first_output + len(marks.order)):
         members.setdefault(united.get(number, number), []).append(number)
     tight, groups = _grouped(needs)
-    of_loops = (group for group in groups if any(unit >= first_loop for unit in group))
+    of_loops = (group for group in groups if any(first_loop <= unit < first_output for unit in group))
     inner = {number for group in of_loops for unit in group for number in members[unit] if number < first_event}
     waits = _waits(tight, groups, members, first_event)
     return FiringOrder(tuple(waits), tuple(sorted(inner - plan.foreign_crossings)))
 
 
-def waits_of_copies(plan: Plan) -> tuple[Wait, ...]:
-    """Find what waits for what in a plan that is known of one copy; it has no loops, FMUs or enabled parts."""
+def waits_of(plan: Plan) -> tuple[Wait, ...]:
+    """Return which causes wait for which in any plan, also in one that is known of one copy.
+
+    Such a plan has no loops, FMUs or enabled parts.
+    """
+    if plan.folded is None:
+        return plan.waits
     folded: Folded = plan.folded
     one, gathers = folded.plan, folded.gathers
     marks, first_event = Marks(one, gathers=gathers), len(plan.crossings)
-    sizes = accumulate(map(len, gathers.values()), initial=first_event + len(plan.events))
-    begin = dict(zip(gathers, sizes, strict=False))
-
-    def number(mark: Mark, reader: int) -> int:
-        lane = reader if mark.lane < 0 else mark.lane
-        if mark.kind == "gather":
-            return begin[mark.number] + lane
-        places = folded.places("s", mark.number)
-        return places[lane if len(places) > 1 else 0]
-
     kinds = (("s", one.crossings, 0), ("e", one.events, first_event))
     seen = [(row, k, first, marks.of_cause(cause)) for row, causes, first in kinds for k, cause in enumerate(causes)]
     if not any(own for *_, own in seen):
         return ()
+    entered = {k: [marks.of([source]) for source in sources] for k, sources in gathers.items()}
+    begin: dict[tuple[str, int], int] = {}
+    end = first_event + len(plan.events)
+    sizes = [("gather", k, len(sources)) for k, sources in gathers.items()]
+    for kind, k, size in (*sizes, *(("output", k, folded.lanes("w", k)) for k in marks.order)):
+        begin[kind, k], end = end, end + size
+
+    def number(mark: Mark, reader: int) -> int:
+        lane = reader if mark.lane < 0 else mark.lane
+        places = folded.places("s", mark.number) if mark.kind == "cause" else ()
+        if mark.kind == "output" and folded.lanes("w", mark.number) == 1:
+            lane = 0
+        return places[lane if len(places) > 1 else 0] if places else begin[mark.kind, mark.number] + lane
+
     needs: _Needs = {}
     for row, k, first, own in seen:
         for lane, place in enumerate(folded.places(row, k)):
             needs[first + place] = {(number(mark, lane), mark.is_loose) for mark in own}
-    for instance, sources in gathers.items():
-        for lane, source in enumerate(sources):
-            needs[begin[instance] + lane] = {(number(mark, lane), mark.is_loose) for mark in marks.of([source])}
+    for k, lanes in entered.items():
+        for lane, own in enumerate(lanes):
+            needs[begin["gather", k] + lane] = {(number(mark, lane), mark.is_loose) for mark in own}
+    for k in marks.order:
+        for lane in range(folded.lanes("w", k)):
+            needs[begin["output", k] + lane] = {(number(mark, lane), mark.is_loose) for mark in marks.shared[k]}
     return tuple(_waits(*_grouped(needs), {number: (number,) for number in needs}, first_event))
 
 

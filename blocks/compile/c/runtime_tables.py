@@ -10,7 +10,7 @@ import numpy as np
 
 from ...text.arrays import Array
 from ...text.gc_pause import paused
-from ..firing_order import waits_of_copies
+from ..firing_order import waits_of
 from ..fmu_tape import FmuTape
 from ..folding import Folded
 from ..plan import Node, Plan, Reference, Wait
@@ -82,7 +82,7 @@ class RuntimeTables:
     def _tables(self, plan: Plan) -> None:
         """What the runtime reads: causes and their resets, rates and their stages, gates, projections, histories."""
         self._of_causes(plan)
-        self._of_waits(plan.waits if plan.folded is None else waits_of_copies(plan))
+        self._of_waits(waits_of(plan))
         self._of_ticks(plan)
         self._of_steppers(plan)
         self._of_enabled(plan)

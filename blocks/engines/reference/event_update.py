@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+from ...compile.firing_order import waits_of
 from ...compile.plan import Cause, EnabledPart, Node, Plan, Reference, StepperPart
 from ...compile.tick_stages import UnitPlace, rate_sets, sequence_at
 from ...results.results import Event
@@ -105,6 +106,7 @@ class Instants:
         self.projections = program("projections", [node for node, _ in plan.projections])
         self.solutions = program("solutions", plan.unknowns)
         self.corners = Corners(plan, self.compiled) if plan.corners else None
+        self.waits = waits_of(plan)
         self.event_times = program("event_times", [cause.node for cause in plan.events])
         self.taken = [reference for part in plan.foreign for reference in part.inputs]  # by FMUs
         self.foreign_inputs = program("foreign_inputs", self.taken)
@@ -448,10 +450,11 @@ class Instants:
         snapshot = self._with_own(snapshot, due)
         history: list[str] = []  # what changed, pass by pass
         known = set()
-        for _ in range(MOST_PASSES):
+        for _ in range(MOST_PASSES + len(self.waits)):  # what waits fires a pass later
             values = self.sides_now(snapshot if seen is None else seen, u)
             sides, firing, changed = self._changes(values, snapshot, due)
             late = self._late(changed) if seen is None else frozenset[int]()
+            self._check_numbers(values, late, snapshot.t)
             sides, firing, changed, due = self._without(late, snapshot, sides, firing, changed, due)
             asked = self.asked(snapshot, u, firing, changed, late)
             if not firing and not changed and not asked and seen is None:
@@ -496,13 +499,17 @@ class Instants:
         firing = dict(due)
         changed = []
         for j, value in enumerate(values):
-            if math.isnan(value):
-                raise self.not_a_number(j, snapshot.t)
-            if sides[j] != snapshot.s[j]:
+            if not math.isnan(value) and sides[j] != snapshot.s[j]:
                 changed.append(j)
                 if self.plan.crossings[j].direction in ("both", "up" if sides[j] else "down"):
                     firing[j] = snapshot.t + self.later
         return sides, firing, changed
+
+    def _check_numbers(self, values: Sequence[float], late: frozenset[int], t: float) -> None:
+        """Raise SimulationError (E303) where a crossing that need not wait is not a number."""
+        for j, value in enumerate(values):
+            if math.isnan(value) and j not in late:
+                raise self.not_a_number(j, t)
 
     def _late(self, changed: Iterable[int]) -> frozenset[int]:
         """Return the causes that wait, as crossings change whose sides they see.
@@ -510,7 +517,7 @@ class Instants:
         FMUs wait for all corners of loops too: they do not go back.
         """
         plan, moving, late = self.plan, {*changed}, set[int]()
-        for cause, needed in plan.waits if moving else ():
+        for cause, needed in self.waits if moving else ():
             if not moving.isdisjoint(needed):
                 moving.add(cause)
                 late.add(cause)
@@ -600,8 +607,10 @@ class Instants:
                 snapshot = self._fire(snapshot, u, sides, self._firing(snapshot, sides, [j]), {}, fired, given=True)
                 continue
             self.slack = tuple(map(max, self.slack, corners.slack(at(memory, end))))
-            sides, firing, changed = self._changes(self.sides(*at(memory, end)), snapshot, due)
+            shown = self.sides(*at(memory, end))
+            sides, firing, changed = self._changes(shown, snapshot, due)
             late = self._late(changed)
+            self._check_numbers(shown, late, snapshot.t)
             sides, firing, changed, still_due = self._without(late, snapshot, sides, firing, changed, due)
             own = [j for j in changed if j in corners.inner]
             if len(still_due) < len(due) or not own:

@@ -2259,27 +2259,31 @@ static int turn_on(BlocksSim *s, const BlocksEnabled *part, double since)
 }
 
 /* The crossings at an instant; where the step before was taken a little further, as they are there. */
-HOT static int sides_now(BlocksSim *s, double *out)
+HOT static void sides_now(BlocksSim *s, double *out)
 {
     evaluate(s, s->model->crossings, s->t + s->later, s->memory.x, out);
     if (s->moving && s->later != 0.0) blocks_outside(s, s->t);
-    for (int j = 0; j < s->model->ns; j++)
-        if (isnan(out[j])) return blocks_fail(s, BLOCKS_NOT_A_NUMBER, j, NAN);
     take_slack(s, out);
+}
+
+/* A crossing that need not wait has to be a number. */
+HOT static int check_numbers(BlocksSim *s, const double *values, const uint8_t *late)
+{
+    for (int j = 0; j < s->model->ns; j++)
+        if (isnan(values[j]) && !(late && late[j])) return blocks_fail(s, BLOCKS_NOT_A_NUMBER, j, NAN);
     return 0;
 }
 
 /* The same by the end of the step before its projections. */
-static int sides_seen(BlocksSim *s, double *out)
+static void sides_seen(BlocksSim *s, double *out)
 {
     BlocksMemory *m = &s->memory;
     double *x = m->x, *d = m->d;
     m->x = s->unprojected, m->d = s->unprojected + s->model->nx;
     s->model->refresh(m);
-    int failed = sides_now(s, out);
+    sides_now(s, out);
     m->x = x, m->d = d;
     s->model->refresh(m);
-    return failed;
 }
 
 /* All that fires, in s->firing, at once; then `sides` are latched. */
@@ -2445,7 +2449,7 @@ HOT static int quiet_at_once(BlocksSim *s, int ndue, int seen, int *touched, Res
         s->own[due[i]] = s->events[due[i]];
         *touched = 1;
     }
-    for (int pass = 0; pass < MOST_PASSES; pass++) {
+    for (int pass = 0; pass < MOST_PASSES + setup->nwaits; pass++) { /* what waits fires a pass later */
         int any = ndue, changed = 0;
         memset(s->firing, 0, (size_t)setup->ncauses);
         for (int i = 0; i < ndue; i++) {
@@ -2453,9 +2457,10 @@ HOT static int quiet_at_once(BlocksSim *s, int ndue, int seen, int *touched, Res
             s->firing_time[first + due[i]] = s->events[due[i]];
         }
         if (ns) {
-            if (seen && pass == 0 ? sides_seen(s, values) : sides_now(s, values)) return BLOCKS_FAILED;
+            if (seen && pass == 0) sides_seen(s, values);
+            else sides_now(s, values);
             for (int j = 0; j < ns; j++) {
-                sides[j] = latched_side(s, j, values[j]);
+                sides[j] = isnan(values[j]) ? s->memory.s[j] : latched_side(s, j, values[j]);
                 s->changed_sides[j] = sides[j] != s->memory.s[j];
                 if (!s->changed_sides[j]) continue;
                 changed = 1;
@@ -2468,6 +2473,7 @@ HOT static int quiet_at_once(BlocksSim *s, int ndue, int seen, int *touched, Res
         }
         int is_first = seen && pass == 0;
         ndue = can_wait && !is_first ? let_wait(s, sides, first, due, ndue) : 0;
+        if (ns && check_numbers(s, values, can_wait && !is_first ? s->late : NULL)) return BLOCKS_FAILED;
         int asked = model->hooks ? model->hooks->asked(s, s->firing, s->changed_sides, first) : 0;
         if (!any && !changed && !asked) {
             if (is_first) continue;
@@ -2567,13 +2573,12 @@ static int quiet_along(BlocksSim *s, int ndue, int *touched)
         if (s->moving && s->later != 0.0) blocks_outside(s, s->t);
         memcpy(begin, m->z, (size_t)nz * sizeof(double));
         memcpy(m->z, end, (size_t)nz * sizeof(double));
-        int failed = sides_now(s, values);
+        sides_now(s, values);
         memcpy(m->z, begin, (size_t)nz * sizeof(double));
-        if (failed) return BLOCKS_FAILED;
         int own = 0, any = ndue > 0;
         memset(s->firing, 0, (size_t)setup->ncauses);
         for (int j = 0; j < ns; j++) {
-            sides[j] = latched_side(s, j, values[j]);
+            sides[j] = isnan(values[j]) ? m->s[j] : latched_side(s, j, values[j]);
             s->changed_sides[j] = sides[j] != m->s[j];
             any |= s->changed_sides[j];
         }
@@ -2584,6 +2589,7 @@ static int quiet_along(BlocksSim *s, int ndue, int *touched)
             s->firing_time[first + due[i]] = s->events[due[i]];
         }
         int left = let_wait(s, sides, first, due, ndue), has_fired = left < ndue;
+        if (check_numbers(s, values, s->late)) return BLOCKS_FAILED;
         ndue = left;
         for (int i = 0; i < c->ninner; i++) own |= s->changed_sides[c->numbers[i]];
         if (has_fired || !own) {
@@ -2786,7 +2792,9 @@ static int projected(BlocksSim *s, int *moved)
 static int withdraw(BlocksSim *s, int by_seen)
 {
     int n = s->model->ns;
-    if (by_seen ? sides_seen(s, s->crossing_values) : sides_now(s, s->crossing_values)) return BLOCKS_FAILED;
+    if (by_seen) sides_seen(s, s->crossing_values);
+    else sides_now(s, s->crossing_values);
+    if (check_numbers(s, s->crossing_values, NULL)) return BLOCKS_FAILED;
     for (int j = 0; j < n; j++)
         if (s->fired[j] == s->t && s->crossing_values[j] != s->sides[j]) s->fired[j] = -INFINITY;
     return 0;
