@@ -19,14 +19,17 @@ waits with it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
+from ..contract.closure import closure
 from .fmu_tape import FmuTape
 from .folding import Folded
-from .plan import AlgebraicLoop, Cause, EnabledPart, Instance, Node, Plan, Reference, Wait
+from .plan import AlgebraicLoop, Cause, EnabledPart, FiringOrder, Instance, Node, Plan, Reference, Wait
 from .scheduler import components
 
 _GIVEN = frozenset("spck")  # rows that are no signals: sides, parameters, tables, numbers
+_OWN = frozenset({"parameter", "table", "state", "discrete", "held", "side"})  # arguments that are no signals
 
 
 class Mark(NamedTuple):
@@ -47,13 +50,6 @@ MANY = 8
 _Needs = dict[int, set[tuple[int, bool]]]  # by cause or loop: what it sees, and whether that is loose
 
 
-class FiringOrder(NamedTuple):
-    """waits: each after those of what it waits for. inner: crossings that an algebraic loop finds with its solution."""
-
-    waits: tuple[Wait, ...]
-    inner: tuple[int, ...]
-
-
 class Marks:
     """What the outputs and causes of a Plan see. gathers: instances that show each copy another source."""
 
@@ -67,6 +63,7 @@ class Marks:
         self.of_instance: dict[int, list[int]] = {}
         for j, cause in enumerate(plan.crossings):
             self.of_instance.setdefault(cause.instance, []).append(j)
+        self.known_writers: dict[int, frozenset[Mark]] = {}
 
     def of_cause(self, cause: Cause) -> frozenset[Mark]:
         """Return what the time or crossing of a cause sees, and its resets."""
@@ -76,6 +73,54 @@ class Marks:
             # Inside an enabled part: what fires when it is turned off fires with that.
             marks = frozenset(mark for mark in self._each(marks) if not self._is_hidden(mark))
         return marks
+
+    def writers_of(self, cause: Cause) -> frozenset[Mark]:
+        """Return the causes that reset memory that a cause or its resets read at one time, sides apart."""
+        nodes = [cause.node, *(node for node, _ in cause.resets)]
+        return self.writers_seen(reference for node in nodes for reference in self.plan.bind(node))
+
+    def writers_seen(self, references: Iterable[Reference]) -> frozenset[Mark]:
+        """Return the same of values."""
+        seen: set[Mark] = set()
+        for reference in references:
+            lane = getattr(reference.index, "lane", -1)
+            if reference in self.writers:
+                seen.update(Mark("cause", number, lane) for number in self.writers[reference])
+            elif reference.row == "w":
+                own = self._writers_at(int(reference.index))
+                seen |= own if lane < 0 else {mark._replace(lane=lane) if mark.lane < 0 else mark for mark in own}
+        return frozenset(seen)
+
+    def _writers_at(self, index: int) -> frozenset[Mark]:
+        stack = [index]
+        while stack:
+            place = stack[-1]
+            node, loop = self.plan.outputs[place], self.loop_of.get(Reference("w", place))
+            if place in self.known_writers:
+                stack.pop()
+                continue
+            if node.instance in self.gathers:
+                self.known_writers[place] = frozenset({Mark("gather", node.instance)})
+                continue
+            nodes, own = ([node], ()) if loop is None else (self.loops[loop].nodes, self.loops[loop].unknowns)
+            read = [reference for one in nodes for reference in self.plan.bind(one) if reference not in own]
+            above = [int(r.index) for r in read if r.row == "w" and int(r.index) not in self.known_writers]
+            if above:
+                stack += above
+                continue
+            self.known_writers[place] = self.writers_seen(read)
+        return self.known_writers[index]
+
+    @cached_property
+    def writers(self) -> dict[Reference, list[int]]:
+        """Return the causes that reset each place in memory that does not count as a side."""
+        writers: dict[Reference, list[int]] = {}
+        for number, cause in enumerate((*self.plan.crossings, *self.plan.events)):
+            sides = self._sides_of(number) if number < len(self.plan.crossings) else ()
+            for _, target in cause.resets:
+                if target not in sides:
+                    writers.setdefault(target, []).append(number)
+        return writers
 
     def of_turning_on(self, part: EnabledPart) -> Iterable[Mark]:
         """Return what a part sees when it is turned on: for its start values, and in events that it catches up with."""
@@ -167,15 +212,20 @@ class Marks:
         """Return the discretes that a crossing resets to what follows from memory and the signals that it judges."""
         if crossing in self.memory:
             return self.memory[crossing]
-        plan, cause = self.plan, self.plan.crossings[crossing]
-        own = {target for j in self.of_instance[cause.instance] for _, target in plan.crossings[j].resets}
-        known = own.union(plan.bind(cause.node))
+        cause = self.plan.crossings[crossing]
+        judged = set(self._arguments(cause.node))
         self.memory[crossing] = {
             target
             for node, target in cause.resets
-            if target.row == "d" and all(read in known or read.row in _GIVEN for read in plan.bind(node))
+            if target.row == "d" and all(pair[0] in _OWN or pair in judged for pair in self._arguments(node))
         }
         return self.memory[crossing]
+
+    def _arguments(self, node: Node) -> Iterator[tuple[str, Reference]]:
+        """Give the kind of each argument that a node reads, and where it is."""
+        instance = self.plan.instances[node.instance]
+        for k in instance.tape.read_by[node.key][node.element]:
+            yield instance.tape.arguments[k].kind, instance.arguments[k]
 
     def _is_hidden(self, mark: Mark) -> bool:
         return mark.kind == "cause" and self._instance(mark).hidden
@@ -190,7 +240,7 @@ class Marks:
 def firing_order(plan: Plan, loops: Sequence[AlgebraicLoop]) -> FiringOrder:
     """Find the order of a plan with these algebraic loops."""
     if not plan.crossings:
-        return FiringOrder((), ())
+        return FiringOrder()
     causes, marks = [*plan.crossings, *plan.events], Marks(plan, loops)
     first_event, first_loop = len(plan.crossings), len(causes)
     first_output = first_loop + len(loops)
@@ -222,24 +272,27 @@ def firing_order(plan: Plan, loops: Sequence[AlgebraicLoop]) -> FiringOrder:
     tight, groups = _grouped(needs)
     of_loops = (group for group in groups if any(first_loop <= unit < first_output for unit in group))
     inner = {number for group in of_loops for unit in group for number in members[unit] if number < first_event}
-    waits = _waits(tight, groups, members, first_event)
-    return FiringOrder(tuple(waits), tuple(sorted(inner - plan.foreign_crossings)))
+    waits = tuple(_waits(tight, groups, members, first_event))
+    own = (wait.cause for wait in waits if wait.cause < len(causes))
+    readers = {number: [mark.number for mark in marks.writers_of(causes[number])] for number in own}
+    beside = tuple(_beside(tight, readers, united))
+    return FiringOrder(waits, beside, tuple(sorted(inner - plan.foreign_crossings)))
 
 
-def waits_of(plan: Plan) -> tuple[Wait, ...]:
+def order_of(plan: Plan) -> FiringOrder:
     """Return which causes wait for which in any plan, also in one that is known of one copy.
 
     Such a plan has no loops, FMUs or enabled parts.
     """
     if plan.folded is None:
-        return plan.waits
+        return plan.firing
     folded: Folded = plan.folded
     one, gathers = folded.plan, folded.gathers
     marks, first_event = Marks(one, gathers=gathers), len(plan.crossings)
     kinds = (("s", one.crossings, 0), ("e", one.events, first_event))
     seen = [(row, k, first, marks.of_cause(cause)) for row, causes, first in kinds for k, cause in enumerate(causes)]
     if not any(own for *_, own in seen):
-        return ()
+        return FiringOrder()
     entered = {k: [marks.of([source]) for source in sources] for k, sources in gathers.items()}
     begin: dict[tuple[str, int], int] = {}
     end = first_event + len(plan.events)
@@ -264,7 +317,42 @@ def waits_of(plan: Plan) -> tuple[Wait, ...]:
     for k in marks.order:
         for lane in range(folded.lanes("w", k)):
             needs[begin["output", k] + lane] = {(number(mark, lane), mark.is_loose) for mark in marks.shared[k]}
-    return tuple(_waits(*_grouped(needs), {number: (number,) for number in needs}, first_event))
+    tight, groups = _grouped(needs)
+    waits = tuple(_waits(tight, groups, {number: (number,) for number in needs}, first_event))
+
+    def writers(of: Iterable[Mark], reader: int) -> Iterator[int]:
+        for mark in of:
+            lane = reader if mark.lane < 0 else mark.lane
+            if mark.kind == "gather":
+                yield from writers(marks.writers_seen([gathers[mark.number][lane]]), lane)
+                continue
+            is_event = mark.number >= len(one.crossings)
+            own = folded.places("e", mark.number - len(one.crossings)) if is_event else folded.places("s", mark.number)
+            yield is_event * first_event + own[lane if len(own) > 1 else 0]
+
+    waiting, readers = {wait.cause for wait in waits}, dict[int, list[int]]()
+    for row, causes, first in kinds:
+        for k, cause in enumerate(causes):
+            read = marks.writers_of(cause)
+            for lane, place in enumerate(folded.places(row, k) if read else ()):
+                if first + place in waiting:
+                    readers[first + place] = [*writers(read, lane)]
+    return FiringOrder(waits, tuple(_beside(tight, readers, {})))
+
+
+def _beside(
+    tight: Mapping[int, set[int]], readers: Mapping[int, Iterable[int]], united: Mapping[int, int]
+) -> Iterator[tuple[int, int]]:
+    """Pair causes that reset memory with those that read it and may wait, unless these wait for them."""
+    needed = set[int]().union(*tight.values())
+    for reader, writers in readers.items():
+        unit, above = united.get(reader, reader), set[int]()
+        for writer in writers:
+            other = united.get(writer, writer)
+            if other in needed and not above:
+                above.update(closure([unit], lambda number: tight.get(number, ())))
+            if other != unit and other not in above:
+                yield writer, reader
 
 
 def _grouped(needs: _Needs) -> tuple[dict[int, set[int]], list[list[int]]]:

@@ -111,10 +111,23 @@ class Cause:
 
 
 class Wait(NamedTuple):
-    """A cause and the causes that it waits for, by number: crossings, then event times, then algebraic loops."""
+    """A cause and the causes that it waits for, by number: crossings, then event times, then what is no cause."""
 
     cause: int
     needed: tuple[int, ...]
+
+
+class FiringOrder(NamedTuple):
+    """Which causes wait for which at an instant, by number: crossings, then event times.
+
+    waits: each after those of what it waits for. beside: pairs of causes, the second of which reads memory that the
+    first resets: if that one must wait and fires, so does the first. inner: the crossings that an algebraic loop finds
+    with its solution.
+    """
+
+    waits: tuple[Wait, ...] = ()
+    beside: tuple[tuple[int, int], ...] = ()
+    inner: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -328,8 +341,8 @@ class Plan(Shown):
     """Crossings that depend on what a loop solves for; first those of `inner_corners`."""
     inner_corners: tuple[int, ...] = field(default=(), compare=False, repr=False)
     """Those that a loop finds with its solution, as it reads their sides; FMUs wait for them."""
-    waits: tuple[Wait, ...] = field(default=(), compare=False, repr=False)
-    """Which causes wait for which at an instant (`firing_order`); not of a diagram that is planned for one copy."""
+    firing: FiringOrder = field(default=FiringOrder(), compare=False, repr=False)
+    """Which causes wait for which; of a diagram that is planned for one copy, `firing_order.order_of` says it."""
     guessed: tuple[int, ...] = field(default=(), compare=False, repr=False)
     """Places in d that are guessed at the start, as sides are: steps of what a loop solves for, which reads them."""
     folded: Any = field(default=None, compare=False, repr=False)

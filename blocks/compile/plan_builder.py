@@ -421,7 +421,7 @@ def _settled(plan: Plan) -> Plan:
         unknowns=unknowns,
         corners=(*inner, *(j for j in corners if j not in inner)),
         inner_corners=tuple(inner),
-        waits=order.waits,
+        firing=order,
         guessed=guessed,
     )
 

@@ -30,7 +30,7 @@ LEAST = 200
 # Of the Plan: what emission does not read, and what is digested in another form below.
 _UNREAD = frozenset({"parameters", "nominal", "signals", "log", "measures", "warnings", "outline"})
 # What follows from the rest.
-_UNREAD |= {"starting", "start", "continuous", "unknowns", "corners", "inner_corners", "waits", "guessed"}
+_UNREAD |= {"starting", "start", "continuous", "unknowns", "corners", "inner_corners", "firing", "guessed"}
 _UNREAD |= {"folded", "written_out"}
 _TOLD = frozenset({"instances", "steppers", "foreign", "settings"})
 

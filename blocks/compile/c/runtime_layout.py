@@ -20,10 +20,10 @@ BlocksGrid: Any = STRUCTURES["BlocksGrid"]
 BlocksMeasured: Any = STRUCTURES["BlocksMeasured"]
 BlocksSetup: Any = STRUCTURES["BlocksSetup"]
 BlocksSim: Any = STRUCTURES["BlocksSim"]
-CAUSE, RESET, WAIT, PROJECTION, RATE, SLOT, STAGE, CLIQUE, STEPPER, ENABLED, HISTORY, MEASURE, TRACK = (
+CAUSE, RESET, WAIT, BESIDE, PROJECTION, RATE, SLOT, STAGE, CLIQUE, STEPPER, ENABLED, HISTORY, MEASURE, TRACK = (
     np.dtype(STRUCTURES[f"Blocks{name}"])
     for name in (
-        "Cause", "Reset", "Wait", "Projection", "Rate", "Slot", "Stage", "Clique", "Stepper", "Enabled", "History",
-        "Measure", "Track",
+        "Cause", "Reset", "Wait", "Beside", "Projection", "Rate", "Slot", "Stage", "Clique", "Stepper", "Enabled",
+        "History", "Measure", "Track",
     )
 )  # fmt: skip

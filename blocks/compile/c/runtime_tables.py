@@ -10,10 +10,10 @@ import numpy as np
 
 from ...text.arrays import Array
 from ...text.gc_pause import paused
-from ..firing_order import waits_of
+from ..firing_order import order_of
 from ..fmu_tape import FmuTape
 from ..folding import Folded
-from ..plan import Node, Plan, Reference, Wait
+from ..plan import FiringOrder, Node, Plan, Reference
 from . import runtime_layout
 from .model_code import Emitted
 
@@ -36,6 +36,7 @@ SETUP = (
     SetupTable("resets", "BlocksReset", "nresets"),
     SetupTable("waits", "BlocksWait", "nwaits"),
     SetupTable("waits_for", "int32_t"),
+    SetupTable("beside", "BlocksBeside", "nbeside"),
     SetupTable("rates", "BlocksRate"),
     SetupTable("cliques", "BlocksClique", "ncliques"),
     SetupTable("stages", "BlocksStage"),
@@ -82,7 +83,7 @@ class RuntimeTables:
     def _tables(self, plan: Plan) -> None:
         """What the runtime reads: causes and their resets, rates and their stages, gates, projections, histories."""
         self._of_causes(plan)
-        self._of_waits(waits_of(plan))
+        self._of_waits(order_of(plan))
         self._of_ticks(plan)
         self._of_steppers(plan)
         self._of_enabled(plan)
@@ -177,12 +178,14 @@ class RuntimeTables:
         self.listed = np.array([number for _, number in sorted(listed)], dtype=np.int32)
         self.told_as = told
 
-    def _of_waits(self, waits: Sequence[Wait]) -> None:
+    def _of_waits(self, order: FiringOrder) -> None:
         """Which causes wait for which."""
+        waits = order.waits
         ends = accumulate(len(wait.needed) for wait in waits)
         rows = [(wait.cause, end - len(wait.needed), len(wait.needed)) for wait, end in zip(waits, ends, strict=True)]
         self.waits = _table(rows, runtime_layout.WAIT)
         self.waits_for = np.array([number for wait in waits for number in wait.needed], dtype=np.int32)
+        self.beside = _table([*order.beside], runtime_layout.BESIDE)
 
     def _of_ticks(self, plan: Plan) -> None:
         """Rates, and what is computed where some of them tick together."""

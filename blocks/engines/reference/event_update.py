@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from ...compile.firing_order import waits_of
+from ...compile.firing_order import order_of
 from ...compile.plan import Cause, EnabledPart, Node, Plan, Reference, StepperPart
 from ...compile.tick_stages import UnitPlace, rate_sets, sequence_at
 from ...results.results import Event
@@ -106,7 +106,7 @@ class Instants:
         self.projections = program("projections", [node for node, _ in plan.projections])
         self.solutions = program("solutions", plan.unknowns)
         self.corners = Corners(plan, self.compiled) if plan.corners else None
-        self.waits = waits_of(plan)
+        self.order_of_firing = order_of(plan)
         self.event_times = program("event_times", [cause.node for cause in plan.events])
         self.taken = [reference for part in plan.foreign for reference in part.inputs]  # by FMUs
         self.foreign_inputs = program("foreign_inputs", self.taken)
@@ -450,10 +450,10 @@ class Instants:
         snapshot = self._with_own(snapshot, due)
         history: list[str] = []  # what changed, pass by pass
         known = set()
-        for _ in range(MOST_PASSES + len(self.waits)):  # what waits fires a pass later
+        for _ in range(MOST_PASSES + len(self.order_of_firing.waits)):  # what waits fires a pass later
             values = self.sides_now(snapshot if seen is None else seen, u)
             sides, firing, changed = self._changes(values, snapshot, due)
-            late = self._late(changed) if seen is None else frozenset[int]()
+            late = self._late(changed, firing) if seen is None else frozenset[int]()
             self._check_numbers(values, late, snapshot.t)
             sides, firing, changed, due = self._without(late, snapshot, sides, firing, changed, due)
             asked = self.asked(snapshot, u, firing, changed, late)
@@ -511,18 +511,31 @@ class Instants:
             if math.isnan(value) and j not in late:
                 raise self.not_a_number(j, t)
 
-    def _late(self, changed: Iterable[int]) -> frozenset[int]:
+    def _late(self, changed: Sequence[int], firing: Mapping[int, float]) -> frozenset[int]:
         """Return the causes that wait, as crossings change whose sides they see.
 
-        FMUs wait for all corners of loops too: they do not go back.
+        With one that would fire waits what resets memory that it reads, unless nothing went on then. FMUs wait for all
+        corners of loops too: they do not go back.
         """
-        plan, moving, late = self.plan, {*changed}, set[int]()
-        for cause, needed in self.waits if moving else ():
+        plan, pairs = self.plan, self.order_of_firing.beside
+        late = more = held = self._behind(changed, frozenset())
+        while held:
+            both = (first for first, other in pairs if other in more and {first, other} <= firing.keys())
+            held = frozenset(both) - more
+            more = self._behind(changed, more | held)
+        if any(index not in more for index in (*firing, *changed)):
+            late = more
+        is_between = any(j in plan.inner_corners and j not in late for j in changed)
+        return late | self.of_fmus if is_between else late
+
+    def _behind(self, changed: Iterable[int], late: frozenset[int]) -> frozenset[int]:
+        """Return the late causes, and those that wait for them or for what changes."""
+        moving, waiting = {*changed, *late}, {*late}
+        for cause, needed in self.order_of_firing.waits if moving else ():
             if not moving.isdisjoint(needed):
                 moving.add(cause)
-                late.add(cause)
-        is_between = any(j in plan.inner_corners and j not in late for j in changed)
-        return frozenset(late | self.of_fmus if is_between else late)
+                waiting.add(cause)
+        return frozenset(waiting)
 
     def _without(
         self,
@@ -609,7 +622,7 @@ class Instants:
             self.slack = tuple(map(max, self.slack, corners.slack(at(memory, end))))
             shown = self.sides(*at(memory, end))
             sides, firing, changed = self._changes(shown, snapshot, due)
-            late = self._late(changed)
+            late = self._late(changed, firing)
             self._check_numbers(shown, late, snapshot.t)
             sides, firing, changed, still_due = self._without(late, snapshot, sides, firing, changed, due)
             own = [j for j in changed if j in corners.inner]

@@ -2403,6 +2403,41 @@ static int is_as_before(const BlocksSim *s)
            !memcmp(sides, m->s, ns * sizeof(double)) && !memcmp(slack, s->slack, ns * sizeof(double));
 }
 
+/* Mark in s->late what waits for what is late or changes its side; whether anything does. */
+static int find_late(BlocksSim *s)
+{
+    const BlocksSetup *setup = s->setup;
+    int any = 0;
+    for (int i = 0; i < setup->nwaits; i++) {
+        const BlocksWait *w = &setup->waits[i];
+        for (int k = w->first; k < w->first + w->n && !s->late[w->cause]; k++) {
+            int other = setup->waits_for[k];
+            s->late[w->cause] = (other < s->model->ns && s->changed_sides[other]) || s->late[other];
+        }
+        any |= s->late[w->cause];
+    }
+    return any;
+}
+
+/* With a late cause that would fire, let wait what resets memory that it reads, unless nothing went on then. */
+static void find_beside(BlocksSim *s)
+{
+    const BlocksSetup *setup = s->setup;
+    int more = 1, goes_on = 0;
+    while (more) {
+        more = 0;
+        for (const BlocksBeside *pair = setup->beside; pair < setup->beside + setup->nbeside; pair++)
+            if (s->late[pair->reader] && s->firing[pair->reader] && s->firing[pair->writer] && !s->late[pair->writer])
+                more = s->late[pair->writer] = 1;
+        if (more) find_late(s);
+    }
+    for (int a = 0; a < setup->ncauses && !goes_on; a++)
+        goes_on = !s->late[a] && (s->firing[a] || (a < s->model->ns && s->changed_sides[a]));
+    if (goes_on) return;
+    memset(s->late, 0, late_places(setup));
+    find_late(s);
+}
+
 /* Let causes wait, in s->late, as crossings change whose sides they see: what they do is taken out of s->firing,
    s->changed_sides and `sides`. FMUs wait for all corners of loops too: they do not go back. Returns how many of the n event
    times that are due stay so; those come first. */
@@ -2410,15 +2445,10 @@ static int let_wait(BlocksSim *s, double *sides, int first, int32_t *due, int n)
 {
     const BlocksSetup *setup = s->setup;
     const BlocksCorners *c = s->model->corners;
-    int any = 0, between = 0, left = 0;
+    int between = 0, left = 0;
     memset(s->late, 0, late_places(setup));
-    for (int i = 0; i < setup->nwaits; i++) {
-        const BlocksWait *w = &setup->waits[i];
-        for (int k = w->first; k < w->first + w->n && !s->late[w->cause]; k++) {
-            int other = setup->waits_for[k];
-            any |= s->late[w->cause] = (other < s->model->ns && s->changed_sides[other]) || s->late[other];
-        }
-    }
+    int any = find_late(s);
+    if (any && setup->nbeside) find_beside(s);
     for (int i = 0; c && i < c->ninner; i++) between |= s->changed_sides[c->numbers[i]] && !s->late[c->numbers[i]];
     for (int a = 0; between && s->model->hooks && a < setup->ncauses; a++)
         if (setup->causes[a].foreign) any = s->late[a] = 1;
@@ -2581,8 +2611,10 @@ static int quiet_along(BlocksSim *s, int ndue, int *touched)
             sides[j] = isnan(values[j]) ? m->s[j] : latched_side(s, j, values[j]);
             s->changed_sides[j] = sides[j] != m->s[j];
             any |= s->changed_sides[j];
+            s->firing[j] = s->changed_sides[j] && setup->causes[j].direction & (sides[j] > 0 ? 1 : 2);
+            s->firing_time[j] = s->t + s->later;
         }
-        if (!any && !model->hooks) return 0;
+        if (!any && !model->hooks) return check_numbers(s, values, NULL);
         *touched |= any;
         for (int i = 0; i < ndue; i++) {
             s->firing[first + due[i]] = 1;
@@ -2594,11 +2626,10 @@ static int quiet_along(BlocksSim *s, int ndue, int *touched)
         for (int i = 0; i < c->ninner; i++) own |= s->changed_sides[c->numbers[i]];
         if (has_fired || !own) {
             /* Corners wait until the loop is solved with what else has changed. */
-            for (int i = 0; i < c->ninner; i++) sides[c->numbers[i]] = m->s[c->numbers[i]], s->changed_sides[c->numbers[i]] = 0;
-            for (int j = 0; j < ns; j++) {
-                if (!s->changed_sides[j] || !(setup->causes[j].direction & (sides[j] > 0 ? 1 : 2))) continue;
-                s->firing[j] = 1;
-                s->firing_time[j] = s->t + s->later;
+            for (int i = 0; i < c->ninner; i++) {
+                int j = c->numbers[i];
+                sides[j] = m->s[j];
+                s->firing[j] = s->changed_sides[j] = 0;
             }
             int asked = model->hooks && !own ? model->hooks->asked(s, s->firing, s->changed_sides, first) : 0;
             if (!any && !asked) return 0;

@@ -136,6 +136,11 @@ typedef struct {
     int32_t cause, first, n;
 } BlocksWait;
 
+/* A cause that resets memory that another one reads: it waits too if that one must wait and fires. */
+typedef struct {
+    int32_t writer, reader;
+} BlocksBeside;
+
 typedef struct {
     int32_t row, place, condition;
 } BlocksProjection;
@@ -191,7 +196,7 @@ typedef int (*BlocksCallback)(int stepper, int what, double t, const double *inp
 /* What describes a run and does not change. Every pointer belongs to the caller and outlives the run. */
 typedef struct {
     const BlocksModel *model;
-    int32_t ncauses, nresets, nwaits, ncliques, nnexts, nsteppers, nenabled, nintegers, ntracks, nmeasures;
+    int32_t ncauses, nresets, nwaits, nbeside, ncliques, nnexts, nsteppers, nenabled, nintegers, ntracks, nmeasures;
     int64_t base_numerator, base_denominator;
     const double *atol; /* (nx) model order */
     double rtol, plain_atol, longest, scale, end, start;
@@ -200,6 +205,7 @@ typedef struct {
     const BlocksReset *resets; /* in the order in which they are applied */
     const BlocksWait *waits;   /* each after those of what it waits for */
     const int32_t *waits_for;
+    const BlocksBeside *beside;
     const int32_t *order;      /* causes in the order in which they are listed */
     const BlocksRate *rates;
     const BlocksClique *cliques;
