@@ -264,6 +264,8 @@ def firing_order(plan: Plan, loops: Sequence[AlgebraicLoop]) -> FiringOrder:
         add(part.side, marks.of_turning_on(part))
     for unit in plan.foreign:
         add(first_event + unit.event, marks.of(unit.inputs))
+    if not any(needs.values()):
+        return FiringOrder()
     for place, number in marks.order.items():
         add(first_output + number, marks.shared[place])
     members: dict[int, list[int]] = {}
