@@ -100,5 +100,9 @@ def _schema(path: Path) -> str:
     assert spec is not None
     assert spec.loader is not None
     module = util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True  # a new project has no compiled copy of its module
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.dont_write_bytecode = writes
     return text_of("diagram", Catalog.of(module).types)

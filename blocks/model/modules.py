@@ -74,16 +74,18 @@ def _load(name: str) -> ModuleType:
     for module_name in (name, *(known.files if known is not None else ())):
         if module_name in sys.modules:
             dropped[module_name] = sys.modules.pop(module_name)
-    writes = sys.dont_write_bytecode
+    writes, prefix = sys.dont_write_bytecode, sys.pycache_prefix
     # Python knows a compiled copy by the second and the size of its file: an edit within a second would not be seen.
     sys.dont_write_bytecode = True
+    if dropped:  # of which others may have left compiled copies
+        sys.pycache_prefix = os.path.join(os.devnull, "none")
     try:
         loaded = importlib.import_module(name)
     except BaseException:
         sys.modules.update(dropped)
         raise
     finally:
-        sys.dont_write_bytecode = writes
+        sys.dont_write_bytecode, sys.pycache_prefix = writes, prefix
     _LOADED[name] = _Loaded(loaded, True, _files(name))
     return loaded
 

@@ -91,6 +91,7 @@ def test_the_parts_of_a_package_belong_to_it(tmp_path: Path, monkeypatch: pytest
 def test_a_library_that_was_imported_before_is_taken_as_long_as_its_file_is_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
     monkeypatch.chdir(written(tmp_path))
     monkeypatch.syspath_prepend(str(tmp_path))
     mine = importlib.import_module("stale_library")
