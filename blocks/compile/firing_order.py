@@ -28,8 +28,8 @@ from .folding import Folded
 from .plan import AlgebraicLoop, Cause, EnabledPart, FiringOrder, Instance, Node, Plan, Reference, Wait
 from .scheduler import components
 
-_GIVEN = frozenset("spck")  # rows that are no signals: sides, parameters, tables, numbers
-_OWN = frozenset({"parameter", "table", "state", "discrete", "held", "side"})  # arguments that are no signals
+_MEMORY = frozenset({"state", "discrete", "held"})  # arguments that are a block's own memory
+_OWN = _MEMORY | {"parameter", "table", "side"}  # arguments that are no signals
 
 
 class Mark(NamedTuple):
@@ -68,7 +68,7 @@ class Marks:
     def of_cause(self, cause: Cause) -> frozenset[Mark]:
         """Return what the time or crossing of a cause sees, and its resets."""
         nodes = [cause.node, *(node for node, _ in cause.resets)]
-        marks = self.of(reference for node in nodes for reference in self.plan.bind(node))
+        marks = self.of(reference for node in nodes for kind, reference in self._arguments(node) if kind not in _MEMORY)
         if self.plan.instances[cause.instance].condition is not None:
             # Inside an enabled part: what fires when it is turned off fires with that.
             marks = frozenset(mark for mark in self._each(marks) if not self._is_hidden(mark))
@@ -149,6 +149,8 @@ class Marks:
             lane = getattr(index, "lane", -1)
             if row == "s":
                 marks.add(Mark("cause", int(index), lane))
+            elif row == "d" and reference in self.sides:  # a port that is a discrete itself
+                marks.update(mark._replace(lane=lane) for mark in self.sides[reference])
             elif row == "w":
                 own = self.of_output(int(index))
                 marks |= own if lane < 0 else {mark._replace(lane=lane) if mark.lane < 0 else mark for mark in own}
@@ -192,21 +194,32 @@ class Marks:
 
     def _read(self, node: Node) -> tuple[set[Mark], list[Reference]]:
         """Return the sides that a node reads itself, and what else it reads that their crossings do not judge."""
-        read = self.plan.bind(node)
+        arguments = [*self._arguments(node)]
+        read = {reference for _, reference in arguments}
+        inputs = {reference for kind, reference in arguments if kind not in _OWN}
         modes = {Mark("cause", int(index), getattr(index, "lane", -1)) for row, index in read if row == "s"}
         judged: set[Reference] = set()
-        is_foreign = isinstance(self.plan.instances[node.instance].tape, FmuTape)
-        sees_inputs = any(reference.row in "wu" for reference in read)
+        tape, kinds = self.plan.instances[node.instance].tape, {kind for kind, _ in arguments}
+        is_foreign = isinstance(tape, FmuTape) and "input" in kinds
         for j in self.of_instance.get(node.instance, ()):
             memory, judges = self._sides_of(j).intersection(read), self.plan.bind(self.plan.crossings[j].node)
-            signals = (reference for reference in read if reference.row not in _GIVEN and reference.row not in "xd")
-            is_tight = any(one in judges for one in (*signals, *memory)) if memory else is_foreign and sees_inputs
+            is_tight = any(one in judges for one in (*inputs, *memory)) if memory else is_foreign
             if is_tight or Mark("cause", j) in modes:
                 modes.add(Mark("cause", j))
                 judged.update(judges)
             elif memory:
                 modes.add(Mark("cause", j, is_loose=True))
-        return modes, [reference for reference in read if reference.row == "w" and reference not in judged]
+        return modes, [reference for reference in inputs if reference.row in "wd" and reference not in judged]
+
+    @cached_property
+    def sides(self) -> dict[Reference, list[Mark]]:
+        """The discretes that count as sides, and what others wait for that read them."""
+        sides: dict[Reference, list[Mark]] = {}
+        for j, cause in enumerate(self.plan.crossings):
+            for target in self._sides_of(j):
+                is_loose = target not in self.plan.bind(cause.node)
+                sides.setdefault(target, []).append(Mark("cause", j, is_loose=is_loose))
+        return sides
 
     def _sides_of(self, crossing: int) -> set[Reference]:
         """Return the discretes that a crossing resets to what follows from memory and the signals that it judges."""

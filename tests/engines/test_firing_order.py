@@ -33,6 +33,7 @@ from blocks import (
     SquareWave,
     Step,
     Sum,
+    ZeroOrderHold,
     crossing,
     event_time,
     fmu,
@@ -333,6 +334,47 @@ def test_an_fmu_behind_a_saturation_sees_the_limit_only(method: str, engine: str
     d = limited()
     d.wire(d.add("own", fmu(tmp_path / "own.fmu", kind="ME")).v, "sat.y")
     assert run(d, method, engine, "own.y", trust=True)["own.y"][-1] == 0.0
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_what_stands_behind_the_limit_of_an_fmu_that_a_tick_reaches_sees_the_limit_only(
+    method: str, engine: str, fmi: int, tmp_path: Path
+) -> None:
+    alone = Diagram("own")
+    alone.wire(alone.add("sat", Saturation(lower=-1.0, upper=1.0)).u, alone.input("v", default=0.0))
+    alone.output("y", "sat.y")
+    alone.export(tmp_path / "own.fmu", fmi=fmi)
+    d = Diagram("ticked")
+    d.add("u", Step(**JUMP))
+    d.wire(d.add("hold", ZeroOrderHold(period=0.25)).u, "u.y")
+    d.wire(d.add("own", fmu(tmp_path / "own.fmu", kind="ME")).v, "hold.y")
+    d.wire(d.add("n", Counter(threshold=2.0)).u, "own.y")
+    r = run(d, method, engine, "own.y", "n.y", trust=True)
+    assert (r["own.y"][-1], r["n.y"][-1]) == (1.0, 0.0)
+
+
+class Starts(Block):
+    """k: how often u has risen to 0.5."""
+
+    u = Input(doc="what is judged")
+    k = Discrete(0.0, output=True, doc="number of rises")
+
+    @crossing(direction="up")
+    def up(u: Any) -> Any:
+        return u - 0.5
+
+    @up.reset(k)
+    def counts(k: Any) -> Any:
+        return k + 1.0
+
+
+def test_a_count_that_is_a_port_itself_is_seen_as_it_is_after_the_instant(method: str, engine: str) -> None:
+    d = limited()
+    d.wire(d.add("starts", Starts()).u, "u.y")
+    taken = d.add("taken", Take())
+    d.wire(taken.u, "u.y")
+    d.wire(taken.v, "starts.k")
+    assert run(d, method, engine, "taken.y")["taken.y"][-1] == 1.0
 
 
 class Take(Block):

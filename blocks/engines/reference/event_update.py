@@ -518,7 +518,9 @@ class Instants:
         corners of loops too: they do not go back.
         """
         plan, pairs = self.plan, self.order_of_firing.beside
-        late = more = held = self._behind(changed, frozenset())
+        units = zip(self.foreign, plan.foreign, strict=True)
+        turns = {j for unit, part in units if unit.waits for j in part.crossings}  # these keep their sides until then
+        late = more = held = self._behind(changed, frozenset(turns.intersection(changed)))
         while held:
             both = (first for first, other in pairs if other in more and {first, other} <= firing.keys())
             held = frozenset(both) - more

@@ -358,6 +358,16 @@ static int asked(BlocksSim *s, const uint8_t *due, const uint8_t *changed, int f
     return any;
 }
 
+static int hold(BlocksSim *s)
+{
+    BlocksForeigns *all = units_of(s);
+    int any = 0;
+    for (int k = 0; k < all->n; k++)
+        for (int i = 0; all->units[k].waits && i < all->units[k].ncrossings; i++)
+            any |= s->late[all->units[k].crossings[i]] = s->changed_sides[all->units[k].crossings[i]];
+    return any;
+}
+
 /* Event mode, and back, of those that have an event. */
 static int events(BlocksSim *s)
 {
@@ -493,4 +503,4 @@ static int64_t epoch(const BlocksSim *s)
     return sum;
 }
 
-const BlocksHooks blocks_hooks = {initialized, started, asked, events, postponed, waits, turn, completed, epoch};
+const BlocksHooks blocks_hooks = {initialized, started, asked, hold, events, postponed, waits, turn, completed, epoch};

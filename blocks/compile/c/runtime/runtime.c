@@ -2403,11 +2403,11 @@ static int is_as_before(const BlocksSim *s)
            !memcmp(sides, m->s, ns * sizeof(double)) && !memcmp(slack, s->slack, ns * sizeof(double));
 }
 
-/* Mark in s->late what waits for what is late or changes its side; whether anything does. */
+/* Mark in s->late, but for what is marked already, what waits for what is late or changes its side; whether anything does. */
 static int find_late(BlocksSim *s)
 {
     const BlocksSetup *setup = s->setup;
-    int any = 0;
+    int any = s->model->hooks && s->model->hooks->hold(s);
     for (int i = 0; i < setup->nwaits; i++) {
         const BlocksWait *w = &setup->waits[i];
         for (int k = w->first; k < w->first + w->n && !s->late[w->cause]; k++) {
@@ -2417,6 +2417,13 @@ static int find_late(BlocksSim *s)
         any |= s->late[w->cause];
     }
     return any;
+}
+
+static int any_of(const uint8_t *flags, int n)
+{
+    for (int i = 0; i < n; i++)
+        if (flags[i]) return 1;
+    return 0;
 }
 
 /* With a late cause that would fire, let wait what resets memory that it reads, unless nothing went on then. */
@@ -2473,7 +2480,7 @@ HOT static int quiet_at_once(BlocksSim *s, int ndue, int seen, int *touched, Res
     const BlocksCorners *corners = has_corners(s) ? model->corners : NULL;
     double *values = s->crossing_values, *sides = s->distances;
     int32_t *due = still_due(s);
-    const int can_wait = setup->nwaits || (corners && model->hooks);
+    const int can_wait = setup->nwaits || model->hooks;
     if (can_wait) memset(s->late, 0, late_places(setup));
     for (int i = 0; i < ndue; i++) {
         s->own[due[i]] = s->events[due[i]];
@@ -2503,6 +2510,7 @@ HOT static int quiet_at_once(BlocksSim *s, int ndue, int seen, int *touched, Res
         }
         int is_first = seen && pass == 0;
         ndue = can_wait && !is_first ? let_wait(s, sides, first, due, ndue) : 0;
+        if (can_wait && !is_first) any = any_of(s->firing, setup->ncauses), changed = any_of(s->changed_sides, ns);
         if (ns && check_numbers(s, values, can_wait && !is_first ? s->late : NULL)) return BLOCKS_FAILED;
         int asked = model->hooks ? model->hooks->asked(s, s->firing, s->changed_sides, first) : 0;
         if (!any && !changed && !asked) {
@@ -2623,6 +2631,7 @@ static int quiet_along(BlocksSim *s, int ndue, int *touched)
         int left = let_wait(s, sides, first, due, ndue), has_fired = left < ndue;
         if (check_numbers(s, values, s->late)) return BLOCKS_FAILED;
         ndue = left;
+        any = any_of(s->firing, setup->ncauses) || any_of(s->changed_sides, ns);
         for (int i = 0; i < c->ninner; i++) own |= s->changed_sides[c->numbers[i]];
         if (has_fired || !own) {
             /* Corners wait until the loop is solved with what else has changed. */

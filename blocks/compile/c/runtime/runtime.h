@@ -50,6 +50,8 @@ typedef struct {
     int (*initialized)(BlocksSim *, const double *inputs);
     int (*started)(BlocksSim *);
     int (*asked)(BlocksSim *, const uint8_t *firing, const uint8_t *changed, int first_event); /* whether any has an event */
+    /* Those that wait for their turn keep the sides of their crossings, in s->late; whether any changes. */
+    int (*hold)(BlocksSim *);
     int (*events)(BlocksSim *);
     /* Those with a time event at this instant wait for their turn. due: what of n event times is left for others, whose
        number is returned; waiting: how many wait. */
