@@ -28,8 +28,7 @@ from .folding import Folded
 from .plan import AlgebraicLoop, Cause, EnabledPart, FiringOrder, Instance, Node, Plan, Reference, Wait
 from .scheduler import components
 
-_MEMORY = frozenset({"state", "discrete", "held"})  # arguments that are a block's own memory
-_OWN = _MEMORY | {"parameter", "table", "side"}  # arguments that are no signals
+_OWN = frozenset({"parameter", "table", "state", "discrete", "held", "side"})  # arguments that are no signals
 
 
 class Mark(NamedTuple):
@@ -68,7 +67,7 @@ class Marks:
     def of_cause(self, cause: Cause) -> frozenset[Mark]:
         """Return what the time or crossing of a cause sees, and its resets."""
         nodes = [cause.node, *(node for node, _ in cause.resets)]
-        marks = self.of(reference for node in nodes for kind, reference in self._arguments(node) if kind not in _MEMORY)
+        marks = self.of(reference for node in nodes for reference in self.plan.bind(node))
         if self.plan.instances[cause.instance].condition is not None:
             # Inside an enabled part: what fires when it is turned off fires with that.
             marks = frozenset(mark for mark in self._each(marks) if not self._is_hidden(mark))
@@ -149,8 +148,6 @@ class Marks:
             lane = getattr(index, "lane", -1)
             if row == "s":
                 marks.add(Mark("cause", int(index), lane))
-            elif row == "d" and reference in self.sides:  # a port that is a discrete itself
-                marks.update(mark._replace(lane=lane) for mark in self.sides[reference])
             elif row == "w":
                 own = self.of_output(int(index))
                 marks |= own if lane < 0 else {mark._replace(lane=lane) if mark.lane < 0 else mark for mark in own}
@@ -209,17 +206,7 @@ class Marks:
                 judged.update(judges)
             elif memory:
                 modes.add(Mark("cause", j, is_loose=True))
-        return modes, [reference for reference in inputs if reference.row in "wd" and reference not in judged]
-
-    @cached_property
-    def sides(self) -> dict[Reference, list[Mark]]:
-        """The discretes that count as sides, and what others wait for that read them."""
-        sides: dict[Reference, list[Mark]] = {}
-        for j, cause in enumerate(self.plan.crossings):
-            for target in self._sides_of(j):
-                is_loose = target not in self.plan.bind(cause.node)
-                sides.setdefault(target, []).append(Mark("cause", j, is_loose=is_loose))
-        return sides
+        return modes, [reference for reference in inputs if reference.row == "w" and reference not in judged]
 
     def _sides_of(self, crossing: int) -> set[Reference]:
         """Return the discretes that a crossing resets to what follows from memory and the signals that it judges."""
