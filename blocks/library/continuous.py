@@ -43,7 +43,7 @@ class ResettableIntegrator(Block):
 
     The trigger is on while it is above the threshold, so a pulse between 0 and 1 works with the default. direction:
     "up" fires when the trigger goes on, "down" when it goes off, "both" at either. These instants are located. A
-    trigger that is on at the start does not fire. y0 is read just before the instant; unwired, it is 0.
+    trigger that is on at the start does not fire. y0 is read when the reset happens; unwired, it is 0.
     """
 
     direction = Parameter("up", structural=True, choices=("up", "down", "both"), doc="edges that reset y")
