@@ -728,6 +728,7 @@ def test_a_run_that_other_threads_try_to_read_is_the_run_alone() -> None:
     def read() -> None:
         while run.t < 200.0:
             counts.append(tried(lambda: run.results) + tried(run.snapshot))
+            time.sleep(1e-4)  # else the two may keep the run from going on for minutes
 
     readers = [threading.Thread(target=read) for _ in range(2)]
     for reader in readers:
