@@ -18,7 +18,7 @@ waits with it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from functools import cached_property
 from typing import NamedTuple
 
@@ -49,25 +49,74 @@ MANY = 8
 _Needs = dict[int, set[tuple[int, bool]]]  # by cause or loop: what it sees, and whether that is loose
 
 
+class _Walk:
+    """The marks that values have by one rule, through outputs; each output is looked at once.
+
+    rows: those in which a reference has marks by itself, which `direct` gives. look: the marks that an output has by
+    itself, and the references that it reads. keep: what is remembered of an output with these marks.
+    """
+
+    def __init__(
+        self,
+        rows: str,
+        direct: Callable[[Reference], set[Mark]],
+        look: Callable[[int], tuple[set[Mark], Sequence[Reference]]],
+        keep: Callable[[int, frozenset[Mark]], frozenset[Mark]] = lambda _, marks: marks,
+    ) -> None:
+        self.rows, self.direct, self.look, self.keep = rows, direct, look, keep
+        self.known: dict[int, frozenset[Mark]] = {}
+
+    def of(self, references: Iterable[Reference]) -> frozenset[Mark]:
+        """Return the marks of values."""
+        marks: set[Mark] = set()
+        for reference in references:
+            row, index = reference
+            if row == "w":
+                own: Set[Mark] = self.at(int(index))
+            elif row in self.rows:
+                own = self.direct(reference)
+            else:
+                continue
+            lane = getattr(index, "lane", -1)
+            marks |= own if lane < 0 else {mark._replace(lane=lane) if mark.lane < 0 else mark for mark in own}
+        return frozenset(marks)
+
+    def at(self, index: int) -> frozenset[Mark]:
+        """Return the marks of an output."""
+        stack = [index]
+        while stack:
+            place = stack[-1]
+            if place in self.known:
+                stack.pop()
+                continue
+            marks, read = self.look(place)
+            above = [int(other.index) for other in read if other.row == "w" and int(other.index) not in self.known]
+            if above:
+                stack += above
+                continue
+            self.known[place] = self.keep(place, self.of(read) | marks)
+        return self.known[index]
+
+
 class Marks:
-    """What the outputs and causes of a Plan see. gathers: instances that show each copy another source."""
+    """Find the marks of the outputs and causes of a Plan. gathers: instances that show each copy another source."""
 
     def __init__(self, plan: Plan, loops: Sequence[AlgebraicLoop] = (), gathers: Iterable[int] = ()) -> None:
         self.plan, self.loops, self.gathers = plan, loops, frozenset(gathers)
         self.loop_of = {reference: k for k, loop in enumerate(loops) for reference in loop.unknowns}
-        self.known: dict[int, frozenset[Mark]] = {}
+        self.seen = _Walk("s", lambda side: {Mark("cause", int(side.index))}, self._look, self._kept)
+        self.written = _Walk("xd", self._writers_at, self._look_for_memory)
         self.shared: dict[int, frozenset[Mark]] = {}  # what outputs see that see much: others see these outputs
         self.order: dict[int, int] = {}  # the number of each of these
         self.memory: dict[int, set[Reference]] = {}  # what `_sides_of` gave
         self.of_instance: dict[int, list[int]] = {}
         for j, cause in enumerate(plan.crossings):
             self.of_instance.setdefault(cause.instance, []).append(j)
-        self.known_writers: dict[int, frozenset[Mark]] = {}
 
     def of_cause(self, cause: Cause) -> frozenset[Mark]:
         """Return what the time or crossing of a cause sees, and its resets."""
         nodes = [cause.node, *(node for node, _ in cause.resets)]
-        marks = self.of(reference for node in nodes for reference in self.plan.bind(node))
+        marks = self.seen.of(reference for node in nodes for reference in self.plan.bind(node))
         if self.plan.instances[cause.instance].condition is not None:
             # Inside an enabled part: what fires when it is turned off fires with that.
             marks = frozenset(mark for mark in self._each(marks) if not self._is_hidden(mark))
@@ -76,39 +125,20 @@ class Marks:
     def writers_of(self, cause: Cause) -> frozenset[Mark]:
         """Return the causes that reset memory that a cause or its resets read at one time, sides apart."""
         nodes = [cause.node, *(node for node, _ in cause.resets)]
-        return self.writers_seen(reference for node in nodes for reference in self.plan.bind(node))
+        return self.written.of(reference for node in nodes for reference in self.plan.bind(node))
 
-    def writers_seen(self, references: Iterable[Reference]) -> frozenset[Mark]:
-        """Return the same of values."""
-        seen: set[Mark] = set()
-        for reference in references:
-            lane = getattr(reference.index, "lane", -1)
-            if reference in self.writers:
-                seen.update(Mark("cause", number, lane) for number in self.writers[reference])
-            elif reference.row == "w":
-                own = self._writers_at(int(reference.index))
-                seen |= own if lane < 0 else {mark._replace(lane=lane) if mark.lane < 0 else mark for mark in own}
-        return frozenset(seen)
+    def _writers_at(self, reference: Reference) -> set[Mark]:
+        return {Mark("cause", number) for number in self.writers.get(reference, ())}
 
-    def _writers_at(self, index: int) -> frozenset[Mark]:
-        stack = [index]
-        while stack:
-            place = stack[-1]
-            node, loop = self.plan.outputs[place], self.loop_of.get(Reference("w", place))
-            if place in self.known_writers:
-                stack.pop()
-                continue
-            if node.instance in self.gathers:
-                self.known_writers[place] = frozenset({Mark("gather", node.instance)})
-                continue
-            nodes, own = ([node], ()) if loop is None else (self.loops[loop].nodes, self.loops[loop].unknowns)
-            read = [reference for one in nodes for reference in self.plan.bind(one) if reference not in own]
-            above = [int(r.index) for r in read if r.row == "w" and int(r.index) not in self.known_writers]
-            if above:
-                stack += above
-                continue
-            self.known_writers[place] = self.writers_seen(read)
-        return self.known_writers[index]
+    def _look_for_memory(self, index: int) -> tuple[set[Mark], list[Reference]]:
+        node, loop = self.plan.outputs[index], self.loop_of.get(Reference("w", index))
+        if node.instance in self.gathers:
+            return {Mark("gather", node.instance)}, []
+        if loop is None:
+            return set(), self.plan.bind(node)
+        own = self.loops[loop].unknowns
+        read = (reference for one in self.loops[loop].nodes for reference in self.plan.bind(one))
+        return set(), [reference for reference in read if reference not in own]
 
     @cached_property
     def writers(self) -> dict[Reference, list[int]]:
@@ -127,7 +157,7 @@ class Marks:
         starts = ((plan.x_start if row == "x" else plan.d_start)[place] for row, place in part.resets)
         late = (cause for cause in plan.events if cause.instance in part.instances)
         nodes = [*(start for start in starts if isinstance(start, Node)), *(n for c in late for n, _ in c.resets)]
-        seen = self.of(reference for node in nodes for reference in plan.bind(node))
+        seen = self.seen.of(reference for node in nodes for reference in plan.bind(node))
         return [mark for mark in self._each(seen) if not (self._is_hidden(mark) or self._is_inside(mark))]
 
     def of_loop(self, loop: AlgebraicLoop) -> frozenset[Mark]:
@@ -138,45 +168,19 @@ class Marks:
             modes, read = self._read(node)
             marks |= modes
             rest += [reference for reference in read if reference not in loop.unknowns]
-        return self.of(rest) | marks
+        return self.seen.of(rest) | marks
 
-    def of(self, references: Iterable[Reference]) -> frozenset[Mark]:
-        """Return what values see."""
-        marks: set[Mark] = set()
-        for reference in references:
-            row, index = reference
-            lane = getattr(index, "lane", -1)
-            if row == "s":
-                marks.add(Mark("cause", int(index), lane))
-            elif row == "w":
-                own = self.of_output(int(index))
-                marks |= own if lane < 0 else {mark._replace(lane=lane) if mark.lane < 0 else mark for mark in own}
-        return frozenset(marks)
+    def _look(self, index: int) -> tuple[set[Mark], list[Reference]]:
+        node, loop = self.plan.outputs[index], self.loop_of.get(Reference("w", index))
+        if loop is not None:
+            return {Mark("loop", loop)}, []
+        return ({Mark("gather", node.instance)}, []) if node.instance in self.gathers else self._read(node)
 
-    def of_output(self, index: int) -> frozenset[Mark]:
-        """Return what an output sees."""
-        stack = [index]
-        while stack:
-            place = stack[-1]
-            if place in self.known:
-                stack.pop()
-                continue
-            node, reference = self.plan.outputs[place], Reference("w", place)
-            if reference in self.loop_of:
-                self.known[place] = frozenset({Mark("loop", self.loop_of[reference])})
-            elif node.instance in self.gathers:
-                self.known[place] = frozenset({Mark("gather", node.instance)})
-            else:
-                modes, rest = self._read(node)
-                above = [int(other.index) for other in rest if other.row == "w" and int(other.index) not in self.known]
-                if above:
-                    stack += above
-                    continue
-                self.known[place] = self.of(rest) | modes
-                if len(self.known[place]) > MANY:
-                    self.order[place], self.shared[place] = len(self.order), self.known[place]
-                    self.known[place] = frozenset({Mark("output", place)})
-        return self.known[index]
+    def _kept(self, index: int, marks: frozenset[Mark]) -> frozenset[Mark]:
+        if len(marks) <= MANY:
+            return marks
+        self.order[index], self.shared[index] = len(self.order), marks
+        return frozenset({Mark("output", index)})
 
     def _each(self, marks: Iterable[Mark]) -> set[Mark]:
         """Return marks with what shared outputs see in place of these."""
@@ -263,7 +267,7 @@ def firing_order(plan: Plan, loops: Sequence[AlgebraicLoop]) -> FiringOrder:
     for part in plan.enabled:
         add(part.side, marks.of_turning_on(part))
     for unit in plan.foreign:
-        add(first_event + unit.event, marks.of(unit.inputs))
+        add(first_event + unit.event, marks.seen.of(unit.inputs))
     if not any(needs.values()):
         return FiringOrder()
     for place, number in marks.order.items():
@@ -295,7 +299,7 @@ def order_of(plan: Plan) -> FiringOrder:
     seen = [(row, k, first, marks.of_cause(cause)) for row, causes, first in kinds for k, cause in enumerate(causes)]
     if not any(own for *_, own in seen):
         return FiringOrder()
-    entered = {k: [marks.of([source]) for source in sources] for k, sources in gathers.items()}
+    entered = {k: [marks.seen.of([source]) for source in sources] for k, sources in gathers.items()}
     begin: dict[tuple[str, int], int] = {}
     end = first_event + len(plan.events)
     sizes = [("gather", k, len(sources)) for k, sources in gathers.items()]
@@ -326,7 +330,7 @@ def order_of(plan: Plan) -> FiringOrder:
         for mark in of:
             lane = reader if mark.lane < 0 else mark.lane
             if mark.kind == "gather":
-                yield from writers(marks.writers_seen([gathers[mark.number][lane]]), lane)
+                yield from writers(marks.written.of([gathers[mark.number][lane]]), lane)
                 continue
             is_event = mark.number >= len(one.crossings)
             own = folded.places("e", mark.number - len(one.crossings)) if is_event else folded.places("s", mark.number)

@@ -350,7 +350,7 @@ class Plan(Shown):
     written_out: Callable[[], Plan] | None = field(default=None, compare=False, repr=False)
     """Of such a one: the plan of the diagram written out, whose long tables are its own, once they are asked for."""
     outline: Callable[[Any], Iterator[Part]] | None = field(default=None, compare=False, repr=False)
-    """How it is told to a person, where it was made for one: `compile.plan_summary`, which stands on this module."""
+    """Gives the summary for a reader, if the plan was made for one; `compile.plan_summary` makes it."""
 
     def tick_time(self, count: int) -> float:
         """The time of a base step, correctly rounded: Python divides integers exactly."""

@@ -1,4 +1,4 @@
-"""What is known of one block of a diagram: its units and defaults, whether it draws random numbers, its FMU."""
+"""The facts of one block of a diagram: its units and defaults, whether it draws random numbers, its FMU."""
 
 from __future__ import annotations
 

@@ -2441,7 +2441,7 @@ static void find_beside(BlocksSim *s)
     for (int a = 0; a < setup->ncauses && !goes_on; a++)
         goes_on = !s->late[a] && (s->firing[a] || (a < s->model->ns && s->changed_sides[a]));
     if (goes_on) return;
-    memset(s->late, 0, late_places(setup));
+    memset(s->late, 0, s->nlate);
     find_late(s);
 }
 
@@ -2453,7 +2453,7 @@ static int let_wait(BlocksSim *s, double *sides, int first, int32_t *due, int n)
     const BlocksSetup *setup = s->setup;
     const BlocksCorners *c = s->model->corners;
     int between = 0, left = 0;
-    memset(s->late, 0, late_places(setup));
+    memset(s->late, 0, s->nlate);
     int any = find_late(s);
     if (any && setup->nbeside) find_beside(s);
     for (int i = 0; c && i < c->ninner; i++) between |= s->changed_sides[c->numbers[i]] && !s->late[c->numbers[i]];
@@ -2481,7 +2481,7 @@ HOT static int quiet_at_once(BlocksSim *s, int ndue, int seen, int *touched, Res
     double *values = s->crossing_values, *sides = s->distances;
     int32_t *due = still_due(s);
     const int can_wait = setup->nwaits || model->hooks;
-    if (can_wait) memset(s->late, 0, late_places(setup));
+    if (can_wait && seen) memset(s->late, 0, s->nlate); /* no pass but such a first one leaves it as it was */
     for (int i = 0; i < ndue; i++) {
         s->own[due[i]] = s->events[due[i]];
         *touched = 1;
@@ -3249,6 +3249,7 @@ static void list_memory(BlocksSim *s)
         looked = most(looked, look->n), turning = most(turning, look->nphases + look->nhistories);
     const int64_t values = nx + nd + ns + 2 * ne + 2 * nz + 2 * model->nprojections + anew + stepper
                            + (model->hooks ? nx + nd + ns + 2 * model->ntaken : 0);
+    s->nlate = late_places(setup);
     const int32_t saved = BLOCKS_SAVED, filed = BLOCKS_FILED, both = saved | filed, reset = BLOCKS_RESET;
     const BlocksEntry steady[] = {
         NUMBERS(t, offsetof(BlocksSim, row) - offsetof(BlocksSim, t)),
@@ -3276,7 +3277,7 @@ static void list_memory(BlocksSim *s)
         ENTRY('q', NULL, ticks_backup, nr + nh + 2 * ne, 0, 0.0),
         ENTRY('q', "past.passed", past.passed, nh, (nh ? both : 0) | reset, 0.0), ENTRY('B', NULL, due, nr, 0, 0.0),
         ENTRY('B', NULL, firing, 2 * nc, 0, 0.0), ENTRY('B', NULL, changed_sides, ns, 0, 0.0),
-        ENTRY('B', NULL, late, (int64_t)late_places(setup), 0, 0.0),
+        ENTRY('B', NULL, late, (int64_t)s->nlate, 0, 0.0),
         ENTRY('B', NULL, measured, setup->nmeasures, 0, 0.0), ROW("carried", carried, s->ncarried, saved | reset),
     }, growing[] = {
         GROWS('d', "past.starts", starts, known, 1), GROWS('d', "past.ends", ends, known, 1),

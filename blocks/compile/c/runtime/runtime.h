@@ -370,6 +370,7 @@ struct BlocksSim {
     double *distances, *projected_once, *projected_often, *z1;
     uint8_t *due, *firing, *changed_sides;
     uint8_t *late; /* causes that wait in this pass of an instant */
+    size_t nlate;
     double *firing_time;
     int64_t *ticks_backup;
     void *arena;
@@ -414,7 +415,7 @@ BLOCKS_API void blocks_beyond(const BlocksSim *s, double *crossings); /* less th
 BLOCKS_API void blocks_loosen(BlocksSim *s); /* that slack as it is now */
 BLOCKS_API void blocks_rates(BlocksSim *s, double t, const double *x, double *out);
 BLOCKS_API extern const int64_t blocks_sizes[3];         /* of the structures, for those who mirror them */
-BLOCKS_API int blocks_past_room(BlocksSim *s, int64_t parts, int64_t breaks); /* for so many more */
+BLOCKS_API int blocks_past_room(BlocksSim *s, int64_t parts, int64_t breaks); /* for this many more */
 BLOCKS_API int blocks_list_room(BlocksList *list, int64_t more);
 
 /* Forgets what no history sees any more from t on. */
