@@ -10,7 +10,7 @@ from dataclasses import replace
 from blocks import Diagram
 from blocks.draw import picture, ports_of, rendered
 from blocks.model.block_types import library_types
-from blocks.model.diagram import BlockEntry, DiagramValue
+from blocks.model.diagram_value import BlockEntry, DiagramValue
 from blocks.model.document import dumps, loads
 from blocks.model.resolver import resolver_of
 

@@ -43,7 +43,7 @@ def worker(path: str) -> None:
     import resource
 
     import blocks.api.run
-    import blocks.engines.native.engine  # noqa: F401
+    import blocks.engines.native.native_engine  # noqa: F401
     from blocks import Diagram
 
     begun, start = time.perf_counter(), _processor()

@@ -47,7 +47,7 @@ def our_run(rtol: float, atol: float, names: tuple[str, ...], plan: Plan) -> tup
     """The same of the reference engine. The signals recorded are the states that are ports."""
     from blocks.compile.inputs import read_inputs
     from blocks.engines.driver import Simulation
-    from blocks.engines.reference.engine import ReferenceEngine
+    from blocks.engines.reference.reference_engine import ReferenceEngine
 
     settings = plan.settings
     assert settings.stop is not None

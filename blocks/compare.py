@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from .results.compare import TOLERANCE, Comparison, Difference, compare
+from .results.comparison import TOLERANCE, Comparison, Difference, compare
 
 __all__ = ["TOLERANCE", "Comparison", "Difference", "compare"]

@@ -7,7 +7,7 @@
        SIDES, crossings(m, x, v)    how many signs are located, and their values; SIDES 0: none
 
    All sizes are constants, so that short loops disappear. Same method, error norm, step control and first step as
-   blocks/engines/reference/methods.py and blocks/engines/reference/engine.py. */
+   blocks/engines/reference/methods.py and blocks/engines/reference/reference_engine.py. */
 #include <math.h>
 #include <string.h>
 #include <time.h>

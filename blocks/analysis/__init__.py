@@ -16,12 +16,12 @@ _PLACES = {
         "analysis.adrc_reports": "AMPLITUDES LoopReport ObserverReport loop_report observer_report",
         "analysis.estimation": "Chirp Comparison OddMultisine Response SineStream compare estimate_response",
         "analysis.operating": "find_operating_point limit_cycles operating_points",
-        "frequency.adrc": (
+        "frequency.figures": "bode gang_of_four nichols nyquist pole_map sigma step_figure",
+        "frequency.linear_adrc": (
             "Controller EulerCycle Gains SamplingLimits adrc_gains bandwidth_gains controller "
             "disturbance_bandwidth disturbance_estimate equivalent_bandwidth euler_cycles half_gain "
             "half_gain_poles noise_gain observer sampling_limits"
         ),
-        "frequency.figures": "bode gang_of_four nichols nyquist pole_map sigma step_figure",
         "frequency.margins": "Margins margins",
         "frequency.response": "bandwidth dc_gain h2 hinf peak poles response zeros",
         "linear.harmonic_balance": "HarmonicResponse Linearizer",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..api.diagram import Diagram
-from ..frequency.adrc import SamplingLimits, sampling_limits
+from ..frequency.linear_adrc import SamplingLimits, sampling_limits
 from ..frequency.margins import Margins, margins
 from ..frequency.response import bandwidth, dc_gain, h2, peak, poles
 from ..linear.harmonic_balance import Linearizer

@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..api.diagram import Diagram
+from ..api.given_values import at_rest
 from ..api.ports import PortName
 from ..api.run import Run
-from ..api.values import at_rest
 from ..compile.coupling import Coupling, couple
 from ..contract.block import Block
 from ..frequency.response import poles
@@ -33,7 +33,7 @@ from ..model.values import in_si
 from ..results.results import Results
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, FMUError, SimulationError, UsageError
-from .excitation import TONE, Correlator, Multitone, Sweep, Tone
+from .estimation_blocks import TONE, Correlator, Multitone, Sweep, Tone
 from .injection import free_name, inject, is_port, known, probe, target
 from .responses import Comparison, Response, compare
 

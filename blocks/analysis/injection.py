@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 
 from ..api.diagram import Diagram
 from ..contract.enumerations import type_text
-from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import shape_of
+from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat, FlatSignal
 from ..text import units
 from ..text.element_names import indexed
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import quoted
-from .excitation import Injection
+from .estimation_blocks import Injection
 
 
 @dataclass(frozen=True, slots=True)

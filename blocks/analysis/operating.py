@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..api.diagram import Diagram
-from ..api.values import at_rest
+from ..api.given_values import at_rest
 from ..compile.coupling import Coupling, couple
 from ..linear.limit_cycles import LimitCycles
 from ..linear.limit_cycles import limit_cycles as of_linearizer

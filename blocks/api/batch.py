@@ -22,8 +22,8 @@ from ..engines.prepared import Prepared
 from ..engines.run.many_runs import Row, cores, times_of
 from ..engines.run.memory_estimate import check
 from ..engines.selection import compiled_model
-from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import LARGEST_SEED
+from ..model.diagram_value import DiagramValue
 from ..model.resolver import resolver_of
 from ..model.trust import Paths
 from ..model.varied import Column, columns_of, given_values, is_element, raw_values
@@ -34,10 +34,10 @@ from ..text.printable import counted, legible
 from ..text.progress_line import in_rows, live_line
 from ..text.rich_output import Part, Shown, Table
 from .batch_processes import Worker, in_processes, packed
+from .given_values import check_settings, time_of
 from .lanes import Lanes, no_lanes
 from .prepared_model import PreparedModel
 from .run import Run, RunOptions
-from .values import check_settings, time_of
 
 if TYPE_CHECKING:
     from ..contract.block import Block
@@ -363,7 +363,7 @@ class Batch(Shown):
     def _run(
         self, form: _Form, places: list[int], table: Array, work: _Work, threads: int | None
     ) -> None:
-        from ..engines.native.batch import run_rows
+        from ..engines.native.batch_threads import run_rows
 
         made, plan = work.made, form.prepared.plan
         assert isinstance(plan, Plan)

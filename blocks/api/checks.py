@@ -10,15 +10,15 @@ from ..compile.coupling import Coupling, couple
 from ..compile.plan import Plan
 from ..compile.plan_builder import plan
 from ..compile.plan_summary import outline
-from ..model.diagram import DiagramValue, beside
+from ..model.diagram_value import DiagramValue, beside
 from ..model.flatten import Flat, flatten
 from ..model.hierarchy import Resolver
 from ..model.raw_values import raw_of
 from ..model.variants import taken
 from ..model.varied import given_values
 from ..text.errors import Fault, ModelError
+from .given_values import check_settings
 from .ports import plain_settings
-from .values import check_settings
 
 
 def flat_of(

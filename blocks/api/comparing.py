@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..editing.diff import Differences, differences
 from ..model.block_types import Library, library_types
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 from ..model.document import load, loads
 from ..model.resolver import resolver_of
 from ..text.errors import Fault, ModelError

@@ -33,8 +33,8 @@ from ..contract.enumerations import Enumeration
 from ..editing.swapping import existing, swapped
 from ..model import document as documents
 from ..model.block_types import Library, library_types
-from ..model.diagram import BlockEntry, DiagramValue, FaultList, check_name
 from ..model.diagram_grammar import MEASURE_NUMBERS, MEASURES
+from ..model.diagram_value import BlockEntry, DiagramValue, FaultList, check_name
 from ..model.flatten import Flat, interface_of
 from ..model.raw_values import raw_of
 from ..model.resolver import resolver_of
@@ -48,10 +48,10 @@ from ..text.quantity_text import read_quantity
 from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan
 from .draft import Draft
 from .entries import as_name, input_entry, input_like, parameter_entry
+from .given_values import check_settings
 from .last_made import LastMade, names_files
 from .late import late
 from .ports import Handle, PortName, plain_settings, signal_names, sink_text, source_text, text_of
-from .values import check_settings
 
 if TYPE_CHECKING:
     from ..editing.diff import Differences

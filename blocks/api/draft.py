@@ -10,7 +10,7 @@ from typing import Any
 from ..contract.block import Block
 from ..model import document as documents
 from ..model.block_ports import Ports, Probe, port_units
-from ..model.diagram import BASE, MADE, BlockEntry, DiagramValue, check_name
+from ..model.diagram_value import BASE, MADE, BlockEntry, DiagramValue, check_name
 from ..model.flatten import flatten, numbers_in_si
 from ..model.hierarchy import Resolver
 from ..model.raw_values import given_values, raw_of

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
 from ..draw import ports_of, svg
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 from ..model.hierarchy import Resolver
 from ..text.errors import BlocksError, Fault
 

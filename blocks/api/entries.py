@@ -18,7 +18,7 @@ from ..contract.block import Block
 from ..contract.enumerations import Enumeration, enumeration_of
 from ..contract.interface import Port
 from ..model import document as documents
-from ..model.diagram import BlockEntry, is_name
+from ..model.diagram_value import BlockEntry, is_name
 from ..model.raw_values import given_value, raw_of
 from ..text import units
 from ..text.errors import Fault, UsageError

@@ -14,7 +14,7 @@ import threading
 from typing import Any
 
 from ..contract.block import BlockMeta
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 
 
 class LastMade:

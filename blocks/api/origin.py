@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..contract.sparse import edges_of
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 from ..model.fingerprint import fingerprint
 from ..model.settings import MasterSettings, RunSettings
 from ..results.provenance import Origin

@@ -11,20 +11,20 @@ import numpy as np
 from ..compile.plan import Plan
 from ..contract.captured_values import Outside
 from ..engines.prepared import Prepared
-from ..engines.reference.engine import ReferenceEngine
+from ..engines.reference.reference_engine import ReferenceEngine
 from ..linear.operating_point import OperatingPoint
 from ..linear.point import Point
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..model.hierarchy import Resolver
 from ..model.trust import Paths
 from ..model.variants import taken
 from ..text.errors import AnalysisError, Fault, UsageError, check_mappings
 from .checks import coupled_block, flat_of
+from .given_values import at_rest, time_of
 from .last_made import LastMade, names_files
 from .ports import plain_settings
 from .run import Run, RunOptions, engine_of, started
-from .values import at_rest, time_of
 
 MOST_KEPT = 3
 """Forms of a model that are kept ready for other points."""

@@ -17,15 +17,15 @@ import numpy as np
 
 from ..engines.prepared import Prepared
 from ..engines.selection import compiled_model
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 from ..model.resolver import resolver_of
 from ..model.trust import Paths
 from ..model.varied import given_values, is_element
 from ..results.results import Results
 from ..text.errors import Fault, UsageError
+from .given_values import check_settings
 from .ports import plain_settings
 from .run import Run, RunOptions, started
-from .values import check_settings
 
 if TYPE_CHECKING:
     from ..contract.block import Block

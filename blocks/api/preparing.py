@@ -9,7 +9,7 @@ from ..compile.toolchain import compiler
 from ..compile.toolchain.cache import of_user
 from ..compile.toolchain.platforms import PLATFORMS, this_platform
 from ..model import trust
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 
 
 def longest_compilation() -> float:

@@ -26,7 +26,7 @@ from ..engines.run.differences import of_values
 from ..engines.run.engine import Engine
 from ..engines.run.saved_state import Kept, State, check, packed
 from ..engines.selection import simulation
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..model.hierarchy import Resolver
 from ..model.raw_values import raw_of
@@ -43,9 +43,9 @@ from ..text.ipython_errors import UnknownName
 from ..text.printable import quoted
 from ..text.progress_line import live_line
 from ..text.quantity_text import read_quantity
+from .given_values import check_settings, time_of
 from .origin import origin_of
 from .streaming import Streaming, part_to_resume
-from .values import check_settings, time_of
 
 FAR = 10**9
 """s: so far goes a run without a stop time that goes on until it is told to stop."""

@@ -28,7 +28,7 @@ from typing import Any, NoReturn
 from ..fmi.exits import telling
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from .output import say, silence, tell_faults
-from .signals import INTERRUPTED, hearing
+from .stop_signals import INTERRUPTED, hearing
 
 __all__ = ["main"]
 

@@ -10,9 +10,9 @@ from typing import Any
 
 from ..text.errors import Fault
 from ..text.printable import counted
+from .option_values import variants_of
 from .options import takes_json, takes_library, takes_variants
 from .output import emit, fault_entry, fault_lines, printable
-from .values import variants_of
 
 
 def add(verbs: Any) -> None:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted
+from .option_values import number_of
 from .options import takes_json
 from .output import emit, printable
-from .values import number_of
 
 if TYPE_CHECKING:
     from ..results.results import Results
@@ -40,7 +40,7 @@ def add(verbs: Any) -> None:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    from ..results.compare import TOLERANCE, compare
+    from ..results.comparison import TOLERANCE, compare
     from ..results.results import Results
 
     limits = {"tolerance": TOLERANCE, "absolute": 0.0}

@@ -6,8 +6,8 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
+from .option_values import variants_of
 from .options import takes_library, takes_variants
-from .values import variants_of
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram

@@ -8,9 +8,9 @@ from dataclasses import asdict
 from typing import Any
 
 from ..text.errors import Fault, UsageError, did_you_mean
+from .option_values import assignments, check_writable, number_of, time_of, variants_of
 from .options import takes_json, takes_library, takes_parameters, takes_several, takes_variants
 from .output import emit, printable, say
-from .values import assignments, check_writable, number_of, time_of, variants_of
 
 
 def add(verbs: Any) -> None:

@@ -8,14 +8,14 @@ from collections.abc import Container, Mapping
 from typing import TYPE_CHECKING, Any
 
 from ..text.gc_pause import paused
+from .option_values import assignments, check_writable
 from .options import takes_json, takes_run, takes_several
 from .output import emit, printable, say, waiting
 from .run import run_diagram
-from .values import assignments, check_writable
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
-    from ..fmi.schema import ModelVariable
+    from ..fmi.model_description import ModelVariable
     from ..model.fmu_block import Foreign
 
 _SIZE = "structuralParameter"

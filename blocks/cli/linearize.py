@@ -6,9 +6,9 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
+from .option_values import assignments, check_writable, number_of, parsed, raw_number, variants_of
 from .options import takes_json, takes_library, takes_point, takes_several
 from .output import emit, printable, say
-from .values import assignments, check_writable, number_of, parsed, raw_number, variants_of
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
@@ -100,7 +100,7 @@ def _linearize(options: argparse.Namespace) -> int:
         model: Any = linearizer.exact_loop(options.loop, openings=options.openings, pade=options.pade)
     else:
         model = linearizer.transfer(options.sources, options.sinks, openings=options.openings, pade=options.pade)
-    from ..analysis.text import check_loop, entry, figure, lines
+    from ..analysis.model_text import check_loop, entry, figure, lines
 
     if is_loop:
         check_loop(model, options.loop)

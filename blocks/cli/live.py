@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ..text.errors import Fault, UsageError
+from .option_values import assignments, variants_of
 from .options import (
     takes_engine,
     takes_json,
@@ -24,8 +25,7 @@ from .options import (
     takes_variants,
 )  # fmt: skip
 from .output import emit, printable
-from .signals import INTERRUPTED, end_now
-from .values import assignments, variants_of
+from .stop_signals import INTERRUPTED, end_now
 
 LOOK = 0.5
 """Seconds between two looks at whether Ctrl-C was pressed, which Windows does not tell who waits for a question."""

@@ -8,9 +8,9 @@ from typing import Any
 
 from ..text.element_names import matching
 from ..text.errors import Fault, UsageError
+from .option_values import check_writable
 from .options import takes_several
 from .output import printable
-from .values import check_writable
 
 MOST = 8
 """Signals of one figure: each has a panel."""

@@ -33,7 +33,7 @@ def add(verbs: Any) -> None:
 
 
 def _rename(options: argparse.Namespace) -> int:
-    from ..editing.rename import renaming
+    from ..editing.renaming import renaming
 
     edit = renaming(
         options.diagram,

@@ -15,10 +15,10 @@ from ..fmi.exits import telling
 from ..text.errors import BlocksError, Fault, FMUError, UsageError
 from ..text.gc_pause import paused
 from ..text.printable import counted
+from .option_values import assignments, check_writable, number_of, time_of, variants_of
 from .options import takes_library, takes_run, takes_trust, takes_variants
 from .output import Progress, emit, printable, say, silence, tell_faults, waiting
-from .signals import INTERRUPTED, ended_at_once
-from .values import assignments, check_writable, number_of, time_of, variants_of
+from .stop_signals import INTERRUPTED, ended_at_once
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 from ..fmi.exits import telling
 from ..text.errors import Fault, FMUError, UsageError
+from .option_values import assignments
 from .options import takes_json, takes_library, takes_several, takes_trust
 from .output import emit, printable, say, tell_faults
-from .signals import INTERRUPTED, ended_at_once
-from .values import assignments
+from .stop_signals import INTERRUPTED, ended_at_once
 
 if TYPE_CHECKING:
     from ..results.results import Results

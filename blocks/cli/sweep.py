@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted
+from .option_values import as_options, assignments, check_writable, number_of, parsed, time_of, variants_of
 from .options import (
     takes_engine,
     takes_json,
@@ -21,8 +22,7 @@ from .options import (
     takes_variants,
 )
 from .output import Progress, emit, printable, say, tell_faults, waiting
-from .signals import INTERRUPTED, ended_at_once
-from .values import as_options, assignments, check_writable, number_of, parsed, time_of, variants_of
+from .stop_signals import INTERRUPTED, ended_at_once
 
 if TYPE_CHECKING:
     from ..studies.sweep import Sweep

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted
 from .apply import change_entry, change_line
+from .option_values import as_options, assignments, check_writable, number_of, time_of, variants_of
 from .options import takes_json, takes_library, takes_parameters, takes_several, takes_trust, takes_variants
 from .output import Progress, emit, printable, say, tell_faults
-from .signals import INTERRUPTED, ended_at_once
+from .stop_signals import INTERRUPTED, ended_at_once
 from .sweep import scenarios_of
-from .values import as_options, assignments, check_writable, number_of, time_of, variants_of
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram

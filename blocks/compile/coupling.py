@@ -38,7 +38,7 @@ from .scheduler import components
 from .upstream import Upstream, at_once
 
 if TYPE_CHECKING:
-    from ..fmi.schema import ModelVariable
+    from ..fmi.model_description import ModelVariable
     from ..model.fmu_block import Foreign
 
 Link = Reference

@@ -16,7 +16,7 @@ from ..contract.interface import Interface
 from ..contract.tape import Argument, Result, Tape, TapeNode
 
 if TYPE_CHECKING:
-    from ..fmi.schema import ModelVariable, Unknown
+    from ..fmi.model_description import ModelVariable, Unknown
 
 EVENT = "time_event"
 """The name under which the time events of an FMU are reported."""

@@ -2,12 +2,12 @@
 
     svg(diagram, ports_of(diagram, resolver))
 
-The stages: `parts` (names) -> `piece` (shapes) -> `graph` (nodes and nets) -> `layered`, or `pinned` where
-the file gives positions, with wires by `maze` -> `picture` (places) -> `svg`. `compose` runs them, level by level.
+The stages: `diagram_parts` (names) -> `piece` (shapes) -> `layout_graph` (nodes and nets) -> `layered`, or `pinned`
+where the file gives positions, with wires by `maze` -> `picture` (places) -> `svg`. `compose` runs them level by level.
 """
 
 from .compose import picture
-from .parts import Ports, ports_of
+from .diagram_parts import Ports, ports_of
 from .picture import Picture
 from .svg import rendered, svg
 

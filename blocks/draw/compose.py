@@ -7,11 +7,11 @@ from dataclasses import replace
 from functools import partial
 from math import ceil
 
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 from ..text.errors import Fault
-from .graph import Arranged, Graph, Point, junctions
+from .diagram_parts import Net, Part, Parts, Ports, parts_of
 from .layered import layered
-from .parts import Net, Part, Parts, Ports, parts_of
+from .layout_graph import Arranged, Graph, Point, junctions
 from .picture import Box, Dot, Kept, Mark, Marks, Open, Picture, Wire
 from .piece import Piece, extent, graph_of, reachable, shape_of, tip, with_replaced
 from .pinned import pinned

@@ -13,8 +13,8 @@ from dataclasses import replace
 from itertools import pairwise
 
 from .channels import Trunk, tracks_of
-from .graph import Arranged, Graph, Path, Point, bounds, crossings, simplified
 from .heights import heights_of
+from .layout_graph import Arranged, Graph, Path, Point, bounds, crossings, simplified
 from .order import Columns, Pin, columns_ordered
 
 MARGIN = 16.0  # from a column to the first track

@@ -16,7 +16,7 @@ from functools import cache
 from heapq import heapify, heappop, heappush
 from itertools import pairwise
 
-from .graph import Graph, Path, Point, simplified
+from .layout_graph import Graph, Path, Point, simplified
 
 STEP = 10.0
 CLEAR = 5.0  # lines of the lattice nearer to a port's line are left out

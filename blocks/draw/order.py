@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from .graph import Graph
+from .layout_graph import Graph
 
 SWEEPS = 10
 SWAPPED = 600  # items, above which no swaps are tried

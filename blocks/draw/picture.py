@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from ..text.errors import Fault
-from .graph import Path, Point
+from .layout_graph import Path, Point
 from .shapes import Shape, Text
 
 _Made = TypeVar("_Made")

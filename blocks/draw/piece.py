@@ -8,8 +8,8 @@ from itertools import pairwise
 from math import ceil, floor, isfinite
 from typing import Any
 
-from .graph import Arranged, Graph, GraphNode, Net, Point, bounds
-from .parts import BEFORE, Part, Parts
+from .diagram_parts import BEFORE, Part, Parts
+from .layout_graph import Arranged, Graph, GraphNode, Net, Point, bounds
 from .picture import Kept, Picture
 from .shapes import PITCH, Shape, Text, block_shape, named_box
 from .text import plain, shown

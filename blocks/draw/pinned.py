@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .graph import Arranged, Graph, Path, Point
 from .layered import layered
+from .layout_graph import Arranged, Graph, Path, Point
 from .maze import Maze, TooFarApart
 
 GAP = 44.0  # between blocks and the terminals beside them

@@ -17,11 +17,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 from ..text.errors import Fault
 from .compose import picture
-from .graph import Path, Point
-from .parts import BEFORE, Ports
+from .diagram_parts import BEFORE, Ports
+from .layout_graph import Path, Point
 from .picture import Box, Kept, Mark, Marks, Picture, Wire
 from .shapes import Pins, Text, num, polygon
 from .style import RATES, style_of

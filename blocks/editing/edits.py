@@ -18,7 +18,7 @@ from typing import Any
 from ..model import document as diagrams
 from ..model import study_grammar as studies
 from ..model.block_types import library_types
-from ..model.diagram import FORMAT, PLAIN_VERSION, VERSION
+from ..model.diagram_value import FORMAT, PLAIN_VERSION, VERSION
 from ..model.document_reader import DocumentReader, Loading
 from ..model.flatten import Flat, flatten
 from ..model.project import Project, project_of, read_inside

@@ -15,7 +15,7 @@ from typing import Any
 
 from ..contract.enumerations import enumeration_of
 from ..model import streams
-from ..model.diagram import check_name
+from ..model.diagram_value import check_name
 from ..model.flatten import Flat
 from ..model.values import is_expression
 from ..text.errors import Fault, ModelError, UsageError
@@ -26,7 +26,7 @@ from ..text.printable import quoted
 from . import tree
 from .edits import files_with
 from .references import Reference, Target, references
-from .rename import READ, drawing, same_flat
+from .renaming import READ, drawing, same_flat
 from .spots import Spot, blocks_of, entries_around
 
 _ELEMENTS = re.compile(r"(.*?)((?:\[[^\[\]]*\])*)\Z", re.DOTALL)

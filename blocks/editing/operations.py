@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from ..model.block_types import library_types
-from ..model.diagram import FORMAT, VERSION, check_name, is_plain_number
 from ..model.diagram_grammar import BODY, FILLED, NAMES, NUMBER, VARIANT
+from ..model.diagram_value import FORMAT, VERSION, check_name, is_plain_number
 from ..model.document import dumps_document, entries, entry_document, loads
 from ..model.flatten import Flat, numbers_in_si
 from ..model.resolver import resolver_of
@@ -34,8 +34,8 @@ from . import tree
 from .edits import Workspace, files_with
 from .grouping import group, ungroup
 from .references import SECTIONS, Kind, Reference, Target, references
-from .rename import NAMED, Renamed, same_values
-from .rename import check_name as check_new_name
+from .renaming import NAMED, Renamed, same_values
+from .renaming import check_name as check_new_name
 from .spots import Spot, blocks_of
 from .swapping import existing, swapped
 

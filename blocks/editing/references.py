@@ -17,8 +17,8 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 
 from ..contract import expressions
 from ..model import study_grammar as studies
-from ..model.diagram import DEEPEST, FORMAT
 from ..model.diagram_grammar import BODY, COPIES, VALUE, VARIANT
+from ..model.diagram_value import DEEPEST, FORMAT
 from ..model.project import Project, read_inside
 from ..model.values import is_expression
 from ..text import json_text

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..model.diagram import FORMAT
+from ..model.diagram_value import FORMAT
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.grammar import Steps
 from ..text.printable import legible, quoted

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from ..model.block_ports import Ports, listed, parameter_units, port_units
-from ..model.diagram import BASE, BlockEntry, DiagramValue, check_name
+from ..model.diagram_value import BASE, BlockEntry, DiagramValue, check_name
 from ..model.hierarchy import Resolver
 from ..model.variants import Match, Swap, match, used_ports
 from ..text.errors import Fault, ModelError, did_you_mean

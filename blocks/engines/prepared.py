@@ -21,8 +21,8 @@ from ..compile.rebinding import Rebinding
 from ..contract.captured_values import Outside, outside_of
 from ..contract.resolution import Resolved
 from ..model.copies import spellings
-from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import RUN
+from ..model.diagram_value import DiagramValue
 from ..model.fingerprint import fingerprint
 from ..model.flatten import Flat, flatten
 from ..model.hierarchy import Resolver

@@ -104,7 +104,7 @@ def _native(what: Plan | Coupling, inputs: InputTable, model: Any) -> Engine:
         from .master.native_master import NativeMaster, master_library
 
         return NativeMaster(what, inputs, _loaded, master_library())
-    from .native.engine import NativeEngine
+    from .native.native_engine import NativeEngine
 
     return NativeEngine(what, inputs, foreign=_foreigns(what), model=model)
 
@@ -114,7 +114,7 @@ def _reference(what: Plan | Coupling, inputs: InputTable, programs: Any) -> Engi
         from .master.master import ReferenceMaster
 
         return ReferenceMaster(what, inputs, _loaded)
-    from .reference.engine import ReferenceEngine
+    from .reference.reference_engine import ReferenceEngine
 
     return ReferenceEngine(what, inputs, compiled=programs, foreign=_foreigns(what))
 

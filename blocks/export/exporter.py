@@ -33,16 +33,16 @@ from ..compile.toolchain.compiler import TranslationUnit
 from ..compile.toolchain.platforms import check_compilers, folders, shared_library
 from ..contract.enumerations import resting
 from ..fmi.headers import standard_headers
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..text.atomic_write import write_atomically
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
-from .description import build_description, model_description
+from .description_xml import build_description, model_description
 from .documentation import index_html
 from .fmu_model import Dependencies, Model
-from .tables import tables_text
+from .fmu_variables import Variables
+from .tables_code import tables_text
 from .variable_docs import doc_of, docs_of, prefix_of
-from .variables import Variables
 
 NAMES = {"CS": "Co-Simulation", "ME": "Model Exchange"}
 KINDS = tuple(NAMES)

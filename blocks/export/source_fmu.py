@@ -26,7 +26,7 @@ from ..fmi import xmltree
 from ..fmi.archive import DESCRIPTION, Archive
 from ..fmi.binary import functions
 from ..fmi.description import parse
-from ..fmi.schema import Description
+from ..fmi.model_description import Description
 from ..fmi.xmltree import Element
 from ..text.atomic_write import write_atomically
 from ..text.errors import CompilerError, Fault, FMUError

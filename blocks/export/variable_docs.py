@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..text.units import si_text
 

@@ -30,8 +30,8 @@ from ..text.errors import Fault, FMUError
 from .callbacks import Called, callbacks_of_2, callbacks_of_3
 from .isolation import failure, why
 from .library import function, lacks, unload
+from .model_description import Description, Interface
 from .patience import patient, undisturbed
-from .schema import Description, Interface
 from .types import call_of, full_name
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)

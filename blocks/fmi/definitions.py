@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from ..text import units
 from . import quantities
 from .findings import Findings, quoted
-from .schema import Display, Type, UnitDefinition
+from .model_description import Display, Type, UnitDefinition
 from .types import TYPES
 from .xmltree import Element
 

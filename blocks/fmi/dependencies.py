@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
+from .description_variables import Variables
 from .findings import Findings, quoted
-from .schema import Structure, Unknown
-from .variables import Variables
+from .model_description import Structure, Unknown
 from .xmltree import Element
 
 _KINDS = {"dependent", "constant", "fixed", "tunable", "discrete"}

@@ -6,7 +6,7 @@ What does not matter is a warning (W201) and is mended: an attribute that does n
 initial unknown, an output that is not listed (it depends on all). What makes the FMU unusable is an error, and all of
 them are reported at once: no token, one reference for two variables, an index or a reference that leads nowhere,
 derivatives in a circle, a value of the wrong kind. Both versions are read by the same code, because they share most
-rules. Beside it: units and types (`definitions`), variables (`variables`), the structure (`dependencies`).
+rules. Beside it: units and types (`definitions`), variables (`description_variables`), the structure (`dependencies`).
 
 References: FMI 2.0.4, section 2.2; FMI 3.0.2, sections 2.4, 3.3, 4.3.
 """
@@ -28,14 +28,14 @@ from . import xmltree
 from .archive import DESCRIPTION, Archive
 from .definitions import Definitions
 from .dependencies import Dependencies
+from .description_variables import Variables
 from .findings import Findings, quoted
-from .schema import (
+from .model_description import (
     Category,
     Description,
     Experiment,
     Interface,
 )
-from .variables import Variables
 from .xmltree import Element
 
 EXPERIMENT = "DefaultExperiment"

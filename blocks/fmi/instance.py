@@ -35,7 +35,7 @@ from . import calls
 from .calls import Message, Running, running
 from .library import claimed, function
 from .loading import Loaded, open_fmu
-from .schema import ModelVariable
+from .model_description import ModelVariable
 from .types import FLOATS, c_type, call_of, full_name, limits_of
 
 __all__ = [

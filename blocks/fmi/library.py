@@ -41,7 +41,7 @@ from ..text.errors import Fault, FMUError
 from .archive import Archive
 from .binary import Binary, inspect
 from .findings import quoted
-from .schema import Description, Interface
+from .model_description import Description, Interface
 
 TIMEOUT = 10.0
 """s; how long a library may take to load: one whose constructor waits for something waits for ever."""

@@ -26,8 +26,8 @@ from .description import remembered
 from .exits import forget, watch
 from .isolation import CompileC, isolated
 from .library import TIMEOUT, Notes, find, folders, load, no_kind, suffix
+from .model_description import Description, Interface
 from .patience import undisturbed
-from .schema import Description, Interface
 
 
 class _Shared:

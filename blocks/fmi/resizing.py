@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
 
-from .schema import Description, ModelVariable, Structure, Unknown
+from .model_description import Description, ModelVariable, Structure, Unknown
 
 
 def resized(description: Description, sizes: Mapping[str, int]) -> tuple[Description, frozenset[str]]:

@@ -12,7 +12,7 @@ from ..text.errors import Fault
 from .archive import DESCRIPTION, Archive
 from .description import parse
 from .library import binaries, faults, folders
-from .schema import Description, ModelVariable, Type
+from .model_description import Description, ModelVariable, Type
 
 NAMES = {"ME": "Model Exchange", "CS": "Co-Simulation", "SE": "Scheduled Execution"}
 GROUPS = ("input", "output", "parameter", "structuralParameter")

@@ -25,7 +25,7 @@ import numpy as np
 from scipy.special import betainc, gamma, gammainc, gammaincc, ndtr
 
 from ..text.arrays import Array
-from .corners import breaks_of, finite, positive, refused, undescribed
+from .law_corners import breaks_of, finite, positive, refused, undescribed
 from .quadrature import Described, Spectrum, fundamental, gaussian, harmonics, sinusoidal
 
 __all__ = [

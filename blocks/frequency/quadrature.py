@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from ..text.arrays import Array
-from .corners import Law, breaks_of, finite, positive, refused, sign_changes, switched, undescribed, values
+from .law_corners import Law, breaks_of, finite, positive, refused, sign_changes, switched, undescribed, values
 
 __all__ = ["Described", "Spectrum", "breaks_of", "fundamental", "gaussian", "harmonics", "sinusoidal"]
 

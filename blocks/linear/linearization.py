@@ -21,14 +21,14 @@ import numpy as np
 from ..frequency.delayed import DelayedModel
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
+from .equation_matrix import wiring
 from .model_report import BlockReport, hints_of, report_of
 from .nonlinearities import nonlinear
 from .reduction import Wired, contributing, delayed_model, matrices_of, reduced, with_pade_models
 from .replaced_slopes import ReplacedSlopes
-from .sampled import Sampled
+from .sampled_model import Sampled
 from .signals import Names, SignalElement, listed, place, places
 from .transfer import LoopOfRates, Transfer
-from .wiring import wiring
 
 if TYPE_CHECKING:
     from .linear_model import LiftedModel, LinearModel

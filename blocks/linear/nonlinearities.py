@@ -25,7 +25,7 @@ from ..compile.fmu_tape import FmuTape
 from ..compile.jacobian import on_arrays
 from ..contract.scalars import BENDS
 from ..frequency import quadrature
-from ..frequency.corners import PLACE
+from ..frequency.law_corners import PLACE
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault
 from .interconnection import Interconnection

@@ -18,7 +18,7 @@ import numpy as np
 from ..compile.plan import Plan, Reference
 
 if TYPE_CHECKING:
-    from ..engines.reference.engine import ReferenceEngine
+    from ..engines.reference.reference_engine import ReferenceEngine
 
 _PASSES = 20
 

@@ -16,13 +16,13 @@ from ..frequency.delayed import DelayedModel
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from .elimination import Entries, eliminated, reach, without_noise
+from .equation_matrix import Wiring
 from .interconnection import Interconnection
 from .model_report import BlockReport
 from .nonlinearities import remembers
 from .replaced_slopes import ReplacedSlopes, or_a_gain
 from .signals import SignalElement
 from .slopes import Law
-from .wiring import Wiring
 
 
 @dataclass(frozen=True)

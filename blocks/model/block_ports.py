@@ -10,7 +10,7 @@ from typing import Any
 from ..contract.captured_values import Outside, outside
 from ..contract.resolution import loose
 from ..text.json_number import Number
-from .diagram import BASE, BlockEntry, DiagramValue
+from .diagram_value import BASE, BlockEntry, DiagramValue
 from .flatten import interface_of
 from .hierarchy import Hierarchy, Resolver, spelling
 

@@ -35,7 +35,7 @@ from ..text.grammar import (
 from ..text.printable import quoted
 from ..text.quantity_text import DECIMAL, in_a_file
 from . import streams
-from .diagram import BASE, FORMAT, NAME, PLAIN_VERSION, VERSION, name_cure
+from .diagram_value import BASE, FORMAT, NAME, PLAIN_VERSION, VERSION, name_cure
 
 LARGEST_SIZE = 100_000
 LARGEST_MATRIX = 1_000_000  # rows or columns of one given by its edges

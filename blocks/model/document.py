@@ -19,8 +19,8 @@ from ..text.errors import Fault, ModelError
 from ..text.gc_pause import paused
 from ..text.grammar import Object
 from ..text.json_document import Document
-from .diagram import DEEPEST, FORMAT, MADE, PLAIN_VERSION, VERSION, BlockEntry, DiagramValue, FaultList
 from .diagram_grammar import BLOCK, BODY, DIAGRAM, SCHEMA, VARIANT
+from .diagram_value import DEEPEST, FORMAT, MADE, PLAIN_VERSION, VERSION, BlockEntry, DiagramValue, FaultList
 from .document_reader import DocumentReader, Loading
 from .project import Project, read_inside
 from .values import Column

@@ -25,7 +25,6 @@ from ..text.json_document import Document
 from ..text.json_number import Number
 from ..text.printable import legible, quoted
 from . import migrations
-from .diagram import BASE, DEEPEST, FORMAT, PLAIN_VERSION, VERSION, BlockEntry, DiagramValue, FaultList, is_name
 from .diagram_grammar import (
     BODY,
     CONTROLS,
@@ -38,6 +37,7 @@ from .diagram_grammar import (
     members_of,
     signal,
 )
+from .diagram_value import BASE, DEEPEST, FORMAT, PLAIN_VERSION, VERSION, BlockEntry, DiagramValue, FaultList, is_name
 from .project import Project, project_of, read_inside
 from .streams import is_stream
 from .values import Column, EdgeTable

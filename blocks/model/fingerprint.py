@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from .diagram import BlockEntry, DiagramValue
+from .diagram_value import BlockEntry, DiagramValue
 from .document import to_document
 from .values import Column
 

@@ -29,12 +29,12 @@ from ..text.quantity_text import in_a_file, read_quantity
 from .block_signals import FlatSignal, Signals, element_of
 from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .copies import Fleet, Later, without_numbers
-from .diagram import MADE, PLAIN_VERSION, DiagramValue, is_plain_number
+from .copy_numbers import look_into_copies
 from .diagram_grammar import MEASURE_NUMBERS, MEASURES, RUN
+from .diagram_value import MADE, PLAIN_VERSION, DiagramValue, is_plain_number
 from .expansion import Expansion
 from .flat_block import FlatBlock, FlatEnabled
 from .hierarchy import MAX_BLOCKS, DiagramScope, Hierarchy, Leaf, Resolver, Spot
-from .lanes import look_into_copies
 from .parts import Parts, is_taken_apart
 from .settings import MeasureSpec, RunSettings, read_settings, seed_of
 from .values import expressions_in, is_expression, names_in

@@ -27,12 +27,12 @@ from ..contract.enumerations import Enumeration
 from ..contract.interface import Value
 from ..contract.variables import REQUIRED, Given, Input, Parameter, State, Variable
 from ..fmi.description import read_description
+from ..fmi.description_variables import LARGEST_ARRAY
 from ..fmi.findings import quoted
 from ..fmi.library import clock_faults
+from ..fmi.model_description import Alias, Description, Interface, ModelVariable
 from ..fmi.resizing import resized
-from ..fmi.schema import Alias, Description, Interface, ModelVariable
 from ..fmi.types import FLOATS, INTEGERS
-from ..fmi.variables import LARGEST_ARRAY
 from ..text import units
 from ..text.errors import Fault, FMUError, ModelError, UsageError
 from .diagram_grammar import LONGEST_TIMEOUT, TIMEOUT

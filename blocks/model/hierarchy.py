@@ -25,8 +25,8 @@ from ..text.json_number import Number
 from ..text.printable import legible, quoted
 from . import streams
 from .copies import Copy, Fleet, depth_of, dimensions, labelled, own_value, stream_of, unnumbered, without_numbers
-from .diagram import DEEPEST, BlockEntry, DiagramValue, FaultList
 from .diagram_grammar import LARGEST_SIZE
+from .diagram_value import DEEPEST, BlockEntry, DiagramValue, FaultList
 from .origins import Origin, Origins
 from .values import Absent, Unit, expressions_in, is_expression, names_in, order_of, value_of
 

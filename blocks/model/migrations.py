@@ -25,7 +25,7 @@ __all__ = ["DIAGRAM", "STUDY", "MigratedDocument", "Step", "migrated"]
 Step: TypeAlias = Callable[[MigratedDocument], None]
 
 DIAGRAM: dict[int, Step] = {1: pid_takes_r_and_y}
-"""The steps of diagram files, by the version at which each begins. The newest is `blocks.model.diagram.VERSION`; what
+"""The steps of diagram files, by the version at which each begins. The newest is `diagram_value.VERSION`; what
 is written as version 2 means the same in it."""
 STUDY: dict[int, Step] = {}
 """The steps of study files. The newest version is `blocks.model.study_grammar.VERSION`."""

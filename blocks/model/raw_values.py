@@ -22,7 +22,7 @@ from .copies import named
 from .variants import taken
 
 if TYPE_CHECKING:
-    from .diagram import BlockEntry, DiagramValue
+    from .diagram_value import BlockEntry, DiagramValue
     from .hierarchy import Resolver
 
 

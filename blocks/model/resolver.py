@@ -8,7 +8,7 @@ from pathlib import Path
 from ..contract.block import Block
 from ..text.errors import BlocksError, Fault, ModelError
 from ..text.printable import legible, quoted
-from .diagram import BlockEntry
+from .diagram_value import BlockEntry
 from .hierarchy import Resolver
 
 

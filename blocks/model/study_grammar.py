@@ -8,8 +8,8 @@ from typing import Any
 
 from ..results import plots
 from ..text.grammar import AnyOf, Choice, Field, Kind, ListOf, Object, Ref, Rule, Scalar, Steps, Table, Text, Told
-from .diagram import is_name
 from .diagram_grammar import DOC, FILLED, FLAG, NAMES, NUMBER, OPEN_DOC, PLAIN, QUANTITY, RUN, TEXT, TIME, header
+from .diagram_value import is_name
 
 FORMAT, VERSION = "blocks-study", 1
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..text.errors import BlocksError, Fault, FMUError, UsageError
 from ..text.printable import legible, quoted
-from .diagram import DiagramValue
+from .diagram_value import DiagramValue
 from .flatten import Flat
 from .project import open_below, project_of
 

@@ -16,7 +16,7 @@ from typing import Any
 from ..text import units
 from ..text.errors import Fault, ModelError, did_you_mean
 from ..text.printable import legible, quoted
-from .diagram import BASE, DEEPEST, BlockEntry, DiagramValue
+from .diagram_value import BASE, DEEPEST, BlockEntry, DiagramValue
 
 # --- which one is taken ----------------------------------------------------------------------------------------
 

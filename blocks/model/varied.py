@@ -25,7 +25,7 @@ from ..text.quantity_text import read_quantity
 from ..text.units import from_si, si_text, to_si
 from . import raw_values as whole_values
 from .copies import named
-from .diagram import DiagramValue
+from .diagram_value import DiagramValue
 from .flatten import Flat, flatten
 from .hierarchy import DiagramScope, Leaf, Resolver, bound_faults
 from .origins import Origin

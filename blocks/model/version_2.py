@@ -18,7 +18,7 @@ from typing import Any
 
 from ..text.json_document import Path
 from ..text.json_number import Number
-from .diagram import DEEPEST
+from .diagram_value import DEEPEST
 from .migrated_document import MigratedDocument
 
 PARAMETERS = {  # the units of those that a PID had; {0} is its unit, {1} its unit_u

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from .diagram import VERSION, DiagramValue, is_plain_number
+from .diagram_value import VERSION, DiagramValue, is_plain_number
 
 
 def converted(value: DiagramValue, in_si: Mapping[str, str]) -> DiagramValue:

@@ -15,8 +15,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ..analysis.model_text import check_loop, lines
 from ..analysis.operating import find_operating_point
-from ..analysis.text import check_loop, lines
 from ..api.run import Run, started
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
@@ -37,10 +37,10 @@ from ..studies.statistics import quantiles
 from ..studies.sweep import QUANTILES, Sweep
 from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
 from .curves import thinned
-from .document import inside, told_fault
 from .facts import text_of
 from .live_run import LiveRun
 from .messages import Answer, handles, handles_aside
+from .open_document import inside, told_fault
 from .session import Session
 
 Amplitude = dict[str, float] | None

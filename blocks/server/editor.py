@@ -18,7 +18,7 @@ from ..editing.applying import edit_file
 from ..editing.edits import Edit, Workspace
 from ..editing.spots import spot_of
 from ..editing.tree import entry_at
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 from ..model.document import dumps
 from ..model.hierarchy import Resolver
 from ..model.project import project_of
@@ -26,8 +26,8 @@ from ..text import json_text
 from ..text.atomic_write import real, write_atomically
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.printable import legible
-from .document import Document
-from .history import History, Step
+from .edit_history import History, Step
+from .open_document import Document
 
 Operations = Sequence[Mapping[str, Any]]
 _GONE, _CHANGE = "the deletion on disk", "the change on disk"

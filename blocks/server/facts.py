@@ -17,7 +17,7 @@ from ..compile.plan import Plan
 from ..compile.setting_programs import Setting
 from ..contract.enumerations import enumeration_of
 from ..model.copies import without_numbers
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 from ..model.values import expressions_in
 from ..text.json_number import Number
 from ..text.units import converted, same_quantity

@@ -21,8 +21,8 @@ from zipfile import is_zipfile
 from ..api.catalog import Catalog
 from ..editing.operations import OPERATIONS
 from ..model.block_ports import port_units
-from ..model.diagram import BASE
 from ..model.diagram_grammar import BODY, MEASURES
+from ..model.diagram_value import BASE
 from ..model.document import entries
 from ..model.trust import is_trusted
 from ..model.values import is_expression
@@ -31,11 +31,11 @@ from ..text.atomic_write import check_target, refused, write_atomically
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible, quoted
 from ..text.quantity_text import value_in
-from .document import inside
 from .editor import Editor, Operations, move
 from .facts import Fact
 from .following import follow, followed
 from .messages import Answer, handles
+from .open_document import inside
 from .palette import entries_of, files_beside, is_diagram
 from .session import Session
 

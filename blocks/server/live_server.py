@@ -82,8 +82,8 @@ class LiveServer:
         """Read the diagram, and let pages in; those that came too early waited. Raises UsageError: there is no file."""
         # The modules of the messages that pages may send are here for what they declare.
         from . import analysis_messages, gestures, knobs, panel, scope_messages  # noqa: F401
-        from .document import Document
         from .editor import Editor
+        from .open_document import Document
         from .session import Session
 
         try:

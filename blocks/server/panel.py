@@ -12,16 +12,16 @@ from typing import Any
 
 from ..api.catalog import ParameterRow, PortRow, Sheet, sheet_of
 from ..contract.type_texts import names_of, pieces_of
-from ..model.diagram import BlockEntry, DiagramValue
+from ..model.diagram_value import BlockEntry, DiagramValue
 from ..model.hierarchy import DiagramScope, Hierarchy, Leaf
 from ..model.variants import taken
 from ..text.docstrings import Lines, Paragraph, html_of, inline_html
 from ..text.element_names import indexed
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.printable import quoted
-from .document import told_fault
 from .facts import facts_of, text_of
 from .messages import Answer, handles
+from .open_document import told_fault
 from .session import Session
 
 MOST_ROWS = 300

@@ -5,10 +5,10 @@ from __future__ import annotations
 from ..text.errors import Fault, UsageError
 from ..text.printable import legible, quoted
 from .curves import Window, elements, values_at
-from .document import inside
 from .facts import text_of
 from .measured import Measured
 from .messages import Answer, handles, handles_aside
+from .open_document import inside
 from .scopes import Page, Scope
 from .session import Session
 

@@ -22,9 +22,9 @@ from ..model.trust import Paths
 from ..text.element_names import indexed
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.version import __version__
-from .document import Document, told_fault
 from .live_run import PATIENCE, LiveRun, check_pace, own_fault
 from .messages import ASIDE, Answer, answer, handles
+from .open_document import Document, told_fault
 from .scopes import Page, trim
 
 Asks = Callable[[str, Callable[[bool], None]], None]

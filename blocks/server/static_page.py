@@ -26,8 +26,8 @@ from ..text.errors import Fault, UsageError
 from ..text.printable import counted, quoted
 from . import panel, scope_messages  # noqa: F401  # what they answer stands in the page
 from .curves import thinned
-from .document import Document
 from .messages import answer
+from .open_document import Document
 from .session import Session
 
 if TYPE_CHECKING:

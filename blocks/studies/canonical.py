@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from ..model import diagram, study_grammar
+from ..model import diagram_value, study_grammar
 from ..model import document as documents
 from ..model.block_types import Library, library_types
-from ..model.diagram import DiagramValue, is_plain_number
+from ..model.diagram_value import DiagramValue, is_plain_number
 from ..model.flatten import flatten, numbers_in_si
 from ..model.project import MAX_BYTES, Project, read_inside
 from ..model.resolver import resolver_of
@@ -49,7 +49,7 @@ def canonical(file: str, stream: BinaryIO | None = None, *, library: Library = (
     is_study = isinstance(document.value, dict) and document.value.get("format") == study_grammar.FORMAT
     if is_study:
         return Canonical(document.text, *study.canonical(document), study_grammar.VERSION)
-    newest = diagram.PLAIN_VERSION
+    newest = diagram_value.PLAIN_VERSION
 
     warnings: list[Fault] = []
 

@@ -34,7 +34,7 @@ import numpy as np
 from ..api.batch import Batch, BatchRows
 from ..api.diagram import Diagram
 from ..model.block_types import library_types
-from ..model.diagram import DiagramValue
+from ..model.diagram_value import DiagramValue
 from ..model.document import dumps, self_contained
 from ..model.variants import taken
 from ..results.table import optional

@@ -15,7 +15,7 @@ from ..editing import tree
 from ..editing.applying import edit_file
 from ..editing.edits import Edit, Workspace
 from ..editing.spots import Spot
-from ..model.diagram import BASE
+from ..model.diagram_value import BASE
 from ..model.document import loads
 from ..model.flatten import Flat, flatten
 from ..model.resolver import resolver_of

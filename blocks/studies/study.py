@@ -20,8 +20,8 @@ import numpy as np
 
 from ..api.diagram import Diagram
 from ..model import migrations
-from ..model.diagram import FaultList, beside, is_name
 from ..model.diagram_grammar import DOC, SIGNAL
+from ..model.diagram_value import FaultList, beside, is_name
 from ..model.flatten import FlatSignal, element_of
 from ..model.project import Project, read_inside
 from ..model.study_grammar import ASSUMED, CLAIM, FORMAT, ONE_SWEEP, ONE_TUNING, SETTINGS, STUDY, VERSION, named

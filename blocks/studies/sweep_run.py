@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..api.batch import Batch, BatchRows
-from ..model.diagram import check_name
 from ..model.diagram_grammar import MEASURE_UNITS
+from ..model.diagram_value import check_name
 from ..model.flatten import Flat, element_of
 from ..model.raw_values import raw_of
 from ..model.trust import Paths

@@ -55,7 +55,7 @@ import blocks
 import blocks.analysis
 import blocks.graph
 from blocks import cli
-from blocks.cli.values import assignments
+from blocks.cli.option_values import assignments
 from blocks.contract.interface import Interface
 from blocks.contract.type_texts import NO_NAMES, interface_of, names_of, pieces_of
 from blocks.contract.variables import REQUIRED

@@ -16,7 +16,7 @@ import pytest
 
 from blocks import BlocksError, Diagram, Noise, Results, Sine, UsageError
 from blocks.api import streaming
-from blocks.engines.native.engine import NativeEngine
+from blocks.engines.native.native_engine import NativeEngine
 from blocks.results import arrow
 from blocks.results.arrow import Part
 from tests.engines.test_saved_state import SHIPPED, mixed

@@ -21,8 +21,8 @@ import pytest
 
 from blocks import Diagram, Results, __version__
 from blocks.cli import main
+from blocks.cli.option_values import parsed
 from blocks.cli.output import Excerpts
-from blocks.cli.values import parsed
 from blocks.model.document import from_document
 from blocks.model.fingerprint import fingerprint
 from blocks.text.errors import Fault, ModelError

@@ -311,7 +311,7 @@ def test_what_is_printed_to_be_run_holds_no_text_of_a_file(tmp_path: Path) -> No
 
 # --- names are escaped: C, HTML, SVG, XML, terminals ------------------------------------------------------------------
 # SVG: tests/draw/test_draw.py, "hostile names". Study reports: tests/studies/test_study.py. XML:
-# tests/export/test_description.py, "odd texts". Terminals: every case of tests/support/hostile.py.
+# tests/export/test_description_xml.py, "odd texts". Terminals: every case of tests/support/hostile.py.
 
 ODD = """</script><img src=x onerror=alert(1)> */ ??/ \\
 %s%n "'`$(touch harm)` \x1b]0;owned\x07 \x9b31m \u202e \u2028 ]]> --> {0.__class__} \\x41 \\"""

@@ -56,10 +56,11 @@ def test_a_wrong_signal_is_refused_without_scipy() -> None:
 def test_a_run_loads_one_engine_and_nothing_of_fmus_or_figures() -> None:
     modules = loaded("run", "diagrams/bouncing_ball.json", "--engine", "native")
     own = {name for name in modules if name.startswith("blocks.")}
-    assert "blocks.engines.native.engine" in own
+    assert "blocks.engines.native.native_engine" in own
     assert not {name for name in own if name.startswith(("blocks.engines.reference", "blocks.engines.master"))}
     assert not {name for name in own if name.startswith(("blocks.linear", "blocks.frequency", "blocks.draw"))}
-    assert not own & {f"blocks.fmi.{name}" for name in ("archive", "schema", "description", "library", "instance")}
+    of_fmus = ("archive", "model_description", "description", "library", "instance")
+    assert not own & {f"blocks.fmi.{name}" for name in of_fmus}
     assert not (HEAVY | {"scipy", "importlib.metadata", "jsonschema"}) & modules
 
 
@@ -67,7 +68,7 @@ def test_a_command_loads_the_modules_of_no_other_command() -> None:
     modules = loaded("explain", "E101")
     assert "numpy" not in modules
     assert {name for name in modules if name.startswith("blocks.cli.")} <= {
-        f"blocks.cli.{name}" for name in ("explain", "options", "output", "signals", "values")
+        f"blocks.cli.{name}" for name in ("explain", "options", "output", "stop_signals", "option_values")
     }
 
 
@@ -80,4 +81,5 @@ def test_fmus_for_co_simulation_alone_need_no_other_engine() -> None:
     )  # fmt: skip
     own = set(done.stdout.split())
     assert "blocks.engines.master.native_master" in own
-    assert not own & {"blocks.engines.native.engine", "blocks.engines.reference.engine", "blocks.compile.c.model_code"}
+    engines = {"blocks.engines.native.native_engine", "blocks.engines.reference.reference_engine"}
+    assert not own & {*engines, "blocks.compile.c.model_code"}

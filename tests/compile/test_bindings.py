@@ -28,8 +28,8 @@ from blocks.contract.resolution import resolve
 from blocks.contract.tape import TapeNode
 from blocks.library import LIBRARY
 from blocks.model import document
-from blocks.model.diagram import DiagramValue
 from blocks.model.diagram_grammar import RUN
+from blocks.model.diagram_value import DiagramValue
 from blocks.model.flatten import flatten
 from blocks.model.resolver import resolver_of
 from blocks.model.values import names_in

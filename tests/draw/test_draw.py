@@ -22,12 +22,12 @@ from hypothesis import strategies as st
 
 from benchmarks.drawing import placed
 from blocks.draw import Picture, Ports, picture, ports_of, rendered, svg
-from blocks.draw.graph import pieces
+from blocks.draw.layout_graph import pieces
 from blocks.draw.picture import Box, Wire
 from blocks.draw.shapes import polynomial
 from blocks.draw.text import cut, plain, width_of
 from blocks.model.block_types import library_types
-from blocks.model.diagram import BlockEntry, DiagramValue
+from blocks.model.diagram_value import BlockEntry, DiagramValue
 from blocks.model.document import from_document, load, loads
 from blocks.model.resolver import resolver_of
 from blocks.text.errors import Fault, ModelError

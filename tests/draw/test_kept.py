@@ -12,7 +12,7 @@ from blocks import Diagram
 from blocks.draw import picture, ports_of, rendered
 from blocks.draw.maze import Maze
 from blocks.draw.picture import Kept
-from blocks.model.diagram import DiagramValue
+from blocks.model.diagram_value import DiagramValue
 from blocks.model.document import dumps
 from blocks.text.errors import Fault
 

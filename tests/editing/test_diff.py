@@ -24,7 +24,7 @@ from blocks import Diagram, FirstOrder, Gain, ModelError, cli
 from blocks.editing.diff import Change, Differences, differences
 from blocks.editing.diff.meaning import same
 from blocks.model.block_types import library_types
-from blocks.model.diagram import DiagramValue
+from blocks.model.diagram_value import DiagramValue
 from blocks.model.document import dumps, from_document, load, loads
 from blocks.model.resolver import resolver_of
 from blocks.text import json_text

@@ -61,7 +61,7 @@ from blocks.compile.toolchain.compiler import find_compiler
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
 from blocks.engines import selection as engines
-from blocks.engines.native import engine as native_engine
+from blocks.engines.native import native_engine
 from blocks.library import LIBRARY
 from tests.support.documents import SHIPPED, is_unlike, span
 from tests.support.library_variants import VARIANTS

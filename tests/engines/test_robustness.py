@@ -399,7 +399,7 @@ def test_measures_of_a_master_are_the_same_in_pieces_of_any_size(monkeypatch: py
     diagram.measure("e", "ISE", "x.y", start=0.123, stop=0.777)
     made = []
     for size in (65536, 50, 7, 1):
-        monkeypatch.setattr("blocks.engines.master.measured.MOST_AT_ONCE", size)
+        monkeypatch.setattr("blocks.engines.master.master_measures.MOST_AT_ONCE", size)
         made.append(dict(diagram.run(stop=1.0, master=MASTER, engine="native").measures))
     assert all(str(one) == str(made[0]) for one in made), made
     run = diagram.start(stop=1.0, master=MASTER, engine="native")

@@ -32,7 +32,7 @@ from blocks import (
 )
 from blocks.compile.toolchain.compiler import find_compiler
 from blocks.contract.expressions import exact_decimal
-from blocks.engines.reference.engine import ReferenceEngine
+from blocks.engines.reference.reference_engine import ReferenceEngine
 from blocks.model.settings import read_settings
 
 ENGINES = ["reference", pytest.param("native", marks=pytest.mark.skipif(not find_compiler(), reason="no compiler"))]

@@ -20,7 +20,7 @@ from fmpy.validation import validate_fmu
 
 from blocks import Block, Diagram, Gain, Input, Integrator, ModelError, UsageError, fmu, output
 from blocks.cli import main
-from blocks.export.description import _enumerations
+from blocks.export.description_xml import _enumerations
 from blocks.export.fmu_model import ExportedVariable
 from tests.support.places import ROOT
 

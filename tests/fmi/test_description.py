@@ -16,12 +16,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blocks.fmi import dependencies, variables, xmltree
+from blocks.fmi import dependencies, description_variables, xmltree
 from blocks.fmi import description as reader
 from blocks.fmi.definitions import ATTRIBUTES
 from blocks.fmi.description import parse, read_description
 from blocks.fmi.findings import MOST_FAULTS
-from blocks.fmi.schema import Description, ModelVariable, Unknown
+from blocks.fmi.model_description import Description, ModelVariable, Unknown
 from blocks.text import units
 from blocks.text.errors import Fault, FMUError
 from tests.support.fmus import FILES, load
@@ -772,7 +772,7 @@ TAGS = [
 ]  # fmt: skip
 NAMES = sorted(
     {
-        *reader._ROOT, *variables._VALUE_3, *ATTRIBUTES, *reader._INTERFACE, *dependencies._UNKNOWN,
+        *reader._ROOT, *description_variables._VALUE_3, *ATTRIBUTES, *reader._INTERFACE, *dependencies._UNKNOWN,
         "value", "kg", "factor", "offset", "startTime", "foo",
     }
 )  # fmt: skip

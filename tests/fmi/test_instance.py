@@ -29,7 +29,7 @@ from scipy.linalg import expm
 from blocks.fmi.archive import PREFIX, _processes
 from blocks.fmi.instance import Events, Instance, Loaded, Message, StepResult, open_fmu
 from blocks.fmi.library import this_machine
-from blocks.fmi.schema import ModelVariable
+from blocks.fmi.model_description import ModelVariable
 from blocks.text.errors import BlocksError, FMUError, SimulationError, UsageError
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
 from tests.support.places import ROOT

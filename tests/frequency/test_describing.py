@@ -12,8 +12,8 @@ from scipy.optimize import brentq, fsolve
 from scipy.special import iv
 
 from blocks.frequency import describing
-from blocks.frequency.corners import breaks_of
 from blocks.frequency.describing import Described
+from blocks.frequency.law_corners import breaks_of
 from blocks.frequency.quadrature import fundamental, gaussian, harmonics, sinusoidal
 from blocks.text.errors import AnalysisError, UsageError
 

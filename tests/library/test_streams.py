@@ -31,7 +31,7 @@ from blocks import (
 from blocks.cli import main
 from blocks.compile.c.model_code import emit
 from blocks.compile.toolchain.compiler import find_compiler
-from blocks.editing.rename import renaming
+from blocks.editing.renaming import renaming
 from blocks.model.document import load, loads
 from blocks.model.streams import is_stream, number_of
 from tests.support.fmus import exported

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from blocks import Block, Diagram, Input, Parameter, library, output
-from blocks.frequency.corners import breaks_of
+from blocks.frequency.law_corners import breaks_of
 from blocks.linear.nonlinearities import StaticLaw, nonlinear
 from blocks.linear.slopes import slopes_at
 from blocks.linear.thresholds import evident

@@ -11,7 +11,7 @@ import pytest
 
 from blocks import Diagram, FirstOrder, ModelError, Sine, UsageError, edit_file, subdiagram
 from blocks.model.copies import Fleet, Layout, alike
-from blocks.model.diagram import DiagramValue
+from blocks.model.diagram_value import DiagramValue
 from blocks.model.fingerprint import fingerprint
 
 HEAD = {"format": "blocks-diagram", "version": 3}

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from blocks import Diagram, ModelError, UsageError
 from blocks.library import LIBRARY
-from blocks.model.diagram import DiagramValue
+from blocks.model.diagram_value import DiagramValue
 from blocks.model.document import dumps, from_document, load, loads
 from blocks.model.flatten import Flat, flatten
 from blocks.model.project import MAX_BYTES, project_of

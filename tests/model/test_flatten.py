@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from blocks import Block, Diagram, Input, ModelError, Parameter, output, wiring
 from blocks.library import LIBRARY
-from blocks.model.diagram import BlockEntry, DiagramValue
+from blocks.model.diagram_value import BlockEntry, DiagramValue
 from blocks.model.document import from_document, load, loads
 from blocks.model.flatten import BlockSource, Flat, InputSource, Source, ValueSource, element_of, flatten
 from blocks.model.hierarchy import DiagramScope, spelling

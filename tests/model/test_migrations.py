@@ -19,8 +19,8 @@ import pytest
 
 from blocks import Diagram, ModelError
 from blocks.cli import main
-from blocks.model import diagram, document, migrations
 from blocks.model import diagram_grammar as g
+from blocks.model import diagram_value, document, migrations
 from blocks.model import study_grammar as s
 from blocks.model.block_types import library_types
 from blocks.model.flatten import BlockSource, InputSource, Source
@@ -142,14 +142,14 @@ def same(made: Any, wanted: Any, place: str = "") -> None:
 
 
 def test_there_is_a_golden_file_of_each_version() -> None:
-    assert [path.name for path in DIAGRAMS] == [f"diagram_v{n}.json" for n in range(1, diagram.VERSION + 1)]
+    assert [path.name for path in DIAGRAMS] == [f"diagram_v{n}.json" for n in range(1, diagram_value.VERSION + 1)]
     assert [path.name for path in STUDIES] == [f"study_v{n}.json" for n in range(1, s.VERSION + 1)]
     for path in (*DIAGRAMS, *STUDIES):
         assert f'"version": {path.stem.partition("_v")[2]},' in path.read_text(encoding="utf-8")
 
 
 def test_there_is_a_step_from_each_older_version() -> None:
-    assert list(migrations.DIAGRAM) == list(range(1, diagram.PLAIN_VERSION)), "version 3 has something more alone"
+    assert list(migrations.DIAGRAM) == list(range(1, diagram_value.PLAIN_VERSION)), "version 3 has something more alone"
     assert list(migrations.STUDY) == list(range(1, s.VERSION))
 
 

@@ -12,7 +12,7 @@ import pytest
 import blocks
 from blocks import Block, Diagram, Input, ModelError, Parameter, State, UsageError, output
 from blocks.analysis import find_operating_point
-from blocks.results.compare import compare
+from blocks.results.comparison import compare
 
 
 class Body(Block):

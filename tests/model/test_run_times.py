@@ -14,7 +14,7 @@ from blocks import Diagram, Integrator, ModelError, Sine, UsageError
 from blocks.cli import main
 from blocks.compile.bindings import bindings
 from blocks.compile.toolchain.compiler import find_compiler
-from blocks.editing.rename import renaming
+from blocks.editing.renaming import renaming
 from blocks.library import LIBRARY
 from blocks.studies import json_schema
 from blocks.text.errors import BlocksError

@@ -33,11 +33,11 @@ from blocks import (
     output,
 )
 from blocks.compile.coupling import Coupling
-from blocks.model.diagram import BASE
+from blocks.model.diagram_value import BASE
 from blocks.model.document import from_document
 from blocks.model.fingerprint import fingerprint
 from blocks.model.variants import match, port_of, taken
-from blocks.results.compare import compare
+from blocks.results.comparison import compare
 from blocks.studies import report, study
 from tests.support.places import ROOT
 

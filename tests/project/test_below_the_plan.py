@@ -10,7 +10,7 @@ PLACES = (
     *("engines", "engines/master", "engines/native", "engines/reference", "engines/run", "compile/c"),
     *("compile/inputs.py", "compile/jacobian.py", "compile/motion.py", "compile/plan.py", "compile/scheduler.py"),
     *("compile/tick_stages.py", "compile/time_grid.py"),
-    "export/tables.py",
+    "export/tables_code.py",
 )
 FILES = sorted(
     path

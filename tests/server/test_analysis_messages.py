@@ -14,8 +14,8 @@ import pytest
 
 from blocks import Diagram, Gain, Integrator, Pulse, Relay, Sum, TransferFunction, TransportDelay, ZeroOrderHold
 from blocks.server import analysis_messages, knobs, panel, scope_messages  # noqa: F401  # the messages that they answer
-from blocks.server.document import Document
 from blocks.server.messages import answer
+from blocks.server.open_document import Document
 from blocks.server.session import Session
 from blocks.text.errors import AnalysisError, UsageError
 

@@ -12,8 +12,8 @@ import pytest
 import blocks.server.knobs
 import blocks.server.panel  # noqa: F401  # their messages
 from blocks import Diagram
-from blocks.server.document import Document
 from blocks.server.messages import answer
+from blocks.server.open_document import Document
 from blocks.server.session import Session
 from blocks.server.static_page import page_of
 from blocks.text.errors import UsageError

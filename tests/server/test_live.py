@@ -23,8 +23,8 @@ from websockets.sync.client import ClientConnection, connect
 from blocks import Diagram, Gain, ModelError
 from blocks.cli import main
 from blocks.fmi.callbacks import instances
-from blocks.server.document import Document
 from blocks.server.live_server import LiveServer
+from blocks.server.open_document import Document
 from blocks.server.session import Session
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
 from tests.support.places import ROOT

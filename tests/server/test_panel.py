@@ -11,8 +11,8 @@ import pytest
 import blocks
 import blocks.server.panel  # its message
 from blocks import Block, Diagram, Gain, Input, Parameter, output
-from blocks.server.document import Document
 from blocks.server.messages import answer
+from blocks.server.open_document import Document
 from blocks.server.session import Session
 
 PAPER = Path(__file__).resolve().parents[2] / "diagrams/paper/iadrc.json"

@@ -16,9 +16,9 @@ import pytest
 
 from blocks import BlocksError, Diagram, Gain, ModelError, UsageError
 from blocks.server import analysis_messages, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
-from blocks.server.document import Document
 from blocks.server.editor import Editor
 from blocks.server.messages import HANDLERS, answer
+from blocks.server.open_document import Document
 from blocks.server.scopes import Page
 from blocks.server.session import Session
 from tests.support.places import ROOT

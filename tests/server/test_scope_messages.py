@@ -13,8 +13,8 @@ import pytest
 import blocks.server.scope_messages  # noqa: F401  # its messages
 from blocks import Diagram, Gain, Results, Sine, ZeroOrderHold
 from blocks.server import scopes, session
-from blocks.server.document import Document, inside
 from blocks.server.messages import answer
+from blocks.server.open_document import Document, inside
 from blocks.server.scopes import Page
 from blocks.server.session import Session
 from blocks.server.transport import Transport, new_token

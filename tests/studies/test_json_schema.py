@@ -24,7 +24,7 @@ from blocks.library import LIBRARY
 from blocks.model import diagram_grammar as g
 from blocks.model import study_grammar as s
 from blocks.model.block_types import library_types
-from blocks.model.diagram import BASE
+from blocks.model.diagram_value import BASE
 from blocks.model.document import dumps, from_document, load, loads
 from blocks.model.fingerprint import fingerprint
 from blocks.model.flatten import flatten

@@ -155,7 +155,7 @@ def warm() -> None:
             ["linearize", motor, "--from", "control.u", "--to", "motor.omega"],
         ):
             main(words)
-    for name in ("studies.study", "studies.report", "results.compare", "export.exporter", "fmi.summary"):
+    for name in ("studies.study", "studies.report", "results.comparison", "export.exporter", "fmi.summary"):
         importlib.import_module(f"blocks.{name}")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from ...contract.expressions import FUNCTIONS
 from ...contract.scalars import COSTLY, LOGICAL, OPERATIONS
 from ..setting_programs import Program, Setting
-from .functions import number, operation_text
+from .function_code import number, operation_text
 
 _CALLS = [op for op in ("pow", *FUNCTIONS, "expm1") if op in COSTLY]
 ALIKE = 8

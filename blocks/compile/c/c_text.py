@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from ...text.arrays import Array
-from .functions import number
+from .function_code import number
 
 
 def ints(name: str, values: Iterable[int], kind: str = "int32_t") -> str:

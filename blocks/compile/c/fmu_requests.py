@@ -8,7 +8,7 @@ from typing import Any
 
 from ...fmi.types import code_of
 from ..fmu_tape import FmuTape, Request
-from .functions import number
+from .function_code import number
 
 KINDS = ("state", "derivative", "indicator", "value", "event_time", "given", "number", "partial")
 

@@ -13,7 +13,7 @@ from ...text.arrays import Array
 from ..fmu_tape import FmuTape
 from ..jacobian import PlanJacobian, Solve, Sum
 from .c_text import ints, reals, table
-from .functions import function_text
+from .function_code import function_text
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ from ...contract.scalars import COSTLY, OPERATIONS
 from ..plan import AlgebraicLoop, Plan
 from ..tableaus import METHODS
 from ..toolchain.compiler import find_compiler, is_gcc
-from .calls import Printed
-from .functions import LANES, comment
+from .function_code import LANES, comment
 from .loops import Call
+from .program_code import Printed
 
 LANE_PROGRAMS = frozenset(
     {"rates", "rates_and_sides", "rates_and_measured", "plain_measured", "bent_measured", "measured"}

@@ -14,7 +14,7 @@ from itertools import pairwise
 from typing import Any
 
 from ..folding import At
-from .functions import Function
+from .function_code import Function
 
 Value = tuple[str, Any]
 """A row of memory and an index in it (in q, n and v: or a name for what has no place yet; in c: an offset). Also

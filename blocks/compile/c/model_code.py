@@ -32,12 +32,12 @@ from ..scheduler import schedule
 from ..tableaus import METHODS, STIFF
 from ..tick_stages import UnitPlace, rate_sets, sequence_of, tick_program
 from .c_text import Filled, ints
-from .calls import SAME, print_program, print_selected
-from .functions import LANES, comment, function_text
+from .function_code import LANES, comment, function_text
 from .jacobian_code import elimination, in_order, jacobian_text
 from .lane_code import LANE_PROGRAMS, LaneCode
 from .loops import Call, Copy, Sink, at_of
 from .plan_reader import MOVING, Places, PlanReader, ProgramScope
+from .program_code import SAME, print_program, print_selected
 from .ticks import Clique, Stage
 
 __all__ = ["Clique", "Emitted", "Stage", "emit"]

@@ -18,10 +18,10 @@ from ..motion import Motions
 from ..plan import AlgebraicLoop, LoopPart, Node, Plan, Program, Reference
 from ..scheduler import schedule
 from ..tearing import bounds, sensitivities, slopes
-from .calls import Tables
 from .fmu_requests import request_text
-from .functions import Function, function_text, is_costly, needed_from
+from .function_code import Function, function_text, is_costly, needed_from
 from .loops import Call, Place, Value
+from .program_code import Tables
 
 FIXED, HELD, MOVING = 0, 1, 2
 _PLAIN = frozenset({"x", "d", "s", "p", "u", "h", "t"})  # rows that are read in place

@@ -4,11 +4,11 @@
 
 Layout, the order of keys and entries, and the spelling of numbers and expressions are no differences; 1200 mOhm is
 1.2 Ohm. A block with another name but the same content and the same wires was renamed. `walk` goes
-section by section, with `block_facts` for blocks, `meaning` for values and `renames` for names; `report` writes the
-lines, and `drawing` puts both diagrams into one picture.
+section by section, with `block_facts` for blocks, `meaning` for values and `renames` for names; `diagram_differences`
+writes the lines, and `merged_drawing` puts both diagrams into one picture.
 """
 
 from .changes import Change
-from .report import Differences, differences
+from .diagram_differences import Differences, differences
 
 __all__ = ["Change", "Differences", "differences"]

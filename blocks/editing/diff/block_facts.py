@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ...contract.variables import REQUIRED
-from ...model.diagram import BlockEntry, DiagramValue
+from ...model.diagram_value import BlockEntry, DiagramValue
 from ...model.flatten import interface_of
 from ...model.hierarchy import Resolver
 from ...model.project import project_of

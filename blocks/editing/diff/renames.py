@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ...model.diagram import BASE, BlockEntry, DiagramValue
+from ...model.diagram_value import BASE, BlockEntry, DiagramValue
 from .meaning import digest_of
 
 MOST_WORK = 1_500_000

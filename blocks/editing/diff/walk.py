@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-from ...model.diagram import BASE, BlockEntry, DiagramValue
 from ...model.diagram_grammar import BLOCK, DEFAULT, INPUT, MEASURE, RUN, UNIT, VARIANT
+from ...model.diagram_value import BASE, BlockEntry, DiagramValue
 from ...model.document import entry_document
 from ...model.hierarchy import Resolver
 from ...model.values import Unit

@@ -38,7 +38,7 @@ from ..run.saved_state import State
 from .exchange import Exchange, Point, course_of
 from .growth import Growth, circles, warning
 from .limits import CLOSE, CONVERGED, DEEPEST, MOST_PASSES, NEAR, ROUGH
-from .measured import measured
+from .master_measures import measured
 from .policy import Policy
 from .step_control import StepControl
 from .stepped_units import (

@@ -31,7 +31,7 @@ from ...results.results import Event
 from ...text.arrays import Array
 from ...text.available_memory import for_recording
 from ...text.errors import Fault, FMUError
-from ..native.rows import LARGEST_SPARE, MOST_SPARE, array, track_table
+from ..native.run_handle import LARGEST_SPARE, MOST_SPARE, array, track_table
 from ..run.memory_estimate import COPIES_OF_MASTER, no_room
 from .limits import limits_header
 from .master import MOST_LEARNT, ReferenceMaster, Row
@@ -94,7 +94,7 @@ class CoreUnit(Running):
     """Blocks with equations as a native run, whose inputs the master gives."""
 
     def __init__(self, unit: CoupledUnit) -> None:
-        from ..native.engine import NativeEngine  # FMUs alone need none
+        from ..native.native_engine import NativeEngine  # FMUs alone need none
 
         assert unit.plan is not None
         self.unit, self.plan = unit, unit.plan

@@ -21,7 +21,7 @@ from ...compile.toolchain.cache import of_user
 from ...compile.toolchain.isolation_build import compiled
 from ...compile.upstream import changed_by
 from ...fmi.instance import Instance, Loaded, Saved, ended
-from ...fmi.schema import ModelVariable
+from ...fmi.model_description import ModelVariable
 from ...fmi.types import call_of
 from ...results.results import Event
 from ...text.errors import NOT_FINITE, Fault, FMUError, SimulationError
@@ -130,7 +130,7 @@ class PlanUnit(Running):
     """Blocks with equations: a run of their Plan, whose inputs the master gives."""
 
     def __init__(self, unit: CoupledUnit, seen: frozenset[Reference]) -> None:
-        from ..reference.engine import ReferenceEngine  # FMUs alone need none
+        from ..reference.reference_engine import ReferenceEngine  # FMUs alone need none
 
         assert unit.plan is not None
         self.unit, self.plan = unit, unit.plan

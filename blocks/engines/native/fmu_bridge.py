@@ -13,7 +13,7 @@ from ...compile.c.runtime_texts import packaged
 from ...compile.c.structures import structures
 from ...compile.plan import Plan
 from ...fmi.exits import Ended
-from ...fmi.schema import ModelVariable
+from ...fmi.model_description import ModelVariable
 from ...fmi.types import NUMBERS, call_of, call_of_code, code_of, full_name
 from ...text.arrays import Array
 from ...text.errors import Fault, FMUError, SimulationError

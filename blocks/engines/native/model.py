@@ -27,7 +27,7 @@ from ...compile.toolchain.compiler import TranslationUnit, build, load
 from ...text.errors import CompilerError
 from ..run.measures import Measures
 from ..run.step_parts import longest_step
-from .stiff import CarriedOrder
+from .carried_order import CarriedOrder
 
 _LOCK = threading.Lock()
 MOST_MODELS = 32

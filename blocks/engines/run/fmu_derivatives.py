@@ -15,7 +15,7 @@ import numpy as np
 from ...compile.fmu_tape import OpaqueItem
 from ...compile.jacobian import apart
 from ...compile.plan import ForeignPart, Plan
-from ...fmi.schema import ModelVariable
+from ...fmi.model_description import ModelVariable
 from .fmu_values import FmuValues
 
 _ROOT = math.sqrt(float(np.finfo(float).eps))

@@ -19,7 +19,7 @@ import numpy as np
 from ...compile.fmu_tape import FmuTape, OpaqueItem, Request
 from ...compile.plan import ForeignPart, Plan
 from ...fmi.instance import Instance
-from ...fmi.schema import ModelVariable
+from ...fmi.model_description import ModelVariable
 
 LEAST = 5e-324
 

@@ -21,7 +21,7 @@ from ...fmi.exits import Ended
 from ...fmi.instance import Instance, Saved, ended, open_fmu
 from ...fmi.isolation import CompileC
 from ...fmi.library import Notes
-from ...fmi.schema import ModelVariable
+from ...fmi.model_description import ModelVariable
 from ...text.arrays import Array
 from ...text.errors import Fault, FMUError, SimulationError, UsageError
 from .fmu_derivatives import FmuDerivatives

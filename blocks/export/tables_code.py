@@ -9,7 +9,7 @@ import numpy as np
 
 from ..compile.c.bindings_code import bindings_c
 from ..compile.c.c_text import ints, reals, table, texts
-from ..compile.c.functions import number
+from ..compile.c.function_code import number
 from ..compile.c.jacobian_code import jacobian_text
 from ..compile.c.runtime_grid import grid_of
 from ..compile.c.runtime_tables import RuntimeTables
@@ -17,7 +17,7 @@ from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan, Reference
 from ..model.settings import RunSettings
 from .fmu_model import Dependencies
-from .variables import Variables
+from .fmu_variables import Variables
 
 _TYPES = {"real": 0, "int": 1, "bool": 2, "enum": 3, "text": 4}
 _ROWS = ("time", "state", "rate", "input", "setting", "output", "local", "indicator", "text")

@@ -36,10 +36,10 @@ from ..run.snapshot import told_method
 from ..run.step_parts import Unseen, unseen_faults
 from ..run.stiffness import StateRates
 from .model import Model, model_of
-from .rows import Handle, array, track_table
+from .run_handle import Handle, array, track_table
 
 if TYPE_CHECKING:
-    from ..reference.engine import ReferenceEngine
+    from ..reference.reference_engine import ReferenceEngine
     from ..run.model_exchange import Foreigns
     from .fmu_bridge import NativeForeigns
 
@@ -295,7 +295,7 @@ class NativeEngine:
         self, state: State | None = None, units: Foreigns | None = None, *, is_silent: bool = True
     ) -> ReferenceEngine:
         """The reference engine; where a run stood, or nowhere yet."""
-        from ..reference.engine import ReferenceEngine
+        from ..reference.reference_engine import ReferenceEngine
 
         witness = ReferenceEngine(self.plan, self.inputs, foreign=units, is_silent=is_silent)
         if state is not None:

@@ -19,8 +19,8 @@ from ...text.arrays import Array
 from ...text.errors import Fault
 from ..run.many_runs import Row, cores
 from ..run.measures import Measures
-from .engine import NativeEngine, in_brief
 from .model import Model
+from .native_engine import NativeEngine, in_brief
 
 _KEPT = 8  # numbers of a measure
 _LEFT, _DONE, _FAILED, _BUDGET, _NO_MEMORY = range(5)

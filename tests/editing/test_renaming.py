@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from blocks import BlocksError, Diagram, ModelError, UsageError
 from blocks.cli import main
-from blocks.editing.rename import renaming
+from blocks.editing.renaming import renaming
 from blocks.model.document import load, loads
 from blocks.text.atomic_write import write_atomically
 from blocks.text.errors import Fault

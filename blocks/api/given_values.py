@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..contract.enumerations import resting
-from ..model.diagram import DiagramValue
 from ..model.diagram_grammar import RUN
+from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..model.settings import seconds
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from .copies import Copy
-from .diagram import BlockEntry
+from .diagram_value import BlockEntry
 from .hierarchy import DiagramScope, Hierarchy, InLane, Leaf, is_equal
 from .origins import are_alike
 from .values import names_in

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..folding import At
-from .functions import ONE, Numbers, comment
+from .function_code import ONE, Numbers, comment
 from .loops import LEAST, Call, CallOrder, CallSequence, Copy, EqualCalls, Place, Sink, Value, at_of, is_affine
 
 MOST_RUNS = 8  # runs of equal programs in sequence; for more, a table is shorter

@@ -12,8 +12,8 @@ import pytest
 
 from blocks import BlocksError
 from blocks.server import knobs, panel  # noqa: F401  # their messages
-from blocks.server.document import Document
 from blocks.server.messages import answer
+from blocks.server.open_document import Document
 from blocks.server.session import Session
 
 GAIN = {"type": "Gain", "parameters": {"k": 0.5}}

@@ -266,7 +266,7 @@ def test_steps_hold_what_differs_so_that_all_gestures_are_undone(tmp_path: Path)
 
 
 def test_the_oldest_steps_are_forgotten_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("blocks.server.history.MOST_BYTES", 5000)
+    monkeypatch.setattr("blocks.server.edit_history.MOST_BYTES", 5000)
     path = tmp_path / "text.json"
     with edited(path) as (ask, editor):
         for number in range(9):

@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 from blocks import LESO, LSEF, Diagram, subdiagram
 from blocks.contract.interface import Value
 from blocks.contract.resolution import resolve
-from blocks.frequency.adrc import (
+from blocks.frequency.linear_adrc import (
     Controller,
     adrc_gains,
     bandwidth_gains,

@@ -14,7 +14,7 @@ from typing import Any
 
 from ..contract.interface import Interface
 from ..contract.variables import REQUIRED
-from ..model.diagram import BlockEntry, DiagramValue
+from ..model.diagram_value import BlockEntry, DiagramValue
 from ..model.flatten import interface_of
 from ..model.hierarchy import Resolver
 from ..text.errors import ModelError

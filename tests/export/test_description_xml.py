@@ -17,7 +17,7 @@ from fmpy.validation import validate_fmu
 from hypothesis import given
 from hypothesis import strategies as st
 
-from blocks.export.description import build_description, model_description
+from blocks.export.description_xml import build_description, model_description
 from blocks.export.fmu_model import ExportedVariable, Model
 from blocks.text import units
 from blocks.text.errors import ModelError, UsageError

@@ -13,7 +13,7 @@ from ..api.diagram import Diagram
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
 from ..draw import Ports, picture, ports_of, rendered
-from ..model.diagram import BlockEntry, DiagramValue
+from ..model.diagram_value import BlockEntry, DiagramValue
 from ..text.atomic_write import real
 from ..text.element_names import indexed, whole_of
 from ..text.errors import BlocksError, Fault, UsageError, did_you_mean

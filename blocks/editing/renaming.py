@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from ..model.block_types import library_types
-from ..model.diagram import BASE, DEEPEST, FORMAT, is_name, name_cure
+from ..model.diagram_value import BASE, DEEPEST, FORMAT, is_name, name_cure
 from ..model.document import alone, loads
 from ..model.flatten import Flat, element_of, flatten
 from ..model.resolver import resolver_of

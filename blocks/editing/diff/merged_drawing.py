@@ -8,9 +8,9 @@ from dataclasses import replace
 
 from ...draw import ports_of
 from ...draw import svg as drawing
-from ...draw.parts import BEFORE, UNKNOWN, Ports
+from ...draw.diagram_parts import BEFORE, UNKNOWN, Ports
 from ...draw.picture import Mark, Marks
-from ...model.diagram import DEEPEST, BlockEntry, DiagramValue
+from ...model.diagram_value import DEEPEST, BlockEntry, DiagramValue
 from .changes import Change
 from .meaning import clean
 from .renames import end_of

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from .definitions import Definitions
 from .findings import Findings, quoted, real_number, shown, whole_number
-from .schema import Alias, Clock, ModelVariable, Value, variable_of
+from .model_description import Alias, Clock, ModelVariable, Value, variable_of
 from .types import CALLS, FLOATS, INTEGERS, TYPES, limits_of
 from .xmltree import Element
 

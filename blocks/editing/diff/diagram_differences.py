@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from ...model.diagram import DiagramValue
+from ...model.diagram_value import DiagramValue
 from ...model.hierarchy import Resolver
 from .changes import GLYPHS, LONGEST_PATH, Change, in_order
-from .drawing import svg
 from .meaning import clean
+from .merged_drawing import svg
 from .walk import Level, Walk
 
 

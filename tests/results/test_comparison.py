@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blocks import Diagram, Integrator, ModelError, Results, Step, UsageError
-from blocks.results.compare import compare
+from blocks.results.comparison import compare
 from blocks.results.provenance import Origin
 from blocks.results.results import Statistics
 
