@@ -233,18 +233,15 @@ def changes_of(document: Document, splices: Iterable[Splice], file: str) -> list
 
 
 def check_version(document: Document) -> None:
-    """Refuse what is neither a diagram nor a study of the newest version (E005, E006)."""
+    """Refuse what is neither a diagram nor a study of a version that this release reads (E005, E006)."""
     value = document.value
-    formats = {FORMAT: (PLAIN_VERSION, VERSION), studies.FORMAT: (studies.VERSION,) * 2}
-    format_ = value.get("format") if isinstance(value, dict) else None
-    if not isinstance(format_, str) or format_ not in formats:
-        raise ModelError(*diagrams.alone(document)[1])
-    version, (oldest, newest) = value.get("version"), formats[format_]
-    if isinstance(version, Number) and not oldest <= float(version) <= newest:
-        is_older = version < oldest
-        message = f"version {version.text} " + ("must be updated first." if is_older else "cannot be read.")
-        cure = f"Run blocks fmt {document.file}" if is_older else "Update blocks."
-        fault = Fault("E005", "version", message, cure, ("version",))
+    format_, version = (value.get("format"), value.get("version")) if isinstance(value, dict) else (None, None)
+    if format_ != studies.FORMAT:
+        if format_ != FORMAT or (isinstance(version, Number) and float(version) not in (PLAIN_VERSION, VERSION)):
+            raise ModelError(*diagrams.alone(document)[1])
+    elif isinstance(version, Number) and float(version) != studies.VERSION:
+        cure = "Update blocks." if version > studies.VERSION else f"This release reads version {studies.VERSION}."
+        fault = Fault("E005", "version", f"version {version.text} cannot be read.", cure, ("version",))
         raise ModelError(fault.at(document.file, *document.positions["version",]))
 
 

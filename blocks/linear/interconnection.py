@@ -42,11 +42,6 @@ class BlockGroup:
     locals: Array = field(default_factory=lambda: np.empty((0, 0), dtype=np.intp))
 
 
-def is_of_older_version(plan: Plan) -> bool:
-    """Whether a file of an older version is among those that the Plan was made of."""
-    return any(warning.code == "W103" for warning in plan.warnings)
-
-
 class Interconnection:
     """The structure of a Plan: nodes, slots and what each slot reads.
 

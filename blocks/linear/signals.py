@@ -15,7 +15,7 @@ from ..compile.plan import Node
 from ..text.element_names import indexed
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import legible, quoted
-from .interconnection import Interconnection, is_of_older_version
+from .interconnection import Interconnection
 
 Names = str | Sequence[str]
 
@@ -81,18 +81,7 @@ def _labelled(name: str, count: int) -> list[str]:
     return [name] if count == 1 else [f"{name}[{k}]" for k in range(count)]
 
 
-def _check_version(graph: Interconnection, name: str) -> None:
-    """Raise UsageError (E501) where a name of a PID meant another signal in the version of the file."""
-    path, _, port = name.rpartition(".")
-    is_pid = any(graph.type_of[i].tape.interface.name == "PID" for i in graph.at_path.get(path, ()))
-    if is_pid and port in ("u", "y") and is_of_older_version(graph.plan):
-        message = "of a PID has a different meaning in version 1, the version of this file."
-        cure = f"Update the file with blocks fmt: then {path}.u is the control, and {path}.r - {path}.y is the error."
-        raise UsageError(Fault("E501", quoted(name), message, cure))
-
-
 def _found(graph: Interconnection, name: str) -> tuple[SignalElement, ...] | None:
-    _check_version(graph, name)
     plan = graph.plan
     if name in plan.signals:
         signal = plan.signals[name]

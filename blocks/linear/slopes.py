@@ -10,21 +10,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ..compile.fmu_tape import FmuTape, Request
 from ..compile.jacobian import on_arrays, terms_on_arrays
+from ..engines.reference.python_code import CompiledPrograms
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault
-from .interconnection import Interconnection, is_of_older_version
+from .interconnection import Interconnection
 from .point import Point
 from .probing import ROUNDING, Probe
 from .type_partials import TypePartials
 
-_GRAPHS: WeakKeyDictionary[Any, dict[bool, Interconnection]] = WeakKeyDictionary()
+_GRAPHS: WeakKeyDictionary[CompiledPrograms, Interconnection] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +45,10 @@ class Law:
 def slopes_at(point: Point) -> Slopes:
     """The slopes at a point, which are computed once; points of one run, or of the same programs, share their graph."""
     if not point.slopes:
-        # What is asked by a name depends on whether a file of an older version is among those that were read.
-        graphs, is_old = _GRAPHS.setdefault(point.engine.compiled, {}), is_of_older_version(point.plan)
-        if is_old not in graphs:
-            graphs[is_old] = Interconnection(point.plan)
-        point.slopes.append(_slopes(graphs[is_old], point))
+        compiled = point.engine.compiled
+        if compiled not in _GRAPHS:
+            _GRAPHS[compiled] = Interconnection(point.plan)
+        point.slopes.append(_slopes(_GRAPHS[compiled], point))
     slopes: Slopes = point.slopes[0]
     return slopes
 

@@ -24,7 +24,6 @@ from ..text.grammar import OWN, Object, Steps, in_words, kind_of
 from ..text.json_document import Document
 from ..text.json_number import Number
 from ..text.printable import legible, quoted
-from . import migrations
 from .diagram_grammar import (
     BODY,
     CONTROLS,
@@ -89,10 +88,7 @@ class DocumentReader:
         if not isinstance(value, dict):
             self.fault("E006", (), f"a diagram must be an object {{...}}, not {kind_of(value)}.")
             return None
-        if not self.header(value):
-            return None
-        value = self.document.value
-        return self.body(value, (), DIAGRAM)
+        return self.body(value, (), DIAGRAM) if self.header(value) else None
 
     def header(self, value: Mapping[str, Any]) -> bool:
         """Whether reading can go on: this is a diagram, perhaps with a fault in its first two keys."""
@@ -112,13 +108,17 @@ class DocumentReader:
             what = f"must be a number, not {in_words(value['version'])}."
             self.fault("E005", ("version",), what, f'Write "version": {PLAIN_VERSION}.')
             return True
-        elif (migration := migrations.migrated(self.document, migrations.DIAGRAM, VERSION)) is None:
-            newer = value["version"] > VERSION
-            cure = "Update blocks." if newer else f"This release reads version {VERSION}."
+        elif (version := float(value["version"])) not in (PLAIN_VERSION, VERSION):
             shown = in_words(value["version"]).removeprefix("the number ")
-            self.fault("E005", ("version",), f"version {shown} cannot be read.", cure)
+            message, cure = f"version {shown} cannot be read.", f"This release reads version {VERSION}."
+            if version > VERSION:
+                cure = "Update blocks."
+            elif version == 1:
+                message = "version 1 cannot be read, because it has another PID: u was the error, and y the control."
+                cure = f'Write "version": {PLAIN_VERSION}, and change each PID as `blocks explain E005` shows.'
+            self.fault("E005", ("version",), message, cure)
         else:
-            self.document, self.version = migration
+            self.version = int(version)
             return True
         return False
 

@@ -31,7 +31,7 @@ from .conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from .copies import Fleet, Later, without_numbers
 from .copy_numbers import look_into_copies
 from .diagram_grammar import MEASURE_NUMBERS, MEASURES, RUN
-from .diagram_value import MADE, PLAIN_VERSION, DiagramValue, is_plain_number
+from .diagram_value import DiagramValue, is_plain_number
 from .expansion import Expansion
 from .flat_block import FlatBlock, FlatEnabled
 from .hierarchy import MAX_BLOCKS, DiagramScope, Hierarchy, Leaf, Resolver, Spot
@@ -263,7 +263,7 @@ class _Flattener:
             self.settings,
             log,
             tuple(measure for measure in measures if measure is not None),
-            (*self.of_older_versions(), *self.of_numbers_in_si(signals)),
+            tuple(self.of_numbers_in_si(signals)),
             enabled,
             self.diagram,
             expansion,
@@ -319,14 +319,6 @@ class _Flattener:
             message = f"the diagram has {expansion.layout.size:,} blocks, but the limit is {MAX_BLOCKS:,}."
             raise ModelError(self.diagram.fault("E008", self.diagram.name, message))
         return expansion
-
-    def of_older_versions(self) -> Iterator[Fault]:
-        """Warnings about files of older versions, each once."""
-        files = {scope.value.file: scope.value for scope in self.hierarchy.scopes if not scope.value.prefix}
-        for value in files.values():
-            if MADE < value.version < PLAIN_VERSION:
-                message = f"the file has version {value.version}; the newest version is {PLAIN_VERSION}."
-                yield value.fault("W103", "version", message, "Run `blocks fmt` to update it.", ("version",))
 
     def of_numbers_in_si(self, signals: Signals) -> Iterator[Fault]:
         """Warn of numbers of measures that mean something else in version 3."""

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from ..api.diagram import Diagram
-from ..model import migrations
 from ..model.diagram_grammar import DOC, SIGNAL
 from ..model.diagram_value import FaultList, beside, is_name
 from ..model.flatten import FlatSignal, element_of
@@ -204,7 +203,7 @@ def checked(path: str | Path, *, library: Any = ()) -> tuple[Study | None, list[
 
 
 def canonical(document: Document) -> tuple[str, int]:
-    """The canonical text of a study's document, in the newest version, and the version that it has.
+    """The canonical text of a study's document, and its version.
 
     One run, claim, assumption and line of a figure a line; the keys of the study in their order, all others as they
     were. What it says may be wrong; its structure may not. Raises ModelError with the faults of that.
@@ -215,8 +214,8 @@ def canonical(document: Document) -> tuple[str, int]:
     wrong = [fault for fault in reader.faults if fault.code.startswith("E0")]
     if wrong:
         raise ModelError(*wrong)
-    value = STUDY.ordered(reader.document.value)
-    return json_writer.write(value, one_per_line=STUDY.lines(value)), reader.version
+    value = STUDY.ordered(document.value)
+    return json_writer.write(value, one_per_line=STUDY.lines(value)), VERSION
 
 
 def run(
@@ -461,7 +460,6 @@ class _StudyReader:
     document: Document
     path: Path
     faults: list[Fault] = field(default_factory=list)
-    version: int = VERSION  # that the file has
 
     def fault(self, code: str, path: Steps, message: str, cure: str = "", *, at_key: bool = False) -> None:
         path, known = (*path, AT_KEY) if at_key else path, self.document.places
@@ -483,9 +481,8 @@ class _StudyReader:
                 f'Begin a study with {{"format": "{FORMAT}", "version": {VERSION}.',
             )
             raise ModelError(*self.faults)
-        migration = migrations.migrated(self.document, migrations.STUDY, VERSION)
-        if migration is None:
-            version = value.get("version")
+        version = value.get("version")
+        if not isinstance(version, Number) or float(version) != VERSION:
             if "version" not in value:
                 self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {VERSION}.')
             elif not isinstance(version, Number):
@@ -495,8 +492,6 @@ class _StudyReader:
                 cure = newer if version > VERSION else f"This release reads version {VERSION}."
                 self.fault("E005", ("version",), f"version {version!r} cannot be read.", cure)
             raise ModelError(*self.faults)
-        self.document, self.version = migration
-        value = self.document.value
         STUDY.check(value, (), self)
         entries = _object(value, "runs")
         runs = tuple(self.run(name, entry) for name, entry in entries.items())

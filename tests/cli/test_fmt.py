@@ -26,7 +26,6 @@ from tests.support.places import ROOT
 
 SHIPPED = sorted(path for folder in ("diagrams", "tests/support/golden") for path in (ROOT / folder).rglob("*.json"))
 SHIPPED = [path for path in SHIPPED if '"format": "blocks-' in path.read_text(encoding="utf-8")[:200]]
-SHIPPED = [path for path in SHIPPED if path.stem not in ("diagram_v1", "part_v1", "pid_v1")]
 STUDIES = [path for path in SHIPPED if '"blocks-study"' in path.read_text(encoding="utf-8")[:200]]
 
 UGLY = """{"wires": {"g.u": "r"}, "x-own": {"b": 1.50, "a": []}, "blocks": {

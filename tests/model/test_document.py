@@ -82,7 +82,15 @@ def test_a_later_version_asks_for_an_update_and_another_one_does_not() -> None:
     assert "Update blocks" in later.cure
     assert odd.cure == bool_.cure == 'Write "version": 2.'
     assert "reads version 3" in only('{"format": "blocks-diagram", "version": 0.5}').cure
+    assert "reads version 3" in only('{"format": "blocks-diagram", "version": 0}').cure
     assert only('{"format": "blocks-diagram"}').message == 'the key "version" is missing.'
+
+
+def test_version_1_is_refused_with_what_to_change() -> None:
+    fault = only('{"format": "blocks-diagram",\n "version": 1, "blocks": {"c": {"type": "PID"}}, "cables": {}}')
+    assert (fault.code, fault.place, fault.line, fault.column) == ("E005", "version", 2, 13)
+    assert fault.message == "version 1 cannot be read, because it has another PID: u was the error, and y the control."
+    assert fault.cure == 'Write "version": 2, and change each PID as `blocks explain E005` shows.'
 
 
 def test_a_fault_of_the_first_two_keys_hides_no_other() -> None:
