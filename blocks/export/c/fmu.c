@@ -364,12 +364,24 @@ static double snapped(const Fmu *f, double t, double h)
     return t;
 }
 
-/* The instance stands at t, exactly at a tick where one is near. */
+/* Check whether a rate that has a tick at this count of base steps has not done it yet. */
+static int is_ahead(const Fmu *f, int64_t count)
+{
+    for (int r = 0; r < f->setup.model->nrates; r++) {
+        const BlocksRate *rate = &f->setup.rates[r];
+        int64_t since = count - rate->offset;
+        if (since % rate->period == 0 && since / rate->period >= f->sim->ticks[r]) return 1;
+    }
+    return 0;
+}
+
+/* The instance stands at t, exactly at a tick where one is near. A tick that has happened does not count: what has crossed
+   since then has not crossed at its time. */
 static void stand_at(Fmu *f, double t)
 {
     BlocksSim *s = f->sim;
     int64_t count = 0;
-    s->exact = tick_at(f, t, 0.0, &count);
+    s->exact = tick_at(f, t, 0.0, &count) && is_ahead(f, count);
     s->count = count;
     s->t = s->exact ? blocks_tick_time(s, count) : t;
 }
@@ -521,7 +533,7 @@ static int evaluated(Fmu *f, int which, BlocksProgram program, double *out, int 
 {
     BlocksSim *s = f->sim;
     if (f->live.known & which) return FMU_OK;
-    blocks_evaluate(s, program, s->t, s->memory.x, out);
+    blocks_evaluate(s, program, which == INDICATORS_KNOWN ? s->t + s->later : s->t, s->memory.x, out);
     int bad = all_finite(out, n);
     if (bad >= 0)
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s is %g at t = %.17g s", shown_by(row, bad), out[bad], s->t);
@@ -569,7 +581,7 @@ static double band_of(Fmu *f, int j)
     for (int i = 0; i < model->nu; i++) {
         double was = s->memory.u[i];
         s->memory.u[i] = nextafter(was, INFINITY);
-        model->crossings(&s->memory, s->t, s->memory.x, out);
+        model->crossings(&s->memory, s->t + s->later, s->memory.x, out);
         blocks_beyond(s, out);
         s->memory.u[i] = was;
         band = fmax(band, 4 * fabs(out[j] - f->indicators[j]));
@@ -596,15 +608,35 @@ static int indicators(Fmu *f)
     return FMU_OK;
 }
 
-/* Let crossings that only touch 0 now keep their sides at the instant that follows. */
-static void note_touches(Fmu *f)
+/* Let crossings that only touch 0 now keep their sides at the instant that follows. Those that change their side within 4 ulp
+   after a tick or an event time belong to it, as in a run (`joins` of the runtime): states are then taken there. */
+static void note_crossings(Fmu *f, int is_due)
 {
     BlocksSim *s = f->sim;
     const BlocksModel *model = f->setup.model;
-    if (model->ns) blocks_evaluate(s, model->crossings, s->t, s->memory.x, s->touched), blocks_beyond(s, s->touched);
-    for (int j = 0; j < model->ns; j++)
-        if (!is_near(f, j, s->touched[j]) || !blocks_touches(s, j, f->rates, reach_of(f))) s->touched[j] = NAN;
+    const double later = 4 * blocks_ulp(s->t), since = later - s->later;
+    double *now = s->touched, *near = f->indicators;
+    int joined = 0;
     s->touched_t = s->t;
+    if (!model->ns) return;
+    blocks_evaluate(s, model->rates, s->t, s->memory.x, f->rates);
+    blocks_evaluate(s, model->crossings, s->t + s->later, s->memory.x, now);
+    blocks_beyond(s, now);
+    if (is_due && since > 0.0 && all_finite(f->rates, model->nx) < 0) {
+        for (int i = 0; i < model->nx; i++) s->x1[i] = s->memory.x[i] + since * f->rates[i];
+        blocks_evaluate(s, model->crossings, s->t + later, s->x1, near);
+        blocks_beyond(s, near);
+        for (int j = 0; j < model->ns; j++) {
+            int side = s->memory.s[j] > 0.0;
+            joined |= (now[j] >= 0) == side && (near[j] >= 0) != side && !blocks_touches(s, j, f->rates, reach_of(f));
+        }
+    }
+    for (int j = 0; j < model->ns; j++)
+        if (!is_near(f, j, now[j]) || !blocks_touches(s, j, f->rates, reach_of(f))) now[j] = NAN;
+        else if (joined) now[j] = near[j];
+    if (!joined) return;
+    memcpy(s->memory.x, s->x1, (size_t)model->nx * sizeof(double));
+    s->later = later;
 }
 
 /* --- variables ---------------------------------------------------------------------------------------------------- */
@@ -854,11 +886,14 @@ int fmu_enter_event_mode(Fmu *f)
     if (take_in(f)) return FMU_ERROR;
     f->live.mode = FMU_EVENT;
     if (f->live.kind == FMU_ME) {
-        stand_at(f, f->sim->t);
-        blocks_loosen(f->sim);
-        note_touches(f);
-        if (blocks_end_step(f->sim)) return failed(f); /* now, by the inputs from before the event */
-        overdue(f);
+        BlocksSim *s = f->sim;
+        const double t = s->t;
+        stand_at(f, t);
+        s->later = fmax(t - s->t, 0.0);
+        int is_due = overdue(f) || blocks_is_due(s);
+        blocks_loosen(s);
+        note_crossings(f, is_due);
+        if (blocks_end_step(s)) return failed(f); /* now, by the inputs from before the event */
     }
     f->sim->outstanding = 1;
     forget(f);
@@ -907,6 +942,7 @@ int fmu_set_time(Fmu *f, double t)
     forget(f);
     f->sim->t = t;
     f->sim->exact = 0;
+    f->sim->later = 0.0;
     return FMU_OK;
 }
 

@@ -3314,7 +3314,6 @@ void blocks_reset(BlocksSim *s)
     s->slice = 0.05;
     s->soft = INFINITY;
     s->has_left = s->is_factored = s->is_loose = 0;
-    s->later = 0.0;
     s->looseness = 1.0;
     s->failure = BLOCKS_FINE;
     s->fired_events.used = 0;

@@ -318,7 +318,8 @@ struct BlocksSim {
     double paced;        /* when the steps were looked at last, for chattering */
     int32_t chatters;    /* how many looks in a row have found it */
     int32_t hits, calm;  /* of runs that are asked whether they are stiff: steps that say so, and those since that do not */
-    double stiff_from;   /* when it was found; NaN: not yet. The last of the numbers that are saved */
+    double stiff_from;   /* when it was found; NaN: not yet */
+    double later;        /* by how much the states stand after an instant that crossings have joined. The last of what is saved */
     int64_t row;         /* number of the next row of the recording grid */
     int32_t keeps_past;  /* set by a master, which goes back in time, and calls blocks_forget itself */
     int32_t recourses;   /* set by a master: inputs go on by another extrapolation, without a jump; 2: delays remember them */
@@ -357,7 +358,6 @@ struct BlocksSim {
     double refused, refused_error; /* the size and the error of a retaken step that was not accepted */
     int32_t flowed;  /* whether other steps were tried from where the run stands */
     int32_t weighed; /* whether the weights of the step's dense output are all known */
-    double later;    /* by how much the states stand after an instant that crossings have joined */
     int64_t between; /* rows that were recorded inside steps */
     BlocksUnseen unseen[BLOCKS_LOOKS];
     /* scratch */
