@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..text.errors import Fault
+from ..text.printable import aligned
 from .archive import DESCRIPTION, Archive
 from .description import parse
 from .library import binaries, faults, folders
@@ -153,8 +154,4 @@ def _table(variables: Sequence[ModelVariable], d: Description) -> Iterator[str]:
         kind = "" if v.type in ("Float64", "Float32") else (v.type == "Enumeration" and v.declared) or v.type
         rows.append((v.name + size, v.unit or kind, start + (", ..." if len(v.start) > 4 else ""), v.doc))
         rows += [(alias.name + size, v.unit or kind, "", f"another name of {v.name}") for alias in v.aliases]
-    widths = [max(len(row[k]) for row in rows) for k in range(3)]
-    for row in rows:
-        yield (
-            "  " + "  ".join([*(text.ljust(width) for text, width in zip(row, widths, strict=False)), row[3]]).rstrip()
-        )
+    yield from aligned(rows)

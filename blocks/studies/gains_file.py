@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,7 +21,6 @@ from ..model.variants import taken
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.grammar import Steps
 from ..text.printable import legible
-from ..text.rich_output import Shown
 from ..text.units import converted
 
 if TYPE_CHECKING:
@@ -32,38 +29,6 @@ if TYPE_CHECKING:
 _GIVE_THE_FILE = "Give the file that the diagram was loaded from, or pass the values to run(parameters=...)."
 CLOSE = 1e-12
 """By how much a value may be off, which is written in another unit, with 13 digits."""
-
-
-@dataclass(frozen=True, repr=False, kw_only=True)
-class Found(Shown):
-    """What a tuning and a fit have found.
-
-    values: by parameter, pattern or element of `over`, in its unit (units); nominal: those of the diagram. parameters:
-    the same as `Diagram.run(parameters=...)` takes them. targets: the parameters that each of them sets. variants:
-    chosen for the runs, in place of those that the file chooses.
-    """
-
-    diagram: Diagram
-    values: Mapping[str, float]
-    nominal: Mapping[str, float]
-    units: Mapping[str, str]
-    parameters: Mapping[str, Any]
-    targets: Mapping[str, tuple[str, ...]]
-    variants: Mapping[str, str] = field(default_factory=dict)
-    warnings: tuple[Fault, ...] = ()
-
-    def write(self, path: str | Path) -> Edit:
-        """Put the values into the diagram file `path`, from which the diagram was loaded, or a copy of it.
-
-        The values of a block go into the variant that the runs had (`variants`); the file keeps its own choice. Only
-        the characters of the values change, in this file and in those of the subdiagrams that hold some of them; they
-        are written all or none. The result lists what changed (`changes`) and takes it back (`undone.write()`). Raises
-        UsageError (E501) where the file would not give the diagram with these values then, as for wheels that share one
-        file and have got different values.
-        """
-        edit = written(self, path)
-        edit.write()
-        return edit
 
 
 class Value(NamedTuple):
@@ -77,27 +42,6 @@ class Value(NamedTuple):
     value: Any
     unit: str | None
     raw: Any
-
-
-def written(found: Found, path: str | Path) -> Edit:
-    """The edit that gives a diagram file the values of a tuning; nothing is written yet.
-
-    Raises UsageError (E501) where the file would not give the tuned diagram: where two blocks share a file and have got
-    different values, or where it is another file.
-    """
-    values = [
-        Value(
-            target,
-            tuple(int(k) for k in re.findall(r"\d+", column.partition("[")[2])),
-            found.values[column],
-            found.units[column],
-            found.parameters[target],
-        )
-        for column, targets in found.targets.items()
-        for target in (targets if found.parameters else ())
-    ]
-    chosen = {**found.diagram.chosen, **found.variants}
-    return edit_of(found.diagram, path, values, parameters=found.parameters, chosen=chosen)
 
 
 def edit_of(

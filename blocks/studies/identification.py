@@ -27,10 +27,9 @@ from ..text.arrays import Array
 from ..text.csv_text import read_columns
 from ..text.errors import Fault, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import legible
-from ..text.rich_output import Part, Table, as_text
-from .gains_file import Found
+from ..text.rich_output import Table
+from .outcome import Outcome, panel_of, short, unit_of
 from .search_space import DIGITS, Space, units_of_parameters
-from .tuned import short
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
@@ -55,7 +54,7 @@ ALIKE, NEARLY = 0.99, 0.05
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class Fit(Found):
+class Fit(Outcome):
     """The outcome of `Diagram.fit`, for k parameters and n samples; its values are the estimates.
 
     errors: standard errors.
@@ -74,49 +73,27 @@ class Fit(Found):
     before: Results
     after: Results
 
-    def table(self) -> str:
-        """Estimates with their intervals, and deviations of the residuals, as text."""
-        return "\n\n".join(as_text([table]) for table in self._tables())
-
-    def parts(self) -> list[Part]:
-        return [*self._tables(), *map(str, self.warnings)]
-
-    def _tables(self) -> tuple[Table, Table]:
+    def tables(self) -> dict[str, Table]:
         head = ("parameter", "before", "estimate", "unit", f"{100 * self.level:g} % interval", "correlation")
         names, rows = list(self.values), list[tuple[str, ...]]()
         for i, (name, value) in enumerate(self.values.items()):
             others = [(abs(c), names[j], c) for j, c in enumerate(self.correlation[i].tolist()) if j != i]
-            known = [other for other in others if not math.isnan(other[0])]
-            most = max(known, default=None)
-            low, high = self.intervals[name]
-            told = f"{most[2]:+.3f} with {most[1]}" if most else "-"
+            most = max((other for other in others if not math.isnan(other[0])), default=None)
             [digits] = _digits(np.array([value]), np.array([self.errors[name]]), least=5, more=2)
-            estimate, low_text, high_text = (f"{x:.{digits}g}" for x in (value, low, high))
-            rows.append((name, short(self.nominal[name]), estimate, self.units[name] or "-",
-                         f"{low_text} ... {high_text}", told))  # fmt: skip
+            estimate, *ends = (f"{x:.{digits}g}" for x in (value, *self.intervals[name]))
+            rows.append(self.row(name, estimate, ends, f"{most[2]:+.3f} with {most[1]}" if most else "-"))
         signals = [("signal", "deviation of residuals"), *((name, short(x)) for name, x in self.deviations.items())]
-        return Table([head, *rows]), Table(signals)
+        return {"Values": Table([head, *rows]), "Residuals": Table(signals)}
 
     def plot(self) -> Any:
         """A matplotlib figure: data, the diagram before and after, and the residuals."""
         parts = []
         for name, data in self.measured.items():
-            unit = f" [{self.after[name].unit}]" if self.after[name].unit else ""
-            lines = (
-                plots.Line(self.before.t, np.asarray(self.before[name]), "before", 0, "wide"),
-                plots.Line(self.t, data, "data", 4, "points"),
-                plots.Line(self.after.t, np.asarray(self.after[name]), "fit", 1),
-            )
-            parts.append(plots.Panel(lines, f"{name}{unit}", height=1.5))
-            rest = data - at_times(self.after, name, self.t)
-            points = plots.Line(self.t, rest, f"data - fit{unit}", 4, "points")
-            parts.append(plots.Panel((points,), f"data - fit{unit}"))
+            parts.append(panel_of(name, self.before, self.after, "fit", plots.Line(self.t, data, "data", 4, "points")))
+            label = f"data - fit{unit_of(self.after[name])}"
+            rest = plots.Line(self.t, data - at_times(self.after, name, self.t), label, 4, "points")
+            parts.append(plots.Panel((rest,), label))
         return plots.panels(parts, xlabel="time [s]")
-
-    def __str__(self) -> str:
-        return "\n\n".join(as_text([part]) for part in self.parts())
-
-    __repr__ = __str__
 
 
 def fit(

@@ -24,10 +24,9 @@ from ..text.arrays import Array
 from ..text.errors import BlocksError, Fault, ModelError, UsageError, did_you_mean
 from ..text.grammar import Steps
 from ..text.json_document import place_of
-from ..text.printable import counted
+from ..text.printable import aligned, as_markdown, counted
 from ..text.version import __version__
-from .report_page import escaped as _escape
-from .report_page import folder_for, own_ids, plotted, table, warned, written
+from .report_page import escaped, folder_for, framed, own_ids, plotted, svg_of, table, warned, written
 from .study import Claim, StudyResults, Verdict
 from .study_sweeps import StudySweep, figure_of, plain
 from .study_tunings import StudyTuning
@@ -109,18 +108,12 @@ _HEAD = ("run", "measure", "published", "here", "ratio", "tolerance", "verdict")
 
 def table_text(made: StudyResults, *, wide: bool = False) -> str:
     """All claims as an aligned table; wide: with the runs as columns."""
-    rows = _table(made, wide)
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    )
+    return "\n".join(line[2:] for line in aligned(_table(made, wide)))
 
 
 def markdown_table(made: StudyResults, *, wide: bool = False) -> str:
     """All claims as a Markdown table; wide: with the runs as columns."""
-    head, *rows = [[cell_text(cell).replace("|", r"\|") for cell in row] for row in _table(made, wide)]
-    lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
-    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
+    return as_markdown([[*map(cell_text, row)] for row in _table(made, wide)])
 
 
 def latex_table(made: StudyResults, *, wide: bool = False) -> str:
@@ -169,7 +162,7 @@ def _drawn(study_results: StudyResults, folder: Path, made_of: dict[str, Any]) -
 
     In place of one that failed: its fault. made_of: gets the figures that are made of panels.
     """
-    drawn: dict[str, str | Fault] = {}
+    shown: dict[str, str | Fault] = {}
     asked: list[tuple[str, Steps, Callable[[], Any]]] = []
     for i, entry in enumerate(study_results.study.figures):
         made = partial(figure_of, entry, study_results.sweeps)
@@ -182,16 +175,15 @@ def _drawn(study_results: StudyResults, folder: Path, made_of: dict[str, Any]) -
     for name, path, draw in asked:
         try:
             figure = draw()
-            drawn[name] = plots.svg_text(figure)
-            plots.save(figure, folder / f"{name}.png")
+            shown[name] = svg_of(figure, folder, name)
             made_of |= {name: figure} if figure.parts else {}
         except BlocksError as error:
-            drawn[name] = replace(error.faults[0], place=f"{place_of(path)} {error.faults[0].place}")
+            shown[name] = replace(error.faults[0], place=f"{place_of(path)} {error.faults[0].place}")
         except Exception as error:  # whatever it is, the rest of the report is written
             message = f"{name} cannot be drawn ({type(error).__name__}: {' '.join(str(error).split())[:200]})."
             cure = "Change the figure, or leave it out."
-            drawn[name] = study_results.study.fault("E501", place_of(path), message, cure, path)
-    return drawn
+            shown[name] = study_results.study.fault("E501", place_of(path), message, cure, path)
+    return shown
 
 
 @plots.defaults()
@@ -314,11 +306,13 @@ def write(
     """
     folder_for(folder)
     panels: dict[str, Any] = {}
-    drawn = _drawn(made, folder, panels)
+    shown = _drawn(made, folder, panels)
     policy, end = zoom(panels) if zoom and panels else ("", "")
     if faults is not None:
-        faults += [fault for fault in drawn.values() if isinstance(fault, Fault)]
-    return written(folder, made.study.title, [*_parts(made, command, drawn, draw), end], policy=policy)
+        faults += [fault for fault in shown.values() if isinstance(fault, Fault)]
+    verdict = f"{'✓' if made.is_fine else '✗'} {summary_line(made)}."
+    parts = [*_parts(made, command, shown, draw), end]
+    return written(folder, made.study.title, verdict, parts, is_fine=made.is_fine, policy=policy)
 
 
 # --- the page --------------------------------------------------------------------------------------------------
@@ -330,15 +324,12 @@ def _parts(
     """The report as HTML, with the figures that were drawn."""
     study = study_results.study
     is_published = any(v.claim.published is not None for v in study_results.verdicts)
-    kind, glyph = ("fine", "✓") if study_results.is_fine else ("odd", "✗")
     return [
-        f"<h1>{_escape(study.title)}</h1>",
-        f'<p class="verdict {kind}">{glyph} {_escape(summary_line(study_results))}.</p>',
-        *(f"<p>{_escape(line)}</p>" for line in study.doc),
-        f'<p class="source">{_escape(study.source)}</p>' if study.source else "",
+        *(f"<p>{escaped(line)}</p>" for line in study.doc),
+        f'<p class="source">{escaped(study.source)}</p>' if study.source else "",
         f"<h2>{'Published numbers and ours' if is_published else 'Numbers and limits'}</h2>",
         *_tables(study_results),
-        f"<figure>{_plot(drawn[_RATIOS], 'r-')}</figure>" if _RATIOS in drawn else "",
+        framed(_plot(drawn[_RATIOS], "r-")) if _RATIOS in drawn else "",
         _reasons(study_results),
         "<h2>What was assumed</h2>" if study.assumed else "",
         _assumptions(study.assumed),
@@ -363,7 +354,7 @@ def _tables(study_results: StudyResults) -> list[str]:
         for v, row in zip(verdicts, rows, strict=True):
             kind = {"✓": "good", "✗": "bad"}.get(GLYPHS[v.verdict], "none")
             kinds[row[-1]] = kind if v.is_expected else f"{kind} unexpected"
-        tables.append(table(_HEAD, rows, caption=source, kinds=kinds))
+        tables.append(table([_HEAD, *rows], caption=source, kinds=kinds))
     return tables
 
 
@@ -374,18 +365,18 @@ def _reasons(study_results: StudyResults) -> str:
             reasons.setdefault(v.claim.reason, []).append(f"{v.claim.of} {v.claim.measure}")
     if not reasons:
         return ""
-    items = "".join(f"<li><b>{_escape(', '.join(names))}</b>: {_escape(why)}</li>" for why, names in reasons.items())
+    items = "".join(f"<li><b>{escaped(', '.join(names))}</b>: {escaped(why)}</li>" for why, names in reasons.items())
     return f"<h3>Why some numbers are not reproduced</h3><ul>{items}</ul>"
 
 
 def _assumptions(assumed: Sequence[Mapping[str, str]]) -> str:
     items = []
     for entry in assumed:
-        text = f"<b>{_escape(entry['what'])}</b>"
+        text = f"<b>{escaped(entry['what'])}</b>"
         if entry["why"]:
-            text += f" {_escape(entry['why'])}"
+            text += f" {escaped(entry['why'])}"
         if entry["contradicts"]:
-            text += f' <span class="against">Contradicts the text: {_escape(entry["contradicts"])}</span>'
+            text += f' <span class="against">Contradicts the text: {escaped(entry["contradicts"])}</span>'
         items.append(f"<li>{text}</li>")
     return f"<ul>{''.join(items)}</ul>" if items else ""
 
@@ -393,46 +384,40 @@ def _assumptions(assumed: Sequence[Mapping[str, str]]) -> str:
 def _figures(study_results: StudyResults, drawn: Mapping[str, str | Fault]) -> list[str]:
     parts = []
     for index, entry in enumerate(study_results.study.figures):
-        shown = _plot(drawn[str(entry["name"])], f"f{index}-")
-        title, doc = str(entry.get("title", entry["name"])), entry.get("doc", "")
+        name, doc = str(entry["name"]), entry.get("doc", "")
         doc = doc if isinstance(doc, str) else " ".join(doc)
-        parts.append(
-            f"<figure{_named(entry)}><figcaption><b>{_escape(title)}</b> {_escape(doc)}</figcaption>{shown}</figure>"
-        )
+        caption = f"<b>{escaped(str(entry.get('title', name)))}</b> {escaped(doc)}"
+        parts.append(framed(_plot(drawn[name], f"f{index}-"), caption, name=name))
     return parts
-
-
-def _named(entry: Mapping[str, Any]) -> str:
-    return f' data-figure="{_escape(str(entry["name"]))}"'
 
 
 def _plot(drawing: str | Fault, prefix: str) -> str:
     if isinstance(drawing, Fault):
-        return f'<p class="against">Not drawn: {_escape(drawing.message)}</p>'
+        return f'<p class="against">Not drawn: {escaped(drawing.message)}</p>'
     return plotted(drawing, prefix)
 
 
 def _runs(
-    study_results: StudyResults, plotted: Mapping[str, str | Fault], draw: Callable[[Any], str] | None
+    study_results: StudyResults, figures: Mapping[str, str | Fault], draw: Callable[[Any], str] | None
 ) -> list[str]:
     parts, shown = [], set()
     for entry in study_results.study.all_runs:
         said = {**entry.variants, **entry.parameters, **entry.settings}
         given = ", ".join(f"{key} = {_value(value)}" for key, value in said.items())
         parts.append(
-            f"<h3>{_escape(entry.name)}: {_escape(entry.diagram)}</h3><p>{_escape(entry.doc)} "
-            f"{_escape(f'With {given}. ' if given else '')}"
+            f"<h3>{escaped(entry.name)}: {escaped(entry.diagram)}</h3><p>{escaped(entry.doc)} "
+            f"{escaped(f'With {given}. ' if given else '')}"
         )
         if isinstance(entry, StudySweep):
             parts += _rows_of(entry, study_results.sweeps[entry.name])
         elif isinstance(entry, StudyTuning):
             parts += _search_of(study_results.tunings[entry.name])
-            parts.append(f"<figure>{_plot(plotted[f'tuning.{entry.name}'], f't{len(parts)}-')}</figure>")
+            parts.append(framed(_plot(figures[f"tuning.{entry.name}"], f"t{len(parts)}-")))
         else:
             results = study_results.results[entry.name]
             statistics = results.statistics
             parts[-1] += (
-                f"{_escape(statistics.method)}, "
+                f"{escaped(statistics.method)}, "
                 f"{statistics.steps} steps, {statistics.rejected} rejected, {len(results.events)} events.</p>"
             )
         drawn = entry.diagram, *sorted(entry.variants.items())
@@ -448,11 +433,11 @@ def _rows_of(entry: StudySweep, sweep: Sweep) -> list[str]:
     varied = "; ".join(f"{name}: {json.dumps(plain(raw), ensure_ascii=False)}" for name, raw in entry.vary.items())
     words = [f"{key} {entry.options[key]}" for key in ("sampler", "seed") if key in entry.options]
     said = f"Varied: {varied}. {told_rows(sweep)}{''.join(f', {word}' for word in words)}."
-    head, *rows = [[cell_text(cell) for cell in row] for row in sweep_table(sweep, (), QUANTILES)]
-    why = "".join(f"<li>{_escape(line)}</li>" for line in sweep.failures())
+    rows = [[*map(cell_text, row)] for row in sweep_table(sweep, (), QUANTILES)]
+    why = "".join(f"<li>{escaped(line)}</li>" for line in sweep.failures())
     return [
-        f"{_escape(said)}</p>{f'<ul>{why}</ul>' if why else ''}",
-        table(head, rows),
+        f"{escaped(said)}</p>{f'<ul>{why}</ul>' if why else ''}",
+        table(rows),
     ]
 
 
@@ -461,8 +446,8 @@ def _search_of(tuning: Tuning) -> list[str]:
     names = ", ".join(tuning.scenarios)
     said = f"Minimized: {tuning.minimize}. {len(tuning.history.objective)} candidates in {names}, {tuning.method}, "
     kept = f" {tuning.kept}" if tuning.is_kept else ""
-    parts = [f"{_escape(f'{said}seed {tuning.seed}.{kept}')}</p>"]
-    return [*parts, *warned(tuning.warnings), *(table(head, rows) for head, rows in tuning.tables() if rows)]
+    parts = [f"{escaped(f'{said}seed {tuning.seed}.{kept}')}</p>"]
+    return [*parts, *warned(tuning.warnings), *(table(of.rows) for of in tuning.tables().values())]
 
 
 def _value(value: Any) -> str:
@@ -488,5 +473,5 @@ def _repeat(study_results: StudyResults, command: str) -> str:
     for name, results in study_results.results.items():
         if results.origin is not None:
             rows.append((f"SHA-256 of the equations of {name}", results.origin.equations[:16]))
-    cells = "".join(f"<tr><td>{_escape(a)}</td><td><code>{_escape(b)}</code></td></tr>" for a, b in rows)
+    cells = "".join(f"<tr><td>{escaped(a)}</td><td><code>{escaped(b)}</code></td></tr>" for a, b in rows)
     return f'<div class="wide"><table class="plain">{cells}</table></div>'

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from ..results import plots
 from ..text.atomic_write import write_atomically
@@ -23,9 +24,13 @@ def folder_for(folder: Path) -> None:
         raise UsageError(Fault("E501", str(folder), f"cannot be created: {error.strerror}.")) from None
 
 
-def written(folder: Path, title: str, parts: Sequence[str], *, policy: str = "") -> Path:
-    """Write `report.html` of parts that are HTML. policy: what may run in it. Raises UsageError (E501)."""
-    body = "\n".join(part for part in parts if part)
+def written(folder: Path, title: str, verdict: str, parts: Iterable[str], *, is_fine: bool, policy: str = "") -> Path:
+    """Write `report.html`: a title, a verdict, then parts that are HTML. policy: the scripts that may run in it.
+
+    Raises UsageError (E501).
+    """
+    first = f'<p class="verdict {"fine" if is_fine else "odd"}">{escaped(verdict)}</p>'
+    body = "\n".join([f"<h1>{escaped(title)}</h1>", first, *filter(None, parts)])
     path = folder / "report.html"
     with write_atomically(path) as stream:
         stream.write(_PAGE.format(title=escaped(title), policy=policy, style=_STYLE, body=body))
@@ -42,10 +47,9 @@ def warned(faults: Sequence[Fault]) -> list[str]:
     return [f'<p class="against">{escaped(str(fault))}</p>' for fault in faults]
 
 
-def table(
-    head: Sequence[str], rows: Sequence[Sequence[str]], *, caption: str = "", kinds: Mapping[str, str] | None = None
-) -> str:
-    """A table as HTML; columns of numbers and their heads stand right. kinds: the class of a cell with some text."""
+def table(rows: Sequence[Sequence[str]], *, caption: str = "", kinds: Mapping[str, str] | None = None) -> str:
+    """Return a head and rows as HTML; columns of numbers are aligned to the right. kinds: classes of cells by text."""
+    head, *rows = rows
     columns = [[cell for cell in column if cell not in ("", "-")] for column in zip(*rows, strict=True)]
     is_number = [all(map(_NUMBER.match, cells)) for cells in columns] or [False] * len(head)
     sides = ["number" if number else "" for number in is_number]
@@ -61,6 +65,19 @@ def table(
     above = f"<caption>{escaped(caption)}</caption>" if caption else ""
     body = f"<thead>{first}</thead><tbody>{''.join(others)}</tbody>"
     return f'<div class="wide"><table>{above}{body}</table></div>'
+
+
+def svg_of(figure: Any, folder: Path, name: str) -> str:
+    """Return a figure as SVG; a PNG file of it is written beside the report."""
+    svg = plots.svg_text(figure)
+    plots.save(figure, folder / f"{name}.png")
+    return svg
+
+
+def framed(shown: str, caption: str = "", *, name: str = "") -> str:
+    """Return a figure that is HTML with its caption, also HTML. name: by which scripts find it."""
+    known, below = f' data-figure="{escaped(name)}"' if name else "", f"<figcaption>{caption}</figcaption>"
+    return f"<figure{known}>{below if caption else ''}{shown}</figure>"
 
 
 def plotted(svg: str, prefix: str) -> str:

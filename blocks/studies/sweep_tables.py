@@ -10,7 +10,7 @@ import numpy as np
 
 from ..text.arrays import Array
 from ..text.errors import Fault, UsageError, did_you_mean
-from ..text.printable import legible
+from ..text.printable import as_markdown, legible
 from .statistics import quantiles
 
 Sweep = Any  # a `Sweep`, whose module calls this one
@@ -68,23 +68,24 @@ def _with_unit(sweep: Sweep, name: str) -> str:
 
 
 def markdown(sweep: Sweep, by: str | Sequence[str], q: Sequence[float]) -> str:
-    head, *rows = table(sweep, by, q)
-    texts = [[cell_text(cell).replace("|", r"\|") for cell in row] for row in (head, *rows)]
-    sides = ["---" if any(isinstance(row[k], str) and not str(row[k]).isdigit() for row in rows) else "---:"
-             for k in range(len(head))]  # fmt: skip
-    lines = [f"| {' | '.join(row)} |" for row in texts]
-    return "\n".join([lines[0], f"|{'|'.join(sides)}|", *lines[1:]])
+    rows = table(sweep, by, q)
+    return as_markdown([[*map(cell_text, row)] for row in rows], rights=_number_columns(rows))
 
 
 def latex(sweep: Sweep, by: str | Sequence[str], q: Sequence[float]) -> str:
     return tabular(table(sweep, by, q))
 
 
+def _number_columns(rows: Sequence[Sequence[Cell]]) -> list[int]:
+    """Return the places of the columns that hold numbers only, below the head."""
+    head, *others = rows
+    return [k for k in range(len(head)) if all(not isinstance(row[k], str) or str(row[k]).isdigit() for row in others)]
+
+
 def tabular(rows: Sequence[Sequence[Cell]]) -> str:
     """A head and rows as a tabular of LaTeX, with the rules of the package booktabs; numbers stand to the right."""
-    head, *others = rows
-    sides = "".join("l" if any(isinstance(row[k], str) and not str(row[k]).isdigit() for row in others) else "r"
-                    for k in range(len(head)))  # fmt: skip
+    rights = _number_columns(rows)
+    sides = "".join("r" if k in rights else "l" for k in range(len(rows[0])))
     lines = [f"{' & '.join(map(_tex, row))} \\\\" for row in rows]
     # A bracket or a star behind \\ would be its argument.
     first, *rest = [f"{{}}{line}" if line[0] in "[*" else line for line in lines]

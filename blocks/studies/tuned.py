@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +14,10 @@ from ..results import plots
 from ..results.results import Results
 from ..text.arrays import Array
 from ..text.printable import counted
-from ..text.rich_output import Part, Table, as_text
-from .gains_file import Found
-from .report_page import escaped, folder_for, plotted, table, warned, written
+from ..text.rich_output import Part, Table
+from .outcome import Outcome, panel_of, short
+from .report_page import escaped, folder_for, framed, plotted, svg_of, table, warned, written
 from .search_space import Space
-
-if TYPE_CHECKING:
-    pass
 
 MOST_SIGNALS = 4
 """Of a scenario, in the report."""
@@ -93,7 +90,7 @@ class Condition:
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class Tuning(Found):
+class Tuning(Outcome):
     """The outcome of `Diagram.tune`; its values are the best ones.
 
     before, after: by scenario the run of the diagram and that of the best values, with all measures. sensitivities:
@@ -145,42 +142,24 @@ class Tuning(Found):
             for measure, value in results.measures.items()
         ]
 
-    def table(self) -> str:
-        """What was found, as text: values, measures before and after, constraints."""
-        return "\n\n".join(as_text([Table([head, *rows])]) for head, rows in self.tables() if rows)
-
-    def markdown(self) -> str:
-        """The same as Markdown tables."""
-        parts = []
-        for head, rows in self.tables():
-            if rows:
-                lines = [head, ("---",) * len(head), *rows]
-                parts.append("\n".join(f"| {' | '.join(cells)} |" for cells in lines))
-        return "\n\n".join(parts)
-
-    def tables(self) -> list[tuple[tuple[str, ...], list[tuple[str, ...]]]]:
-        """Heads and rows of the tables: values, measures, constraints."""
-        values, measures, conditions = (list[tuple[str, ...]]() for _ in range(3))
+    def tables(self) -> dict[str, Table]:
+        change = "objective at -5 % / +5 %, constraints aside"
+        values, measures, constraints = (
+            [tuple(head.split("; "))] for head in (
+                f"parameter; before; after; unit; bounds; {change}",
+                "scenario; measure; before; after; change", "scenario; constraint; before; after; verdict",
+            )
+        )  # fmt: skip
         for name, value in self.values.items():
-            pair = self.sensitivities.get(name)
-            change = "-" if pair is None else " ".join(map(_percent, pair))
-            low, high = self.bounds[name]
-            values.append((name, short(self.nominal[name]), short(value), self.units[name] or "-",
-                           f"{short(low)} ... {short(high)}", change))  # fmt: skip
-        measures += [
-            ("", self.minimize, short(self.objective_before), short(self.objective),
-             _change(self.objective_before, self.objective))
-        ]  # fmt: skip
-        measures += [(s, m, short(a), short(b), _change(a, b)) for s, m, a, b in self.rows()]
-        conditions += [
-            (c.scenario, c.text, short(c.value_before), short(c.value), "holds" if c.holds else "violated")
-            for c in self.conditions
-        ]
-        return [
-            (("parameter", "before", "after", "unit", "bounds", "objective at -5 % / +5 %, constraints aside"), values),
-            (("scenario", "measure", "before", "after", "change"), measures),
-            (("scenario", "constraint", "before", "after", "verdict"), conditions),
-        ]
+            change = " ".join(map(_percent, self.sensitivities.get(name, ()))) or "-"
+            values.append(self.row(name, short(value), [*map(short, self.bounds[name])], change))
+        for scenario, measure, a, b in [("", self.minimize, self.objective_before, self.objective), *self.rows()]:
+            measures.append((scenario, measure, short(a), short(b), _change(a, b)))
+        for c in self.conditions:
+            verdict = "holds" if c.holds else "violated"
+            constraints.append((c.scenario, c.text, short(c.value_before), short(c.value), verdict))
+        tables = {"Values": values, "Measures": measures, "Constraints": constraints}
+        return {title: Table(rows) for title, rows in tables.items() if len(rows) > 1}
 
     def plot(self) -> Any:
         """A matplotlib figure: the objective of all candidates, and the values and sensitivities."""
@@ -190,15 +169,9 @@ class Tuning(Found):
         """Write `report.html` with tables and figures (SVG, PNG) into a folder; returns its path."""
         return _report(self, Path(folder))
 
-    def __str__(self) -> str:
-        return "\n\n".join(as_text([part]) for part in self.parts())
-
-    __repr__ = __str__
-
     def parts(self) -> list[Part]:
-        tables = (Table([head, *rows]) for head, rows in self.tables() if rows)
         kept = [f"{self.kept} The values of the diagram are kept."] if self.is_kept else []
-        return [self.head, *tables, *map(str, self.warnings), *kept]
+        return [self.head, *super().parts(), *kept]
 
     @property
     def kept(self) -> str:
@@ -206,11 +179,6 @@ class Tuning(Found):
         if self.why:
             return f"No candidate has an objective to compare with that of the diagram: {self.why}"
         return "No candidate was better than the values of the diagram."
-
-
-def short(value: float) -> str:
-    """A number of tables."""
-    return "-" if math.isnan(value) else f"{value:.5g}"
 
 
 def _percent(change: float) -> str:
@@ -301,14 +269,7 @@ def _runs_figure(tuning: Tuning, scenario: str) -> Any:
     asked = " ".join([tuning.minimize, *(condition.text for condition in tuning.conditions)])
     specs = sorted(tuning.diagram.to_json().get("measures", {}).items(), key=lambda item: item[0] not in asked)
     names = [name for name in dict.fromkeys([*(spec["of"] for _, spec in specs), *before.names]) if name in read]
-    parts = []
-    for name in names[:MOST_SIGNALS]:
-        unit = f" [{before[name].unit}]" if before[name].unit else ""
-        lines = (
-            plots.Line(before.t, np.asarray(before[name]), "before", 0, "wide"),
-            plots.Line(after.t, np.asarray(after[name]), "after", 1),
-        )
-        parts.append(plots.Panel(lines, f"{name}{unit}"))
+    parts = [panel_of(name, before, after) for name in names[:MOST_SIGNALS]]
     return plots.panels(parts, xlabel="time [s]") if parts else None
 
 
@@ -317,30 +278,22 @@ def _report(tuning: Tuning, folder: Path) -> Path:
     folder_for(folder)
     figures = {"search": _figure(tuning)}
     figures |= {f"scenario_{name}": _runs_figure(tuning, name) for name in tuning.scenarios}
-    shown = {}
-    for k, (name, made) in enumerate(figures.items()):
-        if made is not None:
-            shown[name] = plotted(plots.svg_text(made), f"f{k}-")
-            plots.save(made, folder / f"{name}.png")
-    kind = "fine" if tuning.is_feasible else "odd"
-    told = f"{tuning.minimize}: {tuning.objective_before:.5g} before, {tuning.objective:.5g} after"
+    shown = [
+        framed(plotted(svg_of(figure, folder, name), f"f{k}-"), f"<b>{escaped(name.replace('_', ' '))}</b>")
+        for k, (name, figure) in enumerate(figures.items())
+        if figure is not None
+    ]
+    verdict = f"{tuning.minimize}: {tuning.objective_before:.5g} before, {tuning.objective:.5g} after; "
+    verdict += "all constraints hold." if tuning.is_feasible else "constraints are violated."
     parts = [
-        f"<h1>Tuning of {escaped(tuning.diagram.name)}</h1>",
-        f'<p class="verdict {kind}">{escaped(told)}; '
-        + ("all constraints hold.</p>" if tuning.is_feasible else "constraints are violated.</p>"),
         *warned(tuning.warnings),
         f"<p>{escaped(tuning.head)}.</p>",
         *(_scenario(name, values) for name, values in tuning.scenarios.items()),
+        *(part for title, of in tuning.tables().items() for part in (f"<h2>{title}</h2>", table(of.rows))),
+        "<h2>Figures</h2>",
+        *shown,
     ]
-    titles = ("Values", "Measures", "Constraints")
-    for title, (head, rows) in zip(titles, tuning.tables(), strict=True):
-        if rows:
-            parts += [f"<h2>{title}</h2>", table(head, rows)]
-    parts.append("<h2>Figures</h2>")
-    for name, svg in shown.items():
-        caption = f"<figcaption><b>{escaped(name.replace('_', ' '))}</b></figcaption>"
-        parts.append(f"<figure>{caption}{svg}</figure>")
-    return written(folder, f"Tuning of {tuning.diagram.name}", parts)
+    return written(folder, f"Tuning of {tuning.diagram.name}", verdict, parts, is_fine=tuning.is_feasible)
 
 
 def _scenario(name: str, values: Any) -> str:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     """The lines of a table, each column as wide as its longest cell."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def as_markdown(rows: Sequence[Sequence[str]], *, rights: Collection[int] = ()) -> str:
+    """Return a Markdown table of a head and rows. rights: the columns that are aligned to the right."""
+    head, *others = ["| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in rows]
+    rule = "".join("---:|" if k in rights else "---|" for k in range(len(rows[0])))
+    return "\n".join([head, f"|{rule}", *others])
 
 
 def counted(count: int, noun: str) -> str:

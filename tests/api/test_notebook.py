@@ -116,6 +116,10 @@ def test_a_tuning_and_a_fit_show_their_tables() -> None:
     run = made.run(parameters={"gain.k": 4})
     fit = made.fit({"time": run.t, "y": run["lag.y"]}, over={"gain.k": (1, 9)}, compare={"lag.y": "y"})
     assert {"95 % interval", "lag.y"} <= set(cells_of(fit._repr_html_()))
+    for found in (tuning, fit):
+        assert found.markdown().startswith("| parameter | before | ")
+        assert "\n\n| s" in found.markdown(), "the second table begins after an empty line"
+        assert found.markdown().count("\n| gain.k | ") == 1
 
 
 def test_a_part_of_a_signal_is_shown_as_an_array() -> None:

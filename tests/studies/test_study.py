@@ -246,7 +246,7 @@ def test_stretches_of_time_stand_beside_each_other_on_a_scale_of_their_own() -> 
 
 
 def test_numbers_stand_right_below_their_heads_and_carry_them_on_a_phone() -> None:
-    made = report_page.table(("run", "value", "unit"), [("a", "-1.5e3", "V"), ("b", "-", "")], kinds={"V": "good"})
+    made = report_page.table([("run", "value", "unit"), ("a", "-1.5e3", "V"), ("b", "-", "")], kinds={"V": "good"})
     assert '<th class="">run</th><th class="number">value</th><th class="">unit</th>' in made
     assert '<td class="number" data-head="value">-1.5e3</td><td class="good">V</td>' in made
     assert '<td class="number none" data-head="value">-</td><td class="none"></td>' in made
