@@ -74,7 +74,7 @@ def main() -> None:
 
     from blocks import Diagram, fmu
     from blocks.fmi.summary import tell
-    from blocks.text.gc_pause import paused
+    from blocks.host.gc_pause import paused
 
     print(f"{'':44}{'FMPy reads':>12}{'blocks':>10}{'ratio':>8}{'us each':>10}  goal")
     with tempfile.TemporaryDirectory() as text:

@@ -22,6 +22,7 @@ from ..engines.prepared import Prepared
 from ..engines.run.many_runs import Row, cores, times_of
 from ..engines.run.memory_estimate import check
 from ..engines.selection import compiled_model
+from ..host.progress_line import in_rows, live_line
 from ..model.diagram_grammar import LARGEST_SEED
 from ..model.diagram_value import DiagramValue
 from ..model.resolver import resolver_of
@@ -31,7 +32,6 @@ from ..results.results import Results
 from ..text.arrays import Array
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import counted, legible
-from ..text.progress_line import in_rows, live_line
 from ..text.rich_output import Part, Shown, Table
 from .batch_processes import Worker, in_processes, packed
 from .given_values import check_settings, time_of

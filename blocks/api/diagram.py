@@ -31,6 +31,7 @@ from ..compile.plan_builder import plan
 from ..contract.block import Block
 from ..contract.enumerations import Enumeration
 from ..editing.swapping import existing, swapped
+from ..host.ipython_errors import UnknownName
 from ..model import document as documents
 from ..model.block_types import Library, library_types
 from ..model.diagram_grammar import MEASURE_NUMBERS, MEASURES
@@ -42,7 +43,6 @@ from ..model.variants import Swap, taken
 from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
-from ..text.ipython_errors import UnknownName
 from ..text.printable import legible, quoted
 from ..text.quantity_text import read_quantity
 from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+from ..host.ipython_errors import UnknownPort
 from ..model.block_ports import listed
 from ..model.settings import TIMES
 from ..text.element_names import named_element
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
-from ..text.ipython_errors import UnknownPort
 from ..text.printable import quoted
 from ..text.quantity_text import read_quantity
 

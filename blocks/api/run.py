@@ -26,6 +26,8 @@ from ..engines.run.differences import of_values
 from ..engines.run.engine import Engine
 from ..engines.run.saved_state import Kept, State, check, packed
 from ..engines.selection import simulation
+from ..host.ipython_errors import UnknownName
+from ..host.progress_line import live_line
 from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..model.hierarchy import Resolver
@@ -39,9 +41,7 @@ from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.element_names import indexed
 from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
-from ..text.ipython_errors import UnknownName
 from ..text.printable import quoted
-from ..text.progress_line import live_line
 from ..text.quantity_text import read_quantity
 from .given_values import check_settings, time_of
 from .origin import origin_of

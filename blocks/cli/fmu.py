@@ -7,7 +7,7 @@ import os
 from collections.abc import Container, Mapping
 from typing import TYPE_CHECKING, Any
 
-from ..text.gc_pause import paused
+from ..host.gc_pause import paused
 from .option_values import assignments, check_writable
 from .options import takes_json, takes_run, takes_several
 from .output import emit, printable, say, waiting

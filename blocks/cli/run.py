@@ -12,8 +12,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ..fmi.exits import telling
+from ..host.gc_pause import paused
 from ..text.errors import BlocksError, Fault, FMUError, UsageError
-from ..text.gc_pause import paused
 from ..text.printable import counted
 from .option_values import assignments, check_writable, number_of, time_of, variants_of
 from .options import takes_library, takes_run, takes_trust, takes_variants

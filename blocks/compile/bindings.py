@@ -28,13 +28,13 @@ from ..contract.sparse import SparseMatrix
 from ..contract.tape import TapeNode
 from ..contract.uses import CONSTANT, FIXED, TUNABLE, Use, uses
 from ..contract.variables import Parameter
+from ..host.gc_pause import paused
 from ..model.copies import Copy, Fleet, unnumbered
 from ..model.diagram_grammar import MEASURE_NUMBERS, TRIGGER
 from ..model.flatten import Flat, FlatBlock
 from ..model.hierarchy import DiagramScope, Leaf
 from ..model.origins import Origin
 from ..model.values import expressions_in, is_expression, names_in, order_of
-from ..text.gc_pause import paused
 from ..text.units import si_text
 from .default_tracing import Untraceable, default_programs
 from .memory_layout import parameter_places

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..contract.enumerations import Enumeration, enumeration_of
+from ..host.plain_files import opened
 from ..model.diagram_grammar import INTERPOLATIONS, TABLE
 from ..model.values import in_si
 from ..text import units
@@ -20,7 +21,6 @@ from ..text.arrays import Array
 from ..text.csv_text import read_columns
 from ..text.element_names import element_names
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
-from ..text.plain_files import opened
 from ..text.quantity_text import quantity_in
 from .plan import Plan
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from ..contract.interface import Interface
 from ..contract.resolution import Resolved, memory_start
+from ..host.gc_pause import paused
 from ..model.flatten import BlockSource, Flat, FlatBlock, FlatSignal, InputSource, Source
 from ..text.errors import Fault, ModelError
-from ..text.gc_pause import paused
 from .conditioning import unsure
 from .firing_order import firing_order
 from .fmu_tape import FmuTape

@@ -26,8 +26,8 @@ from collections.abc import Iterable, Mapping, Sized
 from types import MappingProxyType
 from typing import Any
 
+from ..host.ipython_errors import UnknownPort
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
-from ..text.ipython_errors import UnknownPort
 from .class_body import Body, check_parts, declare
 from .declaration import Declaration
 from .inheritance import Entry, completed, merged, taken_over

@@ -20,9 +20,9 @@ from typing import Any
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
 from ..fmi.exits import Ended
+from ..host.available_memory import Watch
 from ..results.results import Results
 from ..text.arrays import Array
-from ..text.available_memory import Watch
 from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationError
 from .run.engine import Engine
 from .run.memory_estimate import COPIES, COPIES_OF_MASTER, no_room

@@ -20,6 +20,7 @@ from ..compile.plan_builder import plan
 from ..compile.rebinding import Rebinding
 from ..contract.captured_values import Outside, outside_of
 from ..contract.resolution import Resolved
+from ..host.gc_pause import paused
 from ..model.copies import spellings
 from ..model.diagram_grammar import RUN
 from ..model.diagram_value import DiagramValue
@@ -32,7 +33,6 @@ from ..model.trust import Paths, check_trust
 from ..model.values import expressions_in
 from ..model.varied import given_values
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
-from ..text.gc_pause import paused
 from ..text.printable import legible
 
 _OF_THE_CLOCK = ("start", "stop", "step", "rtol", "atol", "gives_rtol", "every", "jumps", "stops")

@@ -41,6 +41,7 @@ from pathlib import Path, PurePosixPath
 from types import MappingProxyType, TracebackType
 from typing import Self
 
+from ..host.locks import LOCKS, lock
 from ..text.errors import Fault, FMUError, ModelError
 from .patience import undisturbed
 
@@ -544,9 +545,7 @@ def sha256_of(path: Name) -> str:
 
 def _locked(path: Path, *, make: bool) -> int | None:
     """A descriptor that holds the lock of a folder; None where another process holds it, or locks do not exist."""
-    try:
-        import fcntl
-    except ImportError:  # Windows
+    if not LOCKS:
         return None
     # A lock gets its name once it is held, so that nobody finds it free before its owner has taken it.
     first = path.with_suffix(".new") if make else path
@@ -555,7 +554,7 @@ def _locked(path: Path, *, make: bool) -> int | None:
     except OSError:
         return None
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(descriptor)
         if make:
             os.rename(first, path)
     except OSError:

@@ -22,8 +22,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+from ..host.gc_pause import paused
 from ..text.errors import Fault, FMUError
-from ..text.gc_pause import paused
 from . import xmltree
 from .archive import DESCRIPTION, Archive
 from .definitions import Definitions

@@ -19,11 +19,11 @@ import numpy as np
 
 from ..compile.jacobian import PlanJacobian
 from ..compile.plan import Plan, Reference
+from ..host.ipython_errors import UnknownName
 from ..text import units
 from ..text.arrays import Array
 from ..text.element_names import indexed
 from ..text.errors import AnalysisError, Fault, UsageError, did_you_mean
-from ..text.ipython_errors import UnknownName
 from ..text.printable import quoted
 from ..text.rich_output import Part, Shown, Table
 from .point import Point

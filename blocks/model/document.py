@@ -13,10 +13,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..host.gc_pause import paused
 from ..text import json_text, json_writer
 from ..text.atomic_write import real
 from ..text.errors import Fault, ModelError
-from ..text.gc_pause import paused
 from ..text.grammar import Object
 from ..text.json_document import Document
 from .diagram_grammar import BLOCK, BODY, DIAGRAM, SCHEMA, VARIANT

@@ -19,10 +19,10 @@ from ..contract.block import Block
 from ..contract.expressions import exact_time
 from ..contract.interface import Interface, Value
 from ..contract.resolution import resolve
+from ..host.gc_pause import paused
 from ..text import units
 from ..text.element_names import indexed, matching
 from ..text.errors import Fault, ModelError
-from ..text.gc_pause import paused
 from ..text.json_document import AT_KEY
 from ..text.printable import legible, quoted
 from ..text.quantity_text import in_a_file, read_quantity

@@ -21,10 +21,11 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from ..host.locks import hold
+from ..host.plain_files import opened
 from ..text.arrays import Array
-from ..text.atomic_write import hold, real, refused
+from ..text.atomic_write import real, refused
 from ..text.errors import Fault, UsageError, did_you_mean
-from ..text.plain_files import opened
 from ..text.printable import legible, one_line
 from .table import TIMES, Content, FileTable, Refuse, optional, parsed, refusal, unique, versioned, without_twins
 

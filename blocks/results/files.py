@@ -33,10 +33,10 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from ..host.plain_files import INHERITED, opened
 from ..text.arrays import Array
 from ..text.atomic_write import known_ending, write_atomically
 from ..text.errors import Fault, UsageError
-from ..text.plain_files import INHERITED, opened
 from ..text.printable import legible, one_line
 from .arrow import PART, Stored, Window, read_parquet, read_part, target_of, write_parquet
 from .mat_check import check

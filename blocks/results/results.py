@@ -10,12 +10,12 @@ from typing import Any, NamedTuple, TextIO, overload
 
 import numpy as np
 
+from ..host.ipython_errors import UnknownName
 from ..text import units
 from ..text.arrays import Array
 from ..text.atomic_write import write_atomically
 from ..text.element_names import element_names, indexed, named_element
 from ..text.errors import Fault, UsageError, did_you_mean
-from ..text.ipython_errors import UnknownName
 from ..text.printable import counted, quoted
 from ..text.rich_output import Part, Shown, Table, as_html, as_text
 from . import files

@@ -23,10 +23,10 @@ import numpy as np
 from ..api.run import Run
 from ..engines.driver import Simulation
 from ..engines.run.memory_estimate import COPIES_OF_MASTER
+from ..host.available_memory import Watch
 from ..model.flatten import BlockSource, ValueSource
 from ..results.results import Event, Results
 from ..text.arrays import Array
-from ..text.available_memory import Watch
 from ..text.element_names import element_names
 from ..text.errors import BlocksError, Fault, FMUError, SimulationError, UsageError
 

@@ -9,9 +9,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ..host.available_memory import available
 from ..text import units
 from ..text.arrays import Array
-from ..text.available_memory import available
 from ..text.errors import Fault, UsageError
 from .curves import Curve, Source, Window, elements, row_at
 

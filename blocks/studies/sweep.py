@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..api.batch import STATUSES
+from ..host.ipython_errors import UnknownName
 from ..results.table import optional, unique
 from ..text.arrays import Array
 from ..text.errors import Fault, UsageError, did_you_mean
-from ..text.ipython_errors import UnknownName
 from ..text.printable import counted, legible
 from ..text.rich_output import Part, Shown, Table, as_text
 from . import statistics

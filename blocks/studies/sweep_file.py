@@ -18,6 +18,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from ..host.plain_files import opened
 from ..model.raw_values import raw_of
 from ..results.arrow import PartFile, chunks_of, created, part_of, target_of
 from ..results.provenance import Origin
@@ -25,7 +26,6 @@ from ..results.table import Refuse, optional, parsed, refusal, unique
 from ..text.arrays import Array
 from ..text.atomic_write import known_ending, refused, write_atomically
 from ..text.errors import Fault, UsageError
-from ..text.plain_files import opened
 from ..text.printable import legible, one_line
 
 FORMAT, VERSION = "blocks sweep", 1

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..api.batch import Batch, BatchRows
+from ..host.progress_line import in_rows, live_line
 from ..model.diagram_grammar import MEASURE_UNITS
 from ..model.diagram_value import check_name
 from ..model.flatten import Flat, element_of
@@ -30,7 +31,6 @@ from ..text import units as unit_texts
 from ..text.arrays import Array
 from ..text.errors import Fault, UsageError
 from ..text.printable import legible
-from ..text.progress_line import in_rows, live_line
 from ..text.quantity_text import read_quantity
 from .sampling import Rows, rows_of, seed_of
 from .sweep import Sweep

@@ -23,13 +23,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from ..api.batch import Batch
+from ..host.progress_line import in_rows, live_line
 from ..model.flatten import Flat, element_of
 from ..model.wires import BlockSource
 from ..results.results import Results
 from ..text.arrays import Array
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible, quoted
-from ..text.progress_line import in_rows, live_line
 from .gains_file import changes
 from .objectives import Constraint, Objective, constraints_of, objective_of
 from .optimizers import METHODS, Spent, check_installed

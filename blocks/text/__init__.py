@@ -1,1 +1,1 @@
-"""Texts, numbers and files that know no diagram: errors, expressions, units, JSON, CSV, files written whole, memory."""
+"""Texts, numbers and files that know no diagram: errors, expressions, units, JSON, CSV, files written whole."""

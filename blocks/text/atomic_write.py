@@ -21,15 +21,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from ..host.locks import LOCKS, hold, lock
 from .errors import Fault, UsageError
 from .printable import legible
-
-LOCKS = False  # Windows has none of this kind, nor has Python in a browser
-if sys.platform != "win32":
-    with contextlib.suppress(ImportError):
-        import fcntl
-
-        LOCKS = True
 
 LONGEST = 100  # bytes of a name that stand in that of its part, which must not be too long
 STALE = 86400.0  # s
@@ -112,18 +106,6 @@ def check_target(path: str | Path) -> None:
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(target.parent))
     if not os.access(target.parent, os.W_OK | os.X_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(target.parent))
-
-
-def hold(handle: int) -> bool:
-    """Lock an open file until it is closed, or its process ends; False where another one has it."""
-    if sys.platform != "win32" and LOCKS:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-        except OSError:  # a file system without locks
-            return True
-    return True
 
 
 def drop_parts() -> None:
@@ -247,10 +229,10 @@ def _made(folder: Path, first: str) -> tuple[int, str]:
 
 def _is_ours(handle: int) -> bool:
     """Lock a new part; whether nobody has removed it before that."""
-    if sys.platform == "win32" or not LOCKS:
+    if not LOCKS:
         return True
     with contextlib.suppress(OSError):  # a file system without locks: nobody gets one to remove it
-        fcntl.flock(handle, fcntl.LOCK_EX)
+        lock(handle, wait=True)
     return os.fstat(handle).st_nlink > 0
 
 
@@ -266,13 +248,13 @@ def _sweep(folder: Path, first: str) -> None:
 
 def _remove_left(part: str) -> None:
     """Remove a part, unless its writer lives. Raises OSError."""
-    if sys.platform == "win32" or not LOCKS:
+    if not LOCKS:
         if time.time() - os.stat(part).st_mtime > STALE:
             os.unlink(part)
         return
     handle = os.open(part, os.O_RDWR | os.O_NOFOLLOW)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(handle)
         os.unlink(part)
     finally:
         os.close(handle)

@@ -21,7 +21,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from .ipython_errors import Brief
+from ..host.ipython_errors import Brief
 
 NOT_FINITE = "Check its inputs at this time: look for a division by 0, or a root or logarithm of a negative number."
 """What to do about a value that is not finite (E303), whoever finds it."""

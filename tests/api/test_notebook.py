@@ -23,8 +23,8 @@ from traitlets.config import Config
 from blocks import Constant, Diagram, FirstOrder, Gain, ModelError, Normal, Sum
 from blocks.analysis import bode, find_operating_point, margins
 from blocks.compare import compare
-from blocks.text import progress_line as progress
-from blocks.text.progress_line import in_rows, live_line
+from blocks.host import progress_line as progress
+from blocks.host.progress_line import in_rows, live_line
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

@@ -34,7 +34,7 @@ from blocks import (
 from blocks.cli import main
 from blocks.engines.run import memory_estimate
 from blocks.engines.run.recording import Recording
-from blocks.text import available_memory
+from blocks.host import available_memory
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
 from tests.support.marks import long
 from tests.support.places import ROOT
@@ -76,7 +76,7 @@ def test_the_memory_that_is_there_is_what_the_system_says() -> None:
 def test_limits_of_a_process_are_taken_from_what_there_is(limit: str) -> None:
     text = """
         import mmap, resource, sys
-        from blocks.text import available_memory
+        from blocks.host import available_memory
         kind = getattr(resource, sys.argv[1])
         with open("/proc/self/statm") as stream:
             pages = stream.read().split()

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from blocks import Diagram, Results, SimulationError, UsageError
+from blocks.host import available_memory
 from blocks.server.live_run import PERIOD, LiveRun
-from blocks.text import available_memory
 from tests.support.places import DIAGRAMS, PAPER
 
 pytestmark = pytest.mark.usefixtures("no_thread_left")

@@ -260,7 +260,7 @@ def takes_steps_of_one_size(folder: Path, patch: pytest.MonkeyPatch) -> None:
 
 @given("E311")
 def little_memory(folder: Path, patch: pytest.MonkeyPatch) -> None:
-    patch.setattr("blocks.text.available_memory.available", lambda: 4.0 * 2**30)
+    patch.setattr("blocks.host.available_memory.available", lambda: 4.0 * 2**30)
 
 
 # --- compiled code ----

@@ -19,7 +19,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from ...text.gc_pause import paused
+from ...host.gc_pause import paused
 from ..plan import Node, Plan, Reference
 from ..toolchain import cache as caches
 from .model_code import Clique, Emitted, Stage, emit

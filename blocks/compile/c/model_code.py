@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from ...text.gc_pause import paused
+from ...host.gc_pause import paused
 from ..jacobian import PlanJacobian
 from ..motion import looked_at
 from ..plan import Cause, Node, Plan, Program, Reference

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...host.gc_pause import paused
 from ...text.arrays import Array
-from ...text.gc_pause import paused
 from ..firing_order import order_of
 from ..fmu_tape import FmuTape
 from ..folding import Folded

@@ -27,9 +27,9 @@ from ...compile.upstream import changed_by, remembers_inputs
 from ...fmi.calls import ASKED, WARNING
 from ...fmi.instance import PATIENCE, Loaded, some
 from ...fmi.types import code_of, full_name
+from ...host.available_memory import for_recording
 from ...results.results import Event
 from ...text.arrays import Array
-from ...text.available_memory import for_recording
 from ...text.errors import Fault, FMUError
 from ..native.run_handle import LARGEST_SPARE, MOST_SPARE, array, track_table
 from ..run.memory_estimate import COPIES_OF_MASTER, no_room

@@ -24,9 +24,9 @@ from ...compile.motion import LOOKS, Motions, looked_at
 from ...compile.plan import Plan, Reference
 from ...compile.time_grid import Grid, within_ulps
 from ...fmi.patience import patient
+from ...host.available_memory import for_recording
 from ...results.results import Event, Events, Statistics
 from ...text.arrays import Array, frozen
-from ...text.available_memory import for_recording
 from ...text.errors import BlocksError, Fault, SimulationError, UsageError
 from ..run.engine import Recorded, heard_by_python
 from ..run.measures import Measures

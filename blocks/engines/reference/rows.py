@@ -9,8 +9,8 @@ import numpy as np
 
 from ...compile.plan import Plan
 from ...compile.time_grid import Grid, within_ulps
+from ...host.available_memory import Watch
 from ...text.arrays import Array
-from ...text.available_memory import Watch
 from ..run.memory_estimate import COPIES
 from ..run.recording import Recording
 from ..run.snapshot import Snapshot

@@ -9,7 +9,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 from ...compile.plan import Plan
-from ...text import available_memory
+from ...host import available_memory
 from ...text.errors import Fault, SimulationError, UsageError
 
 COPIES = 1.1

@@ -25,10 +25,10 @@ from ...compile.equation_record import Equations
 from ...compile.inputs import InputTable
 from ...compile.plan import Plan
 from ...compile.time_grid import Grid
+from ...host.plain_files import opened
 from ...model.diagram_grammar import LARGEST_SEED
 from ...text.arrays import Array
 from ...text.errors import BlocksError, Fault, UsageError
-from ...text.plain_files import opened
 from ...text.printable import legible, one_line
 from .differences import of_equations, some
 from .snapshot import MethodMemory

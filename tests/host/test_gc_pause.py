@@ -10,10 +10,10 @@ import pytest
 
 from blocks import Constant, Diagram, Gain, ModelError
 from blocks.compile.plan_builder import plan
+from blocks.host.gc_pause import paused
 from blocks.library import LIBRARY
 from blocks.model import document
 from blocks.model.flatten import flatten
-from blocks.text.gc_pause import paused
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,1 @@
+"""The process that blocks runs in: its memory, garbage collector, locks of files and notebook."""
