@@ -27,7 +27,8 @@ from ..text.json_document import place_of
 from ..text.printable import aligned, as_markdown, counted
 from ..text.version import __version__
 from .report_page import escaped, folder_for, framed, own_ids, plotted, svg_of, table, warned, written
-from .study import Claim, StudyResults, Verdict
+from .study import StudyResults, Verdict
+from .study_reader import Claim
 from .study_sweeps import StudySweep, figure_of, plain
 from .study_tunings import StudyTuning
 from .sweep import QUANTILES, Sweep

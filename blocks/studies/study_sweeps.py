@@ -6,7 +6,7 @@ What they share with tunings (`study_tunings`) stands here too.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -26,6 +26,8 @@ from .statistics import quantiles
 from .sweep import Sweep
 from .sweep_margins import RowMargins, margins_of
 
+Placed = tuple[Steps, Fault]
+"""A fault with its place in an entry."""
 _OPTIONS = ("n", "sampler", "seed", "budget", "measures", "log", "margins", "scenarios", "lanes")
 
 
@@ -60,25 +62,43 @@ class ManyRuns:
     def scenarios(self) -> dict[str, Mapping[str, Any]]:
         return dict(self.options.get("scenarios", {}))
 
-    def flattened(
-        self, diagram: Diagram, parameters: Mapping[str, Any]
-    ) -> tuple[list[Flat], list[tuple[Steps, Fault]]]:
-        """The diagram in each scenario, and what is wrong there, each with its place in the entry.
-
-        parameters: of all rows.
-        """
-        flats, faults = list[Flat](), list[tuple[Steps, Fault]]()
+    def faults(self, diagram: Diagram, parameters: Mapping[str, Any]) -> Iterator[Placed]:
+        """Find what is wrong, each fault with its place in the entry. parameters: of all runs."""
+        flats = list[Flat]()
         for name, on_top in (self.scenarios or {"": {}}).items():
             try:
                 flats.append(diagram.flatten(parameters={**parameters, **on_top}, settings=self.settings))
             except BlocksError as error:
                 for fault in error.faults:
                     word = fault.place.removeprefix("run.")
-                    sections = {"scenarios": on_top, "parameters": self.parameters, "settings": self.settings}
-                    section = next((key for key, table in sections.items() if word in table), "")
-                    steps = (section, name, word) if section == "scenarios" else (section, word) if section else ()
-                    faults.append((steps, fault))
-        return flats, faults
+                    steps: Steps = ("scenarios", name, word) if word in on_top else ()
+                    yield steps or section_of(word, self, "parameters", "settings"), fault
+        yield from self.asked(diagram, parameters, flats)
+
+    def asked(self, diagram: Diagram, parameters: Mapping[str, Any], flats: Sequence[Flat]) -> Iterator[Placed]:
+        """Find what is wrong with what is varied and measured. flats: of the scenarios without a fault."""
+        raise NotImplementedError
+
+    def measured(self, diagram: Diagram) -> list[str]:
+        """Return the measures that claims may name."""
+        raise NotImplementedError
+
+    def units_of_margins(self) -> dict[str, str]:
+        """Return the units of columns that are no measures of the diagram; "1": none."""
+        return {}
+
+
+def section_of(word: str, entry: Any, *sections: str) -> Steps:
+    """Return the steps from an entry to a word in one of its sections; none if it is in none of them."""
+    return next(((section, word) for section in sections if word in getattr(entry, section)), ())
+
+
+def placed(steps: Steps, check: Callable[..., Any], *given: Any) -> Iterator[Placed]:
+    """Find what is wrong with one part of an entry, by a call that raises its faults."""
+    try:
+        check(*given)
+    except BlocksError as error:
+        yield from ((steps, fault) for fault in error.faults)
 
 
 class StudySweep(ManyRuns):
@@ -92,20 +112,51 @@ class StudySweep(ManyRuns):
         return cls.read(name, entry, doc, "vary", _OPTIONS)
 
     def measured(self, diagram: Diagram) -> list[str]:
-        """The names of its measures and margins."""
         return [*self.options.get("measures", diagram.value.measures), *self.options.get("margins", {})]
+
+    def units_of_margins(self) -> dict[str, str]:
+        return {margin.name: margin.unit or "1" for margin in margins_of(self.options.get("margins", {}))}
+
+    def made(self, diagram: Diagram, parameters: Mapping[str, Any], trust: Paths) -> Sweep:
+        """Return the sweep; Ctrl-C returns the rows that are done. Raises as `Diagram.sweep`."""
+        made: Sweep = diagram.sweep(self.varied(), parameters=parameters, trust=trust, **self.options, **self.settings)
+        return made
+
+    def asked(self, diagram: Diagram, parameters: Mapping[str, Any], flats: Sequence[Flat]) -> Iterator[Placed]:
+        if not flats:
+            return
+        for name in self.vary:
+            yield from placed(("vary", name), columns_of, [_pattern(name) or name], flats[0])
+        try:
+            varied = self.varied()
+        except UsageError as error:
+            yield ("vary", error.faults[0].place), error.faults[0]
+            varied = {}
+        for name, law in zip(self.vary, varied.values(), strict=False):
+            if callable(getattr(law, "ppf", None)):
+                yield from placed(("vary", name), law.ppf, np.array([0.5]))
+        options, measures, signals = self.options, diagram.value.measures, flats[0].signals
+        yield from placed(("n",), check_draws, varied, options.get("n"), options.get("sampler", "random"))
+        for k, name in enumerate(options.get("measures", ())):
+            if name not in measures:
+                yield ("measures", k), _unknown(name, measures, "measure of the diagram")
+        for k, name in enumerate(options.get("log", ())):
+            if element_of(name, signals) is None:
+                yield ("log", k), _unknown(name, signals, "signal of the diagram")
+        rows = {"parameters": parameters, **self.settings}
+        for name, margin in options.get("margins", {}).items():
+            yield from placed(("margins", name), lambda of: RowMargins(diagram, margins_of(of), rows), {name: margin})
 
     def varied(self) -> dict[Any, Any]:
         """What `Diagram.sweep` takes as `vary`. Raises UsageError (E501)."""
         vary: dict[Any, Any] = {}
         for name, raw in self.vary.items():
-            pattern = re.fullmatch(r"each\((.*)\)", name)
             if isinstance(raw, Mapping):
                 (kind, given), *_ = raw.items()
                 values = named_values(name, kind, plain(given))
             else:
                 values = plain(raw)
-            vary[each(pattern[1]) if pattern else name] = values
+            vary[each(_pattern(name)) if _pattern(name) else name] = values
         return vary
 
 
@@ -118,44 +169,10 @@ def plain(value: Any) -> Any:
     return float(value) if isinstance(value, Number) else value
 
 
-def faults_of(entry: StudySweep, diagram: Diagram, parameters: Mapping[str, Any]) -> Iterator[tuple[Steps, Fault]]:
-    """What is wrong with a sweep of a diagram, each with its place in the entry. parameters: of all rows."""
-    flats, faults = entry.flattened(diagram, parameters)
-    yield from faults
-    if not flats:
-        return
-    for name in entry.vary:
-        try:
-            pattern = re.fullmatch(r"each\((.*)\)", name)
-            columns_of([pattern[1] if pattern else name], flats[0])
-        except BlocksError as error:
-            yield ("vary", name), error.faults[0]
-    try:
-        varied = entry.varied()
-    except UsageError as error:
-        yield ("vary", error.faults[0].place), error.faults[0]
-        varied = {}
-    for name, law in zip(entry.vary, varied.values(), strict=False):
-        if callable(getattr(law, "ppf", None)):
-            try:
-                law.ppf(np.array([0.5]))
-            except UsageError as error:
-                yield ("vary", name), error.faults[0]
-    try:
-        check_draws(varied, entry.options.get("n"), entry.options.get("sampler", "random"))
-    except UsageError as error:
-        yield ("n",), error.faults[0]
-    for k, name in enumerate(entry.options.get("measures", ())):
-        if name not in diagram.value.measures:
-            yield ("measures", k), _unknown(name, diagram.value.measures, "measure of the diagram")
-    for k, name in enumerate(entry.options.get("log", ())):
-        if element_of(name, flats[0].signals) is None:
-            yield ("log", k), _unknown(name, flats[0].signals, "signal of the diagram")
-    for name, margin in entry.options.get("margins", {}).items():
-        try:
-            RowMargins(diagram, margins_of({name: margin}), {"parameters": parameters, **entry.settings})
-        except BlocksError as error:
-            yield ("margins", name), error.faults[0]
+def _pattern(name: str) -> str:
+    """Return the pattern in "each(PATTERN)", or ""."""
+    found = re.fullmatch(r"each\((.*)\)", name)
+    return found[1] if found else ""
 
 
 def names_missing(entry: StudySweep, diagram: Diagram, figure: Mapping[str, Any]) -> Iterator[Fault]:
@@ -172,12 +189,6 @@ def names_missing(entry: StudySweep, diagram: Diagram, figure: Mapping[str, Any]
 def _unknown(name: str, known: Collection[str], what: str) -> Fault:
     cure = did_you_mean(name[:200], known) or f"Known: {', '.join([*known][:20]) or 'none'}."
     return Fault("E105", name, f"{quoted(name)} is not a {what}.", cure)
-
-
-def run_sweep(entry: StudySweep, diagram: Diagram, parameters: Mapping[str, Any], trust: Paths) -> Sweep:
-    """Run it; Ctrl-C returns what is done. Raises as `Diagram.sweep`."""
-    made: Sweep = diagram.sweep(entry.varied(), parameters=parameters, trust=trust, **entry.options, **entry.settings)
-    return made
 
 
 def statistic_of(values: Array, statistic: tuple[str, float], limit: tuple[str, float] | None) -> float:

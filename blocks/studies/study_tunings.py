@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
+from itertools import chain
 from typing import Any
 
 from ..api.diagram import Diagram
+from ..model.flatten import Flat
 from ..model.trust import Paths
 from ..model.varied import columns_of
-from ..text.errors import BlocksError, Fault
-from ..text.grammar import Steps
 from .objectives import constraints_of, objective_of
 from .optimizers import check_installed
 from .search_space import Space, units_of_parameters
-from .study_sweeps import ManyRuns, plain
+from .study_sweeps import ManyRuns, Placed, placed, plain
 from .tuned import Tuning
 from .tuning import measured
 
@@ -39,51 +40,37 @@ class StudyTuning(ManyRuns):
         return tuple(self.scenarios) or ("nominal",)
 
     def measured(self, diagram: Diagram) -> list[str]:
-        """What claims may name."""
         measures = diagram.value.measures
         return [OBJECTIVE, *measures, *(f"{scenario}.{measure}" for scenario in self.told for measure in measures)]
 
+    def made(self, diagram: Diagram, parameters: Mapping[str, Any], trust: Paths) -> Tuning:
+        """Return the tuning; if Ctrl-C ended it, it is `interrupted`. Raises as `Diagram.tune`."""
+        over = plain(self.vary)
+        made: Tuning = diagram.tune(over=over, parameters=parameters, trust=trust, **self.options, **self.settings)
+        is_cut = any(run.interrupted for run in (*made.before.values(), *made.after.values()))
+        return replace(made, interrupted=True) if is_cut else made
 
-def faults_of(entry: StudyTuning, diagram: Diagram, parameters: Mapping[str, Any]) -> Iterator[tuple[Steps, Fault]]:
-    """What is wrong with a tuning of a diagram, each with its place in the entry. parameters: of all runs."""
-    flats, faults = entry.flattened(diagram, parameters)
-    yield from faults
-    measures, options = tuple(diagram.value.measures), entry.options
-    checks: list[tuple[Steps, Callable[[], Any]]] = [
-        (("minimize",), partial(objective_of, options["minimize"], measures, entry.told, unknown="E105"))
-    ]
-    for k, text in enumerate(options.get("subject_to", ())):
-        checks.append((("subject_to", k), partial(constraints_of, [text], measures, entry.told, unknown="E105")))
-    unit_of = units_of_parameters(diagram, parameters)
-    for name, bounds in entry.vary.items():
-        checks.append((("over", name), partial(Space.of, {name: plain(bounds)}, unit_of)))
-        checks += [(("over", name), partial(columns_of, [name], flat)) for flat in flats[:1]]
-    found = [(steps, fault) for steps, check in checks for fault in _faults(check)]
-    if flats and not found:  # whether two names are of one parameter
-        found = [(("over",), fault) for fault in _faults(partial(columns_of, [*entry.vary], flats[0]))]
-    yield from found
-
-
-def _faults(check: Callable[[], Any]) -> tuple[Fault, ...]:
-    try:
-        check()
-    except BlocksError as error:
-        return error.faults
-    return ()
+    def asked(self, diagram: Diagram, parameters: Mapping[str, Any], flats: Sequence[Flat]) -> Iterator[Placed]:
+        known, is_right = (tuple(diagram.value.measures), self.told), True
+        objective, constraints = partial(objective_of, unknown="E105"), partial(constraints_of, unknown="E105")
+        checks = [placed(("minimize",), objective, self.options["minimize"], *known)]
+        for k, text in enumerate(self.options.get("subject_to", ())):
+            checks.append(placed(("subject_to", k), constraints, [text], *known))
+        unit_of = units_of_parameters(diagram, parameters)
+        for name, bounds in self.vary.items():
+            checks.append(placed(("over", name), Space.of, {name: plain(bounds)}, unit_of))
+            checks += [placed(("over", name), columns_of, [name], flat) for flat in flats[:1]]
+        for found in chain.from_iterable(checks):
+            is_right = False
+            yield found
+        if flats and is_right:  # whether two names are of one parameter
+            yield from placed(("over",), columns_of, [*self.vary], flats[0])
 
 
 def needs(entry: StudyTuning) -> None:
     """Raises UsageError (E504) where the package of its method is not installed."""
     method = entry.options.get("method", "cma")
     check_installed(method, f'tunings.{entry.name}: method "{method}"')
-
-
-def run_tuning(entry: StudyTuning, diagram: Diagram, parameters: Mapping[str, Any], trust: Paths) -> Tuning:
-    """Run it; where Ctrl-C ended it, it is `interrupted`. Raises as `Diagram.tune`."""
-    made: Tuning = diagram.tune(
-        over=plain(entry.vary), parameters=parameters, trust=trust, **entry.options, **entry.settings
-    )
-    return made
 
 
 def values_of(tuning: Tuning, measure: str) -> list[float]:

@@ -19,6 +19,7 @@ from blocks import Diagram, ModelError, SimulationError
 from blocks.cli import main
 from blocks.results import plots
 from blocks.studies import report, report_page, study
+from blocks.studies.study_checks import StudyChecks
 from blocks.text.errors import Fault
 from tests.support.places import ROOT
 
@@ -397,7 +398,7 @@ def test_runs_that_are_done_are_kept_whatever_fails_after_them(
     assert list(kept) == (["soft"] if fails == "a later run" else ["soft", "stiff"])
     assert (Path(kept["soft"]).parent == folder) == (fails != "the folder")
     loaded = study.load(path).runs[0]
-    alone = run(study.prepared(study.load(path))["soft"], parameters=loaded.parameters, **dict(loaded.settings))
+    alone = run(StudyChecks(study.load(path)).diagrams["soft"], parameters=loaded.parameters, **dict(loaded.settings))
     alone.save(tmp_path / "alone.csv")
     assert Path(kept["soft"]).read_bytes() == (tmp_path / "alone.csv").read_bytes()
 

@@ -14,6 +14,7 @@ from blocks import Diagram
 from blocks.cli import main
 from blocks.studies import json_schema, report, study
 from blocks.studies.sampling import Normal
+from blocks.studies.study_reader import Claim
 from blocks.studies.study_sweeps import statistic_of
 from tests.support.places import ROOT
 
@@ -106,7 +107,7 @@ def test_rows_without_a_number_keep_no_limit() -> None:
     # Loops that bear any gain.
     assert statistic_of(np.array([1.0, 2.0, np.inf]), ("quantile", 0.5), None) == 2.0
     assert statistic_of(np.array([1.0, 2.0, np.inf]), ("quantile", 0.75), ("at_least", 1.0)) == np.inf
-    limit = study.Claim((), "dip", "", None, "", "", 0.0, "holds", "", "many", "", ("mean", np.nan), ("at_most", 1.0))
+    limit = Claim((), "dip", "", None, "", "", 0.0, "holds", "", "many", "", ("mean", np.nan), ("at_most", 1.0))
     sweep = Diagram.load(MASS).sweep({"mass": [1.0]}, stop=0.1)
     empty = replace(sweep, measures={"dip": np.array([np.nan])})
     assert study.judge(limit, {}, {"many": empty}).verdict == "fails"
