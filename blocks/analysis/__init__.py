@@ -14,8 +14,9 @@ _PLACES = {
     name: module
     for module, names in {
         "analysis.adrc_reports": "AMPLITUDES LoopReport ObserverReport loop_report observer_report",
-        "analysis.estimation": "Chirp Comparison OddMultisine Response SineStream compare estimate_response",
+        "analysis.estimation": "Chirp OddMultisine SineStream estimate_response",
         "analysis.operating": "find_operating_point limit_cycles operating_points",
+        "analysis.responses": "Comparison Response compare",
         "frequency.figures": "bode gang_of_four nichols nyquist pole_map sigma step_figure",
         "frequency.linear_adrc": (
             "Controller EulerCycle Gains SamplingLimits adrc_gains bandwidth_gains controller "

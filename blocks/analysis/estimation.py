@@ -35,12 +35,10 @@ from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, FMUError, SimulationError, UsageError
 from .estimation_blocks import TONE, Correlator, Multitone, Sweep, Tone
 from .injection import free_name, inject, is_port, known, probe, target
-from .responses import Comparison, Response, compare
+from .responses import Response
 
 if TYPE_CHECKING:
     from ..model.trust import Paths
-
-__all__ = ["Chirp", "Comparison", "OddMultisine", "Response", "SineStream", "compare", "estimate_response"]
 
 RTOL = 1e-8
 """Tolerance of the solver, unless the diagram has a smaller one: phasors are right to some 1e-7."""

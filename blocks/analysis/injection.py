@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 
 from ..api.diagram import Diagram
 from ..contract.enumerations import type_text
+from ..model.block_signals import FlatSignal
 from ..model.diagram_grammar import shape_of
 from ..model.diagram_value import DiagramValue
-from ..model.flatten import Flat, FlatSignal
+from ..model.flatten import Flat
 from ..text import units
 from ..text.element_names import indexed
 from ..text.errors import Fault, UsageError, did_you_mean

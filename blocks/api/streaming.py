@@ -19,8 +19,8 @@ from ..compile.coupling import Coupling
 from ..engines.driver import Simulation
 from ..engines.run.saved_state import State, packed
 from ..fmi.patience import patient
-from ..results.arrow import Part, Stored
-from ..results.files import check_format, target_of
+from ..results.arrow import Part, Stored, target_of
+from ..results.files import check_format
 from ..results.provenance import Origin
 from ..results.results import Results
 from ..text.errors import Fault, UsageError

@@ -30,8 +30,6 @@ from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from .output import say, silence, tell_faults
 from .stop_signals import INTERRUPTED, hearing
 
-__all__ = ["main"]
-
 BROKEN = 70
 """The exit code of a fault of blocks itself, as sysexits.h has it (EX_SOFTWARE)."""
 STDOUT = "stdout"

@@ -15,8 +15,6 @@ from .output import emit, printable
 if TYPE_CHECKING:
     from ..results.results import Results
 
-__all__ = ["add"]
-
 
 def add(verbs: Any) -> None:
     comparison = verbs.add_parser(

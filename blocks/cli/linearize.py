@@ -6,7 +6,8 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
-from .option_values import assignments, check_writable, number_of, parsed, raw_number, variants_of
+from ..text.quantity_text import value_in
+from .option_values import assignments, check_writable, number_of, raw_number, variants_of
 from .options import takes_json, takes_library, takes_point, takes_several
 from .output import emit, printable, say
 
@@ -123,7 +124,7 @@ def _observer(options: argparse.Namespace) -> int:
 
     diagram, point = _linearizer(options)
     texts = [text for item in options.amplitudes or () for text in item.split(",") if text]
-    given = [parsed(text) for text in texts] or AMPLITUDES
+    given = [value_in(text) for text in texts] or AMPLITUDES
     report = observer_report(diagram, options.block, amplitudes=given, **point)
     if options.json:
         emit(report.as_json())

@@ -10,11 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from ..text.errors import Fault, ModelError, UsageError
-from ..text.quantity_text import value_in as parsed
-
-__all__ = [
-    "as_options", "assignments", "check_writable", "number_of", "parsed", "raw_number", "time_of", "variants_of",
-]  # fmt: skip
+from ..text.quantity_text import value_in
 
 
 def number_of(option: str, text: str | None) -> Any:
@@ -77,7 +73,7 @@ def _parsed(place: str, text: str) -> Any:
         cure = f"Write {', or '.join(ways)}." if ways else ""
         raise UsageError(Fault("E501", place, f"{text!r} is not a number: the decimal separator is a point.", cure))
     try:
-        return parsed(text)
+        return value_in(text)
     except ModelError as error:
         raise ModelError(*(replace(fault, place=f"{place} {fault.place}".rstrip()) for fault in error.faults)) from None
 

@@ -45,7 +45,7 @@ def add(verbs: Any) -> None:
 def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None = None) -> int:
     """made: gives the diagram, which is no file then."""
     from ..api.diagram import Diagram
-    from ..results.files import target_of
+    from ..results.arrow import target_of
 
     constants = [item for item in options.input if "=" in item and not os.path.exists(item)]
     inputs: list[Any] = [item for item in options.input if item not in constants]
@@ -108,7 +108,7 @@ def _started(
     from ..api.diagram import run_of
     from ..api.preparing import longest_compilation
     from ..api.run import RunOptions
-    from ..results.files import target_of
+    from ..results.arrow import target_of
 
     word = "compiling: this happens the first time that a diagram runs"
     late = f"still preparing the run; a compiler that hangs is stopped after {longest_compilation():g} s"

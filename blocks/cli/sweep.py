@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted
-from .option_values import as_options, assignments, check_writable, number_of, parsed, time_of, variants_of
+from ..text.quantity_text import value_in
+from .option_values import as_options, assignments, check_writable, number_of, time_of, variants_of
 from .options import (
     takes_engine,
     takes_json,
@@ -238,7 +239,7 @@ def _listed(place: str, text: str) -> list[Any]:
 
     if text.startswith("["):
         try:
-            return [_plain(value) for value in parsed(f"[{text}]")]
+            return [_plain(value) for value in value_in(f"[{text}]")]
         except ModelError as error:
             message = f"{text!r} is not a list of vectors: {error.faults[0].message}"
             raise UsageError(Fault("E501", place, message, "Example: [1,2],[3,4].")) from None
@@ -283,7 +284,7 @@ def _quantity(place: str, word: str) -> Any:
     from ..text import units
     from ..text.errors import ModelError
 
-    value = parsed(word)
+    value = value_in(word)
     try:
         if isinstance(value, dict):
             units.parse(str(value["unit"]))

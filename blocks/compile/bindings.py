@@ -31,7 +31,8 @@ from ..contract.variables import Parameter
 from ..host.gc_pause import paused
 from ..model.copies import Copy, Fleet, unnumbered
 from ..model.diagram_grammar import MEASURE_NUMBERS, TRIGGER
-from ..model.flatten import Flat, FlatBlock
+from ..model.flat_block import FlatBlock
+from ..model.flatten import Flat
 from ..model.hierarchy import DiagramScope, Leaf
 from ..model.origins import Origin
 from ..model.values import expressions_in, is_expression, names_in, order_of

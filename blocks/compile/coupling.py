@@ -18,18 +18,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from ..contract.expressions import exact_time
-from ..model.flatten import (
-    BlockSource,
-    Flat,
-    FlatBlock,
-    FlatInput,
-    FlatSignal,
-    InputSource,
-    Source,
-    ValueSource,
-    element_of,
-)
+from ..model.block_signals import FlatSignal, element_of
+from ..model.flat_block import FlatBlock
+from ..model.flatten import Flat
 from ..model.settings import MeasureSpec, RunSettings
+from ..model.wires import BlockSource, FlatInput, InputSource, Source, ValueSource
 from ..text.errors import Fault, ModelError
 from ..text.rich_output import Part, Shown
 from .plan import Plan, PlanInput, PlanSignal, Reference

@@ -15,7 +15,9 @@ from ..contract.equation_text import digest_of, equation_texts, hexadecimal, sha
 from ..contract.interface import Interface
 from ..contract.resolution import Resolved
 from ..contract.tape import Tape
-from ..model.flatten import Flat, FlatBlock, InputSource, Source, ValueSource
+from ..model.flat_block import FlatBlock
+from ..model.flatten import Flat
+from ..model.wires import InputSource, Source, ValueSource
 from ..text.errors import BlocksError
 from .coupling import Coupling
 from .memory_layout import names_of, parameter_places

@@ -31,7 +31,9 @@ from ..contract.variables import Input, Parameter
 from ..model.conditional import Enabled, Gate, OutputGate, TickGate, Time, TriggerGate
 from ..model.copies import CopySource, EachSource, Fleet, Later
 from ..model.expansion import Expansion
-from ..model.flatten import BlockSource, Flat, FlatBlock, Source
+from ..model.flat_block import FlatBlock
+from ..model.flatten import Flat
+from ..model.wires import BlockSource, Source
 from ..text.errors import BlocksError
 from .memory_layout import ROWS
 from .plan import Plan, PlanSignal, Rate, Reference

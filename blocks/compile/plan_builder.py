@@ -15,7 +15,10 @@ import numpy as np
 from ..contract.interface import Interface
 from ..contract.resolution import Resolved, memory_start
 from ..host.gc_pause import paused
-from ..model.flatten import BlockSource, Flat, FlatBlock, FlatSignal, InputSource, Source
+from ..model.block_signals import FlatSignal
+from ..model.flat_block import FlatBlock
+from ..model.flatten import Flat
+from ..model.wires import BlockSource, InputSource, Source
 from ..text.errors import Fault, ModelError
 from .conditioning import unsure
 from .firing_order import firing_order

@@ -15,7 +15,8 @@ import numpy as np
 
 from ..contract.uses import uses
 from ..model.diagram_grammar import RUN
-from ..model.flatten import Flat, FlatBlock
+from ..model.flat_block import FlatBlock
+from ..model.flatten import Flat
 from ..model.streams import number_of
 from ..model.values import expressions_in, names_in, value_of
 from ..text.errors import ModelError

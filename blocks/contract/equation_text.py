@@ -24,8 +24,6 @@ from .program_text import program_text
 from .tape import Result, Tape, TapeNode
 from .variables import Discrete, Variable
 
-__all__ = ["digest_of", "equation_texts", "hexadecimal", "sha256"]
-
 _KEPT = "equation_text"
 
 

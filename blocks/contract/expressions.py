@@ -26,18 +26,6 @@ from typing import TypeVar
 from ..text.errors import Fault, ModelError, did_you_mean
 from .scalars import OPERATIONS
 
-__all__ = [
-    "FUNCTIONS",
-    "Expression",
-    "PostfixStep",
-    "Scalar",
-    "evaluate",
-    "exact_decimal",
-    "exact_time",
-    "names_at",
-    "parse",
-]
-
 _T = TypeVar("_T")
 
 # The length also bounds the number of steps: each takes at least one character.

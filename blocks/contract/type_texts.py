@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from ..text import docstrings, formulas
+from ..text import docstrings
 from ..text.errors import BlocksError
+from ..text.formula_tree import Names
 from .interface import Interface, Value
 from .resolution import Resolved, resolve
 from .variables import REQUIRED
 
-NO_NAMES = formulas.Names(vectors=frozenset("rxyzu"))
+NO_NAMES = Names(vectors=frozenset("rxyzu"))
 """For texts that belong to no block."""
 
 
@@ -35,7 +36,7 @@ def interface_of(cls: Any) -> Interface | None:
     return None if made is None else made.interface
 
 
-def names_of(cls: Any) -> formulas.Names:
+def names_of(cls: Any) -> Names:
     """What the formulas of a block's docstring may read."""
     d, interface = cls.declaration, interface_of(cls)
     declared = {*d.readable, *d.event_times, *d.sizes}
@@ -43,7 +44,7 @@ def names_of(cls: Any) -> formulas.Names:
     if interface is not None:
         declared |= {*interface.inputs, *interface.outputs}
     vectors = {name for name, variable in d.readable.items() if variable.shape != ()}
-    return formulas.Names(frozenset(declared), frozenset(vectors))
+    return Names(frozenset(declared), frozenset(vectors))
 
 
 def pieces_of(cls: Any) -> tuple[str, list[docstrings.Piece]]:

@@ -7,21 +7,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-__all__ = [
-    "Arranged",
-    "Graph",
-    "GraphNode",
-    "Net",
-    "Path",
-    "Point",
-    "bounds",
-    "crossings",
-    "junctions",
-    "merged",
-    "pieces",
-    "simplified",
-]
-
 Point = tuple[float, float]
 Path = tuple[Point, ...]
 """Corners of a wire from its source to one sink; every piece is horizontal or vertical."""

@@ -21,10 +21,11 @@ from typing import Any
 
 import numpy as np
 
+from ..model.block_signals import element_of
 from ..model.block_types import library_types
 from ..model.diagram_value import BASE, DEEPEST, FORMAT, is_name, name_cure
 from ..model.document import alone, loads
-from ..model.flatten import Flat, element_of, flatten
+from ..model.flatten import Flat, flatten
 from ..model.resolver import resolver_of
 from ..model.wires import BlockSource
 from ..text.element_names import whole_of

@@ -25,7 +25,7 @@ from .run.memory_estimate import COPIES_OF_MASTER, check, check_plan, no_room
 from .run.saved_state import State
 
 if TYPE_CHECKING:
-    from ..fmi.instance import Loaded
+    from ..fmi.loading import Loaded
     from .run.model_exchange import Foreigns
 
 _told: set[str] = set()
@@ -181,7 +181,7 @@ def check_room(
 
 def _loaded(unit: CoupledUnit) -> Loaded:
     """The FMU of a unit, loaded; what loaded once is remembered in the folder of the cache."""
-    from ..fmi.instance import open_fmu
+    from ..fmi.loading import open_fmu
 
     foreign = unit.foreign
     assert foreign is not None

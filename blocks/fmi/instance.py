@@ -34,22 +34,9 @@ from ..text.errors import Fault, FMUError, SimulationError, UsageError
 from . import calls
 from .calls import Message, Running, running
 from .library import claimed, function
-from .loading import Loaded, open_fmu
+from .loading import Loaded
 from .model_description import ModelVariable
 from .types import FLOATS, c_type, call_of, full_name, limits_of
-
-__all__ = [
-    "PATIENCE",
-    "Events",
-    "Instance",
-    "Loaded",
-    "Message",
-    "Saved",
-    "StepResult",
-    "ended",
-    "open_fmu",
-    "some",
-]
 
 PATIENCE = 10.0
 """s; how long a step may stay pending."""

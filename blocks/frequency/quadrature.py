@@ -29,9 +29,7 @@ from typing import Any
 import numpy as np
 
 from ..text.arrays import Array
-from .law_corners import Law, breaks_of, finite, positive, refused, sign_changes, switched, undescribed, values
-
-__all__ = ["Described", "Spectrum", "breaks_of", "fundamental", "gaussian", "harmonics", "sinusoidal"]
+from .law_corners import Law, finite, positive, refused, sign_changes, switched, undescribed, values
 
 _EPS = float(np.finfo(float).eps)
 _TOLERANCE = 1e-13  # of the integral of |f|; what is left of it in a gain is below 1e-12

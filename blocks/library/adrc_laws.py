@@ -6,27 +6,6 @@ import numpy as np
 
 from ..text import units
 
-__all__ = [
-    "after_period",
-    "aim",
-    "b0_unit",
-    "bell",
-    "chain",
-    "each_error",
-    "each_estimate",
-    "error_units",
-    "estimate_units",
-    "fal",
-    "feedback_gains",
-    "fhan",
-    "linear_gains",
-    "observer_gains",
-    "of_paper",
-    "rates",
-    "sampled_gains",
-    "signed_power",
-]
-
 
 def rates(unit, count):
     """Units of a signal and of its first derivatives: unit, unit/s, unit/s2, ..."""

@@ -25,7 +25,7 @@ from ..compile.fmu_tape import FmuTape
 from ..compile.jacobian import on_arrays
 from ..contract.scalars import BENDS
 from ..frequency import quadrature
-from ..frequency.law_corners import PLACE
+from ..frequency.law_corners import PLACE, breaks_of
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault
 from .interconnection import Interconnection
@@ -166,7 +166,7 @@ class StaticLaw:
         known = self._scanned
         if known is None or bias != known[0] or not 1e-4 * known[1] <= reach <= known[1]:
             far = 30.0 * reach  # they do not depend on the amplitude, and serve for others too
-            breaks = quadrature.breaks_of(self, bias - far, bias + far, self.switches)
+            breaks = breaks_of(self, bias - far, bias + far, self.switches)
             known = self._scanned = (bias, far, breaks)
         return known[2]
 

@@ -39,23 +39,7 @@ from .parts import Parts, is_taken_apart
 from .settings import MeasureSpec, RunSettings, read_settings, seed_of
 from .values import expressions_in, is_expression, names_in
 from .variants import taken
-from .wires import BlockSource, FlatInput, InputSource, Source, Strand, ValueSource, Wires, WireSource, entered
-
-__all__ = [
-    "BlockSource",
-    "Flat",
-    "FlatBlock",
-    "FlatInput",
-    "FlatSignal",
-    "InputSource",
-    "Source",
-    "ValueSource",
-    "element_of",
-    "flatten",
-    "interface_of",
-    "numbers_in_si",
-]
-
+from .wires import BlockSource, FlatInput, Source, Strand, ValueSource, Wires, WireSource, entered
 
 MOST_OMEGA = 1e9
 """rad/s: each turn of a fundamental takes time to look through."""

@@ -25,8 +25,6 @@ from ..text.rich_output import Part, Shown, Table, as_text
 from .provenance import Origin
 from .results import Results
 
-__all__ = ["TOLERANCE", "Comparison", "Difference", "compare"]
-
 TOLERANCE = 1e-6
 # A signal that varies by less, as a part of its magnitude, is a constant with rounding errors.
 FLAT = 1e-12

@@ -56,11 +56,6 @@ from .table import (
     without_twins,
 )
 
-__all__ = [
-    "FORMATS", "FileTable", "Stored", "check_format", "identifiers", "optional", "read", "target_of", "write",
-    "write_csv",
-]  # fmt: skip
-
 FORMATS = (".csv", ".parquet", ".mat")
 FIRST_LINE = f"# blocks results {VERSION}"
 ROWS = 4096

@@ -19,7 +19,9 @@ from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import counted, quoted
 from ..text.rich_output import Part, Shown, Table, as_html, as_text
 from . import files
+from .arrow import Stored
 from .provenance import Origin
+from .table import FileTable, optional
 
 BARS = "▁▂▃▄▅▆▇█"
 SPARKS = 10
@@ -176,10 +178,10 @@ class Results(Shown):
         object.__setattr__(self, "measures", _Measures(self.measures))
 
     @property
-    def stored(self) -> files.Stored | None:
+    def stored(self) -> Stored | None:
         """The rows where they lie in a file of which nothing was read yet; else None."""
         values = self.__dict__["values"]
-        return values if isinstance(values, files.Stored) else None
+        return values if isinstance(values, Stored) else None
 
     @property
     def rows(self) -> int:
@@ -335,13 +337,13 @@ class Results(Shown):
         `attrs` holds "units" by signal, "diagram" and what the origin says. A jump stands as two rows of one index
         value. Raises UsageError (E504) where pandas is not installed.
         """
-        pandas = files.optional("pandas", "to_pandas")
+        pandas = optional("pandas", "to_pandas")
         names = [name for name, _, _ in self.flat_columns()]
         frame = pandas.DataFrame(self.values.copy(), index=pandas.Index(self.t.copy(), name="time"), columns=names)
         frame.attrs.update(self._table().described())
         return frame
 
-    def _table(self, *, is_lazy: bool = False) -> files.FileTable:
+    def _table(self, *, is_lazy: bool = False) -> FileTable:
         """is_lazy: rows that lie in a file stay there."""
         metadata: dict[str, Any] = {"diagram": self.diagram, "engine": self.statistics.engine}
         if self.origin is not None:
@@ -349,8 +351,8 @@ class Results(Shown):
         if self.interrupted:
             metadata["interrupted"] = True
         if is_lazy and self.stored is not None:
-            return files.FileTable(np.empty(0), self.stored, self.columns, metadata)
-        return files.FileTable(self.t, self.values, self.columns, metadata)
+            return FileTable(np.empty(0), self.stored, self.columns, metadata)
+        return FileTable(self.t, self.values, self.columns, metadata)
 
     def plot(self, *names: str, most: int = 4, label: str = "", beside: Mapping[str, Results] | None = None) -> Any:
         """A matplotlib figure of signals, a panel for each unit; without names the first four. See `results.plots`.

@@ -39,8 +39,6 @@ from .open_document import inside
 from .palette import entries_of, files_beside, is_diagram
 from .session import Session
 
-__all__: list[str] = []
-
 BESIDE = 30
 """Pixels between what is copied and its copy."""
 ROOM = (110, 100)

@@ -24,7 +24,7 @@ from ..api.run import Run
 from ..engines.driver import Simulation
 from ..engines.run.memory_estimate import COPIES_OF_MASTER
 from ..host.available_memory import Watch
-from ..model.flatten import BlockSource, ValueSource
+from ..model.wires import BlockSource, ValueSource
 from ..results.results import Event, Results
 from ..text.arrays import Array
 from ..text.element_names import element_names

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..model.flatten import Flat, element_of
+from ..model.block_signals import element_of
+from ..model.flatten import Flat
 from ..model.variants import taken
 from ..model.varied import columns_of, raw_values
 from ..results import plots

@@ -28,11 +28,6 @@ from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 
-__all__ = [
-    "SAMPLERS", "Distribution", "Each", "LogUniform", "Normal", "Rows", "Triangular", "TruncatedNormal", "Uniform",
-    "check_draws", "each", "in_one_unit", "named_values", "rows_of", "seed_of", "unit_points",
-]  # fmt: skip
-
 MOST_ROWS = 10**8
 LEAST = 2.0**-53
 """Points lie so far from the sides of the unit cube, where many distributions are infinite."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..api.diagram import Diagram
-from ..model.flatten import FlatSignal, element_of
+from ..model.block_signals import FlatSignal, element_of
 from ..text import units
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.grammar import Steps

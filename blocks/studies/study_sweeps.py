@@ -13,7 +13,8 @@ from typing import Any, Self
 import numpy as np
 
 from ..api.diagram import Diagram
-from ..model.flatten import Flat, element_of
+from ..model.block_signals import element_of
+from ..model.flatten import Flat
 from ..model.trust import Paths
 from ..model.varied import columns_of
 from ..text.arrays import Array

@@ -19,9 +19,10 @@ import numpy as np
 
 from ..api.batch import Batch, BatchRows
 from ..host.progress_line import in_rows, live_line
+from ..model.block_signals import element_of
 from ..model.diagram_grammar import MEASURE_UNITS
 from ..model.diagram_value import check_name
-from ..model.flatten import Flat, element_of
+from ..model.flatten import Flat
 from ..model.raw_values import raw_of
 from ..model.trust import Paths
 from ..model.values import in_unit

@@ -24,7 +24,8 @@ import numpy as np
 
 from ..api.batch import Batch
 from ..host.progress_line import in_rows, live_line
-from ..model.flatten import Flat, element_of
+from ..model.block_signals import element_of
+from ..model.flatten import Flat
 from ..model.wires import BlockSource
 from ..results.results import Results
 from ..text.arrays import Array

@@ -21,7 +21,8 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from html import escape
 
-from .formulas import Code, Formula, Names, Part, Words, formulas_in, html
+from .formula_tree import Names
+from .formulas import Code, Formula, Part, Words, formulas_in, html
 
 _ENTRY = re.compile(r"([A-Za-z_][\w, ]{0,40}): (?=\S)")
 _POINT = re.compile(r"[-*] (?=\S)")

@@ -47,8 +47,6 @@ from .formula_tree import (
     Whole,
 )
 
-__all__ = ["Code", "Formula", "Names", "Part", "Relation", "Words", "formulas_in", "html"]
-
 WITHOUT_BRACKETS = ("sin", "cos", "tan", "tanh", "exp", "log", "ln", "sgn")
 """Functions that take the next factor where no bracket follows."""
 

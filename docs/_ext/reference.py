@@ -64,6 +64,7 @@ from blocks.model import diagram_grammar, study_grammar
 from blocks.model.diagram_grammar import MEASURES
 from blocks.text import docstrings, formula_tree, formulas, units
 from blocks.text.explanations import EXPLAINED, FOLDER, GROUPS, explained
+from blocks.text.formula_tree import Names
 from blocks.text.grammar import Choice, Constant
 
 __all__ = ["setup"]
@@ -79,7 +80,7 @@ def raw(html: str) -> nodes.raw:
     return nodes.raw("", html, format="html")
 
 
-def inline(text: str, names: formulas.Names | None, *, display: bool = False) -> list[nodes.Node]:
+def inline(text: str, names: Names | None, *, display: bool = False) -> list[nodes.Node]:
     """A text with its code and, where names are given, its formulas."""
     if names is None:
         parts: list[formulas.Part] = []
@@ -99,11 +100,11 @@ def inline(text: str, names: formulas.Names | None, *, display: bool = False) ->
     return made
 
 
-def paragraph(text: str, names: formulas.Names | None, *, display: bool = False, style: str = "") -> nodes.paragraph:
+def paragraph(text: str, names: Names | None, *, display: bool = False, style: str = "") -> nodes.paragraph:
     return nodes.paragraph("", "", *inline(text, names, display=display), classes=[style] if style else [])
 
 
-def body(pieces: Sequence[docstrings.Piece], names: formulas.Names | None) -> list[nodes.Node]:
+def body(pieces: Sequence[docstrings.Piece], names: Names | None) -> list[nodes.Node]:
     """The nodes of a docstring's pieces."""
     made: list[nodes.Node] = []
     for piece in pieces:
@@ -127,7 +128,7 @@ def body(pieces: Sequence[docstrings.Piece], names: formulas.Names | None) -> li
     return made
 
 
-def lines(piece: docstrings.Lines, names: formulas.Names | None) -> nodes.Node:
+def lines(piece: docstrings.Lines, names: Names | None) -> nodes.Node:
     """Formulas, a line each; what cannot be read stays as it is written."""
     if names is None:
         text = "\n".join(" " * extra + line for extra, line in piece.lines)

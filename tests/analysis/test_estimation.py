@@ -7,7 +7,8 @@ import pytest
 
 import blocks
 from blocks import AnalysisError, Block, Diagram, Input, UsageError, fmu, output
-from blocks.analysis.estimation import Chirp, OddMultisine, SineStream, compare, estimate_response
+from blocks.analysis.estimation import Chirp, OddMultisine, SineStream, estimate_response
+from blocks.analysis.responses import compare
 from blocks.compile.toolchain.compiler import find_compiler
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")

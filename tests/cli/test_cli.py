@@ -21,11 +21,11 @@ import pytest
 
 from blocks import Diagram, Results, __version__
 from blocks.cli import main
-from blocks.cli.option_values import parsed
 from blocks.cli.output import Excerpts
 from blocks.model.document import from_document
 from blocks.model.fingerprint import fingerprint
 from blocks.text.errors import Fault, ModelError
+from blocks.text.quantity_text import value_in
 from tests.support.places import ROOT
 
 DIAGRAMS = ROOT / "diagrams"
@@ -109,12 +109,12 @@ def test_set_takes_numbers_units_and_paths(capsys: pytest.CaptureFixture[str]) -
      ("[1, 2]", [1.0, 2.0]), ("=a", "=a")],
 )  # fmt: skip
 def test_values_on_the_command_line(text: str, value: Any) -> None:
-    assert parsed(text) == value
+    assert value_in(text) == value
 
 
 @pytest.mark.parametrize("text", ["200 mOhm", "200mOhm", " 200  mOhm "])
 def test_values_with_units_on_the_command_line(text: str) -> None:
-    assert parsed(text) == {"value": 200.0, "unit": "mOhm"}
+    assert value_in(text) == {"value": 200.0, "unit": "mOhm"}
 
 
 @pytest.mark.parametrize(

@@ -27,8 +27,10 @@ import pytest
 from scipy.linalg import expm
 
 from blocks.fmi.archive import PREFIX, _processes
-from blocks.fmi.instance import Events, Instance, Loaded, Message, StepResult, open_fmu
+from blocks.fmi.calls import Message
+from blocks.fmi.instance import Events, Instance, StepResult
 from blocks.fmi.library import this_machine
+from blocks.fmi.loading import Loaded, open_fmu
 from blocks.fmi.model_description import ModelVariable
 from blocks.text.errors import BlocksError, FMUError, SimulationError, UsageError
 from tests.support.faulty import FAULTS, NEEDS_COMPILER, make
@@ -645,7 +647,8 @@ SCRIPT = """
 import os, sys
 sys.path.insert(0, {root!r})
 from tests.support.faulty import FAULTS
-from blocks.fmi.instance import Instance, open_fmu
+from blocks.fmi.instance import Instance
+from blocks.fmi.loading import open_fmu
 loaded = open_fmu({path!r}, "CS")
 one = Instance(loaded, "one", timeout=1.0)
 names = loaded.description.names

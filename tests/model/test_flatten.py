@@ -13,11 +13,13 @@ from hypothesis import strategies as st
 
 from blocks import Block, Diagram, Input, ModelError, Parameter, output, wiring
 from blocks.library import LIBRARY
+from blocks.model.block_signals import element_of
 from blocks.model.diagram_value import BlockEntry, DiagramValue
 from blocks.model.document import from_document, load, loads
-from blocks.model.flatten import BlockSource, Flat, InputSource, Source, ValueSource, element_of, flatten
+from blocks.model.flatten import Flat, flatten
 from blocks.model.hierarchy import DiagramScope, spelling
 from blocks.model.values import Column
+from blocks.model.wires import BlockSource, InputSource, Source, ValueSource
 from blocks.text.errors import Fault
 from blocks.text.json_number import Number
 from tests.support.places import ROOT

@@ -22,10 +22,10 @@ from blocks.model import diagram_grammar as g
 from blocks.model import diagram_value, document
 from blocks.model import study_grammar as s
 from blocks.model.block_types import library_types
-from blocks.model.flatten import BlockSource, InputSource, Source
 from blocks.model.hierarchy import Hierarchy
 from blocks.model.resolver import resolver_of
 from blocks.model.variants import taken
+from blocks.model.wires import BlockSource, InputSource, Source
 from blocks.studies import study
 from blocks.text import json_text
 from tests.support.places import SUPPORT

@@ -27,7 +27,8 @@ from blocks.engines.run.saved_state import Kept
 from blocks.fmi.archive import Archive
 from blocks.fmi.description import parse
 from blocks.model import document
-from blocks.results.files import FORMATS, FileTable, read, write
+from blocks.results.files import FORMATS, read, write
+from blocks.results.table import FileTable
 from blocks.studies import study
 from blocks.text.errors import BlocksError, Fault
 from tests.support.documents import docs, names, numbers, own, values

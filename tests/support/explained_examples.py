@@ -14,7 +14,7 @@ import pytest
 
 from blocks.cli import main
 from blocks.text.errors import BlocksError
-from blocks.text.explanations import Example
+from blocks.text.explanations.explanation import Example
 from tests.support import given_examples, given_fmus
 from tests.support.places import ROOT
 

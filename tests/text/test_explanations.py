@@ -13,8 +13,8 @@ import pytest
 
 from blocks.cli import main
 from blocks.text.errors import UsageError
-from blocks.text.explanations import EXPLAINED, GROUPS, Example, Explanation, explained, group_of
-from blocks.text.explanations.explanation import explanation_in
+from blocks.text.explanations import EXPLAINED, GROUPS, explained, group_of
+from blocks.text.explanations.explanation import Example, Explanation, explanation_in
 from tests.support.cases import in_one_test
 from tests.support.explained_examples import GIVEN, SOURCES, printed, run
 from tests.support.places import ROOT

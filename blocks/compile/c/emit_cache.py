@@ -22,7 +22,8 @@ from typing import Any
 from ...host.gc_pause import paused
 from ..plan import Node, Plan, Reference
 from ..toolchain import cache as caches
-from .model_code import Clique, Emitted, Stage, emit
+from .model_code import Emitted, emit
+from .ticks import Clique, Stage
 
 LEAST = 200
 """Plans of fewer instances are not cached."""

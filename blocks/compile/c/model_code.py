@@ -40,8 +40,6 @@ from .plan_reader import MOVING, Places, PlanReader, ProgramScope
 from .program_code import SAME, print_program, print_selected
 from .ticks import Clique, Stage
 
-__all__ = ["Clique", "Emitted", "Stage", "emit"]
-
 RATES = ("rates", "rates_and_sides", "rates_and_measured", "bent_measured", "plain_measured")
 LONG, LONGEST = 20_000, 100_000  # characters; a longer program is not printed twice, or is compiled as cold code
 

@@ -26,7 +26,7 @@ from ...compile.inputs import InputTable
 from ...compile.plan import Reference
 from ...compile.time_grid import within_ulps
 from ...fmi.exits import Ended
-from ...fmi.instance import Loaded
+from ...fmi.loading import Loaded
 from ...fmi.patience import patient, undisturbed
 from ...results.results import Event, Statistics
 from ...text.arrays import Array

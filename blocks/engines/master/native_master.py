@@ -25,7 +25,8 @@ from ...compile.inputs import InputTable, Track
 from ...compile.toolchain.compiler import TranslationUnit, build, load
 from ...compile.upstream import changed_by, remembers_inputs
 from ...fmi.calls import ASKED, WARNING
-from ...fmi.instance import PATIENCE, Loaded, some
+from ...fmi.instance import PATIENCE, some
+from ...fmi.loading import Loaded
 from ...fmi.types import code_of, full_name
 from ...host.available_memory import for_recording
 from ...results.results import Event

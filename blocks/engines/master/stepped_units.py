@@ -20,7 +20,8 @@ from ...compile.time_grid import within_ulps
 from ...compile.toolchain.cache import of_user
 from ...compile.toolchain.isolation_build import compiled
 from ...compile.upstream import changed_by
-from ...fmi.instance import Instance, Loaded, Saved, ended
+from ...fmi.instance import Instance, Saved, ended
+from ...fmi.loading import Loaded
 from ...fmi.model_description import ModelVariable
 from ...fmi.types import call_of
 from ...results.results import Event

@@ -18,9 +18,10 @@ import numpy as np
 
 from ...compile.plan import ForeignPart, Plan
 from ...fmi.exits import Ended
-from ...fmi.instance import Instance, Saved, ended, open_fmu
+from ...fmi.instance import Instance, Saved, ended
 from ...fmi.isolation import CompileC
 from ...fmi.library import Notes
+from ...fmi.loading import open_fmu
 from ...fmi.model_description import ModelVariable
 from ...text.arrays import Array
 from ...text.errors import Fault, FMUError, SimulationError, UsageError

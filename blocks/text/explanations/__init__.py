@@ -23,9 +23,7 @@ from ..errors import (
     UsageError,
     did_you_mean,
 )
-from .explanation import Example, Explanation, explanation_in
-
-__all__ = ["EXPLAINED", "FOLDER", "GROUPS", "CodeGroup", "Example", "Explanation", "explained", "group_of"]
+from .explanation import Explanation, explanation_in
 
 FOLDER = Path(__file__).resolve().parent
 """Where the files lie."""
