@@ -55,9 +55,6 @@ class Exchange:
     def state_rates(self) -> None:
         return None
 
-    def pause(self, every: float, at: float) -> None:
-        pass  # a moment is one step
-
     def value_of(self, link: Link, t: float) -> float:
         """What a link gives at t, as the units see it."""
         place: int = link.index

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from fractions import Fraction
 from importlib.resources import files as resources
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -34,8 +34,8 @@ from ...text.arrays import Array
 from ...text.errors import Fault, FMUError
 from ..native.run_handle import LARGEST_SPARE, MOST_SPARE, array, track_table
 from ..run.memory_estimate import COPIES_OF_MASTER, no_room
+from .coupled_run import MOST_LEARNT, CoupledRun, Row
 from .limits import limits_header
-from .master import MOST_LEARNT, ReferenceMaster, Row
 from .policy import Policy
 from .stepped_units import (
     FmuUnit,
@@ -160,7 +160,8 @@ class CoreUnit(Running):
         self.engine.close()
 
 
-class NativeMaster(ReferenceMaster):
+@final
+class NativeMaster(CoupledRun):
     """A run of a Coupling by compiled code. library: the compiled master, as `master_library` gives it."""
 
     name = "native"
@@ -518,9 +519,6 @@ class NativeMaster(ReferenceMaster):
     def recorded_bytes(self) -> float:
         m = self._c
         return super().recorded_bytes + (0.0 if m is None else 8.0 * (m.rows.used + m.points.used))
-
-    def _grid(self, k: int) -> Fraction:
-        raise AssertionError("compiled code keeps the grids")
 
     def _rows(self) -> tuple[Array, Array]:
         m = self._c
