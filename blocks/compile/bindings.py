@@ -217,7 +217,7 @@ class _Binder:
             self.owners += [index] * len(setting.values)
         return index
 
-    def bind(self, draft: _Draft, raw: Any, at: _Names) -> None:
+    def bind(self, draft: _Draft, raw: object, at: _Names) -> None:
         """Find the programs of a setting whose raw value holds expressions over the parameters of `at`."""
         if not any(expressions_in(raw)):
             return
@@ -229,11 +229,11 @@ class _Binder:
                 programs = tuple(map(_constant, values))
         draft.bind(programs, self.read(at, raw))
 
-    def read(self, names: _Names, raw: Any) -> tuple[int, ...]:
+    def read(self, names: _Names, raw: object) -> tuple[int, ...]:
         indices = (names.settings.get(name) for name in names_in(raw))
         return tuple(index for index in indices if index is not None)
 
-    def restrict(self, names: _Names, raws: Iterable[Any], level: int, why: str) -> None:
+    def restrict(self, names: _Names, raws: Iterable[object], level: int, why: str) -> None:
         """Note the use of the parameters that raw values read."""
         for raw in raws:
             for index in self.read(names, raw):
@@ -375,7 +375,7 @@ class _Binder:
         return tuple(settings)
 
 
-def _of_diagram(path: str, value: Value, entry: Any) -> _Draft | None:
+def _of_diagram(path: str, value: Value, entry: object) -> _Draft | None:
     """Begin the setting of a diagram's parameter.
 
     None where it has no value, is a sparse matrix, or has rows of unequal length.
@@ -429,7 +429,7 @@ def _plain(resolved: Resolved) -> Iterator[tuple[Parameter, _Draft]]:
         unit = "" if is_text else interface.declared_unit(parameter)
         low, high = limits(parameter, unit) if type_ in ("real", "int") else (None, None)
         is_open = type_ in ("real", "int") and parameter.positive and (low is None or low <= 0)
-        elements: tuple[Any, ...] = (value,) if is_text else _floats(array)
+        elements: tuple[object, ...] = (value,) if is_text else _floats(array)
         setting = Setting(
             "", type=type_, shape=array.shape, unit=si_text(unit), display="" if unit == si_text(unit) else unit,
             doc=parameter.doc, low=0.0 if is_open else low, high=high, low_open=is_open, whole=type_ == "int",

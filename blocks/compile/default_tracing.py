@@ -67,7 +67,7 @@ class _Number:
     def __init__(self, scalar: Scalar, way: _Way, holder: str = "", size: int = 1) -> None:
         self.scalar, self.way, self.holder, self.size = scalar, way, holder, size
 
-    def combined(self, op: str, *operands: Any) -> Any:
+    def combined(self, op: str, *operands: object) -> Any:
         """An operation on the operands; where one is an array, numpy goes through it."""
         holders = {operand.holder for operand in operands if isinstance(operand, _Number)}
         arrays = any(isinstance(operand, np.ndarray) for operand in operands)
@@ -82,7 +82,7 @@ class _Number:
             raise Untraceable(f"it takes more than {LONGEST} steps")
         return _Number(scalar, self.way, "element" if "element" in holders else "", size)
 
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: object, **options: object) -> Any:
         if ufunc not in _UFUNCS or method != "__call__" or options:
             raise Untraceable(f"np.{ufunc.__name__}")
         return ufunc(*(_in_array(operand) for operand in inputs))
@@ -127,7 +127,7 @@ _UFUNCS = frozenset({
 """Functions of numpy that give the same bits as C."""
 
 
-def _scalar_of(operand: Any) -> Scalar:
+def _scalar_of(operand: object) -> Scalar:
     if isinstance(operand, _Number):
         return operand.scalar
     number = operand.item() if isinstance(operand, np.generic) else operand
@@ -140,7 +140,7 @@ def _constant(value: float) -> Scalar:
     return Scalar("constant", (), float(value))
 
 
-def _in_array(operand: Any) -> Any:
+def _in_array(operand: object) -> Any:
     """An operand of a function of numpy as an array of objects, so that numpy goes through its elements."""
     if not isinstance(operand, _Number):
         return np.array(operand, dtype=object)
@@ -149,10 +149,10 @@ def _in_array(operand: Any) -> Any:
     return array
 
 
-def _of_number(op: str, function: Callable[..., Any]) -> Callable[..., Any]:
+def _of_number(op: str, function: Callable[..., object]) -> Callable[..., Any]:
     """A function of `math`, for numbers and stand-ins."""
 
-    def called(*operands: Any) -> Any:
+    def called(*operands: object) -> Any:
         numbers = [operand for operand in operands if isinstance(operand, _Number)]
         # Its value is a plain number, whatever holds its operands.
         return numbers[0].combined(op, *map(_plain, operands)) if numbers else function(*operands)
@@ -160,7 +160,7 @@ def _of_number(op: str, function: Callable[..., Any]) -> Callable[..., Any]:
     return called
 
 
-def _plain(x: Any) -> Any:
+def _plain(x: object) -> Any:
     """A stand-in without what holds it."""
     return _Number(x.scalar, x.way, "", x.size) if isinstance(x, _Number) else x
 
@@ -173,7 +173,7 @@ _MATH = [name for name in (*FUNCTIONS, "expm1", "fabs", "pow") if hasattr(math, 
 """Functions of `math` that are those of C."""
 
 
-_STAND_INS: dict[str, Any] = {
+_STAND_INS: dict[str, object] = {
     "math": SimpleNamespace(**{**vars(math), **{name: _of_number(name, getattr(math, name)) for name in _MATH}}),
     "float": _float,
 }
@@ -184,7 +184,7 @@ def _lifted(function: FunctionType, known: dict[FunctionType, FunctionType]) -> 
     """A function, and all that it calls by name, with stand-ins for what would turn a number into a plain float."""
     if function in known:
         return known[function]
-    names: dict[str, Any] = {"__builtins__": builtins}
+    names: dict[str, object] = {"__builtins__": builtins}
     lifted = known[function] = FunctionType(
         function.__code__,
         names,
@@ -222,7 +222,7 @@ def default_programs(
     """Programs of the elements of a computed default; they read those of `numeric`, in order. Raises Untraceable."""
     structural = resolved.interface.structural
     names = arguments(parameter.default, parameter.name)
-    known: dict[str, Any] = {}
+    known: dict[str, object] = {}
     shapes: dict[str, tuple[int, ...]] = {}
     for name in names:
         if name in numeric:
@@ -245,7 +245,11 @@ def default_programs(
 
 
 def _traced(
-    function: Any, names: Sequence[str], known: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], size: int
+    function: object,
+    names: Sequence[str],
+    known: Mapping[str, object],
+    shapes: Mapping[str, tuple[int, ...]],
+    size: int,
 ) -> tuple[Program, ...]:
     if not isinstance(function, FunctionType):
         raise Untraceable("it is not a plain function")

@@ -82,7 +82,7 @@ class Equations:
     def read(cls, record: Any) -> Equations:
         """Return those in the record of a file. Raises ValueError where it is damaged."""
 
-        def is_digest(entry: Any) -> bool:
+        def is_digest(entry: object) -> bool:
             return isinstance(entry, list) and len(entry) == 3 and all(isinstance(digest, str) for digest in entry)
 
         blocks = record.get("blocks") if isinstance(record, dict) else None
@@ -266,7 +266,7 @@ def _signed(number: float) -> str:
     return "-0x0p+0" if number == 0 and math.copysign(1.0, number) < 0 else hexadecimal(number)
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     """A value exactly: a text as it is, numbers as hexadecimal floats in C order behind their shape."""
     if isinstance(value, str):
         return value

@@ -297,7 +297,7 @@ def _inner(fleet: Fleet) -> int:
     return fleet.total // _root(fleet).count
 
 
-def folded(flat: Flat, plan_of: Any) -> Plan | None:
+def folded(flat: Flat, plan_of: object) -> Plan | None:
     """The Plan of a flat diagram with copies; None where it must be written out. plan_of: the builder of a Plan."""
     expansion = flat.expansion
     if expansion is None or flat.settings.loops == "solve" or not foldable(expansion):
@@ -377,7 +377,7 @@ def _whole(flat: Flat, made: Folded, builder: Any, folding: _Folding) -> Plan:
             for number in range(fleet.count):
                 yield from [f"{fleet.path}[{number}]{rest}" for rest in rests]
 
-    def numbers(of: Any) -> tuple[float, ...]:
+    def numbers(of: object) -> tuple[float, ...]:
         """The numbers of all blocks, copy by copy. of: those of one block."""
         row: list[float] = []
         for fleet, blocks in _runs(folding.roots):

@@ -102,7 +102,7 @@ class InputTable:
         return replace(self, tracks=(*self.tracks[:index], track, *self.tracks[index + 1 :]))
 
 
-def read_inputs(plan: Plan, raw: Mapping[str, Any], *, interpolation: str = "linear") -> InputTable:
+def read_inputs(plan: Plan, raw: Mapping[str, object], *, interpolation: str = "linear") -> InputTable:
     """The inputs of a run.
 
     raw: by input name a number, a list (vectors), a quantity, a (t, u) pair or (t, u, "hold" | "linear") triple, or
@@ -131,7 +131,7 @@ def read_inputs(plan: Plan, raw: Mapping[str, Any], *, interpolation: str = "lin
     return InputTable(tuple(tracks))
 
 
-def constant(raw: Any, shape: tuple[int, ...], unit: str, type_: str) -> Array:
+def constant(raw: object, shape: tuple[int, ...], unit: str, type_: str) -> Array:
     """One value of an input, flat. Raises ValueError with a sentence."""
     return np.asarray(_values(raw, shape, unit, type_, rows=False)[0])
 
@@ -142,7 +142,7 @@ def _in_si(default: Sequence[float], shape: tuple[int, ...], unit: str) -> Any:
     return {"value": value, "unit": units.si_text(unit)} if unit else value
 
 
-def _track(raw: Any, shape: tuple[int, ...], unit: str, type_: str, interpolation: str) -> Track:
+def _track(raw: object, shape: tuple[int, ...], unit: str, type_: str, interpolation: str) -> Track:
     if isinstance(raw, Mapping) and "value" not in raw:
         unknown = {key for key in raw if key not in TABLE and not str(key).startswith("x-")}
         if unknown or not set(TABLE[:2]) <= set(raw):
@@ -167,7 +167,7 @@ def _track(raw: Any, shape: tuple[int, ...], unit: str, type_: str, interpolatio
     return Track(t, u, linear)
 
 
-def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bool) -> Array:
+def _values(raw: object, shape: tuple[int, ...], unit: str, type_: str, *, rows: bool) -> Array:
     """Values as rows of elements, in SI."""
     given = ""
     if isinstance(raw, Mapping):
@@ -210,14 +210,14 @@ def _values(raw: Any, shape: tuple[int, ...], unit: str, type_: str, *, rows: bo
     return values
 
 
-def _holds_quantities(raw: Any) -> bool:
+def _holds_quantities(raw: object) -> bool:
     """Whether a value is given as a text or a quantity, or holds some, such as ["2 rpm", 3]."""
     if isinstance(raw, (list, tuple)):
         return any(map(_holds_quantities, raw))
     return isinstance(raw, Mapping) or quantity_in(raw) is not None if isinstance(raw, (str, Mapping)) else False
 
 
-def _numbers(raw: Any, members: Enumeration) -> Any:
+def _numbers(raw: object, members: Enumeration) -> Any:
     """The numbers of members, which are given by name or by number."""
     if isinstance(raw, np.ndarray):
         raw = raw.tolist()

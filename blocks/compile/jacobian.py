@@ -693,7 +693,9 @@ class _JacobianBuilder:
 # --- the operations of a tape, on numbers and on arrays --------------------------------------------------------
 
 
-def on_arrays(tape: Tape, wanted: Sequence[int], arguments: Sequence[Any], tables: Sequence[Any] = ()) -> list[Any]:
+def on_arrays(
+    tape: Tape, wanted: Sequence[int], arguments: Sequence[object], tables: Sequence[object] = ()
+) -> list[Any]:
     """The values of nodes of a tape of equations, where each argument is a number or an array.
 
     arguments: one for each of the tape, None for tables. tables: these, in order. As in IEEE 754, a quotient by 0 is
@@ -714,7 +716,9 @@ def on_arrays(tape: Tape, wanted: Sequence[int], arguments: Sequence[Any], table
     return [values[n] for n in wanted]
 
 
-def terms_on_arrays(tape: Tape, wanted: Sequence[int], arguments: Sequence[Any], tables: Sequence[Any]) -> list[Any]:
+def terms_on_arrays(
+    tape: Tape, wanted: Sequence[int], arguments: Sequence[object], tables: Sequence[object]
+) -> list[Any]:
     """The size of the terms that nodes of a tape sum up: rounding errors are some units in the last place of it.
 
     Arguments as of `on_arrays`. A sum has the terms of both operands, a product their products; all else has its own
@@ -745,9 +749,9 @@ def terms_on_arrays(tape: Tape, wanted: Sequence[int], arguments: Sequence[Any],
 
 def _order(tape: Tape, wanted: Sequence[int]) -> tuple[dict[int, Any], list[tuple[int, int]], list[Any], list[int]]:
     """What is needed: the constants, the arguments, the operations in order; and which arguments are tables."""
-    constants: dict[int, Any] = {}
+    constants: dict[int, object] = {}
     read: list[tuple[int, int]] = []
-    operations: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = []
+    operations: list[tuple[int, Callable[..., object], tuple[int, ...]]] = []
     for n in tape.needed(wanted):
         node = tape.nodes[n]
         if node.op == "constant":
@@ -777,7 +781,7 @@ _MANY: dict[str, Callable[..., Any]] = {
     **{op: OPERATIONS[op].value for op in ("add", "sub", "mul", "neg")},
     "div": _divided,
 }
-_ONE: dict[str, Callable[..., Any]] = {
+_ONE: dict[str, Callable[..., object]] = {
     **_MANY,
     **{op: _numbers(OPERATIONS[op].value) for op in LOGICAL},
     "choose": OPERATIONS["choose"].value,

@@ -150,7 +150,7 @@ class Footprint:
         self.sizes[ROWS[row]] += size
         return first
 
-    def _show(self, key: str, name: str, variable: Any) -> None:
+    def _show(self, key: str, name: str, variable: object) -> None:
         size = self._size(variable)
         self._take("w", name, size)
         self.outputs += [(key, e) for e in range(size)]

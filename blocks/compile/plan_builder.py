@@ -515,18 +515,18 @@ def _gcd(times: Iterable[Fraction]) -> Fraction:
     return divisor
 
 
-def _number(value: Any) -> float:
+def _number(value: object) -> float:
     """A value that an FMU declares: a number, where a block of Python may give a function."""
     assert isinstance(value, (int, float))
     return float(value)
 
 
-def _begun(function: Callable[..., Any], given: Mapping[str, Any]) -> Any:
+def _begun(function: Callable[..., object], given: Mapping[str, object]) -> Any:
     """What a stepper's function makes; each run has values of its own."""
     return function(**{name: _plain_value(value) for name, value in given.items()})
 
 
-def _plain_value(value: Any) -> Any:
+def _plain_value(value: object) -> Any:
     """A parameter's value for a stepper: a plain number or text, or an array of its own."""
     if isinstance(value, np.ndarray):
         return value.copy() if value.shape else float(value)

@@ -8,7 +8,7 @@ then. So nothing that it gives differs from a Plan that is made again.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, MutableSequence
+from collections.abc import Callable, Iterable, Mapping, MutableSequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from ..model.flat_block import FlatBlock
 from ..model.flatten import Flat
 from ..model.streams import number_of
 from ..model.values import expressions_in, names_in, value_of
+from ..text.arrays import Array
 from ..text.errors import ModelError
 from ..text.units import to_si
 from .bindings import Given, bindings_of
@@ -37,7 +38,7 @@ class Rebinding:
     nominal sizes), or the diagram has FMUs or programs in Python.
     """
 
-    def __init__(self, flat: Flat, plan: Plan, free: Iterable[str], runs: Iterable[Mapping[str, Any]] = ()) -> None:
+    def __init__(self, flat: Flat, plan: Plan, free: Iterable[str], runs: Iterable[Mapping[str, object]] = ()) -> None:
         self.parameters, self.seed = plan.parameters, plan.settings.seed
         self.streams: tuple[tuple[str, tuple[int, ...]], ...] = ()  # each with the places of its number
         self.free, self.runs = tuple(free), tuple(runs)
@@ -101,7 +102,7 @@ class Rebinding:
             self.checks.append(_Requirement(requirement.equation.function, operands))
         return True
 
-    def row(self, given: Mapping[str, Any], seed: int) -> tuple[float, ...] | None:
+    def row(self, given: Mapping[str, object], seed: int) -> tuple[float, ...] | None:
         """Return the row p with other values of the parameters; None where only flattening can tell what they mean.
 
         given: raw values of the same parameters. seed: of the run.
@@ -109,7 +110,7 @@ class Rebinding:
         row = list(self.parameters)
         return tuple(row) if self.fill(row, given, seed) else None
 
-    def fill(self, row: MutableSequence[float], given: Mapping[str, Any], seed: int) -> bool:
+    def fill(self, row: MutableSequence[float], given: Mapping[str, object], seed: int) -> bool:
         """Put the same into a row that holds `parameters`; False, and nothing is changed, where `row` gives None."""
         if not self.is_possible:
             return False
@@ -141,7 +142,7 @@ class Rebinding:
 class _Requirement:
     """A condition of a block type on values of which some are given again: each of those is a Setting here."""
 
-    def __init__(self, function: Any, operands: list[Any]) -> None:
+    def __init__(self, function: Callable[..., bool | Array], operands: list[Any]) -> None:
         self.function, self.operands = function, operands
 
     def holds(self, s: list[float]) -> bool:
@@ -154,7 +155,7 @@ def _value(setting: Setting, s: list[float]) -> Any:
     return np.array(values).reshape(setting.shape) if setting.shape else np.array(values[0])
 
 
-def _numbers(given: Given, raw: Any) -> list[float] | None:
+def _numbers(given: Given, raw: object) -> list[float] | None:
     """Evaluate a raw value in the place of the given one; None where it is no plain numbers of the same shape."""
     unit, shape = given.origin.unit, given.setting.shape
     try:

@@ -251,9 +251,9 @@ def components(needs: Mapping[Any, list[Any]]) -> list[list[Any]]:
     """The sets of nodes that need each other, each after those that it needs (Tarjan 1972, without recursion)."""
     index: dict[Any, int] = {}
     low: dict[Any, int] = {}
-    waiting: list[Any] = []
-    open_: set[Any] = set()
-    groups: list[list[Any]] = []
+    waiting: list[object] = []
+    open_: set[object] = set()
+    groups: list[list[object]] = []
     for root in needs:
         if root in index:
             continue
@@ -277,7 +277,7 @@ def components(needs: Mapping[Any, list[Any]]) -> list[list[Any]]:
                 if stack:
                     low[stack[-1][0]] = min(low[stack[-1][0]], low[node])
                 if low[node] == index[node]:
-                    group: list[Any] = []
+                    group: list[object] = []
                     while not group or group[-1] != node:
                         group.append(waiting.pop())
                         open_.discard(group[-1])

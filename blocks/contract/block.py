@@ -46,7 +46,7 @@ class BlockMeta(type):
     """How often a class has got something of the one that stands in its place now."""
 
     @classmethod
-    def __prepare__(mcs, name: str, bases: tuple[type, ...], /, abstract: bool = False, **options: Any) -> Any:
+    def __prepare__(mcs, name: str, bases: tuple[type, ...], /, abstract: bool = False, **options: object) -> Any:
         return Body(name, taken_over(_above(bases)), abstract) if bases else {}
 
     def __new__(
@@ -79,14 +79,14 @@ class BlockMeta(type):
         cls,
         name: str,
         bases: tuple[type, ...],
-        body: Mapping[str, Any],
-        foreign: Any = None,
+        body: Mapping[str, object],
+        foreign: object = None,
         abstract: bool = False,
         describing: str = "",
     ) -> None:
         super().__init__(name, bases, dict(body))
 
-    def __setattr__(cls, name: str, value: Any) -> None:
+    def __setattr__(cls, name: str, value: object) -> None:
         if cls._is_followed(name, value):
             BlockMeta.renewals += 1
             return super().__setattr__(name, value)
@@ -94,7 +94,7 @@ class BlockMeta(type):
             raise AttributeError(f"{cls.__name__} is declared; a block class cannot be changed afterwards.")
         super().__setattr__(name, value)
 
-    def _is_followed(cls, name: str, value: Any) -> bool:
+    def _is_followed(cls, name: str, value: object) -> bool:
         """Whether the module of this class has been loaded anew, and this attribute is that of the class in its place.
 
         IPython's autoreload gives them all to the classes of before, which diagrams and a person's names refer to.
@@ -146,7 +146,7 @@ def _signature(parameters: Iterable[Parameter]) -> inspect.Signature:
 _PARTS = ("A", "B", "C", "D", "num", "den")
 
 
-def _by_name(known: Mapping[str, Parameter], given: Any) -> str:
+def _by_name(known: Mapping[str, Parameter], given: object) -> str:
     """Return what to write for a value without a name: of a model of another package, its parts by their names."""
     if type(given).__module__.partition(".")[0] not in ("builtins", "numpy"):
         parts = {name: getattr(given, name) for name in _PARTS if name in known and hasattr(given, name)}
@@ -170,7 +170,7 @@ class Block(metaclass=BlockMeta):
     __slots__ = ("parameters",)
     parameters: Mapping[str, Any]
 
-    def __init__(self, *unnamed: Any, **parameters: Any) -> None:
+    def __init__(self, *unnamed: object, **parameters: object) -> None:
         cls = type(self)
         if cls is Block:
             raise TypeError("Block is the base of block classes and has no equations.")
@@ -210,7 +210,7 @@ class Block(metaclass=BlockMeta):
         cure = did_you_mean(name, d.parameters) or f"Parameters: {', '.join(d.parameters) or 'none'}."
         raise UnknownPort(f"{block} has no parameter '{name}'. {cure}")
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(
             f"the parameters of a {type(self).__name__} cannot change; '{name}' cannot be set. Create another block."
         )

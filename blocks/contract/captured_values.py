@@ -29,7 +29,7 @@ import numpy as np
 from .declaration import Declaration
 from .variables import Variable
 
-_MISSING: Any = type("Missing", (), {"__repr__": lambda self: "MISSING"})()
+_MISSING: object = type("Missing", (), {"__repr__": lambda self: "MISSING"})()
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
 _SETTLED = frozenset({"blocks", "numpy", "scipy", "control"})
 _MOST = 100_000
@@ -42,7 +42,7 @@ class _Watch:
 
     now: Callable[[], Any]
     value: Any
-    content: Any
+    content: object
     is_fixed: bool
 
     def holds(self) -> bool:
@@ -106,7 +106,7 @@ def outside_of(declarations: Iterable[Declaration]) -> tuple[Outside, ...]:
 def _functions(declaration: Declaration) -> Iterator[Callable[..., Any]]:
     """All functions of a class that are called before a run begins, besides its equations."""
     variables: list[Variable] = [*declaration.readable.values(), *declaration.event_times.values()]
-    candidates: list[Any] = [requirement.equation.function for requirement in declaration.requirements]
+    candidates: list[object] = [requirement.equation.function for requirement in declaration.requirements]
     for variable in variables:
         shapes = variable.shape if isinstance(variable.shape, tuple) else (variable.shape,)
         candidates += [variable.unit, *shapes]
@@ -127,7 +127,7 @@ class _Same:
 
     __slots__ = ("value",)
 
-    def __init__(self, value: Any) -> None:
+    def __init__(self, value: object) -> None:
         self.value = value
 
     def __eq__(self, other: object) -> bool:
@@ -141,13 +141,13 @@ class _TooMuch(Exception):
     """There is more than is looked at."""
 
 
-def _content(value: Any, by_identity: list[Any] | None = None) -> Any:
+def _content(value: object, by_identity: list[Any] | None = None) -> Any:
     """What a value holds, as something that can be compared. by_identity: takes what is compared by identity."""
     if isinstance(value, _PLAIN):  # most are
         return type(value), repr(value)
     seen: dict[int, int] = {}
 
-    def of(value: Any) -> Any:
+    def of(value: object) -> Any:
         kind = type(value)
         if kind in _PLAIN:
             return kind, repr(value)  # tells 1 from True, 0.0 from -0.0, and NaN is NaN
@@ -203,11 +203,11 @@ def _is_own(kind: type) -> bool:
     return bool(kind.__flags__ & 1 << 9) and not is_settled(kind.__module__)  # made by a class statement
 
 
-_TYPE_OF_NAMESPACES: Any = type(sys.implementation)  # types.SimpleNamespace
+_TYPE_OF_NAMESPACES: object = type(sys.implementation)  # types.SimpleNamespace
 _STDLIB = os.path.dirname(os.__file__) + os.sep
 
 
-def is_settled(name: Any) -> bool:
+def is_settled(name: object) -> bool:
     """Whether what a module holds is taken as constant."""
     root = str(name).partition(".")[0]
     if root in _SETTLED:
@@ -236,7 +236,7 @@ _PURE = frozenset({"numpy", "math", "cmath", "builtins", "blocks", "operator", "
 _ANYTHING = frozenset({"eval", "exec", "globals", "vars", "id", "hash", "next", "iter", "__import__", "getattr"})
 
 
-def _home(value: Any) -> str:
+def _home(value: object) -> str:
     """The module that a value comes from."""
     if isinstance(value, ModuleType):
         return value.__name__
@@ -248,7 +248,7 @@ def _home(value: Any) -> str:
     return home if isinstance(home, str) else type(value).__module__
 
 
-def _impurity(value: Any) -> str:
+def _impurity(value: object) -> str:
     """What it gives that is something else each time; "" where nothing is known of it."""
     home, name = _home(value), getattr(value, "__name__", "")
     if not is_settled(home):
@@ -267,7 +267,7 @@ def _impure_name(name: str) -> str:
     return next((_IMPURE[package] for k in (2, 1) if (package := ".".join(parts[:k])) in _IMPURE), "")
 
 
-def _is_opaque(value: Any) -> bool:
+def _is_opaque(value: object) -> bool:
     """Whether it may give something else each time, for all that can be seen."""
     if isinstance(value, (FunctionType, ModuleType, enum.Enum, np.ufunc, property)) or value is _MISSING:
         return False
@@ -293,7 +293,7 @@ class _ReadsFinder:
         self.impure: dict[tuple[str, str, str], None] = {}
         self.is_opaque = False
 
-    def judge(self, value: Any, name: str = "") -> None:
+    def judge(self, value: object, name: str = "") -> None:
         """Note what gives something else each time."""
         what = _impurity(value)
         if what:
@@ -302,11 +302,11 @@ class _ReadsFinder:
         elif _is_opaque(value):
             self.is_opaque = True
 
-    def watch(self, key: Any, now: Callable[[], Any], name: str = "") -> Any:
+    def watch(self, key: object, now: Callable[[], object], name: str = "") -> Any:
         """Note a value, follow what it holds, and give it. name: what the code calls it."""
         value = now()
         if key not in self.watches:
-            held: list[Any] = []
+            held: list[object] = []
             content = _content(value, held)
             is_fixed = isinstance(value, _PLAIN) or isinstance(content, _Same)
             self.watches[key] = _Watch(now, value, content, is_fixed)
@@ -389,14 +389,14 @@ class _ReadsFinder:
             if isinstance(constant, CodeType):
                 self.code(constant, function, cells, owner)
 
-    def end(self, value: Any, modules: list[ModuleType], text: str) -> None:
+    def end(self, value: object, modules: list[ModuleType], text: str) -> None:
         """Note a module that is read as a whole: its attributes may then be read by any name."""
         if isinstance(value, ModuleType):
             self.judge(value, text)
             if not is_settled(value.__name__):
                 modules.append(value)
 
-    def attribute(self, value: Any, name: str) -> Any:
+    def attribute(self, value: object, name: str) -> Any:
         """An attribute of a module, a class or an object, where it can be obtained without running code of it."""
         if isinstance(value, ModuleType):
             if is_settled(value.__name__):

@@ -50,7 +50,7 @@ class Body(dict[str, Any]):
         super().__init__()
         self.block, self.above, self.is_abstract = block, above, is_abstract
 
-    def __setitem__(self, name: str, value: Any) -> None:
+    def __setitem__(self, name: str, value: object) -> None:
         place = f"{self.block}.{name}"
         if name.startswith("__") and name.endswith("__"):
             if name not in _PYTHON_SETS:
@@ -66,7 +66,7 @@ class Body(dict[str, Any]):
             value.name = name
         super().__setitem__(name, value)
 
-    def _check(self, name: str, value: Any, place: str) -> None:
+    def _check(self, name: str, value: object, place: str) -> None:
         if name in self:
             refuse("E401", place, "the name appears twice in the class body.", "Give the second another name.")
         if name in RESERVED or keyword.iskeyword(name):
@@ -92,7 +92,7 @@ class Body(dict[str, Any]):
                 refuse("E402", place, f"gives {value.fills!r}, but does not derive from its class.")
 
 
-def check_parts(block: str, parts: Mapping[str, Any]) -> None:
+def check_parts(block: str, parts: Mapping[str, object]) -> None:
     """Check each variable of an abstract class by itself, and freeze it."""
     for name, value in parts.items():
         if isinstance(value, (Variable, Open)) and not value.is_declared:
@@ -115,7 +115,9 @@ def _check_finite(variable: Variable, place: str) -> None:
         refuse("E405", place, f"the {word} is {wrong[0]}, which is not a finite number.", cure)
 
 
-def declare(name: str, doc: str, body: Mapping[str, Any], foreign: Any = None, describing: str = "") -> Declaration:
+def declare(
+    name: str, doc: str, body: Mapping[str, object], foreign: object = None, describing: str = ""
+) -> Declaration:
     """Check a class body and put it in order."""
     groups: dict[type, dict[str, Any]] = {
         kind: {}
@@ -182,7 +184,7 @@ def _add_starts(
     parameters: dict[str, Parameter],
     memories: Mapping[str, State | Discrete | Algebraic],
     equations: Iterable[Equation],
-    body: Mapping[str, Any],
+    body: Mapping[str, object],
 ) -> None:
     """The parameter `<x>_start` of each algebraic variable, and of each state and discrete without initial equation."""
     initial = {role.target for equation in equations for role in equation.roles if role.kind == "initial"}
@@ -201,7 +203,7 @@ def _add_starts(
         parameters[start] = parameter
 
 
-def _sizes(name: str, parameters: Mapping[str, Parameter], body: Mapping[str, Any]) -> tuple[str, ...]:
+def _sizes(name: str, parameters: Mapping[str, Parameter], body: Mapping[str, object]) -> tuple[str, ...]:
     """The sizes that parameters name in their shapes."""
     sizes: dict[str, None] = {}
     for parameter in parameters.values():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from ..text.errors import did_you_mean
 from .declaration import DESCRIBING, Declaration
@@ -35,7 +34,7 @@ class _Known:
         self.structural = {key for key, p in self.parameters.items() if p.structural} | set(declaration.sizes)
         self.everything = set(self.parameters) | set(declaration.sizes)
 
-    def check(self, function: Any, place: str, what: str, *, structural: bool = False) -> None:
+    def check(self, function: object, place: str, what: str, *, structural: bool = False) -> None:
         """Refuse a function that reads another name. Anything that is no function passes."""
         if not callable(function) or isinstance(function, Variable):
             return
@@ -45,14 +44,14 @@ class _Known:
                 kind = "a structural parameter" if structural else "a parameter"
                 refuse("E402", place, f"{what} reads '{read}', which is not {kind}.", did_you_mean(read, known))
 
-    def check_first(self, value: Any, place: str, words: tuple[str, str]) -> None:
+    def check_first(self, value: object, place: str, words: tuple[str, str]) -> None:
         """Refuse a first value that is a parameter of another class, or a function that reads another name."""
         verb, noun = words
         if isinstance(value, Parameter) and self.parameters.get(value.name) is not value:
             refuse("E402", place, f"{verb} {value!r}, which is not a parameter of this block.")
         self.check(value, place, noun)
 
-    def fix(self, value: Any, place: str, what: str) -> None:
+    def fix(self, value: object, place: str, what: str) -> None:
         """Check what gives a time, and keep the parameters that it reads from changing during a run."""
         if isinstance(value, Parameter):
             if self.parameters.get(value.name) is not value:

@@ -47,7 +47,7 @@ class Enumeration:
         """The type as files have it, where each number has one name."""
         return {"enum": self.name, "members": {name: value for value, name in self.names.items()}}
 
-    def number(self, given: Any) -> float:
+    def number(self, given: object) -> float:
         """The number of a member, given by name or by number. Raises ValueError with a sentence."""
         if isinstance(given, str) and given in self.members:
             return float(self.members[given])

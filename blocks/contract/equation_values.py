@@ -20,9 +20,9 @@ class EquationValues:
     def __init__(
         self,
         interface: Interface,
-        known: Mapping[str, Any],
-        made: Callable[[Any], Any],
-        seen: Callable[[str, Any], Any] = lambda name, value: value,
+        known: Mapping[str, object],
+        made: Callable[[Any], object],
+        seen: Callable[[str, Any], object] = lambda name, value: value,
     ) -> None:
         self.interface, self.known, self.made, self.seen = interface, dict(known), made, seen
         self.given: dict[str, Any] = {}  # by locals

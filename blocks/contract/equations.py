@@ -59,7 +59,7 @@ class Open:
     def __init__(self, kind: type[Computed], make: Callable[[Function], Computed]) -> None:
         self.kind, self.make = kind, make
 
-    def __call__(self, function: Function | None = None, **given: Any) -> Computed:
+    def __call__(self, function: Function | None = None, **given: object) -> Computed:
         if given or function is None:
             message = f"takes a function and nothing else{', not ' + ', '.join(given) if given else ''}."
             refuse("E405", self.name, message, "The abstract class sets unit, shape and clock.")
@@ -91,7 +91,7 @@ class Output(Computed):
         ports: str,
         type: Kind,
         clock: Clock | None,
-        start: Any,
+        start: object,
         wiring: bool,
         doc: str,
     ) -> None:
@@ -145,9 +145,9 @@ def output(
     shape: Shape = (),
     ports: str = "",
     type: Kind = "real",
-    every: Any = None,
-    offset: Any = 0,
-    start: Any = 0,
+    every: object = None,
+    offset: object = 0,
+    start: object = 0,
     doc: str = "",
 ) -> Any:
     """Decorator: an output. With `every` it is sampled: computed at its ticks and held, at first from `start`."""
@@ -177,7 +177,7 @@ def wiring(function: Function | None = None, *, shape: Shape = (), ports: str = 
 
 
 def local(
-    function: Function | None = None, *, unit: AnyUnit = "", doc: str = "", type: Any = None, shape: Any = None
+    function: Function | None = None, *, unit: AnyUnit = "", doc: str = "", type: object = None, shape: object = None
 ) -> Any:
     """Decorator: a named part of the equations; its shape and its type are those of what it returns.
 
@@ -223,7 +223,7 @@ class Stepper:
     clock: Clock
 
 
-def stepper(*, every: Any, offset: Any = 0) -> Callable[[Function], Stepper]:
+def stepper(*, every: object, offset: object = 0) -> Callable[[Function], Stepper]:
     """Decorator: a function of parameters that gives an object with hidden state, a program in plain Python.
 
     At each tick the object's `step(t, **inputs)` is called once with the inputs by name (floats, or arrays for vectors)

@@ -44,7 +44,7 @@ def taken_over(above: Iterable[Mapping[str, Entry]]) -> dict[str, list[Entry]]:
     return entries
 
 
-def merged(block: str, above: Iterable[Mapping[str, Entry]], body: Mapping[str, Any]) -> dict[str, Entry]:
+def merged(block: str, above: Iterable[Mapping[str, Entry]], body: Mapping[str, object]) -> dict[str, Entry]:
     """What a class has by name: what it takes over and what its body says. Raises DeclarationError (E401)."""
     inherited = taken_over(above)
     entries = {name: known[0] for name, known in inherited.items()}
@@ -74,7 +74,7 @@ def completed(block: str, entries: Mapping[str, Entry]) -> dict[str, Any]:
     Raises DeclarationError (E403) where something is left open.
     """
     names = {id(value): name for name, entry in entries.items() for value in entry.values}
-    body: dict[str, Any] = {}
+    body: dict[str, object] = {}
     for name, entry in entries.items():
         if isinstance(entry.value, Open):
             cure = f"Write @{entry.owner}.{name} above a function of this name."
@@ -82,7 +82,7 @@ def completed(block: str, entries: Mapping[str, Entry]) -> dict[str, Any]:
             refuse("E403", f"{block}.{name}", message, cure)
         body[name] = entry.value.copied() if isinstance(entry.value, Variable) else entry.value
 
-    def own(value: Any) -> Any:
+    def own(value: object) -> Any:
         """Its counterpart in this class; what belongs to other classes stays, and is refused later."""
         if isinstance(value, Variable):
             return body[names[id(value)]] if id(value) in names else value
@@ -107,11 +107,11 @@ def completed(block: str, entries: Mapping[str, Entry]) -> dict[str, Any]:
     return body
 
 
-def _is_in(value: Any, values: Iterable[Any]) -> bool:
+def _is_in(value: object, values: Iterable[object]) -> bool:
     return any(value is other for other in values)
 
 
-def _check_kind(place: str, value: Any, entry: Entry) -> None:
+def _check_kind(place: str, value: object, entry: Entry) -> None:
     """What replaces another must be of its kind."""
     here, there = (_kind(part) for part in (value, entry.value))
     if here != there:
@@ -120,7 +120,7 @@ def _check_kind(place: str, value: Any, entry: Entry) -> None:
         refuse("E402", place, f"fills {value.fills!r}, which is not the variable of {entry.owner}.")
 
 
-def _kind(value: Any) -> str:
+def _kind(value: object) -> str:
     if isinstance(value, (Variable, Open)):
         return value.kind if isinstance(value, Variable) else value.kind.kind
     kinds = {Equation: "an equation", Requirement: "a requirement", Stepper: "a stepper"}

@@ -109,10 +109,10 @@ class Interface:
     def name(self) -> str:
         return self.declaration.name
 
-    def _call(self, function: Callable[..., Any]) -> Any:
+    def _call(self, function: Callable[..., object]) -> Any:
         return function(*(self.structural[name] for name in arguments(function, self.name)))
 
-    def _computed(self, function: Callable[..., Any], variable: Variable, what: str) -> Any:
+    def _computed(self, function: Callable[..., object], variable: Variable, what: str) -> Any:
         try:
             return self._call(function)
         except Exception as error:  # a function of the class may raise anything
@@ -126,7 +126,7 @@ class Interface:
         return sizes
 
     def _shape(self, variable: Variable) -> tuple[int, ...]:
-        shape: Any = variable.shape
+        shape: object = variable.shape
         if callable(shape):
             shape = self._computed(shape, variable, "the shape")
         sizes: list[int] = []

@@ -23,9 +23,9 @@ from .captured_values import is_settled
 _PLAIN = (bool, int, float, complex, str, bytes, np.generic)
 
 
-def program_text(function: Callable[..., Any]) -> str:
+def program_text(function: Callable[..., object]) -> str:
     """The text of the function that makes a program and of all that it names, in the order of their names."""
-    pending: list[tuple[str, Any]] = [(getattr(function, "__qualname__", "program"), function)]
+    pending: list[tuple[str, object]] = [(getattr(function, "__qualname__", "program"), function)]
     seen: set[int] = set()
     texts: set[str] = set()
     while pending:
@@ -39,11 +39,11 @@ def program_text(function: Callable[..., Any]) -> str:
     return "\n".join(sorted(texts))
 
 
-def _is_constant(value: Any) -> bool:
+def _is_constant(value: object) -> bool:
     return isinstance(value, _PLAIN) or (isinstance(value, (tuple, frozenset)) and all(map(_is_constant, value)))
 
 
-def _constant(value: Any) -> str:
+def _constant(value: object) -> str:
     """A constant as Python writes it, in the same way wherever it runs."""
     if isinstance(value, (tuple, frozenset)):
         parts = [_constant(part) for part in value]

@@ -48,7 +48,7 @@ class Resolved:
     nominal: tuple[float, ...]  # the usual size of each element of each state, one state after the other
 
 
-def resolve(cls: Any, given: Mapping[str, Value], place: str = "") -> Resolved:
+def resolve(cls: object, given: Mapping[str, Value], place: str = "") -> Resolved:
     """Settle sizes, defaults, ranges and clocks of one block.
 
     given: values by parameter name, evaluated, in SI. Raises ModelError with every fault found (E106, E107, E110).
@@ -357,7 +357,7 @@ def _typed(parameter: Parameter, value: Value) -> Value:
     return Value(frozen(array.astype(float)), value.exact, value.unit)
 
 
-def _members(parameter: Parameter, raw: Any) -> Array:
+def _members(parameter: Parameter, raw: object) -> Array:
     """The numbers of members of an enumeration, given by name or by number."""
     known = parameter.members
     names = np.array(raw, dtype=object)
@@ -379,7 +379,7 @@ def _structural(array: Array, kind: type, parameter: Parameter) -> Any:
     return tuple(kind(x) for x in np.atleast_1d(array))
 
 
-def _array(raw: Any) -> Array:
+def _array(raw: object) -> Array:
     try:
         array = np.array(raw)
     except ValueError:
@@ -601,7 +601,7 @@ def limits(parameter: Parameter, unit: str) -> tuple[float | None, float | None]
     return low, high
 
 
-def _range_problem(parameter: Parameter, raw: Any, interface: Interface | None) -> str:
+def _range_problem(parameter: Parameter, raw: object, interface: Interface | None) -> str:
     """The sentence for a value outside the range of its parameter, or "". interface: None if the unit is a text."""
     if raw is None:
         return ""
@@ -628,7 +628,7 @@ def _si(unit: str) -> str:
     return f" {si_text(unit)}" if unit else ""
 
 
-def _time(source: Any, values: Mapping[str, Value], structural: Mapping[str, Any]) -> Fraction:
+def _time(source: Any, values: Mapping[str, Value], structural: Mapping[str, object]) -> Fraction:
     """A time that a class gives as a parameter, a function of parameters or a number, as an exact fraction."""
     if isinstance(source, Parameter):
         return _fraction(values[source.name])
@@ -651,9 +651,9 @@ def _fraction(value: Value) -> Fraction:
 
 def _start(
     variable: Output | Stepped | History,
-    start: Any,
+    start: object,
     values: Mapping[str, Value],
-    structural: Mapping[str, Any],
+    structural: Mapping[str, object],
     interface: Interface,
 ) -> Array:
     """What a sampled output holds before its first tick, or a history before the start."""
@@ -674,7 +674,7 @@ def _start(
 
 
 def _nominal(
-    state: State, values: Mapping[str, Value], structural: Mapping[str, Any], interface: Interface
+    state: State, values: Mapping[str, Value], structural: Mapping[str, object], interface: Interface
 ) -> list[float]:
     """The usual size of each element of a state. Raises ValueError with a sentence, and what its function raises."""
     shape = interface.shape(state)

@@ -25,10 +25,10 @@ _Operator = Callable[[Any, Any], "Scalar"]
 def _both_sides(op: str) -> tuple[_Operator, _Operator]:
     """The methods of an operator, with the scalar on its left and on its right. An array takes its elements itself."""
 
-    def left(scalar: Scalar, other: Any) -> Any:
+    def left(scalar: Scalar, other: object) -> Any:
         return record(op, scalar, other) if isinstance(other, _OPERANDS) else NotImplemented
 
-    def right(scalar: Scalar, other: Any) -> Any:
+    def right(scalar: Scalar, other: object) -> Any:
         return record(op, other, scalar) if isinstance(other, _OPERANDS) else NotImplemented
 
     return left, right
@@ -77,7 +77,7 @@ def record(op: str, *operands: Any) -> Scalar:
     return constant(_folded(op, [scalar.value for scalar in scalars]))
 
 
-def choose(condition: Any, yes: Any, no: Any) -> Scalar:
+def choose(condition: object, yes: object, no: object) -> Scalar:
     """`yes` where the condition is 1, else `no`."""
     return record("choose", condition, yes, no)
 

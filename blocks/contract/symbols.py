@@ -43,7 +43,7 @@ def begin() -> None:
     _REFUSALS.clear()
 
 
-def returned(value: Any) -> Symbols:
+def returned(value: object) -> Symbols:
     """What an equation gave, as symbols. Raises SymbolError, also for one that the equation has caught.
 
     What the equation does instead would be one branch for the whole run.
@@ -63,7 +63,7 @@ def symbol(shape: tuple[int, ...], *, logical: bool = False) -> Symbols:
     return Symbols(items, logical)
 
 
-def constant(value: Any) -> Symbols:
+def constant(value: object) -> Symbols:
     """Numbers as symbols."""
     array = np.asarray(value)
     items = np.empty(array.shape, dtype=object)
@@ -92,28 +92,28 @@ class SymbolicTable(TracedTable):
     def __len__(self) -> int:
         return self.shape[0]
 
-    def search(self, x: Any) -> Symbols:
+    def search(self, x: object) -> Symbols:
         if self.ndim != 1:
             _refuse("search() needs a table of one dimension.")
         return self._looked_up("search", x)
 
-    def pick(self, index: Any) -> Symbols:
+    def pick(self, index: object) -> Symbols:
         return self._looked_up("pick", index)
 
-    def _looked_up(self, op: str, operand: Any) -> Symbols:
+    def _looked_up(self, op: str, operand: object) -> Symbols:
         places = as_symbols(operand)
         if places.logical:
             _refuse("a bool cannot be an index of a table.")
         return _each(lambda item: record(op, item, self.symbol), places)
 
-    def __getitem__(self, index: Any) -> Symbols:
+    def __getitem__(self, index: object) -> Symbols:
         if isinstance(index, (int, np.integer)) and self.ndim == 1:
             if not -len(self) <= index < len(self):
                 raise IndexError(f"index {index} of a table of {len(self)}")
             return self.pick(float(index % len(self)))
         _refuse("this is not a way to read a table. Use pick(table, index), search(table, x), np.interp, or table[0].")
 
-    def __array__(self, dtype: Any = None, copy: Any = None) -> Array:
+    def __array__(self, dtype: object = None, copy: object = None) -> Array:
         _refuse("a table is not an array of numbers. Read it with pick, search or np.interp.")
 
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
@@ -123,11 +123,11 @@ class SymbolicTable(TracedTable):
             return {np.size: self.size, np.shape: self.shape, np.ndim: self.ndim}[function]
         _refuse(f"np.{function.__name__} cannot take a table. Read it with pick, search or np.interp.")
 
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> NoReturn:
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: object, **options: object) -> NoReturn:
         _refuse(f"np.{ufunc.__name__} cannot take a table. Read it with pick, search or np.interp.")
 
 
-def elements(value: Any) -> tuple[list[Scalar], tuple[int, ...], bool]:
+def elements(value: object) -> tuple[list[Scalar], tuple[int, ...], bool]:
     """What an equation returned: its scalars in C order, its shape, and whether it is logical.
 
     Takes symbols, numbers, arrays, and lists or tuples of them. Raises SymbolError.
@@ -136,7 +136,7 @@ def elements(value: Any) -> tuple[list[Scalar], tuple[int, ...], bool]:
     return list(symbols.items.ravel()), symbols.shape, symbols.logical
 
 
-def as_symbols(value: Any) -> Symbols:
+def as_symbols(value: object) -> Symbols:
     """Symbols of symbols, numbers, arrays, and lists or tuples of them. Raises SymbolError."""
     if isinstance(value, Symbols):
         return value
@@ -205,10 +205,10 @@ class Symbols(np.lib.mixins.NDArrayOperatorsMixin):
                 _refuse("a symbol cannot be an index. Use np.where to choose, np.interp to look up.")
         return Symbols(_array(self.items[index]), self.logical)
 
-    def __setitem__(self, index: Any, value: Any) -> NoReturn:
+    def __setitem__(self, index: object, value: object) -> NoReturn:
         _refuse("the elements of a symbol cannot be assigned. Build the array with np.stack or np.concatenate.")
 
-    def __array__(self, dtype: Any = None, copy: Any = None) -> Array:
+    def __array__(self, dtype: Any = None, copy: object = None) -> Array:
         # np.array([a, b]) of symbols: an object array of scalars, which `elements` and the operators understand.
         if dtype is not None and np.dtype(dtype) != object:
             _refuse("a symbol is not a number, so it cannot be put into an array of numbers. Use np.stack([a, b]).")
@@ -254,13 +254,13 @@ class Symbols(np.lib.mixins.NDArrayOperatorsMixin):
             _refuse(f"a symbol cannot become {np.dtype(dtype)}. Compare for a bool; use astype(float) for a number.")
         return Symbols(self.items)
 
-    def reshape(self, *shape: Any) -> Symbols:
+    def reshape(self, *shape: object) -> Symbols:
         return Symbols(self.items.reshape(*shape), self.logical)
 
     def flatten(self) -> Symbols:
         return Symbols(self.items.ravel(), self.logical)
 
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: object, **options: object) -> Any:
         if method == "reduce" and ufunc in _REDUCTIONS:
             return _called(f"{ufunc.__name__}.reduce", _REDUCTIONS[ufunc], inputs, {"axis": 0, **options})
         if "out" in options:
@@ -290,7 +290,7 @@ class Symbols(np.lib.mixins.NDArrayOperatorsMixin):
         raise AttributeError(f"a symbol has no attribute '{name}'.")
 
 
-def _called(name: str, rule: Callable[..., Any], args: Sequence[Any], kwargs: dict[str, Any]) -> Any:
+def _called(name: str, rule: Callable[..., object], args: Sequence[object], kwargs: dict[str, Any]) -> Any:
     """A function of the tables; an argument that it does not have is refused by name."""
     try:
         inspect.signature(rule).bind(*args, **kwargs)
@@ -299,7 +299,7 @@ def _called(name: str, rule: Callable[..., Any], args: Sequence[Any], kwargs: di
     return rule(*args, **kwargs)
 
 
-def _array(value: Any) -> Array:
+def _array(value: object) -> Array:
     """What an operation on object arrays gave; numpy hands out a single element without its array."""
     if isinstance(value, np.ndarray):
         return value
@@ -440,7 +440,7 @@ _UFUNCS: dict[np.ufunc, Callable[..., Symbols]] = {
 }
 
 
-def _where(condition: Any, *choices: Any) -> Symbols:
+def _where(condition: object, *choices: object) -> Symbols:
     if len(choices) != 2:
         _refuse("np.where needs three arguments: the condition and both values.")
     condition, yes, no = as_symbols(condition), as_symbols(choices[0]), as_symbols(choices[1])
@@ -449,7 +449,7 @@ def _where(condition: Any, *choices: Any) -> Symbols:
     return _each(choose, condition, yes, no, logical=yes.logical and no.logical)
 
 
-def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.0) -> Symbols:
+def _select(conditions: Sequence[object], choices: Sequence[object], default: object = 0.0) -> Symbols:
     if len(conditions) != len(choices):
         _refuse("np.select needs one choice for each condition.")
     selected = as_symbols(default)
@@ -458,7 +458,7 @@ def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.
     return selected
 
 
-def _piecewise(x: Any, conditions: Sequence[Any], values: Sequence[Any]) -> Symbols:
+def _piecewise(x: object, conditions: Sequence[object], values: Sequence[object]) -> Symbols:
     if isinstance(conditions, Symbols) or len(values) - len(conditions) not in (0, 1):
         _refuse("np.piecewise needs a list of conditions, a value or function for each, and one more for the rest.")
     pieces = [value(x) if callable(value) else value for value in values]
@@ -468,7 +468,9 @@ def _piecewise(x: Any, conditions: Sequence[Any], values: Sequence[Any]) -> Symb
     return selected
 
 
-def _clip(value: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: Any = None) -> Symbols:
+def _clip(
+    value: object, a_min: object = None, a_max: object = None, *, min: object = None, max: object = None
+) -> Symbols:
     low, high = a_min if min is None else min, a_max if max is None else max
     clipped = as_symbols(value)
     if low is not None:
@@ -484,7 +486,7 @@ def _fold(
 ) -> Callable[..., Symbols]:
     """A reduction along axes, or over everything."""
 
-    def rule(a: Any, axis: Axis = None, *, keepdims: bool = False) -> Symbols:
+    def rule(a: object, axis: Axis = None, *, keepdims: bool = False) -> Symbols:
         symbols = as_symbols(a)
         if logical and not symbols.logical:
             _refuse("np.all and np.any are for bools. Compare first, as in np.any(x > 0).")
@@ -510,7 +512,7 @@ def _fold(
 _sum = _fold(operator.add, 0.0)
 
 
-def _mean(a: Any, axis: Axis = None, *, keepdims: bool = False) -> Symbols:
+def _mean(a: object, axis: Axis = None, *, keepdims: bool = False) -> Symbols:
     symbols = as_symbols(a)
     total = _sum(symbols, axis, keepdims=keepdims)
     if symbols.size == 0:
@@ -518,13 +520,13 @@ def _mean(a: Any, axis: Axis = None, *, keepdims: bool = False) -> Symbols:
     return _UFUNCS[np.divide](total, constant(symbols.size / total.size))
 
 
-def _var(a: Any, axis: Axis = None, *, ddof: int = 0, keepdims: bool = False) -> Symbols:
+def _var(a: object, axis: Axis = None, *, ddof: int = 0, keepdims: bool = False) -> Symbols:
     symbols = as_symbols(a)
     total = _sum((symbols - _mean(symbols, axis, keepdims=True)) ** 2, axis, keepdims=keepdims)
     return _UFUNCS[np.divide](total, constant(symbols.size / total.size - ddof))
 
 
-def _norm(x: Any, ord: Any = None, axis: int | None = None, keepdims: bool = False) -> Symbols:
+def _norm(x: object, ord: object = None, axis: int | None = None, keepdims: bool = False) -> Symbols:
     symbols = as_symbols(x)
     if isinstance(axis, tuple) or (axis is None and ord is not None and symbols.ndim != 1):
         _refuse("np.linalg.norm of a matrix can be traced for the default ord only, over all elements.")
@@ -535,7 +537,7 @@ def _norm(x: Any, ord: Any = None, axis: int | None = None, keepdims: bool = Fal
     return (_sum if ord == 1 else _FUNCTIONS[np.max])(np.abs(symbols), axis, keepdims=keepdims)
 
 
-def _matmul(left: Any, right: Any) -> Symbols:
+def _matmul(left: object, right: object) -> Symbols:
     left, right = as_symbols(left), as_symbols(right)
     if not left.shape or not right.shape:
         _refuse("@ needs arrays, not scalars. Use *.")
@@ -547,7 +549,7 @@ def _matmul(left: Any, right: Any) -> Symbols:
 def _joined(function: Callable[..., Array]) -> Callable[..., Symbols]:
     """np.stack and its like, on the arrays inside."""
 
-    def rule(arrays: Sequence[Any], *args: Any, **kwargs: Any) -> Symbols:
+    def rule(arrays: Sequence[object], *args: object, **kwargs: object) -> Symbols:
         parts = [as_symbols(array) for array in arrays]
         logical = bool(parts) and all(part.logical for part in parts)
         if not {"axis"}.issuperset(kwargs):  # dtype=float would turn symbols into NaN
@@ -557,10 +559,10 @@ def _joined(function: Callable[..., Array]) -> Callable[..., Symbols]:
     return rule
 
 
-def _combined(function: Callable[..., Any]) -> Callable[..., Symbols]:
+def _combined(function: Callable[..., object]) -> Callable[..., Symbols]:
     """np.cumsum and its like: numpy's own function, on the arrays inside, only adds and multiplies elements."""
 
-    def rule(*args: Any, **kwargs: Any) -> Symbols:
+    def rule(*args: object, **kwargs: object) -> Symbols:
         if kwargs.keys() & {"dtype", "out", "casting", "optimize", "initial", "where"}:
             _refuse(f"np.{function.__name__} with {', '.join(kwargs)} cannot be traced.")
         inside = [as_symbols(arg).items if isinstance(arg, (Symbols, np.ndarray, list)) else arg for arg in args]
@@ -577,8 +579,8 @@ def _of_scalars(items: Array) -> Symbols:
     return _each(lambda x: x if isinstance(x, Scalar) else number(float(x)), Symbols(items))
 
 
-def _block(arrays: Any) -> Symbols:
-    def inside(part: Any) -> Any:
+def _block(arrays: object) -> Symbols:
+    def inside(part: object) -> Any:
         return [inside(element) for element in part] if isinstance(part, list) else as_symbols(part).items
 
     return Symbols(np.block(inside(arrays)))
@@ -590,7 +592,7 @@ _stack = _joined(np.stack)
 def _moved(function: Callable[..., Array]) -> Callable[..., Symbols]:
     """np.reshape and its like: elements stay what they are."""
 
-    def rule(array: Any, *args: Any, **kwargs: Any) -> Symbols:
+    def rule(array: object, *args: object, **kwargs: object) -> Symbols:
         symbols = as_symbols(array)
         return Symbols(function(symbols.items, *args, **kwargs), symbols.logical)
 
@@ -600,14 +602,14 @@ def _moved(function: Callable[..., Array]) -> Callable[..., Symbols]:
 def _parts(function: Callable[..., list[Array]]) -> Callable[..., list[Symbols]]:
     """np.split and its like."""
 
-    def rule(ary: Any, *args: Any, **kwargs: Any) -> list[Symbols]:
+    def rule(ary: object, *args: object, **kwargs: object) -> list[Symbols]:
         symbols = as_symbols(ary)
         return [Symbols(part, symbols.logical) for part in function(symbols.items, *args, **kwargs)]
 
     return rule
 
 
-def _interp_in_tables(x: Symbols, xp: SymbolicTable, fp: Any, left: Any, right: Any) -> Symbols:
+def _interp_in_tables(x: Symbols, xp: SymbolicTable, fp: object, left: object, right: object) -> Symbols:
     """Straight lines between the points of a table."""
     values = fp if isinstance(fp, SymbolicTable) else None
     if xp.ndim != 1 or values is None or values.shape != xp.shape:
@@ -621,7 +623,7 @@ def _interp_in_tables(x: Symbols, xp: SymbolicTable, fp: Any, left: Any, right: 
     return _where(x < xp[0], values[0] if left is None else left, y)
 
 
-def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Symbols:
+def _interp(x: object, xp: object, fp: object, left: object = None, right: object = None) -> Symbols:
     if isinstance(xp, SymbolicTable) or isinstance(fp, SymbolicTable):
         if not isinstance(xp, SymbolicTable):
             _refuse("np.interp needs as many values as points, both tables or both arrays.")
@@ -648,7 +650,7 @@ def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Sy
     return _where(x < points[0], values[0] if left is None else left, y)
 
 
-def _full_like(a: Any, fill_value: Any) -> Symbols:
+def _full_like(a: object, fill_value: object) -> Symbols:
     return _moved(np.broadcast_to)(fill_value, as_symbols(a).shape)
 
 

@@ -17,15 +17,15 @@ class TracedTable(ABC):
     """A table while equations are traced: its numbers are not known, its size is."""
 
     @abstractmethod
-    def search(self, x: Any) -> Any:
+    def search(self, x: object) -> Any:
         """How many of the points are at most x."""
 
     @abstractmethod
-    def pick(self, index: Any) -> Any:
+    def pick(self, index: object) -> Any:
         """The element at an index, in C order."""
 
 
-def _is_number(x: Any) -> bool:
+def _is_number(x: object) -> bool:
     return isinstance(x, (int, float, np.ndarray, np.generic, list, tuple))
 
 
@@ -37,7 +37,7 @@ def search(points: Any, x: Any) -> Any:
     if isinstance(points, TracedTable):
         return points.search(x)
     if not _is_number(x):  # symbols: of a few points that stand in the equation
-        count: Any = 0.0 * x
+        count: object = 0.0 * x
         for point in np.ravel(points):
             count = count + np.where(x >= float(point), 1.0, 0.0)
         return count

@@ -30,7 +30,7 @@ def resolved_of(cls: Any, values: Mapping[str, Value] = MappingProxyType({})) ->
     return None
 
 
-def interface_of(cls: Any) -> Interface | None:
+def interface_of(cls: object) -> Interface | None:
     """The ports and sizes of a block type with its defaults."""
     made = resolved_of(cls)
     return None if made is None else made.interface

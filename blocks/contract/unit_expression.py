@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from ..text import units
 from ..text.errors import DeclarationError, Fault, ModelError
+
+
+class UnitParameter(Protocol):
+    """A parameter whose text is a unit; `Parameter` is one."""
+
+    name: str
 
 
 class UnitExpression:
@@ -20,7 +26,7 @@ class UnitExpression:
 
     __slots__ = ("compute", "parameters")
 
-    def __init__(self, parameters: tuple[Any, ...], compute: Callable[[Mapping[str, str]], str]) -> None:
+    def __init__(self, parameters: tuple[UnitParameter, ...], compute: Callable[[Mapping[str, str]], str]) -> None:
         self.parameters, self.compute = tuple(dict.fromkeys(parameters)), compute
 
     @property
@@ -31,23 +37,23 @@ class UnitExpression:
     def __call__(self, *texts: str) -> str:
         return self.compute(dict(zip(self.reads, texts, strict=True)))
 
-    def moved(self, to: Callable[[Any], Any]) -> UnitExpression:
+    def moved(self, to: Callable[[UnitParameter], UnitParameter]) -> UnitExpression:
         """The same expression of other parameters: `to` gives each parameter's counterpart, which has its name."""
         return UnitExpression(tuple(map(to, self.parameters)), self.compute)
 
-    def __mul__(self, other: Any) -> UnitExpression:
+    def __mul__(self, other: object) -> UnitExpression:
         return _combined(units.product, self, _unit(other))
 
-    def __rmul__(self, other: Any) -> UnitExpression:
+    def __rmul__(self, other: object) -> UnitExpression:
         return _combined(units.product, _unit(other), self)
 
-    def __truediv__(self, other: Any) -> UnitExpression:
+    def __truediv__(self, other: object) -> UnitExpression:
         return _combined(units.quotient, self, _unit(other))
 
-    def __rtruediv__(self, other: Any) -> UnitExpression:
+    def __rtruediv__(self, other: object) -> UnitExpression:
         return _combined(units.quotient, _unit(other), self)
 
-    def __pow__(self, exponent: Any) -> UnitExpression:
+    def __pow__(self, exponent: object) -> UnitExpression:
         if isinstance(exponent, bool) or not isinstance(exponent, int):
             raise _refused(f"the exponent of a unit must be a whole number, not {exponent!r}.", "")
         return UnitExpression(self.parameters, lambda known: units.power(self.compute(known), exponent))
@@ -68,7 +74,7 @@ def _combined(operation: Callable[[str, str], str], left: UnitExpression, right:
     return UnitExpression(parameters, lambda known: operation(left.compute(known), right.compute(known)))
 
 
-def _unit(value: Any) -> UnitExpression:
+def _unit(value: object) -> UnitExpression:
     """What may stand beside a unit: a text, a unit parameter or an expression. Raises DeclarationError (E405)."""
     if isinstance(value, str):
         try:

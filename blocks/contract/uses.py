@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from .declaration import Declaration
 from .equations import Output
@@ -122,7 +122,7 @@ def _times(clock: Clock | None) -> tuple[str, ...]:
     return () if clock is None else (*_read(clock.every), *_read(clock.offset))
 
 
-def _read(source: Any) -> tuple[str, ...]:
+def _read(source: object) -> tuple[str, ...]:
     """Find the parameters from which something is taken."""
     if isinstance(source, Parameter):
         return (source.name,)

@@ -23,7 +23,7 @@ from .unit_expression import UnitExpression
 UNLIMITED = 1e100
 NO_LIMIT: Mapping[str, float] = MappingProxyType({"inf": UNLIMITED, "-inf": -UNLIMITED})
 """The words that a limit accepts besides numbers, and the numbers that equations get for them."""
-REQUIRED: Any = type("Required", (), {"__repr__": lambda self: "REQUIRED"})()
+REQUIRED: object = type("Required", (), {"__repr__": lambda self: "REQUIRED"})()
 """The default of a parameter that must be given."""
 
 Shape = int | str | tuple[int | str, ...] | Function
@@ -46,12 +46,12 @@ class Variable:
         self.unit: str | Function = unit.as_unit() if isinstance(unit, Parameter) else unit
         self.shape, self.ports, self.doc = shape, ports, doc
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         if self.is_declared:
             raise AttributeError(f"{self!r} is declared and cannot be changed.")
         super().__setattr__(name, value)
 
-    def __get__(self, instance: Any, owner: Any = None) -> Any:
+    def __get__(self, instance: object, owner: object = None) -> Any:
         if instance is None:
             return self
         raise AttributeError(name=self.name, obj=instance)  # Block.__getattr__ says more
@@ -131,7 +131,7 @@ class Parameter(Variable):
 
     def __init__(
         self,
-        default: Any = REQUIRED,
+        default: object = REQUIRED,
         *,
         unit: AnyUnit = "",
         shape: Shape = (),
@@ -187,7 +187,7 @@ class Parameter(Variable):
                 'Give it a size, as in shape="m", or use zeros=True.',
             )
 
-    def __get__(self, instance: Any, owner: Any = None) -> Any:
+    def __get__(self, instance: object, owner: object = None) -> Any:
         return self if instance is None else self.of(instance)
 
     def of(self, block: Any) -> Any:
@@ -251,7 +251,7 @@ class Input(Variable):
 class Memory(Variable):
     """What a run remembers: states and discretes."""
 
-    def __init__(self, start: Any, unit: AnyUnit, shape: Shape, ports: str, output: bool, doc: str) -> None:
+    def __init__(self, start: object, unit: AnyUnit, shape: Shape, ports: str, output: bool, doc: str) -> None:
         super().__init__(unit, shape, ports, doc)
         self.start, self.output = start, output
         self.type = "real"
@@ -336,7 +336,7 @@ class Discrete(Memory):
             refuse("E405", "", f'visible={visible!r} must be "after" or left out.')
         self.visible = visible
 
-    def next(self, *, every: Any, offset: Any = 0) -> Callable[[Function | Equation], Equation]:
+    def next(self, *, every: object, offset: object = 0) -> Callable[[Function | Equation], Equation]:
         """Decorator: the value after each tick, computed from the values before it.
 
         every="step": after each accepted step of the solver, and at the end of each instant.
@@ -383,7 +383,7 @@ class History(Variable):
     kind = "a history"
     type = "real"
 
-    def __init__(self, of: Input, *, delay: Any, before: Any = 0.0, doc: str = "") -> None:
+    def __init__(self, of: Input, *, delay: object, before: object = 0.0, doc: str = "") -> None:
         if not isinstance(of, Input) or of.type != "real":
             refuse("E405", "", f"a history needs a real Input, not {of!r}.")
         super().__init__(of.unit, of.shape, "", doc)
@@ -401,7 +401,7 @@ class Stepped(Variable):
 
     def __init__(
         self,
-        start: Any = 0.0,
+        start: object = 0.0,
         *,
         unit: AnyUnit = "",
         shape: Shape = (),
@@ -499,7 +499,7 @@ class Equation:
         return f"<equation '{self.name}'>"
 
 
-def plain_value(value: Any) -> Any:
+def plain_value(value: object) -> Any:
     """A copy that nobody else holds, in Python's own numbers and lists."""
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()

@@ -120,7 +120,7 @@ class Kept:
     def __init__(self) -> None:
         self._made: dict[Hashable, tuple[Any, Any]] = {}
 
-    def take(self, name: Hashable, of: Any, make: Callable[[], _Made]) -> _Made:
+    def take(self, name: Hashable, of: object, make: Callable[[], _Made]) -> _Made:
         """The one of that name, made anew where it is to be made of something else than before."""
         known = self._made.get(name)
         if known is None or known[0] != of:

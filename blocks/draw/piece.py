@@ -98,7 +98,7 @@ def graph_of(parts: Parts, pieces: Sequence[Piece], kept: Kept) -> Graph:
     return Graph(tuple(nodes), tuple(nets))
 
 
-def _position(raw: Any) -> Point | None:
+def _position(raw: object) -> Point | None:
     if not isinstance(raw, Sequence) or isinstance(raw, str) or len(raw) != 2:
         return None
     if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in raw):

@@ -209,7 +209,7 @@ def _fraction(above: str, below: str, inputs: Names, outputs: Names, size: float
     return boxed(max(50.0, even(width + 22)), 46, inputs, outputs, line, *texts)
 
 
-def polynomial(coefficients: Any, variable: str = "s") -> str:
+def polynomial(coefficients: object, variable: str = "s") -> str:
     """[1, 0.2, 1] as s² + 0.2s + 1; empty where a coefficient is no number."""
     if not isinstance(coefficients, Sequence) or isinstance(coefficients, str) or len(coefficients) > 12:
         return ""

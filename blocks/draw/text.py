@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from ..text.json_number import Number
 
@@ -67,7 +66,7 @@ def escaped(text: str) -> str:
     return text
 
 
-def shown(raw: Any, depth: int = 0) -> str:
+def shown(raw: object, depth: int = 0) -> str:
     """A parameter's value as the file has it: 0.10, k/2 for "=k/2", [1, 0.2, 1], 2 V."""
     if isinstance(raw, str):
         return cut(raw[1:] if raw.startswith("=") else raw, 200)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..model.block_types import Library
 from ..model.document_reader import DocumentReader, Loading
 from ..model.project import Project, read_inside
 from ..text import json_text, json_writer
@@ -21,9 +22,9 @@ from .spots import spot_of
 
 def edit_file(
     path: str | Path,
-    operations: Iterable[Mapping[str, Any]] | Document,
+    operations: Iterable[Mapping[str, object]] | Document,
     *,
-    library: Any = (),
+    library: Library = (),
     project: bool = False,
     text: str | bytes | None = None,
     check: bool = True,
@@ -73,7 +74,7 @@ def _written(operations: list[Any]) -> Document:
 def checked(document: Document) -> list[tuple[str, Mapping[str, Any]]]:
     """The operations with their names. Raises ModelError with all faults of what they say."""
     reader = DocumentReader(document, document.file, "", Loading(), ())
-    named: list[tuple[str, Mapping[str, Any]]] = []
+    named: list[tuple[str, Mapping[str, object]]] = []
     if not isinstance(document.value, list):
         reader.fault("E004", (), 'operations must be a list: [{"set": ..., "to": ...}].')
     for index, entry in enumerate(document.value if isinstance(document.value, list) else ()):

@@ -17,7 +17,7 @@ from typing import Any
 
 from ..model import document as diagrams
 from ..model import study_grammar as studies
-from ..model.block_types import library_types
+from ..model.block_types import Library, library_types
 from ..model.diagram_value import FORMAT, PLAIN_VERSION, VERSION
 from ..model.document_reader import DocumentReader, Loading
 from ..model.flatten import Flat, flatten
@@ -105,14 +105,14 @@ class Workspace:
     were: dict[str, str] = field(default_factory=dict)
     faults: dict[str, list[Fault]] = field(default_factory=dict)
     changes: list[Change] = field(default_factory=list)
-    library: Any = ()
+    library: Library = ()
     is_whole: bool = False  # other files of the project are edited as well
     elsewhere: list[Change] = field(default_factory=list)
     note: str = ""
-    _values: dict[str, Any] = field(default_factory=dict)  # not written yet
+    _values: dict[str, object] = field(default_factory=dict)  # not written yet
 
     @classmethod
-    def of(cls, path: str | Path, library: Any = (), *, text: str | bytes | None = None) -> tuple[Workspace, str]:
+    def of(cls, path: str | Path, library: Library = (), *, text: str | bytes | None = None) -> tuple[Workspace, str]:
         """The files around one file, and its real path. text: what it holds, in place of what is on the disk."""
         path = Path(path)
         project = project_of(path)
@@ -150,11 +150,11 @@ class Workspace:
     def name(self, real: str) -> str:
         return self.names.get(real) or os.path.relpath(real)
 
-    def put(self, real: str, value: Any) -> None:
+    def put(self, real: str, value: object) -> None:
         """Give a file another value."""
         self._values[real] = value
 
-    def tell(self, real: str, value: Any) -> None:
+    def tell(self, real: str, value: object) -> None:
         """Tell the changes of a file that is left as it is."""
         document = self.document(real)
         self.elsewhere += changes_of(document, rewritten(document, value)[1], self.name(real))
@@ -218,7 +218,7 @@ def _bytes(text: str) -> bytes:
     return text.encode("utf-8", "surrogateescape")
 
 
-def rewritten(document: Document, value: Any) -> tuple[Document, tuple[Splice, ...]]:
+def rewritten(document: Document, value: object) -> tuple[Document, tuple[Splice, ...]]:
     """The document with another value, whose text is read again and says just that; and the changes."""
     text, splices = edited(document, value, lines=tree.grammar_of(value).lines)
     new = json_text.read(text, file=document.file)

@@ -79,7 +79,7 @@ def _check(spot: Spot, before: Flat | tuple[Fault, ...], path: Callable[[str], s
         raise UsageError(spot.fault("E501", place, f"{what}: the diagram would compute something else{told}.", cure))
 
 
-def _put_section(value: Any, scope: Steps, section: str, entries: Mapping[str, Any]) -> Any:
+def _put_section(value: object, scope: Steps, section: str, entries: Mapping[str, object]) -> Any:
     path = (*scope, section)
     if entries:
         return tree.replaced(value, path, dict(entries))
@@ -114,7 +114,7 @@ class _Inside:
         for output, source in tree.table_at(self.body, ("outputs",)).items():
             self.outer_outputs[output] = self.output(source) if self.has(source) else source
 
-    def has(self, text: Any) -> bool:
+    def has(self, text: object) -> bool:
         return isinstance(text, str) and re.split(r"[.\[]", text, maxsplit=1)[0] in self.names
 
     def read(self) -> list[str]:
@@ -174,7 +174,7 @@ class _Inside:
         if signal is None:
             return {}
         kind = enumeration_of(signal.type)
-        entry: dict[str, Any] = {"unit": signal.unit} if signal.unit else {}
+        entry: dict[str, object] = {"unit": signal.unit} if signal.unit else {}
         entry |= {"size": signal.shape[0] if len(signal.shape) == 1 else list(signal.shape)} if signal.shape else {}
         entry |= {"type": kind.entry if kind else signal.type} if signal.type != "real" else {}
         return entry
@@ -227,10 +227,10 @@ class _Inside:
 
     def blocks(self) -> dict[str, Any]:
         """The blocks of the diagram, the subdiagram in place of the first one that goes into it."""
-        new: dict[str, Any] = {"diagram": self.subdiagram()}
+        new: dict[str, object] = {"diagram": self.subdiagram()}
         if self.parameters:
             new["parameters"] = {name: f"={name}" for name in self.parameters}
-        blocks: dict[str, Any] = {}
+        blocks: dict[str, object] = {}
         for name, entry in self.body["blocks"].items():
             if name not in self.names:
                 blocks[name] = entry
@@ -255,7 +255,7 @@ class _Inside:
         return left
 
 
-def _subdiagrams(value: Any) -> Iterator[str]:
+def _subdiagrams(value: object) -> Iterator[str]:
     """The paths of the subdiagram files that a document names, anywhere in it."""
     if isinstance(value, Mapping):
         if isinstance(value.get("diagram"), str) and "\0" not in value["diagram"]:
@@ -412,7 +412,7 @@ class _Lifted:
             own = own or self.old_name(str(inner[0]))
             if not own.startswith("/"):
                 lifted = tree.replaced({"blocks": lifted}, ("blocks", *inner, "stream"), f"{stream}.{own}")["blocks"]
-        blocks: dict[str, Any] = {}
+        blocks: dict[str, object] = {}
         for other, entry in body["blocks"].items():
             blocks |= lifted if other == name else {other: entry}
         wires = {
@@ -437,7 +437,7 @@ class _Lifted:
         scope = (*self.path, "diagram")
         return frozenset(Target(self.spot.file, scope, "block", name) for name in self.blocks.values())
 
-    def layout(self, body: Mapping[str, Any]) -> dict[str, Any]:
+    def layout(self, body: Mapping[str, object]) -> dict[str, Any]:
         """The positions: what lay in the subdiagram stands around the place where that stood."""
         layout = dict(tree.table_at(body, ("layout",)))
         inner = {
@@ -466,7 +466,7 @@ def _free(name: str, group: str, taken: set[str]) -> str:
 # --- all files -------------------------------------------------------------------------------------------------
 
 
-def _everywhere(spot: Spot, names: Collection[str], edit: Callable[[Document, list[Reference]], Any]) -> None:
+def _everywhere(spot: Spot, names: Collection[str], edit: Callable[[Document, list[Reference]], object]) -> None:
     """Edit the file, and where the whole project is meant all others that use the targets; else tell of these."""
     workspace = spot.workspace
     document = workspace.document(spot.file)

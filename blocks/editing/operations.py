@@ -56,18 +56,18 @@ _COMMON = (
 # --- entries ---------------------------------------------------------------------------------------------------
 
 
-def _add(spot: Spot, entry: Mapping[str, Any]) -> None:
+def _add(spot: Spot, entry: Mapping[str, object]) -> None:
     steps = spot.steps(entry["add"])
     if len(steps) > len(spot.scope) and steps[-2:-1] and steps[-2] in SECTIONS.values() and isinstance(steps[-1], str):
         check_name(steps[-1])
     spot.put(tree.put_in(spot.value, steps, entry["value"], spot.name))
 
 
-def _set(spot: Spot, entry: Mapping[str, Any]) -> None:
+def _set(spot: Spot, entry: Mapping[str, object]) -> None:
     spot.put(tree.replaced(spot.value, spot.steps(entry["set"]), entry["to"], spot.name))
 
 
-def _remove(spot: Spot, entry: Mapping[str, Any]) -> None:
+def _remove(spot: Spot, entry: Mapping[str, object]) -> None:
     """An entry, and all entries of the project that mean something of it; expressions keep the values of parameters."""
     workspace, steps = spot.workspace, spot.steps(entry["remove"])
     there = tree.entry_at(spot.value, steps, spot.name)
@@ -147,12 +147,12 @@ def _put_values(spot: Spot, targets: set[Target], gone: set[Steps]) -> bool:
     return has_values
 
 
-def _value_at(value: Any, reference: Reference) -> Any:
+def _value_at(value: object, reference: Reference) -> Any:
     """The text that a reference stands in; None for a key."""
     return None if reference.is_key else tree.entry_at(value, reference.path, "")
 
 
-def _literal(spot: Spot, target: Target, raw: Any, path: Steps) -> str:
+def _literal(spot: Spot, target: Target, raw: object, path: Steps) -> str:
     """A parameter's value in an expression."""
     number, unit = (raw.get("value"), raw.get("unit", "")) if isinstance(raw, Mapping) else (raw, "")
     if isinstance(number, str) and is_expression(number) and not unit:

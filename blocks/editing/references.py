@@ -100,14 +100,14 @@ class Body:
         """
         path = (*self.scope, "blocks", name)
         entry = _object(self.names("block").get(name))
-        candidates: list[tuple[Body | None, Mapping[str, Any], Mapping[str, Any]]]
+        candidates: list[tuple[Body | None, Mapping[str, object], Mapping[str, object]]]
         candidates = [(self.of(entry, path, documents), entry, {})]
         for variant, other in table(entry, "variants").items():
             other = _object(other)
             candidates.append((self.of(other, (*path, "variants", variant), documents), other, table(other, "ports")))
         return candidates
 
-    def of(self, entry: Mapping[str, Any], path: Steps, documents: Documents) -> Body | None:
+    def of(self, entry: Mapping[str, object], path: Steps, documents: Documents) -> Body | None:
         """The diagram of a block's entry."""
         diagram = entry.get("diagram")
         if isinstance(diagram, dict):
@@ -143,7 +143,7 @@ class Documents:
         return Body(path, (), document.value)
 
 
-def table(value: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+def table(value: Mapping[str, object], key: str) -> Mapping[str, Any]:
     """An object in an object; an empty one where there is none."""
     return _object(value.get(key))
 
@@ -163,7 +163,7 @@ def references(document: Document, path: str, documents: Documents) -> list[Refe
     return sorted(finder.found, key=lambda reference: (places[reference.is_key][reference.path], reference.start))
 
 
-def _object(value: Any) -> Mapping[str, Any]:
+def _object(value: object) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
@@ -202,7 +202,7 @@ class _Finder:
         for name in body.names(kind):
             self.plain([body], kind, name, (*body.scope, SECTIONS[kind], name), is_key=True)
 
-    def plain(self, bodies: Iterable[Body], kind: Kind, name: Any, path: Steps, *, is_key: bool = False) -> None:
+    def plain(self, bodies: Iterable[Body], kind: Kind, name: object, path: Steps, *, is_key: bool = False) -> None:
         """Collect a text that is one name, without a path, of something in any of the bodies."""
         meanings = _Meanings()
         for body in bodies:
@@ -210,7 +210,7 @@ class _Finder:
                 meanings.add(0, len(name), Target(body.file, body.scope, kind, name))
         self.keep(path, is_key, meanings)
 
-    def block(self, body: Body, name: str, entry: Mapping[str, Any], path: Steps, depth: int) -> None:
+    def block(self, body: Body, name: str, entry: Mapping[str, object], path: Steps, depth: int) -> None:
         choices = Body(body.file, path, entry)
         self.definitions(choices, "variant")
         self.plain([choices], "variant", entry.get("variant"), (*path, "variant"))
@@ -228,7 +228,7 @@ class _Finder:
     def names(
         self,
         kind: Object,
-        value: Mapping[str, Any],
+        value: Mapping[str, object],
         path: Steps,
         body: Body | None,
         inner: Body | None = None,
@@ -248,7 +248,7 @@ class _Finder:
 
     # --- studies -----------------------------------------------------------------------------------------------
 
-    def study(self, value: Mapping[str, Any], file: str) -> None:
+    def study(self, value: Mapping[str, object], file: str) -> None:
         folder = os.path.dirname(file)
         bodies: dict[Any, Body | None] = {}
         study = Body(file, (), value)
@@ -315,7 +315,7 @@ class _Finder:
 
     # --- texts -------------------------------------------------------------------------------------------------
 
-    def text(self, body: Body | None, text: Any, path: Steps, last: _Last, *, is_key: bool = False) -> None:
+    def text(self, body: Body | None, text: object, path: Steps, last: _Last, *, is_key: bool = False) -> None:
         """Collect the names of a text such as "control.eso.z[0]"."""
         if body is not None and isinstance(text, str):
             meanings = _Meanings()

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from ..model.block_signals import element_of
-from ..model.block_types import library_types
+from ..model.block_types import Library, library_types
 from ..model.diagram_value import BASE, DEEPEST, FORMAT, is_name, name_cure
 from ..model.document import alone, loads
 from ..model.flatten import Flat, flatten
@@ -68,7 +68,7 @@ def renaming(
     new: str,
     *,
     kind: Kind | None = None,
-    library: Any = (),
+    library: Library = (),
     elsewhere: bool = True,
     project: bool = False,
 ) -> Renaming:
@@ -276,7 +276,7 @@ def drawing(real: str, targets: frozenset[Target], workspace: Workspace) -> dict
     documents = workspace.documents
     known: dict[tuple[str, Steps], bool] = {}
 
-    def draws(body: Body | None, entry: Mapping[str, Any], depth: int = 0) -> bool:
+    def draws(body: Body | None, entry: Mapping[str, object], depth: int = 0) -> bool:
         if body is None:
             word = entry.get("type")
             cls = types.get(word) if isinstance(word, str) else None
@@ -446,7 +446,7 @@ def _check_meanings(
 
 
 def _check_flat(
-    edit: _Edited, before: str, old: str, new: str, prefix: str, target: Target, library: Any
+    edit: _Edited, before: str, old: str, new: str, prefix: str, target: Target, library: Library
 ) -> None:
     """Refuse where the faults, or the flat diagram, would not be the same under the new name."""
     file = edit.document.file
@@ -482,7 +482,7 @@ def _are_among(now: list[tuple[str, str, int]], was: list[tuple[str, str, int]])
     return not Counter(now) - Counter(was)
 
 
-def flat_of(text: str | bytes, file: str, library: Any) -> Flat | list[tuple[str, str, int]]:
+def flat_of(text: str | bytes, file: str, library: Library) -> Flat | list[tuple[str, str, int]]:
     """The flat diagram, or the codes of its faults with their lines."""
     folder = os.path.dirname(os.path.abspath(file))
     try:
@@ -544,13 +544,13 @@ def _summary(
     def label(index: int | None) -> str:
         return "" if index is None else labels[index]
 
-    def placed(sources: Iterable[Any]) -> list[Any]:
+    def placed(sources: Iterable[object]) -> list[Any]:
         return [
             (label(source.block), source[1:]) if isinstance(source, BlockSource) else source
             for source in sources
         ]
 
-    def told(text: Any) -> Any:
+    def told(text: object) -> Any:
         """A signal by its name, or by what it is."""
         known = element_of(text, flat.signals) if signal is None and isinstance(text, str) else None
         if known is None:

@@ -43,10 +43,10 @@ class Spot:
             )
         return Body(self.file, self.scope, tree.entry_at(self.value, self.scope, self.name))
 
-    def steps(self, place: Any) -> Steps:
+    def steps(self, place: object) -> Steps:
         return (*self.scope, *tree.steps_of(place))
 
-    def put(self, value: Any) -> None:
+    def put(self, value: object) -> None:
         self.workspace.put(self.file, value)
 
     def fault(self, code: str, place: str, message: str, cure: str = "", path: Steps = ()) -> Fault:

@@ -54,13 +54,13 @@ def steps_of(place: Any) -> Steps:
     return tuple(steps)
 
 
-def grammar_of(value: Any) -> Object:
+def grammar_of(value: object) -> Object:
     """What the document of a diagram or of a study may hold."""
     is_study = isinstance(value, Mapping) and value.get("format") == studies.FORMAT
     return studies.STUDY if is_study else diagrams.DIAGRAM
 
 
-def kinds_along(value: Any, steps: Steps) -> list[Kind]:
+def kinds_along(value: object, steps: Steps) -> list[Kind]:
     """The kinds of the document, and of what stands at each step: one more than there are steps."""
     kinds: list[Kind] = [grammar_of(value)]
     for step in steps:
@@ -69,14 +69,14 @@ def kinds_along(value: Any, steps: Steps) -> list[Kind]:
     return kinds
 
 
-def _child(value: Any, step: str | int) -> Any:
+def _child(value: object, step: str | int) -> Any:
     """What lies there; None where nothing does."""
     if isinstance(value, Mapping):
         return value.get(step)
     return value[step] if isinstance(value, list) and isinstance(step, int) and step < len(value) else None
 
 
-def _has(value: Any, step: str | int) -> bool:
+def _has(value: object, step: str | int) -> bool:
     if isinstance(value, Mapping):
         return isinstance(step, str) and step in value
     return isinstance(value, list) and isinstance(step, int) and step < len(value)
@@ -110,20 +110,20 @@ def _missing(value: Any, steps: Steps, count: int, file: str) -> ModelError:
     return ModelError(Fault("E105", place_of(steps), what, cure, steps[:count], file))
 
 
-def value_at(value: Any, steps: Steps) -> Any:
+def value_at(value: object, steps: Steps) -> Any:
     """What stands at a place; None where nothing does."""
     for step in steps:
         value = _child(value, step)
     return value
 
 
-def table_at(value: Any, steps: Steps) -> Mapping[str, Any]:
+def table_at(value: object, steps: Steps) -> Mapping[str, Any]:
     """The object at a place; an empty one where none stands there."""
     value = value_at(value, steps)
     return value if isinstance(value, Mapping) else {}
 
 
-def replaced(value: Any, steps: Steps, entry: Any, file: str = "") -> Any:
+def replaced(value: object, steps: Steps, entry: object, file: str = "") -> Any:
     """The value with another entry at a place, where one stands; or with a new one, which is put where it belongs.
 
     Sections around it are made where there are none. Raises ModelError (E105) where what it lies in is not there.
@@ -133,7 +133,7 @@ def replaced(value: Any, steps: Steps, entry: Any, file: str = "") -> Any:
     return _put(value, steps, entry, kinds)
 
 
-def _check(value: Any, steps: Steps, kinds: list[Kind], file: str) -> None:
+def _check(value: object, steps: Steps, kinds: list[Kind], file: str) -> None:
     """Refuse a place where nothing can stand (E105)."""
     there = value
     for count, step in enumerate(steps):
@@ -155,7 +155,7 @@ def _check(value: Any, steps: Steps, kinds: list[Kind], file: str) -> None:
         there = _child(there, step)
 
 
-def put_in(value: Any, steps: Steps, entry: Any, file: str) -> Any:
+def put_in(value: object, steps: Steps, entry: object, file: str) -> Any:
     """The value with a new entry: at the end of the list that stands at the place, or before the entry of that index,
     or under a key that is free. Raises ModelError (E109) where it is not.
     """
@@ -182,12 +182,12 @@ def _put(value: Any, steps: Steps, entry: Any, kinds: list[Kind]) -> Any:
         assert isinstance(step, int)
         return [*value[:step], _put(value[step], tuple(rest), entry, kinds[1:]), *value[step + 1 :]]
     assert isinstance(step, str)
-    around: Mapping[str, Any] = value or {}
+    around: Mapping[str, object] = value or {}
     new = _put(around.get(step), tuple(rest), entry, kinds[1:])
     return {**around, step: new} if step in around else _inserted(around, step, new, kinds[0])
 
 
-def _inserted(value: Mapping[str, Any], key: str, entry: Any, kind: Kind) -> dict[str, Any]:
+def _inserted(value: Mapping[str, object], key: str, entry: object, kind: Kind) -> dict[str, Any]:
     """An object with a new key, which stands behind those that the grammar has before it."""
     kind = kind.meant({**value, key: entry})
     order = kind.keys if isinstance(kind, Object) else ()
@@ -202,7 +202,7 @@ def _inserted(value: Mapping[str, Any], key: str, entry: Any, kind: Kind) -> dic
 _GONE, _NEEDED = object(), object()  # nothing is left; and what holds it needs more than is left
 
 
-def without(value: Any, places: Iterable[Steps]) -> Any:
+def without(value: object, places: Iterable[Steps]) -> Any:
     """The value without the entries at some places, and without what is empty then.
 
     A list that needs more entries than are left goes with what holds it.
@@ -218,7 +218,7 @@ def without(value: Any, places: Iterable[Steps]) -> Any:
 
 def _without(value: Any, tree: Mapping[Any, Any], kind: Kind) -> Any:
     kind = kind.meant(value)
-    left: list[tuple[Any, Any]] = []
+    left: list[tuple[object, object]] = []
     for step, entry in value.items() if isinstance(value, Mapping) else enumerate(value):
         if step in tree:
             below = tree[step]
@@ -234,7 +234,7 @@ def _without(value: Any, tree: Mapping[Any, Any], kind: Kind) -> Any:
     return dict(left) if isinstance(value, Mapping) else [entry for _, entry in left]
 
 
-def holder_of(value: Any, steps: Steps, *, is_key: bool) -> Steps:
+def holder_of(value: object, steps: Steps, *, is_key: bool) -> Steps:
     """The entry that goes with a name that is no more: that of its key, or the one whose meaning it is.
 
     () where that cannot go by itself, such as the ticks of a subdiagram.
@@ -253,14 +253,14 @@ def holder_of(value: Any, steps: Steps, *, is_key: bool) -> Steps:
 # --- names -----------------------------------------------------------------------------------------------------
 
 
-def with_key(value: Any, steps: Steps, key: str) -> Any:
+def with_key(value: object, steps: Steps, key: str) -> Any:
     """The value with another key for the entry at a place."""
     around = table_at(value, steps[:-1])
     renamed = {key if other == steps[-1] else other: entry for other, entry in around.items()}
     return replaced(value, steps[:-1], renamed)
 
 
-def with_names(value: Any, references: Iterable[Reference], names: Mapping[Target, str]) -> Any:
+def with_names(value: object, references: Iterable[Reference], names: Mapping[Target, str]) -> Any:
     """The value with other texts for what some of its names mean, each all at once."""
     spots: dict[tuple[Steps, bool], list[tuple[int, int, str]]] = {}
     for reference in references:
@@ -270,7 +270,7 @@ def with_names(value: Any, references: Iterable[Reference], names: Mapping[Targe
     return _with_names(value, (), spots)
 
 
-def _with_names(value: Any, path: Steps, spots: Mapping[tuple[Steps, bool], list[tuple[int, int, str]]]) -> Any:
+def _with_names(value: object, path: Steps, spots: Mapping[tuple[Steps, bool], list[tuple[int, int, str]]]) -> Any:
     def text(old: str, at: Steps, is_key: bool) -> str:
         for start, end, new in sorted(spots.get((at, is_key), ()), reverse=True):
             old = old[:start] + new + old[end:]

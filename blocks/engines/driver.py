@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any
 
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
@@ -135,12 +134,12 @@ class Simulation:
         with self._guarded():
             self.engine.set_parameters(plan)
 
-    def values(self, references: tuple[Any, ...]) -> tuple[float, ...]:
+    def values(self, references: tuple[object, ...]) -> tuple[float, ...]:
         """Values now."""
         with self._guarded(is_reading=True):
             return self.engine.values(references)
 
-    def snapshot(self, overrides: Mapping[str, Any]) -> State:
+    def snapshot(self, overrides: Mapping[str, object]) -> State:
         """What the rest of the run follows from. overrides: the raw values of parameters that were given or set."""
         with self._guarded(is_reading=True):
             return self.engine.snapshot(overrides)

@@ -53,7 +53,7 @@ class _Alike:
     written alike.
     """
 
-    def __init__(self, given: Mapping[str, Any]) -> None:
+    def __init__(self, given: Mapping[str, object]) -> None:
         self.given = given
         self.made: dict[frozenset[str], Prepared] = {}
         self.rebindings: dict[frozenset[str], Rebinding] = {}
@@ -97,8 +97,8 @@ class Prepared:
         cls,
         value: DiagramValue,
         resolver: Resolver,
-        parameters: Mapping[str, Any],
-        settings: Mapping[str, Any],
+        parameters: Mapping[str, object],
+        settings: Mapping[str, object],
         *,
         trust: Paths,
         flat: Flat | None = None,
@@ -147,11 +147,11 @@ class Prepared:
         """Whether all that the classes of its blocks read from outside is unchanged."""
         return all(read.holds() and not read.is_unsteady for read in self.outside)
 
-    def flat_with(self, parameters: Mapping[str, Any]) -> Flat:
+    def flat_with(self, parameters: Mapping[str, object]) -> Flat:
         """The flat model with other parameters. Raises ModelError with all faults."""
         return _flattened(self.value, self.resolver, parameters, self.settings)
 
-    def changed(self, name: str, value: Any) -> Prepared:
+    def changed(self, name: str, value: object) -> Prepared:
         """With another value of a tunable parameter, by its path.
 
         Raises ModelError, and UsageError (E502) where there is none of that name, (E117) where it cannot change in a
@@ -185,7 +185,7 @@ class Prepared:
             compiled_plan = couple(flat)
         return replace(self, parameters=parameters, plan=compiled_plan)._with_flat(flat)
 
-    def with_values(self, parameters: Mapping[str, Any], settings: Mapping[str, Any]) -> Prepared | None:
+    def with_values(self, parameters: Mapping[str, object], settings: Mapping[str, object]) -> Prepared | None:
         """The same model with other values of parameters, and other times and tolerances of the run.
 
         None where the diagram must be flattened again to know what they mean: where other parameters than here are
@@ -208,7 +208,7 @@ class Prepared:
         return vars(self).get("flat") or next(iter(self.alike.made.values())).flat
 
     def _bound(
-        self, parameters: Mapping[str, Any], settings: RunSettings, tunable: Iterable[str] = ()
+        self, parameters: Mapping[str, object], settings: RunSettings, tunable: Iterable[str] = ()
     ) -> Plan | Coupling | None:
         """The plan with other values of parameters. tunable: those that must be changeable in a run."""
         names, alike = frozenset(parameters), self.alike
@@ -236,7 +236,7 @@ class Prepared:
         free = self.parameters if free is None else free
         return Rebinding(self.flat, self.plan, free, runs=(self.value.run, self.alike.given))
 
-    def _settings_with(self, settings: Mapping[str, Any]) -> RunSettings | None:
+    def _settings_with(self, settings: Mapping[str, object]) -> RunSettings | None:
         """The settings of a run with others given; None where they change more than a Plan's times and tolerances."""
         known = self.plan.settings
         if _same(settings, self.settings):
@@ -273,7 +273,7 @@ def _equal(one: Any, other: Any) -> bool:
     return kinds != ("f", "f") or np.array_equal(np.signbit(one), np.signbit(other))
 
 
-def _same(given: Mapping[str, Any], known: Mapping[str, Any]) -> bool:
+def _same(given: Mapping[str, object], known: Mapping[str, object]) -> bool:
     return given.keys() == known.keys() and all(_is_same(item, known[name]) for name, item in given.items())
 
 
@@ -285,7 +285,7 @@ def _is_same(one: Any, other: Any) -> bool:
 
 
 def _flattened(
-    value: DiagramValue, resolver: Resolver, parameters: Mapping[str, Any], settings: Mapping[str, Any]
+    value: DiagramValue, resolver: Resolver, parameters: Mapping[str, object], settings: Mapping[str, object]
 ) -> Flat:
     overrides = {name: raw_of(given) for name, given in parameters.items()}
     return flatten(value, resolver, overrides=overrides, settings=settings)

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files as resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -320,7 +319,7 @@ def _c_file(name: str) -> str:
 
 def _starts(plan: Plan) -> list[float]:
     """The values of inputs at the start: those that the diagram's run gives as numbers, defaults, or 0."""
-    raw: dict[str, Any] = {}
+    raw: dict[str, object] = {}
     for name, shape, _, type_, default in plan.inputs:
         given = plan.settings.inputs.get(name)
         is_number = isinstance(given, (int, float, str, list)) or (isinstance(given, Mapping) and "value" in given)

@@ -85,7 +85,7 @@ def tables_text(
     ]  # fmt: skip
     length = float(settings.stop - settings.start) if settings.stop is not None else math.inf
     delays = [history.delay for history in plan.histories]
-    fields: dict[str, Any] = {
+    fields: dict[str, object] = {
         "setup": "&setup", "token": f'"{token}"', "kinds": kinds, "nvariables": len(variables.places),
         "nsettings": len(starts), "noutputs": len(variables.outputs), "nlocals": len(variables.locals),
         "nstates": len(plan.states), "is_whole": int(plan.starting is True), "variables": "variables",
@@ -114,7 +114,7 @@ def tables_text(
 def _setup(runtime: RuntimeTables, plan: Plan, settings: RunSettings) -> tuple[str, str]:
     """The tables of a BlocksSetup, and its initializer."""
     text: list[str] = []
-    fields: dict[str, Any] = {"model": "&blocks_model"}
+    fields: dict[str, object] = {"model": "&blocks_model"}
 
     masks = [f"mask_{k}" for k in range(len(runtime.masks))]
     for entry, values in runtime.of_setup():

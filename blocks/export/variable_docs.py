@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..text.units import si_text
 
 
-def doc_of(raw: Any) -> str:
+def doc_of(raw: object) -> str:
     """A "doc" of a file as one line."""
     return " ".join(map(str, raw)) if isinstance(raw, (list, tuple)) else str(raw or "")
 

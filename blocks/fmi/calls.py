@@ -163,7 +163,7 @@ class Running(Called):
         if self.binding.isolated is None:
             self.binding.is_broken = True
 
-    def status(self, name: str, *arguments: Any) -> int:
+    def status(self, name: str, *arguments: object) -> int:
         """What a function returns, whatever it means. Raises FMUError (E208; E213 after a fatal error)."""
         binding = self.binding
         if self.is_lost:
@@ -187,7 +187,7 @@ class Running(Called):
             raise error_inside
         return result  # type: ignore[no-any-return]
 
-    def _call(self, name: str, *arguments: Any) -> Any:
+    def _call(self, name: str, *arguments: object) -> Any:
         """What FMPy's methods call. Raises FMUError where the status is neither ok nor a warning."""
         result = self.status(name, *arguments)
         if result and name not in _PLAIN:
@@ -340,7 +340,7 @@ class Running(Called):
                 self._quietly(f"{prefix}Terminate", component)
             self._quietly(f"{prefix}FreeInstance", component)
 
-    def _quietly(self, name: str, *arguments: Any) -> None:
+    def _quietly(self, name: str, *arguments: object) -> None:
         with contextlib.suppress(Exception):
             if self.status(name, *arguments) == FATAL and name not in _PLAIN:
                 self.lose()

@@ -205,12 +205,12 @@ class Instance:
             raise ValueError(f"{self.name}: the instance was closed")
         return self._raw
 
-    def call(self, name: str, *arguments: Any) -> None:
+    def call(self, name: str, *arguments: object) -> None:
         """Call the function that FMI 3 calls so, as "SetTime". Raises FMUError (E213) where that does not succeed."""
         raw = self._alive()
         raw._call(full_name(name, self.fmi), raw.component, *arguments)
 
-    def tried(self, name: str, *arguments: Any) -> bool:
+    def tried(self, name: str, *arguments: object) -> bool:
         """As `call`; False where the FMU discards it."""
         raw = self._alive()
         call = full_name(name, self.fmi)
@@ -266,7 +266,7 @@ class Instance:
     def get(self, variables: Iterable[ModelVariable]) -> list[Any]:
         """All elements of the variables. Raises FMUError: E213 where the FMU refuses, E215 for a Binary or a Clock."""
         groups, n = self._plan(variables)
-        row: list[Any] = [None] * n
+        row: list[object] = [None] * n
         for group in groups:
             self._move("Get", group)
             elements: list[Any] = group.buffer[:]
@@ -617,7 +617,7 @@ class Instance:
                 return
             self._kept(full_name("FreeFMUState", self.fmi), ctypes.byref(saved.state))
 
-    def _kept(self, name: str, *arguments: Any) -> None:
+    def _kept(self, name: str, *arguments: object) -> None:
         raw = self._raw
         failed = raw.has_failed
         try:

@@ -25,7 +25,7 @@ TYPES = {
 }
 """The types by what the description of an FMU calls them."""
 
-_C: dict[int, dict[str, Any]] = {
+_C: dict[int, dict[str, object]] = {
     2: {"Real": ctypes.c_double, "Integer": ctypes.c_int, "Boolean": ctypes.c_int, "String": ctypes.c_char_p},
     3: {
         "Float64": ctypes.c_double, "Float32": ctypes.c_float, "Boolean": ctypes.c_bool, "String": ctypes.c_char_p,

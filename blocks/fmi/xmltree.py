@@ -45,7 +45,7 @@ def parse(text: bytes, file: str) -> Element:
             skipped = 1
             parser.StartElementHandler, parser.EndElementHandler = start_skipped, end_skipped
             return
-        children: list[Any] = []
+        children: list[object] = []
         stack[-1].append((tag, attributes, children, parser.CurrentLineNumber))
         stack.append(children)
         left -= 1

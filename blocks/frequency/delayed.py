@@ -55,7 +55,7 @@ class DelayedModel:
     report: tuple[Any, ...] = ()
     hint: str = ""
 
-    def response(self, omega: Any) -> Array:
+    def response(self, omega: object) -> Array:
         """(outputs, inputs, frequencies) at omega in rad/s."""
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         if self.dead_time is not None:

@@ -60,20 +60,20 @@ _SO_MANY = 1e9  # intervals of amplitude from which a quantizer does nothing: 1e
 _SMOOTH = 0.75  # deviation in intervals from which a quantizer's Fourier series is the shorter sum
 
 
-def power(a: float, A: Any) -> Described:
+def power(a: float, A: object) -> Described:
     """|e|^a sgn e at e = A sin(theta): gain = 2 Gamma(a/2 + 1)/(sqrt(pi) Gamma(a/2 + 3/2)) A^(a - 1), a > -1."""
     a, A = _exponent(a), positive(A, "amplitude")
     factor = 2.0 / math.sqrt(math.pi) * gamma(0.5 * a + 1.0) / gamma(0.5 * a + 1.5)
     return _odd(factor * A ** (a - 1.0))
 
 
-def gaussian_power(a: float, sigma: Any) -> Described:
+def gaussian_power(a: float, sigma: object) -> Described:
     """|e|^a sgn e of a Gaussian e: gain = 2^((a + 1)/2) Gamma(a/2 + 1)/sqrt(pi) sigma^(a - 1), a > -1."""
     a, sigma = _exponent(a), positive(sigma, "deviation")
     return _odd(2.0 ** (0.5 * a + 0.5) * gamma(0.5 * a + 1.0) / math.sqrt(math.pi) * sigma ** (a - 1.0))
 
 
-def fal(a: float, delta: float, A: Any) -> Described:
+def fal(a: float, delta: float, A: object) -> Described:
     """Han's fal at e = A sin(theta): e delta^(a - 1) where |e| <= delta, |e|^a sgn e beyond."""
     a, A, delta = _exponent(a), positive(A, "amplitude"), float(positive(delta, "delta"))
     x = np.minimum(delta / A, 1.0)
@@ -83,7 +83,7 @@ def fal(a: float, delta: float, A: Any) -> Described:
     return _odd(delta ** (a - 1.0) * inner + power(a, A).gain * outer)
 
 
-def gaussian_fal(a: float, delta: float, sigma: Any) -> Described:
+def gaussian_fal(a: float, delta: float, sigma: object) -> Described:
     """Han's fal of a Gaussian e."""
     a, sigma, delta = _exponent(a), positive(sigma, "deviation"), float(positive(delta, "delta"))
     z = 0.5 * (delta / sigma) ** 2
@@ -91,17 +91,17 @@ def gaussian_fal(a: float, delta: float, sigma: Any) -> Described:
     return _odd(inner + gaussian_power(a, sigma).gain * gammaincc(0.5 * a + 1.0, z))
 
 
-def sign(A: Any, bias: Any = 0.0) -> Described:
+def sign(A: object, bias: object = 0.0) -> Described:
     """sgn u at bias + A sin(theta): gain = 4/(pi A) sqrt(1 - (bias/A)^2); 0 where u does not change sign."""
     return relay(0.0, 0.0, 1.0, -1.0, A, bias)
 
 
-def gaussian_sign(sigma: Any, bias: Any = 0.0) -> Described:
+def gaussian_sign(sigma: object, bias: object = 0.0) -> Described:
     """sgn u of a Gaussian u: gain = sqrt(2/pi)/sigma exp(-(bias/sigma)^2/2)."""
     return gaussian_relay(0.0, 1.0, -1.0, sigma, bias)
 
 
-def saturation(lower: float, upper: float, A: Any, bias: Any = 0.0) -> Described:
+def saturation(lower: float, upper: float, A: object, bias: object = 0.0) -> Described:
     """u within lower ... upper, else the limit, at bias + A sin(theta). A limit may be infinite."""
     lower, upper = _limits(lower, upper)
     A, bias = _signal(A, "amplitude", bias)
@@ -115,7 +115,7 @@ def saturation(lower: float, upper: float, A: Any, bias: Any = 0.0) -> Described
     return _described(gain, mean)
 
 
-def gaussian_saturation(lower: float, upper: float, sigma: Any, bias: Any = 0.0) -> Described:
+def gaussian_saturation(lower: float, upper: float, sigma: object, bias: object = 0.0) -> Described:
     """u within lower ... upper, else the limit, of a Gaussian u. A limit may be infinite."""
     lower, upper = _limits(lower, upper)
     sigma, bias = _signal(sigma, "deviation", bias)
@@ -125,7 +125,7 @@ def gaussian_saturation(lower: float, upper: float, sigma: Any, bias: Any = 0.0)
     return _described(inside, mean)
 
 
-def dead_zone(lower: float, upper: float, A: Any, bias: Any = 0.0) -> Described:
+def dead_zone(lower: float, upper: float, A: object, bias: object = 0.0) -> Described:
     """0 within lower ... upper, else u less the limit that it is beyond, at bias + A sin(theta)."""
     lower, upper = _limits(lower, upper)
     A, bias = _signal(A, "amplitude", bias)
@@ -137,7 +137,7 @@ def dead_zone(lower: float, upper: float, A: Any, bias: Any = 0.0) -> Described:
     return _described(gain, mean / math.pi)
 
 
-def gaussian_dead_zone(lower: float, upper: float, sigma: Any, bias: Any = 0.0) -> Described:
+def gaussian_dead_zone(lower: float, upper: float, sigma: object, bias: object = 0.0) -> Described:
     """0 within lower ... upper, else u less the limit that it is beyond, of a Gaussian u."""
     lower, upper = _limits(lower, upper)
     sigma, bias = _signal(sigma, "deviation", bias)
@@ -145,7 +145,7 @@ def gaussian_dead_zone(lower: float, upper: float, sigma: Any, bias: Any = 0.0) 
     return _described(ndtr(-a) + ndtr(-b), sigma * (_beyond(b) - _beyond(a)))
 
 
-def relay(on_at: float, off_at: float, on: float, off: float, A: Any, bias: Any = 0.0) -> Described:
+def relay(on_at: float, off_at: float, on: float, off: float, A: object, bias: object = 0.0) -> Described:
     """y = on from where u reaches on_at, off from where it falls below off_at <= on_at, at bias + A sin(theta).
 
     The gain is complex where off_at < on_at: its imaginary part is -(on - off) (on_at - off_at)/(pi A^2).
@@ -174,7 +174,7 @@ def relay(on_at: float, off_at: float, on: float, off: float, A: Any, bias: Any 
     return _described(gain + 1j * step * (fall - rise) / (math.pi * A) if off_at < on_at else gain, mean)
 
 
-def gaussian_relay(at: float, on: float, off: float, sigma: Any, bias: Any = 0.0) -> Described:
+def gaussian_relay(at: float, on: float, off: float, sigma: object, bias: object = 0.0) -> Described:
     """y = on where u >= at, else off, of a Gaussian u.
 
     One with hysteresis has no gain of this kind: what it gives depends on the spectrum of u, not on sigma alone.
@@ -185,7 +185,7 @@ def gaussian_relay(at: float, on: float, off: float, sigma: Any, bias: Any = 0.0
     return _described((on - off) * _density(z) / sigma, off * ndtr(z) + on * ndtr(-z))
 
 
-def backlash(width: float, A: Any, bias: Any = 0.0) -> Described:
+def backlash(width: float, A: object, bias: object = 0.0) -> Described:
     """y = min(max(y_last, u - width/2), u + width/2) at bias + A sin(theta), once u has pushed y both ways.
 
     Raises: AnalysisError E704 where A <= width/2, as y then rests where it was at the start.
@@ -202,7 +202,7 @@ def backlash(width: float, A: Any, bias: Any = 0.0) -> Described:
     return _described(gain - 4.0j * half / (math.pi * A) * (1.0 - half / A), bias + 0.0 * A)
 
 
-def quantizer(interval: float, A: Any, bias: Any = 0.0) -> Described:
+def quantizer(interval: float, A: object, bias: object = 0.0) -> Described:
     """interval * floor(u/interval + 1/2) at bias + A sin(theta): the sum of its steps, each a relay's."""
     q = float(positive(interval, "interval"))
     A, bias = _signal(A, "amplitude", bias)
@@ -211,7 +211,7 @@ def quantizer(interval: float, A: Any, bias: Any = 0.0) -> Described:
     return _described(gain, q * mean)
 
 
-def gaussian_quantizer(interval: float, sigma: Any, bias: Any = 0.0) -> Described:
+def gaussian_quantizer(interval: float, sigma: object, bias: object = 0.0) -> Described:
     """interval * floor(u/interval + 1/2) of a Gaussian u."""
     q = float(positive(interval, "interval"))
     sigma, bias = _signal(sigma, "deviation", bias)
@@ -233,12 +233,12 @@ def gaussian_quantizer(interval: float, sigma: Any, bias: Any = 0.0) -> Describe
     return _described(np.where(few, gain, smooth_gain), q * np.where(few, mean, smooth_mean))
 
 
-def tanh(A: Any, bias: Any = 0.0) -> Described:
+def tanh(A: object, bias: object = 0.0) -> Described:
     """tanh u at bias + A sin(theta), by quadrature. That of c tanh(k u) is c k times the gain at k A and k bias."""
     return _each(sinusoidal, *_signal(A, "amplitude", bias))
 
 
-def gaussian_tanh(sigma: Any, bias: Any = 0.0) -> Described:
+def gaussian_tanh(sigma: object, bias: object = 0.0) -> Described:
     """tanh u of a Gaussian u, by quadrature."""
     return _each(gaussian, *_signal(sigma, "deviation", bias))
 
@@ -298,7 +298,7 @@ def _held(value: Any, share: Array) -> Array:
     return np.asarray(np.multiply(value, share, out=np.zeros(np.shape(share)), where=share > 0.0))
 
 
-def _described(gain: Any, mean: Any) -> Described:
+def _described(gain: object, mean: object) -> Described:
     return Described(np.asarray(gain)[()], np.asarray(mean)[()])
 
 
@@ -306,7 +306,7 @@ def _odd(gain: Any) -> Described:
     return _described(gain, np.zeros(np.shape(gain)))
 
 
-def _signal(size: Any, name: str, bias: Any) -> tuple[Array, Array]:
+def _signal(size: object, name: str, bias: object) -> tuple[Array, Array]:
     size, bias = positive(size, name), np.asarray(bias, dtype=float)
     if not np.all(np.isfinite(bias)):
         raise refused("a bias is not finite.", "Give a finite bias.")

@@ -21,7 +21,7 @@ from .systems import StateSpace, is_of, source
 _MOST = len(STYLES)
 
 
-def shown_of(systems: Any, place: str) -> list[Shown]:
+def shown_of(systems: object, place: str) -> list[Shown]:
     if isinstance(systems, Mapping):
         named = [(str(name), system) for name, system in systems.items()]
     elif isinstance(systems, (list, tuple)):
@@ -42,7 +42,7 @@ def _own_name(system: Any) -> str:
     return "" if re.search(r"sys\[\d+\]", name) else name
 
 
-def single_channels(systems: Any, place: str) -> list[Shown]:
+def single_channels(systems: object, place: str) -> list[Shown]:
     shown = shown_of(systems, place)
     for trace in shown:
         if (trace.known.outputs, trace.known.inputs) != (1, 1):

@@ -42,7 +42,7 @@ _MARKS = (("x", "o"), ("+", "s"), ("1", "D"), ("2", "^"), ("3", "v"), ("4", "p")
 
 
 @defaults()
-def bode(systems: Any, omega: Iterable[float] | None = None, *, margins: bool | Margins = True) -> Any:
+def bode(systems: object, omega: Iterable[float] | None = None, *, margins: bool | Margins = True) -> Any:
     """Gain and phase over frequency; the gain and phase margins of a single loop are drawn.
 
     omega: frequencies [rad/s]; without them they are laid out from poles and zeros. margins: off where the system is no
@@ -78,7 +78,7 @@ def bode(systems: Any, omega: Iterable[float] | None = None, *, margins: bool | 
 
 
 @defaults()
-def nyquist(loop: Any, *, margins: bool | Margins = True) -> Any:
+def nyquist(loop: object, *, margins: bool | Margins = True) -> Any:
     """The loop transfer in the complex plane, with -1, the unit circle, the circle that Ms keeps free, and margins.
 
     Negative frequencies are drawn faintly. The view is that of the critical point: what an integrator sends to
@@ -116,7 +116,7 @@ def nyquist(loop: Any, *, margins: bool | Margins = True) -> Any:
 
 
 @defaults()
-def nichols(systems: Any, *, margins: bool | Margins = True) -> Any:
+def nichols(systems: object, *, margins: bool | Margins = True) -> Any:
     """Gain over phase of loops, upon the curves of constant |T|. margins: as of `bode`. Raises UsageError (E501)."""
     shown = single_channels(systems, "nichols")
     figure, axis = new_figure(1, 1, height=5.2, width=6.6)
@@ -146,7 +146,7 @@ def nichols(systems: Any, *, margins: bool | Margins = True) -> Any:
 
 
 @defaults()
-def sigma(systems: Any, omega: Iterable[float] | None = None) -> Any:
+def sigma(systems: object, omega: Iterable[float] | None = None) -> Any:
     """Singular values over frequency: the largest and the smallest as lines, with what lies between them shaded."""
     shown = shown_of(systems, "sigma")
     span = span_of(shown, omega)
@@ -175,7 +175,7 @@ def sigma(systems: Any, omega: Iterable[float] | None = None) -> Any:
 
 
 @defaults()
-def gang_of_four(plant: Any, controller: Any, omega: Iterable[float] | None = None) -> Any:
+def gang_of_four(plant: object, controller: object, omega: Iterable[float] | None = None) -> Any:
     """|S|, |T|, |PS| and |CS| of a plant P and a controller C in a loop with negative feedback; with their peaks."""
     parts = single_channels({"P": plant, "C": controller}, "gang_of_four")
     if len({trace.known.dt for trace in parts}) != 1:
@@ -230,7 +230,7 @@ def gang_of_four(plant: Any, controller: Any, omega: Iterable[float] | None = No
 
 
 @defaults()
-def pole_map(systems: Any) -> Any:
+def pole_map(systems: object) -> Any:
     """Poles (crosses) and zeros (circles); with lines of equal damping and, for sampled systems, the unit circle."""
     shown = shown_of(systems, "pole_map")
     is_sampled = shown[0].known.dt > 0
@@ -256,7 +256,7 @@ def pole_map(systems: Any) -> Any:
 
 
 @defaults()
-def step_figure(systems: Any, *, until: float | None = None) -> Any:
+def step_figure(systems: object, *, until: float | None = None) -> Any:
     """Responses to a unit step, exactly; with overshoot and the time to stay within 2 % of a single one.
 
     until: the last time [s]; without it, what the slowest pole needs to settle. Raises UsageError (E501).

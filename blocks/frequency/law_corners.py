@@ -264,7 +264,7 @@ def refused(message: str, cure: str) -> UsageError:
     return UsageError(Fault("E501", PLACE, message, cure))
 
 
-def positive(x: Any, name: str) -> Array:
+def positive(x: object, name: str) -> Array:
     numbers = np.asarray(x, dtype=float)
     good = (numbers > 0.0) & np.isfinite(numbers)
     if not np.all(good):

@@ -209,11 +209,11 @@ class Controller:
     transfer functions to read them.
     """
 
-    feedback: Any
-    prefilter: Any
+    feedback: object
+    prefilter: object
     system: Any
 
-    def loop(self, plant: Any) -> Any:
+    def loop(self, plant: object) -> Any:
         """L = C_fb plant, a control.StateSpace: the loop opened at the plant's input, negative feedback outside.
 
         plant: u -> y, a control.StateSpace or TransferFunction of one input and one output.

@@ -249,7 +249,7 @@ def _at(omega: float) -> str:
 
 
 def margins(
-    loop: Any,
+    loop: object,
     *,
     grid: Iterable[float] | None = None,
     unstable_poles: int | None = None,
@@ -330,7 +330,7 @@ def _gathered(
     )
 
 
-def _of_several_rates(loop: Any, check: Callable[[], None] | None) -> Margins:
+def _of_several_rates(loop: object, check: Callable[[], None] | None) -> Margins:
     model = balanced(loop)
     seen = model.visible()
     if not np.any(model.d != 0) and not len(seen.a):
@@ -601,7 +601,7 @@ def _at_border(
 # Grid and crossings
 
 
-def _at_rest(loop: Any, known: Source) -> float:
+def _at_rest(loop: object, known: Source) -> float:
     """Return up to which size poles and zeros may be at rest within rounding, as a cluster of integrators is.
 
     Far below them the response is rounding. In s, or z - 1.
@@ -646,7 +646,7 @@ def _grid(
     return omega[usable], values[usable]
 
 
-def _ends(known: Source, loop: Any) -> list[tuple[float, complex]]:
+def _ends(known: Source, loop: object) -> list[tuple[float, complex]]:
     """(frequency, L) at zero and at infinity or the Nyquist frequency, as far as they are known."""
     if known.points is not None:
         return []

@@ -37,7 +37,7 @@ _EPS = float(np.finfo(float).eps)
 _LIKELY = 1e-6  # of the norm of a matrix: eigenvalues that may be at zero, and moved by what makes them ill-conditioned
 
 
-def response(system: Any, omega: Iterable[float] | float) -> Array:
+def response(system: object, omega: Iterable[float] | float) -> Array:
     """The complex response at frequencies omega [rad/s], shape (outputs, inputs, len(omega)).
 
     inf at a pole. Sampled systems: z = exp(j omega dt), and omega at most pi/dt. Raises AnalysisError (E705) for
@@ -49,7 +49,7 @@ def response(system: Any, omega: Iterable[float] | float) -> Array:
     return source(system).at(wanted)
 
 
-def poles(system: Any) -> Array:
+def poles(system: object) -> Array:
     """Poles, sorted by size: s in 1/s, or z. Hidden modes are among them.
 
     Transfer functions: the roots of the denominators; a root that several channels share is listed once for each.
@@ -88,7 +88,7 @@ def _sorted(values: Array) -> Array:
     return values[np.lexsort((values.imag, values.real, np.abs(values)))]
 
 
-def dc_gain(system: Any) -> Array:
+def dc_gain(system: object) -> Array:
     """The gain at zero frequency, real, (outputs, inputs); inf (with its sign) where there is an integrator.
 
     An integrator that cancels, in the structure or in numbers, leaves the finite gain. Raises AnalysisError (E705) for
@@ -104,7 +104,7 @@ def dc_gain(system: Any) -> Array:
     return out
 
 
-def _dc_of_channel(known: Source, system: Any, output: int, input: int) -> float:
+def _dc_of_channel(known: Source, system: object, output: int, input: int) -> float:
     if known.realization is not None:
         model = known.realization.channel(output, input).visible()
         if not len(model.a):
@@ -135,7 +135,7 @@ def _is_sure(coefficients: Array, point: float) -> bool:
     return len(coefficients) > 0 and abs(float(np.polyval(coefficients, point))) > floor
 
 
-def bandwidth(system: Any, *, drop: float = HALF_POWER, relative: str = "dc") -> float | None:
+def bandwidth(system: object, *, drop: float = HALF_POWER, relative: str = "dc") -> float | None:
     """The frequency [rad/s] at which the gain has fallen by `drop` [dB], to full precision; None: it never does.
 
     relative: "dc": the lowest at which the gain falls below its value at zero frequency; "peak": the lowest above the
@@ -177,7 +177,7 @@ def bandwidth(system: Any, *, drop: float = HALF_POWER, relative: str = "dc") ->
     return first_fall(lambda w: np.abs(at(w)), omega, gains, level, above=relative != "unity")
 
 
-def _single(system: Any, place: str) -> Source:
+def _single(system: object, place: str) -> Source:
     known = source(system)
     if (known.outputs, known.inputs) != (1, 1):
         what = f"{known.outputs} outputs and {known.inputs} inputs, but must have one of each."
@@ -185,7 +185,7 @@ def _single(system: Any, place: str) -> Source:
     return known
 
 
-def peak(system: Any) -> Peak:
+def peak(system: object) -> Peak:
     """The largest gain over all frequencies, stable or not; inf at a pole on the axis. MIMO: of singular values.
 
     Of measured data: the largest measured value.
@@ -256,7 +256,7 @@ def h2(system: Any) -> float:
     return math.hypot(math.sqrt(max(0.0, float(np.trace(model.c @ gramian @ model.c.T)))), direct)
 
 
-def hinf(system: Any) -> Peak:
+def hinf(system: object) -> Peak:
     """The H-infinity norm and its frequency: the peak, proved to be the highest by the Hamiltonian's eigenvalues.
 
     Raises AnalysisError (E705) where the system is not stable.

@@ -28,9 +28,9 @@ class StateSpace(Protocol):
     B: Any
     C: Any
     D: Any
-    dt: Any
-    nstates: Any
-    ninputs: Any
+    dt: object
+    nstates: object
+    ninputs: object
 
 
 @runtime_checkable
@@ -84,7 +84,7 @@ class Source:
         return np.asarray(self.at(np.atleast_1d(np.asarray(omega, dtype=float)))[0, 0])
 
 
-def is_of(system: Any, *names: str) -> bool:
+def is_of(system: object, *names: str) -> bool:
     """Whether it is of a class of python-control, which is not loaded to know that: who made it has loaded it."""
     control = sys.modules.get("control")
     return control is not None and isinstance(system, tuple(getattr(control, name) for name in names))

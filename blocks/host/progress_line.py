@@ -53,7 +53,7 @@ class _Line:
         self.begun = time.perf_counter()
         self.due = self.begun + SOON
 
-    def __call__(self, *told: Any) -> None:
+    def __call__(self, *told: object) -> None:
         now = time.perf_counter()
         if now < self.due:
             return

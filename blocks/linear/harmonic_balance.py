@@ -62,7 +62,7 @@ class HarmonicResponse:
     dt: float
     balance: Balance
 
-    def response(self, omega: Any) -> Array:
+    def response(self, omega: object) -> Array:
         """(outputs, 1, frequencies) at other frequencies, solved anew."""
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         if omega.shape == self.omega.shape and np.array_equal(omega, self.omega):
@@ -89,7 +89,7 @@ class Balance:
         n, laws, slots = len(self.outputs), len(self.laws.nodes), len(self.laws.slots)
         self.laws.rest = Rest.of(self.model, range(1, 1 + laws), range(n, n + slots))
 
-    def at(self, amplitude: float, omega: Any) -> HarmonicResponse:
+    def at(self, amplitude: float, omega: object) -> HarmonicResponse:
         """The response at each omega in rad/s, in this order; of several solutions, each continues the one before.
 
         amplitude: in SI.
@@ -316,7 +316,7 @@ class Linearizer(Linearization, Shown):
         yield from [f"  no slope here: {', '.join(laws)}"] if laws else []
 
     def harmonic_response(
-        self, input: str, outputs: Names, omega: Any, *, amplitude: Any, openings: Names = ()
+        self, input: str, outputs: Names, omega: object, *, amplitude: object, openings: Names = ()
     ) -> HarmonicResponse:
         """The fundamentals of `outputs` for a sine of an amplitude at `input`, by harmonic balance; omega: in rad/s.
 

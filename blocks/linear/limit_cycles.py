@@ -93,7 +93,7 @@ def limit_cycles(
     linearizer: Linearization,
     *,
     omega: tuple[float, float] | None = None,
-    amplitude: tuple[Any, Any] | None = None,
+    amplitude: tuple[object, object] | None = None,
     check: Callable[[], None] | None = None,
 ) -> LimitCycles:
     """The limit cycles of a diagram around its operating point, which must be one of rest, by frequency.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import control
 import numpy as np
@@ -61,7 +60,7 @@ class LiftedModel(LinearModel):
         super().__init__(transfer)
         self.steps = steps
 
-    def fundamental(self, omega: Any) -> Array:
+    def fundamental(self, omega: object) -> Array:
         """The response at the frequency of the input: complex, (outputs, inputs, frequencies), omega in rad/s.
 
         The inputs are sines that are held over each base step h, and the outputs at base steps are decomposed into

@@ -299,7 +299,7 @@ class Linearization(ReplacedSlopes):
             return delayed_model(wired, self.graph.plan, ins, outs)
         return self._made(wired, report, ins, outs, pade, len(outputs))
 
-    def response(self, inputs: Names, outputs: Names, omega: Any, *, openings: Names = ()) -> Array:
+    def response(self, inputs: Names, outputs: Names, omega: object, *, openings: Names = ()) -> Array:
         """The frequency response (outputs, inputs, frequencies) at omega in rad/s; delays are exact."""
         from ..frequency.response import response
 

@@ -70,7 +70,9 @@ class StaticLaw:
     def path(self) -> str:
         return self.graph.plan.instances[self.instance].path
 
-    def _values(self, wanted: Sequence[int], inputs: Sequence[Any], sides: dict[int, Any] | None = None) -> list[Any]:
+    def _values(
+        self, wanted: Sequence[int], inputs: Sequence[object], sides: dict[int, Any] | None = None
+    ) -> list[Any]:
         arguments = list(self.base)
         for k, value in zip(self.arguments, inputs, strict=True):
             arguments[k] = value

@@ -127,9 +127,9 @@ def rates_at(point: Point) -> tuple[Array, list[int]]:
 def search(
     point: Point,
     *,
-    inputs: Mapping[str, Any] | None = None,
-    states: Mapping[str, Any] | None = None,
-    outputs: Mapping[str, Any] | None = None,
+    inputs: Mapping[str, object] | None = None,
+    states: Mapping[str, object] | None = None,
+    outputs: Mapping[str, object] | None = None,
     steady: bool | Mapping[str, float | None] = True,
     told: Sequence[str] = (),
     check: Callable[[], None] | None = None,
@@ -201,9 +201,9 @@ class _Search:
     def __init__(
         self,
         point: Point,
-        inputs: Mapping[str, Any],
-        states: Mapping[str, Any],
-        outputs: Mapping[str, Any],
+        inputs: Mapping[str, object],
+        states: Mapping[str, object],
+        outputs: Mapping[str, object],
         steady: bool | Mapping[str, float | None],
         told: Sequence[str],
         check: Callable[[], None] | None,
@@ -251,7 +251,7 @@ class _Search:
             for _, slot in (*rate.outputs, *rate.nexts)
         }
 
-    def _ask(self, outputs: Mapping[str, Any]) -> None:
+    def _ask(self, outputs: Mapping[str, object]) -> None:
         """Read what is wanted of outputs: where each element is, and its limits."""
         for name, value in outputs.items():
             elements = _signal(self.plan, name)
@@ -538,9 +538,9 @@ def _input_names(plan: Plan) -> dict[str, Reference]:
     return references
 
 
-def _spread(given: Mapping[str, Any], known: Mapping[str, Reference], what: str) -> dict[str, Any]:
+def _spread(given: Mapping[str, object], known: Mapping[str, Reference], what: str) -> dict[str, Any]:
     """By element; a vector may be given as a whole. Raises UsageError (E501)."""
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     for name, value in given.items():
         if name in known:
             values[name] = value
@@ -553,7 +553,7 @@ def _spread(given: Mapping[str, Any], known: Mapping[str, Reference], what: str)
     return values
 
 
-def _each(name: str, value: Any, count: int) -> list[Any]:
+def _each(name: str, value: object, count: int) -> list[Any]:
     """A value for each element of a signal. Raises UsageError (E501)."""
     if not isinstance(value, (list, np.ndarray)):
         return [value] * count
@@ -562,7 +562,7 @@ def _each(name: str, value: Any, count: int) -> list[Any]:
     return list(value)
 
 
-def _rate(name: str, value: Any) -> float:
+def _rate(name: str, value: object) -> float:
     """A rate that was given. Raises UsageError (E501)."""
     if isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(value):
         return float(value)
@@ -570,7 +570,7 @@ def _rate(name: str, value: Any) -> float:
     raise UsageError(Fault("E501", name, message, "Give a number per second, or None for any."))
 
 
-def _as_free(name: str, value: Any) -> float | Free:
+def _as_free(name: str, value: object) -> float | Free:
     """What was given for a quantity. Raises UsageError (E501)."""
     if value is None:
         return Free()

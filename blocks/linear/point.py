@@ -124,7 +124,7 @@ class Point:
         return tuple(discretes)
 
 
-def _outputs(engine: ReferenceEngine, memory: tuple[Any, ...]) -> tuple[float, ...]:
+def _outputs(engine: ReferenceEngine, memory: tuple[object, ...]) -> tuple[float, ...]:
     asked = tuple(Reference("w", i) for i in range(len(engine.plan.outputs)))
     if asked not in engine.asked:
         engine.asked[asked] = engine.compiled.program("all_outputs", asked)

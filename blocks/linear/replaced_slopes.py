@@ -33,9 +33,9 @@ class ReplacedSlopes:
         self,
         slopes: Slopes,
         *,
-        amplitude: Mapping[str, Any] | None = None,
-        sigma: Mapping[str, Any] | None = None,
-        overrides: Mapping[str, Any] | None = None,
+        amplitude: Mapping[str, object] | None = None,
+        sigma: Mapping[str, object] | None = None,
+        overrides: Mapping[str, object] | None = None,
     ) -> None:
         self.slopes, self.graph = slopes, slopes.graph
         self.data = slopes.data.copy()
@@ -48,7 +48,7 @@ class ReplacedSlopes:
                 self._describe(name, values, is_random=is_random)
         self._override(overrides or {})
 
-    def _describe(self, name: str, values: Any, *, is_random: bool) -> None:
+    def _describe(self, name: str, values: object, *, is_random: bool) -> None:
         graph = self.graph
         spots = places(graph, name)
         word = "sigma" if is_random else "amplitude"
@@ -135,7 +135,7 @@ class ReplacedSlopes:
             replaced.described[node, slot] = "replaced"
         return replaced
 
-    def _override(self, overrides: Mapping[str, Any]) -> None:
+    def _override(self, overrides: Mapping[str, object]) -> None:
         graph, self.overridden = self.graph, dict[int, tuple[Array, Array, Array, Array]]()
         self.given: dict[int, list[int]] = {}  # by the block that a model replaces, the columns of its outputs
         paths = {instance.path: i for i, instance in enumerate(graph.plan.instances)}

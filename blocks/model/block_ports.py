@@ -56,7 +56,7 @@ class Probe:
         return ports
 
 
-def _is_between(raw: Any, bounds: tuple[float, float] | None) -> bool:
+def _is_between(raw: object, bounds: tuple[float, float] | None) -> bool:
     """Whether it is a number between two bounds, in SI as well: there it is neither infinite nor 0, if it is not 0."""
     return bounds is not None and type(raw) is Number and bounds[0] < raw < bounds[1] and (not raw or abs(raw) > 1e-100)
 

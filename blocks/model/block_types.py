@@ -74,7 +74,7 @@ def _may_extend(place: str) -> bool:
     return False
 
 
-def _types_of(item: Any) -> dict[str, type[Block]]:
+def _types_of(item: object) -> dict[str, type[Block]]:
     """A block class, or those of a module; abstract classes are left out."""
     values = vars(item).values() if isinstance(item, ModuleType) else [item]
     return {

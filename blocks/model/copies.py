@@ -269,19 +269,19 @@ def named(pattern: str, known: Collection[str], fleets: Collection[str]) -> list
     return made
 
 
-def depth_of(raw: Any) -> int:
+def depth_of(raw: object) -> int:
     """Return how many lists lie in each other in a raw value."""
     raw = raw.get("value") if isinstance(raw, Mapping) else raw
     return 1 + max(map(depth_of, raw), default=0) if isinstance(raw, (list, tuple)) else 0
 
 
-def _is_deeper(raw: Any, depth: int) -> bool:
+def _is_deeper(raw: object, depth: int) -> bool:
     """Return whether more lists than `depth` lie in each other, looking no further than it must."""
     raw = raw.get("value") if isinstance(raw, Mapping) else raw
     return isinstance(raw, (list, tuple)) and (depth == 0 or any(_is_deeper(item, depth - 1) for item in raw))
 
 
-def dimensions(shape: Any) -> int:
+def dimensions(shape: object) -> int:
     """Return the dimensions of a parameter of a block type by its declared shape; of one that a function gives: 1."""
     return len(shape) if isinstance(shape, tuple) else 1
 

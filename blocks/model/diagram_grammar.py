@@ -121,7 +121,7 @@ COLUMN = Object(
 SHAPE = ListOf(Scalar(low=1, high=LARGEST_MATRIX, is_whole=True), 2, 2, what="two sizes, [rows, columns]")
 
 
-def _one_source(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+def _one_source(value: Mapping[str, object], path: Steps, told: Told) -> Collection[str]:
     """Edges stand either here or in a CSV file."""
     if ("edges" in value) == ("csv" in value):
         told.fault("E009", path, 'a sparse matrix needs either "edges" or "csv", not both.')
@@ -202,7 +202,7 @@ TABLE = _TABLE.keys
 SIGNAL_NAME = Text(refers="signal")
 
 
-def _later(key: str, kind: Kind, doc: str, default: Any = None) -> Field:
+def _later(key: str, kind: Kind, doc: str, default: object = None) -> Field:
     """A setting of a run, which is checked when that is prepared, as those are that come from Python."""
     return Field(key, kind, doc, default, is_later=True)
 
@@ -268,13 +268,13 @@ _SHOWN = '{"enum": "Mode", "members": {"OFF": 0, "ON": 1}}'
 _MEMBERS = Scalar(what="an integer up to 2^53", low=-LARGEST_INTEGER, high=LARGEST_INTEGER, is_whole=True)
 
 
-def members_of(type_: Any) -> tuple[str, ...]:
+def members_of(type_: object) -> tuple[str, ...]:
     """The members of the type of an input; () where that is no enumeration."""
     members = type_.get("members") if isinstance(type_, dict) else None
     return tuple(members) if isinstance(members, dict) else ()
 
 
-def _is_named(enumeration: Mapping[str, Any]) -> bool:
+def _is_named(enumeration: Mapping[str, object]) -> bool:
     return isinstance(enumeration.get("enum"), str) and enumeration["enum"] != ""
 
 
@@ -313,7 +313,7 @@ _SIZE = Scalar(low=1, high=LARGEST_SIZE, is_whole=True)
 SIZE = AnyOf(_SIZE, ListOf(_SIZE, 1), what=f"{_SIZE.what}, or a list of such", is_whole=True)
 
 
-def shape_of(size: Any) -> tuple[int, ...]:
+def shape_of(size: object) -> tuple[int, ...]:
     """The shape that the "size" of an input means: a number, or a list of them; () of a scalar. Raises ValueError."""
     shape = tuple(size) if isinstance(size, (list, tuple)) else (size,)
     if size == [] or not all(map(_SIZE.holds, shape)) or math.prod(shape) > LARGEST_SIZE:
@@ -321,7 +321,7 @@ def shape_of(size: Any) -> tuple[int, ...]:
     return tuple(map(int, shape))
 
 
-def _input(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+def _input(value: Mapping[str, object], path: Steps, told: Told) -> Collection[str]:
     """The default is of the type and of the size; what is no number has no unit."""
     type_, size = value.get("type", "real"), value.get("size", ())
     if type_ not in ("real", "int") and value.get("unit") and isinstance(value["unit"], str):
@@ -342,7 +342,7 @@ def _input(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
     return ("default", "size")
 
 
-def _default(default: Any, shape: tuple[int, ...], kind: Kind, path: Steps, told: Told) -> None:
+def _default(default: object, shape: tuple[int, ...], kind: Kind, path: Steps, told: Told) -> None:
     """The default of an input: one value, or rows with one for each element."""
     if not shape:
         cure = in_a_file(default) if kind in (NUMBER, INTEGER) and path[-1] == "default" else ""
@@ -427,7 +427,7 @@ TRIGGERS = ("direction", "every")
 _CONDITIONAL = (*CONTROLS, *OPTIONS)
 
 
-def _one_kind(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+def _one_kind(value: Mapping[str, object], path: Steps, told: Told) -> Collection[str]:
     kinds = [key for key in KINDS if key in value]
     if len(kinds) != 1:
         what = f"has {' and '.join(kinds)}" if kinds else "has none of type, diagram and fmu"
@@ -447,7 +447,7 @@ def _one_kind(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[s
     return ()
 
 
-def _ticks(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+def _ticks(value: Mapping[str, object], path: Steps, told: Told) -> Collection[str]:
     if {"offset", "direction"} <= value.keys() and "every" not in value:
         told.fault("E003", (*path, "offset"), 'an offset needs ticks: add "every".', at_key=True)
     if ("every" in value) == ("direction" in value):

@@ -33,15 +33,15 @@ NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,199}\Z", re.ASCII)
 UMLAUTS = {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"}
 
 
-def is_name(text: Any) -> bool:
+def is_name(text: object) -> bool:
     return isinstance(text, str) and bool(NAME.match(text))
 
 
-def is_plain_number(raw: Any) -> bool:
+def is_plain_number(raw: object) -> bool:
     return isinstance(raw, (int, float)) and not isinstance(raw, bool)
 
 
-def check_name(name: Any) -> None:
+def check_name(name: object) -> None:
     """Raise ModelError (E111) for what is no name."""
     if not is_name(name):
         raise ModelError(Fault("E111", quoted(str(name)), "is not a name.", name_cure(str(name))))
@@ -198,7 +198,7 @@ class FaultList:
     def __len__(self) -> int:
         return len(self._faults)
 
-    def add(self, fault: Fault, key: Any = None) -> None:
+    def add(self, fault: Fault, key: object = None) -> None:
         """Add a fault, unless one with its key is there (without a key: an equal one)."""
         if len(self._faults) >= self.MOST:
             last = Fault("E008", "", f"the check ends after {self.MOST:,} faults.", "Correct these first.")

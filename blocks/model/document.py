@@ -85,17 +85,17 @@ def canonical(
     return text, value.version
 
 
-def from_document(document: Mapping[str, Any], *, folder: str | Path = "") -> DiagramValue:
+def from_document(document: Mapping[str, object], *, folder: str | Path = "") -> DiagramValue:
     """The diagram of a dict, as `json.load` would give it."""
     return _unseen(document, os.path.abspath(folder))
 
 
-def entries(*, folder: str = "", **sections: Mapping[str, Any]) -> DiagramValue:
+def entries(*, folder: str = "", **sections: Mapping[str, object]) -> DiagramValue:
     """Some sections of a diagram that is made in Python, as a file in `folder` would hold them. Raises ModelError."""
     return _unseen({"format": FORMAT, "version": VERSION, **sections}, os.path.abspath(folder))
 
 
-def block(name: str, entry: Mapping[str, Any], folder: str) -> BlockEntry:
+def block(name: str, entry: Mapping[str, object], folder: str) -> BlockEntry:
     """One block of a diagram that is made in Python, as `entries` gives it. Raises ModelError."""
     with contextlib.suppress(ValueError):
         value = json_text.without_text(entry)
@@ -108,7 +108,7 @@ def block(name: str, entry: Mapping[str, Any], folder: str) -> BlockEntry:
     return entries(folder=folder, blocks={name: entry}).blocks[name]  # which has a text to tell of
 
 
-def _unseen(document: Mapping[str, Any], folder: str) -> DiagramValue:
+def _unseen(document: Mapping[str, object], folder: str) -> DiagramValue:
     """The diagram of a text that nobody sees: its faults have no line."""
     try:
         return _read(dumps_document(document), "", folder, Loading(Path(folder) / "x"), ())
@@ -157,7 +157,7 @@ def written_version(value: DiagramValue) -> int:
 
 def entry_document(entry: BlockEntry, kind: Object = BLOCK) -> dict[str, Any]:
     """The dict of a block."""
-    document: dict[str, Any] = {"type": entry.type} if entry.type else {"fmu": entry.fmu}
+    document: dict[str, object] = {"type": entry.type} if entry.type else {"fmu": entry.fmu}
     if not entry.type and not entry.fmu:
         diagram = entry.diagram
         document = {"diagram": to_document(diagram, inner=True) if isinstance(diagram, DiagramValue) else diagram}
@@ -176,11 +176,11 @@ def has_copies(value: DiagramValue) -> bool:
     )
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     return dict(value) if isinstance(value, Mapping) else list(value) if isinstance(value, tuple) else value
 
 
-def dumps_document(document: Mapping[str, Any]) -> str:
+def dumps_document(document: Mapping[str, object]) -> str:
     """The canonical text of a dict."""
     return json_writer.write(document, one_per_line=DIAGRAM.lines(document))
 
@@ -204,7 +204,7 @@ def self_contained(value: DiagramValue) -> DiagramValue:
     value: with its variants taken.
     """
 
-    def parameters(table: Mapping[str, Any]) -> dict[str, Any]:
+    def parameters(table: Mapping[str, object]) -> dict[str, Any]:
         return {name: raw.as_value if isinstance(raw, Column) else raw for name, raw in table.items()}
 
     def whole(entry: BlockEntry) -> BlockEntry:
@@ -230,7 +230,7 @@ def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:
             target = os.path.relpath(target, new)
         return target.replace(os.sep, "/")
 
-    def parameters(table: Mapping[str, Any]) -> dict[str, Any]:
+    def parameters(table: Mapping[str, object]) -> dict[str, Any]:
         return {
             name: type(raw)({**raw, "csv": path(raw["csv"])}, raw.numbers, raw.unit) if isinstance(raw, Column) else raw
             for name, raw in table.items()

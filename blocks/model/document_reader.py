@@ -90,7 +90,7 @@ class DocumentReader:
             return None
         return self.body(value, (), DIAGRAM) if self.header(value) else None
 
-    def header(self, value: Mapping[str, Any]) -> bool:
+    def header(self, value: Mapping[str, object]) -> bool:
         """Whether reading can go on: this is a diagram, perhaps with a fault in its first two keys."""
         if "format" not in value:
             cure = f'Begin with {{"format": "{FORMAT}", "version": {PLAIN_VERSION}, ...'
@@ -161,7 +161,7 @@ class DocumentReader:
             self.version,
         )
 
-    def names(self, tables: Mapping[str, Mapping[str, Any]], path: Steps) -> None:
+    def names(self, tables: Mapping[str, Mapping[str, object]], path: Steps) -> None:
         """Blocks, inputs and parameters have names that differ."""
         taken: dict[str, str] = {}
         for what, table in tables.items():
@@ -173,7 +173,7 @@ class DocumentReader:
 "Rename one: blocks, inputs and parameters need different names.", at_key=True)  # fmt: skip
                 taken.setdefault(key, what)
 
-    def parameters(self, table: Mapping[str, Any], path: Steps) -> dict[str, Any]:
+    def parameters(self, table: Mapping[str, object], path: Steps) -> dict[str, Any]:
         return {
             name: self.column(raw, (*path, name)) if isinstance(raw, dict) and "csv" in raw else raw
             for name, raw in table.items()
@@ -249,14 +249,14 @@ class DocumentReader:
             **parts,
         )
 
-    def copies(self, entry: Mapping[str, Any], path: Steps) -> Any:
+    def copies(self, entry: Mapping[str, object], path: Steps) -> Any:
         """How many copies of a block there are, as written; None of one that has none."""
         if "copies" in entry and self.version < VERSION:
             what = f"the file has version {self.version}, but copies need version 3."
             self.fault("E005", (*path, "copies"), what, f'Write "version": {VERSION}.', at_key=True)
         return entry["copies"] if isinstance(entry.get("copies"), (Number, str)) else None
 
-    def variants(self, entry: Mapping[str, Any], path: Steps) -> dict[str, Any]:
+    def variants(self, entry: Mapping[str, object], path: Steps) -> dict[str, Any]:
         """The variants of a block, and the name of the chosen one."""
         variants = {
             name: self.block(other, (*path, "variants", name), is_variant=True)
@@ -309,21 +309,21 @@ class DocumentReader:
         return loading.files[resolved]
 
 
-def _table(value: Mapping[str, Any], key: str, *, named: bool = False) -> dict[str, Any]:
+def _table(value: Mapping[str, object], key: str, *, named: bool = False) -> dict[str, Any]:
     """An object in an object; an empty one where there is none. named: without what has no name for its key."""
     table = _object(value.get(key))
     return {name: entry for name, entry in table.items() if is_name(name)} if named else table
 
 
-def _object(value: Any) -> dict[str, Any]:
+def _object(value: object) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     return value if isinstance(value, str) else ""
 
 
-def _doc(value: Mapping[str, Any]) -> Any:
+def _doc(value: Mapping[str, object]) -> Any:
     return value.get("doc") or ""
 
 

@@ -60,12 +60,12 @@ def _sha256_of(path: Path) -> str:
         return ""
 
 
-def _without_doc(entries: Mapping[str, Any]) -> dict[str, Any]:
-    stripped: dict[str, Any] = {}
+def _without_doc(entries: Mapping[str, object]) -> dict[str, Any]:
+    stripped: dict[str, object] = {}
     for name, entry in entries.items():
         if isinstance(entry, Mapping):
             # Of a column of another file the numbers count, not where it lies.
-            numbers: dict[str, Any] = {}
+            numbers: dict[str, object] = {}
             if isinstance(entry, Column):
                 numbers = {entry.key: entry.numbers, **({"unit": entry.unit} if entry.unit else {})}
             kept = {key: item for key, item in entry.items() if key not in ("doc", "csv", "column") and key[:2] != "x-"}

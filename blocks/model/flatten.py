@@ -105,8 +105,8 @@ def flatten(
     diagram: DiagramValue,
     resolver: Resolver,
     *,
-    overrides: Mapping[str, Any] | None = None,
-    settings: Mapping[str, Any] | None = None,
+    overrides: Mapping[str, object] | None = None,
+    settings: Mapping[str, object] | None = None,
 ) -> Flat:
     """The flat form of a diagram.
 
@@ -159,13 +159,13 @@ def _replaced(run: Mapping[str, Any], path: tuple[str | int, ...], time: Fractio
     return {**run, str(key): Fraction(1) if time is None else time}
 
 
-def _shown(raw: Any) -> str:
+def _shown(raw: object) -> str:
     return next(expressions_in(raw), "")
 
 
 class _Flattener:
     def __init__(
-        self, diagram: DiagramValue, resolver: Resolver, overrides: Mapping[str, Any], settings: Mapping[str, Any]
+        self, diagram: DiagramValue, resolver: Resolver, overrides: Mapping[str, object], settings: Mapping[str, object]
     ) -> None:
         self.diagram = diagram
         self.given = {key for key, value in settings.items() if value is not None}
@@ -180,7 +180,7 @@ class _Flattener:
         times = self.times(diagram.run, settings), self.times(settings)
         self.settings, self.wrong_settings = read_settings(times[0], **times[1])
 
-    def times(self, run: Mapping[str, Any], above: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    def times(self, run: Mapping[str, object], above: Mapping[str, object] | None = None) -> dict[str, Any]:
         """Run settings with times in place of expressions. above: for the file's settings, those that replace them.
 
         A time whose expression has faults, which are reported here, is left out or becomes a neutral one.
@@ -200,7 +200,7 @@ class _Flattener:
                 self.stepped_by = tuple(names_in(raw))
         return run_settings
 
-    def time(self, path: tuple[str | int, ...], raw: Any, spot: Spot) -> Fraction | None:
+    def time(self, path: tuple[str | int, ...], raw: object, spot: Spot) -> Fraction | None:
         """The time in s that an expression gives; None after its faults were reported."""
         place = ".".join(["run", *(legible(part) for part in path if isinstance(part, str))])
         value = self.hierarchy.evaluated(self.root, raw, "s", place, spot)
@@ -583,7 +583,7 @@ class _Flattener:
             return None
         return MeasureSpec(name, type_, operands["of"].name, against, *window.values())
 
-    def number(self, name: str, key: str, raw: Any, unit: str) -> float | None:
+    def number(self, name: str, key: str, raw: object, unit: str) -> float | None:
         """A number of a measure in SI; None after a fault was reported."""
         place, spot = f"measures.{name}", ("measures", name, key)
         value = self.hierarchy.evaluated(self.root, raw, unit, place, spot)

@@ -118,8 +118,8 @@ def fmu(
     *,
     isolate: bool = False,
     timeout: float = TIMEOUT,
-    parameters: Mapping[str, Any] | None = None,
-    **named: Any,
+    parameters: Mapping[str, object] | None = None,
+    **named: object,
 ) -> Block:
     """A block that is an FMU of version 2.0 or 3.0.
 
@@ -355,7 +355,7 @@ def _start(variable: ModelVariable, place: str) -> tuple[Any, ...]:
     return values
 
 
-def _fitting(start: tuple[Any, ...], shape: tuple[int, ...]) -> Any:
+def _fitting(start: tuple[object, ...], shape: tuple[int, ...]) -> Any:
     if not start:
         return 0.0
     if shape == ():

@@ -149,7 +149,9 @@ class DiagramScope:
 class Hierarchy:
     """All scopes and all leaves of a diagram, in the order of the text; `faults` are collected, not raised."""
 
-    def __init__(self, diagram: DiagramValue, resolver: Resolver, overrides: Mapping[str, Any], seed: int = 0) -> None:
+    def __init__(
+        self, diagram: DiagramValue, resolver: Resolver, overrides: Mapping[str, object], seed: int = 0
+    ) -> None:
         """Open the diagram. seed: of the run."""
         self.resolver, self.overrides, self.seed = resolver, overrides, seed
         self.faults = FaultList()
@@ -191,7 +193,7 @@ class Hierarchy:
             fault = scope.value.fault(code, scope.prefix + place, message, cure, spot)
             self.faults.add(fault, (id(scope.value), code, place, message, spot))
 
-    def evaluated(self, scope: DiagramScope, raw: Any, declared: Unit, place: str, spot: Spot) -> Value | None:
+    def evaluated(self, scope: DiagramScope, raw: object, declared: Unit, place: str, spot: Spot) -> Value | None:
         """Return a raw value in SI; None after a fault was reported."""
         try:
             return value_of(raw, declared, scope.parameters)
@@ -260,7 +262,7 @@ class Hierarchy:
         self.tell(scope, "E007", name, "its subdiagram is not loaded.", "Load the diagram from its file.", spot)
         return None
 
-    def give(self, inner: DiagramScope, given: Mapping[str, Any]) -> None:
+    def give(self, inner: DiagramScope, given: Mapping[str, object]) -> None:
         """Take the values that a block entry gives to parameters of its subdiagram."""
         outer, known = inner.parent, inner.value.parameters
         assert outer is not None
@@ -302,7 +304,7 @@ class Hierarchy:
                 raw = _with_unit(origin.raw, origin.unit)
                 scope.parameters[name] = self.evaluated(scope, raw, origin.unit, name, spots[name])
 
-    def origin(self, scope: DiagramScope, name: str, entry: Any) -> Origin:
+    def origin(self, scope: DiagramScope, name: str, entry: object) -> Origin:
         """Find where the value of a diagram's parameter comes from. Raises Absent after a fault was reported."""
         unit, depth, outer = _unit_of(entry), depth_of(entry), scope.origins.get(name)
         written = entry if outer is None else outer.written
@@ -320,7 +322,7 @@ class Hierarchy:
             raise Absent
         return outer if outer is not None and not set_at else Origin(written, raw, raw is not said, unit, depth, set_at)
 
-    def own(self, scope: DiagramScope, raw: Any, depth: int, copies: Sequence[Copy], place: str, spot: Spot) -> Any:
+    def own(self, scope: DiagramScope, raw: object, depth: int, copies: Sequence[Copy], place: str, spot: Spot) -> Any:
         """Return the raw value in one copy of each fleet. Raises Absent after a fault was reported."""
         try:
             return own_value(raw, depth, copies)
@@ -329,7 +331,7 @@ class Hierarchy:
             self.tell(scope, fault.code, place, fault.message, fault.cure, spot)
             raise Absent from None
 
-    def overridden(self, paths: tuple[str, ...], raw: Any) -> tuple[Any, str]:
+    def overridden(self, paths: tuple[str, ...], raw: object) -> tuple[Any, str]:
         """Return the raw value that counts, and the path by which it is set ("": it is none that is).
 
         paths: under which it may be set. A bound parameter cannot be set itself (E117).
@@ -585,14 +587,14 @@ def is_equal(one: Value | None, other: Value | None) -> bool:
     return _hashable(one.value) == _hashable(other.value) and (one.exact, one.unit) == (other.exact, other.unit)
 
 
-def bound_faults(path: str, raw: Any) -> list[Fault]:
+def bound_faults(path: str, raw: object) -> list[Fault]:
     """Return the fault (E117) of setting a parameter that its raw value binds by an expression, if it does."""
     bound = next(expressions_in(raw), "")
     message = f"is computed from other parameters ({quoted(bound)}), so it cannot be set itself."
     return [Fault("E117", path, message, "Set the parameters that it is computed from.")] if bound else []
 
 
-def _unit_of(entry: Any) -> str:
+def _unit_of(entry: object) -> str:
     """Return the unit of a diagram's parameter."""
     return entry.get("unit", "") if isinstance(entry, Mapping) else ""
 
@@ -607,12 +609,12 @@ def _fault_of(unit: str) -> Fault | None:
     return None
 
 
-def _with_unit(raw: Any, unit: Unit) -> Any:
+def _with_unit(raw: object, unit: Unit) -> Any:
     """Return a text or a bool for a parameter with a unit, as a quantity: a fault, as with a unit of its own."""
     return {"value": raw, "unit": unit} if unit and isinstance(raw, (bool, str)) else raw
 
 
-def spelling(entry: BlockEntry, scope: DiagramScope, loose: Mapping[str, Any] | None = None) -> Any:
+def spelling(entry: BlockEntry, scope: DiagramScope, loose: Mapping[str, object] | None = None) -> Any:
     """Return a key that is equal for blocks of one type with parameters, but for loose ones, written alike, or None."""
     if entry.stream:  # which not every block has
         return None
@@ -643,7 +645,7 @@ def _written(raw: Any, scope: DiagramScope) -> Any:
     return None
 
 
-def _hashable(value: Any) -> Any:
+def _hashable(value: object) -> Any:
     """Return a key of a value: 0.0 and -0.0, which are equal, are two."""
     return tuple(_hashable(item) for item in value) if isinstance(value, list) else (type(value), value or repr(value))
 

@@ -33,7 +33,7 @@ class Origin(NamedTuple):
     is_outer: bool = False
     stream: str = ""
 
-    def again(self, raw: Any, copies: Sequence[Copy]) -> Any:
+    def again(self, raw: object, copies: Sequence[Copy]) -> Any:
         """Return the part of another raw value at the same path that counts in one copy. Raises ModelError."""
         return own_value(raw, self.depth, copies)
 

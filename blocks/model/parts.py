@@ -35,7 +35,7 @@ LINK = 16  # elements that one link of a chain takes
 
 
 @lru_cache(maxsize=4096)
-def _made(cls: Any, *given: tuple[str, Any]) -> Resolved:
+def _made(cls: object, *given: tuple[str, object]) -> Resolved:
     return resolve(cls, {name: Value(value) for name, value in given})
 
 
@@ -69,7 +69,7 @@ class Parts:
         """The same sources, parts in the place of whole blocks."""
         return tuple(map(self.moved_one, sources))
 
-    def moved_one(self, source: Any) -> Any:
+    def moved_one(self, source: object) -> Any:
         if type(source) is BlockSource:
             return self.given[source.block][source.element] if source.block in self.given else source
         if type(source) is EachSource:
@@ -197,7 +197,7 @@ def _is_long(resolved: Resolved) -> bool:
     return bool(resolved.interface.structural["size"] > LONGEST)
 
 
-_TAKEN_APART: dict[Any, tuple[Callable[[Parts, Mapping[str, tuple[Source, ...]], Resolved], list[Source]], Any]] = {
+_TAKEN_APART: dict[Any, tuple[Callable[[Parts, Mapping[str, tuple[Source, ...]], Resolved], list[Source]], object]] = {
     MatrixGain: (Parts.rows, WholeGain),
     SwitchedMatrixGain: (Parts.switched_rows, WholeSwitch),
     Reduction: (Parts.reduced, WholeReduction),

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .hierarchy import Resolver
 
 
-def raw_of(value: Any) -> Any:
+def raw_of(value: object) -> Any:
     """A value as the file would hold it. Raises UsageError (E501)."""
     if isinstance(value, (np.ndarray, np.generic)):
         value = value.tolist()
@@ -51,7 +51,7 @@ def given_value(value: Any, parameter: Any) -> Any:
     return _no_limit(_quantities(raw)) if is_numeric else raw
 
 
-def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, Any]) -> Mapping[str, Any]:
+def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, object]) -> Mapping[str, Any]:
     """Values by the paths of parameters, texts such as "2 mH" as quantities where the parameter is numeric.
 
     A pattern gives its value to all parameters that it names, but those that are given by themselves; one that names
@@ -89,7 +89,7 @@ def _quantities(raw: Any) -> Any:
     return type(raw)(map(_quantities, raw)) if type(raw) in (list, tuple) else read_quantity(raw)
 
 
-def _given_at(diagram: DiagramValue, resolver: Resolver, path: list[str], raw: Any) -> Any:
+def _given_at(diagram: DiagramValue, resolver: Resolver, path: list[str], raw: object) -> Any:
     """A number with a unit that is given to a parameter: a quantity, unless the parameter is a text, or not there."""
     name, *inner = path
     if not inner:

@@ -103,13 +103,13 @@ class MeasureSpec:
     omega: float
 
 
-def seconds(raw: Any) -> Fraction:
+def seconds(raw: object) -> Fraction:
     """A time as an exact fraction: a decimal as written, a float by its shortest decimal or as the fraction that it is
     the double of (see `exact_time`), or a quantity.
 
     Raises ValueError with a sentence.
     """
-    unit: Any = ""
+    unit: object = ""
     if isinstance(raw, Mapping):
         odd = next((str(key) for key in raw if key not in QUANTITY.keys and not str(key).startswith("x-")), None)
         if odd is not None:
@@ -139,7 +139,7 @@ def seconds(raw: Any) -> Fraction:
     return time
 
 
-def _shown(raw: Any) -> str:
+def _shown(raw: object) -> str:
     """A value for a message, as JSON has it."""
     if raw is None or isinstance(raw, bool):
         return "null" if raw is None else str(raw).lower()
@@ -150,7 +150,7 @@ def _shown(raw: Any) -> str:
     return "an object" if isinstance(raw, Mapping) else "a list" if isinstance(raw, (list, tuple)) else "that"
 
 
-def seed_of(raw: Mapping[str, Any], seed: Any = None) -> int:
+def seed_of(raw: Mapping[str, object], seed: object = None) -> int:
     """The seed of a run: the given one, else that of the file's `run`; 0 where it is not valid."""
     reader = _Settings({"seed": raw.get("seed", 0) if seed is None else seed}, RUN)
     reader.plain("seed")
@@ -273,7 +273,7 @@ class _RunSettings(_Settings):
 
     def master(self, over: Any) -> None:
         """The settings of the master; what is given on top replaces single keys of the file's."""
-        given: dict[str, Any] = {}
+        given: dict[str, object] = {}
         for source in (self.given.get("master", {}), {} if over is None else over):
             if not isinstance(source, Mapping):
                 shown = _shown(source)
@@ -335,7 +335,9 @@ class _MasterSettings(_Settings):
         return {name: step for name, step in times.items() if step is not None}
 
 
-def read_settings(raw: Mapping[str, Any], /, **overrides: Any) -> tuple[RunSettings, list[tuple[str, str, str, str]]]:
+def read_settings(
+    raw: Mapping[str, object], /, **overrides: object
+) -> tuple[RunSettings, list[tuple[str, str, str, str]]]:
     """The settings of a file's `run` with overrides on top, and its faults as (key, code, message, cure).
 
     An override that is None is ignored. One of the method drops the file's step where the method chooses its own; one

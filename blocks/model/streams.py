@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-from typing import Any
 
 _PART = r"[A-Za-z_][A-Za-z0-9_]{0,199}(?:\[[0-9]{1,6}\])?"
 NAME = re.compile(rf"/?{_PART}(?:\.{_PART}){{0,30}}\Z", re.ASCII)
@@ -19,7 +18,7 @@ NAME = re.compile(rf"/?{_PART}(?:\.{_PART}){{0,30}}\Z", re.ASCII)
 own."""
 
 
-def is_stream(text: Any) -> bool:
+def is_stream(text: object) -> bool:
     return isinstance(text, str) and bool(NAME.match(text))
 
 

@@ -22,7 +22,7 @@ SETTINGS = Object(
 )
 
 
-def _values(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+def _values(value: Mapping[str, object], path: Steps, told: Told) -> Collection[str]:
     parameters = value.get("parameters")
     for key, given in parameters.items() if isinstance(parameters, dict) else ():
         if given is None or (isinstance(given, dict) and "value" not in given):
@@ -74,7 +74,7 @@ _SIGNAL = Text(is_empty=False, refers="signal")
 _SIZES = Table(AnyOf(Scalar(above=0), QUANTITY), _SIGNAL)
 
 
-def _margin(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+def _margin(value: Mapping[str, object], path: Steps, told: Told) -> Collection[str]:
     kind, is_loop = value.get("type"), "loop" in value
     if isinstance(kind, str) and kind not in MARGINS:
         cure = told.guess(kind, MARGINS) or f"Margins: {', '.join(MARGINS)}."
@@ -122,7 +122,7 @@ _VARIED = AnyOf(
 )  # fmt: skip
 
 
-def _varies(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+def _varies(value: Mapping[str, object], path: Steps, told: Told) -> Collection[str]:
     for key in ("vary", "over"):
         if value.get(key) == {}:
             told.fault("E009", path, f'"{key}" is empty.')
@@ -205,7 +205,7 @@ def named(claim: Mapping[str, Any]) -> list[Any]:
     return runs if is_fine and len(runs) == 1 + ("runs" in claim) else []
 
 
-def _claim(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+def _claim(value: Mapping[str, object], path: Steps, told: Told) -> Collection[str]:
     runs, reason = named(value), value.get("reason")
     if "sweep" in value:
         _of_sweep(value, path, told)
@@ -243,7 +243,7 @@ def _claim(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]
     return ("run", "runs")
 
 
-def _of_sweep(value: Mapping[str, Any], path: Steps, told: Told) -> None:
+def _of_sweep(value: Mapping[str, object], path: Steps, told: Told) -> None:
     if {"run", "runs", "as", "tuning"} & value.keys():
         told.fault("E009", path, 'a claim names either a "sweep" or runs, not both.')
     if sum(key in value for key in _STATISTICS) != 1:
@@ -323,7 +323,7 @@ _CURVE = (
 LINE = Object(*_CURVE, name="line", doc="A curve.")
 
 
-def _place(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+def _place(value: Mapping[str, object], path: Steps, told: Told) -> Collection[str]:
     if "signal" not in value and "run" not in value:
         if not {"x", "y"} <= value.keys():
             told.fault("E009", path, 'a marker needs either "run" and "signal", or "x" and "y".')
@@ -364,7 +364,7 @@ PANEL = Object(
 )
 
 
-def _named(value: Mapping[str, Any], path: Steps, told: Told) -> Collection[str]:
+def _named(value: Mapping[str, object], path: Steps, told: Told) -> Collection[str]:
     if not is_name(value.get("name")):
         told.fault("E111", path, 'a figure needs a "name" of letters, digits and _.')
     return ("name",)

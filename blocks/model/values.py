@@ -44,7 +44,7 @@ class Column(dict[str, Any]):
 
     key = "value"
 
-    def __init__(self, raw: Mapping[str, Any], numbers: Sequence[Any], unit: str = "") -> None:
+    def __init__(self, raw: Mapping[str, object], numbers: Sequence[Any], unit: str = "") -> None:
         super().__init__(raw)
         self.numbers, self.unit = tuple(numbers), str(raw.get("unit") or unit)
 
@@ -69,7 +69,7 @@ def _refuse(message: str, cure: str = "", *, code: str = "E107") -> NoReturn:
     raise ModelError(Fault(code, "", message, cure))
 
 
-def is_expression(raw: Any) -> bool:
+def is_expression(raw: object) -> bool:
     """Whether a raw value is an expression ("==" begins an ordinary text)."""
     return isinstance(raw, str) and raw.startswith("=") and not raw.startswith("==")
 
@@ -85,7 +85,7 @@ def expressions_in(raw: Any) -> Iterator[str]:
         yield raw
 
 
-def names_in(raw: Any) -> list[str]:
+def names_in(raw: object) -> list[str]:
     """The parameters that a raw value reads. An expression that cannot be read reads none."""
     names: dict[str, None] = {}
     for text in expressions_in(raw):
@@ -107,7 +107,7 @@ def order_of(needs: Mapping[str, Sequence[str]]) -> list[str]:
         raise ModelError(Fault("E108", cycle[0], message, "Give one of them a number.")) from None
 
 
-def value_of(raw: Any, declared: Unit, known: Known) -> Value:
+def value_of(raw: object, declared: Unit, known: Known) -> Value:
     """What a raw value means, in SI.
 
     declared: the unit of bare numbers; for a vector it may be one for each element. known: the parameters that
@@ -135,7 +135,7 @@ def value_of(raw: Any, declared: Unit, known: Known) -> Value:
     return _number(raw, single(declared))
 
 
-def in_si(raw: Any, declared: Unit, place: str, *, is_difference: bool = False) -> Any:
+def in_si(raw: object, declared: Unit, place: str, *, is_difference: bool = False) -> Any:
     """Return a number, or a list of numbers, that a user gave for something with a declared unit, in SI.
 
     A plain number is in the declared unit. A quantity, {"value": 2, "unit": "rpm"} or "2 rpm", is in its own unit,
@@ -161,7 +161,7 @@ def in_si(raw: Any, declared: Unit, place: str, *, is_difference: bool = False) 
     return value if isinstance(value, (float, list)) else raw
 
 
-def in_unit(raw: Any, declared: str, place: str) -> Any:
+def in_unit(raw: object, declared: str, place: str) -> Any:
     """Return a number that a user gave for something with a declared unit, in that unit.
 
     A plain number, and what is no number, comes back as it is. place: what an error names. Raises ModelError (E104,
@@ -196,7 +196,7 @@ def _check_unit(what: str, unit: str, declared: Unit) -> None:
             _refuse(message, cure, code="E104")
 
 
-def _quantity(raw: Mapping[str, Any], declared: Unit, known: Known) -> Value:
+def _quantity(raw: Mapping[str, object], declared: Unit, known: Known) -> Value:
     unit = raw.get("unit", "")
     odd = [key for key in raw if key not in QUANTITY.keys and not str(key).startswith("x-")]
     if "csv" in raw:
@@ -263,12 +263,12 @@ def _computed(expression: Expression, unit: str, known: Known) -> Value:
     return Value(scalar.value, scalar.exact, units.si_text(unit))
 
 
-def _array(raw: Sequence[Any], declared: Unit, known: Known) -> Value:
+def _array(raw: Sequence[object], declared: Unit, known: Known) -> Value:
     """A list of numbers and expressions, or of bools, with one unit or one for each element."""
     if raw and all(isinstance(item, bool) for item in raw):
         return Value(list(raw))
 
-    def element(item: Any, unit: str) -> Any:
+    def element(item: object, unit: str) -> Any:
         if not unit and type(item) is Number:
             return float(item)
         if isinstance(item, (np.ndarray, np.generic)):
@@ -290,7 +290,7 @@ def _array(raw: Sequence[Any], declared: Unit, known: Known) -> Value:
     return Value([element(item, unit) for item in raw], None, units.si_text(unit))
 
 
-def _number(raw: Any, unit: str) -> Value:
+def _number(raw: object, unit: str) -> Value:
     if not isinstance(raw, (int, float)):
         _refuse(f"must be a number, a text, a list, true or false, not a {type(raw).__name__}.")
     try:
@@ -310,11 +310,11 @@ def _number(raw: Any, unit: str) -> Value:
     return Value(si, exact * scale if is_exact else None, units.si_text(unit))  # type: ignore[operator]
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, float)
 
 
-def _kind(value: Any) -> str:
+def _kind(value: object) -> str:
     if isinstance(value, str):
         return f"the text {quoted(value)}"
     if value is None or isinstance(value, bool):

@@ -222,7 +222,7 @@ def match(
     pairs: dict[str, tuple[str, str]] = {name: (own, "choice") for name, own in (known or {}).items()}
     quantities = [{name: _quantity(unit) for name, unit in table.items()} for table in (ports, others)]
 
-    def pair(key: Callable[[int, str], Any], how: str) -> None:
+    def pair(key: Callable[[int, str], object], how: str) -> None:
         """Pair the two ports that are alone in having a key on their sides."""
         used = {own for own, _ in pairs.values()}
         by_key: tuple[dict[Any, list[str]], dict[Any, list[str]]] = {}, {}
@@ -260,7 +260,7 @@ def used_ports(value: DiagramValue, name: str) -> tuple[dict[str, str], dict[str
     sinks: dict[str, str] = {}
     sources: dict[str, str] = {}
 
-    def add(table: dict[str, str], text: Any, place: str) -> None:
+    def add(table: dict[str, str], text: object, place: str) -> None:
         first, dot, port = text.partition(".") if isinstance(text, str) else ("", "", "")
         if dot and first == name:
             table.setdefault(port, place)

@@ -134,7 +134,7 @@ class _Parameters:
 
 
 def given_values(
-    value: DiagramValue, resolver: Resolver, given: Mapping[str, Any], around: Mapping[str, Any] | None = None
+    value: DiagramValue, resolver: Resolver, given: Mapping[str, object], around: Mapping[str, object] | None = None
 ) -> Mapping[str, Any]:
     """Return values by the paths of parameters, as a run is given them, with patterns and elements written out.
 
@@ -151,7 +151,7 @@ def given_values(
     return {**wholes, **raw_values(columns, [given[name] for name in elements])}
 
 
-def is_element(name: Any) -> bool:
+def is_element(name: object) -> bool:
     """Return whether a name of parameters is that of an element."""
     return isinstance(name, str) and name.endswith("]")
 
@@ -215,10 +215,10 @@ def _found(name: str, parameters: _Parameters) -> list[str]:
     return found
 
 
-def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
+def raw_values(columns: Sequence[Column], row: Sequence[object]) -> dict[str, Any]:
     """Return the raw values of parameters in a row, by path."""
-    given: dict[str, Any] = {}
-    elements: dict[str, list[Any]] = {}
+    given: dict[str, object] = {}
+    elements: dict[str, list[object]] = {}
     shapes: dict[str, tuple[Target, tuple[int, ...]]] = {}
     for column, raw in zip(columns, row, strict=True):
         raw = raw if type(raw) is float else raw_of(raw)
@@ -242,11 +242,11 @@ def raw_values(columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
     return given
 
 
-def _quantity(value: Any, unit: str) -> Any:
+def _quantity(value: object, unit: str) -> Any:
     return {"value": value, "unit": unit} if unit else value
 
 
-def _number(raw: Any, unit: str, name: str) -> float:
+def _number(raw: object, unit: str, name: str) -> float:
     """Return a value of an element in SI. Raises ModelError (E104, E107, E108, E114)."""
     try:
         number = value_of(read_quantity(raw), unit, {}).value
@@ -292,7 +292,7 @@ def _target(path: str, name: str, element: str, parameters: _Parameters) -> Targ
     return Target(path, k, parameter.unit(k), _in_unit(whole[k], parameter.unit(k)), (whole, shape), units)
 
 
-def _in_unit(value: Any, unit: str) -> float:
+def _in_unit(value: object, unit: str) -> float:
     """Convert a number from SI to another unit; return nan if it is no number."""
     array = np.asarray(value)
     return from_si(float(array), unit) if array.dtype.kind in "iuf" and array.ndim == 0 else math.nan

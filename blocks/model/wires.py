@@ -515,7 +515,7 @@ class Wires:
     def rearrange(self, leaf: Leaf, variable: str) -> list[WireElement] | None:
         interface = leaf.interface
         output = interface.declaration.outputs[variable]
-        values: dict[str, Any] = dict(interface.structural)
+        values: dict[str, object] = dict(interface.structural)
         parts: dict[str, list[WireElement]] = {name: [] for name in interface.declaration.inputs}
         complete = True
         for port in interface.inputs.values():
@@ -758,13 +758,13 @@ def leaving(copied: Fleet | None, strand: Strand) -> Strand:
     return strand.repeated(copied.count, shape)._replace(sources=sources)
 
 
-def _left(copied: Fleet, number: int, source: Any) -> Any:
+def _left(copied: Fleet, number: int, source: object) -> Any:
     if isinstance(source, EachSource) and source.fleet is copied:
         return source.sources[number]
     return source if isinstance(source, (InputSource, ValueSource)) else CopySource(copied, number, source)
 
 
-def _flat(rows: Any) -> Iterator[Any]:
+def _flat(rows: object) -> Iterator[Any]:
     """The values of nested lists, in C order."""
     for item in rows if isinstance(rows, list) else ():
         yield from _flat(item) if isinstance(item, list) else (item,)

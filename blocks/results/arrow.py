@@ -17,7 +17,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from ..text.atomic_write import real, refused
 from ..text.errors import Fault, UsageError, did_you_mean
 from ..text.printable import legible, one_line
 from .table import TIMES, Content, FileTable, Refuse, optional, parsed, refusal, unique, versioned, without_twins
+
+if TYPE_CHECKING:
+    from pyarrow import Schema
 
 PART = ".part"
 END = 8
@@ -86,14 +89,14 @@ def schema_of(table: FileTable) -> Any:
     return pa.schema(fields, metadata=notes)
 
 
-def write_parquet(stream: Any, table: FileTable) -> None:
+def write_parquet(stream: object, table: FileTable) -> None:
     """Write a Parquet file; of rows that lie in a part or a file, a group at a time."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     schema = schema_of(table)
     if isinstance(table.values, Stored):
-        pieces: Iterable[Any] = table.values.tables(schema)
+        pieces: Iterable[object] = table.values.tables(schema)
     else:
         columns = [table.t, *(values for _, _, values in table.elements())]
         pieces = [pa.Table.from_arrays([pa.array(np.ascontiguousarray(c)) for c in columns], schema=schema)]
@@ -114,7 +117,7 @@ def part_of(target: str | Path) -> Path:
     return Path(f"{real(Path(target))}{PART}")
 
 
-def target_of(path: Any) -> str | None:
+def target_of(path: object) -> str | None:
     """Return the Parquet file that a part belongs to; None if the path is not that of a part."""
     text = os.fspath(path) if isinstance(path, (str, Path)) else ""
     return text[: -len(PART)] if text.lower().endswith(f".parquet{PART}") else None
@@ -175,12 +178,12 @@ def held(path: Path, flags: int) -> BinaryIO:
         stream.close()  # the run that had it has just removed it
 
 
-def header_of(schema: Any) -> Any:
+def header_of(schema: object) -> Any:
     """Return the bytes with which a part begins."""
     return _stream_of(schema, None)[:-END]
 
 
-def _stream_of(schema: Any, batch: Any, notes: Any = None) -> Any:
+def _stream_of(schema: object, batch: object, notes: object = None) -> Any:
     """Return the bytes of an IPC stream of one batch, or of none."""
     import pyarrow as pa
 
@@ -210,7 +213,7 @@ class Part(PartFile):
     state: what stands behind its last whole chunk (None: nothing).
     """
 
-    def __init__(self, path: Path, stream: BinaryIO, schema: Any) -> None:
+    def __init__(self, path: Path, stream: BinaryIO, schema: Schema) -> None:
         super().__init__(path, stream)
         self.schema, self.rows, self.first = schema, 0, math.nan
         self.state: bytes | None = None
@@ -268,7 +271,7 @@ class Part(PartFile):
 
     @property
     def metadata(self) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads(self.schema.metadata[b"blocks"])
+        found: dict[str, object] = json.loads(self.schema.metadata[b"blocks"])
         return found
 
     def add(self, rows: Array, state: bytes | None) -> None:
@@ -467,7 +470,7 @@ class Stored:
         """Columns: (rows, count)."""
         return np.concatenate([np.column_stack(piece) for piece in self.pieces(range(first, first + count))])
 
-    def tables(self, schema: Any) -> Iterator[Any]:
+    def tables(self, schema: object) -> Iterator[Any]:
         """The rows piece by piece, as tables of a schema."""
         import pyarrow as pa
 

@@ -14,7 +14,6 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -272,7 +271,7 @@ def _notes(a: Results, b: Results) -> list[str]:
     return notes
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     if isinstance(value, Mapping):
         if "sha256" in value:
             return f"SHA-256 {str(value['sha256'])[:12]}"

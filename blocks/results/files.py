@@ -111,7 +111,7 @@ def write_csv(stream: TextIO, table: FileTable, *, metadata: bool) -> None:
     writer.writerow(["time", *(name for name, _, _ in elements)])
     columns = [table.t, *(values for _, _, values in elements)]
     rows = ROWS
-    texts: Callable[[Array], Any] = _texts
+    texts: Callable[[Array], object] = _texts
     if len(table.t) * len(columns) >= MANY and _has_arrow():
         rows, texts = MANY // len(columns) + 1, _texts_by_arrow
     for first in range(0, len(table.t), rows):  # Python numbers take four times the memory
@@ -151,7 +151,7 @@ def _texts_by_arrow(values: Array) -> Any:
     return texts
 
 
-def _lines(columns: Sequence[Any]) -> str:
+def _lines(columns: Sequence[object]) -> str:
     """Lines of a CSV file, of arrays of Arrow that hold texts of numbers."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
@@ -166,7 +166,7 @@ def _mat_bytes(path: str | Path, table: FileTable) -> memoryview:
 
     described = table.described()
     variables = identifiers(table.columns)
-    contents: dict[str, Any] = {"time": table.t}
+    contents: dict[str, object] = {"time": table.t}
     for name, (first, shape, _) in table.columns.items():
         contents[variables[name]] = table.values[:, first : first + math.prod(shape)]
     contents["blocks"] = {
@@ -238,7 +238,7 @@ def read(
 
 
 def _read_csv(path: Path, refuse: Refuse) -> Content:
-    metadata: dict[str, Any] = {}
+    metadata: dict[str, object] = {}
     with opened(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as stream:
         line, skipped, above = stream.readline(), 0, 0
         ours = re.fullmatch(r"# blocks results ([0-9]{1,9})\s*", line)
@@ -337,7 +337,7 @@ def _read_mat(path: Path, refuse: Refuse) -> Content:
     return without_twins(names, refuse), np.column_stack(columns), {}, metadata
 
 
-def _numbers(value: Any, name: str, refuse: Refuse) -> Array:
+def _numbers(value: object, name: str, refuse: Refuse) -> Array:
     numbers = np.asarray(value)
     if numbers.dtype.kind not in "biuf":
         raise refuse(f"the variable {legible(name)!r} does not hold real numbers.")

@@ -34,7 +34,7 @@ STYLES = (
 GRID = {"color": "#94a3b8", "alpha": 0.35, "linewidth": 0.5}
 _DOTS = ((0, (1, 1.2)), (0, (1, 2)))
 # Format of a picture: what keeps the date out of it, so that one figure gives the same bytes each time.
-FORMATS: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
+FORMATS: dict[str, dict[str, object]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
 # In a notebook: text and background, light and dark, and the colors of STYLES upon dark.
 _PAGES = (("#1f2937", "#ffffff"), ("#e5e7eb", "#111827"))
 _BRIGHT = ("#fbbf24", "#7aa2ff", "#34d399", "#c4b5fd", "#cbd5e1", "#fb7185")
@@ -85,7 +85,7 @@ class Panel:
 
 
 @contextlib.contextmanager
-def defaults(own: Mapping[str, Any] | None = None) -> Iterator[None]:
+def defaults(own: Mapping[str, object] | None = None) -> Iterator[None]:
     """matplotlib with its default settings and `own` ones; the earlier settings are restored afterwards.
 
     For whatever makes, draws or writes a figure; also as a decorator. Raises UsageError (E501) where matplotlib cannot
@@ -207,7 +207,7 @@ def _curves(part: Panel, axis: Any) -> None:
         width = 1.8 if is_solid and len(part.lines) > 1 else 0.9 if line.style is None else 1.2
         x, y = _thinned(line.x, line.y)
         order = 2 + 0.1 * (not is_solid) + 0.1 * is_dotted
-        look: dict[str, Any] = {"linestyle": pattern, "linewidth": width, "zorder": order}
+        look: dict[str, object] = {"linestyle": pattern, "linewidth": width, "zorder": order}
         if line.look == "wide":
             look = {"linestyle": "solid", "linewidth": 4.0, "alpha": 0.4, "zorder": 1.9}
         elif line.look == "points":

@@ -13,7 +13,7 @@ class _Asked:
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = f"_{name}"
 
-    def __get__(self, instance: Any, owner: type | None = None) -> str:
+    def __get__(self, instance: object, owner: type | None = None) -> str:
         if instance is None:
             return ""  # the default of the field
         value = getattr(instance, self.name)
@@ -22,7 +22,7 @@ class _Asked:
             object.__setattr__(instance, self.name, value)
         return str(value)
 
-    def __set__(self, instance: Any, value: str | Callable[[], str]) -> None:
+    def __set__(self, instance: object, value: str | Callable[[], str]) -> None:
         object.__setattr__(instance, self.name, value)
 
 

@@ -114,7 +114,7 @@ class Signal(np.ndarray[Any, Any]):
         signal.t, signal.unit, signal.name = t, unit, name
         return signal
 
-    def __array_finalize__(self, other: Any) -> None:
+    def __array_finalize__(self, other: object) -> None:
         self.t = getattr(other, "t", np.empty(0))
         self.unit = getattr(other, "unit", "")
         self.name = getattr(other, "name", "")
@@ -136,7 +136,7 @@ class Signal(np.ndarray[Any, Any]):
     def _repr_html_(self) -> str | None:
         return as_html(parts) if (parts := self._parts()) else None
 
-    def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
+    def __array_wrap__(self, array: Any, context: object = None, return_scalar: bool = False) -> Any:
         # What is computed from a signal is an array of numbers; it no longer has this signal's unit and name.
         return array[()] if return_scalar else np.asarray(array)
 
@@ -195,7 +195,7 @@ class Results(Shown):
             return self.stored.span
         return (float(self.t[0]), float(self.t[-1])) if len(self.t) else (math.nan, math.nan)
 
-    def changed(self, **fields: Any) -> Results:
+    def changed(self, **fields: object) -> Results:
         """The same with other fields; rows that lie in a file stay there."""
         return replace(self, **{"t": self.__dict__["t"], "values": self.__dict__["values"], **fields})
 
@@ -345,7 +345,7 @@ class Results(Shown):
 
     def _table(self, *, is_lazy: bool = False) -> FileTable:
         """is_lazy: rows that lie in a file stay there."""
-        metadata: dict[str, Any] = {"diagram": self.diagram, "engine": self.statistics.engine}
+        metadata: dict[str, object] = {"diagram": self.diagram, "engine": self.statistics.engine}
         if self.origin is not None:
             metadata |= self.origin.told()
         if self.interrupted:
@@ -452,7 +452,7 @@ class _AtNeed:
     def __init__(self, name: str) -> None:
         self.name = name
 
-    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+    def __get__(self, instance: object, owner: type | None = None) -> Any:
         if instance is None:
             return self
         value = instance.__dict__[self.name]
@@ -461,7 +461,7 @@ class _AtNeed:
             value.setflags(write=False)
         return value
 
-    def __set__(self, instance: Any, value: Any) -> None:
+    def __set__(self, instance: object, value: object) -> None:
         instance.__dict__[self.name] = value
 
 

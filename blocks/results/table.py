@@ -55,7 +55,7 @@ def optional(name: str, place: str, extra: str = "tables", *, otherwise: str = "
         raise UsageError(Fault("E504", place, message, cure.strip())) from None
 
 
-def versioned(described: Mapping[str, Any]) -> dict[str, Any]:
+def versioned(described: Mapping[str, object]) -> dict[str, Any]:
     return {"format": "blocks results", "version": VERSION, **described}
 
 
@@ -123,7 +123,7 @@ def parsed(text: str | bytes, refuse: Refuse) -> dict[str, Any]:
     return metadata
 
 
-def refusal(place: Any, code: str = "E503", before: str = "", otherwise: str = "") -> Refuse:
+def refusal(place: object, code: str = "E503", before: str = "", otherwise: str = "") -> Refuse:
     """Return what makes the errors of a file: without another code, of a file that cannot be read.
 
     before: begins each message. otherwise: the cure of errors without their own.

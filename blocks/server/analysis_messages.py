@@ -121,7 +121,7 @@ def _answer(
     refused: AnalysisError | None,
 ) -> Answer:  # fmt: skip
     """What is made at a point. Where that is refused, `faults` says so, and `laws` which amplitudes can be given."""
-    told: dict[str, Any] = {"is": "analysis", "title": where, "laws": laws, "faults": []}
+    told: dict[str, object] = {"is": "analysis", "title": where, "laws": laws, "faults": []}
     try:
         if refused is not None:
             raise refused
@@ -277,7 +277,7 @@ def cycles(session: Session, *, at: str | float = "rest") -> Answer:
     except AnalysisError as error:  # whose cures name arguments of the library
         cures = {"E702": 'Look "at the start".'} if at == "rest" else {"E705": 'Choose "where it rests".'}
         raise AnalysisError(*(replace(f, cure=cures.get(f.code, f.cure)) for f in error.faults)) from None
-    rows: list[list[Any]] = []
+    rows: list[list[object]] = []
     for c in found:
         amplitudes = ", ".join(f"{name} {a:.4g}" for name, a in c.amplitudes.items())
         rows.append([c.omega, c.period, "yes" if c.stable else "no", amplitudes, c.kind])

@@ -128,7 +128,7 @@ class Curve:
     """
 
     def __init__(
-        self, source: Source, columns: Sequence[tuple[int, float]], window: Window, header: Mapping[str, Any]
+        self, source: Source, columns: Sequence[tuple[int, float]], window: Window, header: Mapping[str, object]
     ) -> None:
         self.source, self.columns, self.window, self.header = source, columns, window, header
         self.step, self.done = 0.0, 0
@@ -157,7 +157,7 @@ class Curve:
         return packed(self.header, self.t, self.block)
 
 
-def packed(header: Mapping[str, Any], t: Array, columns: Array) -> bytes:
+def packed(header: Mapping[str, object], t: Array, columns: Array) -> bytes:
     """A frame."""
     text = json.dumps({**header, "count": len(t)}, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-(4 + len(text)) % 8)

@@ -58,8 +58,8 @@ class Editor(Document):
         self.done, self.undone = self._history.done, self._history.undone
         self._pictures: dict[str, Picture] = {}
         self._rough: set[str] = set()
-        self._checked: tuple[DiagramValue | None, Any] = (None, None)
-        self._known: dict[str, tuple[Any, str]] = {}
+        self._checked: tuple[DiagramValue | None, object] = (None, None)
+        self._known: dict[str, tuple[object, str]] = {}
         self._real = str(real(Path(source)))
         write_blank(Path(source))
         super().__init__(source, **given)
@@ -111,7 +111,7 @@ class Editor(Document):
 
     def _texts(self) -> dict[str, tuple[Any, str]]:
         """The texts of the file and of those of its subdiagrams, and when they were written."""
-        texts: dict[str, tuple[Any, str]] = {self._real: (None, self.text.decode("utf-8", "surrogateescape"))}
+        texts: dict[str, tuple[object, str]] = {self._real: (None, self.text.decode("utf-8", "surrogateescape"))}
         for path, stamp in self._seen.items():
             file = str(real(path))
             if path != self.path and file != self._real and path.suffix.lower() != ".fmu":
@@ -228,7 +228,7 @@ class Editor(Document):
         """The subdiagram at a path as its file says it. Raises ModelError where it cannot be edited."""
         workspace, first = Workspace.of(self.file, self.library, text=self.text)
         spot = spot_of(workspace, first, {"in": level} if level else {})
-        body: Mapping[str, Any] = entry_at(spot.value, spot.scope, spot.name)
+        body: Mapping[str, object] = entry_at(spot.value, spot.scope, spot.name)
         return body
 
     def positions(self, level: str, but: Iterable[str] = ()) -> dict[str, list[int]]:

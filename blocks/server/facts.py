@@ -55,7 +55,7 @@ class Fact:
         """The value of the file or the default, as a person types it."""
         return self.text(self.said)
 
-    def told(self, raw: Any) -> dict[str, Any]:
+    def told(self, raw: object) -> dict[str, Any]:
         """It as a page gets it. raw: what the session has set; None: nothing."""
         value = self.nominal if raw is None else self.number(raw)
         low, high, is_log = self.span(value)
@@ -74,13 +74,13 @@ class Fact:
         low = "" if self.low is None else f"{'>' if self.is_open else '>='} {self.low:g}"
         return ", ".join(filter(None, (low, "" if self.high is None else f"<= {self.high:g}")))
 
-    def text(self, raw: Any) -> str:
+    def text(self, raw: object) -> str:
         """A raw value as a person types it, in `unit`."""
         is_other = isinstance(raw, Mapping) and raw.get("unit", self.unit) != self.unit
         value = self.number(raw) if is_other else None
         return "" if raw is None else text_of(raw if value is None else value, self.unit)
 
-    def number(self, raw: Any) -> Any:
+    def number(self, raw: object) -> Any:
         """The number, or the list of them, of a raw value; None where it is an expression, a table, or does not fit."""
         unit, value = self.unit, raw
         if isinstance(raw, Mapping):
@@ -88,7 +88,7 @@ class Fact:
         is_number = value is not None and not any(expressions_in(value)) and same_quantity(unit, self.unit)
         return _in_unit(value, unit, self.unit) if is_number else None
 
-    def span(self, value: Any) -> tuple[float | None, float | None, bool]:
+    def span(self, value: object) -> tuple[float | None, float | None, bool]:
         """The range of a slider, and whether it is logarithmic: the declared one, or one around the value."""
         if self.type not in ("real", "int") or isinstance(value, (bool, str)) or not isinstance(value, (int, float)):
             return None, None, False
@@ -104,7 +104,7 @@ class Fact:
 
 
 def facts_of(
-    diagram: Diagram, planned: Plan | Coupling | None, values: Mapping[str, Any] | None = None
+    diagram: Diagram, planned: Plan | Coupling | None, values: Mapping[str, object] | None = None
 ) -> dict[str, Fact]:
     """All that can be turned of a diagram, its variants chosen, by path. planned: None where it has faults: nothing.
 
@@ -145,7 +145,7 @@ def _of_all(first: Fact, each: list[Fact]) -> Fact:
     return replace(first, nominal=values[0] if is_one else values, why=why, is_bound=is_bound)
 
 
-def _fact(setting: Setting, raw: Any, choices: tuple[str, ...]) -> Fact:
+def _fact(setting: Setting, raw: object, choices: tuple[str, ...]) -> Fact:
     if setting.type == "text":
         return Fact(setting.path, raw, setting.values[0], "", "text", choices=choices, why=setting.why)
     unit = setting.display or setting.unit
@@ -174,14 +174,14 @@ def _plain(path: str) -> str:
     return without_numbers(path)[0].replace("[]", "")
 
 
-def _in_unit(value: Any, unit: str, to: str) -> Any:
+def _in_unit(value: object, unit: str, to: str) -> Any:
     """A number, or a list of them, in another unit, rounded as far as that makes digits."""
     if unit == to:
         return value
     return np.vectorize(lambda x: float(f"{converted(x, unit, to):.14g}"), [float])(value).tolist()
 
 
-def text_of(raw: Any, unit: str = "") -> str:
+def text_of(raw: object, unit: str = "") -> str:
     """A raw value as a person types it. unit: of a bare number."""
     if isinstance(raw, Mapping):
         return text_of(raw["value"], str(raw.get("unit", unit))) if "value" in raw else json.dumps(raw)

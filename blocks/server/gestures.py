@@ -103,7 +103,7 @@ def _told(
     return {"is": "edited", "what": what, "names": [*names], "files": [*files], "later": later}
 
 
-def _in(level: str, operation: Mapping[str, Any]) -> dict[str, Any]:
+def _in(level: str, operation: Mapping[str, object]) -> dict[str, Any]:
     return {**operation, "in": level} if level else {**operation}
 
 
@@ -165,7 +165,7 @@ def insert(
     body, said = editor.body(level), str(entry[kind])
     base = said if kind == "type" else Path(said).stem
     name = _free(body, re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|\W+", "_", base).lower().strip("_"))
-    value: dict[str, Any] = {kind: said}
+    value: dict[str, object] = {kind: said}
     parameters = dict(_typed(text, _parameters(editor, kind, said)))
     value |= {"parameters": parameters} if parameters else {}
     operations = [_in(level, {"add": ["blocks", name], "value": value})]
@@ -227,7 +227,9 @@ def _raw(text: str, name: str, type_: str) -> Any:
     return json_text.read(text, file=name).value if text.startswith("{") else value_in(text, file=name)
 
 
-def _wired(editor: Editor, level: str, name: str, entry: Mapping[str, Any], source: str, sink: str) -> dict[str, Any]:
+def _wired(
+    editor: Editor, level: str, name: str, entry: Mapping[str, object], source: str, sink: str
+) -> dict[str, Any]:
     """What wires a new block of an entry to a source or a sink that is there."""
     parameters = editor.body(level).get("parameters", {})
     around = entries(folder=str(editor.folder), parameters=parameters, blocks={name: entry})
@@ -271,7 +273,7 @@ def delete(session: Session, *, names: list[str], sinks: list[str], level: str =
     """Remove blocks, inputs and outputs with all that means something of them, and wires to inputs or outputs."""
     body = _begun(session).body(level)
     wires, outputs = body.get("wires", {}), body.get("outputs", {})
-    operations: list[dict[str, Any]] = [{"unwire": sink} for sink in dict.fromkeys(sinks) if sink in wires]
+    operations: list[dict[str, object]] = [{"unwire": sink} for sink in dict.fromkeys(sinks) if sink in wires]
     gone = [*sinks, *(name for name in names if name not in body.get("blocks", {}))]
     operations += [{"remove": ["outputs", name]} for name in dict.fromkeys(gone) if name in outputs]
     for section in ("inputs", "blocks"):  # a parameter of this name is not in the drawing
@@ -313,7 +315,7 @@ def _fragment(body: Mapping[str, Any], names: Sequence[str]) -> str:
     return json_writer.write(kept, one_per_line=lambda path, value: len(path) < 2)
 
 
-def _expressions(value: Any) -> Iterator[str]:
+def _expressions(value: object) -> Iterator[str]:
     if isinstance(value, Mapping):
         yield from (text for each in value.values() for text in _expressions(each))
     elif isinstance(value, list):
@@ -349,7 +351,7 @@ def _pasted(session: Session, what: str, text: str, level: str, at: list[float] 
     found = {key: value[key] for key in SECTIONS if value.get(key)} if isinstance(value, Mapping) else {}
     if not found:
         raise UsageError(Fault("E501", what, "the text contains no part of a diagram.", "Copy some blocks first."))
-    operation: dict[str, Any] = {"paste": found}
+    operation: dict[str, object] = {"paste": found}
     layout = found.get("layout")  # the grammar of the operation says what is wrong with it
     placed = (
         [at_ for at_ in layout.values() if isinstance(at_, list) and len(at_) == 2]
@@ -369,7 +371,7 @@ def _pasted(session: Session, what: str, text: str, level: str, at: list[float] 
     return {**told, "names": [name for part, own in new.items() for name in after.get(part, {}) if name in own]}
 
 
-def _free_place(standing: Mapping[str, Sequence[int]], copies: Sequence[Sequence[Any]]) -> list[int]:
+def _free_place(standing: Mapping[str, Sequence[int]], copies: Sequence[Sequence[object]]) -> list[int]:
     """How far copies are moved: beside, or down to where they stand on nothing."""
     (xs, ys) = zip(*copies, strict=True) if copies else ((), ())
     if not copies or not all(isinstance(one, (int, float)) for one in (*xs, *ys)):
@@ -427,7 +429,7 @@ def put(session: Session, *, name: str, text: str | list[str | None], level: str
             raise UsageError(Fault("E501", legible(name[:200]), "has no default: it needs a value.", "Example: 20 V."))
         elif isinstance(entry, Mapping) and "value" in entry:
             raw = _value(text, name, "", fact, entry)
-            more: Mapping[str, Any] = raw if _is_quantity(raw) else {"value": raw}
+            more: Mapping[str, object] = raw if _is_quantity(raw) else {"value": raw}
             operations = [{"set": [*steps, key], "to": one} for key, one in more.items()]
             return _set(session, name, level, operations)
     if is_empty:
@@ -443,7 +445,7 @@ def put(session: Session, *, name: str, text: str | list[str | None], level: str
 
 
 def _value(
-    text: str | list[str | None], name: str, type_: str, of: Callable[[], Fact | None], was: Any
+    text: str | list[str | None], name: str, type_: str, of: Callable[[], Fact | None], was: object
 ) -> Any:  # fmt: skip
     """Read a typed value; that of elements is in the unit of their parameter, where they have units.
 
@@ -477,7 +479,7 @@ def _value(
     return elements if unit is None else {"value": elements, "unit": unit}
 
 
-def _with_unit(raw: Any, unit: str | None) -> Any:
+def _with_unit(raw: object, unit: str | None) -> Any:
     """A number with its unit, where there is one to write."""
     is_number = isinstance(raw, (int, float)) and not isinstance(raw, bool)
     return raw if unit is None or not is_number else {"value": raw, "unit": unit}
@@ -524,13 +526,13 @@ def define(session: Session, *, kind: str, text: str, level: str = "", source: s
 def describe(session: Session, *, of: str, text: str, level: str = "") -> Answer:
     """Write the doc of a block, a parameter or an input of a level, by its name; of "": that of the level."""
     body, lines = _begun(session).body(level), text.strip().splitlines()
-    doc: Any = lines if len(lines) > 1 else "".join(lines)
+    doc: object = lines if len(lines) > 1 else "".join(lines)
     section = next((part for part in ("blocks", "parameters", "inputs") if of in body.get(part, {})), "")
     if of and not section:
         raise UsageError(Fault("E502", legible(of[:200]), "there is no such block, parameter or input."))
     entry = body[section][of] if of else body
     steps = [section, of] if of else []
-    operation: dict[str, Any] = {"set": [*steps, "doc"], "to": doc}
+    operation: dict[str, object] = {"set": [*steps, "doc"], "to": doc}
     if not isinstance(entry, Mapping):
         operation = {"set": steps, "to": {"value": entry, "doc": doc}}
     if not doc:
@@ -538,7 +540,7 @@ def describe(session: Session, *, of: str, text: str, level: str = "") -> Answer
     return _done(session, f"describe {of or 'the diagram'}", [_in(level, operation)] if operation else [])
 
 
-def _is_quantity(raw: Any) -> bool:
+def _is_quantity(raw: object) -> bool:
     return isinstance(raw, Mapping) and raw.keys() == {"value", "unit"}
 
 

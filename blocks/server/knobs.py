@@ -30,7 +30,7 @@ def knobs(session: Session, *, names: list[str], since: int = 0) -> Answer:
     """
     facts, live = session.document.facts, session.live
 
-    def text(name: str, raw: Any) -> str:
+    def text(name: str, raw: object) -> str:
         return facts[name].text(raw) if name in facts else text_of(raw)
 
     changes = {name: text(name, raw) for name, raw in (*session.values.items(), *session.inputs.items())}
@@ -113,10 +113,11 @@ def keep(session: Session, *, names: list[str] | None = None) -> Answer:
         message = "has no file to store the values in." if document.path is None else "cannot be read."
         cure = "Write a file with Diagram.save, and open it. Or copy the script."
         raise UsageError(Fault("E501", document.name, message, cure))
-    parameters, inputs, variants = (
+    parameters, inputs = (
         {name: value for name, value in known.items() if names is None or name in names}
-        for known in (session.values, session.inputs, document.variants)
+        for known in (session.values, session.inputs)
     )
+    variants = {path: name for path, name in document.variants.items() if names is None or path in names}
     owners = [path for path in document.variants if any(name.startswith(f"{path}.") for name in parameters)]
     variants |= {path: document.variants[path] for path in owners}  # their parameters stand in the variant
     edit = edit_of(
@@ -148,7 +149,7 @@ def script(session: Session) -> Answer:
     if document.path is None:
         cure = "Write a file with Diagram.save, and open it."
         raise UsageError(Fault("E501", document.name, "has no file for a script to load.", cure))
-    items = [document.library] if isinstance(document.library, (str, ModuleType, type)) else document.library
+    items = [document.library] if isinstance(document.library, (str, ModuleType, type)) else [*document.library]
     library = [each if isinstance(each, str) else each.__name__ for each in items]
     if any(isinstance(each, type) for each in items):
         message = f"has block types that a script cannot load by name: {', '.join(library)}."
@@ -168,7 +169,7 @@ def _fact(session: Session, name: str) -> Fact:
     return facts[name]
 
 
-def _raw(fact: Fact, value: Any) -> Any:
+def _raw(fact: Fact, value: object) -> Any:
     """A value of the page as a file would hold it. Raises UsageError (E501) and ModelError (E0xx)."""
     if isinstance(value, list):
         return [_raw(fact, item) for item in value]
@@ -182,7 +183,7 @@ def _raw(fact: Fact, value: Any) -> Any:
     return value if fact.type == "text" else value_in(text, file=fact.name)
 
 
-def _check(session: Session, fact: Fact, raw: Any) -> None:
+def _check(session: Session, fact: Fact, raw: object) -> None:
     """Refuse a value that no run could begin with. Raises ModelError and UsageError."""
     if not fact.is_input:
         session.document.shown.flatten(parameters={**session.values, fact.name: raw})
@@ -197,7 +198,7 @@ def _check(session: Session, fact: Fact, raw: Any) -> None:
         raise UsageError(Fault("E502", fact.name, message)) from None
 
 
-def _written(fact: Fact, raw: Any) -> Value:
+def _written(fact: Fact, raw: object) -> Value:
     """What Keep writes: a bare number in the declared unit; a quantity in its own, which an input cannot have."""
     if isinstance(raw, Mapping) and not fact.is_input:
         return Value(fact.name, (), raw["value"], str(raw.get("unit", fact.unit)), dict(raw))

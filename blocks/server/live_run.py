@@ -124,7 +124,7 @@ class LiveRun:
         self._thread.join(timeout)
         return not self._thread.is_alive()
 
-    def set(self, name: str, value: Any) -> Turned:
+    def set(self, name: str, value: object) -> Turned:
         """Set an input, or a tunable parameter by its path, at the next moment. Raises UsageError, ModelError."""
         return self._ask(lambda simulation: self._set(simulation, name, value))
 
@@ -323,7 +323,7 @@ class LiveRun:
             self._is_standing = True
             self.changed()
 
-    def _set(self, simulation: Simulation, name: str, value: Any) -> Turned:
+    def _set(self, simulation: Simulation, name: str, value: object) -> Turned:
         simulation.values(())  # as `advance_past` does
         self._present.set(name, value)
         self._is_standing = self._is_shown = False
@@ -456,7 +456,7 @@ class _Rows:
         self.kept[first : first + len(rows)] = rows
 
 
-def _literal(value: Any) -> str:
+def _literal(value: object) -> str:
     """A value as Python reads it."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{key!r}: {_literal(each)}" for key, each in value.items()) + "}"

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..model.block_types import Library
 from ..text.atomic_write import real
 from .transport import Transport, new_token
 
@@ -41,10 +42,10 @@ class LiveServer:
         self,
         source: str | Path | Diagram,
         *,
-        library: Any = (),
+        library: Library = (),
         variants: Mapping[str, str] | None = None,
-        values: Mapping[str, Any] | None = None,
-        inputs: Mapping[str, Any] | None = None,
+        values: Mapping[str, object] | None = None,
+        inputs: Mapping[str, object] | None = None,
         engine: str | None = None,
         trust: Paths = (),
         asks: Asks | None = None,

@@ -65,7 +65,7 @@ def _no_number(word: str) -> float:
     raise ValueError(word)
 
 
-def answer(session: Any, message: Mapping[str, Any], page: Any = None) -> Answer:
+def answer(session: object, message: Mapping[str, object], page: object = None) -> Answer:
     """What the session answers to a message of a page, or of none.
 
     Raises UsageError (E501), with all that is wrong with it, and what the function raises.
@@ -115,7 +115,7 @@ def _fits(value: Any, kind: Any) -> bool:
     return isinstance(value, kind)
 
 
-def _is_moderate(value: Any, depth: int, *, is_file: bool = False) -> bool:
+def _is_moderate(value: object, depth: int, *, is_file: bool = False) -> bool:
     """Whether numbers are finite and texts, lists and their nesting of a moderate size. is_file: a text may be long."""
     if isinstance(value, (dict, list)):
         items = [*value, *value.values()] if isinstance(value, dict) else value

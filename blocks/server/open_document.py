@@ -13,6 +13,7 @@ from ..api.diagram import Diagram
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
 from ..draw import Ports, picture, ports_of, rendered
+from ..model.block_types import Library
 from ..model.diagram_value import BlockEntry, DiagramValue
 from ..text.atomic_write import real
 from ..text.element_names import indexed, whole_of
@@ -36,7 +37,7 @@ class Document:
         self,
         source: str | Path | Diagram,
         *,
-        library: Any = (),
+        library: Library = (),
         variants: Mapping[str, str] | None = None,
     ) -> None:
         self.path = None if isinstance(source, Diagram) else Path(source)

@@ -59,7 +59,7 @@ def panel(session: Session, *, path: str) -> Answer:
         told |= _of_type(cls, is_stranger=bool(entry.fmu))
         for how, table in (("state", cls.declaration.states), ("discrete", cls.declaration.discretes)):
             memory += [PortRow(x, v.unit if isinstance(v.unit, str) else "", how, v.doc) for x, v in table.items()]
-    sections: Iterable[tuple[str, Sequence[Any]]] = (
+    sections: Iterable[tuple[str, Sequence[object]]] = (
         ("Parameters", sheet.parameters), ("Inputs", sheet.inputs), ("Outputs", sheet.outputs), ("Memory", memory),
     )  # fmt: skip
     names = [row.name for some in (sheet.parameters, sheet.inputs) for row in some[:MOST_ROWS]]
@@ -157,13 +157,13 @@ def _is_copy(value: DiagramValue, part: str) -> bool:
     return bool(bracket) and entry is not None and entry.copies is not None and indexed(part)[1] is not None
 
 
-def _joined(doc: Any) -> str:
+def _joined(doc: object) -> str:
     """A doc of a file, which may be a list of lines, as one text."""
     text = "\n".join(map(str, doc)) if isinstance(doc, (list, tuple)) else str(doc or "")
     return text if len(text) <= LONGEST_DOC else f"{text[:LONGEST_DOC]} ..."
 
 
-def _text(raw: Any) -> str:
+def _text(raw: object) -> str:
     """A raw value as a person reads it; "" for none."""
     return "" if raw is None else text_of(raw)[:LONGEST_DOC]
 

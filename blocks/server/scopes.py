@@ -68,7 +68,7 @@ class Scope:
                     break
         return {element: unit for _, element, unit in sorted(shown, key=lambda one: one[0])}
 
-    def show(self, sources: Sequence[tuple[str, Any, Source]], own: Mapping[str, str]) -> None:
+    def show(self, sources: Sequence[tuple[str, object, Source]], own: Mapping[str, str]) -> None:
         """Begin its curves anew, in units of its own; what is of another quantity than its signal is left out.
 
         sources: each with its kind, and which of that it is. own: the units of its elements of the run.
@@ -161,7 +161,7 @@ class Page:
         """What is new in all scopes since the page has drawn what it got. live: the run that is shown, of the runs."""
         if live is not self.live:
             self.live, self.events = live, EventRows(live) if live else None
-        sources: list[tuple[str, Any, Source]] = []
+        sources: list[tuple[str, object, Source]] = []
         if live and self.events:
             sources = [("run", 0, live), ("events", 0, self.events)]
         sources += [("ghost", number, runs[number]) for number in sorted(self.ghosts & {*runs})]

@@ -62,8 +62,8 @@ class Session:
         self,
         document: Document,
         *,
-        values: Mapping[str, Any] | None = None,
-        inputs: Mapping[str, Any] | None = None,
+        values: Mapping[str, object] | None = None,
+        inputs: Mapping[str, object] | None = None,
         engine: str | None = None,
         trust: Paths = (),
         asks: Asks | None = None,
@@ -100,7 +100,7 @@ class Session:
     def disconnected(self, client: Client) -> None:
         self._todo.put((client, "disconnected"))
 
-    def received(self, client: Client, message: Mapping[str, Any]) -> None:
+    def received(self, client: Client, message: Mapping[str, object]) -> None:
         """A message of a page."""
         self._todo.put((client, message))
 
@@ -177,7 +177,7 @@ class Session:
             threading.Thread(target=self._draw_well, args=told, name="blocks drawing", daemon=True).start()
 
     def _draw_well(self, revision: int, rough: list[Any]) -> None:
-        made: list[Any] = []
+        made: list[object] = []
         try:
             made = [(level, *draw()) for level, draw in rough]
         finally:
@@ -201,7 +201,7 @@ class Session:
             self._answer(job.client, job.message, job.seen)
             self._jobs.remove(job)
 
-    def _put_aside(self, client: Client, message: Mapping[str, Any]) -> None:
+    def _put_aside(self, client: Client, message: Mapping[str, object]) -> None:
         """Let the second thread answer a message, as all stands now."""
         seen = self._as_it_stands()
         seen._job = job = _Job(client, message, seen)
@@ -230,7 +230,7 @@ class Session:
         seen.values, seen.inputs = {**self.values}, {**self.inputs}
         return seen
 
-    def _answer(self, client: Client, message: Mapping[str, Any], asked: Session) -> None:
+    def _answer(self, client: Client, message: Mapping[str, object], asked: Session) -> None:
         """asked: this session, or what it was when the message came."""
         try:
             try:
@@ -279,7 +279,7 @@ class Session:
 
     # --- the run -----------------------------------------------------------------------------------------------------
 
-    def begin(self, stop: Any = None) -> LiveRun:
+    def begin(self, stop: object = None) -> LiveRun:
         """A new run, which stands at its start, in the place of the one that was."""
         shown = self.document.shown
         self._leave(PATIENCE)

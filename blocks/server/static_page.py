@@ -52,7 +52,7 @@ def page_of(diagram: Diagram, results: Results | None = None, *, variants: Mappi
         hello = session.hello()
         document = hello["document"]
         levels = ["", *(block["path"] for block in document["blocks"] if block["kind"] == "diagram")]
-        asked: list[dict[str, Any]] = [{"do": "draw", "level": level} for level in levels]
+        asked: list[dict[str, object]] = [{"do": "draw", "level": level} for level in levels]
         asked += [{"do": "panel", "path": path} for path in ["", *(block["path"] for block in document["blocks"])]]
         told = [answer(session, one) or {} for one in asked]
         for row in (row for one in told for rows in one.get("rows", {}).values() for row in rows):
@@ -132,7 +132,7 @@ def _zoomed(name: str, figure: Figure, most: int) -> dict[str, Any]:
     """The rows of a figure; lines of the same times stand together."""
     panels, is_thin = [], False
     for part in figure.parts:
-        groups: dict[bytes, tuple[Array, list[Array], list[dict[str, Any]]]] = {}
+        groups: dict[bytes, tuple[Array, list[Array], list[dict[str, object]]]] = {}
         for line in part.lines:
             x, ys, lines = groups.setdefault(np.asarray(line.x).tobytes(), (np.asarray(line.x, float), [], []))
             ys.append(np.asarray(line.y, float))
@@ -174,7 +174,7 @@ def _apart(t: Array) -> Array:
 # --- the file --------------------------------------------------------------------------------------------------------
 
 
-def _html(title: str, content: Mapping[str, Any], told: str) -> str:
+def _html(title: str, content: Mapping[str, object], told: str) -> str:
     """index.html with all that it names written into it."""
     script = joined("main.js", {"connection.js": "static.js"})
     page = _HEAD.sub("", (PAGE / "index.html").read_text(encoding="utf-8"))
@@ -196,7 +196,7 @@ def _policy(script: str) -> str:
     return f'<meta http-equiv="Content-Security-Policy" content="{rules}">\n'
 
 
-def script_safe(content: Any) -> str:
+def script_safe(content: object) -> str:
     """JSON that may stand in a script element: no text in it ends the element, or begins a comment."""
     return json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 

@@ -22,7 +22,7 @@ GREEK = {
     "Lambda": "Λ", "Sigma": "Σ", "Phi": "Φ", "Psi": "Ψ", "Omega": "Ω", "inf": "∞",
 }  # fmt: skip
 
-FUNCTIONS: dict[str, Callable[..., Any]] = {
+FUNCTIONS: dict[str, Callable[..., object]] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
     "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "exp": np.exp, "log": np.log,
     "ln": np.log, "log10": np.log10, "sqrt": np.sqrt, "sgn": np.sign, "sign": np.sign, "abs": np.abs, "floor": np.floor,
@@ -451,7 +451,7 @@ class Sum(Node):
         return f"<mrow>{''.join(made)}</mrow>"
 
     def value(self, known: Values) -> Any:
-        total: Any = 0.0
+        total: object = 0.0
         for sign, term in self.terms:
             if sign == "+-":
                 raise TypeError("+- has no single value")

@@ -79,25 +79,25 @@ class Kind:
     condition: Callable[[Any], Any] | None = field(default=None, init=False)
     simple: Collection[type] = field(default=(), init=False)
 
-    def takes(self, value: Any) -> bool:
+    def takes(self, value: object) -> bool:
         """Whether a value is meant to be of this kind."""
         return type(value) in self.types and (self.condition is None or bool(self.condition(value)))
 
-    def check(self, value: Any, path: Steps, told: Told) -> None:
+    def check(self, value: object, path: Steps, told: Told) -> None:
         """Tell what is wrong with a value."""
         if not self.takes(value):
             self.refuse(value, path, told)
 
-    def refuse(self, value: Any, path: Steps, told: Told) -> None:
+    def refuse(self, value: object, path: Steps, told: Told) -> None:
         shown = "" if isinstance(value, list) and list in self.types else f", not {kind_of(value)}"
         cure = in_a_file(value) if dict in self.types else ""
         told.fault("E004", path, f"must be {self.what}{shown}.", cure)
 
-    def is_void(self, value: Any) -> bool:
+    def is_void(self, value: object) -> bool:
         """Whether a value is an empty text or list, where it must not be one."""
         return False
 
-    def fits(self, value: Any) -> bool:
+    def fits(self, value: object) -> bool:
         """Whether nothing is wrong with a value."""
         try:
             self.check(value, (), _Misfit())
@@ -105,24 +105,24 @@ class Kind:
             return False
         return True
 
-    def entries(self, value: Any) -> Iterable[tuple[str | int, Any]]:
+    def entries(self, value: object) -> Iterable[tuple[str | int, Any]]:
         """Keys or indices and values of the entries whose kind is known."""
         return ()
 
-    def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
+    def walk(self, value: object, path: Steps = ()) -> Iterator[Found]:
         """The value and all in it of which the kind is known, from the outside in."""
         yield Found(path, self, value)
         for step, entry in self.entries(value):
             yield from self.entry(step).walk(entry, (*path, step))
 
-    def quantities(self, value: Any, path: Steps = ()) -> Iterator[tuple[Steps, Any]]:
+    def quantities(self, value: object, path: Steps = ()) -> Iterator[tuple[Steps, Any]]:
         """All in it whose bare numbers have a unit, with its path."""
         if self.unit:
             yield path, value
         for step, entry in self.entries(value):
             yield from self.entry(step).quantities(entry, (*path, step))
 
-    def meant(self, value: Any) -> Kind:
+    def meant(self, value: object) -> Kind:
         """Of several kinds that of the value."""
         return self
 
@@ -130,7 +130,7 @@ class Kind:
         """The kind of an entry."""
         return ANY
 
-    def opens(self, value: Any) -> bool:
+    def opens(self, value: object) -> bool:
         """Whether every entry of a value has a line of its own."""
         return self.is_open
 
@@ -183,7 +183,7 @@ class Constant(Kind):
 
     values: tuple[Any, ...]
 
-    def __init__(self, *values: Any) -> None:
+    def __init__(self, *values: object) -> None:
         super().__init__()
         self.values = values
 
@@ -229,7 +229,7 @@ class Text(Kind):
         self.condition = None if is_any or self.refusal is not None else self.matches
         self.simple = self.types if is_any and self.is_empty else ()
 
-    def is_void(self, value: Any) -> bool:
+    def is_void(self, value: object) -> bool:
         return value == "" and not self.is_empty
 
     def check(self, value: Any, path: Steps, told: Told, *, is_key: bool = False) -> None:
@@ -264,7 +264,7 @@ class Choice(Kind):
         *first, last = map(quoted, self.words)
         self.what = self.what or f"{', '.join(first)} or {last}"
 
-    def check(self, value: Any, path: Steps, told: Told) -> None:
+    def check(self, value: object, path: Steps, told: Told) -> None:
         if not isinstance(value, str) or value not in self.words:
             told.fault("E004", path, f"must be {self.what}, not {in_words(value)}.")
 
@@ -296,7 +296,7 @@ class Scalar(Kind):
         self.types = (Number, float, int, *((type(None),) if self.is_null else ()))
         self.simple = () if self.limits or self.is_whole else self.types
 
-    def check(self, value: Any, path: Steps, told: Told) -> None:
+    def check(self, value: object, path: Steps, told: Told) -> None:
         if not self.holds(value):
             told.fault("E004", path, f"must be {self.what}, not {in_words(value)}.")
 
@@ -343,7 +343,7 @@ class ListOf(Kind):
     def __post_init__(self) -> None:
         self.condition = (lambda value: all(map(self.kind.takes, value))) if self.is_even else None
 
-    def is_void(self, value: Any) -> bool:
+    def is_void(self, value: object) -> bool:
         return value == [] and self.least > 0
 
     def check(self, value: Any, path: Steps, told: Told) -> None:
@@ -357,7 +357,7 @@ class ListOf(Kind):
     def entry(self, step: str | int) -> Kind:
         return self.kind
 
-    def entries(self, value: Any) -> Iterable[tuple[str | int, Any]]:
+    def entries(self, value: object) -> Iterable[tuple[str | int, Any]]:
         return enumerate(value) if isinstance(value, (list, tuple)) else ()
 
     def body(self, defs: dict[str, Schema]) -> Schema:
@@ -383,7 +383,7 @@ class Table(Kind):
     reserved: tuple[str, str] | None = field(default=None, kw_only=True)
     types = (dict,)
 
-    def check(self, value: Any, path: Steps, told: Told) -> None:
+    def check(self, value: object, path: Steps, told: Told) -> None:
         is_full = self.most is not None and isinstance(value, dict) and not self.least <= len(value) <= self.most
         if not isinstance(value, dict) or is_full:
             return self.refuse(value, path, told)
@@ -400,10 +400,10 @@ class Table(Kind):
     def entry(self, step: str | int) -> Kind:
         return self.kind
 
-    def entries(self, value: Any) -> Iterable[tuple[str | int, Any]]:
+    def entries(self, value: object) -> Iterable[tuple[str | int, Any]]:
         return value.items() if isinstance(value, Mapping) else ()
 
-    def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
+    def walk(self, value: object, path: Steps = ()) -> Iterator[Found]:
         yield from super().walk(value, path)
         if self.names is not None:
             yield from (Found((*path, name), self.names, name, is_key=True) for name, _ in self.entries(value))
@@ -481,7 +481,7 @@ class Object(Kind):
     def _required(self) -> tuple[Field, ...]:
         return tuple(entry for entry in self.fields if entry.required and not entry.is_later)
 
-    def check(self, value: Any, path: Steps, told: Told) -> None:
+    def check(self, value: object, path: Steps, told: Told) -> None:
         if not isinstance(value, dict):
             return self.refuse(value, path, told)
         passed: list[str] = []
@@ -510,13 +510,13 @@ class Object(Kind):
     def entry(self, step: str | int) -> Kind:
         return self.by_key[step].kind if step in self.by_key else ANY
 
-    def opens(self, value: Any) -> bool:
+    def opens(self, value: object) -> bool:
         return self.is_open or any(self.entry(key).meant(entry).opens(entry) for key, entry in self.entries(value))
 
-    def entries(self, value: Any) -> Iterable[tuple[str | int, Any]]:
+    def entries(self, value: object) -> Iterable[tuple[str | int, Any]]:
         return [item for item in value.items() if item[0] in self.by_key] if isinstance(value, Mapping) else ()
 
-    def ordered(self, value: Mapping[str, Any]) -> dict[str, Any]:
+    def ordered(self, value: Mapping[str, object]) -> dict[str, Any]:
         """The keys of an object in the order of the fields, then all others."""
         known = {key: value[key] for key in self.keys if key in value}
         return known | {key: entry for key, entry in value.items() if key not in known}
@@ -549,24 +549,24 @@ class AnyOf(Kind):
         is_sure = all(any(kind.condition is None for kind in found) for found in self._by_type.values())
         self.condition = None if is_sure else self.chosen
 
-    def chosen(self, value: Any) -> Kind | None:
+    def chosen(self, value: object) -> Kind | None:
         for kind in self._by_type.get(type(value), ()):
             if kind.condition is None or kind.condition(value):
                 return kind
         return None
 
-    def check(self, value: Any, path: Steps, told: Told) -> None:
+    def check(self, value: object, path: Steps, told: Told) -> None:
         kind = self.chosen(value)
         if kind is None or (self.is_whole and not kind.fits(value)):
             self.refuse(value, path, told)
         elif not self.is_whole:
             kind.check(value, path, told)
 
-    def meant(self, value: Any) -> Kind:
+    def meant(self, value: object) -> Kind:
         kind = self.chosen(value)
         return self if kind is None else kind.meant(value)
 
-    def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
+    def walk(self, value: object, path: Steps = ()) -> Iterator[Found]:
         kind = self.chosen(value)
         yield from super().walk(value, path) if kind is None else kind.walk(value, path)
         if kind is None and isinstance(value, list):  # several where one should stand
@@ -588,14 +588,14 @@ class Ref(Kind):
     def __post_init__(self) -> None:
         self.types = (self.type,)
 
-    def check(self, value: Any, path: Steps, told: Told) -> None:
+    def check(self, value: object, path: Steps, told: Told) -> None:
         if not self.is_left:
             self.kind().check(value, path, told)
 
-    def meant(self, value: Any) -> Kind:
+    def meant(self, value: object) -> Kind:
         return self.kind().meant(value)
 
-    def walk(self, value: Any, path: Steps = ()) -> Iterator[Found]:
+    def walk(self, value: object, path: Steps = ()) -> Iterator[Found]:
         yield from super().walk(value, path) if self.is_left else self.kind().walk(value, path)
 
     def schema(self, defs: dict[str, Schema]) -> Schema:
@@ -610,7 +610,7 @@ def listed(names: Iterable[str]) -> str:
     return ", ".join([*shown[:20], "..."] if len(shown) > 20 else shown)
 
 
-def kind_of(value: Any) -> str:
+def kind_of(value: object) -> str:
     if isinstance(value, bool) or value is None:
         return {True: "true", False: "false", None: "null"}[value]
     if isinstance(value, (Number, float, int)):
@@ -618,5 +618,5 @@ def kind_of(value: Any) -> str:
     return {"str": "a text", "list": "a list [...]", "dict": "an object {...}"}.get(type(value).__name__, "that")
 
 
-def in_words(value: Any) -> str:
+def in_words(value: object) -> str:
     return quoted(value) if isinstance(value, str) else kind_of(value)

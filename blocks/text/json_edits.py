@@ -72,13 +72,13 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == b) and copysign(1.0, a) == copysign(1.0, b) and _exact(a) == _exact(b)
 
 
-def _exact(number: Any) -> Fraction:
+def _exact(number: object) -> Fraction:
     """What a number is in decimals, as times are taken."""
     return number.exact if isinstance(number, Number) else Fraction(repr(number))
 
 
 def edited(
-    document: Document, value: Any, *, lines: Callable[[Any], Lines]
+    document: Document, value: object, *, lines: Callable[[Any], Lines]
 ) -> tuple[str, tuple[Splice, ...]]:
     """The text of a document after its value is another one, and the changes, in the order of the text.
 
@@ -105,7 +105,7 @@ class _Editor:
     after: Lines
     splices: list[Splice] = field(default_factory=list)
 
-    def value(self, start: int, end: int, old: Any, new: Any, was: Path, path: Path, margin: str) -> str:
+    def value(self, start: int, end: int, old: object, new: object, was: Path, path: Path, margin: str) -> str:
         """The text of a value in place of that from `start` to `end`, which stood at the path `was`."""
         if same(old, new):
             return self.text[start:end]
@@ -118,14 +118,14 @@ class _Editor:
         return self.container(start, end, old, new, was, path)
 
     def is_written_anew(
-        self, start: int, end: int, old: Any, new: Any, was: Path, path: Path, margin: str
+        self, start: int, end: int, old: object, new: object, was: Path, path: Path, margin: str
     ) -> bool:
         """Whether the canonical form needs other line breaks now, and the text has them as it needed them before."""
         if not margin or self.before(was, old) == self.after(path, new):
             return False
         return self.written(old, was, margin, self.before) == self.text[start:end]
 
-    def written(self, value: Any, path: Path, margin: str, lines: Lines | None = None) -> str:
+    def written(self, value: object, path: Path, margin: str, lines: Lines | None = None) -> str:
         return json_writer.piece(value, path, margin, self.unit if margin else "", one_per_line=lines or self.after)
 
     @property

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from typing import Any
 
 
-def json_line(entry: Mapping[str, Any]) -> str:
+def json_line(entry: Mapping[str, object]) -> str:
     return json.dumps(_finite(entry), allow_nan=False)
 
 
-def _finite(value: Any) -> Any:
+def _finite(value: object) -> Any:
     """JSON knows neither NaN nor infinity: null stands for them."""
     if isinstance(value, Mapping):
         return {key: _finite(item) for key, item in value.items()}

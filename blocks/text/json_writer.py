@@ -21,7 +21,7 @@ class _Array(Protocol):
     def tolist(self) -> Any: ...
 
 
-def write(value: Any, *, one_per_line: Callable[[Path, Any], bool]) -> str:
+def write(value: object, *, one_per_line: Callable[[Path, Any], bool]) -> str:
     r"""The canonical text of a value, with a line break at its end.
 
     A container for which `one_per_line(path, value)` is true has one entry per line, indented by one space per
@@ -40,7 +40,7 @@ def write(value: Any, *, one_per_line: Callable[[Path, Any], bool]) -> str:
 
 
 def piece(
-    value: Any, path: Path, margin: str, unit: str = " ", *, one_per_line: Callable[[Path, Any], bool]
+    value: object, path: Path, margin: str, unit: str = " ", *, one_per_line: Callable[[Path, Any], bool]
 ) -> str:
     """The text of a value that stands at a path. margin: the line break before its closing bracket, with the
     indentation there; "" for a value that stands on one line. unit: the indentation of one more level.
@@ -76,7 +76,7 @@ class _Writer:
     faults: list[Fault] = field(default_factory=list)
     count: int = 0
 
-    def put(self, value: Any, path: Path, margin: str) -> None:
+    def put(self, value: object, path: Path, margin: str) -> None:
         """`margin` is the line break and the indentation of this level; it is empty inside a line."""
         self.count += 1
         if self.count > limits.LARGEST_COUNT:
@@ -110,7 +110,7 @@ class _Writer:
             self.fault("E008", path, message)
         self.pieces.append(string(value))
 
-    def container(self, value: Mapping[str, Any] | list[Any] | tuple[Any, ...], path: Path, margin: str) -> None:
+    def container(self, value: Mapping[str, object] | list[Any] | tuple[object, ...], path: Path, margin: str) -> None:
         if len(path) >= limits.LARGEST_DEPTH:
             self.end(path, f"containers are nested deeper than {limits.LARGEST_DEPTH}, or one holds itself.")
         is_object = isinstance(value, Mapping)

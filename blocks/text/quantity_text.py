@@ -24,7 +24,7 @@ def quantity_in(text: str) -> tuple[Number, str] | None:
     return (Number(spelled(match[0])), unit) if match and "\n" not in unit else None
 
 
-def read_quantity(raw: Any) -> Any:
+def read_quantity(raw: object) -> Any:
     """A text such as "2 mH" as the quantity of a file, {"value": 2, "unit": "mH"}; any other value as it is."""
     found = quantity_in(raw) if isinstance(raw, str) else None
     is_quantity = found is not None and found[1] and found[1][0] != ","

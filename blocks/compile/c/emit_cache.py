@@ -92,7 +92,7 @@ def plan_key(plan: Plan, measured: Sequence[Reference], logged: Sequence[Referen
     return hashlib.sha256(stream.getvalue()).digest()
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """The same with lists for sets, which have no order, and plain tuples, which pickle fast.
 
     Nodes and references are flattened to their parts: a node begins with a number, a reference with a text.

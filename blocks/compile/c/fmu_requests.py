@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 from ...fmi.types import code_of
 from ..fmu_tape import FmuTape, Request
@@ -61,6 +60,6 @@ def _list(values: Sequence[int]) -> str:
     return f"{{{', '.join(map(str, values)) or '0'}}}"
 
 
-def _rows(rows: Sequence[Sequence[Any]], nothing: str) -> str:
+def _rows(rows: Sequence[Sequence[object]], nothing: str) -> str:
     text = ", ".join(f"{{{', '.join(map(str, row))}}}" for row in rows)
     return f"{{{text or nothing}}}"

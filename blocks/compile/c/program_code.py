@@ -11,7 +11,6 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from ..folding import At
 from .function_code import ONE, Numbers, comment
@@ -455,7 +454,7 @@ class _Program(CallOrder):
         # Without calls: several programs of one form have copies each, one program of all lanes has them once.
         is_of_copies = unit.groups[0].calls[0].lanes > 1 if unit.groups else len(copies) == 1
 
-        def of_copies(kind: str, number: Any, test: str) -> str:
+        def of_copies(kind: str, number: object, test: str) -> str:
             """The text of what each lane of a call of copies reads in one place."""
             if kind in ("r", "ge") and type(number) is int and number in local:
                 return f"(double)({local[number]}{test})" if test else local[number]

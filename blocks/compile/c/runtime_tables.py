@@ -292,5 +292,5 @@ def _condition(plan: Plan, instance: int) -> int:
     return -1 if side is None else side
 
 
-def _table(rows: Sequence[tuple[Any, ...]], kind: np.dtype[np.void]) -> Array:
+def _table(rows: Sequence[tuple[object, ...]], kind: np.dtype[np.void]) -> Array:
     return np.array(rows, dtype=kind)

@@ -29,13 +29,13 @@ _FIELD = re.compile(r"(?P<stars>\**)(?P<name>\w+)(?:\[(?P<count>\w+)\])?")
 _FUNCTION = re.compile(r"[\w *]+\(\*(?P<name>\w+)\)\([^()]*\)")
 
 
-def structures(*texts: str, known: Mapping[str, Any] | None = None, **sizes: int) -> dict[str, Any]:
+def structures(*texts: str, known: Mapping[str, object] | None = None, **sizes: int) -> dict[str, Any]:
     """The structures of headers, in the order of what they include, by their names. known: those of other headers.
     sizes: of arrays, where they stand in none of them.
 
     Raises ValueError for what is not understood.
     """
-    found: dict[str, Any] = dict(known or {})
+    found: dict[str, object] = dict(known or {})
     for text in texts:
         text = _COMMENT.sub(" ", text)
         sizes |= {name: int(number) for name, number in _DEFINITION.findall(text)}

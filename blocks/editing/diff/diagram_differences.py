@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 from ...model.diagram_value import DiagramValue
 from ...model.hierarchy import Resolver
@@ -82,6 +81,6 @@ class Differences:
         """
         return svg(self.level, self.changes, self.names, depth)
 
-    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+    def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, str]:
         """What a notebook shows: the drawing, and the text where it cannot draw."""
         return {"image/svg+xml": self.svg(), "text/plain": repr(self)}

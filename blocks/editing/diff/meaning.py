@@ -30,7 +30,7 @@ class _Quantity:
 
     value: float
     exact: Fraction | None
-    dimension: Any
+    dimension: object
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, _Quantity) or self.dimension != other.dimension:
@@ -42,12 +42,12 @@ class _Quantity:
     __hash__ = None  # type: ignore[assignment]  # equal numbers may have different exact values
 
 
-def same(a: Any, b: Any, declared: Unit = "", declared_b: Unit | None = None) -> bool:
+def same(a: object, b: object, declared: Unit = "", declared_b: Unit | None = None) -> bool:
     """Whether two raw values mean the same, if bare numbers are in a declared unit ("" where it is not known)."""
     return bool(_meaning(a, declared) == _meaning(b, declared if declared_b is None else declared_b))
 
 
-def same_unit(a: Any, b: Any) -> bool:
+def same_unit(a: object, b: object) -> bool:
     """Whether two units are the same, however they are spelled: N.m and m.N."""
     if a == b or not (isinstance(a, str) and isinstance(b, str) and a and b):
         return bool(a == b)
@@ -58,7 +58,7 @@ def same_unit(a: Any, b: Any) -> bool:
     return (unit_a.dimension, unit_a.factor, unit_a.offset) == (unit_b.dimension, unit_b.factor, unit_b.offset)
 
 
-def is_quantity(raw: Any) -> bool:
+def is_quantity(raw: object) -> bool:
     """Whether a raw value is {"value": ..., "unit": ...}."""
     return isinstance(raw, Mapping) and "value" in raw and all(key in QUANTITY or key[:2] == "x-" for key in raw)
 
@@ -88,7 +88,7 @@ def _meaning(raw: Any, declared: Unit = "") -> Any:
             return repr(raw)
 
 
-def _text(raw: Any) -> str:
+def _text(raw: object) -> str:
     return raw if isinstance(raw, str) else ""
 
 
@@ -131,12 +131,12 @@ def _expression(raw: str, declared: Unit) -> Any:
     return tuple(steps)
 
 
-def digest_of(raw: Any) -> str:
+def digest_of(raw: object) -> str:
     """A text that is the same for values that mean the same, as far as that is known without declared units."""
     return hashlib.sha256(repr(_canonical(_meaning(raw))).encode("utf-8", "backslashreplace")).hexdigest()
 
 
-def _canonical(meaning: Any) -> Any:
+def _canonical(meaning: object) -> Any:
     match meaning:
         case _Quantity():
             return ("number", meaning.value + 0.0, meaning.dimension)
@@ -196,7 +196,7 @@ def _with_unit(text: str, unit: str) -> str:
     return f"{text} {clean(unit)}".rstrip()
 
 
-def parts_that_differ(a: Any, b: Any, declared: Unit = "", declared_b: Unit = "") -> tuple[str, Any, Any, str]:
+def parts_that_differ(a: object, b: object, declared: Unit = "", declared_b: Unit = "") -> tuple[str, Any, Any, str]:
     """Return where two long lists of one length differ: the first element, "[17]", its values, a note on the others."""
     elements_a, elements_b = _elements(a, declared), _elements(b, declared_b)
     count = len(elements_a)
@@ -207,7 +207,7 @@ def parts_that_differ(a: Any, b: Any, declared: Unit = "", declared_b: Unit = ""
     if not apart:
         return "", a, b, ""
 
-    def wrapped(item: Any, unit: str) -> Any:
+    def wrapped(item: object, unit: str) -> Any:
         return {"value": item, "unit": unit} if unit and not isinstance(item, Mapping) else item
 
     first = apart[0]

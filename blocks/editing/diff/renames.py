@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from ...model.diagram_value import BASE, BlockEntry, DiagramValue
 from .meaning import digest_of
@@ -58,13 +57,13 @@ def _digest(entry: BlockEntry, digests: dict[int, str]) -> str:
     ])  # fmt: skip
 
 
-def _digests(table: Mapping[str, Any]) -> dict[str, str]:
+def _digests(table: Mapping[str, object]) -> dict[str, str]:
     return {name: digest_of(raw) for name, raw in table.items()}
 
 
 def _edges(value: DiagramValue, is_top: bool) -> list[Edge]:
     """Return the wires of a level; other uses of its blocks are edges to nodes whose names no block can have."""
-    ends: list[tuple[tuple[str, str], Any]] = [(end_of(sink), source) for sink, source in value.wires.items()]
+    ends: list[tuple[tuple[str, str], object]] = [(end_of(sink), source) for sink, source in value.wires.items()]
     ends += [((f".{name}", ""), source) for name, source in value.outputs.items()]
     if is_top:
         for name, measure in value.measures.items():

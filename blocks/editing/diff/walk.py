@@ -141,8 +141,8 @@ class Level:
         self,
         group: str,
         kind: Object | Table,
-        a: Mapping[str, Any],
-        b: Mapping[str, Any],
+        a: Mapping[str, object],
+        b: Mapping[str, object],
         within: str = "",
         *,
         unit: tuple[str, str] = ("", ""),
@@ -160,7 +160,7 @@ class Level:
                 yield changed(group, what, x, y, units, given=given, is_whole=True)
         yield from self.texts(group, a, b, within)
 
-    def texts(self, group: str, a: Any, b: Any, within: str = "") -> Iterator[Change]:
+    def texts(self, group: str, a: object, b: object, within: str = "") -> Iterator[Change]:
         """Compare doc texts and keys "x-...", which have no effect, if asked to; a and b may be anything."""
         a, b = (raw if isinstance(raw, Mapping) and self.doc else {} for raw in (a, b))
         docs = a.get("doc") or None, b.get("doc") or None
@@ -187,14 +187,14 @@ class Level:
                 return f"{item.key.removesuffix(item.name)}{now}"
         return name
 
-    def end_now(self, text: Any) -> Any:
+    def end_now(self, text: object) -> Any:
         """Return the end of a wire of A, as it is called in B."""
         if not isinstance(text, str):
             return text
         node, port = end_of(text)
         return self.new_names.get(node, node) + port
 
-    def signal_now(self, text: Any) -> Any:
+    def signal_now(self, text: object) -> Any:
         """Return a signal of A by its path ("control.eso.z1"), as it is called in B."""
         if not isinstance(text, str):
             return text
@@ -298,7 +298,7 @@ class Level:
 # --- one change --------------------------------------------------------------------------------------------------
 
 
-def one_sided(group: str, raw: Any, shown: str, *, is_new: bool = False) -> Change:
+def one_sided(group: str, raw: object, shown: str, *, is_new: bool = False) -> Change:
     """Return the change of an entry that only B has, or only A; its path is put in front."""
     if is_new:
         return Change(group, "added", "", "", new=raw, after=shown)
@@ -308,8 +308,8 @@ def one_sided(group: str, raw: Any, shown: str, *, is_new: bool = False) -> Chan
 def changed(
     group: str,
     what: str,
-    old: Any,
-    new: Any,
+    old: object,
+    new: object,
     units: tuple[Unit, Unit] = ("", ""),
     *,
     given: tuple[bool, bool] = (True, True),
@@ -331,12 +331,12 @@ def changed(
 # --- parts of files ----------------------------------------------------------------------------------------------
 
 
-def _keys(table: Mapping[str, Any]) -> list[str]:
+def _keys(table: Mapping[str, object]) -> list[str]:
     """Return the keys that have an effect."""
     return [key for key in table if key != "doc" and not key.startswith("x-")]
 
 
-def _lines(doc: Any) -> list[str]:
+def _lines(doc: object) -> list[str]:
     """Return the lines of a doc text, which may be a list of them."""
     lines = doc if isinstance(doc, (list, tuple)) else [doc] if doc else []
     return "\n".join(map(str, lines)).split("\n")
@@ -344,11 +344,11 @@ def _lines(doc: Any) -> list[str]:
 
 def _items(value: DiagramValue, group: str) -> Mapping[str, Any]:
     """Return the entries of a section by name; of a run its settings, one by one."""
-    table: Mapping[str, Any] = getattr(value, group)
+    table: Mapping[str, object] = getattr(value, group)
     return {setting.key: setting for setting in _settings(table)} if group == "run" else table
 
 
-def _settings(table: Mapping[str, Any], kind: Kind = RUN, prefix: str = "") -> Iterator[_Setting]:
+def _settings(table: Mapping[str, object], kind: Kind = RUN, prefix: str = "") -> Iterator[_Setting]:
     refers = kind.names.refers if isinstance(kind, Table) and kind.names is not None else ""
     for key in _keys(table):
         entry, raw = kind.entry(key), table[key]
@@ -364,7 +364,7 @@ def _unit_of_setting(value: DiagramValue, setting: _Setting) -> str:
     return setting.kind.kind.unit if isinstance(setting.kind, ListOf) else setting.kind.unit
 
 
-def _raw(item: Any) -> Any:
+def _raw(item: object) -> Any:
     """Return an entry as a file has it."""
     return entry_document(item) if isinstance(item, BlockEntry) else item.raw if isinstance(item, _Setting) else item
 
@@ -376,7 +376,7 @@ def _fields_of(entry: BlockEntry, kind: Object) -> dict[str, Any]:
     return fields if entry.copies is None else {**fields, "copies": entry.copies}
 
 
-def _unmatched(a: Iterable[Any], b: Iterable[Any]) -> tuple[list[Any], list[Any]]:
+def _unmatched(a: Iterable[object], b: Iterable[object]) -> tuple[list[Any], list[Any]]:
     """Return the times of each list that the other lacks."""
     a, b = list(a), list(b)
     if len(a) * len(b) > MOST:

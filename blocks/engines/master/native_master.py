@@ -332,8 +332,8 @@ class NativeMaster(CoupledRun):
         m.ntracks, m.tracks = len(table), table.ctypes.data
 
     def _c_stages(self, m: Any) -> None:
-        c_stages: list[Any] = []
-        loops: list[Any] = []
+        c_stages: list[object] = []
+        loops: list[object] = []
         for stage in self.plan.stages:
             if isinstance(stage, CouplingLoop):
                 k = len(stage.elements)

@@ -93,8 +93,8 @@ class Model(RuntimeTables):
         self.begin = tuple(np.array(row, dtype=float) for row in (guesses, sides, located))
         """At the start: where searches begin, the sides of crossings, and which of these are known."""
         self._carried: CarriedOrder | None = None
-        self._of_measures: tuple[Any, Any, Measures] | None = None
-        self._of_settings: tuple[Any, Any, int] | None = None  # of the last run
+        self._of_measures: tuple[object, object, Measures] | None = None
+        self._of_settings: tuple[object, object, int] | None = None  # of the last run
         self.spare: list[Any] = []  # memory for rows that no run has now
         self.entries: dict[str, Entry] = {}  # of the memory of its runs; empty before the first of them
         library = load(_built(plan, units))

@@ -176,7 +176,7 @@ class NativeEngine:
         else:
             sim.exact, self._stop_exact = 2, time
 
-    def _call(self, function: Callable[..., int], *arguments: Any) -> int:
+    def _call(self, function: Callable[..., int], *arguments: object) -> int:
         """A function of the C side, for this thread alone."""
         with self._alone():
             return function(*arguments)
@@ -361,7 +361,7 @@ class NativeEngine:
         values, place = self._row("unprojected"), self.model.place
         return frozen(values[: len(place)][place]), tuple(values[len(place) :].tolist())
 
-    def snapshot(self, overrides: Mapping[str, Any]) -> State:
+    def snapshot(self, overrides: Mapping[str, object]) -> State:
         self._settle()
         state = self._state(overrides)
         return state if self._foreign is None else replace(state, foreign=self._foreign.adopt().saved())
@@ -370,11 +370,11 @@ class NativeEngine:
         """The FMUs, for the reference engine."""
         return None if self._foreign is None else self._foreign.adopt()
 
-    def _state(self, overrides: Mapping[str, Any]) -> State:
+    def _state(self, overrides: Mapping[str, object]) -> State:
         with self._alone():
             return self._state_now(overrides)
 
-    def _state_now(self, overrides: Mapping[str, Any]) -> State:
+    def _state_now(self, overrides: Mapping[str, object]) -> State:
         self._drain()
         sim = self.sim
         place, (first, count) = self.model.place, (sim.crossed_first, sim.crossed_count)

@@ -31,7 +31,7 @@ def entries_of(sim: Any) -> dict[str, Entry]:
 class Handle:
     """The C side of a run, freed with it. keep: what C reads during its life."""
 
-    def __init__(self, model: Model, setup: Any, keep: tuple[Any, ...]) -> None:
+    def __init__(self, model: Model, setup: Any, keep: tuple[object, ...]) -> None:
         self.library, self.setup, self.keep, self.spare = model.library, setup, keep, model.spare
         self._rows: Array | None = None
         self.address = model.library.blocks_new(ctypes.addressof(setup))

@@ -285,7 +285,7 @@ class Instants:
                 raise self.unsolved(reference, memory)
         return snapshot if z == snapshot.z else replace(snapshot, z=z)
 
-    def unsolved(self, reference: Reference, memory: tuple[Any, ...]) -> SimulationError:
+    def unsolved(self, reference: Reference, memory: tuple[object, ...]) -> SimulationError:
         """The error of a loop for which no solution was found: how near the search came, and what may help."""
         node = self.plan.outputs[reference.index]
         name = self.plan.node_name(node)
@@ -903,7 +903,7 @@ class Instants:
         part, first = self.plan.steppers[number], 0
         if number not in self.programs:
             self.programs[number] = self.made(part)
-        given: dict[str, Any] = {}
+        given: dict[str, object] = {}
         for name, elements, shape in part.inputs:
             own = flat[first : first + len(elements)]
             given[name] = np.array(own, dtype=float).reshape(shape) if shape else float(own[0])
@@ -953,7 +953,7 @@ class Instants:
                 program.restore(copy.deepcopy(blob["saved"]))
             self.programs[number] = program
 
-    def _taken(self, part: StepperPart, returned: Any, before: tuple[float, ...], t: float) -> tuple[float, ...]:
+    def _taken(self, part: StepperPart, returned: object, before: tuple[float, ...], t: float) -> tuple[float, ...]:
         """The outputs of a stepper in their places."""
         if not isinstance(returned, Mapping):
             returned = {part.outputs[0][0]: returned} if len(part.outputs) == 1 else returned

@@ -32,7 +32,7 @@ class InsideStep:
         compiled: CompiledPrograms,
         measured: list[Reference],
         logged: list[Reference],
-        at: Callable[[float, Array], tuple[Any, ...]],
+        at: Callable[[float, Array], tuple[object, ...]],
     ) -> None:
         self.plan, self.compiled, self.at = plan, compiled, at
         self.looked_at = looked_at(plan, measured, logged)
@@ -64,7 +64,7 @@ class InsideStep:
         dense: Interpolant,
         t0: float,
         t1: float,
-        values: Callable[[float, Array], Any],
+        values: Callable[[float, Array], object],
         *,
         x1: Array | None = None,
         first: Array | None = None,

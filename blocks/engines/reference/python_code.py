@@ -49,7 +49,7 @@ class CompiledPrograms:
         self.tapes: dict[int, str] = {}
         self.made: dict[Any, Evaluator] = {}
 
-    def program(self, name: str, results: Sequence[Node | Reference], **how: Any) -> Evaluator:
+    def program(self, name: str, results: Sequence[Node | Reference], **how: object) -> Evaluator:
         """A function that computes `results`, printed when it is first called; `how` is passed to `schedule`.
 
         Named "rounding", it gives how far rounding may move each unknown, at the solutions in z.
@@ -70,7 +70,7 @@ class CompiledPrograms:
                     self._execute(body, safe)
                 return self.names[False][name], self.names[True][name]
 
-        def run(*memory: Any) -> tuple[float, ...]:
+        def run(*memory: object) -> tuple[float, ...]:
             nonlocal fast, slow
             if fast is None or slow is None:
                 fast, slow = printed()
@@ -366,7 +366,7 @@ def _pick_any(index: float, table: Sequence[float]) -> float:
     return math.nan if math.isnan(index) else table[int(min(max(index, 0.0), len(table) - 1.0))]
 
 
-_FAST: dict[str, Any] = {
+_FAST: dict[str, object] = {
     **{f"_{op}": operation.value for op, operation in OPERATIONS.items()},
     "_hypot": math.hypot,  # which rounds better than that of C
     "_newton": newton,
@@ -375,7 +375,7 @@ _FAST: dict[str, Any] = {
     "_nan": math.nan,
 }
 _MAY_RAISE = COSTLY - {"search"} | {"div", "sqrt", "floor", "ceil"}
-_SAFE: dict[str, Any] = {
+_SAFE: dict[str, object] = {
     **_FAST,
     **{f"_{op}": _numpy(OPERATIONS[op].ieee) for op in _MAY_RAISE},
     "_pick": _pick_any,

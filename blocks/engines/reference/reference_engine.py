@@ -215,7 +215,7 @@ class ReferenceEngine:
     def _method(self) -> tuple[str, str]:
         return self.settings.method, str(self.settings.step)
 
-    def snapshot(self, overrides: Mapping[str, Any]) -> State:
+    def snapshot(self, overrides: Mapping[str, object]) -> State:
         self._settle()
         last = self.rows.recording.last
         located_t, located = self.located
@@ -387,7 +387,7 @@ class ReferenceEngine:
         if self.rows.wants(memory[0]):
             self.rows.at_instant(memory[0], left, self._finite(self._logged, memory))
 
-    def _finite(self, program: Evaluator, memory: tuple[Any, ...]) -> Row:
+    def _finite(self, program: Evaluator, memory: tuple[object, ...]) -> Row:
         """What a program gives. Raises SimulationError (E303) where it is not finite."""
         values = program(*memory)
         if not all(map(math.isfinite, values)):

@@ -83,7 +83,7 @@ class Slopes:
             _MADE[compiled] = cls(compiled)
         return _MADE[compiled]
 
-    def at(self, memory: Sequence[Any], rates: Callable[[Array], Array]) -> Array:
+    def at(self, memory: Sequence[object], rates: Callable[[Array], Array]) -> Array:
         """The values of the pattern where memory is (t, x, d, s, p, u, k, h, z).
 
         rates: dx/dt from x alone, for difference quotients where the exact derivatives are not finite. Raises
@@ -193,7 +193,7 @@ class Radau:
     """
 
     def __init__(
-        self, rates: Rates, slopes: Callable[[float, Array], Array], matrix: Callable[[Array], Any], n: int
+        self, rates: Rates, slopes: Callable[[float, Array], Array], matrix: Callable[[Array], object], n: int
     ) -> None:
         self.rates, self.slopes, self.matrix = rates, slopes, matrix
         self.rejected, self.blamed = 0, np.zeros(n, dtype=int)

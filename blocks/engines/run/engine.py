@@ -141,7 +141,7 @@ class Engine(Protocol):
         """Values now, of places in memory (of a Coupling: of links). Raises UsageError (E502)."""
         ...
 
-    def snapshot(self, overrides: Mapping[str, Any]) -> State:
+    def snapshot(self, overrides: Mapping[str, object]) -> State:
         """All that the rest of the run follows from. overrides: raw values of parameters that were given or set.
 
         Raises UsageError (E506) where the run cannot be saved.

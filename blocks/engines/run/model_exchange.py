@@ -436,5 +436,5 @@ class Foreigns:
             unit.close()
 
 
-def _copied(value: Any) -> Any:
+def _copied(value: object) -> Any:
     return list(value) if isinstance(value, list) else value

@@ -97,7 +97,7 @@ def _fmus(plan: Plan) -> list[str]:
     return [f"{path} ({description.name} {description.token})" for path, description in known]
 
 
-def check(kept: Mapping[str, Any], plan: Plan, was: Equations | None, own: Equations) -> None:
+def check(kept: Mapping[str, object], plan: Plan, was: Equations | None, own: Equations) -> None:
     """Raise UsageError (E506) with every reason why the state of one Plan, by its `fit`, does not fit another.
 
     was, own: the equations that the state is of, and those of the Plan.
@@ -224,7 +224,7 @@ class Kept:
             raise self.refusal("its seed is not a whole number")
         self.tree = tree
 
-    def _check_version(self, version: Any) -> None:
+    def _check_version(self, version: object) -> None:
         if version == VERSION and type(version) is int:
             return
         is_old = type(version) is int and version < VERSION
@@ -298,7 +298,7 @@ def _rows(shapes: Mapping[str, Any], data: bytes) -> dict[str, Array]:
     return rows
 
 
-def _fraction(text: Any) -> Fraction:
+def _fraction(text: object) -> Fraction:
     """An exact time as it is written: no decimals, whose exponents could be of any size."""
     if not isinstance(text, str) or not re.fullmatch(r"-?[0-9]{1,400}(/[1-9][0-9]{0,399})?", text):
         raise ValueError("its exact time is not a fraction")
