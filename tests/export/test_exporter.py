@@ -141,8 +141,8 @@ def compare_runs(fmu: Fmu, diagram: Diagram, points: list[Fraction], **settings:
             for name, value in drive(run.plan, float(begin)).items():
                 one.set(name, value)
                 run.set(name, value)
-            # What depends on inputs at once. An FMU fires no event while it is read, a run does.
-            if not (run.plan.crossings or run.plan.unknowns):
+            # With the events that inputs cause. Loops are solved again, from what they give.
+            if not run.plan.unknowns:
                 assert_equal(one, run, names)
             one.step(float(begin), float(end) - float(begin))
             run.advance_to(end)

@@ -11,7 +11,7 @@
 
 #include "fmu_model.h"
 
-enum { OUTPUTS_KNOWN = 1, LOCALS_KNOWN = 2, RATES_KNOWN = 4, INDICATORS_KNOWN = 8, JACOBIAN_KNOWN = 16, BEGUN = 32 };
+enum { OUTPUTS_KNOWN = 1, LOCALS_KNOWN = 2, RATES_KNOWN = 4, INDICATORS_KNOWN = 8, JACOBIAN_KNOWN = 16, STATES_KNOWN = 32, BEGUN = 64 };
 enum { INPUTS_SET = 1, SETTINGS_SET = 2 };
 
 /* What is saved as it stands. */
@@ -23,15 +23,16 @@ typedef struct {
 
 struct Fmu {
     Live live;
-    BlocksEntry entries[20]; /* its own memory, beside that of the run */
+    BlocksEntry entries[24]; /* its own memory, beside that of the run */
     int nentries;
     void *arena;
     BlocksSim *sim;
     BlocksSetup setup;
     BlocksTrack track;
     BlocksPolynomials polynomials;
-    double *atol, *input, *terms, *settings, *outputs, *locals, *rates, *indicators, *largest;
+    double *atol, *input, *terms, *settings, *outputs, *locals, *states, *rates, *indicators, *largest, *stays;
     /* largest: (ns) how far each indicator was away from 0 */
+    /* stays: (ns) whether a crossing is due since before inputs were set, so that it waits for its event; see `foresees` */
     /* terms: (5, nu) values and derivatives of inputs, and when derivatives were set last */
     BlocksPolynomials curves; /* of inputs within a communication step with intermediate updates; see `ask` */
     double *bends, *samples, *slack, until;
@@ -82,8 +83,9 @@ Fmu *fmu_new(int kind, const char *name, const char *token, FmuLog log, void *ow
             {NULL, &f->live, NULL, 1, 0.0, sizeof f->live, 'B', BLOCKS_SAVED | BLOCKS_HERE, 0},
             ROW(atol, nx, 0), ROW(input, nu, BLOCKS_SAVED), ROW(terms, 5 * nu, BLOCKS_SAVED), ROW(bends, 4 * nu, 0),
             ROW(samples, 4 * nu, 0), ROW(slack, nu, 0), ROW(settings, model->nsettings, BLOCKS_SAVED),
-            ROW(outputs, model->noutputs, 0), ROW(locals, model->nlocals, 0), ROW(rates, nx + ns, 0), ROW(indicators, ns, 0),
-            ROW(largest, ns, BLOCKS_SAVED), ROW(room, (int64_t)blocks_jacobian_room(&model->jacobian), 0),
+            ROW(outputs, model->noutputs, 0), ROW(locals, model->nlocals, 0), ROW(states, nx, 0), ROW(rates, nx + ns, 0),
+            ROW(indicators, ns, 0), ROW(largest, ns, BLOCKS_SAVED), ROW(stays, ns, BLOCKS_SAVED),
+            ROW(room, (int64_t)blocks_jacobian_room(&model->jacobian), 0),
             ROW(data, model->jacobian.first[model->jacobian.ncolumns], 0), ROW(moved, nx + m->nd + ns, 0), ROW(above, nboth, 0),
             ROW(below, nboth, 0),
         };
@@ -433,6 +435,18 @@ static int replaces(Fmu *f)
     return any && !s->crossing;
 }
 
+/* Note which crossings are due before an input is set. */
+static void note_due(Fmu *f)
+{
+    BlocksSim *s = f->sim;
+    const int ns = f->setup.model->ns;
+    if (s->outstanding && ns) {
+        blocks_evaluate(s, f->setup.model->crossings, s->t + s->later, s->memory.x, f->indicators);
+        blocks_beyond(s, f->indicators);
+    }
+    for (int j = 0; j < ns; j++) f->stays[j] = s->outstanding && (f->indicators[j] >= 0) != (s->memory.s[j] > 0.0);
+}
+
 /* Takes in what was set, as a change that an instant sees. */
 static int take_in(Fmu *f)
 {
@@ -440,6 +454,9 @@ static int take_in(Fmu *f)
     if (f->live.set & INPUTS_SET && is_curved(f) && !replaces(f)) f->live.set &= ~INPUTS_SET;
     if (!f->live.set) return FMU_OK;
     if (f->live.set & INPUTS_SET) f->is_other = 1;
+    /* Between events inputs change without one. */
+    const int is_instant = !(f->live.mode & (FMU_CONTINUOUS | FMU_INTERMEDIATE)) || f->live.set & SETTINGS_SET;
+    if (is_instant && !s->changed) note_due(f);
     if (f->live.set & SETTINGS_SET) {
         if (bound(f)) return FMU_ERROR;
         blocks_rows(s);
@@ -450,8 +467,7 @@ static int take_in(Fmu *f)
     if (s->moving) blocks_outside(s, s->t);
     s->sides_t = NAN;
     s->has_first = s->has_before = 0;
-    /* Between events inputs change without one. */
-    if (!(f->live.mode & (FMU_CONTINUOUS | FMU_INTERMEDIATE)) || f->live.set & SETTINGS_SET) s->outstanding = s->changed = 1;
+    if (is_instant) s->outstanding = s->changed = 1;
     f->live.set = 0;
     forget(f);
     return FMU_OK;
@@ -529,16 +545,81 @@ static const char *shown_by(int row, int index)
     return "a value";
 }
 
+/* Whether what is replaced after each step would change now. */
+static int would_project(Fmu *f)
+{
+    BlocksSim *s = f->sim;
+    const int n = f->setup.model->nprojections;
+    int any = 0;
+    if (n) blocks_evaluate(s, f->setup.model->projections, s->t, s->memory.x, s->stage_values);
+    for (int i = 0; i < n; i++) {
+        const BlocksProjection *p = &f->setup.projections[i];
+        if (p->condition >= 0 && s->memory.s[p->condition] == 0.0) continue;
+        any |= s->stage_values[i] != (p->row == 0 ? s->memory.x : s->memory.d)[p->place];
+    }
+    return any;
+}
+
+/* Whether inputs that were set at this communication point cause events. What is read then comes after these, as in a run: a
+   limit holds at once. They fire later, with the inputs of then: as the next step begins, or in event mode. */
+static int foresees(Fmu *f)
+{
+    BlocksSim *s = f->sim;
+    const int ns = f->setup.model->ns;
+    if (f->live.kind != FMU_CS || f->live.mode <= FMU_INITIALIZATION || f->live.mode == FMU_FAILED || !s->changed) return 0;
+    if (ns) {
+        blocks_evaluate(s, f->setup.model->crossings, s->t + s->later, s->memory.x, s->crossing_values);
+        blocks_beyond(s, s->crossing_values);
+    }
+    for (int j = 0; j < ns; j++)
+        if (f->stays[j] == 0.0 && (s->crossing_values[j] >= 0) != (s->memory.s[j] > 0.0)) return 1;
+    return would_project(f);
+}
+
+/* Read by `read` what holds now. */
+static int look(Fmu *f, int (*read)(void *reading), void *reading)
+{
+    if (!foresees(f)) return read(reading);
+    if (!blocks_foresee(f->sim, f->stays, read, reading)) return FMU_OK;
+    return fmu_say(f, FMU_DISCARD, FMU_LOG_WARNING, "at t = %.17g s the events that inputs cause cannot be computed", f->sim->t);
+}
+
+typedef struct {
+    Fmu *f;
+    BlocksProgram program; /* null: states are read */
+    double later, *out;
+} Reading;
+
+static int read_program(void *reading)
+{
+    const Reading *r = reading;
+    BlocksSim *s = r->f->sim;
+    if (r->program) blocks_evaluate(s, r->program, s->t + r->later, s->memory.x, r->out);
+    else memcpy(r->out, s->memory.x, (size_t)fmu_model.nstates * sizeof(double));
+    return 0;
+}
+
 static int evaluated(Fmu *f, int which, BlocksProgram program, double *out, int n, int row)
 {
     BlocksSim *s = f->sim;
     if (f->live.known & which) return FMU_OK;
-    blocks_evaluate(s, program, which == INDICATORS_KNOWN ? s->t + s->later : s->t, s->memory.x, out);
+    Reading reading = {f, program, which == INDICATORS_KNOWN ? s->later : 0.0, out};
+    const int status = look(f, read_program, &reading);
+    if (status) return status;
     int bad = all_finite(out, n);
     if (bad >= 0)
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "%s is %g at t = %.17g s", shown_by(row, bad), out[bad], s->t);
     f->live.known |= which;
     return FMU_OK;
+}
+
+static int states(Fmu *f)
+{
+    Reading reading = {f, NULL, 0.0, f->states};
+    if (f->live.known & STATES_KNOWN) return FMU_OK;
+    const int status = look(f, read_program, &reading);
+    if (!status) f->live.known |= STATES_KNOWN;
+    return status;
 }
 
 static int outputs(Fmu *f)
@@ -550,7 +631,9 @@ static int rates(Fmu *f)
 {
     BlocksSim *s = f->sim;
     if (f->live.known & RATES_KNOWN) return FMU_OK;
-    blocks_evaluate(s, f->setup.model->rates, s->t, s->memory.x, f->rates);
+    Reading reading = {f, f->setup.model->rates, 0.0, f->rates};
+    const int status = look(f, read_program, &reading);
+    if (status) return status;
     int bad = all_finite(f->rates, fmu_model.nstates);
     if (bad >= 0)
         return fmu_say(f, FMU_ERROR, FMU_LOG_ERROR, "the derivative of %s is %g at t = %.17g s",
@@ -678,8 +761,8 @@ int fmu_get(Fmu *f, uint32_t reference, int type, double *values, size_t count)
             values[k] = f->settings[v->index];
             break;
         case FMU_ROW_STATE:
-            status = ready(f);
-            values[k] = f->sim->memory.x[model->places[v->index]];
+            if (!(status = ready(f))) status = states(f);
+            values[k] = f->states[model->places[v->index]];
             break;
         case FMU_ROW_RATE:
             if (!(status = ready(f))) status = rates(f);
@@ -1013,15 +1096,7 @@ int fmu_completed_step(Fmu *f, int *enter_event_mode, int *terminate)
         blocks_evaluate(s, model->solutions, s->t, s->memory.x, s->z1);
         if (all_finite(s->z1, model->nz) < 0) memcpy(s->memory.z, s->z1, (size_t)model->nz * sizeof(double));
     }
-    if (model->nprojections) {
-        blocks_evaluate(s, model->projections, s->t, s->memory.x, s->stage_values);
-        for (int i = 0; i < model->nprojections; i++) {
-            const BlocksProjection *p = &f->setup.projections[i];
-            double now = (p->row == 0 ? s->memory.x : s->memory.d)[p->place];
-            if (p->condition >= 0 && s->memory.s[p->condition] == 0.0) continue;
-            if (s->stage_values[i] != now) *enter_event_mode = 1;
-        }
-    }
+    *enter_event_mode = would_project(f);
     return FMU_OK;
 }
 
@@ -1340,11 +1415,11 @@ static int completed(Fmu *f, int column)
     return 1;
 }
 
-static int jacobian(Fmu *f)
+static int read_jacobian(void *reading)
 {
+    Fmu *f = reading;
     const BlocksJacobian *j = &fmu_model.jacobian;
     BlocksSim *s = f->sim;
-    if (f->live.known & JACOBIAN_KNOWN) return FMU_OK;
     if (s->moving) blocks_outside(s, s->t);
     blocks_jacobian(j, s, s->t, s->memory.x, f->room, f->data);
     int quotients = 0;
@@ -1355,8 +1430,10 @@ static int jacobian(Fmu *f)
                 "at t = %.17g s some derivatives are not finite: difference quotients stand there", s->t);
     }
     f->live.known |= JACOBIAN_KNOWN;
-    return FMU_OK;
+    return 0;
 }
+
+static int jacobian(Fmu *f) { return f->live.known & JACOBIAN_KNOWN ? FMU_OK : look(f, read_jacobian, f); }
 
 int fmu_directional(Fmu *f, const uint32_t *unknowns, size_t nunknowns, const uint32_t *knowns, size_t nknowns,
                     const double *seed, double *sensitivity, int adjoint)

@@ -1481,10 +1481,10 @@ static int compare_doubles(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-/* The side that goes with a value. Where a signal touched 0 and has not jumped since, it stays. */
+/* The side that goes with a value. Where a signal touched 0 and has not jumped since, it stays. inf: whatever the value is. */
 BLOCKS_INLINE double latched_side(const BlocksSim *s, int j, double value)
 {
-    return s->touched_t == s->t && value == s->touched[j] ? s->memory.s[j] : value >= 0;
+    return s->touched_t == s->t && (value == s->touched[j] || s->touched[j] == INFINITY) ? s->memory.s[j] : value >= 0;
 }
 
 HOT static int any_changed(const BlocksSim *s, const double *values)
@@ -2965,6 +2965,43 @@ restore:
     return failed;
 }
 
+int blocks_foresee(BlocksSim *s, const double *stays, int (*read)(void *owner), void *owner)
+{
+    const BlocksModel *model = s->model;
+    const size_t ns = (size_t)model->ns, ne = (size_t)model->nevents, nz = (size_t)model->nz;
+    double *touched0 = s->foreseen + (size_t)model->nx + (size_t)model->nd + 2 * ns, *own0 = touched0 + ns, *z0 = own0 + ne;
+    const double touched_t = s->touched_t, looseness = s->looseness;
+    const int64_t told = s->fired_events.used;
+    const int is_loose = s->is_loose;
+    int touched = 0, moved = 0, status = BLOCKS_FAILED;
+    copy_memory(s, s->foreseen, 0);
+    copy(touched0, s->touched, ns);
+    copy(own0, s->own, ne);
+    copy(z0, s->memory.z, nz);
+    for (size_t j = 0; j < ns; j++)
+        if (stays[j] != 0.0) s->touched[j] = INFINITY;
+        else if (touched_t != s->t) s->touched[j] = NAN;
+    s->touched_t = s->t;
+    if (has_corners(s) && !s->crossing) loosen(s, s->t, s->memory.x, s->memory.z, 0);
+    s->looseness = 1.0;
+    if (quiet(s, NULL, 0, 0, &touched) || projected(s, &moved) || (moved && quiet(s, NULL, 0, 0, &touched))) goto restore;
+    if (solve(s, s->t, s->memory.x, s->stage_values)) goto restore;
+    copy(s->memory.z, s->stage_values, nz);
+    status = read(owner);
+restore:
+    copy_memory(s, s->foreseen, 1);
+    copy(s->touched, touched0, ns);
+    copy(s->own, own0, ne);
+    copy(s->memory.z, z0, nz);
+    s->touched_t = touched_t;
+    s->looseness = looseness;
+    s->is_loose = is_loose;
+    s->fired_events.used = told;
+    s->failure = BLOCKS_FINE;
+    model->refresh(&s->memory);
+    return status;
+}
+
 /* --- the run ---------------------------------------------------------------------------------------------------- */
 
 void blocks_rows(BlocksSim *s)
@@ -3269,6 +3306,7 @@ static void list_memory(BlocksSim *s)
         SCRATCH(crossing_values, ns), SCRATCH(first_values, 5 * ns), SCRATCH(part_values, 6 * looked),
         SCRATCH(part_phases, 3 * turning), SCRATCH(reset_values, setup->nresets + setup->nenabled), SCRATCH(d1, nd),
         SCRATCH(backup, 2 * (nx + nd + ns + ne) + nz), SCRATCH(row_values, nl), SCRATCH(stage_values, values),
+        SCRATCH(foreseen, nx + nd + 3 * ns + ne + nz),
         SCRATCH(z1, nz), SCRATCH(distances, 2 * ns), SCRATCH(projected_once, nx + nd), SCRATCH(projected_often, nx + nd),
         ROW("unprojected", unprojected, model->nprojections ? nx + nd : 0, saved), SCRATCH(firing_time, nc),
         ROW(NULL, slack, ns, reset),

@@ -362,7 +362,7 @@ struct BlocksSim {
     BlocksUnseen unseen[BLOCKS_LOOKS];
     /* scratch */
     double *base, *aim, *begin, *finish; /* (nu) the segment of inputs */
-    double *xs, *x2, *weights, *part_values, *part_phases, *first_values, *crossing_values, *reset_values, *d1, *backup, *row_values, *stage_values;
+    double *xs, *x2, *weights, *part_values, *part_phases, *first_values, *crossing_values, *reset_values, *d1, *backup, *foreseen, *row_values, *stage_values;
     double *slack;  /* (ns) of corners: by how much they may be off by rounding */
     double *corner; /* scratch of them */
     double looseness; /* times the slack: 2 in steps, so that a corner that is located there is beyond its slack at the instant */
@@ -413,6 +413,9 @@ BLOCKS_API void blocks_take_rows(BlocksSim *s, const double *first, int64_t coun
 BLOCKS_API void blocks_evaluate(BlocksSim *s, BlocksProgram program, double t, const double *x, double *out);
 BLOCKS_API void blocks_beyond(const BlocksSim *s, double *crossings); /* less the slack by which corners leave their side */
 BLOCKS_API void blocks_loosen(BlocksSim *s); /* that slack as it is now */
+/* Let `read` see the memory as the crossings that changed inputs cause would leave it, where nothing else happens; then all is as
+   before. stays: (ns) not 0 for crossings that do not fire. */
+BLOCKS_API int blocks_foresee(BlocksSim *s, const double *stays, int (*read)(void *owner), void *owner);
 BLOCKS_API void blocks_rates(BlocksSim *s, double t, const double *x, double *out);
 BLOCKS_API extern const int64_t blocks_sizes[3];         /* of the structures, for those who mirror them */
 BLOCKS_API int blocks_past_room(BlocksSim *s, int64_t parts, int64_t breaks); /* for this many more */
