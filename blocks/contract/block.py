@@ -57,6 +57,7 @@ class BlockMeta(type):
         foreign: Any = None,
         abstract: bool = False,
         describing: str = "",
+        apart: str = "",
     ) -> BlockMeta:
         if not bases:
             return super().__new__(mcs, name, bases, {**body, "__slots__": ("parameters",)})
@@ -64,14 +65,14 @@ class BlockMeta(type):
         above = _above(bases)
         entries = merged(name, above, body) if above or abstract else {}
         if abstract:
-            if describing:
-                refuse("E405", name, "is abstract, but describing= is for final classes.", "Add it to final classes.")
+            for word in (word for word, given in (("describing", describing), ("apart", apart)) if given):
+                refuse("E405", name, f"is abstract, but {word}= is for final classes.", "Add it to final classes.")
             check_parts(name, body)
             return super().__new__(mcs, name, bases, {**body, "__slots__": (), _ENTRIES: MappingProxyType(entries)})
         if above:
             body = {**{key: value for key, value in body.items() if key.startswith("__")}, **completed(name, entries)}
         cls = super().__new__(mcs, name, bases, {**body, "__slots__": ()})
-        cls.declaration = declare(name, body.get("__doc__") or "", body, foreign, describing)
+        cls.declaration = declare(name, body.get("__doc__") or "", body, foreign, describing, apart)
         type.__setattr__(cls, "__signature__", _signature(cls.declaration.settable.values()))
         return cls
 
@@ -83,6 +84,7 @@ class BlockMeta(type):
         foreign: object = None,
         abstract: bool = False,
         describing: str = "",
+        apart: str = "",
     ) -> None:
         super().__init__(name, bases, dict(body))
 

@@ -27,6 +27,14 @@ DESCRIBING = {
     "backlash": ("width",),
 }
 """The describing functions of blocks that remember their input, with the parameters that each is computed from."""
+APART = {
+    "gain": ("K", "unit", "unit_u", "u"),
+    "gains": ("K", "size", "unit", "unit_u", "u", "index"),
+    "reduction": ("kind", "size", "unit", "u"),
+    "norm": ("kind", "size", "unit", "u"),
+    "dot": ("size", "unit", "u1", "u2"),
+}
+"""The ways to take blocks over long vectors apart (`model.parts`), with the parameters and inputs that each needs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +65,8 @@ class Declaration:
     """The parameters that hold the number of the block's stream of random numbers."""
     describing: str = ""
     """Which describing function y has of u (`DESCRIBING`), where the block remembers u; "": as its equations say."""
+    apart: str = ""
+    """The way in which a block over a long vector is taken apart (`APART`); "": it never is."""
 
     @property
     def settable(self) -> Mapping[str, Parameter]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ..text.errors import did_you_mean
-from .declaration import DESCRIBING, Declaration
+from .declaration import APART, DESCRIBING, Declaration
 from .equations import Crossing, Output
 from .reads import arguments, refuse
 from .unit_expression import UnitExpression
@@ -24,6 +24,7 @@ def check_declaration(declaration: Declaration) -> None:
     _check_equations(declaration)
     _check_cycles(declaration)
     _check_describing(declaration)
+    _check_apart(declaration)
 
 
 class _Known:
@@ -269,3 +270,15 @@ def _check_describing(d: Declaration) -> None:
             name = role.target.name if role.target is not None else ""
             message = f"describing={d.describing!r} is for a block without dynamics, but '{name}' is dynamic."
             refuse("E405", d.name, message, "Move the dynamics and the ticks into another block.")
+
+
+def _check_apart(d: Declaration) -> None:
+    """Refuse a way of taking a block apart that does not exist, or that needs names which the block does not have."""
+    if not d.apart:
+        return
+    needs = APART.get(d.apart) if isinstance(d.apart, str) else None
+    if needs is None:
+        refuse("E405", d.name, f"apart= must be one of {', '.join(APART)}, not {d.apart!r}.")
+    missing = [name for name in needs if name not in d.parameters and name not in d.inputs]
+    if missing:
+        refuse("E405", d.name, f"apart={d.apart!r} needs {', '.join(needs)}, but there is no '{missing[0]}'.")

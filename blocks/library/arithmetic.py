@@ -47,7 +47,7 @@ class Gain(Block):
         return k * u
 
 
-class MatrixGain(Block):
+class MatrixGain(Block, apart="gain"):
     """y = K u, for vectors u and y.
 
     K is p x m: u has m elements and y has p, which wires name u[0], y[0]. Zeros of K fix the type: an element of y
@@ -89,7 +89,7 @@ class Product(Block):
         return product
 
 
-class DotProduct(Block):
+class DotProduct(Block, apart="dot"):
     """y = the scalar product of two vectors, u1[0] u2[0] + u1[1] u2[1] and so on.
 
     The units of the inputs are free.
@@ -105,7 +105,7 @@ class DotProduct(Block):
         return u1 @ u2
 
 
-class Norm(Block):
+class Norm(Block, apart="norm"):
     """y = |u|, the norm of a vector.
 
     kind "2": sqrt(u[0]^2 + u[1]^2 + ...), the length; "1": |u[0]| + |u[1]| + ...; "inf": the largest |u[k]|.

@@ -10,7 +10,7 @@ from .logic import Multiport, chosen_of
 __all__ = ["Reduction", "SwitchedMatrixGain"]
 
 
-class Reduction(Block):
+class Reduction(Block, apart="reduction"):
     """y = the mean, the sum, the least, the largest or the deviation of the elements of a vector.
 
     "deviation": sqrt(mean((u - mean(u))^2)), the disagreement of a group, which is 0 if all agree.
@@ -33,7 +33,7 @@ class Reduction(Block):
         return np.sum(u) / size if kind == "mean" else np.sum(u)
 
 
-class SwitchedMatrixGain(Multiport):
+class SwitchedMatrixGain(Multiport, apart="gains"):
     """y = K1 u if index is 1, K2 u if it is 2, ...: the matrix whose number is nearest to index.
 
     K holds the matrices, all of one shape, one below the other: K1 is its first rows. As for MatrixGain, zeros of K fix

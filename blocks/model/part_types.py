@@ -1,4 +1,4 @@
-"""The parts of blocks that are taken apart (see `parts`), and what is left of these.
+"""The parts of blocks that are taken apart (see `parts`), and what is left of these, by their `apart`.
 
 They are put in by `flatten`; they are not in the library.
 """
@@ -24,7 +24,7 @@ def _columns(K):
 
 
 class WholeGain(Block):
-    """What is left of a MatrixGain. K: what `SparseMatrix` says of itself, "3 x 4 with 5 elements, ..."."""
+    """What is left of a "gain". K: what `SparseMatrix` says of itself, "3 x 4 with 5 elements, ..."."""
 
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
     unit_u = Parameter("", structural=True, type="string", doc='unit of u; "": unknown')
@@ -38,7 +38,7 @@ class WholeGain(Block):
 
 
 class WholeSwitch(Block):
-    """What is left of a SwitchedMatrixGain."""
+    """What is left of a block of several "gains"."""
 
     size = Parameter(2, structural=True, type="int", doc="number of matrices to choose from")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')
@@ -53,7 +53,7 @@ class WholeSwitch(Block):
 
 
 class WholeReduction(Block):
-    """What is left of a Reduction or a Norm."""
+    """What is left of a "reduction" or a "norm"."""
 
     kind = Parameter("", structural=True, type="string", doc="what y is")
     size = Parameter(1, structural=True, type="int", doc="number of elements")
@@ -66,7 +66,7 @@ class WholeReduction(Block):
 
 
 class WholeProduct(Block):
-    """What is left of a DotProduct."""
+    """What is left of a "dot"."""
 
     size = Parameter(1, structural=True, type="int", doc="number of elements of each vector")
     unit = Parameter("", structural=True, type="string", doc='unit of y; "": unknown')

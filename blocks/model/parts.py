@@ -20,10 +20,9 @@ from ..contract.declaration import Declaration
 from ..contract.interface import Value
 from ..contract.resolution import Resolved, resolve
 from ..contract.sparse import SparseMatrix
-from ..library.arithmetic import DotProduct, MatrixGain, Norm, Product
+from ..library.arithmetic import DotProduct, Product
 from ..library.functions import Sqrt
 from ..library.logic import MultiportSwitch
-from ..library.vectors import Reduction, SwitchedMatrixGain
 from ..text.errors import Fault, ModelError
 from .copies import CopySource, EachSource
 from .part_types import Link, Weights, WholeGain, WholeProduct, WholeReduction, WholeSwitch
@@ -40,7 +39,7 @@ def _made(cls: object, *given: tuple[str, object]) -> Resolved:
 
 
 def is_taken_apart(block: Any) -> bool:
-    return block.interface.cls in _TAKEN_APART and _is_long(block.resolved)
+    return bool(block.interface.declaration.apart) and _is_long(block.resolved)
 
 
 class Parts:
@@ -52,12 +51,12 @@ class Parts:
     def __init__(self, blocks: list[Any]) -> None:
         self.blocks, self.given, self.of = blocks, dict[int, list[Source]](), dict[int, range]()
         for index, block in enumerate(tuple(blocks)):
-            make, rest = _TAKEN_APART.get(block.interface.cls, (None, None))
-            if make is None:
+            if not block.interface.declaration.apart:
                 _refuse_sparse(block)
                 continue
             if not _is_long(block.resolved):
                 continue
+            make, rest = _WAYS[block.interface.declaration.apart]
             self.whole, first = block, len(blocks)
             self.given[index] = make(self, block.sources, block.resolved)
             self.of[index] = range(first, len(blocks))
@@ -197,11 +196,11 @@ def _is_long(resolved: Resolved) -> bool:
     return bool(resolved.interface.structural["size"] > LONGEST)
 
 
-_TAKEN_APART: dict[Any, tuple[Callable[[Parts, Mapping[str, tuple[Source, ...]], Resolved], list[Source]], object]] = {
-    MatrixGain: (Parts.rows, WholeGain),
-    SwitchedMatrixGain: (Parts.switched_rows, WholeSwitch),
-    Reduction: (Parts.reduced, WholeReduction),
-    Norm: (Parts.norm, WholeReduction),
-    DotProduct: (Parts.dot, WholeProduct),
+_WAYS: dict[str, tuple[Callable[[Parts, Mapping[str, tuple[Source, ...]], Resolved], list[Source]], object]] = {
+    "gain": (Parts.rows, WholeGain),
+    "gains": (Parts.switched_rows, WholeSwitch),
+    "reduction": (Parts.reduced, WholeReduction),
+    "norm": (Parts.norm, WholeReduction),
+    "dot": (Parts.dot, WholeProduct),
 }
-"""By type how a block is taken apart, and the type of what is left of it."""
+"""How a block is taken apart, by its `apart`, and the type of what is left of it."""

@@ -770,6 +770,23 @@ def test_a_describing_function_is_refused_of_what_a_class_does_not_have(word: st
     assert told in str(fault)
 
 
+APART = {
+    "no such way": ("'sum'", "u = Input()", "apart= must be one of gain, gains, reduction, norm, dot, not 'sum'."),
+    "no parameter": ("'dot'", "u = Input()", "apart='dot' needs size, unit, u1, u2, but there is no 'size'."),
+    "an abstract class": ("'dot', abstract=True", "u = Input()", "but apart= is for final classes."),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("word", "body", "told"), APART.values(), ids=APART.keys())
+def test_a_class_that_cannot_be_taken_apart_as_it_declares_is_refused(word: str, body: str, told: str) -> None:
+    text = f"class Bad(Block, apart={word}):\n" + textwrap.indent(body, "    ")
+    with pytest.raises(DeclarationError) as caught:
+        exec(text, {"Block": Block, "Input": Input})
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.place) == ("E405", "Bad")
+    assert told in str(fault)
+
+
 @pytest.mark.parametrize("word", ["type", "shape"])
 def test_a_local_with_a_type_or_a_shape_is_refused(word: str) -> None:
     with pytest.raises(
