@@ -223,7 +223,7 @@ def _parser(command: str = "") -> argparse.ArgumentParser:
     as_it_is = argparse.RawDescriptionHelpFormatter
     parser = _Parser(prog="blocks", description=about, epilog=FIRST_STEPS, formatter_class=as_it_is)
     parser.add_argument("--version", action="version", version=f"blocks {__version__}")
-    verbs: Any = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    verbs = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for module in dict.fromkeys([COMMANDS[command]] if command in COMMANDS else COMMANDS.values()):
         import_module(f".{module}", __package__).add(verbs)
     for each in _every(parser):

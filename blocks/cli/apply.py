@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from ..text.errors import ModelError
 from ..text.printable import counted
-from .options import takes_json, takes_library
+from .options import Verbs, takes_json, takes_library
 from .output import emit, fault_entry, printable, say
 
 if TYPE_CHECKING:
     from ..editing.edits import Change, Edit
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     apply = verbs.add_parser(
         "apply",
         help="edit a diagram or study file by a list of operations",

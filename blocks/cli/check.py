@@ -6,16 +6,15 @@ import argparse
 import sys
 from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import Any
 
 from ..text.errors import Fault
 from ..text.printable import counted
 from .option_values import variants_of
-from .options import takes_json, takes_library, takes_variants
+from .options import Verbs, takes_json, takes_library, takes_variants
 from .output import emit, fault_entry, fault_lines, printable
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     check = verbs.add_parser(
         "check",
         help="find all static faults of a diagram",

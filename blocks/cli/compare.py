@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted
 from .option_values import number_of
-from .options import takes_json
+from .options import Verbs, takes_json
 from .output import emit, printable
 
 if TYPE_CHECKING:
     from ..results.results import Results
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     comparison = verbs.add_parser(
         "compare",
         help="compare two result files",

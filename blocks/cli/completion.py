@@ -20,6 +20,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from .options import Verbs
+
 SHELLS = ("bash", "zsh", "fish")
 LARGEST = 4 * 2**20  # bytes of a diagram that is read between two keys
 DEEPEST = 8  # subdiagrams
@@ -33,7 +35,7 @@ PARAMETERS = ("parameters", "vary", "over")
 SIGNALS = ("log", "sources", "sinks", "loop", "openings", "amplitude", "sigma")
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     about = "Print the script that lets a shell complete commands, options, files, block types and names in a diagram."
     completion = verbs.add_parser(
         "completion",

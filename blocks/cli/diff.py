@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.printable import counted
-from .options import takes_json, takes_library
+from .options import Verbs, takes_json, takes_library
 from .output import emit, printable, say
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ STDIN = "-"
 MOST_BYTES = 2**25  # of stdin; the reader refuses what is larger than 16 MiB
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     diff = verbs.add_parser(
         "diff",
         help="show the differences between two diagrams",

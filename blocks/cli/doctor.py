@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
-from .options import takes_json
+from .options import Verbs, takes_json
 from .output import emit, printable, say, tell_faults
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     doctor = verbs.add_parser(
         "doctor",
         help="show versions, the compiler and the cache, and test them",

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..text.errors import Fault, UsageError
 from .option_values import variants_of
-from .options import takes_library, takes_variants
+from .options import Verbs, takes_library, takes_variants
 
 if TYPE_CHECKING:
     from ..api.diagram import Diagram
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     drawing = verbs.add_parser(
         "draw",
         help="draw a diagram as SVG, or as a page with its results",

@@ -8,14 +8,14 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from .options import takes_json
+from .options import Verbs, takes_json
 from .output import emit, printable
 
 WIDEST = 100
 """Longer lines are hard to read, however wide the terminal is."""
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     explain = verbs.add_parser(
         "explain",
         help="explain an error code: its cause and what to do",

@@ -9,11 +9,11 @@ from typing import Any
 
 from ..text.errors import Fault, UsageError, did_you_mean
 from .option_values import assignments, check_writable, number_of, time_of, variants_of
-from .options import takes_json, takes_library, takes_parameters, takes_several, takes_variants
+from .options import Verbs, takes_json, takes_library, takes_parameters, takes_several, takes_variants
 from .output import emit, printable, say
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     export = verbs.add_parser(
         "export",
         help="make an FMU of a diagram, or of one block",

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import Any
 
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.printable import counted
-from .options import takes_json, takes_library
+from .options import Verbs, takes_json, takes_library
 from .output import emit, printable, say, tell_faults
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     fmt = verbs.add_parser(
         "fmt",
         help="write diagram and study files in their canonical form",

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Container, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..host.gc_pause import paused
 from .option_values import assignments, check_writable
-from .options import takes_json, takes_run, takes_several
+from .options import Verbs, takes_json, takes_run, takes_several
 from .output import emit, printable, say, waiting
 from .run import run_diagram
 
@@ -22,7 +22,7 @@ _SIZE = "structuralParameter"
 _SHOWN = 30  # names
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     fmu = verbs.add_parser("fmu", help="inspect an FMU, run it, or compile its sources")
     parts = fmu.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for what, title, text in (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from ..text.errors import Fault, UsageError
 from ..text.quantity_text import value_in
 from .option_values import assignments, check_writable, number_of, raw_number, variants_of
-from .options import takes_json, takes_library, takes_point, takes_several
+from .options import Verbs, takes_json, takes_library, takes_point, takes_several
 from .output import emit, printable, say
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 FIGURES = ("bode", "nyquist", "nichols", "step", "poles")
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     linear = verbs.add_parser(
         "linearize",
         help="linear model of a diagram: poles, zeros, margins",

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..text.errors import Fault, UsageError
 from ..text.printable import aligned
-from .options import takes_json, takes_library
+from .options import Verbs, takes_json, takes_library
 from .output import emit, printable
 
 if TYPE_CHECKING:
     from ..api.catalog import Catalog, Found, Sheet, Word
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     listing = verbs.add_parser(
         "list",
         help="list the block library, or describe one block",

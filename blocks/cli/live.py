@@ -11,11 +11,11 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from ..text.errors import Fault, UsageError
 from .option_values import assignments, variants_of
 from .options import (
+    Verbs,
     takes_engine,
     takes_json,
     takes_library,
@@ -31,7 +31,7 @@ LOOK = 0.5
 """Seconds between two looks at whether Ctrl-C was pressed, which Windows does not tell who waits for a question."""
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     live = verbs.add_parser(
         "live",
         help="draw and run a diagram in the browser",

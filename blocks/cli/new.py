@@ -14,6 +14,7 @@ from typing import Any
 
 from ..text.errors import Fault, UsageError
 from ..text.printable import legible
+from .options import Verbs
 from .output import printable
 
 TEMPLATE = "project"
@@ -21,7 +22,7 @@ TEMPLATE = "project"
 SCHEMA = "schemas/diagram.schema.json"
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     new = verbs.add_parser(
         "new",
         help="make a project that runs: a block of your own, a diagram, tests",

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import Any, TypeAlias
+
+Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+"""The commands, to which each module of the room adds its own."""
 
 
 def takes_several(verb: argparse.ArgumentParser, option: str, metavar: str, help: str, **more: Any) -> None:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import argparse
 import os
-from typing import Any
 
 from ..text.element_names import matching
 from ..text.errors import Fault, UsageError
 from .option_values import check_writable
-from .options import takes_several
+from .options import Verbs, takes_several
 from .output import printable
 
 MOST = 8
 """Signals of one figure: each has a panel."""
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     plot = verbs.add_parser(
         "plot",
         help="draw signals of result files over each other",

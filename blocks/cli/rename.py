@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 from ..text.printable import counted
 from .apply import change_entry, change_line, tell_elsewhere
-from .options import takes_json, takes_library
+from .options import Verbs, takes_json, takes_library
 from .output import emit, printable
 
 KINDS = ("block", "input", "parameter", "output")
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     rename = verbs.add_parser(
         "rename",
         help="rename a block, an input, a parameter or an output, and everything that refers to it",

@@ -16,7 +16,7 @@ from ..host.gc_pause import paused
 from ..text.errors import BlocksError, Fault, FMUError, UsageError
 from ..text.printable import counted
 from .option_values import assignments, check_writable, number_of, time_of, variants_of
-from .options import takes_library, takes_run, takes_trust, takes_variants
+from .options import Verbs, takes_library, takes_run, takes_trust, takes_variants
 from .output import Progress, emit, printable, say, silence, tell_faults, waiting
 from .stop_signals import INTERRUPTED, ended_at_once
 
@@ -32,7 +32,7 @@ LONG = 100_000  # rows that take a moment to write
 MOST_SHOWN = 24  # signals of one figure; each may need a panel of its own
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     run = verbs.add_parser("run", help="simulate a diagram", description="Simulate a diagram and print its signals.")
     run.add_argument("diagram", metavar="DIAGRAM", help="a diagram file (JSON)")
     takes_run(run)

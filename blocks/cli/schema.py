@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
-from .options import takes_library
+from .options import Verbs, takes_library
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     schema = verbs.add_parser(
         "schema",
         help="print the JSON Schema of diagram or study files, for editors",

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from ..fmi.exits import telling
 from ..text.errors import Fault, FMUError, UsageError
 from .option_values import assignments
-from .options import takes_json, takes_library, takes_several, takes_trust
+from .options import Verbs, takes_json, takes_library, takes_several, takes_trust
 from .output import emit, printable, say, tell_faults
 from .stop_signals import INTERRUPTED, ended_at_once
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ..studies.tuned import Tuning
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     study = verbs.add_parser(
         "study",
         help="compare runs with published numbers",

@@ -13,6 +13,7 @@ from ..text.printable import counted
 from ..text.quantity_text import value_in
 from .option_values import as_options, assignments, check_writable, number_of, time_of, variants_of
 from .options import (
+    Verbs,
     takes_engine,
     takes_json,
     takes_library,
@@ -32,7 +33,7 @@ _WORDS = {r"\bn=(\d+)": r"--n \1", r"^Leave n out": "Leave --n out", r"resume=Fa
 """How the command line says what messages tell of arguments of Python."""
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     verb = verbs.add_parser(
         "sweep",
         help="run a diagram with many values of parameters",

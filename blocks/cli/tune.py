@@ -10,7 +10,7 @@ from ..text.errors import Fault, UsageError
 from ..text.printable import counted
 from .apply import change_entry, change_line
 from .option_values import as_options, assignments, check_writable, number_of, time_of, variants_of
-from .options import takes_json, takes_library, takes_parameters, takes_several, takes_trust, takes_variants
+from .options import Verbs, takes_json, takes_library, takes_parameters, takes_several, takes_trust, takes_variants
 from .output import Progress, emit, printable, say, tell_faults
 from .stop_signals import INTERRUPTED, ended_at_once
 from .sweep import scenarios_of
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ..studies.tuning import Problem
 
 
-def add(verbs: Any) -> None:
+def add(verbs: Verbs) -> None:
     tune = verbs.add_parser(
         "tune",
         help="find values of parameters that minimize measures, under constraints, in several scenarios",

@@ -140,7 +140,7 @@ def _constant(value: float) -> Scalar:
     return Scalar("constant", (), float(value))
 
 
-def _in_array(operand: object) -> Any:
+def _in_array(operand: object) -> object:
     """An operand of a function of numpy as an array of objects, so that numpy goes through its elements."""
     if not isinstance(operand, _Number):
         return np.array(operand, dtype=object)
@@ -149,7 +149,7 @@ def _in_array(operand: object) -> Any:
     return array
 
 
-def _of_number(op: str, function: Callable[..., object]) -> Callable[..., Any]:
+def _of_number(op: str, function: Callable[..., object]) -> Callable[..., object]:
     """A function of `math`, for numbers and stand-ins."""
 
     def called(*operands: object) -> Any:
@@ -165,7 +165,7 @@ def _plain(x: object) -> Any:
     return _Number(x.scalar, x.way, "", x.size) if isinstance(x, _Number) else x
 
 
-def _float(x: Any = 0.0) -> Any:
+def _float(x: Any = 0.0) -> object:
     return _plain(x) if isinstance(x, _Number) else float(x)
 
 
@@ -292,7 +292,7 @@ def _traced(
     return tuple(map(program_of, explored(())))
 
 
-def _symbols(place: int, shape: tuple[int, ...], way: _Way) -> Any:
+def _symbols(place: int, shape: tuple[int, ...], way: _Way) -> object:
     """Stand-ins for the elements of a parameter; place: of the first among the numbers that are read."""
     if shape == ():
         return _Number(Scalar("argument", (), float(place)), way, "array")

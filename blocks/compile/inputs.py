@@ -226,7 +226,7 @@ def _numbers(raw: object, members: Enumeration) -> Any:
     return members.number(raw)
 
 
-def read_csv(path: str | Path, plan: Plan) -> dict[str, Any]:
+def read_csv(path: str | Path, plan: Plan) -> dict[str, object]:
     """The inputs in a CSV file: a column `time`, and one for each input (or `u[0]`, `u[1]` for the elements of one).
 
     Raises UsageError (E502).
@@ -273,7 +273,9 @@ def _words(plan: Plan) -> dict[str, Mapping[str, float]]:
     return words
 
 
-def _columns(header: Sequence[str], data: Array, plan: Plan, given: Mapping[str, str], refuse: Any) -> dict[str, Any]:
+def _columns(
+    header: Sequence[str], data: Array, plan: Plan, given: Mapping[str, str], refuse: Any
+) -> dict[str, object]:
     """Return the inputs by name, in the units that the file gives, or the inputs declare."""
     inputs: dict[str, Any] = {}
     used = {0}

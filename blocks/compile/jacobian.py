@@ -763,7 +763,7 @@ def _order(tape: Tape, wanted: Sequence[int]) -> tuple[dict[int, Any], list[tupl
     return constants, read, operations, [k for k, argument in enumerate(tape.arguments) if argument.kind == "table"]
 
 
-def _divided(a: Any, b: Any) -> Any:
+def _divided(a: Any, b: Any) -> object:
     try:
         return a / b
     except ZeroDivisionError:

@@ -526,7 +526,7 @@ def _begun(function: Callable[..., object], given: Mapping[str, object]) -> Any:
     return function(**{name: _plain_value(value) for name, value in given.items()})
 
 
-def _plain_value(value: object) -> Any:
+def _plain_value(value: object) -> object:
     """A parameter's value for a stepper: a plain number or text, or an array of its own."""
     if isinstance(value, np.ndarray):
         return value.copy() if value.shape else float(value)

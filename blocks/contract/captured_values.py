@@ -103,7 +103,7 @@ def outside_of(declarations: Iterable[Declaration]) -> tuple[Outside, ...]:
     return tuple(read for read in map(outside, dict.fromkeys(declarations)) if read.watches)
 
 
-def _functions(declaration: Declaration) -> Iterator[Callable[..., Any]]:
+def _functions(declaration: Declaration) -> Iterator[Callable[..., object]]:
     """All functions of a class that are called before a run begins, besides its equations."""
     variables: list[Variable] = [*declaration.readable.values(), *declaration.event_times.values()]
     candidates: list[object] = [requirement.equation.function for requirement in declaration.requirements]
@@ -141,7 +141,7 @@ class _TooMuch(Exception):
     """There is more than is looked at."""
 
 
-def _content(value: object, by_identity: list[Any] | None = None) -> Any:
+def _content(value: object, by_identity: list[Any] | None = None) -> object:
     """What a value holds, as something that can be compared. by_identity: takes what is compared by identity."""
     if isinstance(value, _PLAIN):  # most are
         return type(value), repr(value)
@@ -302,7 +302,7 @@ class _ReadsFinder:
         elif _is_opaque(value):
             self.is_opaque = True
 
-    def watch(self, key: object, now: Callable[[], object], name: str = "") -> Any:
+    def watch(self, key: object, now: Callable[[], object], name: str = "") -> object:
         """Note a value, follow what it holds, and give it. name: what the code calls it."""
         value = now()
         if key not in self.watches:
@@ -396,7 +396,7 @@ class _ReadsFinder:
             if not is_settled(value.__name__):
                 modules.append(value)
 
-    def attribute(self, value: object, name: str) -> Any:
+    def attribute(self, value: object, name: str) -> object:
         """An attribute of a module, a class or an object, where it can be obtained without running code of it."""
         if isinstance(value, ModuleType):
             if is_settled(value.__name__):
@@ -413,12 +413,12 @@ class _ReadsFinder:
         return _MISSING
 
 
-def _global_of(function: FunctionType, name: str) -> Callable[[], Any]:
+def _global_of(function: FunctionType, name: str) -> Callable[[], object]:
     own, beneath = function.__globals__, vars(builtins)
     return lambda: own[name] if name in own else beneath.get(name, _MISSING)
 
 
-def _cell_of(cell: Any) -> Callable[[], Any]:
+def _cell_of(cell: Any) -> Callable[[], object]:
     def now() -> Any:
         try:
             return cell.cell_contents
@@ -428,7 +428,7 @@ def _cell_of(cell: Any) -> Callable[[], Any]:
     return now
 
 
-def _static(owner: type, name: str) -> Any:
+def _static(owner: type, name: str) -> object:
     """An attribute of a class, obtained without running code of it."""
     member = next((cls.__dict__[name] for cls in owner.__mro__ if name in cls.__dict__), _MISSING)
     return member.__func__ if isinstance(member, (staticmethod, classmethod)) else member

@@ -68,7 +68,7 @@ def merged(block: str, above: Iterable[Mapping[str, Entry]], body: Mapping[str, 
     return entries
 
 
-def completed(block: str, entries: Mapping[str, Entry]) -> dict[str, Any]:
+def completed(block: str, entries: Mapping[str, Entry]) -> dict[str, object]:
     """The body of a class that is complete: variables of its own, and equations that are for them.
 
     Raises DeclarationError (E403) where something is left open.

@@ -112,7 +112,7 @@ class Interface:
     def _call(self, function: Callable[..., object]) -> Any:
         return function(*(self.structural[name] for name in arguments(function, self.name)))
 
-    def _computed(self, function: Callable[..., object], variable: Variable, what: str) -> Any:
+    def _computed(self, function: Callable[..., object], variable: Variable, what: str) -> object:
         try:
             return self._call(function)
         except Exception as error:  # a function of the class may raise anything

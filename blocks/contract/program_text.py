@@ -51,7 +51,7 @@ def _constant(value: object) -> str:
     return repr(value.item() if isinstance(value, np.generic) else value)
 
 
-def _named(value: Any) -> Iterator[tuple[str, Any]]:
+def _named(value: Any) -> Iterator[tuple[str, object]]:
     """What a function, or a class with its methods and bases, names."""
     if isinstance(value, FunctionType):
         yield from _named_by(value)
@@ -64,7 +64,7 @@ def _named(value: Any) -> Iterator[tuple[str, Any]]:
                 yield from _named_by(part)
 
 
-def _named_by(function: FunctionType) -> Iterator[tuple[str, Any]]:
+def _named_by(function: FunctionType) -> Iterator[tuple[str, object]]:
     known = dict(function.__globals__)
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         try:

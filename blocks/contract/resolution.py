@@ -372,7 +372,7 @@ def _members(parameter: Parameter, raw: object) -> Array:
     return numbers
 
 
-def _structural(array: Array, kind: type, parameter: Parameter) -> Any:
+def _structural(array: Array, kind: type, parameter: Parameter) -> object:
     """A structural value as it fixes a type: a plain number, or a tuple of them."""
     if parameter.shape == ():
         return kind(array)

@@ -76,7 +76,7 @@ class SparseMatrix:
             yield columns[first:end], values[first:end]
 
 
-def edges_of(matrix: Any) -> dict[str, Any]:
+def edges_of(matrix: Any) -> dict[str, object]:
     """A matrix of scipy.sparse as a diagram file holds it; duplicates are added up, as they mean there."""
     whole = matrix.tocsr().copy()
     whole.sum_duplicates()

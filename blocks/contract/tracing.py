@@ -154,7 +154,7 @@ class _Tracer:
         self.values = EquationValues(interface, known, symbols.returned, *apart)
         symbols.begin()
 
-    def _local(self, name: str, value: Any) -> Any:
+    def _local(self, name: str, value: Any) -> object:
         return self._symbol("local", name, value.shape, logical=value.logical)
 
     def _symbol(self, kind: str, name: str, shape: tuple[int, ...], *, logical: bool = False) -> Any:

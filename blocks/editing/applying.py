@@ -71,7 +71,7 @@ def _written(operations: list[Any]) -> Document:
     return replace(document, file="")
 
 
-def checked(document: Document) -> list[tuple[str, Mapping[str, Any]]]:
+def checked(document: Document) -> list[tuple[str, Mapping[str, object]]]:
     """The operations with their names. Raises ModelError with all faults of what they say."""
     reader = DocumentReader(document, document.file, "", Loading(), ())
     named: list[tuple[str, Mapping[str, object]]] = []

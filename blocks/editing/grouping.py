@@ -50,7 +50,7 @@ def group(spot: Spot, entry: Mapping[str, Any]) -> None:
     own = [(*spot.scope, "blocks", block) for block in names]
     own += [(*spot.scope, section) for section in ("wires", "outputs", "layout")]
 
-    def longer(document: Document, found: list[Reference]) -> Any:
+    def longer(document: Document, found: list[Reference]) -> object:
         is_here = os.path.realpath(document.file) == spot.file
         found = [reference for reference in found if not (is_here and tree.is_within(reference.path, own))]
         return tree.with_names(document.value, found, targets)
@@ -79,7 +79,7 @@ def _check(spot: Spot, before: Flat | tuple[Fault, ...], path: Callable[[str], s
         raise UsageError(spot.fault("E501", place, f"{what}: the diagram would compute something else{told}.", cure))
 
 
-def _put_section(value: object, scope: Steps, section: str, entries: Mapping[str, object]) -> Any:
+def _put_section(value: object, scope: Steps, section: str, entries: Mapping[str, object]) -> object:
     path = (*scope, section)
     if entries:
         return tree.replaced(value, path, dict(entries))
@@ -164,7 +164,7 @@ class _Inside:
             self.ports[whole] = self.free(port or f"{block}_out", f"{block}_{port or 'out'}")
         return f"{self.name}.{self.ports[whole]}{elements}"
 
-    def input_entry(self, source: str) -> dict[str, Any]:
+    def input_entry(self, source: str) -> dict[str, object]:
         """What the input says that stands for a source: its unit, size and type."""
         given = tree.table_at(self.body, ("inputs",)).get(source)
         if isinstance(given, Mapping):
@@ -328,7 +328,7 @@ class _Lifted:
         self.targets = {Target(spot.file, scope, "block", old): new for old, new in self.blocks.items()}
         self.targets |= {Target(spot.file, scope, "parameter", old): new for old, new in self.parameters.items()}
 
-    def with_free_names(self, document: Document, found: list[Reference]) -> Any:
+    def with_free_names(self, document: Document, found: list[Reference]) -> object:
         return tree.with_names(document.value, found, self.targets)
 
     def take(self) -> None:
@@ -364,7 +364,7 @@ class _Lifted:
         first, dot, port = whole.partition(".")
         return self.out[port] + elements if dot and first == self.name and port in self.out else text
 
-    def shorter(self, document: Document, found: list[Reference]) -> Any:
+    def shorter(self, document: Document, found: list[Reference]) -> object:
         """The document of a file without the name of the subdiagram in its paths."""
         target = Target(self.spot.file, self.spot.scope, "block", self.name)
         own = [self.path, *((*self.spot.scope, section) for section in ("wires", "outputs", "layout"))]

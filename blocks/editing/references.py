@@ -163,7 +163,7 @@ def references(document: Document, path: str, documents: Documents) -> list[Refe
     return sorted(finder.found, key=lambda reference: (places[reference.is_key][reference.path], reference.start))
 
 
-def _object(value: object) -> Mapping[str, Any]:
+def _object(value: object) -> Mapping[str, object]:
     return value if isinstance(value, dict) else {}
 
 

@@ -537,7 +537,7 @@ def _labels(flat: Flat, block: Callable[[str], str]) -> list[str]:
 
 def _summary(
     flat: Flat, block: Callable[[str], str], signal: Callable[[str], str] | None, measure: Callable[[str], str]
-) -> Any:
+) -> object:
     """What two flat diagrams have in common that differ in names only."""
     settings, labels, name = flat.settings, _labels(flat, block), signal or str
 

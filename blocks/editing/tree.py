@@ -69,7 +69,7 @@ def kinds_along(value: object, steps: Steps) -> list[Kind]:
     return kinds
 
 
-def _child(value: object, step: str | int) -> Any:
+def _child(value: object, step: str | int) -> object:
     """What lies there; None where nothing does."""
     if isinstance(value, Mapping):
         return value.get(step)
@@ -174,7 +174,7 @@ def put_in(value: object, steps: Steps, entry: object, file: str) -> Any:
     return _put(value, steps, entry, kinds)
 
 
-def _put(value: Any, steps: Steps, entry: Any, kinds: list[Kind]) -> Any:
+def _put(value: Any, steps: Steps, entry: Any, kinds: list[Kind]) -> object:
     if not steps:
         return entry
     step, *rest = steps
@@ -187,7 +187,7 @@ def _put(value: Any, steps: Steps, entry: Any, kinds: list[Kind]) -> Any:
     return {**around, step: new} if step in around else _inserted(around, step, new, kinds[0])
 
 
-def _inserted(value: Mapping[str, object], key: str, entry: object, kind: Kind) -> dict[str, Any]:
+def _inserted(value: Mapping[str, object], key: str, entry: object, kind: Kind) -> dict[str, object]:
     """An object with a new key, which stands behind those that the grammar has before it."""
     kind = kind.meant({**value, key: entry})
     order = kind.keys if isinstance(kind, Object) else ()
@@ -216,7 +216,7 @@ def without(value: object, places: Iterable[Steps]) -> Any:
     return _without(value, tree, grammar_of(value))
 
 
-def _without(value: Any, tree: Mapping[Any, Any], kind: Kind) -> Any:
+def _without(value: Any, tree: Mapping[Any, Any], kind: Kind) -> object:
     kind = kind.meant(value)
     left: list[tuple[object, object]] = []
     for step, entry in value.items() if isinstance(value, Mapping) else enumerate(value):
@@ -270,7 +270,7 @@ def with_names(value: object, references: Iterable[Reference], names: Mapping[Ta
     return _with_names(value, (), spots)
 
 
-def _with_names(value: object, path: Steps, spots: Mapping[tuple[Steps, bool], list[tuple[int, int, str]]]) -> Any:
+def _with_names(value: object, path: Steps, spots: Mapping[tuple[Steps, bool], list[tuple[int, int, str]]]) -> object:
     def text(old: str, at: Steps, is_key: bool) -> str:
         for start, end, new in sorted(spots.get((at, is_key), ()), reverse=True):
             old = old[:start] + new + old[end:]

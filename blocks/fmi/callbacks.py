@@ -110,7 +110,7 @@ def callbacks_of_3() -> tuple[Any, Any]:
 
 
 @lru_cache(maxsize=1)
-def _logger_of_2() -> Any:
+def _logger_of_2() -> object:
     from fmpy import fmi2
 
     return fmi2.fmi2CallbackLoggerTYPE(_hear_2)

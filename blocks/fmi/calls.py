@@ -105,7 +105,7 @@ class Binding:
 
 
 @lru_cache(maxsize=1000)
-def _prototype(of: type, name: str) -> tuple[list[Any], Any]:
+def _prototype(of: type, name: str) -> tuple[list[object], object]:
     """The types of arguments and of the result, from the annotations of FMPy's method."""
     signature = inspect.signature(getattr(of, name))
     arguments = []

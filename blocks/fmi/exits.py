@@ -23,7 +23,6 @@ import sys
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from ..text.errors import Fault, FMUError
 from .callbacks import instances, is_called
@@ -72,7 +71,7 @@ class _Symbol(ctypes.Structure):
 
 
 @lru_cache(maxsize=1)
-def _hook() -> Any:
+def _hook() -> object:
     """What C calls at an exit, registered once and kept; None where that cannot be."""
     c = ctypes.CDLL(None)
     try:

@@ -717,7 +717,7 @@ def _experiment(start: float, stop: float | None, tolerance: float | None) -> tu
     return tolerance is not None, tolerance or 0.0, start, stop is not None, stop or 0.0
 
 
-def _doubles(values: Sequence[float]) -> Any:
+def _doubles(values: Sequence[float]) -> object:
     return (ctypes.c_double * len(values))(*values)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from .realization import balanced, equivalent, period
 from .response import dc_gain
 from .search import layout, refined
 from .systems import StateSpace, is_of, source
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _MOST = len(STYLES)
 
@@ -187,7 +190,7 @@ def step_response(one: Shown, last: float) -> tuple[Array, Array]:
     return np.arange(count) * h, y
 
 
-def draw_step_figures(axis: Any, one: Shown, t: Array, y: Array) -> None:
+def draw_step_figures(axis: Axes, one: Shown, t: Array, y: Array) -> None:
     """The final value with its band of 2 %, the overshoot and the time to settle, where there are such."""
     final = float(dc_gain(one.system)[0, 0])
     if not math.isfinite(final) or final == 0 or abs(y[-1] - final) > 0.05 * abs(final):

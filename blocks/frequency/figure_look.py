@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +13,10 @@ from ..results import plots
 from ..results.plots import GRID, INK, STYLES, WIDTH, ink, plain
 from ..text.arrays import Array
 from .systems import Source
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FAINT = "#94a3b8"
 SMALL = 8  # points
@@ -52,7 +56,7 @@ def new_figure(rows: int, columns: int, *, height: float, width: float = WIDTH, 
     return figure, axes
 
 
-def plot_curve(axis: Any, one: Shown, x: Array, y: Array, count: int, *, label: bool = True) -> None:
+def plot_curve(axis: Axes, one: Shown, x: Array, y: Array, count: int, *, label: bool = True) -> None:
     name = one.label if label else None
     if one.measured:
         axis.plot(x, y, "o", color=one.color, markersize=4, fillstyle="none", markeredgewidth=1.1, label=name)
@@ -63,12 +67,12 @@ def plot_curve(axis: Any, one: Shown, x: Array, y: Array, count: int, *, label: 
     axis.plot(x, y, color=one.color, linestyle=pattern, linewidth=width, label=name)
 
 
-def note(axis: Any, text: str, place: tuple[Any, Any], offset: tuple[float, float], **how: Any) -> None:
+def note(axis: Axes, text: str, place: tuple[Any, Any], offset: tuple[float, float], **how: Any) -> None:
     """A small text beside a place. offset: in points."""
     axis.annotate(text, place, xytext=offset, textcoords="offset points", **{"fontsize": SMALL, **how})
 
 
-def limit_decibel(axis: Any, *, floor: float = -math.inf) -> None:
+def limit_decibel(axis: Axes, *, floor: float = -math.inf) -> None:
     """Ticks at usual values, and a lower limit where a zero makes a deep dip."""
     from matplotlib.ticker import MultipleLocator
 
@@ -79,7 +83,7 @@ def limit_decibel(axis: Any, *, floor: float = -math.inf) -> None:
     axis.yaxis.set_major_locator(MultipleLocator(next((s for s in (1, 2, 5, 10, 20, 40) if reach / s <= 7), 60)))
 
 
-def tick_degrees(axis: Any, *, which: str = "y") -> None:
+def tick_degrees(axis: Axes, *, which: str = "y") -> None:
     from matplotlib.ticker import MultipleLocator
 
     low, high = axis.get_ylim() if which == "y" else axis.get_xlim()
@@ -92,7 +96,7 @@ def tick_degrees(axis: Any, *, which: str = "y") -> None:
     (axis.yaxis if which == "y" else axis.xaxis).set_major_locator(MultipleLocator(step))
 
 
-def finished(figure: Any, named: Any = None, shown: Sequence[Shown] = ()) -> Any:
+def finished(figure: Figure, named: Any = None, shown: Sequence[Shown] = ()) -> Any:
     """The figure in its colors. named: the axes that name the systems in it."""
     if len(shown) > 1:
         named.legend(fontsize=SMALL, frameon=False, loc="best", labelcolor=INK)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,10 +13,13 @@ from ..text.arrays import Array
 from .figure_look import FAINT, SMALL, note
 from .margins import Margins
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 _DRAWN = 4  # crossings of each kind
 
 
-def margins_on_bode(above: Any, below: Any, m: Margins, curve: tuple[Array, Array, Array]) -> None:
+def margins_on_bode(above: Axes, below: Axes, m: Margins, curve: tuple[Array, Array, Array]) -> None:
     mark = STYLES[1][0]
     w, gain, phase = curve
     span = above.get_xlim()
@@ -54,23 +57,25 @@ def margins_on_bode(above: Any, below: Any, m: Margins, curve: tuple[Array, Arra
     _warn(above, m)
 
 
-def _upright(axes: Sequence[Any], x: float) -> None:
+def _upright(axes: Sequence[Axes], x: float) -> None:
     for axis in axes:
         axis.axvline(x, color=FAINT, linewidth=0.8, linestyle=(0, (3, 2)), zorder=0)
 
 
-def _measure(axis: Any, x: float, start: float, end: float) -> None:
+def _measure(axis: Axes, x: float, start: float, end: float) -> None:
     axis.plot([x, x], [start, end], color=STYLES[1][0], linewidth=2.2, solid_capstyle="butt")
     axis.plot([x], [end], "o", color=STYLES[1][0], markersize=4)
 
 
-def _warn(axis: Any, m: Margins) -> None:
+def _warn(axis: Axes, m: Margins) -> None:
     if m.stable is False:
         words = "closed loop at the border of stability" if m.verdict == "border" else "closed loop unstable"
         axis.set_title(words, fontsize=9, loc="right", color=STYLES[5][0])
 
 
-def _beside(axis: Any, x: float, y: float, text: str, curve: tuple[Array, Array], *, border: float, left: bool) -> None:
+def _beside(
+    axis: Axes, x: float, y: float, text: str, curve: tuple[Array, Array], *, border: float, left: bool
+) -> None:
     """A text beside x, on the side and at the height where the curve does not run through it."""
     low, high = axis.get_ylim()
     span = np.log(np.asarray(axis.get_xlim()))
@@ -92,7 +97,7 @@ def _beside(axis: Any, x: float, y: float, text: str, curve: tuple[Array, Array]
     note(axis, text, (x, best[2]), offset, va="center", ha=at, color=STYLES[1][0])
 
 
-def margins_on_nyquist(axis: Any, m: Margins, curve: Array, size: float) -> None:
+def margins_on_nyquist(axis: Axes, m: Margins, curve: Array, size: float) -> None:
     mark = STYLES[1][0]
     circle = np.exp(1j * np.linspace(0, 2 * math.pi, 361))
     # Texts stand where no curve and no other mark is near.
@@ -120,7 +125,7 @@ def margins_on_nyquist(axis: Any, m: Margins, curve: Array, size: float) -> None
     _warn(axis, m)
 
 
-def _label(axis: Any, center: complex, radius: float, text: str, taken: list[Array], size: float) -> None:
+def _label(axis: Axes, center: complex, radius: float, text: str, taken: list[Array], size: float) -> None:
     """A text beside a point or a circle, in the direction that is freest; its own place is taken from then on."""
     width, height = 0.0108 * len(text.replace("$", "")) * size, 0.026 * size
     crowd = np.concatenate(taken)
@@ -146,7 +151,7 @@ def _label(axis: Any, center: complex, radius: float, text: str, taken: list[Arr
     taken.append(middle + np.add.outer(width * box, 1j * height * box).ravel())
 
 
-def margins_on_nichols(axis: Any, m: Margins, phase: Array, gain: Array) -> None:
+def margins_on_nichols(axis: Axes, m: Margins, phase: Array, gain: Array) -> None:
     mark = STYLES[1][0]
     near = -180 + 360 * np.round((phase + 180) / 360)
     if m.gain is not None:

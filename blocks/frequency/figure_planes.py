@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from ..text.arrays import Array
 from .figure_curves import decibel_of
 from .figure_look import FAINT, Shown, note
 from .margins import Margins
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _CONTOURS = (12.0, 6.0, 3.0, 1.0, -1.0, -3.0, -6.0, -12.0, -20.0, -40.0)  # dB of T in a Nichols chart
 
@@ -34,7 +37,7 @@ def view_of(curves: Sequence[Array], m: Margins | None) -> tuple[float, float]:
     return middle - size / 2, middle + size / 2
 
 
-def draw_arrow(axis: Any, one: Shown, values: Array, size: float) -> None:
+def draw_arrow(axis: Axes, one: Shown, values: Array, size: float) -> None:
     """The direction of growing frequency, at the last point beyond 0.3 of the view from 0."""
     far = np.flatnonzero(np.abs(values) > 0.3 * size)
     k = int(far[-1]) if len(far) else len(values) // 2
@@ -47,7 +50,7 @@ def draw_arrow(axis: Any, one: Shown, values: Array, size: float) -> None:
         )  # fmt: skip
 
 
-def draw_contours(axis: Any, left: float, right: float) -> None:
+def draw_contours(axis: Axes, left: float, right: float) -> None:
     """Curves of constant |T| = |L/(1 + L)|, repeated for every turn of the phase."""
     turn = np.linspace(1e-3, 2 * math.pi - 1e-3, 721)
     for level in _CONTOURS:
@@ -71,7 +74,7 @@ def draw_contours(axis: Any, left: float, right: float) -> None:
                 note(axis, f"{level:g} dB", (x, y), (0, 2), fontsize=6.5, color="#64748b", ha=side)
 
 
-def draw_half_plane(axis: Any, everything: Array) -> None:
+def draw_half_plane(axis: Axes, everything: Array) -> None:
     size = max(float(np.max(np.abs(everything), initial=0.0)), 1e-9)
     left = min(float(np.min(everything.real, initial=0.0)), -0.25 * size)
     right = max(float(np.max(everything.real, initial=0.0)), 0.2 * size)
@@ -97,7 +100,7 @@ def draw_half_plane(axis: Any, everything: Array) -> None:
     axis.set_aspect("equal")
 
 
-def draw_unit_circle(axis: Any, everything: Array) -> None:
+def draw_unit_circle(axis: Axes, everything: Array) -> None:
     circle = np.exp(1j * np.linspace(0, 2 * math.pi, 361))
     axis.axhline(0, color=FAINT, linewidth=0.6)
     axis.axvline(0, color=FAINT, linewidth=0.6)

@@ -116,7 +116,7 @@ def nyquist(loop: object, *, margins: bool | Margins = True) -> Any:
 
 
 @defaults()
-def nichols(systems: object, *, margins: bool | Margins = True) -> Any:
+def nichols(systems: object, *, margins: bool | Margins = True) -> object:
     """Gain over phase of loops, upon the curves of constant |T|. margins: as of `bode`. Raises UsageError (E501)."""
     shown = single_channels(systems, "nichols")
     figure, axis = new_figure(1, 1, height=5.2, width=6.6)
@@ -175,7 +175,7 @@ def sigma(systems: object, omega: Iterable[float] | None = None) -> Any:
 
 
 @defaults()
-def gang_of_four(plant: object, controller: object, omega: Iterable[float] | None = None) -> Any:
+def gang_of_four(plant: object, controller: object, omega: Iterable[float] | None = None) -> object:
     """|S|, |T|, |PS| and |CS| of a plant P and a controller C in a loop with negative feedback; with their peaks."""
     parts = single_channels({"P": plant, "C": controller}, "gang_of_four")
     if len({trace.known.dt for trace in parts}) != 1:
@@ -230,7 +230,7 @@ def gang_of_four(plant: object, controller: object, omega: Iterable[float] | Non
 
 
 @defaults()
-def pole_map(systems: object) -> Any:
+def pole_map(systems: object) -> object:
     """Poles (crosses) and zeros (circles); with lines of equal damping and, for sampled systems, the unit circle."""
     shown = shown_of(systems, "pole_map")
     is_sampled = shown[0].known.dt > 0
@@ -256,7 +256,7 @@ def pole_map(systems: object) -> Any:
 
 
 @defaults()
-def step_figure(systems: object, *, until: float | None = None) -> Any:
+def step_figure(systems: object, *, until: float | None = None) -> object:
     """Responses to a unit step, exactly; with overshoot and the time to stay within 2 % of a single one.
 
     until: the last time [s]; without it, what the slowest pole needs to settle. Raises UsageError (E501).

@@ -129,7 +129,7 @@ def equivalent_bandwidth(n: int, w3db: float) -> float:
 # --- the observer ----------------------------------------------------------------------------------------------------
 
 
-def observer(n: int, gains: Sequence[float], b0: float) -> Any:
+def observer(n: int, gains: Sequence[float], b0: float) -> object:
     """The observer as a control.StateSpace: inputs y, u, outputs z1 ... z_{n+1}.
 
     From y to z_i: s^(i-1) (b_i s^(n+1-i) + ... + b_{n+1})/Delta. From u to z_i up to n: b0 s (s^(i-1) + b_1 s^(i-2) +
@@ -150,7 +150,7 @@ def observer(n: int, gains: Sequence[float], b0: float) -> Any:
     )  # fmt: skip
 
 
-def disturbance_estimate(gains: Sequence[float]) -> Any:
+def disturbance_estimate(gains: Sequence[float]) -> object:
     """f -> z_{n+1} = b_{n+1}/Delta as a control.TransferFunction, for any plant and any controller."""
     import control
 

@@ -198,7 +198,7 @@ def label(name: str) -> str:
     return name.replace(".", "_")
 
 
-def frd(value: Array, omega: Array, *, inputs: Sequence[str], outputs: Sequence[str], dt: float = 0.0) -> Any:
+def frd(value: Array, omega: Array, *, inputs: Sequence[str], outputs: Sequence[str], dt: float = 0.0) -> object:
     """A control.FrequencyResponseData of `value`, complex, shape (outputs, inputs, n), at `omega` in rad/s.
 
     dt: 0 for a response in continuous time, else the period in s. Signals keep their names as `label` has them.

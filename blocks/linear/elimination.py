@@ -141,7 +141,7 @@ def without_noise(value: Any, bound: Any) -> Any:
     return np.where(np.abs(value) > least, value, 0.0)
 
 
-def _solved(N: Any, R: Any, label: Array, looped: Array, name: Callable[[int], str]) -> tuple[Any, Any]:
+def _solved(N: Any, R: Any, label: Array, looped: Array, name: Callable[[int], str]) -> tuple[object, object]:
     """The rows of loops solved for what is outside of them."""
     from scipy import sparse
 

@@ -20,7 +20,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -69,7 +68,7 @@ class HarmonicResponse:
             return self.value[:, None, :]
         return self.balance.at(self.amplitude, omega).value[:, None, :]
 
-    def frd(self) -> Any:
+    def frd(self) -> object:
         """A control.FrequencyResponseData."""
         return frd(self.value[:, None, :], self.omega, inputs=[self.input], outputs=self.outputs, dt=self.dt)
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -251,7 +251,7 @@ class Linearization(ReplacedSlopes):
         S = self.transfer(spot.name, spot.name, openings=openings, pade=pade)
         return _state_space(replace(S, C=-S.C, D=np.eye(1) - S.D, name="", hint=""))
 
-    def sparse(self, inputs: Names, outputs: Names, *, openings: Names = ()) -> tuple[Any, Any, Any, Any]:
+    def sparse(self, inputs: Names, outputs: Names, *, openings: Names = ()) -> tuple[object, object, object, object]:
         """A, B, C, D of a continuous model as sparse matrices (CSR), of large diagrams.
 
         Raises AnalysisError as `model`, and E703 where sampled blocks or delays contribute.

@@ -538,7 +538,7 @@ def _input_names(plan: Plan) -> dict[str, Reference]:
     return references
 
 
-def _spread(given: Mapping[str, object], known: Mapping[str, Reference], what: str) -> dict[str, Any]:
+def _spread(given: Mapping[str, object], known: Mapping[str, Reference], what: str) -> dict[str, object]:
     """By element; a vector may be given as a whole. Raises UsageError (E501)."""
     values: dict[str, object] = {}
     for name, value in given.items():
@@ -553,7 +553,7 @@ def _spread(given: Mapping[str, object], known: Mapping[str, Reference], what: s
     return values
 
 
-def _each(name: str, value: object, count: int) -> list[Any]:
+def _each(name: str, value: object, count: int) -> list[object]:
     """A value for each element of a signal. Raises UsageError (E501)."""
     if not isinstance(value, (list, np.ndarray)):
         return [value] * count

@@ -208,7 +208,7 @@ def _chain(fleet: Fleet) -> list[Fleet]:
 # --- values ----------------------------------------------------------------------------------------------------
 
 
-def own_value(raw: Any, depth: int, copies: Sequence[Copy]) -> Any:
+def own_value(raw: Any, depth: int, copies: Sequence[Copy]) -> object:
     """Return what a raw value says for one copy: an element, if it has more dimensions than the parameter, or itself.
 
     depth: the dimensions of the parameter. copies: of each fleet that the value is for, from the outside; lists for

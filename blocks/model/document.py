@@ -134,7 +134,7 @@ def _read(text: str | bytes, file: str, folder: str, loading: Loading, above: tu
 # --- writing ---------------------------------------------------------------------------------------------------
 
 
-def to_document(value: DiagramValue, *, inner: bool = False) -> dict[str, Any]:
+def to_document(value: DiagramValue, *, inner: bool = False) -> dict[str, object]:
     """The dict of a diagram, keys in the canonical order, empty sections left out."""
     document = {key: _plain(getattr(value, key)) for key in BODY.keys if getattr(value, key) or key == "name"}
     if value.blocks:

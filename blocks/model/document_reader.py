@@ -315,7 +315,7 @@ def _table(value: Mapping[str, object], key: str, *, named: bool = False) -> dic
     return {name: entry for name, entry in table.items() if is_name(name)} if named else table
 
 
-def _object(value: object) -> dict[str, Any]:
+def _object(value: object) -> dict[str, object]:
     return value if isinstance(value, dict) else {}
 
 
@@ -323,11 +323,11 @@ def _text(value: object) -> str:
     return value if isinstance(value, str) else ""
 
 
-def _doc(value: Mapping[str, object]) -> Any:
+def _doc(value: Mapping[str, object]) -> object:
     return value.get("doc") or ""
 
 
-def _control(entry: Mapping[str, Any]) -> dict[str, Any]:
+def _control(entry: Mapping[str, Any]) -> dict[str, object]:
     """What turns a subdiagram on, or triggers it; nothing where that is faulty."""
     given = {key: entry[key] for key in CONTROLS if key in entry}
     if not all(isinstance(value, dict) for value in given.values()):

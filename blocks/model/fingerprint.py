@@ -7,7 +7,6 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from .diagram_value import BlockEntry, DiagramValue
 from .document import to_document
@@ -60,7 +59,7 @@ def _sha256_of(path: Path) -> str:
         return ""
 
 
-def _without_doc(entries: Mapping[str, object]) -> dict[str, Any]:
+def _without_doc(entries: Mapping[str, object]) -> dict[str, object]:
     stripped: dict[str, object] = {}
     for name, entry in entries.items():
         if isinstance(entry, Mapping):

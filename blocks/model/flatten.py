@@ -145,7 +145,7 @@ def _blocks_around(signal: str) -> list[str]:
     return [signal[:k] for k, letter in enumerate(signal) if letter == "."]
 
 
-def _replaced(run: Mapping[str, Any], path: tuple[str | int, ...], time: Fraction | None) -> dict[str, Any]:
+def _replaced(run: Mapping[str, Any], path: tuple[str | int, ...], time: Fraction | None) -> dict[str, object]:
     """Run settings with another time at a path; None: without a time there, or with a neutral one."""
     key, *rest = path
     if key == "stops":

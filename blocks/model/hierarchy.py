@@ -331,7 +331,7 @@ class Hierarchy:
             self.tell(scope, fault.code, place, fault.message, fault.cure, spot)
             raise Absent from None
 
-    def overridden(self, paths: tuple[str, ...], raw: object) -> tuple[Any, str]:
+    def overridden(self, paths: tuple[str, ...], raw: object) -> tuple[object, str]:
         """Return the raw value that counts, and the path by which it is set ("": it is none that is).
 
         paths: under which it may be set. A bound parameter cannot be set itself (E117).
@@ -609,12 +609,12 @@ def _fault_of(unit: str) -> Fault | None:
     return None
 
 
-def _with_unit(raw: object, unit: Unit) -> Any:
+def _with_unit(raw: object, unit: Unit) -> object:
     """Return a text or a bool for a parameter with a unit, as a quantity: a fault, as with a unit of its own."""
     return {"value": raw, "unit": unit} if unit and isinstance(raw, (bool, str)) else raw
 
 
-def spelling(entry: BlockEntry, scope: DiagramScope, loose: Mapping[str, object] | None = None) -> Any:
+def spelling(entry: BlockEntry, scope: DiagramScope, loose: Mapping[str, object] | None = None) -> object:
     """Return a key that is equal for blocks of one type with parameters, but for loose ones, written alike, or None."""
     if entry.stream:  # which not every block has
         return None
@@ -627,7 +627,7 @@ def spelling(entry: BlockEntry, scope: DiagramScope, loose: Mapping[str, object]
     return (entry.cls or entry.type or entry.fmu, *map(repr, getattr(entry, "options", {}).items()), *written)
 
 
-def _written(raw: Any, scope: DiagramScope) -> Any:
+def _written(raw: Any, scope: DiagramScope) -> object:
     """Return a raw value as it is written, with its scope where it is an expression; None for what no text holds."""
     kind = type(raw)
     if kind is Number:
@@ -645,7 +645,7 @@ def _written(raw: Any, scope: DiagramScope) -> Any:
     return None
 
 
-def _hashable(value: object) -> Any:
+def _hashable(value: object) -> object:
     """Return a key of a value: 0.0 and -0.0, which are equal, are two."""
     return tuple(_hashable(item) for item in value) if isinstance(value, list) else (type(value), value or repr(value))
 

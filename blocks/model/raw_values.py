@@ -51,7 +51,7 @@ def given_value(value: Any, parameter: Any) -> Any:
     return _no_limit(_quantities(raw)) if is_numeric else raw
 
 
-def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, object]) -> Mapping[str, Any]:
+def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, object]) -> Mapping[str, object]:
     """Values by the paths of parameters, texts such as "2 mH" as quantities where the parameter is numeric.
 
     A pattern gives its value to all parameters that it names, but those that are given by themselves; one that names
@@ -75,7 +75,7 @@ def given_values(diagram: DiagramValue, resolver: Resolver, given: Mapping[str, 
     return {**given, **{path: _given_at(diagram, resolver, str(path).split("."), given[path]) for path in texts}}
 
 
-def _no_limit(raw: Any) -> Any:
+def _no_limit(raw: Any) -> object:
     """Return inf and -inf as a file has them, as texts, also in a list for copies; any other value as it is."""
     if isinstance(raw, (np.ndarray, np.generic)) and raw.dtype.kind == "f" and np.isinf(raw).any():
         raw = raw.tolist()
@@ -84,7 +84,7 @@ def _no_limit(raw: Any) -> Any:
     return f"{raw:f}" if isinstance(raw, float) and math.isinf(raw) else raw
 
 
-def _quantities(raw: Any) -> Any:
+def _quantities(raw: Any) -> object:
     """A text that is a quantity as the file would hold it, and lists of such, as of the values of copies."""
     return type(raw)(map(_quantities, raw)) if type(raw) in (list, tuple) else read_quantity(raw)
 

@@ -49,7 +49,7 @@ class Column(dict[str, Any]):
         self.numbers, self.unit = tuple(numbers), str(raw.get("unit") or unit)
 
     @property
-    def as_value(self) -> dict[str, Any]:
+    def as_value(self) -> dict[str, object]:
         """Return the entry that replaces the column in a file that holds the numbers itself."""
         others = {key: self[key] for key in self if key not in ("csv", "column")}
         return {self.key: list(self.numbers), **others, **({"unit": self.unit} if self.unit else {})}

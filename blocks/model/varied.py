@@ -135,7 +135,7 @@ class _Parameters:
 
 def given_values(
     value: DiagramValue, resolver: Resolver, given: Mapping[str, object], around: Mapping[str, object] | None = None
-) -> Mapping[str, Any]:
+) -> Mapping[str, object]:
     """Return values by the paths of parameters, as a run is given them, with patterns and elements written out.
 
     An element ("t.values[2]") changes the value that the diagram has, with the other values that are given and with
@@ -328,7 +328,7 @@ def _of_block(leaf: Leaf) -> Iterator[tuple[bool, str, _Known]]:
             yield True, f"{leaf.path}.{name}", _Known(units, value, others, written)
 
 
-def _unlike(value: Any, lanes: Mapping[int, Any]) -> dict[int, Any]:
+def _unlike(value: Any, lanes: Mapping[int, Any]) -> dict[int, object]:
     return {lane: other for lane, other in lanes.items() if not np.array_equal(other, value)}
 
 

@@ -24,7 +24,7 @@ def converted(value: DiagramValue, in_si: Mapping[str, str]) -> DiagramValue:
     return replace(value, measures=measures, version=VERSION)
 
 
-def with_expressions(measures: Mapping[str, Any]) -> dict[str, Any]:
+def with_expressions(measures: Mapping[str, Any]) -> dict[str, object]:
     """Return measures of an older diagram for version 3 where units are not known: expressions are in SI."""
     return {
         name: {**raw, "against": f"={raw['against']!r}"} if is_plain_number(raw.get("against")) else raw

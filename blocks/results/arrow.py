@@ -30,7 +30,7 @@ from ..text.printable import legible, one_line
 from .table import TIMES, Content, FileTable, Refuse, optional, parsed, refusal, unique, versioned, without_twins
 
 if TYPE_CHECKING:
-    from pyarrow import Schema
+    from pyarrow import Buffer, RecordBatch, Schema
 
 PART = ".part"
 END = 8
@@ -72,7 +72,7 @@ class Window:
 # --- writing -----------------------------------------------------------------------------------------------------
 
 
-def schema_of(table: FileTable) -> Any:
+def schema_of(table: FileTable) -> Schema:
     """The schema of the files of a table, with units, names and metadata."""
     import pyarrow as pa
 
@@ -132,7 +132,7 @@ class PartFile:
     def __init__(self, path: Path, stream: BinaryIO) -> None:
         self.path, self.stream, self.length = path, stream, 0
 
-    def add_batch(self, batch: Any, state: bytes | None = None) -> None:
+    def add_batch(self, batch: RecordBatch, state: bytes | None = None) -> None:
         """Write a chunk, and the state after it. Raises UsageError (E501)."""
         notes = {"crc32": str(checksum(batch)), **({} if state is None else {"state": base64.b64encode(state)})}
         header = header_of(batch.schema)
@@ -178,7 +178,7 @@ def held(path: Path, flags: int) -> BinaryIO:
         stream.close()  # the run that had it has just removed it
 
 
-def header_of(schema: object) -> Any:
+def header_of(schema: Schema) -> Buffer:
     """Return the bytes with which a part begins."""
     return _stream_of(schema, None)[:-END]
 
@@ -194,7 +194,7 @@ def _stream_of(schema: object, batch: object, notes: object = None) -> Any:
     return memoryview(sink.getvalue())
 
 
-def checksum(batch: Any) -> int:
+def checksum(batch: RecordBatch) -> int:
     """Compute the CRC-32 of the columns of a batch: numbers, lists of numbers, texts."""
     import pyarrow as pa
 
@@ -299,7 +299,7 @@ class Part(PartFile):
 
 def chunks_of(
     stream: BinaryIO, check: Callable[[Any], object], refuse: Refuse, what: str
-) -> tuple[Any, Iterator[tuple[Any, bytes | None, int]]]:
+) -> tuple[object, Iterator[tuple[object, bytes | None, int]]]:
     """Return the schema of a part, and its whole chunks: rows, the state after them, where they end.
 
     check: raises UsageError or ValueError for the schema of another file. what: the part, for messages.
@@ -333,7 +333,7 @@ def _chunks(stream: BinaryIO, refuse: Refuse) -> tuple[Any, Iterator[tuple[Any, 
     """Return the schema of the part of a run, and its whole chunks, as `chunks_of` does."""
     import pyarrow as pa
 
-    def check(schema: Any) -> None:
+    def check(schema: Schema) -> None:
         metadata = schema.metadata or {}
         if b"blocks" not in metadata or any(field.type != pa.float64() for field in schema):
             raise ValueError("another program wrote it")
@@ -362,7 +362,7 @@ def read_parquet(path: Path, refuse: Refuse, window: Window) -> Content:
         return _content(file.schema_arrow, _groups(file, window), refuse, window)
 
 
-def _groups(file: Any, window: Window) -> Iterator[Any]:
+def _groups(file: Any, window: Window) -> Iterator[object]:
     """The row groups that may hold rows of a window, one by one, with the columns that it needs."""
     names = [_name_of(field) for field in file.schema_arrow]
     at = next(k for k, name in enumerate(names) if name in TIMES)  # `_content` has looked for it
@@ -383,7 +383,7 @@ def _name_of(field: Any) -> str:
     return name.decode()
 
 
-def _content(schema: Any, tables: Iterable[Any], refuse: Refuse, window: Window) -> Content:
+def _content(schema: Schema, tables: Iterable[Any], refuse: Refuse, window: Window) -> Content:
     """What a file holds. tables: with all columns of its schema, or with those of the window."""
     import pyarrow as pa
 

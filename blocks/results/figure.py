@@ -35,6 +35,6 @@ class Figure(Drawn):
 
     def _repr_mimebundle_(
         self, include: Collection[str] | None = None, exclude: Collection[str] | None = None
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         asked = [kind for kind in self.forms if (not include or kind in include) and kind not in (exclude or ())]
         return {kind: self.forms[kind](self) for kind in asked}

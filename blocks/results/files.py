@@ -29,7 +29,7 @@ from array import array
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 import numpy as np
 
@@ -130,7 +130,7 @@ def _has_arrow() -> bool:
     return importlib.util.find_spec("pyarrow") is not None
 
 
-def _texts_by_arrow(values: Array) -> Any:
+def _texts_by_arrow(values: Array) -> object:
     """The same as an array of Arrow: its decimals are the shortest, too, and repr writes some of them otherwise."""
     import pyarrow as pa
     import pyarrow.compute as pc

@@ -14,13 +14,17 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..text.arrays import Array
 from ..text.atomic_write import known_ending, write_atomically
 from ..text.errors import Fault, UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # Two lines that stay apart in greyscale and for the color-blind, by color and by pattern; then more of the kind.
 STYLES = (
@@ -31,7 +35,7 @@ STYLES = (
     ("#64748b", "-"),
     ("#be123c", (0, (3, 1, 1, 1, 1, 1))),
 )
-GRID = {"color": "#94a3b8", "alpha": 0.35, "linewidth": 0.5}
+GRID: dict[str, Any] = {"color": "#94a3b8", "alpha": 0.35, "linewidth": 0.5}
 _DOTS = ((0, (1, 1.2)), (0, (1, 2)))
 # Format of a picture: what keeps the date out of it, so that one figure gives the same bytes each time.
 FORMATS: dict[str, dict[str, object]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
@@ -167,7 +171,7 @@ def _legend_of(part: Panel) -> int:
     return min(len(part.lines), max(1, _LETTERS // (6 + max(len(line.label) for line in part.lines))))
 
 
-def _legend(part: Panel, axis: Any, columns: int) -> None:
+def _legend(part: Panel, axis: Axes, columns: int) -> None:
     """The legend above its panel, where it hides no line. It is wider than one of several columns may be: the layout
     is told of its height alone."""
     legend = axis.legend(
@@ -178,7 +182,7 @@ def _legend(part: Panel, axis: Any, columns: int) -> None:
     axis.set_title("\n".join(" " * -(-len(part.lines) // columns)), fontsize=9, pad=3)
 
 
-def _draw(part: Panel, axis: Any) -> None:
+def _draw(part: Panel, axis: Axes) -> None:
     if part.band is not None:
         axis.axvspan(*part.band, color="#94a3b8", alpha=0.22, linewidth=0)
     _curves(part, axis)
@@ -197,7 +201,7 @@ def _draw(part: Panel, axis: Any) -> None:
         _inset(part, axis)
 
 
-def _curves(part: Panel, axis: Any) -> None:
+def _curves(part: Panel, axis: Axes) -> None:
     for line in part.lines:
         color, pattern = (INK, (0, (1, 2))) if line.style is None else STYLES[line.style]
         if len(part.lines) == 1:
@@ -207,7 +211,7 @@ def _curves(part: Panel, axis: Any) -> None:
         width = 1.8 if is_solid and len(part.lines) > 1 else 0.9 if line.style is None else 1.2
         x, y = _thinned(line.x, line.y)
         order = 2 + 0.1 * (not is_solid) + 0.1 * is_dotted
-        look: dict[str, object] = {"linestyle": pattern, "linewidth": width, "zorder": order}
+        look: dict[str, Any] = {"linestyle": pattern, "linewidth": width, "zorder": order}
         if line.look == "wide":
             look = {"linestyle": "solid", "linewidth": 4.0, "alpha": 0.4, "zorder": 1.9}
         elif line.look == "points":
@@ -215,10 +219,10 @@ def _curves(part: Panel, axis: Any) -> None:
         axis.plot(x, y, color=color, label=plain(line.label), **look)
 
 
-def _inset(part: Panel, axis: Any) -> None:
+def _inset(part: Panel, axis: Axes) -> None:
     assert part.inset is not None
     x0, x1, y0, y1 = part.inset
-    small = axis.inset_axes([0.56, 0.14, 0.41, 0.52])
+    small = axis.inset_axes((0.56, 0.14, 0.41, 0.52))
     if part.band is not None:
         small.axvspan(*part.band, color="#94a3b8", alpha=0.22, linewidth=0)
     _curves(part, small)
@@ -230,7 +234,7 @@ def _inset(part: Panel, axis: Any) -> None:
     small.set_facecolor(PAPER)
 
 
-def ink(axis: Any, **ticks: Any) -> None:
+def ink(axis: Axes, **ticks: Any) -> None:
     """Text and axes in the color that stands for the page's. ticks: more of what `tick_params` takes."""
     axis.set_facecolor("none")
     axis.tick_params(colors=INK, **ticks)
@@ -255,7 +259,7 @@ def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
     return x[index], y[index]
 
 
-def svg_text(figure: Any) -> str:
+def svg_text(figure: Figure) -> str:
     """The figure as an <svg> element in the text color of the page; the same bytes each time."""
     stream = io.StringIO()
     with defaults({"svg.hashsalt": "blocks", "svg.fonttype": "none"}):
@@ -268,7 +272,7 @@ def svg_text(figure: Any) -> str:
     return re.sub(r' (?:width|height)="[^"]*"', "", head) + ">" + rest
 
 
-def _shown_svg(figure: Any) -> str:
+def _shown_svg(figure: Figure) -> str:
     """As `svg_text` on a background of its own, light or dark, whichever the reader prefers.
 
     A notebook does not tell a picture whether it is dark; drawings of diagrams do the same.
@@ -289,7 +293,7 @@ def _shown_svg(figure: Any) -> str:
 
 
 @defaults()
-def _shown_png(figure: Any) -> bytes:
+def _shown_png(figure: Figure) -> bytes:
     """On white, for what shows no SVG."""
     alpha, stream = figure.patch.get_alpha(), io.BytesIO()
     try:
@@ -312,7 +316,7 @@ def check_loads() -> None:
 
 
 @defaults({"svg.hashsalt": "blocks"})
-def save(figure: Any, path: str | Path) -> None:
+def save(figure: Figure, path: str | Path) -> None:
     """Write a figure to PNG, SVG or PDF, on white; the file is replaced as a whole. Raises UsageError (E501)."""
     ending = check_format(path)
     figure.patch.set_alpha(1.0)
@@ -325,7 +329,7 @@ def save(figure: Any, path: str | Path) -> None:
         _write(figure, stream.buffer, ending[1:], FORMATS[ending], dpi=150)
 
 
-def _write(figure: Any, stream: Any, format: str, metadata: Mapping[str, Any], *, dpi: float) -> None:
+def _write(figure: Figure, stream: Any, format: str, metadata: Mapping[str, Any], *, dpi: float) -> None:
     """As `figure.savefig`, which draws each figure twice, first to lay it out. Lines to an inset need that."""
     from matplotlib.backends import backend_agg, backend_svg
 

@@ -250,7 +250,7 @@ class Results(Shown):
             elements += [(element, first + i, unit) for i, element in enumerate(element_names(name, shape))]
         return elements
 
-    def summary(self) -> dict[str, dict[str, Any]]:
+    def summary(self) -> dict[str, dict[str, object]]:
         """By element: unit, min, max and the value at the end."""
         if not self.rows:
             return {}
@@ -397,7 +397,7 @@ class Results(Shown):
             parts.append(plots.Panel(tuple(lines), f"{single} {unit}".strip() or "value"))
         return plots.panels(parts, xlabel="time [s]", title=self.diagram)
 
-    def _overlaid(self, runs: Mapping[str, Results], names: Sequence[str], most: int) -> Any:
+    def _overlaid(self, runs: Mapping[str, Results], names: Sequence[str], most: int) -> object:
         """A panel for each signal, with a curve of each of the runs, of which this one is the first."""
         from . import plots
 

@@ -55,7 +55,7 @@ def optional(name: str, place: str, extra: str = "tables", *, otherwise: str = "
         raise UsageError(Fault("E504", place, message, cure.strip())) from None
 
 
-def versioned(described: Mapping[str, object]) -> dict[str, Any]:
+def versioned(described: Mapping[str, object]) -> dict[str, object]:
     return {"format": "blocks results", "version": VERSION, **described}
 
 
@@ -113,7 +113,7 @@ def without_twins(names: list[str], refuse: Refuse) -> list[str]:
     return names
 
 
-def parsed(text: str | bytes, refuse: Refuse) -> dict[str, Any]:
+def parsed(text: str | bytes, refuse: Refuse) -> dict[str, object]:
     try:
         metadata = json.loads(text)
     except ValueError:

@@ -138,7 +138,7 @@ def _answer(
         return told | {"faults": faults}
 
 
-def _laws(linearizer: Linearizer, *ends: list[str]) -> list[dict[str, Any]]:
+def _laws(linearizer: Linearizer, *ends: list[str]) -> list[dict[str, object]]:
     """The laws that bend and read one signal, by it, on the way from inputs to outputs, with openings.
 
     rough: it has no slope where it stands.
@@ -244,7 +244,7 @@ def modes(session: Session, *, at: str | float = "start", amplitude: Amplitude =
     return _answer(linearizer, where, made, _laws(linearizer, [], []), refused)
 
 
-def _modes(model: Transfer) -> Iterator[list[Any]]:
+def _modes(model: Transfer) -> Iterator[list[object]]:
     """A row for each eigenvalue or pair of them, fastest growth first.
 
     Of a sampled model with the pole z damping and frequency are those of s = ln z / T. The part of a state in a mode is

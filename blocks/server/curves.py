@@ -16,7 +16,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -65,7 +65,7 @@ def row_at(source: Source, t: float) -> list[float | None] | None:
     return [value if math.isfinite(value) else None for value in row.tolist()]
 
 
-def values_at(source: Source, t: float) -> dict[str, Any]:
+def values_at(source: Source, t: float) -> dict[str, object]:
     """The value of each signal at a time, as `row_at` has it; of vectors and matrices a flat list."""
     told = row_at(source, t)
     return {} if told is None else {

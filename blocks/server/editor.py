@@ -287,7 +287,7 @@ class Editor(Document):
         if fault.code == "E106" and fault.path[-2:-1] == ("parameters",):
             yield {"label": f"Remove {fault.path[-1]}", "level": "", "operations": [{"remove": list(fault.path)}]}
 
-    def _renamed(self, fault: Fault, name: str) -> Iterator[dict[str, Any]]:
+    def _renamed(self, fault: Fault, name: str) -> Iterator[dict[str, object]]:
         """The operation that takes a name in place of the one that a fault is about."""
         path = list(fault.path)
         try:

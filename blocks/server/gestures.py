@@ -229,7 +229,7 @@ def _raw(text: str, name: str, type_: str) -> Any:
 
 def _wired(
     editor: Editor, level: str, name: str, entry: Mapping[str, object], source: str, sink: str
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """What wires a new block of an entry to a source or a sink that is there."""
     parameters = editor.body(level).get("parameters", {})
     around = entries(folder=str(editor.folder), parameters=parameters, blocks={name: entry})
@@ -479,7 +479,7 @@ def _value(
     return elements if unit is None else {"value": elements, "unit": unit}
 
 
-def _with_unit(raw: object, unit: str | None) -> Any:
+def _with_unit(raw: object, unit: str | None) -> object:
     """A number with its unit, where there is one to write."""
     is_number = isinstance(raw, (int, float)) and not isinstance(raw, bool)
     return raw if unit is None or not is_number else {"value": raw, "unit": unit}

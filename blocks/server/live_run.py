@@ -354,7 +354,7 @@ class LiveRun:
 
     # --- what went wrong ---------------------------------------------------------------------------------------------
 
-    def failing(self) -> dict[str, Any] | None:
+    def failing(self) -> dict[str, object] | None:
         """The block that a failed run failed in, and the last rows of what it reads and gives, where that is recorded.
 
         {"block": path, "signals": names of elements, "t": times, "rows": values by time}; None where no block is known.

@@ -48,7 +48,7 @@ def handles_aside(function: Callable[..., Answer]) -> Callable[..., Answer]:
     return handles(function)
 
 
-def message_of(sent: str | bytes) -> dict[str, Any]:
+def message_of(sent: str | bytes) -> dict[str, object]:
     """A message as an object of JSON, with the name of what is asked for, and a number. Raises UsageError (E501)."""
     try:
         message = json.loads(sent, parse_constant=_no_number) if isinstance(sent, str) else None

@@ -161,7 +161,7 @@ class Document:
             "coupled": isinstance(self.planned, Coupling),
         }
 
-    def _settings(self) -> dict[str, Any]:
+    def _settings(self) -> dict[str, object]:
         """How a run goes; of a diagram with faults, when it ends, as its file says it ("" for never)."""
         if self.planned is not None:
             return _settings(self.planned, self.visible.value)
@@ -259,7 +259,7 @@ def _files_of(value: DiagramValue) -> Iterator[Path]:
             yield from _files_of(entry.inner)
 
 
-def told_fault(fault: Fault, paths: set[str]) -> dict[str, Any]:
+def told_fault(fault: Fault, paths: set[str]) -> dict[str, object]:
     """A fault as the page gets it, with the path of the block that it is of."""
     return {
         "code": fault.code,
@@ -271,7 +271,7 @@ def told_fault(fault: Fault, paths: set[str]) -> dict[str, Any]:
     }
 
 
-def _blocks_of(value: DiagramValue, prefix: str) -> Iterator[dict[str, Any]]:
+def _blocks_of(value: DiagramValue, prefix: str) -> Iterator[dict[str, object]]:
     for name, entry in value.blocks.items():
         path, inner = prefix + name, entry.inner
         kind = "fmu" if entry.fmu else "diagram" if inner is not None else "block"
@@ -299,7 +299,7 @@ def _below(faults: Sequence[Fault], prefix: str) -> list[Fault]:
     return [replace(f, place=f.place.removeprefix(prefix)) for f in faults if f.place.startswith(prefix)]
 
 
-def _settings(planned: Plan | Coupling, value: DiagramValue) -> dict[str, Any]:
+def _settings(planned: Plan | Coupling, value: DiagramValue) -> dict[str, object]:
     """How a run goes. first: the signals that are worth to be shown first: what the diagram gives, measures, logs."""
     settings = planned.settings
     measured = (str(raw[key]) for raw in value.measures.values() for key in ("of", "against") if key in raw)

@@ -319,7 +319,7 @@ class Session:
             raise UsageError(Fault("E501", self.document.name, "there is no run.", "Start a run first."))
         return self.live
 
-    def run_told(self) -> dict[str, Any]:
+    def run_told(self) -> dict[str, object]:
         """How the run stands, as the page gets it."""
         live = self.live
         if live is None:
@@ -354,7 +354,7 @@ class _Job:
     is_dropped: bool = False
 
 
-def _failed(error: Exception) -> dict[str, Any]:
+def _failed(error: Exception) -> dict[str, object]:
     return {"is": "error", "faults": [told_fault(own_fault(error), set())]}
 
 

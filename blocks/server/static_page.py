@@ -128,7 +128,7 @@ def zooming(figures: Mapping[str, Figure]) -> tuple[str, str]:
     return _policy(script), end
 
 
-def _zoomed(name: str, figure: Figure, most: int) -> dict[str, Any]:
+def _zoomed(name: str, figure: Figure, most: int) -> dict[str, object]:
     """The rows of a figure; lines of the same times stand together."""
     panels, is_thin = [], False
     for part in figure.parts:

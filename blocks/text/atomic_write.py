@@ -132,13 +132,13 @@ def _is_device(target: Path) -> bool:
 
 
 @contextlib.contextmanager
-def _device(target: Path) -> Iterator[Any]:
+def _device(target: Path) -> Iterator[object]:
     with open(target, "w", encoding="utf-8", newline="\n") as stream:
         yield stream
 
 
 @contextlib.contextmanager
-def _part(target: Path, was: bytes | None) -> Iterator[Any]:
+def _part(target: Path, was: bytes | None) -> Iterator[object]:
     if target.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
     if target.exists() and not os.access(target, os.W_OK):

@@ -115,7 +115,7 @@ class Kind:
         for step, entry in self.entries(value):
             yield from self.entry(step).walk(entry, (*path, step))
 
-    def quantities(self, value: object, path: Steps = ()) -> Iterator[tuple[Steps, Any]]:
+    def quantities(self, value: object, path: Steps = ()) -> Iterator[tuple[Steps, object]]:
         """All in it whose bare numbers have a unit, with its path."""
         if self.unit:
             yield path, value

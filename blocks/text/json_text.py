@@ -289,7 +289,7 @@ def meant(text: str | bytes, *, file: str = "") -> tuple[Document, tuple[Fault, 
         return error.readable, error.faults
 
 
-def without_text(value: Any, left: Iterator[int] | None = None) -> Any:
+def without_text(value: Any, left: Iterator[int] | None = None) -> object:
     """What `read` gives for the text of a plain value. Raises ValueError where only a text can tell: faults, limits."""
     kind, left = type(value), left or iter(range(1_000))
     if next(left, None) is None:
@@ -308,7 +308,7 @@ def without_text(value: Any, left: Iterator[int] | None = None) -> Any:
     raise ValueError
 
 
-def _of_pairs(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _of_pairs(pairs: list[tuple[str, Any]]) -> dict[str, object]:
     entries = dict(pairs)
     if len(entries) < len(pairs):
         raise ValueError

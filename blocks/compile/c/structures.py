@@ -72,7 +72,7 @@ def _enumerate(members: str, constants: dict[str, int]) -> None:
         constants[name], following = following, following + 1
 
 
-def _fields(line: str, found: Mapping[str, Any], constants: Mapping[str, int]) -> list[tuple[str, Any]]:
+def _fields(line: str, found: Mapping[str, Any], constants: Mapping[str, int]) -> list[tuple[str, object]]:
     """The fields that a line declares."""
     function = _FUNCTION.fullmatch(line)
     if function is not None:

@@ -63,7 +63,7 @@ def is_quantity(raw: object) -> bool:
     return isinstance(raw, Mapping) and "value" in raw and all(key in QUANTITY or key[:2] == "x-" for key in raw)
 
 
-def _meaning(raw: Any, declared: Unit = "") -> Any:
+def _meaning(raw: Any, declared: Unit = "") -> object:
     """Quantities for numbers, tuples for lists, dicts for objects, and texts, bools and null as they are."""
     match raw:
         case EdgeTable():
@@ -114,7 +114,7 @@ def _number(raw: float, declared: Unit) -> _Quantity:
     return _Quantity(units.to_si(value, unit, exact=exact), scaled, read.dimension)
 
 
-def _expression(raw: str, declared: Unit) -> Any:
+def _expression(raw: str, declared: Unit) -> object:
     """The steps of an expression; its number in SI where it reads no parameter."""
     try:
         expression = expressions.parse(raw[1:])
@@ -136,7 +136,7 @@ def digest_of(raw: object) -> str:
     return hashlib.sha256(repr(_canonical(_meaning(raw))).encode("utf-8", "backslashreplace")).hexdigest()
 
 
-def _canonical(meaning: object) -> Any:
+def _canonical(meaning: object) -> object:
     match meaning:
         case _Quantity():
             return ("number", meaning.value + 0.0, meaning.dimension)
@@ -196,7 +196,9 @@ def _with_unit(text: str, unit: str) -> str:
     return f"{text} {clean(unit)}".rstrip()
 
 
-def parts_that_differ(a: object, b: object, declared: Unit = "", declared_b: Unit = "") -> tuple[str, Any, Any, str]:
+def parts_that_differ(
+    a: object, b: object, declared: Unit = "", declared_b: Unit = ""
+) -> tuple[str, object, object, str]:
     """Return where two long lists of one length differ: the first element, "[17]", its values, a note on the others."""
     elements_a, elements_b = _elements(a, declared), _elements(b, declared_b)
     count = len(elements_a)
@@ -207,7 +209,7 @@ def parts_that_differ(a: object, b: object, declared: Unit = "", declared_b: Uni
     if not apart:
         return "", a, b, ""
 
-    def wrapped(item: object, unit: str) -> Any:
+    def wrapped(item: object, unit: str) -> object:
         return {"value": item, "unit": unit} if unit and not isinstance(item, Mapping) else item
 
     first = apart[0]

@@ -187,14 +187,14 @@ class Level:
                 return f"{item.key.removesuffix(item.name)}{now}"
         return name
 
-    def end_now(self, text: object) -> Any:
+    def end_now(self, text: object) -> object:
         """Return the end of a wire of A, as it is called in B."""
         if not isinstance(text, str):
             return text
         node, port = end_of(text)
         return self.new_names.get(node, node) + port
 
-    def signal_now(self, text: object) -> Any:
+    def signal_now(self, text: object) -> object:
         """Return a signal of A by its path ("control.eso.z1"), as it is called in B."""
         if not isinstance(text, str):
             return text
@@ -369,7 +369,7 @@ def _raw(item: object) -> Any:
     return entry_document(item) if isinstance(item, BlockEntry) else item.raw if isinstance(item, _Setting) else item
 
 
-def _fields_of(entry: BlockEntry, kind: Object) -> dict[str, Any]:
+def _fields_of(entry: BlockEntry, kind: Object) -> dict[str, object]:
     """Return the keys of a block that are compared one by one; a variant has ports."""
     fields = {"doc": entry.doc, **entry.control, **entry.options, **entry.extras}
     fields |= {"ports": entry.ports} if kind is VARIANT else {}

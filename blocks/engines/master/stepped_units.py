@@ -69,7 +69,7 @@ class Running(Protocol):
         """Return the places of the outputs that take a new course since `arrive`. has_acted: whether `instant` did."""
         return range(len(self.unit.outputs)) if has_acted else ()
 
-    def save(self) -> Any:
+    def save(self) -> object:
         raise AssertionError("compiled code saves")
 
     def restore(self, saved: Any) -> None:
@@ -253,7 +253,7 @@ class PlanUnit(Running):
         changed |= {Reference("h", i) for i in broken}
         return [n for n, follows in enumerate(self.unit.follows) if not changed.isdisjoint(follows)]
 
-    def save(self) -> Any:
+    def save(self) -> object:
         return self.engine.keep(), list(self.u)
 
     def restore(self, saved: Any) -> None:

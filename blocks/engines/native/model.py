@@ -104,7 +104,7 @@ class Model(RuntimeTables):
             ctypes.memmove(self.library["blocks_filled"], made.filled, len(made.filled))
 
     @cached_property
-    def setup(self) -> Any:
+    def setup(self) -> object:
         """What runs are made of: the tables in their places; the rest is of a run."""
         setup = runtime_layout.BlocksSetup()
         setup.model = self.address
@@ -129,7 +129,7 @@ class Model(RuntimeTables):
             last = self._of_measures = plan.measures, plan.settings, Measures(plan)
         return last[2]
 
-    def for_settings(self, plan: Plan) -> tuple[Any, int]:
+    def for_settings(self, plan: Plan) -> tuple[object, int]:
         """What runs with the settings of a plan are made of, and how many rows they are expected to record."""
         settings = plan.settings
         last = self._of_settings

@@ -680,7 +680,7 @@ class Instants:
                 return j, sides
         return None
 
-    def _memory_now(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[Any, ...]:
+    def _memory_now(self, snapshot: Snapshot, u: Sequence[float]) -> tuple[object, ...]:
         """The arguments of a program that looks at crossings at an instant."""
         if not self.later:
             return self.memory(snapshot, u)

@@ -269,7 +269,7 @@ class Kept:
         )  # fmt: skip
 
 
-def _read(stream: BinaryIO) -> tuple[Any, bytes]:
+def _read(stream: BinaryIO) -> tuple[object, bytes]:
     with zipfile.ZipFile(stream) as archive:
         members = archive.infolist()
         if len(members) > MOST_MEMBERS or sum(member.file_size for member in members) > MOST_BYTES:

@@ -28,7 +28,7 @@ def _any(values: Array) -> bool:
     return True
 
 
-def _is_number(values: Array) -> Any:
+def _is_number(values: Array) -> object:
     return ~np.isnan(values)
 
 
@@ -36,7 +36,7 @@ def _is_count(values: Array) -> Any:
     return (values >= 0) & (values < 2**31)
 
 
-def _is_side(values: Array) -> Any:
+def _is_side(values: Array) -> object:
     return (values == 0.0) | (values == 1.0)
 
 
