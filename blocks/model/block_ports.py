@@ -35,6 +35,7 @@ class Probe:
 
     def ports(self, name: str, entry: BlockEntry) -> Ports | None:
         """Those of a block whose class is known; None where a fresh look is needed, and from then on."""
+        assert entry.cls is not None
         hierarchy, declaration = self.hierarchy, entry.cls.declaration
         read, bounds = outside(declaration), loose(declaration)
         is_same = self.read.setdefault(entry.cls, read) is read and not read.impure and not read.is_opaque

@@ -10,12 +10,16 @@ import re
 import unicodedata
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 from ..text.errors import Fault, ModelError, did_you_mean
-from ..text.json_document import AT_KEY, nearest
+from ..text.json_document import AT_KEY, Path, nearest
 from ..text.printable import quoted
 
+if TYPE_CHECKING:
+    from ..contract.block import Block
+
+BlockClass: TypeAlias = "type[Block]"
 FORMAT = "blocks-diagram"
 VERSION = 3
 PLAIN_VERSION = 2
@@ -37,7 +41,7 @@ def is_name(text: object) -> bool:
     return isinstance(text, str) and bool(NAME.match(text))
 
 
-def is_plain_number(raw: object) -> bool:
+def is_plain_number(raw: object) -> TypeGuard[int | float]:
     return isinstance(raw, (int, float)) and not isinstance(raw, bool)
 
 
@@ -82,17 +86,17 @@ class BlockEntry:
     type: str = ""
     diagram: DiagramValue | str | None = None
     fmu: str = ""
-    copies: Any = None
-    control: Mapping[str, Any] = field(default_factory=dict)
+    copies: object = None
+    control: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
     stream: str = ""
     options: Mapping[str, Any] = field(default_factory=dict)
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    doc: Any = ""
+    parameters: Mapping[str, object] = field(default_factory=dict)
+    doc: object = ""
     ports: Mapping[str, str] = field(default_factory=dict)
     variant: str = ""
     variants: Mapping[str, BlockEntry] = field(default_factory=dict)
-    extras: Mapping[str, Any] = field(default_factory=dict)
-    cls: Any = field(default=None, compare=False, repr=False)
+    extras: Mapping[str, object] = field(default_factory=dict)
+    cls: BlockClass | None = field(default=None, compare=False, repr=False)
     loaded: DiagramValue | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -121,19 +125,19 @@ class DiagramValue:
     """
 
     name: str = "diagram"
-    doc: Any = ""
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    inputs: Mapping[str, Any] = field(default_factory=dict)
-    outputs: Mapping[str, Any] = field(default_factory=dict)
+    doc: object = ""
+    parameters: Mapping[str, object] = field(default_factory=dict)
+    inputs: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    outputs: Mapping[str, str] = field(default_factory=dict)
     blocks: Mapping[str, BlockEntry] = field(default_factory=dict)
     wires: Mapping[str, str] = field(default_factory=dict)
     run: Mapping[str, Any] = field(default_factory=dict)
-    measures: Mapping[str, Any] = field(default_factory=dict)
-    layout: Mapping[str, Any] = field(default_factory=dict)
-    extras: Mapping[str, Any] = field(default_factory=dict)
+    measures: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    layout: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    extras: Mapping[str, object] = field(default_factory=dict)
     file: str = field(default="", compare=False, repr=False)
     folder: str = field(default="", compare=False, repr=False)  # where its relative paths begin
-    positions: Mapping[Any, tuple[int, int]] = field(default_factory=dict, compare=False, repr=False)
+    positions: Mapping[Path, tuple[int, int]] = field(default_factory=dict, compare=False, repr=False)
     prefix: tuple[str | int, ...] = field(default=(), compare=False, repr=False)
     version: int = field(default=MADE, compare=False, repr=False)
 
@@ -189,7 +193,7 @@ class FaultList:
     LONGEST_MESSAGE = 500
 
     def __init__(self) -> None:
-        self._faults: dict[Any, Fault] = {}
+        self._faults: dict[object, Fault] = {}
         self._compared = 0
 
     def __bool__(self) -> bool:

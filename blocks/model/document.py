@@ -248,7 +248,8 @@ def relocated(value: DiagramValue, folder: str | Path) -> DiagramValue:
 
     blocks = {name: moved(entry) for name, entry in value.blocks.items()}
     extras = dict(value.extras)
-    if extras.get(SCHEMA) and not re.match(r"[A-Za-z][\w+.-]+:|[/#]", extras[SCHEMA]):  # a path, and no URL
-        extras[SCHEMA] = path(extras[SCHEMA])
+    schema = extras.get(SCHEMA)
+    if isinstance(schema, str) and schema and not re.match(r"[A-Za-z][\w+.-]+:|[/#]", schema):  # a path, and no URL
+        extras[SCHEMA] = path(schema)
     moved_parameters = parameters(value.parameters)
     return replace(value, blocks=blocks, parameters=moved_parameters, extras=extras, folder=os.path.abspath(folder))

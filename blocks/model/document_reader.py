@@ -327,7 +327,7 @@ def _doc(value: Mapping[str, object]) -> object:
     return value.get("doc") or ""
 
 
-def _control(entry: Mapping[str, Any]) -> dict[str, object]:
+def _control(entry: Mapping[str, Any]) -> dict[str, Mapping[str, object]]:
     """What turns a subdiagram on, or triggers it; nothing where that is faulty."""
     given = {key: entry[key] for key in CONTROLS if key in entry}
     if not all(isinstance(value, dict) for value in given.values()):

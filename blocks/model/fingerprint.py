@@ -32,10 +32,10 @@ def _bare(value: DiagramValue) -> DiagramValue:
         value,
         doc="",
         parameters=_without_doc(value.parameters),
-        inputs=_without_doc(value.inputs),
+        inputs={name: _kept(entry) for name, entry in value.inputs.items()},
         blocks={name: _bare_entry(entry, value.folder) for name, entry in value.blocks.items()},
         run={key: item for key, item in value.run.items() if key != "doc" and not key.startswith("x-")},
-        measures=_without_doc(value.measures),
+        measures={name: _kept(entry) for name, entry in value.measures.items()},
         layout={},
         extras={},
     )
@@ -67,9 +67,13 @@ def _without_doc(entries: Mapping[str, object]) -> dict[str, object]:
             numbers: dict[str, object] = {}
             if isinstance(entry, Column):
                 numbers = {entry.key: entry.numbers, **({"unit": entry.unit} if entry.unit else {})}
-            kept = {key: item for key, item in entry.items() if key not in ("doc", "csv", "column") and key[:2] != "x-"}
-            whole = {**numbers, **kept}
+            whole = {**numbers, **_kept(entry)}
             stripped[name] = whole["value"] if list(whole) == ["value"] else whole
         else:
             stripped[name] = entry
     return stripped
+
+
+def _kept(entry: Mapping[str, object]) -> dict[str, object]:
+    """Return the entry without its documentation, and without where its numbers lie."""
+    return {key: item for key, item in entry.items() if key not in ("doc", "csv", "column") and key[:2] != "x-"}

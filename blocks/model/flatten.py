@@ -134,9 +134,10 @@ def numbers_in_si(value: DiagramValue, signals: Mapping[str, FlatSignal]) -> dic
     found: dict[str, str] = {}
     for name, raw in value.measures.items() if value.is_before_3 else ():
         number, of = raw.get("against"), raw.get("of")
-        signal = element_of(of, signals) if isinstance(of, str) and is_plain_number(number) else None
-        if signal is not None and units.to_si(float(number), signal.declared_unit) != number:
-            found[name] = signal.unit
+        if isinstance(of, str) and is_plain_number(number):
+            signal = element_of(of, signals)
+            if signal is not None and units.to_si(float(number), signal.declared_unit) != number:
+                found[name] = signal.unit
     return found
 
 
@@ -308,7 +309,8 @@ class _Flattener:
         """Warn of numbers of measures that mean something else in version 3."""
         for name, unit in numbers_in_si(self.diagram, signals).items():
             raw = self.diagram.measures[name]
-            number, signal = float(raw["against"]), element_of(raw["of"], signals)
+            number, signal = raw["against"], element_of(str(raw["of"]), signals)
+            assert is_plain_number(number)
             assert signal is not None
             message = f"{number:g} is in {unit}, as the file has version {self.diagram.version}; in version 3 it "
             message += f"would be in {signal.declared_unit}."

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 from .diagram_value import VERSION, DiagramValue, is_plain_number
 
@@ -24,7 +23,7 @@ def converted(value: DiagramValue, in_si: Mapping[str, str]) -> DiagramValue:
     return replace(value, measures=measures, version=VERSION)
 
 
-def with_expressions(measures: Mapping[str, Any]) -> dict[str, object]:
+def with_expressions(measures: Mapping[str, Mapping[str, object]]) -> dict[str, Mapping[str, object]]:
     """Return measures of an older diagram for version 3 where units are not known: expressions are in SI."""
     return {
         name: {**raw, "against": f"={raw['against']!r}"} if is_plain_number(raw.get("against")) else raw
