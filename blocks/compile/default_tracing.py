@@ -212,7 +212,7 @@ def _lifted_cell(cell: Any, known: dict[FunctionType, FunctionType]) -> Any:
     return CellType(_lifted(held, known)) if isinstance(held, FunctionType) else cell
 
 
-_DEFAULTS: dict[Any, tuple[Outside, tuple[Program, ...] | Untraceable]] = {}
+_DEFAULTS: dict[object, tuple[Outside, tuple[Program, ...] | Untraceable]] = {}
 """What was traced, and what its class read from outside then, by all else that it depends on."""
 
 

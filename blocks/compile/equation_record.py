@@ -146,7 +146,7 @@ class _Recorder:
     def __init__(self, flat: Flat, tapes: Mapping[str, Tape]) -> None:
         self.flat, self.blocks, self.tapes = flat, flat.blocks, tapes
         self.files: dict[str, str] = {}  # the SHA-256 of the FMU of a block, by path
-        self.types: dict[Any, tuple[str, str, str]] = {}
+        self.types: dict[object, tuple[str, str, str]] = {}
         self.numbers: dict[int, tuple[list[str], str]] = {}  # by the id of Resolved
         self.outputs: dict[int, dict[tuple[str, int], str]] = {}  # by the id of an interface
         inputs = flat.inputs

@@ -214,7 +214,7 @@ class _Folding:
             self.number[block, lane] = len(self.entries)
             self.entries.append((block, lane))
             self.roots.append(None if fleet is None else _root(fleet))
-        self.gathered: dict[Any, int] = {}
+        self.gathered: dict[object, int] = {}
         self.gathers: list[tuple[Fleet, list[Source]]] = []
         self.blocks = [self.block(*entry) for entry in self.entries]
         self.blocks += [self.gather(*pair) for pair in self.gathers]

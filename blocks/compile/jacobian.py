@@ -534,7 +534,7 @@ class _JacobianBuilder:
 
     def _make_groups(self) -> None:
         plan = self.plan
-        known: dict[Any, _PartialsGroup] = {}
+        known: dict[object, _PartialsGroup] = {}
         for step in self.program.order:
             results = tuple(node.result for node in step.nodes if node in self.depends)
             if not results or step.instance in self.folded.gathers:

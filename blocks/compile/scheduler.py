@@ -9,7 +9,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Mapping, Sequence
 from itertools import groupby
-from typing import Any
+from typing import TypeVar
 
 from ..contract.tape import Result, Tape
 from ..contract.tracing import jacobian
@@ -17,6 +17,8 @@ from ..text.errors import Fault, ModelError
 from .fmu_tape import FmuTape, asked
 from .plan import AlgebraicLoop, LoopPart, Node, Plan, Program, ProgramStep, Reference
 from .tearing import stages
+
+Key = TypeVar("Key")
 
 
 def schedule(
@@ -247,13 +249,13 @@ def _partials(tape: Tape, results: Sequence[tuple[str, int]], arguments: tuple[i
     return asked(tape, results, arguments) if isinstance(tape, FmuTape) else jacobian(tape, results, arguments)
 
 
-def components(needs: Mapping[Any, list[Any]]) -> list[list[Any]]:
+def components(needs: Mapping[Key, Sequence[Key]]) -> list[list[Key]]:
     """The sets of nodes that need each other, each after those that it needs (Tarjan 1972, without recursion)."""
-    index: dict[Any, int] = {}
-    low: dict[Any, int] = {}
-    waiting: list[object] = []
-    open_: set[object] = set()
-    groups: list[list[object]] = []
+    index: dict[Key, int] = {}
+    low: dict[Key, int] = {}
+    waiting: list[Key] = []
+    open_: set[Key] = set()
+    groups: list[list[Key]] = []
     for root in needs:
         if root in index:
             continue
@@ -277,7 +279,7 @@ def components(needs: Mapping[Any, list[Any]]) -> list[list[Any]]:
                 if stack:
                     low[stack[-1][0]] = min(low[stack[-1][0]], low[node])
                 if low[node] == index[node]:
-                    group: list[object] = []
+                    group: list[Key] = []
                     while not group or group[-1] != node:
                         group.append(waiting.pop())
                         open_.discard(group[-1])

@@ -286,7 +286,7 @@ class _ReadsFinder:
     """Follows functions into all that they read."""
 
     def __init__(self) -> None:
-        self.watches: dict[Any, _Watch] = {}
+        self.watches: dict[object, _Watch] = {}
         self.done: set[Any] = set()
         self.kept: list[Any] = []  # what keys name by its id
         self.equation = ""

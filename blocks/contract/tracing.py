@@ -90,7 +90,7 @@ def _impure(interface: Interface, equation: str, why: str) -> Fault:
 
 def _differing(first: Tape, other: Tape) -> str:
     """The first equation that gives another expression in another tape of the same type; "" where there is none."""
-    known: dict[Any, int] = {}
+    known: dict[object, int] = {}
     numbered: list[dict[str, list[int]]] = []
     for tape in (first, other):
         numbers: list[int] = []
@@ -114,7 +114,7 @@ def jacobian(tape: Tape, results: Sequence[tuple[str, int]], arguments: Sequence
     elements asked for, and "partial" with their derivatives, (results, arguments) in C order; see `derivatives` for
     corners and choices.
     """
-    known: dict[Any, Tape] = tape.kept.setdefault("jacobians", {})
+    known: dict[object, Tape] = tape.kept.setdefault("jacobians", {})
     key = (tuple(results), tuple(arguments))
     if key not in known:
         asked = [tape.results[name].nodes[element] for name, element in results]

@@ -250,7 +250,7 @@ class _Finder:
 
     def study(self, value: Mapping[str, object], file: str) -> None:
         folder = os.path.dirname(file)
-        bodies: dict[Any, Body | None] = {}
+        bodies: dict[object, Body | None] = {}
         study = Body(file, (), value)
         self.definitions(study, "run")
         runs = [("runs", studies.ONE_RUN, *item) for item in table(value, "runs").items()]

@@ -207,7 +207,7 @@ def without(value: object, places: Iterable[Steps]) -> Any:
 
     A list that needs more entries than are left goes with what holds it.
     """
-    tree: dict[Any, Any] = {}
+    tree: dict[object, Any] = {}
     for steps in sorted(places, key=len, reverse=True):
         branch = tree
         for step in steps[:-1]:
@@ -216,7 +216,7 @@ def without(value: object, places: Iterable[Steps]) -> Any:
     return _without(value, tree, grammar_of(value))
 
 
-def _without(value: Any, tree: Mapping[Any, Any], kind: Kind) -> object:
+def _without(value: Any, tree: Mapping[object, Any], kind: Kind) -> object:
     kind = kind.meant(value)
     left: list[tuple[object, object]] = []
     for step, entry in value.items() if isinstance(value, Mapping) else enumerate(value):

@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -55,7 +54,7 @@ class Interconnection:
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         types: dict[int, TypePartials] = {}
-        groups: dict[Any, BlockGroup] = {}
+        groups: dict[object, BlockGroup] = {}
         self.type_of: list[TypePartials] = []
         for index, instance in enumerate(plan.instances):
             kind = types.get(id(instance.tape))

@@ -33,7 +33,7 @@ from .slopes import Slopes
 from .thresholds import evident
 
 _BENT: WeakKeyDictionary[Interconnection, dict[int, dict[int, frozenset[int]]]] = WeakKeyDictionary()
-_GAINS: WeakKeyDictionary[Interconnection, dict[Any, complex]] = WeakKeyDictionary()
+_GAINS: WeakKeyDictionary[Interconnection, dict[object, complex]] = WeakKeyDictionary()
 _MANY = 4096
 """Gains that are kept of one graph."""
 _EPS = float(np.finfo(float).eps)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -62,7 +61,7 @@ class TypePartials:
                     if k in self.slot_of and not row[0].startswith("crossing"):
                         self.pairs.append((self.row_of[row], self.slot_of[k]))
         self.bends = [row for row in self.rows if self._bends(row)]
-        self._coupled: dict[Any, tuple[frozenset[int] | None]] = {}
+        self._coupled: dict[object, tuple[frozenset[int] | None]] = {}
 
     def _derive(self) -> None:
         reads = {row: [k for k in self.tape.read_by[row[0]][row[1]] if k in self.slot_of] for row in self.rows}

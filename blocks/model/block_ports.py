@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import islice
-from typing import Any
 
 from ..contract.captured_values import Outside, outside
 from ..contract.resolution import loose
@@ -30,8 +29,8 @@ class Probe:
         """Raises ModelError as `port_units`."""
         self.blocks: dict[str, BlockEntry] = {}
         self.hierarchy = Hierarchy(replace(within, blocks=self.blocks), resolver, {})
-        self.known: dict[Any, Ports] = {}
-        self.read: dict[Any, Outside] = {}
+        self.known: dict[object, Ports] = {}
+        self.read: dict[object, Outside] = {}
 
     def ports(self, name: str, entry: BlockEntry) -> Ports | None:
         """Those of a block whose class is known; None where a fresh look is needed, and from then on."""

@@ -38,7 +38,7 @@ from ..text.errors import Fault, FMUError, ModelError, UsageError
 from .diagram_grammar import LONGEST_TIMEOUT, TIMEOUT
 
 KINDS = {"CS": "Co-Simulation", "ME": "Model Exchange"}
-_TYPES: dict[Any, type[Block]] = {}
+_TYPES: dict[object, type[Block]] = {}
 _LARGEST = 2**53
 UNWIRED = ("Clock", "Binary", "String")
 """Types that no port has."""

@@ -158,9 +158,9 @@ class Hierarchy:
         self.scopes: list[DiagramScope] = []
         self.leaves: list[Leaf] = []
         self.settable: dict[str, None] = {}  # paths of all parameters, where overrides are given
-        self.resolved: dict[Any, Resolved] = {}
-        self.spelled: dict[Any, tuple[Resolved, Origins]] = {}  # by type and parameters as they are written
-        self.units: dict[Any, Unit] = {}  # of parameters whose unit follows from structural ones
+        self.resolved: dict[object, Resolved] = {}
+        self.spelled: dict[object, tuple[Resolved, Origins]] = {}  # by type and parameters as they are written
+        self.units: dict[object, Unit] = {}  # of parameters whose unit follows from structural ones
         self.drawing: dict[str, _Drawing] = {}  # by the names of streams
         self.fleets: list[Fleet] = []  # in the order of the text
         _check_size(diagram)

@@ -172,7 +172,7 @@ class Found:
 
 def found(flat: Flat) -> list[Found]:
     """The FMUs of a diagram in its order; nothing of them is loaded. An FMU that is used twice is looked at once."""
-    seen: dict[Any, tuple[Fault, ...]] = {}
+    seen: dict[object, tuple[Fault, ...]] = {}
     fmus = []
     for block in flat.one_of_each:
         foreign = block.interface.declaration.foreign

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from ...contract.expressions import FUNCTIONS
 from ...contract.scalars import COSTLY, LOGICAL, OPERATIONS
@@ -28,7 +27,9 @@ def bindings_c(settings: Sequence[Setting], name: str = "bind") -> str:
     finite again, as in min(1/0, 5).
     """
     printer = _Printer(name)
-    levels: list[dict[Any, list[tuple[int, Program]]]] = []  # programs that read those of earlier levels, by their form
+    levels: list[
+        dict[object, list[tuple[int, Program]]]
+    ] = []  # programs that read those of earlier levels, by their form
     level_of: dict[float, int] = {}  # by place in s
     for setting in settings:
         for k, program in enumerate((setting.elements or ()) if setting.first >= 0 else ()):

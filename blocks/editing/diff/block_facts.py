@@ -35,7 +35,7 @@ class BlockFacts:
 
     def __init__(self, resolver: Resolver | None) -> None:
         self.resolver = resolver
-        self.units: dict[Any, Unit] = {}
+        self.units: dict[object, Unit] = {}
         self.sums: dict[tuple[str, str], str] = {}
         self.drawing: dict[int, bool] = {}
 

@@ -31,7 +31,7 @@ from .carried_order import CarriedOrder
 
 _LOCK = threading.Lock()
 MOST_MODELS = 32
-_MODELS: dict[Any, Model] = {}  # by all of a plan but its values: plans that differ in these alone share one
+_MODELS: dict[object, Model] = {}  # by all of a plan but its values: plans that differ in these alone share one
 Entry = tuple[int, int | None, int, Any, int]
 """A part of a run's memory: its place and that of its count, in bytes from the start of the run; its size, kind and
 flags."""
