@@ -325,7 +325,7 @@ def sweep() -> None:
     tell("SciPy's DOP853, rtol 1e-8, through the same periods", scipy)
     tell("estimate_response, sines", seconds, 2000.0, scipy)
     print(f"    {int(counts.sum())} periods; they are {apart(ours.value, theirs):.1e} apart")
-    linearizer = Diagram.alone(SMESO()).linearizer(held={"u": 0.0})
+    linearizer = Diagram.alone(SMESO()).linearizer(inputs={"u": 0.0})
     seconds, made = timed(lambda: linearizer.harmonic_response("y", seen, OMEGA, amplitude=AMPLITUDE), 5)
     tell("harmonic_response", seconds, None, scipy)
     ratio = ours.value / made.value

@@ -82,7 +82,7 @@ def main() -> None:
     ours: dict[float, tuple[float, float]] = {}
     theirs: dict[float, tuple[float, float]] = {}
     for rtol in (1e-5, 1e-6, 1e-7):
-        plan = diagram.plan(settings={"rtol": rtol, "atol": rtol * 1e-3, "every": 1.0})
+        plan = diagram.plan(rtol=rtol, atol=rtol * 1e-3, every=1.0)
         for label, table, run in (
             ("blocks, reference", ours, lambda r=rtol, p=plan: our_run(r, r * 1e-3, names, p)),
             ("SciPy RK45, by hand", theirs, lambda r=rtol: scipy_run(r, r * 1e-3)),

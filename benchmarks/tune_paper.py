@@ -61,7 +61,7 @@ def main(seeds: list[int]) -> None:
     for seed in seeds:
         begun = time.perf_counter(), time.process_time()
         tuning = diagram.tune(
-            minimize=MINIMIZE, over=OVER, scenarios=SCENARIOS, subject_to=SUBJECT_TO, budget=BUDGET, seed=seed
+            minimize=MINIMIZE, over=OVER, scenarios=SCENARIOS, subject_to=SUBJECT_TO, budget=BUDGET, search_seed=seed
         )
         wall, cpu = time.perf_counter() - begun[0], time.process_time() - begun[1]
         print(f"seed {seed}: {len(tuning.history.objective)} candidates, {wall:.0f} s, CPU {cpu:.0f} s\n{tuning}\n")

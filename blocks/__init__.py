@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from .text.version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from .api.case import Case as Case
     from .api.diagram import Diagram as Diagram
     from .api.diagram import subdiagram as subdiagram
     from .api.prepared_model import PreparedModel as PreparedModel
@@ -23,6 +24,7 @@ _PLACES = {
     "AnalysisError": "text.errors",
     "Block": "contract.block",
     "BlocksError": "text.errors",
+    "Case": "api.case",
     "CompilerError": "text.errors",
     "DeclarationError": "text.errors",
     "Diagram": "api.diagram",

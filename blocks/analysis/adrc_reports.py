@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
+from ..api.case import Case, PointWords, takes
 from ..api.diagram import Diagram
 from ..frequency.linear_adrc import SamplingLimits, sampling_limits
 from ..frequency.margins import Margins, margins
@@ -22,6 +23,10 @@ from ..model.values import in_si
 from ..text.arrays import Array
 from ..text.errors import AnalysisError, Fault, UsageError
 from ..text.printable import aligned
+
+if TYPE_CHECKING:
+    from ..api.run import Run
+    from ..linear.operating_point import OperatingPoint
 
 AMPLITUDES = (1e-3, 1e-2, 1e-1, 1.0)
 """Amplitudes of the error, unless others are given."""
@@ -87,24 +92,27 @@ class ObserverReport:
         return "\n".join([title, *aligned(table), f"  {note}"])
 
 
+@takes(PointWords)
 def observer_report(
     diagram: Diagram,
     block: str,
+    case: Case | None = None,
     *,
     amplitudes: Iterable[Any] = AMPLITUDES,
-    **point: Any,
+    at: OperatingPoint | Run | float | None = None,
+    **words: Unpack[PointWords],
 ) -> ObserverReport:
     """Poles, bandwidth and noise gain of an observer block, against the amplitude of its error.
 
     block: the path of a block with the input y, perhaps u, and the outputs z1, z2, ... (LESO, SMESO, NESO, their
     sampled forms, or one of your own). amplitudes: of the signal of its law, in its declared unit, or quantities such
-    as "2 rpm". point: what `Diagram.linearizer` takes (at, held, parameters, ...).
+    as "2 rpm". case, at, words: as of `Diagram.linearizer`.
 
     Its y and u are cut, so that the figures are its own whatever stands around it. The response from the total
     disturbance f to its last estimate is that from -u, divided by its gain at zero frequency: f enters the model of the
     plant where b0 u does. Raises UsageError (E501), AnalysisError (E703 to E705).
     """
-    linearizer = diagram.linearizer(**point)
+    linearizer = diagram.linearizer(case, at=at, **words)
     graph = linearizer.graph
     estimates = _estimates(graph, block)
     laws, signal = _law_of(graph, block)
@@ -242,10 +250,12 @@ class LoopReport:
         return "\n".join(rows)
 
 
+@takes(PointWords)
 def loop_report(
     diagram: Diagram,
     control: str,
     output: str,
+    case: Case | None = None,
     *,
     measurement: str = "",
     reference: str = "",
@@ -253,18 +263,19 @@ def loop_report(
     amplitude: Mapping[str, Any] | None = None,
     sigma: Mapping[str, Any] | None = None,
     pade: int = 0,
-    **point: Any,
+    at: OperatingPoint | Run | float | None = None,
+    **words: Unpack[PointWords],
 ) -> LoopReport:
     """Margins and responses of a loop, from the diagram.
 
     control: the signal that the plant gets; the loop is opened there. output: what is controlled. measurement: where
     noise enters, an input of the observer or the controller ("eso.y"); without it, `output` as all see it. reference,
     disturbance: an input of the diagram or a signal; without a disturbance, what is added to the control. amplitude,
-    sigma, point: as `Diagram.linearizer` takes them. pade: the order of models of exact delays.
+    sigma, case, at, words: as of `Diagram.linearizer`. pade: the order of models of exact delays.
 
     Raises UsageError (E501), AnalysisError (E701 to E705).
     """
-    linearizer = diagram.linearizer(amplitude=amplitude, sigma=sigma, **point)
+    linearizer = diagram.linearizer(case, at=at, amplitude=amplitude, sigma=sigma, **words)
     measured = measurement or output
     places(linearizer.graph, measured)
     loop = linearizer.loop(control, pade=pade)

@@ -18,10 +18,11 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any, Unpack
 
 import numpy as np
 
+from ..api.case import Case, Words, case_of, takes
 from ..api.diagram import Diagram
 from ..api.given_values import at_rest
 from ..api.ports import PortName
@@ -36,9 +37,6 @@ from ..text.errors import AnalysisError, Fault, FMUError, SimulationError, Usage
 from .estimation_blocks import TONE, Correlator, Multitone, Sweep, Tone
 from .injection import free_name, inject, is_port, known, probe, target
 from .responses import Response
-
-if TYPE_CHECKING:
-    from ..model.trust import Paths
 
 RTOL = 1e-8
 """Tolerance of the solver, unless the diagram has a smaller one: phasors are right to some 1e-7."""
@@ -200,46 +198,41 @@ def _band(signal: object, low: float, high: float) -> None:
 # --- estimating ------------------------------------------------------------------------------------------------
 
 
+@takes(Words)
 def estimate_response(
     diagram: Diagram,
-    input: PortName | str,
-    output: PortName | str | Iterable[PortName | str],
+    u: PortName | str,
+    y: PortName | str | Iterable[PortName | str],
     signal: Excitation,
+    case: Case | None = None,
     *,
     model: Any = None,
-    inputs: Mapping[str, Any] | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    variants: Mapping[str, str] | None = None,
-    engine: str | None = None,
-    trust: Paths = (),
-    settings: Mapping[str, Any] | None = None,
     tolerance: float = 1e-5,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **words: Unpack[Words],
 ) -> Response:
     """The frequency response from one signal of a diagram to others, by simulation.
 
-    input: where the excitation is added: an input of the diagram, a signal of a block ("control.u": all that read it
-    see the excitation), or an input of a block ("eso.y": it alone does). output: one name or several; a signal of a
+    u: where the excitation is added: an input of the diagram, a signal of a block ("control.u": all that read it
+    see the excitation), or an input of a block ("eso.y": it alone does). y: one name or several; a signal of a
     block is what the block gives, before anything is added to it. Names may lie in subdiagrams.
 
     model: a linear model whose slowest pole sets how long to wait until a transient has died. In any case windows grow
-    until two of them agree within `tolerance`, relative. inputs: of the operating point, as of `Diagram.run`; those
-    that have no value are 0. settings: of the runs, as of `Diagram.run`; rtol is 1e-8 unless the diagram has a smaller
-    one.
+    until two of them agree within `tolerance`, relative. case, words: as of `Diagram.run`; inputs that have no value
+    are 0, and rtol is 1e-8 unless the diagram has a smaller one. progress: called with the number of frequencies that
+    are done, and of all.
 
     The diagram goes on from one frequency to the next; what its own sources do in that time is part of what is seen.
     One with FMUs of Co-Simulation begins each anew, and its values are those at communication points: 200 in a period,
     or as many as are needed for half the step to change nothing (1e-4) at the lowest frequency; or those that
-    settings={"master": {"step": ...}} or the file name. Their inputs follow parabolas, unless the master is set
+    master={"step": ...} or the file name. Their inputs follow parabolas, unless the master is set
     otherwise.
 
     Raises UsageError (E501), AnalysisError (E708) where a run fails or nothing comes out, and what runs raise before.
     """
-    names = [_text(diagram, name) for name in ([output] if isinstance(output, (str, PortName)) else output)]
-    estimation = _Estimation(
-        diagram, _text(diagram, input), names, signal, model, inputs, parameters, variants, engine, trust, settings,
-        tolerance, progress,
-    )  # fmt: skip
+    names = [_text(diagram, name) for name in ([y] if isinstance(y, (str, PortName)) else y)]
+    case = case_of(case, words)
+    estimation = _Estimation(diagram, _text(diagram, u), names, signal, model, case, tolerance, progress)
     if isinstance(signal, SineStream):
         return estimation.sines(signal)
     if isinstance(signal, OddMultisine):
@@ -324,31 +317,26 @@ class _Estimation:
         outputs: Sequence[str],
         signal: Excitation,
         model: Any,
-        inputs: Mapping[str, Any] | None,
-        parameters: Mapping[str, Any] | None,
-        variants: Mapping[str, str] | None,
-        engine: str | None,
-        trust: Paths,
-        settings: Mapping[str, Any] | None,
+        case: Case,
         tolerance: float,
-        progress: Callable[[float], None] | None,
+        progress: Callable[[int, int], None] | None,
     ) -> None:
-        given = dict(settings or {})
+        given = case.settings
         for key in RESERVED:
             if key in given:
                 cure = "The signal determines the length of the runs; name the outputs."
                 raise UsageError(Fault("E501", key, "is not a setting of an estimation.", cure))
         if not 0.0 < tolerance < 1.0:
             raise UsageError(Fault("E501", "tolerance", f"{tolerance!r} must be a number between 0 and 1."))
-        self.diagram = diagram.with_variants(variants or {})
+        self.diagram = diagram.with_variants(case.variants)
         value = self.diagram.value
         run = {key: raw for key, raw in value.run.items() if key not in RESERVED}
         self.diagram._draft.value = replace(value, run=run, measures={})
-        self.parameters, self.engine, self.trust, self.tolerance = parameters, engine, trust, tolerance
-        self.progress = progress or (lambda part: None)
+        self.case, self.tolerance = case.only("parameters", "engine", "trust"), tolerance
+        self.progress = progress or (lambda done, total: None)
         self.listener = " "  # the name of the block that listens, once there is one
-        self.flat = self.diagram.flatten(parameters=parameters, settings=given)
-        self.name, self.inputs = name, {**at_rest(self.diagram.value, self.flat), **(inputs or {})}
+        self.flat = self.diagram.flatten(case.without("variants", "measures"))
+        self.name, self.inputs = name, {**at_rest(self.diagram.value, self.flat), **case.named_inputs()}
         self.where = target(self.diagram, self.flat, name)
         self.outputs, self.units = self._listened(outputs)
         self.amplitude = np.atleast_1d(self._amplitude(signal))
@@ -410,13 +398,7 @@ class _Estimation:
         settings = {**self.settings, "log": list(dict.fromkeys(log)), "every": every}
         if self.is_coupled:
             settings["master"] = {**self._master(), "step": every}
-        return self.diagram.start(
-            inputs={**self.inputs, **inputs},
-            parameters=self.parameters,
-            engine=self.engine,
-            trust=self.trust,
-            **settings,
-        )
+        return self.diagram.start(self.case, inputs={**self.inputs, **inputs}, **settings)
 
     def _master(self) -> dict[str, Any]:
         """Settings of the master: those given, those of the file, and else the most exact."""
@@ -461,7 +443,7 @@ class _Estimation:
                 message = f"an output is not finite at {omega[k]:g} rad/s."
                 raise AnalysisError(Fault("E708", self.name, message, "Give a smaller amplitude."))
             collected.append(point)
-            self.progress((k + 1) / len(omega))
+            self.progress(k + 1, len(omega))
         phasors = np.array([point.window.phasors for point in collected])  # (n, outputs, k)
         first = phasors[:, :, 0].T
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -642,7 +624,7 @@ class _Estimation:
         window, is_settled, n = self._windows(measured, signal, len(lines))
         level, even, odd = _detected(spectra[-1][0][:, :: spectra[-1][1]], lines)
         shape = len(multiples)
-        self.progress(1.0)
+        self.progress(1, 1)
         return Response(
             self.diagram.name, self.name, self.outputs, multiples * low, 1j * window.phasors / amplitude, amplitude,
             np.empty((len(self.outputs), 0, shape)), level, np.repeat(window.mean[:, None], shape, axis=1),
@@ -683,7 +665,7 @@ class _Estimation:
         with np.errstate(divide="ignore", invalid="ignore"):
             value = spectra[1:] / spectra[0]
         n = len(omega)
-        self.progress(1.0)
+        self.progress(1, 1)
         blank = np.full((len(self.outputs), n), np.nan)
         return Response(
             self.diagram.name, self.name, self.outputs, omega, value, np.full(n, float(self.amplitude[0])),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
+from ..api.case import Case, ModelWords, PointWords, case_of, takes
 from ..api.diagram import Diagram
 from ..api.given_values import at_rest
 from ..compile.coupling import Coupling, couple
@@ -20,26 +21,25 @@ from ..text import units
 from ..text.errors import AnalysisError, Fault, check_mappings
 
 if TYPE_CHECKING:
-    from ..model.trust import Paths
+    from ..api.run import Run
 
 SETTLED = 1e-6
 """How much an output may still change, relative to its size, where FMUs of Co-Simulation are left to settle."""
 _MOST = 8  # times that a settling run goes on, twice as far each time
 
 
+@takes(ModelWords)
 def find_operating_point(
     diagram: Diagram,
+    case: Case | None = None,
     *,
     inputs: Mapping[str, Any] | None = None,
     states: Mapping[str, Any] | None = None,
     outputs: Mapping[str, Any] | None = None,
     steady: bool | Mapping[str, float | None] = True,
     at: float | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    variants: Mapping[str, str] | None = None,
-    trust: Paths = (),
     check: Callable[[], None] | None = None,
-    **settings: Any,
+    **words: Unpack[ModelWords],
 ) -> OperatingPoint:
     """Where a diagram rests.
 
@@ -48,7 +48,8 @@ def find_operating_point(
     states that are not named are free. An output that is given as (low, high) is to lie between. steady: True: every
     state rests and no tick changes anything; {name: rate}: these have that rate, in the declared unit per second (None:
     any), all others rest; False: nothing is asked. Quantities such as "2 rpm" are in their own units.
-    at: the time in s of a run from which the search begins (the start, unless given). check: called again and again
+    at: the time in s of a run from which the search begins (the start, unless given). case, words: as of `Diagram.run`.
+    check: called again and again
     during the search, which ends with whatever it raises.
 
     FMUs for Model Exchange take part as other blocks do. With FMUs for Co-Simulation the diagram is run until its
@@ -56,14 +57,16 @@ def find_operating_point(
 
     Raises AnalysisError (E702), which reports what remains by block, UsageError (E501).
     """
+    chosen = case_of(case, words, ModelWords)
     check_mappings(inputs=inputs)
-    flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
-    chosen: dict[str, Any] = {"parameters": parameters, "variants": variants, "trust": trust}
+    inputs = {**chosen.named_inputs(), **(inputs or {})}
+    chosen = chosen.only(*ModelWords.__annotations__)
+    flat = diagram.flatten(chosen)
     if _is_coupled(flat):
-        return _settled(diagram, flat, inputs or {}, bool(states or outputs), chosen, settings, check)
+        return _settled(diagram, flat, inputs, bool(states or outputs), chosen, check)
     declared = {name: str(entry.get("unit", "")) for name, entry in diagram.value.inputs.items()}
-    point = diagram.point(at=at, **chosen, **settings)
-    given = {name: _in_si(name, raw, declared.get(name.partition("[")[0], "")) for name, raw in (inputs or {}).items()}
+    point = diagram.point(chosen, at=at)
+    given = {name: _in_si(name, raw, declared.get(name.partition("[")[0], "")) for name, raw in inputs.items()}
 
     def by_signal(table: Any, of_time: str = "") -> Any:
         """The numbers of states or outputs in SI; what is no mapping is refused by the search."""
@@ -80,27 +83,24 @@ def find_operating_point(
     )  # fmt: skip
 
 
+@takes(PointWords)
 def operating_points(
     diagram: Diagram,
     times: Iterable[float],
-    *,
-    held: Mapping[str, Any] | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    variants: Mapping[str, str] | None = None,
-    trust: Paths = (),
-    **settings: Any,
+    case: Case | None = None,
+    **words: Unpack[PointWords],
 ) -> tuple[OperatingPoint, ...]:
     """Where a run of a diagram stands at times in s. Arguments as of `Diagram.point`.
 
     With FMUs for Co-Simulation, which hide their states, the points hold inputs and outputs.
     """
     wanted = [float(time) for time in times]
-    flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
-    chosen: dict[str, Any] = {"parameters": parameters, "variants": variants, "trust": trust}
+    case = case_of(case, words, PointWords)
+    flat = diagram.flatten(case)
     if not _is_coupled(flat):
-        return tuple(standing(diagram.point(at=time, held=held, **chosen, **settings), flat.log) for time in wanted)
-    given = {**at_rest(diagram.value, flat), **(held or {})}
-    run = diagram.start(inputs=given, **chosen, **{"stop": max(wanted, default=0.0), **settings})
+        return tuple(standing(diagram.point(case, at=time), flat.log) for time in wanted)
+    inputs = Case(inputs=at_rest(diagram.value, flat)).updated(inputs=case.inputs).inputs
+    run = diagram.start(Case(stop=max(wanted, default=0.0)).updated(**case.without("inputs").words), inputs=inputs)
     points: dict[float, OperatingPoint] = {}
     for time in sorted(wanted):
         run.advance_to(time)
@@ -108,24 +108,27 @@ def operating_points(
     return tuple(points[time] for time in wanted)
 
 
+@takes(PointWords)
 def limit_cycles(
     diagram: Diagram,
+    case: Case | None = None,
     *,
+    at: OperatingPoint | Run | float | None = None,
     omega: tuple[float, float] | None = None,
     amplitude: tuple[Any, Any] | None = None,
     check: Callable[[], None] | None = None,
-    **point: Any,
+    **words: Unpack[PointWords],
 ) -> LimitCycles:
     """The limit cycles of a diagram around an operating point, by harmonic balance, with their stability.
 
     omega: where to look, in rad/s (from the poles, unless given). amplitude: of the signal of the first law, in its
     declared unit, or quantities such as "2 rpm" (1e-9 to 1e3 in SI, unless given).
     check: called again and again during the search, which ends with whatever it raises.
-    point: what `Diagram.linearizer` takes (at, held, parameters, ...). Of a sampled diagram also the cycle of two
+    case, at, words: as of `Diagram.linearizer`. Of a sampled diagram also the cycle of two
     periods, which is exact. Raises AnalysisError: E704 (a law that moves the mean), E705 (no law in a loop, or a point
     at which what stands between the laws is not at rest).
     """
-    return of_linearizer(diagram.linearizer(**point), omega=omega, amplitude=amplitude, check=check)
+    return of_linearizer(diagram.linearizer(case, at=at, **words), omega=omega, amplitude=amplitude, check=check)
 
 
 def _is_coupled(flat: Flat) -> bool:
@@ -152,13 +155,12 @@ def _settled(
     flat: Flat,
     inputs: Mapping[str, Any],
     is_more: bool,
-    chosen: Mapping[str, Any],
-    settings: Mapping[str, Any],
+    case: Case,
     check: Callable[[], None] | None,
 ) -> OperatingPoint:
-    """The operating point at the end of a run, once nothing changes any more.
+    """Return the operating point at the end of a run, once nothing changes any more.
 
-    is_more: whether states or outputs were asked for. chosen: parameters, variants and trust of the diagram.
+    is_more: whether states or outputs were asked for.
     """
     free = [name for name, value in inputs.items() if value is None or isinstance(value, (tuple, Free))]
     if free or is_more:
@@ -167,15 +169,13 @@ def _settled(
     held = {**at_rest(diagram.value, flat), **inputs}
     span = float(flat.settings.stop or 1.0)
     # Communication steps follow from the length of a run, and this one may become longer than intended.
-    kept = {key: value for key, value in chosen.items() if key != "trust"}
-    short = couple(diagram.flatten(**kept, settings={**settings, "stop": span}))
+    short = couple(diagram.flatten(case, stop=span))
     assert isinstance(short, Coupling)
     steps = {unit.path: float(unit.step) for unit in short.units}
     rest = steps.pop("", min(steps.values(), default=span))  # of what is no FMU
-    master = {**settings.get("master", {}), "step": rest, "steps": steps}
-    plain = {**settings, "stop": span * 2**_MOST, "master": master}
-    progress = None if check is None else lambda _: check()
-    run = diagram.start(inputs=held, progress=progress, **chosen, **plain)
+    master = {**case.settings.get("master", {}), "step": rest, "steps": steps}
+    progress = None if check is None else lambda *_: check()
+    run = diagram.start(case, inputs=held, stop=span * 2**_MOST, master=master, progress=progress)
     names = list(run.plan.log)
     moved: dict[str, float] = {}
     for k in range(_MOST + 1):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..compile.coupling import Coupling
-from ..compile.inputs import InputTable, read_inputs
+from ..compile.inputs import InputTable
 from ..compile.plan import Plan
 from ..compile.rebinding import Rebinding
 from ..engines.prepared import Prepared
@@ -26,7 +26,7 @@ from ..host.progress_line import in_rows, live_line
 from ..model.diagram_grammar import LARGEST_SEED
 from ..model.diagram_value import DiagramValue
 from ..model.resolver import resolver_of
-from ..model.trust import Paths
+from ..model.variants import taken
 from ..model.varied import Column, columns_of, given_values, is_element, raw_values
 from ..results.results import Results
 from ..text.arrays import Array
@@ -34,10 +34,11 @@ from ..text.errors import BlocksError, Fault, FMUError, ModelError, SimulationEr
 from ..text.printable import counted, legible
 from ..text.rich_output import Part, Shown, Table
 from .batch_processes import Worker, in_processes, packed
-from .given_values import check_settings, time_of
+from .case import Case
+from .given_values import picked, time_of
 from .lanes import Lanes, no_lanes
 from .prepared_model import PreparedModel
-from .run import Run, RunOptions
+from .run import Run, RunOptions, input_table
 
 if TYPE_CHECKING:
     from ..contract.block import Block
@@ -103,35 +104,24 @@ class Batch(Shown):
         value: DiagramValue,
         types: Mapping[str, type[Block]],
         names: Sequence[str],
+        case: Case,
         *,
-        measures: Sequence[str] | None = None,
-        log: Sequence[str] = (),
-        parameters: Mapping[str, Any] | None = None,
-        engine: str | None = None,
-        trust: Paths = (),
         lanes: str = "exact",
-        settings: Mapping[str, Any] | None = None,
     ) -> None:
-        settings = {"log": list(log), **(settings or {})}
-        check_settings(settings)
-        if "inputs" in settings:
-            message = "cannot be given: all rows use the inputs of the diagram, its defaults and its run settings."
-            given = settings["inputs"]
-            known = next(iter(given if isinstance(given, Mapping) else value.inputs), "u")
-            cure = f'Put tables into the diagram first: Diagram.settings(inputs={{"{known}": {{"t": t, "u": u}}}}), '
-            cure += "with lists of numbers. To read a file: "
-            cure += 't, u = numpy.loadtxt(path, delimiter=",", skiprows=1, unpack=True).'
-            raise UsageError(Fault("E501", "inputs", message, cure))
+        log, engine = case.settings.get("log", []), case.engine
+        settings = {"log": log, **case.settings}
         if settings.get("jumps"):
             message = "cannot be recorded in a batch: all rows record their signals on one common grid."
             raise UsageError(Fault("E501", "jumps", message, "Leave jumps out, or run the row alone."))
         if value.run.get("jumps"):
             settings["jumps"] = False
-        kept = _picked(value, measures)
+        value = taken(value, case.variants)
+        kept = picked(value, case.measures)
         resolver = resolver_of(dict(types))
-        of_all = dict(parameters or {})
+        of_all = case.parameters
         parameters = {**given_values(kept, resolver, of_all)}
-        first = Prepared.of(kept, resolver, parameters, settings, trust=trust)
+        first = Prepared.of(kept, resolver, parameters, settings, trust=case.trust)
+        input_table(first.plan, case.inputs, case.interpolation)  # what is wrong with them is wrong for all rows
         run = first.plan.settings
         if run.stop is None:
             cure = 'Give stop=..., or "stop" in the file\'s "run".'
@@ -150,7 +140,7 @@ class Batch(Shown):
                 if target.path in parameters and not (is_free and target.path not in wholes):
                     message = "is both a column and a parameter of all rows."
                     raise UsageError(Fault("E501", legible(target.path), message, "Give it once."))
-        self.name = value.name
+        self.name, self.seed = value.name, run.seed
         self.columns = tuple(column.name for column in self._columns)
         self.targets = tuple(tuple(target.path for target in column.targets) for column in self._columns)
         self.units = tuple(column.unit for column in self._columns)
@@ -159,7 +149,7 @@ class Batch(Shown):
         self.times = times_of(run.start, every, run.stop) if every and self.signals else np.empty(0)
         self._clock = run.start, every, run.stop
         self._kept, self._resolver, self._parameters, self._settings = kept, resolver, parameters, settings
-        self._engine, self._trust = engine, trust
+        self._case = case
         is_native = compiled_model(first.plan, engine=engine) is not None
         self._why = _why_processes(first.plan, is_native=is_native)
         self._lanes = Lanes.asked(lanes, first.plan, engine, self._why)
@@ -169,9 +159,9 @@ class Batch(Shown):
         self._forms: dict[str, _Form] = {}  # by the values that fix more than numbers; the last used one goes last
         self._fixed: list[str] | None = None  # the parameters that do
         self._workers: list[Worker] = []  # processes that wait for rows
-        given = {key: value for key, value in settings.items() if key not in ("log", "jumps")}
-        self._whole = PreparedModel(value, types, parameters=parameters, engine=engine, trust=trust, settings=given)
-        self._model = PreparedModel(kept, types, parameters=parameters, engine=engine, trust=trust, settings=settings)
+        rest = case.without("log", "jumps", "variants", "measures", "parameters").updated(parameters=parameters)
+        self._whole = PreparedModel(value, types, rest.updated(every=settings.get("every")))
+        self._model = PreparedModel(kept, types, rest.updated(**settings))
 
     def parts(self) -> Iterator[Part]:
         """What its columns set, and what comes out."""
@@ -201,8 +191,7 @@ class Batch(Shown):
         if len(values) != len(self.columns):
             message = f"has {len(values)} values for {len(self.columns)} columns."
             raise UsageError(Fault("E501", "row", message, f"The columns: {', '.join(self.columns)}."))
-        given = {} if seed is None else {"seed": seed}
-        return self._whole.run(parameters=raw_values(self._columns, values), **given)  # type: ignore[arg-type]
+        return self._whole.run(parameters=raw_values(self._columns, values), seed=seed)
 
     def __call__(
         self,
@@ -210,21 +199,21 @@ class Batch(Shown):
         *,
         seeds: Sequence[int] | Array | None = None,
         threads: int | None = None,
-        budget: int | None = None,
+        max_steps: int | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> BatchRows:
         """Run all rows.
 
         table: (n, columns), or a mapping or a DataFrame of the columns: numbers in the units of the parameters. seeds:
-        (n,) of the runs; None: that of the diagram for all. threads: how many run at once; None: all cores. budget: the
-        most steps of a run, rejected ones included. progress: called with the number of rows that are done, and of all.
-        Ctrl-C ends it: what was not run is "left".
+        (n,) of the runs; None: that of the diagram for all. threads: how many run at once; None: all cores. max_steps:
+        of a run, rejected ones included. progress: called with the number of rows that are done, and of all. Ctrl-C
+        ends it: what was not run is "left".
         """
         rows = self._rows(table)
         _check_count("threads", threads)
-        _check_count("budget", budget)
+        _check_count("max_steps", max_steps)
         seeds = None if seeds is None else _checked_seeds(seeds, len(rows))
-        made = _Made(self, len(rows), seeds, budget)
+        made = _Made(self, len(rows), seeds, max_steps)
         try:
             given = [{**self._parameters, **raw} for raw in self._given(rows, made)]
             with live_line(progress, in_rows("rows")) as told:
@@ -287,7 +276,7 @@ class Batch(Shown):
 
     def _flattened(self, given: Mapping[str, Any], seed: int | None) -> Prepared:
         settings = self._settings if seed is None else {**self._settings, "seed": seed}
-        return Prepared.of(self._kept, self._resolver, given, settings, trust=self._trust)
+        return Prepared.of(self._kept, self._resolver, given, settings, trust=self._case.trust)
 
     def _check_times(self, plan: Plan | Coupling) -> None:
         """Raise UsageError (E501) where a row would record its signals on a grid of its own."""
@@ -355,8 +344,8 @@ class Batch(Shown):
         assert isinstance(plan, Plan)
         self._check_times(plan)
         names = {path for paths in self.targets for path in paths} - {*(self._fixed or ())}
-        inputs = read_inputs(plan, dict(plan.settings.inputs), interpolation="linear")
-        model, why = self._lanes.model(plan, self._engine)
+        inputs = input_table(plan, self._case.inputs, self._case.interpolation)
+        model, why = self._lanes.model(plan, self._case.engine)
         fault = no_lanes("this row", why) if why else None
         return _Form(prepared, prepared.rebinding(names), model, inputs, np.array(plan.parameters), fault)
 
@@ -397,13 +386,13 @@ class Batch(Shown):
         """Run one row here, by raw values of all parameters that are given. Ctrl-C goes through."""
         held: list[Run] = []
 
-        def watch(_: float) -> None:
+        def watch(_: float, __: float) -> None:
             if held and budget is not None and held[0].tried > budget:
                 raise _OverBudget
 
-        settings = {} if seed is None else {"seed": seed}
         try:
-            held.append(self._model.run_of(given, settings, RunOptions(progress=watch, notice=lambda _: None)))
+            case = Case(parameters=given, seed=seed)
+            held.append(self._model.run_of(case, RunOptions(progress=watch, notice=lambda _: None)))
             self._check_times(held[0].plan)
         except BlocksError as error:
             return Row.failed(error, is_refused=not isinstance(error, (SimulationError, FMUError)))
@@ -582,17 +571,3 @@ def _listed(name: str, given: Any) -> list[Any]:
         message = f"must be a list or an array, not {legible(repr(given))}."
         cure = "Write a table as a list of rows, or as a mapping of columns."
         raise UsageError(Fault("E501", name, message, cure)) from None
-
-
-def _picked(value: DiagramValue, measures: Sequence[str] | None) -> DiagramValue:
-    """The diagram with the measures that are asked for. Raises UsageError (E501)."""
-    if measures is None:
-        return value
-    if isinstance(measures, str):
-        raise UsageError(Fault("E501", "measures", "must be a list of texts, not one text.", f'Give a list: '
-            f'measures=["{legible(measures)}"].'))
-    for name in measures:
-        if name not in value.measures:
-            cure = did_you_mean(str(name), value.measures) or f"Measures: {', '.join(value.measures) or 'none'}."
-            raise UsageError(Fault("E501", legible(str(name)), "the diagram has no such measure.", cure))
-    return replace(value, measures={name: value.measures[name] for name in measures})

@@ -14,25 +14,22 @@ from ..model.diagram_value import DiagramValue, beside
 from ..model.flatten import Flat, flatten
 from ..model.hierarchy import Resolver
 from ..model.raw_values import raw_of
-from ..model.variants import taken
 from ..model.varied import given_values
 from ..text.errors import Fault, ModelError
-from .given_values import check_settings
-from .ports import plain_settings
+from .case import Case
 
 
 def flat_of(
-    value: DiagramValue,
-    resolver: Resolver,
-    parameters: Mapping[str, Any] | None = None,
-    settings: Mapping[str, Any] | None = None,
-    variants: Mapping[str, str] | None = None,
+    value: DiagramValue, resolver: Resolver, case: Case, *, inputs: Mapping[str, Any] | None = None
 ) -> Flat:
-    """Return a diagram without hierarchy. Raises ModelError with all faults, UsageError (E501)."""
-    check_settings(settings or {})
-    value = taken(value, variants)
-    overrides = {name: raw_of(raw) for name, raw in given_values(value, resolver, parameters or {}).items()}
-    return flatten(value, resolver, overrides=overrides, settings=plain_settings(settings or {}))
+    """Return a diagram without hierarchy, as a case has it. inputs: in the form of files, to be checked too.
+
+    Raises ModelError with all faults, UsageError (E501).
+    """
+    value = case.of(value)
+    overrides = {name: raw_of(raw) for name, raw in given_values(value, resolver, case.parameters).items()}
+    settings = case.settings if inputs is None else {**case.settings, "inputs": inputs}
+    return flatten(value, resolver, overrides=overrides, settings=settings)
 
 
 def coupled_block(flat: Flat) -> str:
@@ -66,17 +63,17 @@ def refuse_fmus(flat: Flat) -> None:
         )
 
 
-def checked(value: DiagramValue, resolver: Resolver, variants: Mapping[str, str] | None) -> Plan | Coupling:
+def checked(value: DiagramValue, resolver: Resolver, case: Case) -> Plan | Coupling:
     """Return the Plan of a diagram, or the Coupling if it needs a master. Raises ModelError with every static fault."""
     try:
-        return replace(couple(flat_of(value, resolver, variants=variants)), outline=outline)
+        return replace(couple(flat_of(value, resolver, case)), outline=outline)
     except ModelError as error:
         if any(fault.path[:1] != ("run",) for fault in error.faults):
             raise
         # What is wrong with the settings hides nothing of what is wrong with the order of the blocks.
         loops = {key: raw for key, raw in value.run.items() if key == "loops" and raw == "solve"}
         try:
-            couple(flat_of(replace(value, run=loops), resolver, variants=variants))
+            couple(flat_of(replace(value, run=loops), resolver, case))
         except ModelError as further:
             raise ModelError(*error.faults, *further.faults) from None
         raise

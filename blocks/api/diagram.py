@@ -23,7 +23,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from ..compile.coupling import Coupling
 from ..compile.plan import Plan
@@ -45,10 +45,24 @@ from ..text.atomic_write import write_atomically
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.printable import legible, quoted
 from ..text.quantity_text import read_quantity
+from .case import (
+    FIXED,
+    Case,
+    FitWords,
+    LiveWords,
+    ManyWords,
+    ModelWords,
+    PointWords,
+    Settings,
+    Words,
+    case_and_work,
+    case_of,
+    check_words,
+    takes,
+)
 from .checks import checked, faults_beside, flat_of, refuse_fmus, single_plan
 from .draft import Draft
 from .entries import as_name, input_entry, input_like, parameter_entry
-from .given_values import check_settings
 from .last_made import LastMade, names_files
 from .late import late
 from .ports import Handle, PortName, plain_settings, signal_names, sink_text, source_text, text_of
@@ -347,93 +361,64 @@ class Diagram:
             self._draft.bring_up_to_date()
         self._draft.put("measures", documents.entries(measures={name: entry}).measures)
 
-    def settings(self, **run: Any) -> None:
+    def settings(self, *, inputs: Mapping[str, Any] | None = None, **run: Unpack[Settings]) -> None:
         """Set what the file's `run` says: start, stop, method, step, rtol, atol, every, jumps, stops, seed, inputs,
         loops, log, master.
         """
-        check_settings(run)
-        entries = documents.entries(run={key: raw_of(value) for key, value in plain_settings(run).items()})
-        self._draft.put("run", entries.run)
+        check_words(run, Settings)
+        plain = plain_settings({**run, **({} if inputs is None else {"inputs": inputs})})
+        self._draft.put("run", documents.entries(run={key: raw_of(value) for key, value in plain.items()}).run)
 
     # --- verbs -------------------------------------------------------------------------------------------------
 
-    def flatten(
-        self,
-        *,
-        parameters: Mapping[str, Any] | None = None,
-        settings: Mapping[str, Any] | None = None,
-        variants: Mapping[str, str] | None = None,
-    ) -> Flat:
+    @takes(ModelWords)
+    def flatten(self, case: Case | None = None, **words: Unpack[ModelWords]) -> Flat:
         """The diagram without hierarchy. Raises ModelError with all faults."""
-        return flat_of(self.value, self._draft.resolver, parameters, settings, variants)
+        return flat_of(self.value, self._draft.resolver, case_of(case, words, ModelWords))
 
-    def plan(
-        self,
-        *,
-        parameters: Mapping[str, Any] | None = None,
-        settings: Mapping[str, Any] | None = None,
-        variants: Mapping[str, str] | None = None,
-    ) -> Plan:
+    @takes(ModelWords)
+    def plan(self, case: Case | None = None, **words: Unpack[ModelWords]) -> Plan:
         """What is computed and in which order. Raises ModelError (E1xx) and DeclarationError (E407)."""
-        return single_plan(self.flatten(parameters=parameters, settings=settings, variants=variants))
+        return single_plan(self.flatten(case, **words))
 
-    def check(self, *, variants: Mapping[str, str] | None = None) -> Plan | Coupling:
+    @takes(ModelWords)
+    def check(self, case: Case | None = None, **words: Unpack[ModelWords]) -> Plan | Coupling:
         """Raise every static fault at once (ModelError); the Plan where there is none (its `warnings` are left).
 
         A Coupling where a master is needed: for FMUs of Co-Simulation, or where all blocks are units of their own.
         """
-        return checked(self.value, self._draft.resolver, variants)
+        return checked(self.value, self._draft.resolver, case_of(case, words, ModelWords))
 
+    @takes(Words)
     def start(
         self,
+        case: Case | None = None,
         *,
-        inputs: Mapping[str, Any] | str | Path | Sequence[Any] | None = None,
-        parameters: Mapping[str, Any] | None = None,
-        interpolation: str = "linear",
-        progress: Callable[[float], None] | None = None,
+        progress: Callable[[float, float], None] | None = None,
         resume: State | str | Path | None = None,
-        engine: str | None = None,
-        variants: Mapping[str, str] | None = None,
-        trust: Paths = (),
-        **settings: Any,
+        **words: Unpack[Words],
     ) -> Run:
         """A run that is stepped by hand. Arguments as for `run`; `stop` only bounds what adaptive steps may span."""
         from .run import RunOptions
 
-        options = RunOptions(
-            inputs=inputs, interpolation=interpolation, progress=progress, resume=resume, engine=engine, trust=trust
-        )
-        return run_of(self.with_variants(variants or {}), parameters or {}, settings, options)
+        return run_of(self, case_of(case, words), RunOptions(progress=progress, resume=resume))
 
+    @takes(Words)
     def run(
         self,
+        case: Case | None = None,
         *,
-        stop: float | None = None,
-        inputs: Mapping[str, Any] | str | Path | Sequence[Any] | None = None,
-        parameters: Mapping[str, Any] | None = None,
-        interpolation: str = "linear",
-        progress: Callable[[float], None] | None = None,
+        progress: Callable[[float, float], None] | None = None,
         resume: State | str | Path | None = None,
-        engine: str | None = None,
-        variants: Mapping[str, str] | None = None,
-        trust: Paths = (),
         out: str | Path | None = None,
-        **settings: Any,
+        **words: Unpack[Words],
     ) -> Results:
         """Simulate to `stop`.
 
-        inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file, or a list of these.
-        parameters: values by path ("motor.Ra"), pattern ("control_*.eso.Ka") or element ("pid.k[0]"), in place of those
-        of the file. settings: start, method ("dopri5", "rk4", "euler", "radau", "auto"), step (fixed-step methods),
-        rtol, atol, every (recording grid; every step without it), jumps (True: rows before and after jumps between
-        those of the grid), stops, seed (an integer, of all noise), loops ("error", "solve"), log (signal names or
-        ports), master (a mapping with any of step, steps, algorithm, order, tolerance, couple and iterations, which
-        replace those of the file). resume: a snapshot, or the file of one, from which the run goes on as if it had
-        never stopped there; inputs that are given take the place of those of the snapshot. engine: "native" (compiled
-        C), "reference" (plain Python), or "auto", the default: native where there is a C compiler; the environment
-        variable BLOCKS_ENGINE names another default. variants: what replaces blocks, by path ({"motor": "fmu"}; "base":
-        the block itself). trust: FMUs, or folders of FMUs, that a diagram file may name though they lie outside of its
-        project.
+        case, words: what the diagram is run with: parameters, inputs, variants, measures, engine, stop, step, ... (see
+        `Case`). progress: called with the time that is reached and the stop time. resume: a snapshot, or the file of
+        one, from which the run goes on as if it had never stopped there; inputs that are given take the place of those
+        of the snapshot.
 
         out: a file that the results are written to (.csv, .parquet, .mat). The rows of a long run go to the part of a
         Parquet file, `out` and ".part", while it goes on, and its results read them from the file when they are asked
@@ -442,17 +427,12 @@ class Diagram:
         Ctrl-C returns what is there (`results.interrupted`). Raises ModelError, UsageError, and SimulationError, whose
         `.results` hold what was computed.
         """
-        if stop is not None:
-            settings["stop"] = stop
         from .run import RunOptions
 
-        options = RunOptions(
-            inputs=inputs, interpolation=interpolation, progress=progress, resume=resume, engine=engine,
-            trust=trust, out=out,
-        )  # fmt: skip
-        if out is None and resume is None and not variants:
-            return self._prepared(engine, trust).run_of(parameters or {}, settings, options).finish()
-        run = run_of(self.with_variants(variants or {}), parameters or {}, settings, options)
+        case, options = case_of(case, words), RunOptions(progress=progress, resume=resume, out=out)
+        if out is None and resume is None:
+            return self._prepared(case).run_of(case.without(*FIXED), options).finish()
+        run = run_of(self, case, options)
         try:
             results = run.finish()
             run.keep(results)
@@ -460,15 +440,8 @@ class Diagram:
             run.leave()
         return results
 
-    def prepare(
-        self,
-        *,
-        parameters: Mapping[str, Any] | None = None,
-        engine: str | None = None,
-        variants: Mapping[str, str] | None = None,
-        trust: Paths = (),
-        **settings: Any,
-    ) -> PreparedModel:
+    @takes(Words)
+    def prepare(self, case: Case | None = None, **words: Unpack[Words]) -> PreparedModel:
         """The diagram as it is now, prepared and compiled, for many runs: `prepare().run(parameters=..., stop=...)`.
 
         Such a run gives bit for bit what `run` gives. `run` itself keeps what it prepared last, and uses it again where
@@ -478,82 +451,56 @@ class Diagram:
         """
         from .prepared_model import PreparedModel
 
-        value, types = taken(self.value, variants), self._draft.types
-        return PreparedModel(
-            value, types, parameters=parameters, engine=engine, trust=trust, settings=plain_settings(settings)
-        ).ready()
+        return PreparedModel(self.value, self._draft.types, case_of(case, words)).ready()
 
-    def _prepared(self, engine: str | None, trust: Paths) -> PreparedModel:
+    def _prepared(self, case: Case) -> PreparedModel:
         """The model of the last run, where nothing that it follows from has changed; else another one."""
         from .prepared_model import PreparedModel
 
         value, types = self.value, self._draft.types
-        key = id(value), value, id(types), types, engine, os.environ.get("BLOCKS_ENGINE"), os.environ.get("CC")
+        fixed = case.only(*FIXED)
+        key = id(value), value, id(types), types, fixed, os.environ.get("BLOCKS_ENGINE"), os.environ.get("CC")
         known: PreparedModel | None = self._last.known("model", key)
         if known is not None and known.is_current:
             return known
-        model = PreparedModel(taken(value), types, engine=engine, trust=trust)
+        model = PreparedModel(value, types, fixed)
         if not names_files(value):
             self._last.keep("model", key, model)
         return model
 
     # --- many runs ---------------------------------------------------------------------------------------------
 
+    @takes(Words)
     def batch(
-        self,
-        names: Sequence[str],
-        *,
-        measures: Sequence[str] | None = None,
-        log: Sequence[PortName | str] = (),
-        parameters: Mapping[str, Any] | None = None,
-        engine: str | None = None,
-        variants: Mapping[str, str] | None = None,
-        trust: Paths = (),
-        lanes: str = "exact",
-        **settings: Any,
+        self, names: Sequence[str], case: Case | None = None, *, lanes: str = "exact", **words: Unpack[Words]
     ) -> Batch:
-        """The function from rows of values to rows of measures, compiled once: for sweeps and for any optimiser.
+        """The function from rows of values to rows of measures, compiled once: for sweeps and for any optimizer.
 
         names: of its columns: parameters by path ("motor.Ra"), one value for all that a pattern names
-        ("control_*.eso.Ka"; * stands for a part of one name), or elements ("pid.k[0]"). measures: which ones; None:
-        all. log: signals that come out on a grid: that of `every`, else of 200 intervals. Inputs are those of the
-        diagram and of its run; other arguments as of `run`. Each row gives bit for bit what `run` gives with its
-        values; with lanes="fast" what it gives within its tolerance, several rows at once in each core, where the
-        diagram and the machine have such lanes (`Batch.lanes`, else `Batch.warnings`). Raises ModelError, UsageError,
-        CompilerError.
+        ("control_*.eso.Ka"; * stands for a part of one name), or elements ("pid.k[0]"). case, words: of all rows, as of
+        `run`; log: signals that come out on a grid: that of `every`, else of 200 intervals. Each row gives bit for bit
+        what `run` gives with its values; with lanes="fast" what it gives within its tolerance, several rows at once in
+        each core, where the diagram and the machine have such lanes (`Batch.lanes`, else `Batch.warnings`). Raises
+        ModelError, UsageError, CompilerError.
         """
         from .batch import Batch
 
-        return Batch(
-            taken(self.value, variants), self._draft.types, names,
-            measures=measures, log=signal_names(log), parameters=parameters, engine=engine, trust=trust, lanes=lanes,
-            settings=settings,
-        )  # fmt: skip
+        return Batch(self.value, self._draft.types, names, case_of(case, words), lanes=lanes)
 
+    @takes(ManyWords)
     def sweep(
         self,
         vary: Any,
+        case: Case | None = None,
         *,
         n: int | None = None,
         sampler: str = "random",
-        seed: int = 0,
-        measures: Sequence[str] | None = None,
-        log: Sequence[PortName | str] = (),
         margins: Mapping[str, Mapping[str, Any]] | None = None,
         scenarios: Mapping[str, Mapping[str, Any]] | None = None,
-        parameters: Mapping[str, Any] | None = None,
-        engine: str | None = None,
-        variants: Mapping[str, str] | None = None,
-        trust: Paths = (),
-        threads: int | None = None,
-        budget: int | None = None,
-        progress: Callable[[int, int], None] | None = None,
-        notice: Callable[[str], None] | None = None,
-        out: str | Path | None = None,
-        resume: bool = True,
+        max_steps: int | None = None,
         on: Any = None,
-        lanes: str = "exact",
-        **settings: Any,
+        notice: Callable[[str], None] | None = None,
+        **words: Unpack[ManyWords],
     ) -> Any:
         """Runs with varied parameters, as a table: a `Sweep`.
 
@@ -563,54 +510,45 @@ class Diagram:
         draws of the distributions; they are crossed with every combination of the lists, and lists alone make a grid.
         Without distributions, each combination runs n times. sampler: "random", "sobol", "halton", "lhs" (Latin
         hypercube), or "saltelli", for `Sweep.sobol`: n rows of each of its samples, which are two more than columns.
-        seed: of the draws, and of the run seeds: row i has one that follows from seed and i alone. measures: which
-        ones; None: all. log: signals that are kept on a grid: that of `every`, else of 200 intervals. margins: by
-        name, what is taken of the linear model of each row, as in study files: {"gm": {"type": "gain_margin", "loop":
-        "control.u"}}; nan where a row has none, and its message says why. scenarios: by name, parameters set on top;
-        all rows run in each, with equal seeds. threads: how many; None: all cores. budget: the most steps of a run;
-        None: rows that take more than 1,000,000 steps run after all others, and where most rows are done, up to 1000
-        times the median of these (not with `on` or fixed steps). progress: called with the number of rows that are
-        done, and of all. notice: called with a text that names the rows that hold the others up. lanes: as for
-        `batch`; `Sweep.lanes` says which. Other arguments as of `run`.
+        margins: by name, what is taken of the linear model of each row, as in study files: {"gm": {"type":
+        "gain_margin", "loop": "control.u"}}; nan where a row has none, and its message says why. scenarios: by name,
+        parameters set on top; all rows run in each, with equal seeds. max_steps: the most steps of a run; None: rows
+        that take more than 1,000,000 steps run after all others, and where most rows are done, up to 1000 times the
+        median of these (not with `on` or fixed steps). notice: called with a text that names the rows that hold the
+        others up.
 
-        out: a Parquet file. Rows are written to its part, `out` and ".part", as they are done; where a part of this
-        very sweep is there already, it goes on from it, bit for bit as if it had never stopped, unless `resume` is
-        False. on: a client of dask.distributed, or the address of its scheduler: its workers run the rows, and give the
-        same bits where their machines are alike. `out` may then be a folder or a URL that they can write: rows stand
-        there with their signals, which do not come back.
+        case, words: of all rows, as of `run`. seed: of the draws and of the noise: the seed of row i follows from it
+        and i alone. log: signals that are kept on a grid: that of `every`, else of 200 intervals. And how the rows are
+        computed: threads: how many; None: all cores. lanes: as for `batch`; `Sweep.lanes` says which. progress: called
+        with the number of rows that are done, and of all. out: a Parquet file. Rows are written to its part, `out` and
+        ".part", as they are done; where a part of this very sweep is there already, it goes on from it, bit for bit as
+        if it had never stopped. restart=True: start over. on: a client of dask.distributed, or the address of its
+        scheduler: its workers run the rows, and give the same bits where their machines are alike. `out` may then be a
+        folder or a URL that they can write: rows stand there with their signals, which do not come back.
 
         A row that fails or is refused has a status and a message, and all others run. Ctrl-C returns what is done
         (`sweep.interrupted`). Raises ModelError, UsageError (E501; E504; E506 where the part is of another sweep),
         CompilerError.
         """
+        case, work = case_and_work(case, words)
         return late(
-            "sweep", self, vary,
-            n=n, sampler=sampler, seed=seed, measures=measures, log=signal_names(log), margins=margins,
-            scenarios=scenarios, parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads,
-            budget=budget, progress=progress, notice=notice, out=out, resume=resume, on=on, lanes=lanes,
-            **settings,
+            "sweep", self, vary, case, work,
+            n=n, sampler=sampler, margins=margins, scenarios=scenarios, max_steps=max_steps, on=on, notice=notice,
         )  # fmt: skip
 
+    @takes(ManyWords)
     def tune(
         self,
+        case: Case | None = None,
         *,
         minimize: str,
         over: Mapping[str, tuple[float, float]],
         scenarios: Mapping[str, Mapping[str, Any]] | None = None,
         subject_to: Sequence[str] = (),
-        method: str = "cma",
+        optimizer: str = "cma",
         budget: int = 500,
-        seed: int = 1,
-        parameters: Mapping[str, Any] | None = None,
-        engine: str | None = None,
-        variants: Mapping[str, str] | None = None,
-        trust: Paths = (),
-        threads: int | None = None,
-        progress: Callable[[int, int], None] | None = None,
-        out: str | Path | None = None,
-        resume: bool = True,
-        lanes: str = "exact",
-        **settings: Any,
+        search_seed: int = 1,
+        **words: Unpack[ManyWords],
     ) -> Any:
         """A `Tuning`: the values within bounds for which `minimize` is least and all of `subject_to` hold.
 
@@ -618,10 +556,11 @@ class Diagram:
         the measure in one of them. over: by parameter, pattern or element, as for `Diagram.batch`, the least and the
         largest value, in the unit of the parameter; searched on a logarithmic scale where both are positive and the
         upper is at least 10 times the lower. scenarios: by name, values of parameters; None: one, named nominal,
-        without any. subject_to: "noisy.variation <= 75"; one of bare names holds in each scenario. method: "cma"
+        without any. subject_to: "noisy.variation <= 75"; one of bare names holds in each scenario. optimizer: "cma"
         (CMA-ES, package cma) or "de" (differential evolution of SciPy). budget: so many candidates are run, each once
-        in every scenario, all with the run seed of the diagram. seed: of the optimiser. The others as for
-        `Diagram.run`, and threads, progress and lanes as for a batch: the result is run once more by itself, exactly.
+        in every scenario, all with the same seed of noise. search_seed: of the optimizer. case, words: of all runs, as
+        of `run`, but for measures; and threads, progress and lanes as of `sweep`: the result is run once more by
+        itself, exactly.
 
         A candidate whose run fails, diverges or takes more than 20 times the steps of the diagram's own run (and 10,000
         more) has no fitness. Of two candidates, one that fulfils all constraints is better than one that does not, then
@@ -635,27 +574,23 @@ class Diagram:
         measure or scenario, or a window that the run does not cover; SimulationError where the diagram itself does not
         run.
         """
+        case, work = case_and_work(case, words, "measures")
         return late(
-            "tune", self,
-            minimize=minimize, over=over, scenarios=scenarios, subject_to=subject_to, method=method, budget=budget,
-            seed=seed, parameters=parameters, engine=engine, variants=variants, trust=trust, threads=threads,
-            progress=progress, out=out, resume=resume, lanes=lanes, settings=settings,
+            "tune", self, case, work,
+            minimize=minimize, over=over, scenarios=scenarios, subject_to=subject_to, optimizer=optimizer,
+            budget=budget, search_seed=search_seed,
         )  # fmt: skip
 
+    @takes(FitWords)
     def fit(
         self,
         data: Any,
+        case: Case | None = None,
         *,
         over: Mapping[str, tuple[float, float]],
         compare: Mapping[str, str],
         level: float = 0.95,
-        interpolation: str = "linear",
-        inputs: Mapping[str, Any] | None = None,
-        parameters: Mapping[str, Any] | None = None,
-        engine: str | None = None,
-        variants: Mapping[str, str] | None = None,
-        trust: Paths = (),
-        **settings: Any,
+        **words: Unpack[FitWords],
     ) -> Any:
         """A `Fit`: the values within bounds for which signals come nearest to measured data, by least squares.
 
@@ -663,8 +598,7 @@ class Diagram:
         one of the name of each input of the diagram that was recorded; further ones are left out. compare: by signal
         the column with its measured values, in the unit of the signal; nan where there are none. Residuals are taken at
         the times of the data, which the run hits; the run ends with the data. over: as of `Diagram.tune`. level: of the
-        intervals. interpolation: of recorded inputs, "linear" or "hold". inputs: of the run, beside those. The others
-        as of `Diagram.run`.
+        intervals. case, words: of all runs, as of `run`; interpolation: of recorded inputs, too; inputs: beside those.
 
         The search begins at the values of the diagram and is local (SciPy's trust region): begin near the truth.
         Residuals of several signals are weighed by their deviations, which are estimated again after each fit until
@@ -673,32 +607,19 @@ class Diagram:
         parameters that the data cannot tell apart, that have no effect, or that lie at a bound. Raises ModelError,
         UsageError; SimulationError where the diagram does not run.
         """
-        return late(
-            "fit", self, data,
-            over=over, compare=compare, level=level, interpolation=interpolation, inputs=inputs, parameters=parameters,
-            engine=engine, variants=variants, trust=trust, **settings,
-        )  # fmt: skip
+        case = case_of(case, words, FitWords)
+        return late("fit", self, data, case, over=over, compare=compare, level=level)
 
-    def live(
-        self,
-        *,
-        parameters: Mapping[str, Any] | None = None,
-        inputs: Mapping[str, Any] | None = None,
-        variants: Mapping[str, str] | None = None,
-        engine: str | None = None,
-        trust: Paths = (),
-        port: int = 0,
-    ) -> Any:
+    @takes(LiveWords)
+    def live(self, case: Case | None = None, *, port: int = 0, **words: Unpack[LiveWords]) -> Any:
         """A server that shows this diagram in a browser: `url`, `stop()`; a notebook shows the page itself.
 
         Signals are shown while it runs, and parameters are turned. It ends with `stop()` or with Python, and serves
-        this machine alone; whoever has the `url` can use it. port: of 127.0.0.1; 0: a free one. The others as of `run`;
-        nothing is written into the file that the diagram came from. Raises UsageError (E501) where the port is taken.
+        this machine alone; whoever has the `url` can use it. port: of 127.0.0.1; 0: a free one. case, words: as of
+        `run`; nothing is written into the file that the diagram came from. Raises UsageError (E501) if the port is
+        taken.
         """
-        return late(
-            "live", self,
-            values=parameters, inputs=inputs, variants=variants, engine=engine, trust=trust, port=port,
-        )  # fmt: skip
+        return late("live", self, case_of(case, words, LiveWords), port=port)
 
     def edit(self, *, trust: Paths = (), port: int = 0) -> Any:
         """A server that edits the file of this diagram in a browser: `url`, `stop()`; a notebook shows the page itself.
@@ -716,10 +637,12 @@ class Diagram:
 
     # --- linear models -----------------------------------------------------------------------------------------
 
+    @takes(PointWords)
     def linearize(
         self,
-        inputs: PortName | str | Sequence[PortName | str],
-        outputs: PortName | str | Sequence[PortName | str],
+        u: PortName | str | Sequence[PortName | str],
+        y: PortName | str | Sequence[PortName | str],
+        case: Case | None = None,
         *,
         at: OperatingPoint | Run | float | None = None,
         openings: PortName | str | Sequence[PortName | str] = (),
@@ -727,45 +650,37 @@ class Diagram:
         sigma: Mapping[str, Any] | None = None,
         overrides: Mapping[str, Any] | None = None,
         pade: int = 0,
-        held: Mapping[str, Any] | None = None,
-        parameters: Mapping[str, Any] | None = None,
-        variants: Mapping[str, str] | None = None,
-        trust: Paths = (),
-        **settings: Any,
+        **words: Unpack[PointWords],
     ) -> LinearModel:
-        """The linear model from small changes at `inputs` to `outputs`: a control.StateSpace in SI units.
+        """The linear model from small changes at `u` to `y`: a control.StateSpace in SI units.
 
         Signals go by name: "motor.omega" (all that read it see a change there), an input of a block ("motor.v",
         which alone sees it), an input of the diagram, a local ("eso.e"). openings: signals that are cut; they keep the
         values that they have. at: None: at the start; a time in s: as a run stands there; an `OperatingPoint`; a `Run`
-        as it stands, with what was set in it (with FMUs: one of engine="reference"). held: values of the diagram's
-        inputs; those that have none are 0. amplitude, sigma: by signal, the amplitude of a sine, or the deviation of a
-        random signal, at laws that have no slope: their describing functions take their place. overrides: by the path
-        of a block, a linear model instead. pade: the order of models of exact delays.
-        parameters, variants, trust, settings: as of `run`.
+        as it stands, with what was set in it (with FMUs: one of engine="reference"). amplitude, sigma: by signal, the
+        amplitude of a sine, or the deviation of a random signal, at laws that have no slope: their describing functions
+        take their place. overrides: by the path of a block, a linear model instead. pade: the order of models of exact
+        delays. case, words: as of `run`; inputs: by name; those that have no value are 0.
 
         Sampled blocks make a discrete-time model with its period as `dt`. The model has what contributes to the
         transfer; its `report` shows how each block came in. Many transfers of one point: `linearizer`. Raises
         UsageError, ModelError and AnalysisError (E701: a law without a slope, E703, E704, E707).
         """
         linearizer = self.linearizer(
-            at=at, amplitude=amplitude, sigma=sigma, overrides=overrides, held=held, parameters=parameters,
-            variants=variants, trust=trust, **settings,
+            case, at=at, amplitude=amplitude, sigma=sigma, overrides=overrides, **words
         )  # fmt: skip
-        return linearizer.model(signal_names(inputs), signal_names(outputs), openings=signal_names(openings), pade=pade)
+        return linearizer.model(signal_names(u), signal_names(y), openings=signal_names(openings), pade=pade)
 
+    @takes(PointWords)
     def linearizer(
         self,
+        case: Case | None = None,
         *,
         at: OperatingPoint | Run | float | None = None,
         amplitude: Mapping[str, Any] | None = None,
         sigma: Mapping[str, Any] | None = None,
         overrides: Mapping[str, Any] | None = None,
-        held: Mapping[str, Any] | None = None,
-        parameters: Mapping[str, Any] | None = None,
-        variants: Mapping[str, str] | None = None,
-        trust: Paths = (),
-        **settings: Any,
+        **words: Unpack[PointWords],
     ) -> Linearizer:
         """The slopes at one point, for many transfers: `model`, `loop`, `sensitivity`, `complementary`, `response`.
 
@@ -774,26 +689,22 @@ class Diagram:
         from ..linear.harmonic_balance import Linearizer
         from ..linear.slopes import slopes_at
 
-        point = self.point(at=at, held=held, parameters=parameters, variants=variants, trust=trust, **settings)
+        point = self.point(case, at=at, **words)
         return Linearizer(slopes_at(point), amplitude=amplitude, sigma=sigma, overrides=overrides)
 
+    @takes(PointWords)
     def point(
         self,
+        case: Case | None = None,
         *,
         at: OperatingPoint | Run | float | None = None,
-        held: Mapping[str, Any] | None = None,
-        parameters: Mapping[str, Any] | None = None,
-        variants: Mapping[str, str] | None = None,
-        trust: Paths = (),
-        **settings: Any,
+        **words: Unpack[PointWords],
     ) -> Point:
         """Where the diagram stands: all of its memory at a time. Arguments as of `linearize`."""
-        from .points import PointOptions, point_of
+        from .points import point_of
 
-        options = PointOptions(
-            at=at, held=held, parameters=parameters, variants=variants, trust=trust, settings=settings
-        )
-        return point_of(self.value, resolver_of(dict(self._draft.types)), options, self._last)
+        case = case_of(case, words, PointWords)
+        return point_of(self.value, resolver_of(dict(self._draft.types)), at, case, self._last)
 
     def draw(self, *, depth: int = 1, variants: Mapping[str, str] | None = None) -> str:
         """The diagram as the text of an SVG, the same each time; its faults, if it has any, are marked on the blocks.
@@ -837,40 +748,40 @@ class Diagram:
                 diagram.output(as_name(port.name), f"{kind}.{port.name}")
         return diagram
 
+    @takes(ModelWords)
     def export(
         self,
         path: str | Path,
+        case: Case | None = None,
         *,
         fmi: int = 3,
         kinds: Sequence[str] | None = None,
         platforms: Sequence[str] | None = None,
         name: str = "",
-        parameters: Mapping[str, Any] | None = None,
-        variants: Mapping[str, str] | None = None,
-        **settings: Any,
+        **words: Unpack[ModelWords],
     ) -> Exported:
         """Write the diagram as an FMU, which needs no Python: the C code of a native run, packed with its sources.
 
         fmi: 2 or 3. kinds: of "CS" (Co-Simulation: the diagram's own method integrates) and "ME" (Model Exchange: the
         importer does); None: all that the diagram allows. platforms: "x86_64-linux", "x86_64-windows", ...; None: that
-        of this machine; (): sources only. name: of the model, if not the diagram's. parameters, settings: as of `run`.
+        of this machine; (): sources only. name: of the model, if not the diagram's. case, words: as of `run`.
         Raises ModelError (E606 and the faults of the diagram), UsageError (E501), CompilerError (E60x).
         """
         from ..compile.toolchain.platforms import check_compilers
         from ..export.exporter import export
         from ..text.version import __version__
 
-        check_settings(settings)
+        case = case_of(case, words, ModelWords)
         if name:
             check_name(name)
-        value = taken(self.value, variants)
-        flat = self.flatten(parameters=parameters, settings=settings, variants=variants)
+        value = taken(self.value, case.variants)
+        flat = self.flatten(case)
         refuse_fmus(flat)
         check_compilers(platforms)
         return export(
             value, flat, plan(flat), path,
             fmi=fmi, kinds=kinds, platforms=platforms, name=name, version=__version__,
-            drawing=self.draw(variants=variants) if len(value.blocks) <= MOST_DRAWN else "",
+            drawing=self.draw(variants=case.variants) if len(value.blocks) <= MOST_DRAWN else "",
         )  # fmt: skip
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
@@ -881,15 +792,9 @@ class Diagram:
         return self._draft.outline()
 
 
-def run_of(
-    diagram: Diagram,
-    parameters: Mapping[str, Any],
-    settings: Mapping[str, Any],
-    options: RunOptions,
-    flat: Flat | None = None,
-) -> Run:
-    """A run of a diagram with these parameters, settings and options. flat: its flat model with them, where known."""
+def run_of(diagram: Diagram, case: Case, options: RunOptions, flat: Flat | None = None) -> Run:
+    """Return a run of a diagram. flat: its flat model with this case, if it is known."""
     from .run import started
 
     resolver = resolver_of(dict(diagram._draft.types))  # what is added to the diagram afterwards does not reach the run
-    return started(taken(diagram.value), resolver, parameters, plain_settings(settings), options, flat)
+    return started(case.of(diagram.value), resolver, case, options, flat)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
 from ..contract.enumerations import resting
-from ..model.diagram_grammar import RUN
 from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..model.settings import seconds
@@ -27,14 +27,6 @@ def time_of(place: str, raw: Any) -> Fraction:
         raise UsageError(Fault("E501", place, message)) from None
 
 
-def check_settings(given: Mapping[str, Any]) -> None:
-    """Raise UsageError (E501) for what is no setting of a run."""
-    for key in given:
-        if key not in RUN.keys:
-            cure = did_you_mean(key, RUN.keys) or f"Settings: {', '.join(RUN.keys)}."
-            raise UsageError(Fault("E501", legible(key), "is not a setting of a run.", cure))
-
-
 def at_rest(value: DiagramValue, flat: Flat) -> dict[str, Any]:
     """Zeros for the inputs that a diagram gives no value: where it is looked at around a point, they rest."""
     known = {*value.run.get("inputs", {}), *(name for name, entry in value.inputs.items() if "default" in entry)}
@@ -44,3 +36,17 @@ def at_rest(value: DiagramValue, flat: Flat) -> dict[str, Any]:
         for entry in flat.inputs
         if entry.name not in known
     }
+
+
+def picked(value: DiagramValue, measures: Sequence[str] | None) -> DiagramValue:
+    """Return the diagram with the measures that are asked for. Raises UsageError (E501)."""
+    if measures is None:
+        return value
+    if isinstance(measures, str):
+        raise UsageError(Fault("E501", "measures", "must be a list of texts, not one text.", f'Give a list: '
+            f'measures=["{legible(measures)}"].'))
+    for name in measures:
+        if name not in value.measures:
+            cure = did_you_mean(str(name), value.measures) or f"Measures: {', '.join(value.measures) or 'none'}."
+            raise UsageError(Fault("E501", legible(str(name)), "the diagram has no such measure.", cure))
+    return replace(value, measures={name: value.measures[name] for name in measures})

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,61 +10,51 @@ from ..compile.plan import Plan
 from ..contract.captured_values import Outside
 from ..engines.prepared import Prepared
 from ..engines.reference.reference_engine import ReferenceEngine
+from ..engines.run.saved_state import State
 from ..linear.operating_point import OperatingPoint
 from ..linear.point import Point
 from ..model.diagram_value import DiagramValue
 from ..model.flatten import Flat
 from ..model.hierarchy import Resolver
 from ..model.trust import Paths
-from ..model.variants import taken
-from ..text.errors import AnalysisError, Fault, UsageError, check_mappings
+from ..text.errors import AnalysisError, Fault, UsageError
+from .case import Case
 from .checks import coupled_block, flat_of
 from .given_values import at_rest, time_of
 from .last_made import LastMade, names_files
-from .ports import plain_settings
 from .run import Run, RunOptions, engine_of, started
 
 MOST_KEPT = 3
 """Forms of a model that are kept ready for other points."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PointOptions:
-    """What a point is given besides its model; see `Diagram.point`."""
-
-    at: OperatingPoint | Run | float | None
-    held: Mapping[str, Any] | None
-    parameters: Mapping[str, Any] | None
-    variants: Mapping[str, str] | None
-    trust: Paths
-    settings: Mapping[str, Any]
-
-
-def point_of(value: DiagramValue, resolver: Resolver, options: PointOptions, last: LastMade) -> Point:
-    """Where a diagram stands. last: where its last point is kept."""
-    at, held, parameters, variants = options.at, options.held, options.parameters, options.variants
-    if isinstance(at, (OperatingPoint, Run)) and (held or parameters or variants or options.settings):
+def point_of(
+    value: DiagramValue, resolver: Resolver, at: OperatingPoint | Run | float | None, case: Case, last: LastMade
+) -> Point:
+    """Return where a diagram is at a time. last: where its last point is kept."""
+    if isinstance(at, (OperatingPoint, Run)) and case.words.keys() - {"trust"}:
         whose, cure = "the operating point has", "Give them to find_operating_point."
         if isinstance(at, Run):
             whose, cure = "the run has", "Give them when you start the run, or set them in the run."
         raise UsageError(Fault("E501", "at", f"{whose} its inputs, parameters and settings already.", cure))
     if isinstance(at, Run):
-        return _of_run(at, options.trust)
+        return _of_run(at, case.trust)
     if isinstance(at, OperatingPoint):
         if at.point is None:
             message = "was found by a run with Co-Simulation FMUs, which hide their states: it has no linear model."
             cure = "Import them as Model Exchange, or estimate the response by simulation."
             raise AnalysisError(Fault("E703", at.name, message, cure))
         return at.point
-    check_mappings(held=held, parameters=parameters, variants=variants)
-    plain = [{name: _plainly(given) for name, given in (table or {}).items()} for table in (held, parameters)]
-    key = (id(value), value, at, repr((*(sorted(table.items()) for table in plain), variants, options.settings)))
+    inputs = case.named_inputs()
+    plain = [{name: _plainly(given) for name, given in table.items()} for table in (inputs, case.parameters)]
+    others = case.without("inputs", "parameters", "trust")
+    key = (id(value), value, at, repr((*(sorted(table.items()) for table in plain), others)))
     known: tuple[Point, tuple[Outside, ...]] | None = last.known("point", key)
     if known is not None and all(read.holds() for read in known[1]):
         return known[0]
-    point = Point.of(_standing(value, resolver, options, at, last, is_silent=True))
+    point = Point.of(_standing(value, resolver, case, at, last, is_silent=True))
     if not np.isfinite(point.outputs).all():
-        _standing(value, resolver, options, at, last, is_silent=False)  # reports where, if recorded
+        _standing(value, resolver, case, at, last, is_silent=False)  # reports where, if recorded
     if not point.plan.foreign and not names_files(value):
         tapes = {id(instance.tape): instance.tape for instance in point.plan.instances}.values()
         outside = tuple(tape.outside for tape in tapes if tape.outside is not None)
@@ -80,8 +68,9 @@ def _of_run(run: Run, trust: Paths) -> Point:
     _refuse_coupled(prepared.structure)
     if not any(block.interface.declaration.foreign is not None for block in prepared.structure.blocks):
         settings = {key: value for key, value in prepared.settings.items() if key not in ("start", "seed")}
-        going = RunOptions(resume=run.snapshot(), engine="reference", trust=trust)
-        run = started(prepared.value, prepared.resolver, {}, {**settings, "log": []}, going, likes=[prepared])
+        case = Case(engine="reference", trust=trust, **{**settings, "log": []})
+        going = RunOptions(resume=run.snapshot())
+        run = started(prepared.value, prepared.resolver, case, going, likes=[prepared])
     engine = engine_of(run)
     if not isinstance(engine, ReferenceEngine):
         cure = 'Start the run with engine="reference".'
@@ -100,22 +89,19 @@ def _refuse_coupled(flat: Flat) -> None:
 
 
 def _standing(
-    given_value: DiagramValue, resolver: Resolver, options: PointOptions, at: float | None, last: LastMade,
-    *, is_silent: bool,
-) -> Any:  # fmt: skip
+    given_value: DiagramValue, resolver: Resolver, case: Case, at: float | None, last: LastMade, *, is_silent: bool
+) -> Any:
     """Return a run of the reference engine at a time. A silent run is not made to record signals.
 
     last: keeps the source of the run, for runs with other values of parameters.
     """
-    held, parameters, settings = options.held, dict(options.parameters or {}), options.settings
-    value = taken(given_value, options.variants)
-    silent: dict[str, Any] = {"log": []} if is_silent else {}
-    key = (id(given_value), given_value, repr(options.variants))
+    value = case.of(given_value)
+    key = (id(given_value), given_value, repr(case.variants))
     kept: tuple[Prepared, ...] = last.known("standing", key) or ()
     likes = [form for form in kept if form.is_current]
 
-    def begun(parameters: Mapping[str, Any], settings: Mapping[str, Any], given: RunOptions, flat: Any = None) -> Run:
-        run = started(value, resolver, parameters, plain_settings(settings), given, flat, likes)
+    def begun(case: Case, flat: Flat | None = None, resume: State | None = None) -> Run:
+        run = started(value, resolver, case, RunOptions(resume=resume), flat, likes)
         form = run.prepared
         is_kept = isinstance(form.plan, Plan) and not form.plan.foreign and not names_files(given_value)
         if is_kept and not any(like.alike is form.alike for like in likes):
@@ -123,29 +109,28 @@ def _standing(
             last.keep("standing", key, tuple(likes[:MOST_KEPT]))
         return run
 
-    asked = plain_settings({**settings, **silent})
-    like = next((form for form in likes if form.with_values(parameters, asked) is not None), None)
-    flat = flat_of(value, resolver, parameters, asked) if like is None else like.structure
+    silent = case.updated(log=[]) if is_silent else case
+    like = next((form for form in likes if form.with_values(case.parameters, silent.settings) is not None), None)
+    flat = flat_of(given_value, resolver, silent) if like is None else like.structure
     _refuse_coupled(flat)
-    given = RunOptions(inputs={**at_rest(value, flat), **(held or {})}, engine="reference", trust=options.trust)
+    inputs = {**at_rest(value, flat), **case.named_inputs()}
     if at is None:
-        return engine_of(begun(parameters, asked, given, flat if like is None else None))
+        return engine_of(begun(silent.updated(inputs=inputs, engine="reference"), flat if like is None else None))
     time = time_of("at", at)
     has_fmus = any(block.interface.declaration.foreign is not None for block in flat.one_of_each)
-    given = given if has_fmus else replace(given, engine=None)
-    run = begun(parameters, settings, given)
+    going = case.updated(inputs=inputs, engine="reference" if has_fmus else None)
+    run = begun(going)
     start, stop = run.settings.start, run.settings.stop
     if time < start:
         raise UsageError(Fault("E501", "at", f"{float(time)} s lies before the start at {float(start)} s."))
     if stop is not None and time > stop:
-        settings = {**settings, "stop": time}
-        run = begun(parameters, settings, given)
+        going = going.updated(stop=time)
+        run = begun(going)
     run.advance_to(time)
     if has_fmus:
         return engine_of(run)
-    going = RunOptions(resume=run.snapshot(), engine="reference", trust=options.trust)
-    again = {key: item for key, item in settings.items() if key != "start"}
-    return engine_of(begun({}, {**again, **silent}, going))
+    again = (going.updated(log=[]) if is_silent else going).without("start", "inputs", "parameters")
+    return engine_of(begun(again.updated(engine="reference"), resume=run.snapshot()))
 
 
 def _plainly(value: Any) -> Any:

@@ -137,6 +137,8 @@ def plain_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(inputs := settings.get("inputs"), Mapping):
         plain["inputs"] = {name: read_quantity(raw) for name, raw in inputs.items()}
     log = settings.get("log")
-    if isinstance(log, (list, tuple)):
+    if isinstance(log, (str, PortName)):
+        plain["log"] = [str(log)]
+    elif isinstance(log, (list, tuple)):
         plain["log"] = [name.text if isinstance(name, PortName) else name for name in log]
     return plain

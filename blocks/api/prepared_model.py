@@ -8,10 +8,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -19,12 +17,10 @@ from ..engines.prepared import Prepared
 from ..engines.selection import compiled_model
 from ..model.diagram_value import DiagramValue
 from ..model.resolver import resolver_of
-from ..model.trust import Paths
 from ..model.varied import given_values, is_element
 from ..results.results import Results
 from ..text.errors import Fault, UsageError
-from .given_values import check_settings
-from .ports import plain_settings
+from .case import Case, PointWords, case_of, takes
 from .run import Run, RunOptions, started
 
 if TYPE_CHECKING:
@@ -48,40 +44,28 @@ class PreparedModel:
     ones in each run. A model pickles as what it is made of, and is prepared again where it is loaded.
     """
 
-    def __init__(
-        self,
-        value: DiagramValue,
-        types: Mapping[str, type[Block]],
-        *,
-        parameters: Mapping[str, Any] | None = None,
-        engine: str | None = None,
-        trust: Paths = (),
-        settings: Mapping[str, Any] | None = None,
-    ) -> None:
-        if "inputs" in (settings or {}):
-            cure = "Give them to the run: prepare().run(inputs=...)."
-            raise UsageError(Fault("E501", "inputs", "cannot be prepared: they belong to a run.", cure))
-        self._value, self._types = value, dict(types)
-        self._parameters, self._settings = _own(dict(parameters or {})), _own(dict(settings or {}))
-        self._engine, self._trust = engine, trust
+    def __init__(self, value: DiagramValue, types: Mapping[str, type[Block]], case: Case) -> None:
+        self._value, self._types = case.of(value), dict(types)
         self._resolver = resolver_of(self._types)
-        if any(map(is_element, self._parameters)):  # what a run gives goes on top of them
-            self._parameters = {**given_values(value, self._resolver, self._parameters)}
+        fixed = _own(case.without("variants", "measures").words)
+        parameters = fixed.get("parameters", {})
+        if any(map(is_element, parameters)):  # what a run gives goes on top of them
+            fixed["parameters"] = {**given_values(self._value, self._resolver, parameters)}
+        self._base = Case(**fixed)
         self._forms: list[Prepared] = []  # the last used one goes last
         self._lock = threading.Lock()
 
     def __reduce__(self) -> Any:
-        given = {"parameters": self._parameters, "engine": self._engine, "trust": self._trust}
-        return _again, (self._value, self._types, {**given, "settings": self._settings})
+        return _again, (self._value, self._types, self._base)
 
     def __repr__(self) -> str:
         return f"<PreparedModel {self._value.name}>"
 
     def ready(self) -> PreparedModel:
         """Prepare and compile it now, for runs with what was given. Raises what `run` raises before it begins."""
-        check_settings(self._settings)
-        form = Prepared.of(self._value, self._resolver, self._parameters, self._settings, trust=self._trust)
-        form.alike.model = compiled_model(form.plan, engine=self._engine)
+        case = self._base
+        form = Prepared.of(self._value, self._resolver, case.parameters, case.settings, trust=case.trust)
+        form.alike.model = compiled_model(form.plan, engine=case.engine)
         self._keep(form)
         return self
 
@@ -90,41 +74,34 @@ class PreparedModel:
         """Whether all that its block classes read from outside is what it was."""
         return all(form.is_current for form in self._kept())
 
+    @takes(PointWords)
     def run(
         self,
+        case: Case | None = None,
         *,
-        stop: float | None = None,
-        inputs: Mapping[str, Any] | str | Path | Sequence[Any] | None = None,
-        parameters: Mapping[str, Any] | None = None,
-        interpolation: str = "linear",
-        progress: Callable[[float], None] | None = None,
-        **settings: Any,
+        progress: Callable[[float, float], None] | None = None,
+        **words: Unpack[PointWords],
     ) -> Results:
         """Simulate to `stop`: bit for bit what `Diagram.run` gives. Arguments as there, on top of what was prepared."""
-        if stop is not None:
-            settings["stop"] = stop
-        for name in ("engine", "variants", "trust"):
-            if name in settings:
-                raise UsageError(Fault("E501", name, "is fixed when the model is prepared.", f"Give it to "
-                f"prepare({name}=...)."))
+        for name in ("engine", "variants", "trust", "measures"):
+            if name in words or (case is not None and name in case.words):
+                cure = f"Give it to prepare({name}=...)."
+                raise UsageError(Fault("E501", name, "is fixed when the model is prepared.", cure))
         for name in ("out", "resume"):
-            if name in settings:
+            if name in words:
                 cure = f"Use Diagram.run({name}=...), or save the results of this run."
                 raise UsageError(Fault("E501", name, "is not available for runs of a prepared model.", cure))
-        options = RunOptions(inputs=inputs, interpolation=interpolation, progress=progress)
-        return self.run_of(parameters or {}, settings, options).finish()
+        return self.run_of(case_of(case, words), RunOptions(progress=progress)).finish()
 
-    def run_of(self, parameters: Mapping[str, Any], settings: Mapping[str, Any], options: RunOptions) -> Run:
-        """Return a run at its start, with these parameters and settings on top of the prepared values."""
-        if isinstance(parameters, Mapping):
-            own: Mapping[str, Any] = _own(parameters)
-            if any(map(is_element, own)):
-                own = given_values(self._value, self._resolver, own, self._parameters)
-            parameters = {**self._parameters, **own}
-        settings = {**self._settings, **_own(plain_settings(settings))}
-        options = replace(options, engine=self._engine, trust=self._trust)
+    def run_of(self, case: Case, options: RunOptions) -> Run:
+        """Return a run at its start, with a case on top of what was prepared."""
+        words = _own(case.words)
+        parameters = words.get("parameters", {})
+        if any(map(is_element, parameters)):
+            words["parameters"] = given_values(self._value, self._resolver, parameters, self._base.parameters)
+        case = self._base.on_top(words)
         known = self._kept()
-        run = started(self._value, self._resolver, parameters, settings, options, likes=known)
+        run = started(self._value, self._resolver, case, options, likes=known)
         is_new = not any(form.alike is run.prepared.alike for form in known)
         if is_new and not self.is_current:  # a form of now beside forms of then
             message = (
@@ -159,6 +136,6 @@ def _own(value: Any) -> Any:
     return type(value)(map(_own, value)) if type(value) in (list, tuple) else value
 
 
-def _again(value: DiagramValue, types: Mapping[str, type[Block]], given: Mapping[str, Any]) -> PreparedModel:
+def _again(value: DiagramValue, types: Mapping[str, type[Block]], case: Case) -> PreparedModel:
     """Rebuild a model from a pickle."""
-    return PreparedModel(value, types, **given).ready()
+    return PreparedModel(value, types, case).ready()

@@ -33,7 +33,6 @@ from ..model.flatten import Flat
 from ..model.hierarchy import Resolver
 from ..model.raw_values import raw_of
 from ..model.settings import RunSettings
-from ..model.trust import Paths
 from ..model.varied import given_values
 from ..results.arrow import Part, target_of
 from ..results.provenance import Origin
@@ -43,7 +42,8 @@ from ..text.element_names import indexed
 from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
 from ..text.printable import quoted
 from ..text.quantity_text import read_quantity
-from .given_values import check_settings, time_of
+from .case import Case, Inputs, sources
+from .given_values import time_of
 from .origin import origin_of
 from .streaming import Streaming, part_to_resume
 
@@ -53,20 +53,16 @@ FAR = 10**9
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """What a run is given besides its model; see `Diagram.run`.
+    """What a run is given besides its case; see `Diagram.run`.
 
-    out: the file of the results. notice: called with a warning that is found while the run goes on; None: it becomes a
-    Python warning. loading: called with the diagram when nothing speaks against the run any more, before its FMUs are
-    loaded.
+    progress: called with the time that is reached, and the stop time. out: the file of the results. notice: called with
+    a warning that is found while the run goes on; None: it becomes a Python warning. loading: called with the diagram
+    when nothing speaks against the run any more, before its FMUs are loaded.
     """
 
-    inputs: Any = None
-    interpolation: str = "linear"
-    progress: Callable[[float], None] | None = None
+    progress: Callable[[float, float], None] | None = None
     notice: Callable[[Fault], None] | None = None
     resume: State | str | Path | None = None
-    engine: str | None = None
-    trust: Paths = ()
     loading: Callable[[DiagramValue], None] | None = None
     out: str | Path | None = None
 
@@ -74,26 +70,22 @@ class RunOptions:
 def started(
     value: DiagramValue,
     resolver: Resolver,
-    parameters: Mapping[str, Any],
-    settings: Mapping[str, Any],
+    case: Case,
     options: RunOptions,
     flat: Flat | None = None,
     likes: Iterable[Prepared] = (),
 ) -> Run:
-    """Return a run of a diagram at its start, or at the time of a saved run. Arguments as of `Prepared.of`.
+    """Return a run of a diagram at its start, or at the time of a saved run.
 
-    likes: what was prepared of this diagram before; the first that can be is used again.
+    value: with the variants and measures of the case already. flat: its flat model, if that is known. likes: what was
+    prepared of this diagram before; the first that can be is used again.
     """
-    check_settings(settings)
-    if not isinstance(parameters, Mapping):
-        message = f"must be a mapping of values by path, not {type(parameters).__name__}."
-        raise UsageError(Fault("E501", "parameters", message, 'Example: parameters={"motor.Ra": 1.2}.'))
-    raw = parameters
+    raw, resume = case.parameters, options.resume
+    settings: Mapping[str, Any] = case.settings
     parameters = given_values(value, resolver, raw)
-    resume = options.resume
-    sources = options.inputs if isinstance(options.inputs, (list, tuple)) else [options.inputs]
     part: Part | None = None
-    anew = {"parameters": parameters, "inputs": [source for source in sources if source is not None and source != {}]}
+    given_inputs = [source for source in sources(case.inputs) if source is not None and source != {}]
+    anew = {"parameters": parameters, "inputs": given_inputs}
     found = part_to_resume(resume, options.out, anew, settings)
     if found is not None:
         part, out, settings = found
@@ -110,14 +102,14 @@ def started(
             raise UsageError(Fault("E501", "start", message, "Leave start out."))
         parameters = {**saved.overrides, **given_values(value, resolver, raw, saved.overrides)}
         settings = _going_on(settings, saved, value.name)
-    if options.interpolation not in ("linear", "hold"):
-        message = f'must be "linear" or "hold", not {options.interpolation!r}.'
+    if case.interpolation not in ("linear", "hold"):
+        message = f'must be "linear" or "hold", not {case.interpolation!r}.'
         raise UsageError(Fault("E501", "interpolation", message))
     try:
         known = (made for like in likes if (made := like.with_values(parameters, settings)) is not None)
         prepared = next(known, None)
         if prepared is None:
-            prepared = Prepared.of(value, resolver, parameters, settings, trust=options.trust, flat=flat)
+            prepared = Prepared.of(value, resolver, parameters, settings, trust=case.trust, flat=flat)
     except ModelError as error:
         foreign = [f.place for f in error.faults if f.code == "E106" and f.place not in given]
         if saved is None or not foreign:
@@ -127,7 +119,7 @@ def started(
     if saved is not None and isinstance(prepared.plan, Coupling):
         message = "a run with Co-Simulation FMUs, or with blocks that are coupled one by one, cannot be resumed."
         raise UsageError(Fault("E506", value.name, message, "Start the run from the beginning."))
-    return Run(prepared, options, saved, given, streaming)
+    return Run(prepared, case, options, saved, given, streaming)
 
 
 _Given = ParamSpec("_Given")
@@ -167,6 +159,7 @@ class Run:
     def __init__(
         self,
         prepared: Prepared,
+        case: Case,
         options: RunOptions,
         saved: State | Kept | None = None,
         given: Mapping[str, Any] | None = None,
@@ -174,10 +167,10 @@ class Run:
     ) -> None:
         """Start a run. saved: the state from which it continues. given: the raw parameters that came with the state."""
         self._turn = threading.RLock()
-        self._prepared, self._options = prepared, options
+        self._prepared, self._case, self._options = prepared, case, options
         plan = prepared.plan
         self._warnings: tuple[Fault, ...] = ()
-        named = _named_inputs(options.inputs, plan)
+        named = _named_inputs(case.inputs, plan)
         state: State | None = None
         if isinstance(saved, Kept):
             assert isinstance(plan, Plan)
@@ -188,12 +181,13 @@ class Run:
             check(state.plan, plan, state.equations, prepared.equations)
         if state is not None:
             self._warnings = self._others(state, given or {})
-        table = _input_table(plan, named, options.interpolation, state)
+        table = _input_table(plan, named, case.interpolation, state)
         self.settings: RunSettings = plan.settings
         if options.loading is not None:
             options.loading(prepared.value)
         self._simulation: Simulation = simulation(
-            plan, table, engine=options.engine, progress=options.progress, state=state, model=prepared.alike.model,
+            plan, table, engine=case.engine, progress=_towards(options.progress, plan.settings), state=state,
+            model=prepared.alike.model,
             programs=prepared.alike.programs, is_streamed=streaming is not None and streaming.is_streamed,
         )  # fmt: skip
         prepared.alike.model = getattr(self._simulation.engine, "model", None)
@@ -206,8 +200,8 @@ class Run:
             prepared.value,
             told,
             parameters=prepared.parameters,
-            inputs=options.inputs,
-            interpolation=options.interpolation,
+            inputs=case.inputs,
+            interpolation=case.interpolation,
             equations=lambda: prepared.known_equations,
             sha256=prepared.fingerprint,
         )
@@ -342,8 +336,9 @@ class Run:
             raise UsageError(Fault("E506", str(state), message, "Use resume= of Diagram.start or Diagram.run."))
         prepared = self._prepared
         settings = {key: value for key, value in prepared.settings.items() if key not in ("start", "seed")}
-        options = replace(self._options, inputs=None, interpolation="linear", resume=state, loading=None)
-        again = started(prepared.value, prepared.resolver, {}, settings, options, likes=[prepared])
+        case = Case(engine=self._case.engine, trust=self._case.trust, **settings)
+        options = replace(self._options, resume=state, loading=None)
+        again = started(prepared.value, prepared.resolver, case, options, likes=[prepared])
         self._prepared, self._simulation, self._warnings = again._prepared, again._simulation, again._warnings
         self.settings, self._exact, self._origin = again.settings, again._exact, None
 
@@ -359,8 +354,13 @@ class Run:
 
     @property
     def options(self) -> RunOptions:
-        """What it was given besides its model."""
+        """What it was given besides its case."""
         return self._options
+
+    @property
+    def case(self) -> Case:
+        """What it was started with."""
+        return self._case
 
     @property
     def t(self) -> float:
@@ -477,8 +477,9 @@ class Run:
         self._simulation.notice = self._options.notice or _warned
         try:
             with live_line(
-                self._options.progress, lambda t: ((t - start) / max(stop - start, 1e-300), f"t = {t:.4g} s")
-            ) as self._simulation.progress:
+                self._options.progress, lambda t, _: ((t - start) / max(stop - start, 1e-300), f"t = {t:.4g} s")
+            ) as progress:
+                self._simulation.progress = _towards(progress, self.settings)
                 if self.ended is None:
                     self.advance_to(self.settings.stop)
         except KeyboardInterrupt:
@@ -551,7 +552,7 @@ def tolerances_of_fmus(run: Run) -> list[float] | None:
 def _named_inputs(given: Any, plan: Plan | Coupling) -> dict[str, Any]:
     """Return the given inputs by name, including inputs from files."""
     named: dict[str, Any] = {}
-    for source in given if isinstance(given, (list, tuple)) else (given,):
+    for source in sources(given):
         if isinstance(source, (str, Path)):
             named.update(read_csv(source, plan))  # type: ignore[arg-type]
         elif isinstance(source, Mapping):
@@ -576,6 +577,21 @@ def _shown(raw: Any, unit: str) -> str:
 def _given_input(value: Any, type_: str) -> Any:
     """Return the value of an input from its given form; "2 mV" is a quantity."""
     return read_quantity(value) if type_ in ("real", "int") else value
+
+
+def input_table(plan: Plan | Coupling, inputs: Inputs | None, interpolation: str) -> InputTable:
+    """Return the inputs of a run from its start."""
+    return _input_table(plan, _named_inputs(inputs, plan), interpolation, None)
+
+
+def _towards(
+    progress: Callable[[float, float], None] | None, settings: RunSettings
+) -> Callable[[float], None] | None:
+    """Return a callback that takes the time of a run, from one that takes that and the stop time."""
+    if progress is None:
+        return None
+    stop = math.inf if settings.stop is None else float(settings.stop)
+    return lambda t: progress(t, stop)
 
 
 def _input_table(

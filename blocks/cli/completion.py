@@ -123,16 +123,17 @@ def _values(action: argparse.Action, command: str, last: str, diagram: str) -> t
     known = _names_of(diagram)
     if what in PARAMETERS:
         return _matching(last, (f"{name}=" for name in known["parameters"]), nospace=True)
-    if what in ("input", "held") and known["inputs"] and (last or what == "held"):
+    takes_no_file = "FILE" not in shown
+    if what == "input" and known["inputs"] and (last or takes_no_file):
         kind, found = _matching(last, (f"{name}=" for name in known["inputs"]), nospace=True)
-        if found or what == "held":
+        if found or takes_no_file:
             return kind, found
     if what in SIGNALS:
         ending = "=" if shown.endswith("=X") else ""
         whole = () if what == "log" else known["blocks"]  # a block stands for all of its outputs in a log alone
         names = (name + ending for name in known["signals"] if name not in whole)
         return _matching(last, names, nospace=bool(ending))
-    if what == "measure":
+    if what == "measures":
         return _matching(last, known["measures"])
     if what == "method":
         return _matching(last, _schema()["run"]["properties"]["method"].get("enum", ()))

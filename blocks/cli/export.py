@@ -8,8 +8,8 @@ from dataclasses import asdict
 from typing import Any
 
 from ..text.errors import Fault, UsageError, did_you_mean
-from .option_values import assignments, check_writable, number_of, time_of, variants_of
-from .options import Verbs, takes_json, takes_library, takes_parameters, takes_several, takes_variants
+from .option_values import case_of, check_writable
+from .options import Verbs, takes_json, takes_library, takes_parameters, takes_settings, takes_several, takes_variants
 from .output import emit, printable, say
 
 
@@ -28,11 +28,7 @@ def add(verbs: Verbs) -> None:
     platform = "x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin or aarch64-darwin; may be repeated; none: "
     platform += "sources only (default: this machine's)"
     takes_several(export, "--platform", "P", platform, dest="platforms", default=None)
-    export.add_argument("--method", metavar="M", help="method of Co-Simulation: dopri5, radau, auto, rk4 or euler")
-    export.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
-    export.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5, radau and auto")
-    export.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5, radau and auto")
-    export.add_argument("--seed", metavar="N", help="seed of the noise in the FMU")
+    takes_settings(export, "method", "step", "rtol", "atol", "seed")
     log = "show this signal instead of the file's choice; may be repeated"
     takes_several(export, "--log", "SIGNAL", log, default=None)
     takes_parameters(export)
@@ -47,15 +43,11 @@ def _export(options: argparse.Namespace) -> int:
     from ..api.diagram import Diagram
     from ..api.preparing import other_platforms
 
-    parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
-    settings: dict[str, Any] = {key: number_of(key, getattr(options, key)) for key in ("rtol", "atol", "seed")}
-    settings["step"] = time_of("step", options.step)
-    settings = {key: value for key, value in settings.items() if value is not None}
-    settings |= {key: value for key, value in (("method", options.method), ("log", options.log)) if value}
+    case = case_of(options)
     types = Catalog.of(options.library).types
     if options.diagram in types and not os.path.exists(options.diagram):
         block: Any = types[options.diagram]
-        diagram, parameters = Diagram.alone(block(**parameters)), {}  # they fix its ports, too
+        diagram, case = Diagram.alone(block(**case.parameters)), case.without("parameters")  # they fix its ports, too
     elif options.diagram.isidentifier() and not os.path.exists(options.diagram):
         cure = did_you_mean(options.diagram, types) or "`blocks list` names the block types."
         raise UsageError(Fault("E103", options.diagram, "is neither a diagram file nor a block type.", cure))
@@ -68,13 +60,11 @@ def _export(options: argparse.Namespace) -> int:
         say(f"building for {', '.join(others)}: the first build for a platform takes a minute or two")
     fmu = diagram.export(
         options.out,
+        case,
         fmi=options.fmi,
         kinds=options.kinds,
         platforms=platforms,
         name=options.name,
-        parameters=parameters,
-        variants=variants_of(options.variants),
-        **settings,
     )
     if options.json:
         emit({"event": "exported", **asdict(fmu), "path": str(fmu.path), "bytes": fmu.path.stat().st_size})

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, UsageError
 from ..text.quantity_text import value_in
-from .option_values import assignments, check_writable, number_of, raw_number, variants_of
+from .option_values import assignments, case_of, check_writable, number_of, raw_number
 from .options import Verbs, takes_json, takes_library, takes_point, takes_several
 from .output import emit, printable, say
 
 if TYPE_CHECKING:
+    from ..api.case import Case
     from ..api.diagram import Diagram
 
 FIGURES = ("bode", "nyquist", "nichols", "step", "poles")
@@ -57,27 +58,21 @@ def add(verbs: Verbs) -> None:
         takes_json(verb, "one JSON object")
 
 
-def _linearizer(options: argparse.Namespace) -> tuple[Diagram, dict[str, Any]]:
-    """The diagram, and where it is linearized, as `Diagram.linearizer` takes it."""
+def _linearizer(options: argparse.Namespace) -> tuple[Diagram, Case, dict[str, Any]]:
+    """Return the diagram, its case, and where it is linearized, as `Diagram.linearizer` takes them."""
     from ..api.diagram import Diagram
 
     diagram = Diagram.load(options.diagram, library=options.library)
     at = number_of("at", options.at)
-    held = {
-        name: value if isinstance(value, (dict, bool)) else raw_number(value)
-        for name, value in assignments("--input", options.held, "r=1").items()
-    }
-    point: dict[str, Any] = {
-        "at": None if at is None else raw_number(at),
-        "held": held,
-        "parameters": assignments("--set", options.parameters, "motor.Ra=0.2"),
-        "variants": variants_of(options.variants),
-        "trust": options.trust,
-    }
+    point: dict[str, Any] = {"at": None if at is None else raw_number(at)}
     for word, items in (("amplitude", options.amplitude), ("sigma", options.sigma)):
         given = assignments(f"--{word}", items, "eso.e=0.1")
         point[word] = {name: v if isinstance(v, dict) else raw_number(v) for name, v in given.items()}
-    return diagram, point
+    inputs = {
+        name: value if isinstance(value, (dict, bool)) else raw_number(value)
+        for name, value in assignments("--input", options.input, "r=1").items()
+    }
+    return diagram, case_of(argparse.Namespace(**{**vars(options), "input": ()})).updated(inputs=inputs), point
 
 
 def _linearize(options: argparse.Namespace) -> int:
@@ -94,9 +89,9 @@ def _linearize(options: argparse.Namespace) -> int:
     if is_loop == bool(options.sources or options.sinks) or (not is_loop and not (options.sources and options.sinks)):
         cure = "Example: --from r --to motor.omega, or --loop control.u."
         raise UsageError(Fault("E501", "linearize", "needs either --from and --to, or --loop alone.", cure))
-    diagram, point = _linearizer(options)
+    diagram, case, point = _linearizer(options)
     given = assignments("--override", options.overrides, "q=1")
-    linearizer = diagram.linearizer(overrides={name: raw_number(v) for name, v in given.items()}, **point)
+    linearizer = diagram.linearizer(case, overrides={name: raw_number(v) for name, v in given.items()}, **point)
     if is_loop:
         model: Any = linearizer.exact_loop(options.loop, openings=options.openings, pade=options.pade)
     else:
@@ -122,10 +117,10 @@ def _linearize(options: argparse.Namespace) -> int:
 def _observer(options: argparse.Namespace) -> int:
     from ..analysis.adrc_reports import AMPLITUDES, observer_report
 
-    diagram, point = _linearizer(options)
+    diagram, case, point = _linearizer(options)
     texts = [text for item in options.amplitudes or () for text in item.split(",") if text]
     given = [value_in(text) for text in texts] or AMPLITUDES
-    report = observer_report(diagram, options.block, amplitudes=given, **point)
+    report = observer_report(diagram, options.block, case, amplitudes=given, **point)
     if options.json:
         emit(report.as_json())
     else:

@@ -13,14 +13,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..text.errors import Fault, UsageError
-from .option_values import assignments, variants_of
+from .option_values import assignments, case_of
 from .options import (
     Verbs,
     takes_engine,
+    takes_inputs,
     takes_json,
     takes_library,
     takes_parameters,
-    takes_several,
     takes_trust,
     takes_variants,
 )  # fmt: skip
@@ -57,7 +57,7 @@ def _takes(live: argparse.ArgumentParser) -> None:
     live.add_argument("--port", metavar="N", type=int, default=0, help="port of 127.0.0.1 (default: a free one)")
     live.add_argument("--no-browser", action="store_true", help="print the address, and do not open a browser")
     takes_parameters(live)
-    takes_several(live, "--input", "NAME=VALUE", "the value of an input of the diagram (default: its own, or 0)")
+    takes_inputs(live)
     takes_variants(live)
     takes_engine(live)
     takes_trust(live)
@@ -91,6 +91,8 @@ def _live(options: argparse.Namespace) -> int:
         Diagram.load(options.diagram)
     from ..server.live_server import LiveServer
 
+    case = case_of(argparse.Namespace(**{**vars(options), "input": ()}))
+
     questions: queue.SimpleQueue[tuple[str, Callable[[bool], None]]] = queue.SimpleQueue()
 
     def asks(question: str, answer: Callable[[bool], None]) -> None:
@@ -98,12 +100,8 @@ def _live(options: argparse.Namespace) -> int:
 
     server = LiveServer(
         options.diagram,
+        case.updated(inputs=assignments("--input", options.input, "r=1.5 rad/s")),
         library=options.library,
-        variants=variants_of(options.variants),
-        values=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
-        inputs=assignments("--input", options.input, "r=1.5 rad/s"),
-        engine=options.engine,
-        trust=options.trust,
         asks=asks if sys.stdin.isatty() and sys.stdout.isatty() and not options.json else None,
         port=options.port,
         edit=options.edit,

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..text.errors import Fault, ModelError, UsageError
 from ..text.quantity_text import value_in
+
+if TYPE_CHECKING:
+    from ..api.case import Case
+
+TIMES = ("start", "stop", "step", "every")
+"""The settings that are times."""
 
 
 def number_of(option: str, text: str | None) -> Any:
@@ -97,6 +104,49 @@ def as_options(options: Mapping[str, str], words: Mapping[str, str] | None = Non
             for fault in error.faults
         )
         raise type(error)(*faults) from None
+
+
+def case_of(options: argparse.Namespace) -> Case:
+    """Return the case that the options of a command make; options that the command does not take are left out.
+
+    Raises UsageError (E501), ModelError.
+    """
+    from ..api.case import Case
+
+    given = vars(options)
+    words: dict[str, Any] = {key: number_of(key, given.get(key)) for key in ("rtol", "atol", "seed")}
+    words |= {key: time_of(key, given.get(key)) for key in TIMES}
+    words |= {key: given.get(key) for key in ("jumps", "method", "log", "engine", "trust", "measures")}
+    words["master"] = _master(given.get("master", ()))
+    words["parameters"] = assignments("--set", given.get("parameters", ()), "motor.Ra=200 mOhm")
+    words["variants"] = variants_of(given.get("variants", ()))
+    words["inputs"] = inputs_of(given.get("input", ())) or None
+    words["interpolation"] = "hold" if given.get("hold") else None
+    return Case(**{word: value for word, value in words.items() if value or value == 0})
+
+
+def inputs_of(items: Sequence[str]) -> list[Any]:
+    """Read the --input options: files first, then a mapping of constants."""
+    constants = [item for item in items if "=" in item and not os.path.exists(item)]
+    files = [item for item in items if item not in constants]
+    named = assignments("--input", constants, "r=1.5 rad/s")
+    return [*files, named] if named else files
+
+
+def _master(items: Sequence[str]) -> dict[str, Any] | None:
+    """Return the --master options as the object of a file, or None if there are none."""
+    master: dict[str, Any] = {}
+    for key, value in assignments("--master", items, "step=0.001").items():
+        first, separator, block = key.partition(".")
+        if not separator:
+            master[key] = value
+        elif first == "steps":
+            master.setdefault("steps", {})[block] = value
+        else:
+            message = "is not a setting of the master: only steps.BLOCK has a point."
+            cure = "To set the step of one block, write steps.BLOCK=0.001."
+            raise UsageError(Fault("E501", f"--master {key}", message, cure))
+    return master or None
 
 
 def variants_of(items: Sequence[str]) -> dict[str, str]:

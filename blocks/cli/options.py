@@ -18,15 +18,24 @@ def takes_json(verb: argparse.ArgumentParser, help: str = "one JSON object per l
     verb.add_argument("--json", action="store_true", help=help)
 
 
-def takes_settings(run: argparse.ArgumentParser) -> None:
-    """How runs are computed."""
-    run.add_argument("--stop", metavar="T", help="stop time in s")
-    run.add_argument("--start", metavar="T", help="start time in s")
-    run.add_argument("--method", metavar="M", help="dopri5, radau, auto, rk4 or euler")
-    run.add_argument("--step", metavar="H", help="step in s of rk4 and euler")
-    run.add_argument("--rtol", metavar="R", help="relative tolerance of dopri5, radau and auto")
-    run.add_argument("--atol", metavar="A", help="absolute tolerance of dopri5, radau and auto")
-    run.add_argument("--every", metavar="T", help="recording grid in s (without one: every step)")
+SETTINGS = {
+    "stop": ("T", "stop time in s"),
+    "start": ("T", "start time in s"),
+    "method": ("M", "dopri5, radau, auto, rk4 or euler"),
+    "step": ("H", "step in s of rk4 and euler"),
+    "rtol": ("R", "relative tolerance of dopri5, radau and auto"),
+    "atol": ("A", "absolute tolerance of dopri5, radau and auto"),
+    "every": ("T", "recording grid in s (without one: every step)"),
+    "seed": ("N", "seed of all noise, an integer"),
+}
+"""Settings of a run with one value each, and their help; `case_of` reads them."""
+
+
+def takes_settings(verb: argparse.ArgumentParser, *names: str) -> None:
+    """How runs are computed. names: of SETTINGS; none: all."""
+    for name in names or SETTINGS:
+        metavar, help = SETTINGS[name]
+        verb.add_argument(f"--{name}", metavar=metavar, help=help)
 
 
 def takes_engine(run: argparse.ArgumentParser) -> None:
@@ -37,7 +46,6 @@ def takes_engine(run: argparse.ArgumentParser) -> None:
 
 def takes_run(run: argparse.ArgumentParser) -> None:
     takes_settings(run)
-    run.add_argument("--seed", metavar="N", help="seed of the run, an integer; another seed gives other noise")
     run.add_argument("--jumps", action="store_true", default=None, help="add rows before and after jumps to the grid")
     takes_parameters(run)
     inputs = "inputs over time (columns time,NAME,...), or one constant input; may be repeated"
@@ -45,8 +53,7 @@ def takes_run(run: argparse.ArgumentParser) -> None:
     run.add_argument("--hold", action="store_true", help="hold the values of --input instead of interpolating linearly")
     log = "record this signal, or all that match a pattern (motor.*), instead of the file's choice; may be repeated"
     takes_several(run, "--log", "SIGNAL", log, default=None)
-    master = "a setting of the master: step=0.001, steps.motor=0.002, algorithm=gauss-seidel, order=2, tolerance=1e-6, "
-    takes_several(run, "--master", "KEY=VALUE", f"{master}couple=each, iterations=50; may be repeated")
+    takes_master(run)
     run.add_argument(
         "-o", "--out", metavar="FILE", help="write the recorded signals: .csv, .parquet, .mat; - for stdout"
     )
@@ -63,6 +70,35 @@ def takes_run(run: argparse.ArgumentParser) -> None:
     takes_json(run)
 
 
+def takes_master(verb: argparse.ArgumentParser) -> None:
+    master = "a setting of the master: step=0.001, steps.motor=0.002, algorithm=gauss-seidel, order=2, tolerance=1e-6, "
+    takes_several(verb, "--master", "KEY=VALUE", f"{master}couple=each, iterations=50; may be repeated")
+
+
+def takes_inputs(verb: argparse.ArgumentParser) -> None:
+    value = "the value of an input of the diagram (default: its own, or 0)"
+    takes_several(verb, "--input", "NAME=VALUE", value)
+
+
+def takes_work(verb: argparse.ArgumentParser, what: str) -> None:
+    """How many runs are computed. what: the rows or candidates that the file is of."""
+    verb.add_argument("--threads", metavar="N", help="number of runs at the same time (default: all cores)")
+    lanes = "exact (the default), or fast: several runs together on each core, equal within the tolerance"
+    verb.add_argument("--lanes", metavar="L", default="exact", help=lanes)
+    out = f"write all {what} (.parquet); the same command continues an interrupted one from its partial file"
+    verb.add_argument("-o", "--out", metavar="FILE", help=out)
+    restart = "start over: do not continue from the partial file of --out"
+    verb.add_argument("--restart", action="store_true", help=restart)
+    verb.add_argument("--anew", action=_Renamed, nargs=0, help=argparse.SUPPRESS, const="--restart")
+
+
+class _Renamed(argparse.Action):
+    """An option of blocks 0.1 that has another name."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        parser.error(f"{self.option_strings[0]} is now {self.const}")
+
+
 def takes_variants(verb: argparse.ArgumentParser) -> None:
     help = "the variant to use for a block: motor=fmu; motor=base for the block itself"
     takes_several(verb, "--variant", "BLOCK=NAME", help, dest="variants")
@@ -73,8 +109,7 @@ def takes_point(verb: argparse.ArgumentParser) -> None:
     verb.add_argument(
         "--at", metavar="T", help="use the state that a run reaches at this time in s (default: the start)"
     )
-    held = "the value of an input of the diagram (default: its own, or 0)"
-    takes_several(verb, "--input", "NAME=VALUE", held, dest="held")
+    takes_inputs(verb)
     for option, what in (("amplitude", "amplitude of a sine"), ("sigma", "deviation of a random signal")):
         help = f"{what} at the input of an equation without a slope; its describing function is used: eso.e=0.1"
         takes_several(verb, f"--{option}", "SIGNAL=X", help)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -15,18 +14,17 @@ from ..fmi.exits import telling
 from ..host.gc_pause import paused
 from ..text.errors import BlocksError, Fault, FMUError, UsageError
 from ..text.printable import counted
-from .option_values import assignments, check_writable, number_of, time_of, variants_of
+from .option_values import case_of, check_writable
 from .options import Verbs, takes_library, takes_run, takes_trust, takes_variants
 from .output import Progress, emit, printable, say, silence, tell_faults, waiting
 from .stop_signals import INTERRUPTED, ended_at_once
 
 if TYPE_CHECKING:
+    from ..api.case import Case
     from ..api.diagram import Diagram
     from ..api.run import Run
     from ..results.results import Results
 
-TIMES = ("start", "stop", "step", "every")
-"""The settings that are times."""
 PRINTED = "rows on stdout"
 LONG = 100_000  # rows that take a moment to write
 MOST_SHOWN = 24  # signals of one figure; each may need a panel of its own
@@ -44,26 +42,19 @@ def add(verbs: Verbs) -> None:
 
 def run_diagram(options: argparse.Namespace, made: Callable[[], Diagram] | None = None) -> int:
     """made: gives the diagram, which is no file then."""
+    from ..api.case import sources
     from ..api.diagram import Diagram
     from ..results.arrow import target_of
 
-    constants = [item for item in options.input if "=" in item and not os.path.exists(item)]
-    inputs: list[Any] = [item for item in options.input if item not in constants]
-    inputs.append(assignments("--input", constants, "r=1.5 rad/s"))
-    settings = {key: number_of(key, getattr(options, key)) for key in ("rtol", "atol", "seed")}
-    settings |= {key: time_of(key, getattr(options, key)) for key in TIMES}
-    settings |= {"jumps": options.jumps, "method": options.method, "log": options.log}
-    settings["master"] = _master(options.master)
+    case = case_of(options)
     options.out = options.out or target_of(options.resume)
     progress = _Progress(options.json)
     with paused():  # nearly all objects that are made here stay
         with waiting(f"reading {options.diagram}", quiet=options.json):
             diagram = Diagram.load(options.diagram, library=options.library) if made is None else made()
-        parameters = assignments("--set", options.parameters, "motor.Ra=200 mOhm")
         begun = time.perf_counter()
-        _check_targets(options, [options.diagram, *inputs[:-1]])
-        diagram = diagram.with_variants(variants_of(options.variants))
-        run = _started(options, diagram, progress, inputs, parameters, settings)
+        _check_targets(options, [options.diagram, *(each for each in sources(case.inputs) if isinstance(each, str))])
+        run = _started(options, diagram, progress, case)
     if run.settings.stop is None:
         raise UsageError(
             Fault("E501", diagram.name, "the run has no stop time.", 'Give --stop T, or "stop" in the file\'s "run".')
@@ -101,9 +92,7 @@ def _started(
     options: argparse.Namespace,
     diagram: Diagram,
     progress: _Progress,
-    inputs: list[Any],
-    parameters: dict[str, Any],
-    settings: dict[str, Any],
+    case: Case,
 ) -> Run:
     from ..api.diagram import run_of
     from ..api.preparing import longest_compilation
@@ -114,17 +103,13 @@ def _started(
     late = f"still preparing the run; a compiler that hangs is stopped after {longest_compilation():g} s"
     with waiting(word, late=late, quiet=options.json):
         given = RunOptions(
-            inputs=inputs,
-            interpolation="hold" if options.hold else "linear",
             progress=progress,
             notice=lambda fault: progress.tell(fault, options.json),
             resume=options.resume,
-            engine=options.engine,
-            trust=options.trust,
             loading=_name_fmus,
             out=None if options.out == "-" and not target_of(options.resume) else options.out,
         )
-        return run_of(diagram, parameters, settings, given)
+        return run_of(diagram, case, given)
 
 
 def _concluded(
@@ -211,22 +196,6 @@ def _print_rows(results: Results) -> None:
     sys.stdout.flush()
 
 
-def _master(items: Sequence[str]) -> dict[str, Any] | None:
-    """Return the --master options as the object of a file, or None if there are none."""
-    master: dict[str, Any] = {}
-    for key, value in assignments("--master", items, "step=0.001").items():
-        first, separator, block = key.partition(".")
-        if not separator:
-            master[key] = value
-        elif first == "steps":
-            master.setdefault("steps", {})[block] = value
-        else:
-            message = "is not a setting of the master: only steps.BLOCK has a point."
-            cure = "To set the step of one block, write steps.BLOCK=0.001."
-            raise UsageError(Fault("E501", f"--master {key}", message, cure))
-    return master or None
-
-
 def _check_targets(options: argparse.Namespace, read: list[str]) -> None:
     """Refuse places and formats before the run rather than after it. read: files that must not be replaced."""
     from ..results import plots
@@ -279,7 +248,7 @@ class _Progress:
         self.start, self.stop = start, stop
         self.shown = Progress(self.quiet)  # what it took to prepare the run is no measure of what is left
 
-    def __call__(self, t: float) -> None:
+    def __call__(self, t: float, _: float) -> None:
         if self.stop <= self.start or not self.shown.is_due():
             return
         speed = (t - self.start) / self.shown.seconds

@@ -11,17 +11,20 @@ from typing import TYPE_CHECKING, Any
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted
 from ..text.quantity_text import value_in
-from .option_values import as_options, assignments, check_writable, number_of, time_of, variants_of
+from .option_values import as_options, assignments, case_of, check_writable, number_of
 from .options import (
     Verbs,
     takes_engine,
+    takes_inputs,
     takes_json,
     takes_library,
+    takes_master,
     takes_parameters,
     takes_settings,
     takes_several,
     takes_trust,
     takes_variants,
+    takes_work,
 )
 from .output import Progress, emit, printable, say, tell_faults, waiting
 from .stop_signals import INTERRUPTED, ended_at_once
@@ -29,7 +32,7 @@ from .stop_signals import INTERRUPTED, ended_at_once
 if TYPE_CHECKING:
     from ..studies.sweep import Sweep
 
-_WORDS = {r"\bn=(\d+)": r"--n \1", r"^Leave n out": "Leave --n out", r"resume=False, --anew": "--anew"}
+_WORDS = {r"\bn=(\d+)": r"--n \1", r"^Leave n out": "Leave --n out", r"restart=True, --restart": "--restart"}
 """How the command line says what messages tell of arguments of Python."""
 
 
@@ -52,27 +55,24 @@ def add(verbs: Verbs) -> None:
     )
     samplers = "random (the default), sobol, halton, lhs, or saltelli for Sobol indices"
     verb.add_argument("--sampler", metavar="S", default="random", help=samplers)
-    verb.add_argument("--seed", metavar="N", help="seed of the draws and of all runs, an integer (default: 0)")
-    takes_several(verb, "--measure", "M", "compute this measure; may be repeated (default: all)", default=None)
+    measure = "compute this measure; may be repeated (default: all)"
+    takes_several(verb, "--measure", "M", measure, default=None, dest="measures")
     log = "keep this signal, or all that match a pattern, on a grid, in the file; may be repeated"
     takes_several(verb, "--log", "SIGNAL", log)
+    takes_inputs(verb)
     scenario = "run all rows again with these parameters set too: heavy:load=2,torque=3; quiet: sets nothing"
     takes_several(verb, "--scenario", "NAME:SETTINGS", scenario)
     takes_parameters(verb)
     takes_settings(verb)
+    takes_master(verb)
     verb.add_argument(
-        "--budget", metavar="STEPS", help="the largest number of steps of a run (default: 1000 times the median)"
+        "--max-steps", metavar="N", help="the largest number of steps of a run (default: 1000 times the median)"
     )
-    verb.add_argument("--threads", metavar="N", help="number of runs at the same time (default: all cores)")
-    lanes = "exact (the default), or fast: several runs together on each core, equal within the tolerance"
-    verb.add_argument("--lanes", metavar="L", default="exact", help=lanes)
-    out = "write all rows (.parquet); the same command continues an interrupted sweep from this file"
-    verb.add_argument("-o", "--out", metavar="FILE", help=out)
+    takes_work(verb, "rows")
     address = "run the rows on the workers of this dask scheduler; --out may be a folder or a URL that they write to"
     plot = "draw bands of --log over time, or histograms of the measures: .svg, .png, .pdf"
     verb.add_argument("--plot", metavar="FILE", help=plot)
     verb.add_argument("--dask", metavar="ADDRESS", help=address)
-    verb.add_argument("--anew", action="store_true", help="start over: do not continue from the partial file of --out")
     takes_engine(verb)
     takes_variants(verb)
     takes_trust(verb)
@@ -86,10 +86,9 @@ def _sweep(options: argparse.Namespace) -> int:
     from ..results import plots
 
     vary = vary_of(options.vary)
-    counts = {key: _count(key, getattr(options, key)) for key in ("n", "seed", "budget", "threads")}
-    settings = {key: number_of(key, getattr(options, key)) for key in ("rtol", "atol")}
-    settings |= {key: time_of(key, getattr(options, key)) for key in ("start", "stop", "step", "every")}
-    settings |= {"method": options.method}
+    given = {"n": options.n, "max-steps": options.max_steps, "threads": options.threads, "seed": options.seed}
+    counts = {key: _count(key, text) for key, text in given.items()}
+    case = case_of(options)
     is_file = not options.dask or (options.out or "").lower().endswith(".parquet")
     if options.out and is_file:
         check_writable("--out", options.out, [options.diagram])
@@ -104,25 +103,18 @@ def _sweep(options: argparse.Namespace) -> int:
         with as_options(_arguments(options, vary), _WORDS):
             sweep = diagram.sweep(
                 vary,
+                case,
                 n=counts["n"],
-                seed=counts["seed"] or 0,
                 threads=counts["threads"],
-                budget=counts["budget"],
+                max_steps=counts["max-steps"],
                 lanes=options.lanes,
                 sampler=options.sampler,
-                measures=options.measure,
-                log=options.log,
                 scenarios=scenarios_of(options.scenario),
-                parameters=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
-                variants=variants_of(options.variants),
-                trust=options.trust,
-                engine=options.engine,
                 out=options.out,
-                resume=not options.anew,
+                restart=options.restart,
                 on=options.dask,
                 progress=progress,
                 notice=progress.note,
-                **{key: value for key, value in settings.items() if value is not None},
             )
     finally:
         progress.shown.clear()
@@ -142,7 +134,8 @@ def _sweep(options: argparse.Namespace) -> int:
 
 def _arguments(options: argparse.Namespace, vary: Mapping[Any, Any]) -> dict[str, str]:
     """Return the options by the places of faults of `Diagram.sweep`, except for names of varied parameters."""
-    named = {name: f"--{name}" for name in ("n", "seed", "budget", "threads", "lanes", "vary")}
+    named = {name: f"--{name}" for name in ("n", "seed", "threads", "lanes", "vary")}
+    named["max_steps"] = "--max-steps"
     named |= {"run.log": "--log", "on": "--dask", options.sampler: f"--sampler {options.sampler}"}
     return {place: option for place, option in named.items() if place not in vary}
 

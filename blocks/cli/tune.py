@@ -9,8 +9,21 @@ from typing import TYPE_CHECKING, Any
 from ..text.errors import Fault, UsageError
 from ..text.printable import counted
 from .apply import change_entry, change_line
-from .option_values import as_options, assignments, check_writable, number_of, time_of, variants_of
-from .options import Verbs, takes_json, takes_library, takes_parameters, takes_several, takes_trust, takes_variants
+from .option_values import as_options, case_of, check_writable, number_of
+from .options import (
+    Verbs,
+    takes_engine,
+    takes_inputs,
+    takes_json,
+    takes_library,
+    takes_master,
+    takes_parameters,
+    takes_settings,
+    takes_several,
+    takes_trust,
+    takes_variants,
+    takes_work,
+)
 from .output import Progress, emit, printable, say, tell_faults
 from .stop_signals import INTERRUPTED, ended_at_once
 from .sweep import scenarios_of
@@ -42,19 +55,17 @@ def add(verbs: Verbs) -> None:
     takes_several(tune, "--scenario", "NAME:SETTINGS", scenario, dest="scenarios")
     takes_several(tune, "--subject-to", "CONSTRAINT", 'a limit such as "noisy.variation <= 75"; may be repeated')
     methods = "cma (CMA-ES; needs the package cma) or de (differential evolution); default: cma"
-    tune.add_argument("--method", metavar="M", default="cma", help=methods)
+    tune.add_argument("--optimizer", metavar="M", default="cma", help=methods)
     tune.add_argument("--budget", metavar="N", default="500", help="number of candidates to run (default: 500)")
-    tune.add_argument("--seed", metavar="N", default="1", help="seed of the optimizer (default: 1)")
-    tune.add_argument("--threads", metavar="N", help="number of runs at the same time (default: all cores)")
-    lanes = "exact (the default), or fast: several runs together on each core, equal within the tolerance"
-    tune.add_argument("--lanes", metavar="L", default="exact", help=lanes)
-    tune.add_argument("--stop", metavar="T", help="stop time in s")
+    tune.add_argument("--search-seed", metavar="N", default="1", help="seed of the optimizer (default: 1)")
     tune.add_argument("--write", action="store_true", help="write the values into DIAGRAM if all constraints hold")
-    out = "write all candidates (.parquet); an interrupted tuning continues from its partial file"
-    tune.add_argument("-o", "--out", metavar="FILE", help=out)
-    tune.add_argument("--anew", action="store_true", help="start over: do not continue from the partial file of --out")
+    takes_work(tune, "candidates")
     tune.add_argument("--report", metavar="DIR", help="write report.html and its figures into a folder")
     takes_parameters(tune)
+    takes_settings(tune)
+    takes_inputs(tune)
+    takes_master(tune)
+    takes_engine(tune)
     takes_variants(tune)
     takes_trust(tune)
     takes_json(tune)
@@ -63,6 +74,7 @@ def add(verbs: Verbs) -> None:
 
 
 def _tune(options: argparse.Namespace) -> int:
+    from ..api.case import Work
     from ..api.diagram import Diagram
     from ..results import plots
     from ..studies.sweep_file import check_target
@@ -73,7 +85,8 @@ def _tune(options: argparse.Namespace) -> int:
     if options.report is not None:
         plots.check_loads()
     diagram = Diagram.load(options.diagram, library=options.library)
-    places = {name: f"--{name}" for name in ("minimize", "method", "budget", "seed", "threads", "lanes")}
+    places = {name: f"--{name}" for name in ("minimize", "optimizer", "budget", "seed", "threads", "lanes")}
+    places["search_seed"] = "--search-seed"
     places |= {f"subject_to[{k}]": f"--subject-to {text}" for k, text in enumerate(options.subject_to)}
     with as_options(places):
         problem = _problem(options, diagram)
@@ -87,8 +100,8 @@ def _tune(options: argparse.Namespace) -> int:
             shown.show(done / total, text, text)
 
     try:
-        with as_options({}, {"resume=False, --anew": "--anew"}):
-            tuning = problem.solve(threads=threads, progress=told, out=options.out, resume=not options.anew)
+        with as_options({}, {"restart=True, --restart": "--restart"}):
+            tuning = problem.solve(Work(threads=threads, progress=told, out=options.out, restart=options.restart))
     finally:
         shown.clear()
     ended_at_once()
@@ -99,13 +112,12 @@ def _problem(options: argparse.Namespace, diagram: Diagram) -> Problem:
     from ..studies.tuning import problem_of
 
     return problem_of(
-        diagram, minimize=options.minimize, over=_over(options.over),
-        scenarios=scenarios_of(options.scenarios), subject_to=options.subject_to,
-        method=options.method, budget=_whole("budget", options.budget), seed=_whole("seed", options.seed),
-        parameters=assignments("--set", options.parameters, "motor.Ra=200 mOhm"),
-        variants=variants_of(options.variants), trust=options.trust,
-        lanes=options.lanes, settings={} if options.stop is None else {"stop": time_of("stop", options.stop)},
+        diagram, case_of(options), minimize=options.minimize, over=_over(options.over),
+        scenarios=scenarios_of(options.scenarios), subject_to=options.subject_to, optimizer=options.optimizer,
+        budget=_whole("budget", options.budget), search_seed=_whole("search-seed", options.search_seed),
+        lanes=options.lanes,
     )  # fmt: skip
+
 
 
 def _told(options: argparse.Namespace, tuning: Tuning) -> int:

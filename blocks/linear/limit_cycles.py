@@ -198,7 +198,7 @@ def _check_rest(cut: Linearization, laws: Laws, own: Sequence[int], slots: Seque
         for k in moving[:3]:
             message = f"is not at rest, as a search for limit cycles needs: it changes by {moves[k]:.3g} {times[k]}."
             faults.append(Fault("E705", names[k], message))
-        cure = "Choose a point of rest: at=find_operating_point(diagram), other start values, or held={input: value}."
+        cure = "Choose a point of rest: at=find_operating_point(diagram), other start values, or inputs={input: value}."
         raise AnalysisError(*faults[:-1], replace(faults[-1], cure=cure))
 
 

@@ -97,7 +97,9 @@ MARGIN = Object(
     Field("overrides", Table(AnyOf(NUMBER, ListOf(ListOf(NUMBER))), Text(refers="block")), (
         "Gains in the place of blocks, by path."
     )),
-    Field("held", Table(AnyOf(NUMBER, FLAG, ListOf(NUMBER), QUANTITY), Text(refers="input")), "Values of its inputs."),
+    Field("inputs", Table(AnyOf(NUMBER, FLAG, ListOf(NUMBER), QUANTITY), Text(refers="input")), (
+        "Values of its inputs."
+    )),
     Field("at", TIME, "The time of a run at which the row is linearized; left out: its start."),
     Field("pade", Scalar(low=0, high=20, is_whole=True), "The order of the models of exact delays.", 0),
     rules=[Rule(_margin, lambda _: {
@@ -109,6 +111,7 @@ MARGIN = Object(
         "then": {"properties": {"type": {"enum": [*_OF_ENDS]}}},
     })],
     what='an object such as {"type": "gain_margin", "loop": "control.u"}',
+    strays={"held": 'It is "inputs" now.'},
     name="margin",
     doc="A margin, a pole or a bandwidth of each row, by linearizing it.",
 )  # fmt: skip
@@ -143,11 +146,12 @@ ONE_SWEEP = Object(
     Field("log", ListOf(_SIGNAL), "Signals that are kept, for bands over time."),
     Field("margins", Table(MARGIN, NAMES, is_open=True), "Of the linear model of each row, by name."),
     Field("scenarios", Table(_PARAMETERS, NAMES), "By name, parameters set on top; all rows run in each."),
-    Field("budget", Scalar(low=1, is_whole=True), "The most steps of a run."),
+    Field("max_steps", Scalar(low=1, is_whole=True), "The most steps of a run."),
     Field("lanes", Choice(LANES), "Whether rows are single runs bit for bit, or within the tolerance.", "exact"),
     Field("settings", _OF_ROWS),
     DOC,
     rules=[Rule(_varies)],
+    strays={"budget": 'It is "max_steps" now.'},
     what='an object such as {"diagram": "loop.json", "vary": {...}}',
     name="one_sweep",
     doc="A sweep: runs of a diagram with varied parameters.",
@@ -178,13 +182,14 @@ ONE_TUNING = Object(
     Field("scenarios", Table(_PARAMETERS, NAMES), (
         "By name, parameters set on top; each candidate runs in all. Left out: one, named nominal."
     )),
-    Field("method", Choice(OPTIMIZERS), "CMA-ES (package cma), or differential evolution.", "cma"),
+    Field("optimizer", Choice(OPTIMIZERS), "CMA-ES (package cma), or differential evolution.", "cma"),
     Field("budget", Scalar(low=1, is_whole=True), "How many candidates are run.", 500),
-    Field("seed", Scalar(low=0, is_whole=True), "Of the optimiser.", 1),
+    Field("search_seed", Scalar(low=0, is_whole=True), "Of the optimizer.", 1),
     Field("lanes", Choice(LANES), "As of a sweep.", "exact"),
     Field("settings", _OF_ROWS),
     DOC,
     rules=[Rule(_varies)],
+    strays={"method": 'It is "optimizer" now.', "seed": 'It is "search_seed" now.'},
     what='an object such as {"diagram": "loop.json", "minimize": "ITAE", "over": {...}}',
     name="one_tuning",
     doc="A tuning: a search for values of parameters that make measures small.",

@@ -66,7 +66,7 @@ def _linearizer(
     Where there is no model at an amplitude, the slopes are those without it.
     """
     shown, live, words = session.document.shown, session.live, ""
-    given: dict[str, Any] = {"held": session.inputs, "parameters": session.values}
+    given: dict[str, Any] = {"inputs": session.inputs, "parameters": session.values}
     if at == "rest":
         point = find_operating_point(
             shown, inputs=session.inputs, parameters=session.values, trust=session.trust, check=session.check_wanted
@@ -104,11 +104,10 @@ def _linearizer(
 def _again(session: Session, live: LiveRun, t: float, turned: list[Any]) -> Run:
     """Return another run, which went as the live one did up to a time, and stands there; it ends where nobody waits."""
     prepared = live.prepared
-    options = replace(live.options, progress=lambda _: session.check_wanted(), out=None)
-    if isinstance(prepared.plan, Plan) and prepared.plan.foreign:
-        options = replace(options, engine="reference")
-    settings = {**prepared.settings, "log": []}
-    run = started(prepared.value, prepared.resolver, dict(prepared.parameters), settings, options, likes=[prepared])
+    options = replace(live.options, progress=lambda *_: session.check_wanted(), out=None)
+    is_foreign = isinstance(prepared.plan, Plan) and prepared.plan.foreign
+    case = live.case.updated(log=[], engine="reference" if is_foreign else None)
+    run = started(prepared.value, prepared.resolver, case, options, likes=[prepared])
     for each in turned:
         run.advance_past(each.t)
         run.set(each.name, each.value)
@@ -371,12 +370,9 @@ def _swept(session: Session, signal: str, parameter: str, limits: tuple[float, f
             message = f"another request stopped this one when {done} of {rows} rows were done."
             raise UsageError(Fault("E501", "band", message, "Request it again."))
 
-    shown = session.document.shown.copy()
-    if session.inputs:
-        shown.settings(inputs={**shown.value.run.get("inputs", {}), **session.inputs})
-    sweep: Sweep = shown.sweep(
+    sweep: Sweep = session.document.shown.sweep(
         {parameter: Uniform(*limits)}, n=n, sampler="lhs", measures=[], log=[signal], threads=1, progress=look,
         parameters={name: value for name, value in session.values.items() if name != parameter},
-        engine=session.engine, trust=session.trust,
+        inputs=session.inputs, engine=session.engine, trust=session.trust,
     )  # fmt: skip
     return sweep

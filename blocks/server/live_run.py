@@ -68,7 +68,7 @@ class LiveRun:
     def __init__(self, run: Run, changed: Callable[[], None]) -> None:
         results = run.results
         self.columns: Mapping[str, tuple[int, tuple[int, ...], str]] = results.columns
-        self.changed, self.prepared, self.options = changed, run.prepared, run.options
+        self.changed, self.prepared, self.options, self.case = changed, run.prepared, run.options, run.case
         self.state, self.error = "paused", None  # type: str, BlocksError | None
         self.t, self.steps, self.rejected = run.t, 0, 0
         self.pace: float | None = None
@@ -389,10 +389,10 @@ class LiveRun:
 
         library: names of modules with block types. variants: those that the run was begun with.
         """
-        options = self.options
-        given = {**dict(self.prepared.settings), "interpolation": options.interpolation, "variants": variants}
-        given.update(parameters=dict(self.prepared.parameters), inputs=options.inputs, engine=options.engine)
-        trust = [options.trust] if isinstance(options.trust, (str, os.PathLike)) else options.trust
+        case = self.case
+        given = {**dict(self.prepared.settings), "interpolation": case.interpolation, "variants": variants}
+        given.update(parameters=dict(self.prepared.parameters), inputs=case.inputs, engine=case.engine)
+        trust = [case.trust] if isinstance(case.trust, (str, os.PathLike)) else case.trust
         given["trust"] = [os.fspath(item) for item in trust]
         usual = {"interpolation": "linear", "parameters": {}, "inputs": {}, "variants": {}, "trust": []}
         told = {key: value for key, value in given.items() if value is not None and value != usual.get(key)}

@@ -10,7 +10,6 @@ from __future__ import annotations
 import html
 import os
 import threading
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,7 @@ from ..text.atomic_write import real
 from .transport import Transport, new_token
 
 if TYPE_CHECKING:
+    from ..api.case import Case
     from ..api.diagram import Diagram
     from ..model.trust import Paths
     from .session import Asks, Session
@@ -31,23 +31,19 @@ _OPENING = threading.Lock()
 class LiveServer:
     """A server of one diagram on this machine.
 
-    source: a file or a Diagram. library, variants, values (parameters), inputs, engine, trust: as of `Diagram.run`; a
-    page can give none of them that makes code run: library and trust. asks: puts a question to the user at the
-    terminal; without it an FMU comes in through the page only into folders of trust. port: 0: a free one. framed: for
-    a notebook. edit: pages write the file; where there is none, an empty diagram. url: its address, which holds the
-    token that lets a page in.
+    source: a file or a Diagram. case: parameters, inputs, variants, engine and trust. A page cannot give what makes
+    code run: library and trust. asks: puts a question to the user at the terminal; without it an FMU comes in through
+    the page only into folders of trust. port: 0: a free one. framed: for a notebook. edit: pages write the file; where
+    there is none, an empty diagram. url: its address, which holds the token that lets a page
+    in.
     """
 
     def __init__(
         self,
         source: str | Path | Diagram,
+        case: Case | None = None,
         *,
         library: Library = (),
-        variants: Mapping[str, str] | None = None,
-        values: Mapping[str, object] | None = None,
-        inputs: Mapping[str, object] | None = None,
-        engine: str | None = None,
-        trust: Paths = (),
         asks: Asks | None = None,
         port: int = 0,
         framed: bool = False,
@@ -55,9 +51,7 @@ class LiveServer:
     ) -> None:
         """Raises UsageError (E501) where the port cannot be opened."""
         self._edits, self._tabs = edit, dict[Path, LiveServer]()  # of all diagrams that are edited beside each other
-        self._source, self._library, self._variants = source, library, variants
-        self._given: dict[str, Any] = {"values": values, "inputs": inputs, "engine": engine}
-        self._given |= {"trust": trust, "asks": asks}
+        self._source, self._library, self._case, self._asks = source, library, case, asks
         self._session: Session | None = None
         self._transport = Transport(
             new_token(),
@@ -81,19 +75,22 @@ class LiveServer:
 
     def start(self) -> LiveServer:
         """Read the diagram, and let pages in; those that came too early waited. Raises UsageError: there is no file."""
+        from ..api.case import Case
+
         # The modules of the messages that pages may send are here for what they declare.
         from . import analysis_messages, gestures, knobs, panel, scope_messages  # noqa: F401
         from .editor import Editor
         from .open_document import Document
         from .session import Session
 
+        case = self._case = self._case or Case()
         try:
-            given: dict[str, Any] = {"library": self._library, "variants": self._variants}
+            given: dict[str, Any] = {"library": self._library, "variants": case.variants}
             if self._edits and isinstance(self._source, (str, Path)):
                 document: Document = Editor(self._source, self._open_tab, **given)
             else:
                 document = Document(self._source, **given)
-            self._session = Session(document, **self._given)
+            self._session = Session(document, case, self._asks)
             if isinstance(document, Editor):
                 self._tabs[real(document.file)] = self
         except BaseException:
@@ -106,8 +103,8 @@ class LiveServer:
         """The address of another diagram, edited by a server beside this one: by one for all tabs of it."""
         with _OPENING:
             if path not in self._tabs:
-                given = {**self._given, "values": None, "inputs": None}
-                other = LiveServer(path, library=self._library, edit=True, **given)
+                case = None if self._case is None else self._case.only("engine", "trust")
+                other = LiveServer(path, case, library=self._library, asks=self._asks, edit=True)
                 other._tabs = self._tabs
                 other.start()
             return self._tabs[path].ticket
@@ -136,11 +133,13 @@ class LiveServer:
         return f'{frame}<p>Nothing to see? <a href="{url}" target="_blank" rel="noopener">Open it in a tab.</a></p>'
 
 
-def live(diagram: Diagram, **given: Any) -> LiveServer:
-    """Serve a diagram to a notebook. given: as of LiveServer."""
-    return LiveServer(diagram, framed=True, **given).start()
+def live(diagram: Diagram, case: Case, *, port: int) -> LiveServer:
+    """Serve a diagram to a notebook."""
+    return LiveServer(diagram, case, port=port, framed=True).start()
 
 
-def edit(file: str | Path, **given: Any) -> LiveServer:
-    """Let a notebook edit a diagram file. given: as of LiveServer."""
-    return LiveServer(file, framed=True, edit=True, **given).start()
+def edit(file: str | Path, *, library: Any, trust: Paths, port: int) -> LiveServer:
+    """Let a notebook edit a diagram file."""
+    from ..api.case import Case
+
+    return LiveServer(file, Case(trust=trust), library=library, port=port, framed=True, edit=True).start()

@@ -17,8 +17,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from ..api.case import EMPTY, Case
 from ..api.diagram import Diagram
-from ..model.trust import Paths
 from ..text.element_names import indexed
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.version import __version__
@@ -61,16 +61,12 @@ class Session:
     def __init__(
         self,
         document: Document,
-        *,
-        values: Mapping[str, object] | None = None,
-        inputs: Mapping[str, object] | None = None,
-        engine: str | None = None,
-        trust: Paths = (),
+        case: Case = EMPTY,
         asks: Asks | None = None,
     ) -> None:
-        self.document, self.engine, self.trust, self.asks = document, engine, trust, asks
+        self.document, self.engine, self.trust, self.asks = document, case.engine, case.trust, asks
         self.waits_for = ""
-        self.values, self.inputs = dict(values or {}), dict(inputs or {})
+        self.values, self.inputs = dict(case.parameters), dict(case.named_inputs())
         self.server = secrets.token_hex(8)
         self.runs: dict[int, LiveRun] = {}
         self.live: LiveRun | None = None

@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..api.batch import Batch, BatchRows
+from ..api.case import Case, Work
 from ..api.diagram import Diagram
 from ..model.block_types import library_types
 from ..model.diagram_value import DiagramValue
@@ -76,14 +77,14 @@ class Put:
     fields: Mapping[str, Any]
     told: Mapping[str, Any]
 
-    def found(self, *, resume: bool) -> Iterator[Sweep]:
+    def found(self, *, restart: bool) -> Iterator[Sweep]:
         """The rows of files that are there, without signals; where it begins anew, the files are removed.
 
         Raises UsageError (E506) where they are of another sweep.
         """
         system, root = self.opened()
         for path in sorted(system.glob(f"{root}/{FILE.format('*')}")):
-            if not resume:
+            if restart:
                 system.rm(path)
                 continue
             with system.open(path, "rb") as stream:
@@ -119,7 +120,7 @@ class Job:
 
     text: of the diagram. folder: where the paths of FMUs begin. library: module and name of each block type that does
     not ship. fmus: the SHA-256 of each FMU by its path. names: of the columns. scenarios: the parameters of each.
-    options, settings: further arguments of `Diagram.batch`. key: by which a worker knows the job again. computed: of
+    case: the rest of what all rows are run with. key: by which a worker knows the job again. computed: of
     the release, the equations and the values of the first scenario, by which it is known that a worker computes the
     same.
     """
@@ -130,8 +131,7 @@ class Job:
     fmus: Mapping[str, str]
     names: tuple[str, ...]
     scenarios: tuple[Mapping[str, Any], ...]
-    options: Mapping[str, Any]
-    settings: Mapping[str, Any]
+    case: Case
     margins: tuple[Margin, ...]
     key: str
     put: Put | None = None
@@ -143,15 +143,13 @@ class Job:
         diagram: Diagram,
         names: Sequence[str],
         scenarios: Sequence[Mapping[str, Any]],
-        options: Mapping[str, Any],
-        settings: Mapping[str, Any],
+        case: Case,
         margins: tuple[Margin, ...] = (),
         *,
-        variants: Mapping[str, str] | None = None,
         put: Put | None = None,
     ) -> Job:
         """The job of a sweep. Raises ModelError, UsageError (E501) for block types that no worker could import."""
-        value = self_contained(taken(diagram.value, variants))
+        value = self_contained(taken(diagram.value, case.variants))
         used: dict[str, type[Block]] = {}
         fmus: dict[str, str] = {}
         for inside in _all(value):
@@ -172,9 +170,10 @@ class Job:
                 )
                 raise UsageError(Fault("E501", block.__qualname__, message, cure))
         library = tuple(sorted((block.__module__, block.__name__) for block in own))
+        case = case.without("variants", "parameters").updated(trust=[*fmus])
         job = cls(
-            dumps(value), value.folder, library, fmus, tuple(names), tuple(scenarios), options, settings, margins,
-            uuid.uuid4().hex, put,
+            dumps(value), value.folder, library, fmus, tuple(names), tuple(scenarios), case, margins, uuid.uuid4().hex,
+            put,
         )  # fmt: skip
         return replace(job, computed=job.digests(job.diagram()))
 
@@ -204,8 +203,7 @@ class Job:
 
     def digests(self, diagram: Diagram) -> tuple[str, ...]:
         """What `computed` is here."""
-        options = {"log": self.options["log"], "engine": self.options["engine"], **self.settings}
-        begun = diagram.start(parameters=self.scenarios[0], trust=[*self.fmus], **options)
+        begun = diagram.start(self.case.without("measures"), parameters=self.scenarios[0])
         origin = begun.results.origin
         begun.leave()
         return () if origin is None else (origin.versions["blocks"], origin.equations, origin.values)
@@ -218,9 +216,9 @@ class Job:
             while len(known) >= MOST_BATCHES:
                 del known[next(iter(known))]
             diagram = self.diagram()
-            asked = {"parameters": self.scenarios[scenario], "trust": [*self.fmus], **self.settings}
-            margins = RowMargins(diagram, self.margins, asked) if self.margins else None
-            known[key] = diagram.batch(list(self.names), **self.options, **asked), margins
+            case = self.case.updated(parameters=self.scenarios[scenario])
+            margins = RowMargins(diagram, self.margins, case) if self.margins else None
+            known[key] = diagram.batch(list(self.names), case), margins
         return known[key]
 
     def failed(self, status: int) -> BatchRows:
@@ -228,7 +226,7 @@ class Job:
         message = (
             f"E216 row: its process ended with status {status}. An FMU may have crashed, or the memory did not suffice."
         )
-        names = (*self.options["measures"], *(margin.name for margin in self.margins))
+        names = (*(self.case.measures or ()), *(margin.name for margin in self.margins))
         measures = {name: np.full(1, np.nan) for name in names}
         return BatchRows(np.array(["failed"]), (message,), measures, np.empty(0), {}, np.zeros(1, np.int64))
 
@@ -271,7 +269,7 @@ def _run(job: Job, chunk: Chunk) -> tuple[BatchRows, float]:
     """What became of rows, and how many seconds they took once all was compiled."""
     batch, margins = job.made(chunk.scenario)
     begun = time.perf_counter()
-    rows = batch(chunk.table, seeds=chunk.seeds, threads=1, budget=chunk.budget)
+    rows = batch(chunk.table, seeds=chunk.seeds, threads=1, max_steps=chunk.budget)
     rows = rows if margins is None else margins.beside(rows, batch, chunk.table, chunk.seeds)
     seconds = time.perf_counter() - begun
     if rows.interrupted:
@@ -309,22 +307,25 @@ def serve(path: str) -> None:
 # --- at home ---------------------------------------------------------------------------------------------------
 
 
+LOCAL = Work()
+
+
 def run_on(
     on: Any,
     job: Job,
     table: Array,
     seeds: Array,
     made: Any,
-    *,
     budget: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    resume: bool = True,
+    work: Work = LOCAL,
+    *,
     size: int | None = None,
 ) -> bool:
     """Run the rows that are "left" on the workers of a client; False where Ctrl-C ended it.
 
     on: a `distributed.Client`, or the address of a scheduler. table, seeds: (n, columns) and (n,) of the rows, alike in
-    all scenarios. made: takes rows that are done (`sweep_run`). resume: take what is in the folder of `job.put`. size:
+    all scenarios. made: takes rows that are done (`sweep_run`). budget: the most steps of a row. work: its progress and
+    whether it starts over, so that what is in the folder of `job.put` goes. size:
     of chunks in rows; None: SECONDS of work. Raises what a worker refuses, UsageError (E501, E504, E506).
     """
     distributed = optional("distributed", "on", "dask")
@@ -350,7 +351,7 @@ def run_on(
     under_way: dict[Any, tuple[Array, Callable[..., Any]]] = {}
     held: Any = None
     try:
-        for rows in job.put.found(resume=resume) if job.put is not None else ():
+        for rows in job.put.found(restart=work.restart) if job.put is not None else ():
             made.take(rows.scenario * made.n + rows.number, rows)
         # A task of its own: it goes to each worker once, from another one that has it, and is made again when lost.
         held = client.submit(_same, job, pure=False)
@@ -358,8 +359,8 @@ def run_on(
         ready = len(made.status) - len(left)
         count, seconds, now, threads, asked = 0, 0.0, 1, 1, -math.inf
         while True:
-            if progress is not None:
-                progress(ready, len(made.status))
+            if work.progress is not None:
+                work.progress(ready, len(made.status))
             if not len(left) and not under_way:
                 return True
             if time.monotonic() - asked > 1.0:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..api.case import Case
 from ..model.block_signals import element_of
 from ..model.flatten import Flat
 from ..model.variants import taken
@@ -100,22 +101,17 @@ class Fit(Outcome):
 def fit(
     diagram: Diagram,
     data: str | Path | Mapping[str, Any],
+    case: Case,
     *,
     over: Mapping[str, tuple[float, float]],
     compare: Mapping[str, str],
-    level: float = 0.95,
-    interpolation: str = "linear",
-    inputs: Mapping[str, Any] | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    variants: Mapping[str, str] | None = None,
-    engine: str | None = None,
-    trust: Any = (),
-    **settings: Any,
+    level: float,
 ) -> Fit:
-    """What `Diagram.fit` gives; its arguments."""
+    """Return what `Diagram.fit` gives."""
     from scipy import optimize, stats
 
-    space = Space.of(over, units_of_parameters(diagram, parameters, variants))
+    chosen = case.only("parameters", "variants")
+    space = Space.of(over, units_of_parameters(diagram, chosen))
     if not isinstance(compare, Mapping):
         raise UsageError(
             Fault("E501", "compare", "must be a mapping from signals to columns.", 'Example: {"motor.omega": "omega"}.')
@@ -125,8 +121,7 @@ def fit(
             Fault("E501", "level", f"must be a number between 0 and 1, such as 0.95, not {legible(repr(level))}.")
         )
     columns, given = _columns(data, diagram, compare)
-    value = taken(diagram.value, variants)
-    flat = diagram.flatten(parameters=parameters, variants=variants)
+    value, flat = taken(diagram.value, case.variants), diagram.flatten(chosen)
     varied = columns_of(list(over), flat)
     t = columns["time"]
     measured = {name: _in_si(columns[column], given.get(column, ""), flat, name) for name, column in compare.items()}
@@ -134,15 +129,13 @@ def fit(
     for name in value.inputs:
         if name in columns:
             u = {"value": columns[name], "unit": given[name]} if given.get(name) else columns[name]
-            tracks[name] = (t, u, interpolation)
-    grid, early = _grid(diagram, t, settings), _early(diagram, t, [*tracks], settings)
-    tracks = {**tracks, **(inputs or {})}
-    model = diagram.prepare(
-        parameters=parameters, variants=variants, engine=engine, trust=trust, log=list(compare), **settings, **grid
-    )
+            tracks[name] = (t, u, case.interpolation)
+    grid, early = _grid(diagram, t, case.settings), _early(diagram, t, [*tracks], case.settings)
+    inputs = Case(inputs=tracks).updated(inputs=case.inputs).inputs  # what is given counts
+    model = diagram.prepare(case.without("inputs", "interpolation"), inputs=inputs, log=list(compare), **grid)
 
     def run(values: Array | None) -> Results:
-        return model.run(parameters={} if values is None else raw_values(varied, values.tolist()), inputs=tracks)
+        return model.run(parameters={} if values is None else raw_values(varied, values.tolist()))
 
     before = run(None)
     known = {name: np.isfinite(data) for name, data in measured.items()}
@@ -225,7 +218,7 @@ def fit(
         },
         level=level, correlation=correlation, deviations=deviations, t=t, measured=measured, before=before, after=after,
         parameters=given, targets={c.name: tuple(target.path for target in c.targets) for c in varied},
-        variants=dict(variants or {}), warnings=tuple(warnings),
+        variants=dict(case.variants), warnings=tuple(warnings),
     )  # fmt: skip
 
 
@@ -346,11 +339,11 @@ def _early(diagram: Diagram, t: Array, recorded: Sequence[str], settings: Mappin
 
 def _grid(diagram: Diagram, t: Array, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings by which a run hits the times of the data. Raises UsageError (E501)."""
-    for key in ("stop", "every", "stops", "log", "inputs"):
+    for key in ("stop", "every", "stops", "log"):
         if key in settings:
             raise UsageError(Fault("E501", key, "cannot be given: the data determine it.", f"Leave {key} out."))
     given = {"start": settings["start"]} if "start" in settings else {}
-    start = float(diagram.flatten(settings=given).settings.start)
+    start = float(diagram.flatten(**given).settings.start)
     step = np.diff(t)
     if t[0] < start or not np.all(step > 0):
         message = f"times must increase, and the first must not lie before the start of the run at {start:g} s."

@@ -29,7 +29,7 @@ class Spent(Exception):
 
 def check_installed(method: str, place: str) -> Any:
     """Return the package of a method, or None if it needs none. Raises UsageError (E504) if it is not installed."""
-    otherwise = 'Or choose the method "de", which needs no further package.'
+    otherwise = 'Or choose the optimizer "de", which needs no further package.'
     return optional("cma", place, "tune", otherwise=otherwise) if method == "cma" else None
 
 

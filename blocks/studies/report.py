@@ -445,9 +445,9 @@ def _rows_of(entry: StudySweep, sweep: Sweep) -> list[str]:
 def _search_of(tuning: Tuning) -> list[str]:
     """What a tuning looked for, and its tables, before and after."""
     names = ", ".join(tuning.scenarios)
-    said = f"Minimized: {tuning.minimize}. {len(tuning.history.objective)} candidates in {names}, {tuning.method}, "
+    said = f"Minimized: {tuning.minimize}. {len(tuning.history.objective)} candidates in {names}, {tuning.optimizer}, "
     kept = f" {tuning.kept}" if tuning.is_kept else ""
-    parts = [f"{escaped(f'{said}seed {tuning.seed}.{kept}')}</p>"]
+    parts = [f"{escaped(f'{said}seed {tuning.search_seed}.{kept}')}</p>"]
     return [*parts, *warned(tuning.warnings), *(table(of.rows) for of in tuning.tables().values())]
 
 

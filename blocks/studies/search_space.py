@@ -26,16 +26,9 @@ def _number(bound: Any, name: str, unit_of: Callable[[str], str]) -> float:
     return float(bound if isinstance(bound, (int, float)) else in_unit(bound, unit_of(name), legible(name)))
 
 
-def units_of_parameters(
-    diagram: Any, parameters: Mapping[str, Any] | None = None, variants: Mapping[str, str] | None = None
-) -> Callable[[str], str]:
+def units_of_parameters(diagram: Any, case: Any) -> Callable[[str], str]:
     """Return the function that gives the unit of plain numbers for a parameter of a diagram, by its name."""
-
-    def unit_of(name: str) -> str:
-        flat = diagram.flatten(parameters=parameters, variants=variants)
-        return columns_of([name], flat)[0].unit
-
-    return unit_of
+    return lambda name: columns_of([name], diagram.flatten(case))[0].unit
 
 
 @dataclass(frozen=True)

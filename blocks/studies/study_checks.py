@@ -14,7 +14,7 @@ from ..text.grammar import Steps
 from ..text.json_document import place_of
 from ..text.printable import legible, quoted
 from .study_reader import Claim, Run, Study
-from .study_sweeps import ManyRuns, names_missing, section_of
+from .study_sweeps import ManyRuns, flattened, names_missing, section_of
 from .sweep_run import units_of_measures
 
 
@@ -82,7 +82,7 @@ class StudyChecks:
         path: Steps = ("runs", entry.name)
         try:
             diagram = self._load(entry)
-            flat = diagram.flatten(parameters=self.given(entry), settings=entry.settings)
+            flat = flattened(diagram, entry.case(self.given(entry)))
             self.diagrams[entry.name] = diagram
             self._units[entry.name] = units_of_measures(flat, plain="1")
             elements = {signal: element_of(signal, flat.signals) for signal in flat.log}
@@ -99,7 +99,7 @@ class StudyChecks:
             self.diagrams[entry.name] = diagram
             found = [*entry.faults(diagram, given)]
             if not found:
-                flat = diagram.flatten(parameters=given, settings=entry.settings)
+                flat = flattened(diagram, entry.case(given))
                 self._units[entry.name] = {**units_of_measures(flat, plain="1"), **entry.units_of_margins()}
         except (ModelError, UsageError) as error:
             found = [(("diagram",), fault) for fault in error.faults]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ..api.case import Case
 from ..api.diagram import Diagram
 from ..model.diagram_grammar import DOC, SIGNAL
 from ..model.diagram_value import is_name
@@ -40,7 +41,11 @@ class Run:
 
     def made(self, diagram: Diagram, parameters: Mapping[str, Any], trust: Paths) -> Results:
         """Return the results; of a run that Ctrl-C ended they are `interrupted`. Raises as `Diagram.run`."""
-        return diagram.run(parameters=parameters, trust=trust, **self.settings)
+        return diagram.run(self.case(parameters, trust))
+
+    def case(self, parameters: Mapping[str, Any], trust: Paths = ()) -> Case:
+        """Return what the run is of. parameters: its own, and those that were given on top."""
+        return Case(parameters=parameters, trust=trust, **self.settings)
 
 
 @dataclass(frozen=True, slots=True)

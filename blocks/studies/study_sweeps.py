@@ -12,9 +12,12 @@ from typing import Any, Self
 
 import numpy as np
 
+from ..api.case import Case
+from ..api.checks import flat_of
 from ..api.diagram import Diagram
 from ..model.block_signals import element_of
 from ..model.flatten import Flat
+from ..model.resolver import resolver_of
 from ..model.trust import Paths
 from ..model.varied import columns_of
 from ..text.arrays import Array
@@ -29,7 +32,8 @@ from .sweep_margins import RowMargins, margins_of
 
 Placed = tuple[Steps, Fault]
 """A fault with its place in an entry."""
-_OPTIONS = ("n", "sampler", "seed", "budget", "measures", "log", "margins", "scenarios", "lanes")
+_OPTIONS = ("n", "sampler", "seed", "max_steps", "measures", "log", "margins", "scenarios", "lanes")
+_COUNTS = ("n", "seed", "search_seed", "max_steps", "budget")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +57,15 @@ class ManyRuns:
     def read(cls, name: str, entry: Mapping[str, Any], doc: str, vary: str, keys: Collection[str]) -> Self:
         """That of an object which the grammar has checked. vary, keys: where its values, and its options, stand."""
         options = {key: plain(entry[key]) for key in keys if key in entry}
-        options |= {key: int(options[key]) for key in ("n", "seed", "budget") if key in options}
+        options |= {key: int(options[key]) for key in _COUNTS if key in options}
         if "scenarios" in entry:
             options["scenarios"] = entry["scenarios"]
         parameters, settings, variants = (dict(entry.get(key, {})) for key in ("parameters", "settings", "variants"))
         return cls(name, entry["diagram"], entry[vary], options, parameters, settings, doc, variants)
+
+    def case(self, parameters: Mapping[str, Any], trust: Paths = ()) -> Case:
+        """Return the case of all runs. parameters: of all rows."""
+        return Case(parameters=parameters, trust=trust, **self.settings)
 
     @property
     def scenarios(self) -> dict[str, Mapping[str, Any]]:
@@ -68,7 +76,7 @@ class ManyRuns:
         flats = list[Flat]()
         for name, on_top in (self.scenarios or {"": {}}).items():
             try:
-                flats.append(diagram.flatten(parameters={**parameters, **on_top}, settings=self.settings))
+                flats.append(flattened(diagram, self.case({**parameters, **on_top})))
             except BlocksError as error:
                 for fault in error.faults:
                     word = fault.place.removeprefix("run.")
@@ -87,6 +95,12 @@ class ManyRuns:
     def units_of_margins(self) -> dict[str, str]:
         """Return the units of columns that are no measures of the diagram; "1": none."""
         return {}
+
+
+def flattened(diagram: Diagram, case: Case) -> Flat:
+    """Return the flat model of a case of a study file, whose inputs are checked too. Raises ModelError, UsageError."""
+    inputs = case.named_inputs() or None
+    return flat_of(diagram.value, resolver_of(dict(diagram.types)), case, inputs=inputs)
 
 
 def section_of(word: str, entry: Any, *sections: str) -> Steps:
@@ -120,7 +134,7 @@ class StudySweep(ManyRuns):
 
     def made(self, diagram: Diagram, parameters: Mapping[str, Any], trust: Paths) -> Sweep:
         """Return the sweep; Ctrl-C returns the rows that are done. Raises as `Diagram.sweep`."""
-        made: Sweep = diagram.sweep(self.varied(), parameters=parameters, trust=trust, **self.options, **self.settings)
+        made: Sweep = diagram.sweep(self.varied(), self.case(parameters, trust), **self.options)
         return made
 
     def asked(self, diagram: Diagram, parameters: Mapping[str, Any], flats: Sequence[Flat]) -> Iterator[Placed]:
@@ -144,7 +158,7 @@ class StudySweep(ManyRuns):
         for k, name in enumerate(options.get("log", ())):
             if element_of(name, signals) is None:
                 yield ("log", k), _unknown(name, signals, "signal of the diagram")
-        rows = {"parameters": parameters, **self.settings}
+        rows = self.case(parameters)
         for name, margin in options.get("margins", {}).items():
             yield from placed(("margins", name), lambda of: RowMargins(diagram, margins_of(of), rows), {name: margin})
 

@@ -21,7 +21,7 @@ from .tuning import measured
 
 OBJECTIVE = "objective"
 """In a claim: what is minimized."""
-_OPTIONS = ("minimize", "subject_to", "method", "budget", "seed", "scenarios", "lanes")
+_OPTIONS = ("minimize", "subject_to", "optimizer", "budget", "search_seed", "scenarios", "lanes")
 
 
 class StudyTuning(ManyRuns):
@@ -45,8 +45,7 @@ class StudyTuning(ManyRuns):
 
     def made(self, diagram: Diagram, parameters: Mapping[str, Any], trust: Paths) -> Tuning:
         """Return the tuning; if Ctrl-C ended it, it is `interrupted`. Raises as `Diagram.tune`."""
-        over = plain(self.vary)
-        made: Tuning = diagram.tune(over=over, parameters=parameters, trust=trust, **self.options, **self.settings)
+        made: Tuning = diagram.tune(self.case(parameters, trust), over=plain(self.vary), **self.options)
         is_cut = any(run.interrupted for run in (*made.before.values(), *made.after.values()))
         return replace(made, interrupted=True) if is_cut else made
 
@@ -56,7 +55,7 @@ class StudyTuning(ManyRuns):
         checks = [placed(("minimize",), objective, self.options["minimize"], *known)]
         for k, text in enumerate(self.options.get("subject_to", ())):
             checks.append(placed(("subject_to", k), constraints, [text], *known))
-        unit_of = units_of_parameters(diagram, parameters)
+        unit_of = units_of_parameters(diagram, self.case(parameters))
         for name, bounds in self.vary.items():
             checks.append(placed(("over", name), Space.of, {name: plain(bounds)}, unit_of))
             checks += [placed(("over", name), columns_of, [name], flat) for flat in flats[:1]]
@@ -68,9 +67,9 @@ class StudyTuning(ManyRuns):
 
 
 def needs(entry: StudyTuning) -> None:
-    """Raises UsageError (E504) where the package of its method is not installed."""
-    method = entry.options.get("method", "cma")
-    check_installed(method, f'tunings.{entry.name}: method "{method}"')
+    """Raises UsageError (E504) where the package of its optimizer is not installed."""
+    optimizer = entry.options.get("optimizer", "cma")
+    check_installed(optimizer, f'tunings.{entry.name}: optimizer "{optimizer}"')
 
 
 def values_of(tuning: Tuning, measure: str) -> list[float]:

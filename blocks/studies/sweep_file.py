@@ -136,7 +136,7 @@ def _check_same(notes: Mapping[str, Any], told: Mapping[str, Any], refuse: Refus
         if "n" in different and "varied rows" in different:
             different.remove("varied rows")  # they are others with another n
         cure = (
-            "Repeat the call with which it was started, or start over (resume=False, --anew), which replaces the file."
+            "Repeat the call with which it was started, or replace the file (restart=True, --restart)."
         )
         raise refuse(f"belongs to a sweep that differs in its {', '.join(different)}.", cure)
 
@@ -253,28 +253,28 @@ def _key(told: Mapping[str, Any]) -> dict[str, Any]:
 class SweepPart(PartFile):
     """The file of a sweep that is under way.
 
-    told: what it is of. resume: go on from a part of the same sweep. found: the fields of the chunks that are there.
+    told: what it is of. restart: replace a part that is there. found: the fields of the chunks that are there.
     Raises UsageError: E501 where it cannot be written, E504, E506 where it is of another sweep.
     """
 
-    def __init__(self, target: str | Path, told: Mapping[str, Any], *, resume: bool) -> None:
+    def __init__(self, target: str | Path, told: Mapping[str, Any], *, restart: bool) -> None:
         check_target(target)
         path = part_of(target)
         super().__init__(path, created(path))
         self.target, self.told = target, told
         try:
-            self.found = self._pieces(resume) if os.fstat(self.stream.fileno()).st_size else []
+            self.found = self._pieces(restart) if os.fstat(self.stream.fileno()).st_size else []
         except BaseException:
             self.stream.close()
             raise
 
-    def _pieces(self, resume: bool) -> list[dict[str, Any]]:
+    def _pieces(self, restart: bool) -> list[dict[str, Any]]:
         """The chunks that are there already, where they are of this sweep."""
         import pyarrow as pa
 
         refuse = _in_the_way(self.path)
         schema, chunks = chunks_of(self.stream, lambda schema: _notes(schema, refuse), refuse, PARTIAL)
-        if not resume:
+        if restart:
             return []
         _check_same(_notes(schema, refuse), self.told, refuse)
         pieces = []

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..api.batch import Batch, BatchRows
+from ..api.case import Case, PointWords
 from ..frequency.margins import Margins, margins
 from ..frequency.response import bandwidth, poles
 from ..model.study_grammar import MARGIN
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from ..linear.harmonic_balance import Linearizer
     from ..linear.transfer import Transfer
 
-_OF_POINT = ("at", "held", "amplitude", "sigma", "overrides")
+_OF_POINT = ("at", "inputs", "amplitude", "sigma", "overrides")
 _OF_LOOP = ("openings", "pade")
 _BY_LOOP: Mapping[str, Callable[[Margins], float | None]] = {
     "gain_margin": lambda m: m.gain, "phase_margin": lambda m: m.phase_deg, "delay_margin": lambda m: m.delay,
@@ -49,7 +50,7 @@ _ENDLESS = ("gain_margin", "phase_margin", "delay_margin")
 class Margin:
     """A column: its type (of MARGINS), and where it is taken: at a loop, or from one signal to another.
 
-    point: of at, held, amplitude, sigma and overrides what is given; how: of openings and pade. As of
+    point: of at, inputs, amplitude, sigma and overrides what is given; how: of openings and pade. As of
     `Diagram.linearizer` and `Linearizer.loop`.
     """
 
@@ -126,12 +127,11 @@ class _Told:
 class RowMargins:
     """The margins of rows: what a batch gives, with further columns beside its measures.
 
-    diagram: what is linearized. asked: parameters, variants, trust and settings of all rows, as of
-    `Diagram.linearizer`. names: of the columns. Raises UsageError at once for what the diagram does not have.
+    diagram: what is linearized. case: of all rows. Raises UsageError at once for what the diagram does not have.
     """
 
-    def __init__(self, diagram: Diagram, chosen: Sequence[Margin], asked: Mapping[str, Any]) -> None:
-        self._diagram, self._chosen, self._asked = diagram, tuple(chosen), dict(asked)
+    def __init__(self, diagram: Diagram, chosen: Sequence[Margin], case: Case) -> None:
+        self._diagram, self._chosen, self._case = diagram, tuple(chosen), case.only(*PointWords.__annotations__)
         for margin in chosen:
             if margin.name in diagram.value.measures:
                 raise UsageError(
@@ -143,7 +143,7 @@ class RowMargins:
                     )
                 )
             with suppress(AnalysisError, ModelError, SimulationError):  # other values may have one
-                margin.value(_Row(diagram, self._asked, {}, None))
+                margin.value(_Row(diagram, self._case, {}, None))
 
     def beside(self, rows: BatchRows, batch: Batch, table: Array, seeds: Array) -> BatchRows:
         """What a batch gave for a table of rows, with their margins. Ctrl-C leaves the rest "left"."""
@@ -152,7 +152,7 @@ class RowMargins:
         i = 0
         try:
             for i in np.flatnonzero(~np.isin(status, ("left", "refused"))).tolist():
-                seen = _Row(self._diagram, self._asked, batch.parameters(table[i]), int(seeds[i]))
+                seen = _Row(self._diagram, self._case, batch.parameters(table[i]), int(seeds[i]))
                 for margin in self._chosen:
                     try:
                         columns[margin.name][i] = margin.value(seen)
@@ -174,9 +174,8 @@ class RowMargins:
 class _Row:
     """A row as it is linearized: points, linear models and margins that several columns share are computed once."""
 
-    def __init__(self, diagram: Diagram, asked: Mapping[str, Any], row: Mapping[str, Any], seed: int | None) -> None:
-        self.diagram, self.seed = diagram, seed
-        self.asked = {**asked, "parameters": {**(asked.get("parameters") or {}), **row}}
+    def __init__(self, diagram: Diagram, case: Case, row: Mapping[str, Any], seed: int | None) -> None:
+        self.diagram, self.seed, self.case = diagram, seed, case.updated(parameters=row)
         self.known: dict[str, Any] = {}
 
     def margins(self, margin: Margin) -> Margins:
@@ -200,7 +199,7 @@ class _Row:
         # At the start nothing depends on the seed, and other seeds make another model.
         seed: dict[str, Any] = {} if self.seed is None or margin.point.get("at") is None else {"seed": self.seed}
         made: Linearizer = self._once(
-            "linearizer", margin, lambda: self.diagram.linearizer(**self.asked, **margin.point, **seed)
+            "linearizer", margin, lambda: self.diagram.linearizer(self.case, **margin.point, **seed)
         )
         return made
 

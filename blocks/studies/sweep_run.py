@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..api.batch import Batch, BatchRows
+from ..api.case import Case, ModelWords, Work, sources
 from ..host.progress_line import in_rows, live_line
 from ..model.block_signals import element_of
 from ..model.diagram_grammar import MEASURE_UNITS
 from ..model.diagram_value import check_name
 from ..model.flatten import Flat
 from ..model.raw_values import raw_of
-from ..model.trust import Paths
 from ..model.values import in_unit
 from ..model.varied import each_of
 from ..results.table import optional
@@ -52,72 +52,40 @@ SHOWN = 3
 def sweep(
     diagram: Diagram,
     vary: Any,
+    case: Case,
+    work: Work,
     *,
-    n: int | None = None,
-    sampler: str = "random",
-    seed: int = 0,
-    measures: Sequence[str] | None = None,
-    log: Sequence[str] = (),
-    margins: Mapping[str, Mapping[str, Any]] | None = None,
-    scenarios: Mapping[str, Mapping[str, Any]] | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    engine: str | None = None,
-    variants: Mapping[str, str] | None = None,
-    trust: Paths = (),
-    threads: int | None = None,
-    budget: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    notice: Callable[[str], None] | None = None,
-    out: str | Path | None = None,
-    resume: bool = True,
-    on: Any = None,
-    lanes: str = "exact",
-    **settings: Any,
+    n: int | None,
+    sampler: str,
+    margins: Mapping[str, Mapping[str, Any]] | None,
+    scenarios: Mapping[str, Mapping[str, Any]] | None,
+    max_steps: int | None,
+    on: Any,
+    notice: Callable[[str], None] | None,
 ) -> Sweep:
-    """What `Diagram.sweep` does."""
-    if on is not None and threads is not None:
-        cure = "Set the threads when you start the workers: dask worker ADDRESS --nworkers 4 --nthreads 1."
-        raise UsageError(
-            Fault("E501", "threads", "cannot be combined with on=: each worker sets its own threads.", cure)
-        )
-    if on is not None and lanes != "exact":
-        message = (
-            f"{legible(repr(lanes))} works on this machine only: the lanes of workers may differ, and with them "
-            "the results."
-        )
-        raise UsageError(Fault("E501", "lanes", message, "Leave lanes out if workers run the rows."))
-    folder = "" if on is None or out is None or str(out).lower().endswith(".parquet") else str(out)
-    if out is not None and not folder:
+    """Return what `Diagram.sweep` gives."""
+    folder = "" if on is None else _folder_of_workers(case, work)
+    out = None if folder else work.out
+    if out is not None:
         check_target(out)
-    if on is not None:
-        optional("distributed", "on", "dask")
-    asked = {"parameters": parameters, "engine": engine, "variants": variants, "trust": trust, **settings}
-
-    def expand(pattern: str) -> list[str]:
-        flat = diagram.flatten(parameters=parameters, variants=variants, settings=settings)
-        return each_of(pattern, flat)
-
-    rows = rows_of(vary, n=n, sampler=sampler, seed=seed, expand=expand)
-    given = _scenarios(scenarios, parameters)
-    seeds = np.array([seed_of(int(seed), i) for i in range(rows.n)], dtype=np.int64)
+    flat = diagram.flatten(case.only(*ModelWords.__annotations__))
+    seed = flat.settings.seed
+    case = case.without("seed")  # each row has its own
+    rows = rows_of(vary, n=n, sampler=sampler, seed=seed, expand=lambda pattern: each_of(pattern, flat))
+    given = _scenarios(scenarios)
+    cases = [case.updated(parameters=on_top) for on_top in given.values()]
+    seeds = np.array([seed_of(seed, i) for i in range(rows.n)], dtype=np.int64)
     names = list(rows.columns)
-    of_rows = {**asked, "measures": measures, "log": log, "lanes": lanes}
-    batches = [
-        diagram.batch(names, **{**of_rows, "parameters": {**(parameters or {}), **on_top}}) for on_top in given.values()
-    ]
+    batches = [diagram.batch(names, each, lanes=work.lanes) for each in cases]
     wanted = margins_of(margins or {})
-    linear = {key: value for key, value in asked.items() if key not in ("parameters", "engine")}
-    beside = [
-        RowMargins(diagram, wanted, {**linear, "parameters": {**(parameters or {}), **on_top}})
-        for on_top in (given.values() if wanted else ())
-    ]
+    beside = [RowMargins(diagram, wanted, each) for each in (cases if wanted else ())]
     first = batches[0]
     own = zip(rows.columns.items(), first.units, strict=True)
     rows = replace(rows, columns={name: _in_unit(name, column, unit) for (name, column), unit in own})
-    begun = diagram.start(**{**asked, "parameters": {**(parameters or {}), **next(iter(given.values()))}, "log": log})
+    begun = diagram.start(cases[0].without("measures").updated(log=case.settings.get("log", ())))
     start = begun.results
     begun.leave()
-    units = units_of_measures(diagram.flatten(parameters=parameters, variants=variants, settings=settings))
+    units = units_of_measures(flat)
     units |= {margin.name: margin.unit for margin in wanted}
     units |= dict(zip(names, first.units, strict=True)) | {name: start.columns[name][2] for name in first.signals}
     table = _table(rows)
@@ -132,33 +100,30 @@ def sweep(
     key: dict[str, Any] = {"scenarios": raw_of(given), "measures": first.measures, "signals": first.signals}
     key |= {"margins": wanted} if wanted else {}
     key |= {"lanes": first.lanes} if first.lanes else {}
-    key |= {"n": n, "budget": budget, "engine": start.statistics.engine, "varied rows": _digest(rows, seeds)}
+    key |= {"n": n, "max_steps": max_steps, "engine": start.statistics.engine, "varied rows": _digest(rows, seeds)}
     told = told_of(start.origin, key)
-    if out is not None and not folder:
-        made.part = SweepPart(out, told, resume=resume)
+    if out is not None:
+        made.part = SweepPart(out, told, restart=work.restart)
     try:
         for fields in made.part.found if made.part is not None else ():
             piece = Sweep(**fields)
             made.take(piece.scenario * rows.n + piece.number, piece)
         if on is None:
-            with live_line(progress, in_rows("rows")) as told_to:
-                run = _Rounds(batches, beside, table, seeds, made, threads, told_to, notice)
+            with live_line(work.progress, in_rows("rows")) as told_to:
+                run = _Rounds(batches, beside, table, seeds, made, work.threads, told_to, notice)
                 # With fixed steps the number of steps is known, and equal in all rows.
-                run.all(budget, is_bounded=not begun.plan.settings.is_fixed_step)
+                run.all(max_steps, is_bounded=not begun.plan.settings.is_fixed_step)
         else:
             from .distributed import Job, Put, run_on
 
             static = {name: getattr(made.begun, name) for name in ("name", "units", "scenarios", "base", "warnings")}
-            put = Put(folder, static, told) if folder else None
-            values = [{**(parameters or {}), **on_top} for on_top in given.values()]
             # By name: a worker without a compiler refuses, and does not take the other engine.
-            options: dict[str, Any] = {"measures": list(first.measures), "log": list(first.signals)}
-            options["engine"] = start.statistics.engine
-            job = Job.of(diagram, names, values, options, settings, wanted, variants=variants, put=put)
+            of_rows = case.updated(measures=first.measures, log=first.signals, engine=start.statistics.engine)
+            put = Put(folder, static, told) if folder else None
+            job = Job.of(diagram, names, [each.parameters for each in cases], of_rows, wanted, put=put)
             if start.origin is not None and (start.origin.equations, start.origin.values) != job.computed[1:]:
                 raise AssertionError("the text of the diagram says something else")
-            is_done = run_on(on, job, table, seeds, made, budget=budget, progress=progress, resume=resume)
-            made.interrupted = not is_done
+            made.interrupted = not run_on(on, job, table, seeds, made, max_steps, work)
         done = made.sweep()
         if made.part is not None:
             made.part.end(vars(done))
@@ -168,10 +133,26 @@ def sweep(
     return done
 
 
-def _scenarios(
-    scenarios: Mapping[str, Mapping[str, Any]] | None, parameters: Mapping[str, Any] | None
-) -> dict[str, Mapping[str, Any]]:
-    """What each scenario sets; one of the name "" where there are none. Raises UsageError (E501), ModelError."""
+def _folder_of_workers(case: Case, work: Work) -> str:
+    """Return the folder or URL that workers write to, or "" if rows come back. Raises UsageError (E501, E504)."""
+    optional("distributed", "on", "dask")
+    if work.threads is not None:
+        message = "cannot be combined with on=: each worker sets its own threads."
+        cure = "Set the threads when you start the workers: dask worker ADDRESS --nworkers 4 --nthreads 1."
+        raise UsageError(Fault("E501", "threads", message, cure))
+    if work.lanes != "exact":
+        message = f"{legible(repr(work.lanes))} works on this machine only: the lanes of workers may differ, and with "
+        message += "them the results."
+        raise UsageError(Fault("E501", "lanes", message, "Leave lanes out if workers run the rows."))
+    if any(isinstance(source, (str, Path)) for source in sources(case.inputs)):
+        cure = "Read the file here, and give its columns: inputs={name: (t, u)}."
+        raise UsageError(Fault("E501", "inputs", "is a file, which the workers may not have.", cure))
+    out = "" if work.out is None else str(work.out)
+    return "" if out.lower().endswith(".parquet") else out
+
+
+def _scenarios(scenarios: Mapping[str, Mapping[str, Any]] | None) -> dict[str, Mapping[str, Any]]:
+    """Return the parameters of each scenario; one of the name "" if there are none. Raises UsageError, ModelError."""
     if not scenarios:
         return {"": {}}
     for name, on_top in scenarios.items():
@@ -377,7 +358,7 @@ class _Rounds:
                 begun = time.perf_counter()
                 numbers = chunk - scenario * made.n
                 table, seeds = self.table[numbers], self.seeds[numbers]
-                rows = batch(table, seeds=seeds, threads=threads, budget=budget, progress=tell)
+                rows = batch(table, seeds=seeds, threads=threads, max_steps=budget, progress=tell)
                 rows = rows if is_last else _postponed(rows)
                 if self.beside:
                     rows = self.beside[scenario].beside(rows, batch, table, seeds)

@@ -100,8 +100,8 @@ class Tuning(Outcome):
     """
 
     minimize: str
-    method: str
-    seed: int
+    optimizer: str
+    search_seed: int
     budget: int
     bounds: Mapping[str, tuple[float, float]]
     scenarios: Mapping[str, Mapping[str, Any]]
@@ -125,7 +125,7 @@ class Tuning(Outcome):
         """What was run, in a line."""
         return (
             f"{self.diagram.name}: {self.ran} of {counted(self.budget, 'candidate')} in "
-            f"{counted(len(self.scenarios), 'scenario')}, method {self.method}, seed {self.seed}"
+            f"{counted(len(self.scenarios), 'scenario')}, optimizer {self.optimizer}, search seed {self.search_seed}"
             f"{'; interrupted' if self.interrupted else ''}"
         )
 

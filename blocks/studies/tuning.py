@@ -17,12 +17,12 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from ..api.batch import Batch
+from ..api.case import Case, ModelWords, Work
 from ..host.progress_line import in_rows, live_line
 from ..model.block_signals import element_of
 from ..model.flatten import Flat
@@ -55,19 +55,11 @@ EFFORT = ("ISU", "total_variation")
 """Measures that limit a control, of whatever signal."""
 
 
-def tune(
-    diagram: Diagram,
-    *,
-    threads: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    out: str | Path | None = None,
-    resume: bool = True,
-    **asked: Any,
-) -> Tuning:
-    """What `Diagram.tune` gives; its other arguments are those of `problem_of`."""
-    if out is not None:
-        check_target(out)
-    return problem_of(diagram, **asked).solve(threads=threads, progress=progress, out=out, resume=resume)
+def tune(diagram: Diagram, case: Case, work: Work, **asked: Any) -> Tuning:
+    """Return what `Diagram.tune` gives. asked: the other arguments, as of `problem_of`."""
+    if work.out is not None:
+        check_target(work.out)
+    return problem_of(diagram, case, lanes=work.lanes, **asked).solve(work)
 
 
 @dataclass(frozen=True)
@@ -81,25 +73,18 @@ class Problem:
     batches: Mapping[str, Batch]
     space: Space
     before: Mapping[str, Results]
-    method: str
+    optimizer: str
     budget: int
-    seed: int
-    given: Mapping[str, Any]
+    search_seed: int
+    case: Case
     warnings: tuple[Fault, ...]
 
-    def solve(
-        self,
-        *,
-        threads: int | None = None,
-        progress: Callable[[int, int], None] | None = None,
-        out: str | Path | None = None,
-        resume: bool = True,
-    ) -> Tuning:
-        """Run the optimiser. Raises UsageError (E501) where no candidate has a number; as `SweepPart` for `out`."""
-        part = None if out is None else TuningPart(self, out, resume=resume)
+    def solve(self, work: Work) -> Tuning:
+        """Run the optimizer. Raises UsageError (E501) where no candidate has a number; as `SweepPart` for `out`."""
+        part = None if work.out is None else TuningPart(self, work.out, restart=work.restart)
         try:
-            with live_line(progress, in_rows("candidates")) as told:
-                tuning = self._solved(_Search(self, threads, told, part))
+            with live_line(work.progress, in_rows("candidates")) as told:
+                tuning = self._solved(_Search(self, work.threads, told, part))
             if part is not None:
                 part.end(tuning.history, interrupted=tuning.interrupted)
         finally:
@@ -112,7 +97,7 @@ class Problem:
         # Optimisers compare fitnesses that may be infinite, or as large as numbers can be.
         with contextlib.suppress(Spent), np.errstate(all="ignore"):
             try:
-                METHODS[self.method](search, start, self.seed, self.budget)
+                METHODS[self.optimizer](search, start, self.search_seed, self.budget)
             except KeyboardInterrupt:
                 search.is_interrupted = True
         return search.tuning()
@@ -121,40 +106,43 @@ class Problem:
     def batch(self) -> Batch:
         return next(iter(self.batches.values()))
 
-    def run(self, scenario: str, values: Mapping[str, Any], **more: Any) -> Results:
+    def case_of(self, scenario: str, values: Mapping[str, Any]) -> Case:
+        """Return the case of a scenario, with values on top."""
+        return self.case.updated(parameters={**self.scenarios[scenario], **values})
+
+    def run(self, scenario: str, values: Mapping[str, Any], seed: int | None = None) -> Results:
         """A run by itself in a scenario, with all measures."""
-        given = {**self.given, **more}
-        given["parameters"] = {**(self.given["parameters"] or {}), **self.scenarios[scenario], **values}
-        return self.diagram.run(**given)
+        return self.diagram.run(self.case_of(scenario, values), seed=seed)
 
 
 def problem_of(
     diagram: Diagram,
+    case: Case,
     *,
     minimize: str,
     over: Mapping[str, Any],
-    scenarios: Mapping[str, Mapping[str, Any]] | None = None,
-    subject_to: Sequence[str] = (),
-    method: str = "cma",
-    budget: int = 500,
-    seed: int = 1,
-    parameters: Mapping[str, Any] | None = None,
-    variants: Mapping[str, str] | None = None,
-    engine: str | None = None,
-    trust: Any = (),
-    lanes: str = "exact",
-    settings: Mapping[str, Any] | None = None,
+    scenarios: Mapping[str, Mapping[str, Any]] | None,
+    subject_to: Sequence[str],
+    optimizer: str,
+    budget: int,
+    search_seed: int,
+    lanes: str,
 ) -> Problem:
-    """The tuning of these arguments (of `tune`), checked: the diagram itself has run in every scenario."""
-    if method not in METHODS:
-        cure = did_you_mean(str(method), METHODS) or f"Methods: {', '.join(METHODS)}."
-        cure = "Use Diagram.fit, which compares with measured data." if method == "least_squares" else cure
-        raise UsageError(Fault("E501", "method", f"{quoted(str(method))} is not a method.", cure))
-    check_installed(method, f'method="{method}"')
+    """Return the tuning of these arguments (of `tune`), checked: the diagram itself has run in every scenario."""
+    if case.settings.get("method") in METHODS:
+        name = case.settings["method"]
+        cure = f'Write optimizer="{name}".'
+        raise UsageError(Fault("E501", "method", f'"{name}" is an optimizer, and method integrates the runs.', cure))
+    if optimizer not in METHODS:
+        cure = did_you_mean(str(optimizer), METHODS) or f"Optimizers: {', '.join(METHODS)}."
+        cure = "Use Diagram.fit, which compares with measured data." if optimizer == "least_squares" else cure
+        raise UsageError(Fault("E501", "optimizer", f"{quoted(str(optimizer))} is not an optimizer.", cure))
+    check_installed(optimizer, f'optimizer="{optimizer}"')
     if not isinstance(budget, int) or isinstance(budget, bool) or budget < 1:
         raise UsageError(Fault("E501", "budget", f"must be a number of candidates, such as 500, not {budget!r}."))
-    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        raise UsageError(Fault("E501", "seed", f"must be an integer, 0 or more, not {legible(repr(seed))}."))
+    if not isinstance(search_seed, int) or isinstance(search_seed, bool) or search_seed < 0:
+        what = f"must be an integer, 0 or more, not {legible(repr(search_seed))}."
+        raise UsageError(Fault("E501", "search_seed", what))
     if scenarios is not None and not isinstance(scenarios, Mapping):
         raise UsageError(Fault("E501", "scenarios", "must be a mapping from names to parameters.", _SCENARIOS))
     for name, on_top in (scenarios or {}).items():
@@ -164,25 +152,23 @@ def problem_of(
             )
     scenarios = dict(scenarios) if scenarios else {"nominal": {}}
     measures = tuple(diagram.value.measures)
+    model = case.only(*ModelWords.__annotations__)
     objective = objective_of(minimize, measures, tuple(scenarios))
     constraints = constraints_of(
         subject_to, measures, tuple(scenarios),
-        unit_of=lambda name: units_of_measures(
-            diagram.flatten(parameters=parameters, variants=variants), plain="1"
-        )[name],
+        unit_of=lambda name: units_of_measures(diagram.flatten(model), plain="1")[name],
     )  # fmt: skip
-    space = Space.of(over, units_of_parameters(diagram, parameters, variants))
+    space = Space.of(over, units_of_parameters(diagram, model))
     read = objective.reads(tuple(scenarios)) + [pair for each in constraints for pair in each.reads()]
     needed = {name: sorted({measure for scenario, measure in read if scenario == name}) for name in scenarios}
-    given = {
-        **dict(settings or {}), "parameters": dict(parameters or {}), "variants": variants, "engine": engine,
-        "trust": trust,
-    }  # fmt: skip
-    batches = {}
-    for name, values in scenarios.items():
-        own = {**given, "parameters": {**given["parameters"], **values}}
-        batches[name] = diagram.batch(list(over), measures=needed[name], lanes=lanes, **own)
-    problem = Problem(diagram, objective, constraints, scenarios, batches, space, {}, method, budget, seed, given, ())
+    problem = Problem(
+        diagram, objective, constraints, scenarios, {}, space, {}, optimizer, budget, search_seed, case, ()
+    )  # fmt: skip
+    batches = {
+        name: diagram.batch(list(over), problem.case_of(name, {}), measures=needed[name], lanes=lanes)
+        for name in scenarios
+    }
+    problem = replace(problem, batches=batches)
     before = {name: problem.run(name, {}) for name in scenarios}
     faults = [
         Fault("E501", f"{name}.{measure}", warning.message, warning.cure)
@@ -237,9 +223,9 @@ def _warnings(problem: Problem, needed: Mapping[str, Sequence[str]]) -> tuple[Fa
 
 def _has_noise(problem: Problem, needed: Mapping[str, Sequence[str]]) -> bool:
     """Whether a measure that counts is another one with another run seed: all streams of random numbers follow it."""
-    seed = problem.diagram.flatten().settings.seed + 1
+    seed = problem.diagram.flatten(problem.case.only(*ModelWords.__annotations__)).settings.seed + 1
     for name, results in problem.before.items():
-        other = problem.run(name, {}, seed=seed)
+        other = problem.run(name, {}, seed)
         for measure in needed[name]:
             value, again = results.measures[measure], other.measures[measure]
             if value != again and not (math.isnan(value) and math.isnan(again)):
@@ -249,10 +235,10 @@ def _has_noise(problem: Problem, needed: Mapping[str, Sequence[str]]) -> bool:
 
 def _limits_effort(problem: Problem, needed: Mapping[str, Sequence[str]]) -> bool:
     """Whether a measure that counts is one of effort, or one of a tuned block's output against nothing."""
-    given, space = problem.given, problem.space
+    space, model = problem.space, problem.case.only("parameters", "variants")
 
     def flat(values: Mapping[str, Any]) -> Flat:
-        return problem.diagram.flatten(parameters={**given["parameters"], **values}, variants=given["variants"])
+        return problem.diagram.flatten(model, parameters=values)
 
     first, tuned = flat({}), set[str]()
     for share in (0.25, 0.75):
@@ -334,7 +320,7 @@ class _Search:
                     part = (k + done / max(total, 1)) / len(self.problem.batches)
                     self.progress(self.count + int(n * part), self.problem.budget)
 
-            rows = batch(values, threads=self.threads, budget=self.budgets[name], progress=told)
+            rows = batch(values, threads=self.threads, max_steps=self.budgets[name], progress=told)
             measured[name] = {
                 measure: np.where(rows.status == "ok", column, np.nan) for measure, column in rows.measures.items()
             }
@@ -386,8 +372,8 @@ class _Search:
             return dict(zip(batch.columns, items, strict=True))
 
         return Tuning(
-            diagram=problem.diagram, minimize=problem.objective.text, method=problem.method, seed=problem.seed,
-            budget=problem.budget,
+            diagram=problem.diagram, minimize=problem.objective.text, optimizer=problem.optimizer,
+            search_seed=problem.search_seed, budget=problem.budget,
             bounds=named(zip(space.low.tolist(), space.high.tolist(), strict=True)), units=named(batch.units),
             nominal=named(nominal.tolist()), values=named(values.tolist()), parameters=given,
             scenarios=problem.scenarios, objective_before=self.base,
@@ -395,7 +381,7 @@ class _Search:
             conditions=tuple(conditions),
             sensitivities={} if self.is_interrupted or (is_kept and not has_own) else self.sensitivities(values),
             history=history, warnings=problem.warnings, interrupted=self.is_interrupted, is_kept=is_kept,
-            targets=named(batch.targets), variants=dict(problem.given["variants"] or {}),
+            targets=named(batch.targets), variants=dict(problem.case.variants),
             why="" if index is not None else self.why,
         )  # fmt: skip
 

@@ -1,6 +1,6 @@
 """The part of a tuning that is under way: its candidates, as the rows of a sweep of the objective and the excess.
 
-The optimiser is deterministic: asked once more, it gives the same candidates as long as it gets the same fitness. So a
+The optimizer is deterministic: asked once more, it gives the same candidates as long as it gets the same fitness. So a
 tuning goes on by asking it from the start, and taking from the part what has been run.
 """
 
@@ -25,7 +25,7 @@ Problem = Any  # a `Problem`, whose module calls this one
 class TuningPart:
     """The generations of candidates in a file; those of an earlier run come first. Raises as `SweepPart`."""
 
-    def __init__(self, problem: Problem, out: str | Path, *, resume: bool) -> None:
+    def __init__(self, problem: Problem, out: str | Path, *, restart: bool) -> None:
         batch, first = problem.batch, next(iter(problem.before.values()))
         low, high = problem.space.low.tolist(), problem.space.high.tolist()
         self.problem, self.columns = problem, list(batch.columns)
@@ -33,12 +33,12 @@ class TuningPart:
             "objective": problem.objective.text, "constraints": [(c.scenario, c.text) for c in problem.constraints],
             "bounds": [*zip(self.columns, low, high, strict=True)],
             "scenarios": raw_of({name: dict(given) for name, given in problem.scenarios.items()}),
-            "method": problem.method, "budget": problem.budget, "optimiser seed": problem.seed, "lanes": batch.lanes,
-            "engine": first.statistics.engine,
+            "optimizer": problem.optimizer, "budget": problem.budget, "search seed": problem.search_seed,
+            "lanes": batch.lanes, "engine": first.statistics.engine,
         }  # fmt: skip
-        self.part = SweepPart(out, told_of(first.origin, key), resume=resume)
+        self.part = SweepPart(out, told_of(first.origin, key), restart=restart)
         self.found = [self._candidates(piece) for piece in reversed(self.part.found)]
-        self.seed = int(problem.diagram.flatten().settings.seed)
+        self.seed = int(problem.batch.seed)
         self.count = 0
 
     def next(self, values: Array) -> Candidates | None:
@@ -48,7 +48,8 @@ class TuningPart:
         candidates = self.found.pop()
         if not np.array_equal(candidates.values, values):
             message = "cannot be continued: it holds other candidates, for example of another release of the optimizer."
-            raise UsageError(Fault("E506", legible(str(self.part.path)), message, "Start over (resume=False, --anew)."))
+            cure = "Start over (restart=True, --restart)."
+            raise UsageError(Fault("E506", legible(str(self.part.path)), message, cure))
         self.count += len(values)
         return candidates
 

@@ -370,7 +370,7 @@ def test_settings_parameters_and_variants_are_those_of_a_run():
     given = estimate_response(diagram, "u", "y", SineStream([3.0]), parameters={"FirstOrder.T": 0.7})
     for response, T in ((quick, 0.1), (base, 0.5), (given, 0.7)):
         assert apart(response, 1.0 / (1.0 + 3j * T)) < EXACT
-    coarse = estimate_response(diagram, "u", "y", SineStream([3.0]), settings={"method": "rk4", "step": 0.02})
+    coarse = estimate_response(diagram, "u", "y", SineStream([3.0]), method="rk4", step=0.02)
     assert apart(coarse, 1.0 / (1.0 + 0.3j)) < 1e-4
 
 
@@ -425,7 +425,7 @@ def test_the_step_of_the_master_is_taken_where_it_is_given_and_refused_where_it_
 
     def swept(step):
         settings = {"master": {"step": step}}
-        return estimate_response(diagram, "y", "eso.z1", SineStream([20.0], 0.1), settings=settings, trust=[exported])
+        return estimate_response(diagram, "y", "eso.z1", SineStream([20.0], 0.1), **settings, trust=[exported])
 
     errors = [compare(swept(step), own).worst_degrees for step in (0.01, 0.005)]
     assert errors[1] < errors[0] / 3.0  # inputs follow parabolas
@@ -547,7 +547,7 @@ def test_settings_that_are_those_of_the_estimation_are_refused():
     diagram = of_one(blocks.FirstOrder())
     for key in ("stop", "every", "log"):
         with pytest.raises(UsageError, match=f"E501 {key}: is not a setting of an estimation"):
-            estimate_response(diagram, "u", "y", SineStream([1.0]), settings={key: 1.0})
+            estimate_response(diagram, "u", "y", SineStream([1.0]), **{key: 1.0})
     with pytest.raises(UsageError, match="E501 u: belongs to the diagram other"):
         estimate_response(diagram, Diagram("other").input("u"), "y", SineStream([1.0]))
     with pytest.raises(UsageError, match="E501 tolerance"):
@@ -571,5 +571,6 @@ def test_a_run_that_fails_is_told_with_its_frequency():
 
 def test_progress_is_told():
     told = []
-    estimate_response(of_one(blocks.FirstOrder()), "u", "y", SineStream([1.0, 2.0]), progress=told.append)
-    assert told == [0.5, 1.0]
+    signal = SineStream([1.0, 2.0])
+    estimate_response(of_one(blocks.FirstOrder()), "u", "y", signal, progress=lambda *how: told.append(how))
+    assert told == [(1, 2), (2, 2)]

@@ -340,7 +340,7 @@ def test_what_moves_on_from_step_to_step_is_refused(block: Block) -> None:
     d.wire(d.add("b", block).u, d.input("u", default=0.0))
     with pytest.raises(AnalysisError, match=r"E702 b: changes with each step .* operating_points, or at="):
         find_operating_point(d, inputs={"u": 1.0})
-    (at_2,) = operating_points(d, [2.0], held={"u": 1.0})
+    (at_2,) = operating_points(d, [2.0], inputs={"u": 1.0})
     assert at_2["b.y"] == 1.0
 
 
@@ -479,7 +479,7 @@ def test_a_model_at_an_operating_point_is_that_of_its_values() -> None:
     assert omega[rows["p_theta"]] == pytest.approx(-(M + m) * m * g * l / q, rel=1e-8)
     assert omega[rows["p_omega"]] == pytest.approx(-(M + m) * f / q, rel=1e-8)
     assert omega[rows["p_v"]] == pytest.approx(-m * l * b / q, rel=1e-8)
-    for other in ({"held": {"F": 1.0}}, {"parameters": {"p.b": 1.0}}, {"stop": 3.0}):
+    for other in ({"inputs": {"F": 1.0}}, {"parameters": {"p.b": 1.0}}, {"stop": 3.0}):
         with pytest.raises(UsageError, match=r"E501 at: the operating point has its inputs, parameters and settings"):
             d.linearize("F", "p.theta", at=point, **other)
 
@@ -528,7 +528,7 @@ def test_an_fmu_for_model_exchange_takes_part_as_its_block_does(path: Path) -> N
     assert back["v"] == pytest.approx(1.0 / motor_at_rest(1.0, 0.0)[0], rel=1e-10)
     model = d.linearize("v", "speed", at=point)
     assert pytest.approx(motor().linearize("v", "speed").A, rel=1e-12) == model.A
-    (half,) = operating_points(d, [0.5], held={"v": 6.0})
+    (half,) = operating_points(d, [0.5], inputs={"v": 6.0})
     run = motor().run(inputs={"v": 6.0}, stop=0.5, every=0.5, rtol=1e-9, atol=1e-11)
     assert half["motor.omega"] == pytest.approx(float(run["motor.omega"][-1]), rel=1e-4)
 
@@ -546,7 +546,7 @@ def test_fmus_for_co_simulation_are_left_to_settle() -> None:
         d.linearize("v", "speed", at=point)
     with pytest.raises(AnalysisError, match=r'E702 v: .* only numbers for its inputs.* "kind": "ME"'):
         find_operating_point(d, inputs={"v": None}, outputs={"speed": 1.0})
-    early, late = operating_points(d, [1.0, 0.1], held={"v": 6.0})
+    early, late = operating_points(d, [1.0, 0.1], inputs={"v": 6.0})
     assert (early.t, late.t) == (1.0, 0.1)
     run = motor().run(inputs={"v": 6.0}, stop=1.0, every=0.1)
     assert early["motor.omega"] == pytest.approx(float(run["motor.omega"][-1]), rel=1e-4)
@@ -595,7 +595,7 @@ def test_an_fmu_that_would_have_had_an_event_is_refused_and_begins_where_a_run_s
         match=r"E702 b: the FMU has an event between the start and the end",
     ):
         find_operating_point(d, inputs={"u": 3.0})
-    (then,) = operating_points(d, [5.0], held={"u": 3.0})
+    (then,) = operating_points(d, [5.0], inputs={"u": 3.0})
     assert then["b.y"] == pytest.approx(1.0, rel=1e-6)
-    assert d.linearize("u", "b.y", at=5.0, held={"u": 3.0}).nstates == 0  # it is at its limit
-    assert d.linearize("u", "b.y", at=5.0, held={"u": 0.3}).nstates == 1
+    assert d.linearize("u", "b.y", at=5.0, inputs={"u": 3.0}).nstates == 0  # it is at its limit
+    assert d.linearize("u", "b.y", at=5.0, inputs={"u": 0.3}).nstates == 1

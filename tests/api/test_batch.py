@@ -169,7 +169,7 @@ def square() -> Diagram:
 def test_a_row_that_fails_leaves_the_others_as_they_are() -> None:
     d = square()
     table: list[list[Any]] = [[-1.0], [2.0], [float("nan")], [-1e4], [-2.0], ["text"]]
-    rows = d.batch(["gain.k"], stop=0.75, log=["x.y"])(table, budget=5000)
+    rows = d.batch(["gain.k"], stop=0.75, log=["x.y"])(table, max_steps=5000)
     assert rows.status.tolist() == ["ok", "diverged", "refused", "ok", "ok", "refused"]
     assert np.isnan(rows.measures["last"]).tolist() == [False, True, True, False, False, True]
     assert rows.signals["x.y"][0, -1] == pytest.approx(1 / 1.75, rel=1e-4)  # dx/dt = k x^2
@@ -178,7 +178,7 @@ def test_a_row_that_fails_leaves_the_others_as_they_are() -> None:
     assert rows.messages[2].startswith("E107 gain.k")
     assert np.isfinite(rows.signals["x.y"][1]).any()
     assert np.isnan(rows.signals["x.y"][1, -1])
-    short = d.batch(["gain.k"], stop=0.75)(table, budget=int(rows.steps[0]))
+    short = d.batch(["gain.k"], stop=0.75)(table, max_steps=int(rows.steps[0]))
     assert short.status[0] == "ok"
     assert short.status[3] == "budget"
     assert short.steps[3] == rows.steps[0]
@@ -236,7 +236,7 @@ def test_rows_with_times_of_their_own_record_no_signals() -> None:
 def test_a_row_that_never_ends_is_cut_short() -> None:
     d = noisy()
     d.settings(stop=1e9)
-    rows = d.batch(["lag.T"], every=1e8)([[0.1], [0.2]], budget=2000)
+    rows = d.batch(["lag.T"], every=1e8)([[0.1], [0.2]], max_steps=2000)
     assert rows.status.tolist() == ["budget", "budget"]
 
 
@@ -370,7 +370,7 @@ def test_stiff_rows_are_those_of_runs_and_run_in_threads(method: str) -> None:
         "measure": ({"names": [], "measures": ["effor"]}, "E501 effor.*effort"),
         "one name": ({"names": "lag.T"}, "E501 lag.T: is a single name"),
         "text": ({"names": [], "measures": "ise"}, "E501 measures"),
-        "inputs": ({"names": [], "inputs": {"u": 1.0}}, "E501 inputs"),
+        "inputs": ({"names": [], "inputs": {"v": 1.0}}, "E502 v: the diagram has no such input"),
         "jumps": ({"names": [], "jumps": True}, "E501 jumps"),
         "given": ({"names": ["lag.T"], "parameters": {"lag.T": 1.0}}, "E501 lag.T"),
         "setting": ({"names": [], "stp": 1.0}, "E501 stp"),
@@ -394,7 +394,7 @@ def test_what_cannot_be_a_batch_is_refused(given: dict[str, Any], told: str) -> 
         ([[1.0], [1.0]], {"seeds": [1, -2]}, "integers from 0 to 2.53, but row 1 has -2"),
         ([[1.0]], {"seeds": [1.5]}, "integers from 0 to 2.53, but row 0 has 1.5"),
         ([[1.0]], {"threads": 0}, "threads: must be an integer, 1 or more"),
-        ([[1.0]], {"budget": -5}, "budget: must be an integer, 1 or more"),
+        ([[1.0]], {"max_steps": -5}, "max_steps: must be an integer, 1 or more"),
     ],
 )
 def test_a_table_that_does_not_fit_is_refused(table: Any, more: dict[str, Any], told: str) -> None:

@@ -192,7 +192,7 @@ def test_measured_data_are_in_the_unit_of_the_signal_or_their_own(units: str | N
 
 @pytest.mark.usefixtures("native")
 def test_limits_and_bounds_of_a_tuning_take_units() -> None:
-    options: dict[str, Any] = {"minimize": "-largest", "method": "de", "budget": 40, "seed": 1}
+    options: dict[str, Any] = {"minimize": "-largest", "optimizer": "de", "budget": 40, "search_seed": 1}
     plain = lag().tune(over={"k": (1, 9)}, subject_to=[f"largest <= {5 * RPM!r}"], **options)
     quantity = lag().tune(over={"k": ("6 deg/s", "9 rpm")}, subject_to=["largest <= 5 rpm"], **options)
     assert quantity.values == plain.values

@@ -381,7 +381,7 @@ def test_settings_are_those_of_a_run() -> None:
     text = message(UsageError, lambda: made.settings(stopp=1))
     assert text == "E501 stopp: is not a setting of a run. Did you mean 'stop'?"
     assert "not a setting of a run" in message(UsageError, lambda: made.run(toll=1))
-    assert "not a setting of a run" in message(UsageError, lambda: made.plan(settings={"raw": 1}))
+    assert "not a setting of a run" in message(UsageError, lambda: made.plan(raw=1))
     assert "E501 d: the run has no stop time." in message(UsageError, made.run)
     assert "E501 interpolation" in message(UsageError, lambda: made.run(stop=1, interpolation="cubic"))
     assert "E115 run.stop" in message(ModelError, lambda: made.run(stop="1"))  # type: ignore[arg-type]

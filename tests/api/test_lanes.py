@@ -239,7 +239,7 @@ def test_all_functions_agree_with_those_of_one_number() -> None:
 def test_a_row_that_fails_leaves_the_others_as_they_are() -> None:
     table: list[list[Any]] = [[-1.0], [2.0], [float("nan")], [-1e4], [-2.0], ["text"]]
     batch = square().batch(["gain.k"], stop=0.75, log=["x.y"], lanes="fast")
-    rows = batch(table, budget=5000)
+    rows = batch(table, max_steps=5000)
     assert rows.status.tolist() == ["ok", "diverged", "refused", "ok", "ok", "refused"]
     assert np.isnan(rows.measures["last"]).tolist() == [False, True, True, False, False, True]
     assert rows.signals["x.y"][0, -1] == pytest.approx(1 / 1.75, rel=1e-4)
@@ -247,7 +247,7 @@ def test_a_row_that_fails_leaves_the_others_as_they_are() -> None:
     assert "t = 0.5" in rows.messages[1] or "t = 0.49999" in rows.messages[1]
     assert np.isnan(rows.signals["x.y"][1, -1])
     assert_same(rows, batch([table[0], table[4]]), [0, 4])
-    short = batch(table, budget=int(rows.steps[0]))
+    short = batch(table, max_steps=int(rows.steps[0]))
     assert short.status.tolist() == ["ok", "budget", "refused", "budget", "ok", "refused"]
     assert short.messages[3].startswith("E313 square")
 
@@ -263,7 +263,7 @@ def test_a_fixed_step_that_blows_up_is_told_as_ever(settings: dict[str, Any]) ->
 def test_a_budget_and_an_interrupt_end_rows_in_lanes() -> None:
     d = mixed()
     d.settings(stop=1e9, inputs={"load": 0.5})
-    rows = d.batch(["lag.T"], every=1e8, lanes="fast")([[0.1], [0.2]], budget=2000)
+    rows = d.batch(["lag.T"], every=1e8, lanes="fast")([[0.1], [0.2]], max_steps=2000)
     assert rows.status.tolist() == ["budget", "budget"]
 
     def interrupt(done: int, total: int) -> None:
@@ -488,9 +488,9 @@ for make, names, settings in CASES.values():
     batch = make().batch(names, lanes="fast", **settings)
     table = rows_of(11) if make is mixed else [batch.nominal] * 11
     for count, budget in ((11, None), (3, None), (11, 50)):
-        assert batch(table[:count], threads=2, budget=budget).how.count("lanes of")
+        assert batch(table[:count], threads=2, max_steps=budget).how.count("lanes of")
 for settings in ({}, {"method": "rk4", "step": 0.01}):
-    rows = square().batch(["gain.k"], stop=2.0, lanes="fast", **settings)([[-1.0], [1.5], [-1e4]], budget=3000)
+    rows = square().batch(["gain.k"], stop=2.0, lanes="fast", **settings)([[-1.0], [1.5], [-1e4]], max_steps=3000)
     assert rows.status[0] == "ok", rows
 print("done")
 """

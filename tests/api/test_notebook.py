@@ -210,7 +210,7 @@ def test_a_long_call_shows_a_line_that_is_gone_at_the_end(monkeypatch: pytest.Mo
     assert any("of 4 rows" in text for text in texts)
     assert all(ElementTree.fromstring(f"<p>{forms['text/html']}</p>") is not None for forms in shown)
     count = len(shown)
-    made.run(progress=lambda t: None)  # the caller's own
+    made.run(progress=lambda t, stop: None)  # the caller's own
     assert len(shown) == count
 
 

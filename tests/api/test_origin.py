@@ -44,7 +44,7 @@ def test_an_origin_has_versions_settings_parameters_and_inputs(tmp_path: Path) -
     table.write_text("time,r\n0,1\n", encoding="utf-8")
     long = np.arange(1000.0)
     given = {"part.k": np.float64(0.5), "text": "=k", "list": [1, True, Fraction(1, 4)]}
-    settings = diagram.plan(settings={"method": "rk4", "step": 0.1, "every": 0.5, "stops": [0.25]}).settings
+    settings = diagram.plan(method="rk4", step=0.1, every=0.5, stops=[0.25]).settings
     fed = [str(table), {"r": {"value": 1, "unit": "m"}, "short": ([0, 1], (2.0, 3)), "long": (long, long)}, {}]
     made = origin_of(diagram.value, settings, parameters=given, inputs=fed, interpolation="hold")
     assert made.sha256 == fingerprint(diagram.value)
@@ -68,6 +68,6 @@ def test_an_origin_has_versions_settings_parameters_and_inputs(tmp_path: Path) -
 
 def test_an_adaptive_run_tells_its_tolerances() -> None:
     diagram = Diagram("bare")
-    made = origin_of(diagram.value, diagram.plan(settings={"stop": 2}).settings, inputs=None)
+    made = origin_of(diagram.value, diagram.plan(stop=2).settings, inputs=None)
     assert made.settings == {"start": 0.0, "stop": 2.0, "method": "dopri5", "rtol": 1e-6, "atol": 1e-9}
     assert (made.parameters, made.inputs) == ({}, {})

@@ -54,7 +54,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 def killed(d: Diagram, out: Path, after: float = 1.1, **settings: Any) -> Path:
     """What a run leaves that is killed after so many seconds."""
 
-    def progress(t: float) -> None:
+    def progress(t: float, _: float) -> None:
         if t > after:
             raise Killed
 
@@ -203,7 +203,7 @@ def test_a_diagram_that_has_changed_does_not_go_on(tmp_path: Path) -> None:
 def test_a_master_streams_and_does_not_resume(engine: str, tmp_path: Path) -> None:
     d, out = mixed(), tmp_path / "x.parquet"
     d.run(engine=engine, master=MASTER).save(tmp_path / "whole.parquet")
-    d.run(engine=engine, master=MASTER, out=out, progress=lambda t: None)
+    d.run(engine=engine, master=MASTER, out=out, progress=lambda t, stop: None)
     assert out.read_bytes() == (tmp_path / "whole.parquet").read_bytes()
     out.unlink()
     if engine == "reference":  # a moment of the native one may be the whole run
@@ -240,7 +240,7 @@ def test_an_interrupted_run_has_its_file_and_can_go_on(tmp_path: Path) -> None:
     d, out, whole = noisy(), tmp_path / "x.parquet", tmp_path / "whole.parquet"
     d.run().save(whole)
 
-    def progress(t: float) -> None:
+    def progress(t: float, _: float) -> None:
         if t > 1.0:
             raise KeyboardInterrupt
 

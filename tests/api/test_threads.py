@@ -100,7 +100,7 @@ def test_a_second_thread_is_refused_while_one_is_inside_of_a_run_and_changes_not
             except UsageError as error:
                 faults[name] = str(error)
 
-    def progress(t: float) -> None:
+    def progress(t: float, _: float) -> None:
         seen.append(runs[0]["lag.y"])  # the thread that is inside may go on using it
         if not others:
             others.append(threading.Thread(target=other))

@@ -51,7 +51,7 @@ def test_the_default_step_is_the_same_by_itself_and_in_a_diagram(tmp_path: Path,
         )  # fmt: skip
         assert f"every {size} s" in ran(capsys)[0]
         diagram = Diagram.alone(fmu("plant.fmu"))
-        (unit,) = couple(diagram.flatten(settings={"stop": 2})).units
+        (unit,) = couple(diagram.flatten(stop=2)).units
         assert float(unit.step) == float(size)
 
 
@@ -69,7 +69,7 @@ def test_the_default_step_is_the_same_by_itself_and_in_a_diagram(tmp_path: Path,
 )
 def test_the_default_step_is_a_part_of_the_run(settings: dict[str, Any], step: str) -> None:
     diagram = Diagram.alone(fmu(str(FMUS / "PMDCMotor.fmu"), kind="CS"))
-    (unit,) = couple(diagram.flatten(settings=settings)).units
+    (unit,) = couple(diagram.flatten(**settings)).units
     assert unit.step == Fraction(step)
 
 

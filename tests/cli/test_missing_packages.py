@@ -39,7 +39,7 @@ def computes(*_: Any, **__: Any) -> None:
             "E504 x.parquet: this needs the package pyarrow",
         ),
         ("pyarrow", [*TUNE, "--out", "x.parquet"], "E504 x.parquet: this needs the package pyarrow"),
-        ("cma", TUNE, 'E504 method="cma": this needs the package cma'),
+        ("cma", TUNE, 'E504 optimizer="cma": this needs the package cma'),
         (
             "distributed",
             ["sweep", "lag.json", "--vary", "lag.T=1,2", "--dask", "tcp://127.0.0.1:1"],

@@ -227,7 +227,7 @@ def looped(k: float = 0.6) -> Diagram:
 
 
 def test_a_loop_has_the_derivative_of_the_implicit_function() -> None:
-    plan = looped().plan(settings=SOLVE)
+    plan = looped().plan(**SOLVE)
     place = Place(plan, [0.8])
     made = place.exact(PlanJacobian(plan)).dense()
     (w,) = place.compiled.program("w", plan.signal("law.y").references)(*place.memory(place.x, place.u))
@@ -280,7 +280,7 @@ def test_loops_side_by_side_and_in_a_row_are_apart() -> None:
     d.wire(law.u, last.y)
     d.wire(inner.u, law.y)
     d.wire("c_x.u", last.y)
-    plan = d.plan(settings=SOLVE)
+    plan = d.plan(**SOLVE)
     assert len({PlanJacobian(plan).shape, (3, 3)}) == 1
     assert_exact(plan, "loops")
 
@@ -297,7 +297,7 @@ class Sine2(Block):
 
 def test_what_is_cut_is_a_variable_of_its_own() -> None:
     """An opened loop: the signal behind the cut, by the one before it."""
-    plan = looped().plan(settings=SOLVE)
+    plan = looped().plan(**SOLVE)
     ((_, k),) = plan.signal("law.y").references
     jacobian = PlanJacobian(
         plan, [plan.outputs[k], Reference("w", k), plan.derivatives[0]], [Reference("x", 0), Reference("w", k)]
@@ -612,7 +612,7 @@ def test_a_singular_loop_has_no_derivative() -> None:
     d.wire(total.u2, gain.y)
     d.wire(gain.u, total.y)
     d.wire(x.u, total.y)
-    plan = d.plan(settings=SOLVE)
+    plan = d.plan(**SOLVE)
     jacobian = PlanJacobian(plan)
     memory = (0.0, [1.0], (), (), plan.parameters, (), (), (), (0.0,) * len(plan.unknowns))
     assert not jacobian.at(memory, (0.0,) * len(jacobian.outputs)).is_finite

@@ -581,9 +581,9 @@ def sampled_ring(names: str = "abc") -> Diagram:
 
 def test_hybrid_diagrams_give_what_the_reference_gives(tmp_path: Path) -> None:
     plans = {
-        "hybrid": hybrid("held").plan(settings={"loops": "solve"}),
-        "anew": hybrid("reset").plan(settings={"loops": "solve"}),
-        "ring": sampled_ring().plan(settings={"loops": "solve"}),
+        "hybrid": hybrid("held").plan(loops="solve"),
+        "anew": hybrid("reset").plan(loops="solve"),
+        "ring": sampled_ring().plan(loops="solve"),
     }
     made = witnesses(tmp_path, plans)
     check_all(made, 20)
@@ -595,7 +595,7 @@ def test_hybrid_diagrams_give_what_the_reference_gives(tmp_path: Path) -> None:
 
 
 def test_what_is_not_recorded_is_found_by_the_programs_that_need_it(tmp_path: Path) -> None:
-    plans = {how: hybrid(how).plan(settings={"loops": "solve"}) for how in ("held", "reset")}
+    plans = {how: hybrid(how).plan(loops="solve") for how in ("held", "reset")}
     made = witnesses(tmp_path, {**plans, "parts": parts(18).plan()}, most=1)
     check_all(made, 5)
 
@@ -709,7 +709,7 @@ def test_loops_over_instances_give_what_the_reference_gives(tmp_path: Path) -> N
         "lanes": fleet(20).plan(), "odd": fleet(21, Saturation).plan(), "ring": fleet(20, wiring="ring").plan(),
         "mixed": fleet(20, wiring="mixed").plan(), "few": fleet(5, wiring="mixed").plan(),
         "straggling": fleet(24, Saturation, wiring="straggling").plan(), "parts": parts(18).plan(),
-        "coupled": coupled(17).plan(settings={"loops": "solve"}),
+        "coupled": coupled(17).plan(loops="solve"),
     }  # fmt: skip
     made = witnesses(tmp_path, plans)
     for name in ("lanes", "ring", "odd"):
@@ -721,7 +721,7 @@ def test_the_text_grows_with_types_and_not_with_instances() -> None:
     for make in (fleet, lambda n: fleet(n, Saturation), coupled, parts_of_one_rate):
         texts = []
         for n in (40, 120):
-            plan = make(n).plan(settings={"loops": "solve"})
+            plan = make(n).plan(loops="solve")
             texts.append(emit(plan, method="rk4", logged=references_of(plan)[:-2]).source)
         lines = [re.sub(r"[0-9]+", "0", text).splitlines() for text in texts]
         assert len(lines[0]) == len(lines[1])
@@ -753,7 +753,7 @@ def parts_of_one_rate(n: int) -> Diagram:
 def test_values_are_not_in_the_text() -> None:
     texts, numbers = [], []
     for k in (1.0, 2.0):
-        plan = hybrid("held").plan(settings={"loops": "solve"}, parameters={"half.k": -0.5 * k, "relay.on": 7.25 * k})
+        plan = hybrid("held").plan(loops="solve", parameters={"half.k": -0.5 * k, "relay.on": 7.25 * k})
         plan = replace(plan, d_start=tuple(Reference("k", b[1] + k) if b[0] == "k" else b for b in plan.d_start))
         made = emit(plan, method="rk4", logged=[*references_of(plan)[:-1], Reference("k", 3.0 * k)])
         texts.append(made.source)
@@ -826,7 +826,7 @@ def test_tables_are_read_in_algebraic_loops_and_in_loops_over_instances(tmp_path
             d.wire(f"curve{i}.u", f"curve{i}.y")
             d.wire(f"free{i}.u", f"x{i}.y")
             d.wire(f"x{i}.u", f"free{i}.y")
-        plans[f"curves{n}"] = d.plan(settings={"loops": "solve"})
+        plans[f"curves{n}"] = d.plan(loops="solve")
     check_all(witnesses(tmp_path, plans))
 
 

@@ -172,7 +172,7 @@ VARIANTS = """{"format": "blocks-diagram", "version": 2,
 def test_variants_have_the_new_name_of_a_port_as_well(tmp_path: Path) -> None:
     for variant in ("base", "own", "same", "gain"):
         log = ["plant.y"] if variant in ("same", "gain") else ["plant.lag.y"]
-        Diagram.from_json(VARIANTS.replace("@", "u")).flatten(variants={"plant": variant}, settings={"log": log})
+        Diagram.from_json(VARIANTS.replace("@", "u")).flatten(variants={"plant": variant}, log=log)
     text = VARIANTS.replace("@", "u")
     assert renamed(tmp_path, text, "plant.u", "volt") == VARIANTS.replace("@", "volt")  # the name u of Gain stays
     assert renamed(tmp_path, text, "plant.lag", "core") == text.replace('"lag"', '"core"').replace("lag.", "core.")

@@ -350,7 +350,7 @@ def test_a_loop_at_a_tick_that_passes_the_edge_of_a_part_is_refused() -> None:
     with pytest.raises(
         ModelError, match=r"E102 (box\.)?half: is in an algebraic loop at one tick that crosses the border"
     ):
-        d.plan(settings={"loops": "solve"})
+        d.plan(loops="solve")
 
 
 # --- all kinds of runs -------------------------------------------------------------------------------------------

@@ -353,7 +353,7 @@ def test_a_step_of_a_unit_that_is_not_there_is_refused() -> None:
 
 
 def test_where_nobody_says_how_long_steps_are_a_run_has_some_hundred() -> None:
-    made = couple(two_masses().flatten(settings={"stop": 10, "master": {"couple": "each"}}))
+    made = couple(two_masses().flatten(stop=10, master={"couple": "each"}))
     assert isinstance(made, Coupling)
     assert [unit.step for unit in made.units] == [Fraction(1, 50)] * 2
 
@@ -816,11 +816,11 @@ def test_measures_do_not_depend_on_the_rows(engine: str) -> None:
 
 
 def test_without_being_asked_no_master_steps_blocks() -> None:
-    assert not isinstance(couple(two_masses().flatten(settings={"stop": 1, "master": {"step": 0.1}})), Coupling)
+    assert not isinstance(couple(two_masses().flatten(stop=1, master={"step": 0.1})), Coupling)
 
 
 def test_units_take_and_give_what_wires_say() -> None:
-    made = couple(two_masses().flatten(settings={"stop": 1, "master": each(0.1)}))
+    made = couple(two_masses().flatten(stop=1, master=each(0.1)))
     assert isinstance(made, Coupling)
     assert [unit.path for unit in made.units] == ["a", "b"]
     assert [unit.names for unit in made.units] == [("b.F",), ("a.x", "a.v")]

@@ -121,7 +121,7 @@ def shown(fmu: Fmu, diagram: Diagram) -> list[str]:
 
 
 def twin(diagram: Diagram, parameters: dict[str, Any] | None = None, **settings: Any) -> Run:
-    inputs = drive(diagram.plan(settings=settings), 0.0)
+    inputs = drive(diagram.plan(**settings), 0.0)
     return diagram.start(engine="native", inputs=inputs, parameters=parameters, log=[], **settings)
 
 

@@ -304,7 +304,7 @@ def test_a_run_that_is_resumed_goes_on_with_its_noise(engine: str, tmp_path: Pat
 
 @needs_compiler
 def test_another_seed_is_not_compiled_anew() -> None:
-    texts = {repr(emit(robot().plan(settings={"seed": seed}), method="dopri5")) for seed in (0, 1, 99)}
+    texts = {repr(emit(robot().plan(seed=seed), method="dopri5")) for seed in (0, 1, 99)}
     assert len(texts) == 1
 
 

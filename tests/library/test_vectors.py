@@ -412,7 +412,7 @@ def test_a_sparse_gain_is_one_unit_where_blocks_are_coupled_one_by_one() -> None
     master = {"couple": "each", "step": 0.01}
     runs = [agents(MatrixGain(K=k), np.ones(4)).run(stop=0.5, master=master) for k in (K, sp.csr_array(K))]
     assert all(np.array_equal(runs[0][f"x{k}.y"], runs[1][f"x{k}.y"]) for k in range(4))
-    coupling = couple(agents(MatrixGain(K=sp.csr_array(K)), np.ones(4)).flatten(settings={"master": master}))
+    coupling = couple(agents(MatrixGain(K=sp.csr_array(K)), np.ones(4)).flatten(master=master))
     assert isinstance(coupling, Coupling)
     assert [unit.path for unit in coupling.units] == ["mux", "gain", "x0", "x1", "x2", "x3"]
 

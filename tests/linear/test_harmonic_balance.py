@@ -315,7 +315,7 @@ def test_an_actuator_that_stands_off_its_middle_lets_less_through_and_moves() ->
     diagram.add("valve", blocks.Saturation(lower=0.0, upper=10.0))
     diagram.wire("valve.u", u)
     diagram.wire(diagram.add("tank", blocks.FirstOrder(T=0.5)).u, "valve.y")
-    made = diagram.linearizer(held={"u": 7.0}).harmonic_response("u", ["tank.y"], [0.0, 2.0], amplitude=5.0)
+    made = diagram.linearizer(inputs={"u": 7.0}).harmonic_response("u", ["tank.y"], [0.0, 2.0], amplitude=5.0)
     gain = describing.saturation(0.0, 10.0, 5.0, 7.0).gain
     assert np.allclose(made.value[0], gain / (1.0 + 0.5j * np.array([0.0, 2.0])), rtol=EXACT)
     assert np.allclose(made.means["valve.u"], 7.0)  # no loop moves it

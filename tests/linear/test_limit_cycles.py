@@ -109,7 +109,7 @@ def test_a_jump_of_a_law_is_no_motion(law: Block, amplitude: float | None) -> No
 )
 def test_a_law_beside_its_jump_moves_what_it_drives(law: Block, r: float) -> None:
     with pytest.raises(AnalysisError, match=r"E705 plant.x.* is not at rest"):
-        limit_cycles(relay_loop(law), held={"r": r})
+        limit_cycles(relay_loop(law), inputs={"r": r})
 
 
 def test_jumps_of_several_laws_rest_together() -> None:
@@ -128,9 +128,9 @@ def test_jumps_of_several_laws_rest_together() -> None:
     made.wire(back.u, place.y)
     made.wire(relay.u, back.y)
     limit_cycles(made)
-    limit_cycles(made, held={"load": 2.9})
+    limit_cycles(made, inputs={"load": 2.9})
     with pytest.raises(AnalysisError, match=r"E705 speed.y: is not at rest, .* it changes by -5.1 a second"):
-        limit_cycles(made, held={"load": 3.1})
+        limit_cycles(made, inputs={"load": 3.1})
 
 
 def test_delays_and_sampled_blocks_must_rest_too() -> None:

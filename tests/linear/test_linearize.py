@@ -300,7 +300,7 @@ class Cubic(Block):
 def test_an_opening_keeps_the_value_that_the_signal_has(x: float) -> None:
     """x' = u - x^3, y = x^2 has the slopes -3 x^2 and 2 x; cut to 0, they would be those at another x."""
     d = bent()
-    point = d.point(held={"r": x**2}).moved(x=[x**3, x])
+    point = d.point(inputs={"r": x**2}).moved(x=[x**3, x])
     linearizer = Linearizer(slopes_at(point))
     s = 1j * OMEGA
     P, C = 2 * x / (s + 3 * x**2), 1 + 1 / s
@@ -1470,7 +1470,7 @@ def test_the_fmu_of_the_motor_is_the_motor(path: Path, method: str, tmp_path: Pa
     d = motor_of(path if exact else without_derivatives(path, tmp_path), kind="ME")
     error = 1e-12 if exact else 1e-9  # of a linear law, differences are exact but for rounding over their step
     for at_ in (None, 0.3):
-        model = d.linearize(["v", "tau"], ["motor.omega", "motor.i"], at=at_, held={"v": 6.0})
+        model = d.linearize(["v", "tau"], ["motor.omega", "motor.i"], at=at_, inputs={"v": 6.0})
         assert model.state_labels == ["motor_omega", "motor_i"]
         for made, known in ((model.A, A), (model.B, B), (model.C, np.eye(2)), (model.D, np.zeros((2, 2)))):
             assert np.max(np.abs(made - known)) <= error
@@ -1653,13 +1653,13 @@ def test_a_time_of_a_run_is_a_point_as_well() -> None:
 
 def test_values_that_are_held_and_parameters_are_those_of_the_model() -> None:
     d = alone(Power(exponent=3.0), u=1.0)
-    assert gain(d, held={"u": 2.0}) == pytest.approx(12.0, rel=1e-14)
-    assert gain(d, parameters={"b.exponent": 2.0}, held={"u": 5.0}) == pytest.approx(10.0, rel=1e-14)
+    assert gain(d, inputs={"u": 2.0}) == pytest.approx(12.0, rel=1e-14)
+    assert gain(d, parameters={"b.exponent": 2.0}, inputs={"u": 5.0}) == pytest.approx(10.0, rel=1e-14)
     angle = Diagram("angle")
     sine = angle.add("b", Expression(expression="sin(u1)"))
     angle.wire(sine.u1, angle.input("u", unit="deg", default=60.0))
     assert gain(angle) == pytest.approx(0.5, rel=1e-12)  # in rad, whatever the input is declared in
-    assert gain(angle, held={"u": 0.0}) == pytest.approx(1.0, rel=1e-12)
+    assert gain(angle, inputs={"u": 0.0}) == pytest.approx(1.0, rel=1e-12)
 
 
 def test_points_of_values_that_differ_in_their_last_digits_are_told_apart() -> None:
@@ -1669,7 +1669,7 @@ def test_points_of_values_that_differ_in_their_last_digits_are_told_apart() -> N
     d.wire(row.u, d.input("u", size=2))
     d.wire(d.add("p", Power(exponent=3.0)).u, "row.y[0]")
     for first in (1.0, 1.0 + 1e-9):
-        D = d.linearize("u", "p.y", held={"u": np.array([first, 1.0])}).D
+        D = d.linearize("u", "p.y", inputs={"u": np.array([first, 1.0])}).D
         assert D[0] == pytest.approx(3 * (first + 2.0) ** 2 * np.array([1.0, 2.0]), rel=1e-14)
 
 
@@ -1710,7 +1710,8 @@ def test_an_fmu_of_a_law_without_a_slope_is_refused_as_its_block_is(tmp_path: Pa
                 with pytest.raises(AnalysisError, match=r"E701 b\.z: has no slope at this point"):
                     outer.linearize("y", ["b.z1", "b.z3"])
             else:
-                ours, theirs = outer.linearize("y", ["b.z1", "b.z3"]), d.linearize("y", ["b.z1", "b.z3"], held={"y": e})
+                ours = outer.linearize("y", ["b.z1", "b.z3"])
+                theirs = d.linearize("y", ["b.z1", "b.z3"], inputs={"y": e})
                 assert at(ours) == pytest.approx(at(theirs), rel=1e-8)
 
 

@@ -157,7 +157,7 @@ def test_sampled_pi_loops_of_ordinary_gains_are_those_of_python_control(T: float
             diagram.wire("c.r", r)
             diagram.wire("c.y", "p.y")
             diagram.wire("p.u", "c.u")
-            linearizer = diagram.linearizer(at=at, held={"r": 0.0 if at is None else 0.7})
+            linearizer = diagram.linearizer(at=at, inputs={"r": 0.0 if at is None else 0.7})
             L = control.tf([kp, ki * T - kp], [1.0, -1.0], T) * P
             closed = linearizer.model("r", "p.y")
             assert np.allclose(response(closed, omega)[0, 0], L(z) / (1.0 + L(z)), rtol=1e2 * SAME), (kp, ki)

@@ -162,7 +162,7 @@ def test_the_log_takes_copies_by_number_and_by_pattern() -> None:
     made = diagram(blocks={"nest": nested})
 
     def log(*names: str) -> tuple[str, ...]:
-        return made.flatten(settings={"log": list(names)}).log
+        return made.flatten(log=list(names)).log
 
     assert log("robots.y", "robots.y[1]", "robots[2].lag.y") == ("robots.y", "robots.y[1]", "robots[2].lag.y")
     assert log("robots[*].lag.y") == ("robots[0].lag.y", "robots[1].lag.y", "robots[2].lag.y")

@@ -94,7 +94,7 @@ def test_a_point_is_not_taken_for_another_one_with_large_parameters() -> None:
     d.add("t", LookupTable(points=points.tolist(), values=flat.tolist()))
     d.wire("t.u", u)
     for values, slope in ((flat, 1.0), (steep, 3.0)):
-        model = d.linearize("u", "t.y", parameters={"t.values": values}, held={"u": 0.0123})
+        model = d.linearize("u", "t.y", parameters={"t.values": values}, inputs={"u": 0.0123})
         assert model.D[0, 0] == pytest.approx(slope, rel=1e-9)
 
 

@@ -44,7 +44,7 @@ def settings(d: Diagram, **options: Any) -> Any:
 
 def codes(d: Diagram, **given: Any) -> list[str]:
     with pytest.raises(BlocksError) as caught:
-        d.flatten(settings=given)
+        d.flatten(**given)
     return [f"{fault.code} {fault.place}" for fault in caught.value.faults]
 
 

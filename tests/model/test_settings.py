@@ -225,7 +225,7 @@ def test_an_input_of_the_run_that_does_not_exist_is_refused() -> None:
     diagram = Diagram("d")
     diagram.input("speed")
     with pytest.raises(ModelError, match=r"E502 run.inputs.sped: .* Did you mean 'speed'\?"):
-        diagram.flatten(settings={"inputs": {"sped": 1}})
+        diagram.flatten(inputs={"sped": 1})
 
 
 # --- the master ------------------------------------------------------------------------------------------------
@@ -328,7 +328,7 @@ def test_a_file_keeps_the_settings_of_the_master() -> None:
         {"lag": Fraction(1, 500)},
         "iterated",
     )
-    again = diagram.plan(settings={"master": {"algorithm": "jacobi"}}).settings.master
+    again = diagram.plan(master={"algorithm": "jacobi"}).settings.master
     assert again == replace(settings, algorithm="jacobi")
     diagram.settings(master={"step": 0.5})
     assert diagram.to_json()["run"]["master"] == {"step": 0.5}
@@ -346,7 +346,7 @@ def test_faults_of_the_master_stand_where_the_file_has_them(tmp_path: Path) -> N
     assert caught.value.faults[1].cure == "Did you mean 'lag'?"
     assert all(fault.line for fault in caught.value.faults)
     with pytest.raises(ModelError) as caught:
-        _lag().plan(settings={"master": {"order": 5}})
+        _lag().plan(master={"order": 5})
     assert [(f.code, f.line) for f in caught.value.faults] == [("E115", 0)]
     for wrong, code in (({"oder": 1}, "E003"), (5, "E004")):
         with pytest.raises(ModelError) as caught:

@@ -207,7 +207,7 @@ def test_the_own_names_of_a_variant_can_be_recorded_and_wired_too() -> None:
     made = diagram.run(log=["motor.omega", "motor.w", "motor.power"])
     assert np.array_equal(made["motor.omega"], made["motor.w"])
     assert list(diagram.run(log=["motor"]).columns) == ["motor.power", "motor.omega", "motor.i"]
-    assert "motor.w" not in diagram.flatten(settings={"log": None}).log
+    assert "motor.w" not in diagram.flatten(log=None).log
     motor = diagram["motor"]
     assert {"v", "tau", "omega", "i", "power"} == set(dir(motor))
     diagram.wire(diagram.add("heat", Gain(k=1.0, unit="W", unit_u="W")).u, motor.power)
@@ -517,7 +517,7 @@ def test_the_paper_s_robot_with_fmus_is_what_swap_makes() -> None:
     mine, kept = robot.to_json(), swapped.to_json()
     assert {**mine, "name": "", "doc": ""} == {**kept, "name": "", "doc": ""}
     assert isinstance(swapped.check(), Coupling)
-    assert swapped.plan(settings={"stop": 1}, variants=dict.fromkeys(("motor_right", "motor_left"), BASE)).states
+    assert swapped.plan(stop=1, variants=dict.fromkeys(("motor_right", "motor_left"), BASE)).states
     back = dict.fromkeys(("motor_right", "motor_left"), BASE)
     first = Diagram.load(folder / "iadrc.json").run(stop=0.5)
     assert np.array_equal(first.values, swapped.run(stop=0.5, variants=back).values)

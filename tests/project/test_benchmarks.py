@@ -194,7 +194,7 @@ def test_the_robot_has_the_linear_model_of_its_equations_by_hand():
 def test_a_sweep_by_scipy_is_the_harmonic_response():
     omega = np.array([5.0, 50.0])
     swept = linear.swept_by_scipy(omega.tolist(), [20, 20])
-    linearizer = Diagram.alone(SMESO()).linearizer(held={"u": 0.0})
+    linearizer = Diagram.alone(SMESO()).linearizer(inputs={"u": 0.0})
     made = linearizer.harmonic_response("y", ["z1", "z2", "z3"], omega, amplitude=linear.AMPLITUDE)
     assert np.max(np.abs(swept / made.value - 1.0)) < 0.012 / 8.7  # 0.012 dB: the harmonics that are left out
 

@@ -12,7 +12,7 @@ import control
 import numpy as np
 import pytest
 
-from blocks import Diagram, Gain, Integrator, Pulse, Relay, Sum, TransferFunction, TransportDelay, ZeroOrderHold
+from blocks import Case, Diagram, Gain, Integrator, Pulse, Relay, Sum, TransferFunction, TransportDelay, ZeroOrderHold
 from blocks.server import analysis_messages, knobs, panel, scope_messages  # noqa: F401  # the messages that they answer
 from blocks.server.messages import answer
 from blocks.server.open_document import Document
@@ -30,8 +30,8 @@ def asking() -> Iterator[Callable[..., tuple[Ask, Session]]]:
     """What asks a session of a diagram."""
     sessions = []
 
-    def of(source: Any, **values: Any) -> tuple[Ask, Session]:
-        session = Session(Document(source), **values)
+    def of(source: Any, **words: Any) -> tuple[Ask, Session]:
+        session = Session(Document(source), Case(**words))
         sessions.append(session)
         return lambda do, **fields: answer(session, {"do": do, **fields}), session
 
@@ -78,7 +78,7 @@ def test_margins_of_a_wire_are_those_of_the_closed_form_and_of_python_control(as
 
 
 def test_a_loop_that_is_not_stable_and_one_that_bears_any_gain_are_told_as_such(asking: Any) -> None:
-    ask, session = asking(loop(2.0), values={"gain.k": 12.0})
+    ask, session = asking(loop(2.0), parameters={"gain.k": 12.0})
     told = ask("response", input="gain.y")["margins"]
     assert (told["stable"], told["gain"], told["gain_low"]) == (False, None, pytest.approx(0.5))
     session.values["gain.k"] = 3.0
@@ -176,7 +176,7 @@ def test_modes_are_the_eigenvalues_of_the_whole_diagram(asking: Any) -> None:
 
 
 def test_at_a_time_the_run_counts_with_what_was_turned_in_it(asking: Any) -> None:
-    ask, session = asking(DIAGRAMS / "inverted_pendulum.json", values={"plant.m": 0.3})
+    ask, session = asking(DIAGRAMS / "inverted_pendulum.json", parameters={"plant.m": 0.3})
     live = session.begin()
     live.set("plant.m", 0.6)
     live.go()

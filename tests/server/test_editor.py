@@ -18,7 +18,20 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from blocks import PID, Block, BlocksError, Diagram, Input, Parameter, PMDCMotor, Step, UsageError, output, subdiagram
+from blocks import (
+    PID,
+    Block,
+    BlocksError,
+    Case,
+    Diagram,
+    Input,
+    Parameter,
+    PMDCMotor,
+    Step,
+    UsageError,
+    output,
+    subdiagram,
+)
 from blocks.draw import picture, ports_of, rendered
 from blocks.model.document import dumps
 from blocks.server import analysis_messages, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
@@ -50,7 +63,7 @@ def edited(
     editor = Editor(path, **given)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("blocks.server.session.LOOK", 1e6)  # its thread must not look at the file while this one writes
-        session = Session(editor, trust=trust, asks=asks)
+        session = Session(editor, Case(trust=trust), asks)
         if seen is not None:
             seen.append(session)
         try:

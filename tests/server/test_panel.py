@@ -10,7 +10,7 @@ import pytest
 
 import blocks
 import blocks.server.panel  # its message
-from blocks import Block, Diagram, Gain, Input, Parameter, output
+from blocks import Block, Case, Diagram, Gain, Input, Parameter, output
 from blocks.server.messages import answer
 from blocks.server.open_document import Document
 from blocks.server.session import Session
@@ -68,7 +68,7 @@ def test_a_block_is_told_with_its_equations_its_values_and_where_its_inputs_come
 
 def test_values_are_those_that_the_diagram_is_computed_with(paper: Session) -> None:
     """The flat model is the second witness of numbers that are shown in SI; what is computed follows what is set."""
-    for session in (paper, Session(Document(PAPER), values={"Jeq": 0.5, "control_right.td.R": 12.0})):
+    for session in (paper, Session(Document(PAPER), Case(parameters={"Jeq": 0.5, "control_right.td.R": 12.0}))):
         compared = 0
         for block in session.document.shown.flatten(parameters=session.values).blocks:
             for name, row in rows(panel_of(session, block.path)).items():
@@ -82,7 +82,7 @@ def test_values_are_those_that_the_diagram_is_computed_with(paper: Session) -> N
 
 def test_what_is_set_and_no_more_in_the_file_hides_nothing() -> None:
     values = {"gone": 1.0, "Jeq": 0.5, "heading": {"value": 2, "unit": "kg"}}
-    told = panel_of(Session(Document(PAPER), values=values), "")
+    told = panel_of(Session(Document(PAPER), Case(parameters=values)), "")
     assert rows(told)["heading"]["knob"]["text"] == "2 kg"
     assert (rows(told)["Jeq"]["knob"]["value"], rows(told)["torque"]["knob"]["value"]) == (0.5, 3.0)
 

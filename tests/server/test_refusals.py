@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from blocks import BlocksError, Diagram, Gain, ModelError, UsageError
+from blocks import BlocksError, Case, Diagram, Gain, ModelError, UsageError
 from blocks.server import analysis_messages, gestures, knobs, panel, scope_messages  # noqa: F401  # their messages
 from blocks.server.editor import Editor
 from blocks.server.messages import HANDLERS, answer
@@ -269,7 +269,7 @@ def test_a_live_run_takes_the_fmus_that_a_run_takes(tmp_path: Path) -> None:
     with pytest.raises(BlocksError, match="E218") as refused:
         Diagram.load(path).run()
     for trust in ((), str(project)):
-        session = Session(Document(path), trust=trust)
+        session = Session(Document(path), Case(trust=trust))
         for message in ({"do": "run"}, {"do": "step"}, {"do": "modes"}):
             with pytest.raises(BlocksError, match="E218") as again:
                 answer(session, message, None)

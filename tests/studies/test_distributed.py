@@ -19,6 +19,7 @@ import pytest
 
 from blocks import (
     Block,
+    Case,
     Constant,
     Diagram,
     FMUError,
@@ -69,7 +70,7 @@ def in_chunks(of: int | None, monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Let chunks have this size; the sizes that there were."""
     run, sizes = module.run_on, list[int]()
 
-    def spied(on: Any, job: Any, table: Any, seeds: Any, made: Any, **how: Any) -> bool:
+    def spied(on: Any, job: Any, table: Any, seeds: Any, made: Any, *how: Any) -> bool:
         keep = made.keep
 
         def watch(at: Any, rows: Any) -> None:
@@ -77,7 +78,7 @@ def in_chunks(of: int | None, monkeypatch: pytest.MonkeyPatch) -> list[int]:
             keep(at, rows)
 
         made.keep = watch
-        return run(on, job, table, seeds, made, **how, size=of)
+        return run(on, job, table, seeds, made, *how, size=of)
 
     monkeypatch.setattr(module, "run_on", spied)
     return sizes
@@ -176,7 +177,8 @@ def test_what_no_worker_could_do_is_refused(client: distributed.Client, tmp_path
 
 
 def job_of(d: Diagram, column: str, **settings: Any) -> Job:
-    return Job.of(d, [column], [{}], {"measures": list(d.value.measures), "log": [], "engine": "reference"}, settings)
+    case = Case(measures=list(d.value.measures), log=[], engine="reference", **settings)
+    return Job.of(d, [column], [{}], case)
 
 
 def test_the_text_of_a_job_holds_the_diagrams_of_other_files_and_computes_the_same() -> None:
@@ -235,9 +237,9 @@ def test_workers_write_the_rows_with_their_signals_and_a_sweep_goes_on_from_them
     again = noisy().sweep(VARY, **ASKED, on=client, out=str(place))
     assert sizes == [5]
     pandas.testing.assert_frame_equal(again.frame, whole.frame, check_exact=True)
-    with pytest.raises(UsageError, match=r"E506 .*rows-0-.*because it belongs to a sweep that differs in its budget"):
-        noisy().sweep(VARY, **ASKED, on=client, out=str(place), budget=1000)
-    noisy().sweep(VARY, **ASKED, on=client, out=str(place), budget=1000, resume=False)
+    with pytest.raises(UsageError, match=r"E506 .*rows-0-.*belongs to a sweep that differs in its max_steps"):
+        noisy().sweep(VARY, **ASKED, on=client, out=str(place), max_steps=1000)
+    noisy().sweep(VARY, **ASKED, on=client, out=str(place), max_steps=1000, restart=True)
     assert len(list(place.glob("*.parquet"))) == 6
 
 

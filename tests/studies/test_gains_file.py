@@ -42,7 +42,7 @@ def saved(path: Path, blocks: dict[str, Any], wires: dict[str, str], source: str
 
 def tuned(path: Path, over: str, variants: Variants) -> Any:
     return Diagram.load(path).tune(
-        minimize="IAE", over={over: (4.0, 6.0)}, budget=6, method="de", stop=0.1, variants=variants
+        minimize="IAE", over={over: (4.0, 6.0)}, budget=6, optimizer="de", stop=0.1, variants=variants
     )
 
 
@@ -54,7 +54,7 @@ def test_a_tuning_writes_into_the_variant_that_was_run(tmp_path: Path, of_file: 
     path = gains(tmp_path, of_file)
     if as_copy:
         diagram = Diagram.load(path).with_variants({"gain": of_run})
-        tuning = diagram.tune(minimize="IAE", over={"gain.k": (4.0, 6.0)}, budget=6, method="de", stop=0.1)
+        tuning = diagram.tune(minimize="IAE", over={"gain.k": (4.0, 6.0)}, budget=6, optimizer="de", stop=0.1)
     else:
         tuning = tuned(path, "gain.k", {"gain": of_run})
     old = json.loads(path.read_text())
@@ -79,7 +79,7 @@ def test_a_copy_that_was_saved_without_its_variants_is_written_too(tmp_path: Pat
     choice = {"gain": "alt"} if not is_nested else {"plant": "other", "plant.gain": "alt"}
     diagram = Diagram.load(path).with_variants(choice)
     diagram.save(tmp_path / "chosen.json")
-    tuning = diagram.tune(minimize="IAE", over={f"{block}.k": (4.0, 6.0)}, budget=6, method="de", stop=0.1)
+    tuning = diagram.tune(minimize="IAE", over={f"{block}.k": (4.0, 6.0)}, budget=6, optimizer="de", stop=0.1)
     for target in (tmp_path / "chosen.json", path):
         (change,) = tuning.write(target).changes
         assert change.old == "3"
@@ -124,7 +124,7 @@ def test_values_inside_the_diagram_of_a_variant_are_written_there(
 
 def test_the_command_writes_into_the_variant_that_it_ran(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = gains(tmp_path, "base")
-    command = ["tune", str(path), "--minimize", "IAE", "--over", "gain.k=4,6", "--budget", "6", "--method", "de"]
+    command = ["tune", str(path), "--minimize", "IAE", "--over", "gain.k=4,6", "--budget", "6", "--optimizer", "de"]
     assert main([*command, "--variant", "gain=alt", "--write"]) == 0
     assert "written for --variant gain=alt; the file keeps its own choice of variants" in capsys.readouterr().out
     gain = json.loads(path.read_text())["blocks"]["gain"]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Diagram, ModelError, SimulationError
+from blocks import Case, Diagram, ModelError, SimulationError
 from blocks.cli import main
 from blocks.results import plots
 from blocks.studies import report, report_page, study
@@ -379,10 +379,10 @@ def test_runs_that_are_done_are_kept_whatever_fails_after_them(
     folder, run = tmp_path / "out", Diagram.run
     if fails == "a later run":
 
-        def second(self: Diagram, **given: Any) -> Any:
-            if not given["parameters"]:
+        def second(self: Diagram, case: Case) -> Any:
+            if not case.parameters:
                 raise SimulationError(Fault("E301", "motor.omega", "is not finite."))
-            return run(self, **given)
+            return run(self, case)
 
         monkeypatch.setattr(Diagram, "run", second)
         status = 3

@@ -21,8 +21,9 @@ from blocks.text.errors import UsageError
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
 TUNING: dict[str, Any] = {
-    "diagram": "bowl.json", "minimize": "a.f + b.f", "over": {"x": [-4, 4]}, "method": "de", "budget": 60, "seed": 3,
-    "scenarios": {"a": {"c": 0}, "b": {"c": 2}}, "subject_to": ["x <= 0.5", "a.x >= -1"], "settings": {"stop": 1},
+    "diagram": "bowl.json", "minimize": "a.f + b.f", "over": {"x": [-4, 4]}, "optimizer": "de", "budget": 60,
+    "search_seed": 3, "scenarios": {"a": {"c": 0}, "b": {"c": 2}}, "subject_to": ["x <= 0.5", "a.x >= -1"],
+    "settings": {"stop": 1},
 }  # fmt: skip
 CLAIMS: list[dict[str, Any]] = [
     {"tuning": "gains", "measure": "objective", "at_most": 2.6, "expect": "holds"},
@@ -66,7 +67,7 @@ def test_a_tuning_of_a_study_is_that_of_python_and_its_claims_and_constraints_ar
     path = written(tmp_path)
     made = study.run(study.load(path))
     tuning = made.tunings["gains"]
-    asked = {key: TUNING[key] for key in ("minimize", "over", "method", "budget", "seed", "scenarios", "subject_to")}
+    asked = {key: TUNING[key] for key in TUNING if key not in ("diagram", "settings")}
     assert tuning.values == Diagram.load(tmp_path / "bowl.json").tune(**asked, stop=1).values
     x = tuning.values["x"]
     assert x == pytest.approx(0.5, abs=0.01)
@@ -100,7 +101,7 @@ def test_a_constraint_that_is_not_met_is_a_verdict(tmp_path: Path, capsys: pytes
 
 def test_a_missing_package_is_told_before_the_first_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cma", None)
-    path = written(tmp_path, tunings={"gains": {**TUNING, "method": "cma"}})
+    path = written(tmp_path, tunings={"gains": {**TUNING, "optimizer": "cma"}})
     begun: list[str] = []
     with pytest.raises(UsageError, match=r"E504 .*tunings\.gains.*needs the package cma"):
         study.run(study.load(path), begun=begun.append)
@@ -144,7 +145,7 @@ def claim(**entry: Any) -> dict[str, Any]:
         (changed(over={"x": [0, 1], "x*": [0, 1]}), "E501", "tunings.gains.over", "once"),
         (changed(over={"x": [1]}), "E004", "tunings.gains.over.x", "2 numbers"),
         (changed(over={}), "E009", "tunings.gains", "over"),
-        (changed(method="dee"), "E004", "tunings.gains.method", "de"),
+        (changed(optimizer="dee"), "E004", "tunings.gains.optimizer", "de"),
         (changed(scenarios={"a": {"cc": 1}, "b": {}}), "E106", "tunings.gains.scenarios.a", "c"),
         (changed(settings={"seed": 1}), "E003", "tunings.gains.settings.seed", "seed"),
         (claim(tuning="gain"), "E105", "claims.0.tuning", "gains"),
@@ -168,7 +169,8 @@ def test_the_schema_knows_tunings_and_their_methods() -> None:
     jsonschema = pytest.importorskip("jsonschema")
     schema = jsonschema.Draft202012Validator(json_schema.study_schema())
     assert not [*schema.iter_errors(document())]
-    for changes in (changed(over={}), changed(method="dee"), claim(run="one"), claim(sweep="s"), claim(quantile=0.5)):
+    claims = claim(run="one"), claim(sweep="s"), claim(quantile=0.5)
+    for changes in (changed(over={}), changed(optimizer="dee"), *claims):
         assert [*schema.iter_errors(document(**changes))], changes
     assert {*study_grammar.OPTIMIZERS} == {*METHODS}
 

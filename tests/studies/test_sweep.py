@@ -191,11 +191,11 @@ def test_a_part_of_another_sweep_is_not_gone_on_from(tmp_path: Path, monkeypatch
     ):
         with pytest.raises(UsageError, match=f"E506 .*differs in .*{word}"):
             noisy().sweep(VARY, **{**asked, **change}, out=out)
-    anew = noisy().sweep(VARY, **{**asked, "seed": 4}, out=out, resume=False)
+    anew = noisy().sweep(VARY, **{**asked, "seed": 4}, out=out, restart=True)
     assert anew.counts() == {"ok": 24}
     Path(f"{out}.part").write_text("not ours")
     with pytest.raises(UsageError, match="cannot be continued"):
-        noisy().sweep(VARY, **asked, out=out, resume=False)
+        noisy().sweep(VARY, **asked, out=out, restart=True)
     assert Path(f"{out}.part").read_text() == "not ours"
 
 
@@ -346,18 +346,13 @@ def test_the_files_of_a_folder_are_one_sweep(whole: Sweep, tmp_path: Path) -> No
         Sweep.load(tmp_path.parent / tmp_path.name / "..")
 
 
-def test_the_advice_for_inputs_of_a_sweep_helps(tmp_path: Path) -> None:
+def test_inputs_from_a_file_and_from_arrays_are_those_of_all_rows(tmp_path: Path) -> None:
     path = tmp_path / "in.csv"
     path.write_text("time,u\n0,0\n1,1\n", encoding="utf-8")
     diagram = Diagram("driven")
     area = diagram.add("area", Integrator())
     diagram.wire(area.u, diagram.input("u"))
-    with pytest.raises(UsageError) as caught:
-        diagram.sweep({"area.y_start": [1.0, 2.0]}, stop=1.0, inputs=path)
-    cure = caught.value.faults[0].cure
-    assert 'Diagram.settings(inputs={"u": {"t": t, "u": u}})' in cure
-    assert 't, u = numpy.loadtxt(path, delimiter=",", skiprows=1, unpack=True)' in cure
     t, u = np.loadtxt(path, delimiter=",", skiprows=1, unpack=True)
-    diagram.settings(inputs={"u": {"t": t, "u": u}})
-    sweep = diagram.sweep({"area.y_start": [1.0, 2.0]}, stop=1.0, log=["area.y"])
-    assert sweep.signals["area.y"][:, -1] == pytest.approx([1.5, 2.5], rel=1e-9)
+    for inputs in (path, {"u": (t, u)}):
+        sweep = diagram.sweep({"area.y_start": [1.0, 2.0]}, stop=1.0, log=["area.y"], inputs=inputs)
+        assert sweep.signals["area.y"][:, -1] == pytest.approx([1.5, 2.5], rel=1e-9)

@@ -58,7 +58,7 @@ def test_one_row_that_does_not_end_is_cut_short_after_all_others_are_done() -> N
 
 def test_a_row_that_takes_long_and_ends_is_done_with_the_same_bits() -> None:
     values = [0.1, 0.2, 2e-3, 0.15, 0.3]  # 1,500 steps, within 30 times those of the others
-    sweep, given = swept(values), swept(values, budget=10**9)
+    sweep, given = swept(values), swept(values, max_steps=10**9)
     assert sweep.steps[2] > 500
     assert told(sweep) == told(given)
 
@@ -78,7 +78,7 @@ def test_with_fixed_steps_no_row_begins_again() -> None:
 
 
 def test_a_budget_that_is_given_counts_alone() -> None:
-    assert swept(T, budget=700).messages[2] == "E313 lag: needs more than 700 steps, the budget of a run."
+    assert swept(T, max_steps=700).messages[2] == "E313 lag: needs more than 700 steps, the budget of a run."
 
 
 @pytest.mark.parametrize("values", [T, [0.1, 0.2, 2e-3, 0.15, 0.3, 1e-6]])

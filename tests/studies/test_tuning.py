@@ -1,4 +1,4 @@
-"""Tuning: the optimisers find known optima, spend just their budget, and see what they should."""
+"""Tuning: the optimizers find known optima, spend just their budget, and see what they should."""
 
 from __future__ import annotations
 
@@ -63,24 +63,24 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, Any]]:
     return made
 
 
-@pytest.mark.parametrize(("method", "budget", "close"), [("cma", 400, 1e-3), ("de", 1200, 1e-3)])
-def test_the_minimum_of_rosenbrocks_function_is_found(method: str, budget: int, close: float) -> None:
-    tuning = rosenbrock().tune(minimize="f", over=BOX, method=method, budget=budget, seed=2, **SHORT)
+@pytest.mark.parametrize(("optimizer", "budget", "close"), [("cma", 400, 1e-3), ("de", 1200, 1e-3)])
+def test_the_minimum_of_rosenbrocks_function_is_found(optimizer: str, budget: int, close: float) -> None:
+    tuning = rosenbrock().tune(minimize="f", over=BOX, optimizer=optimizer, budget=budget, search_seed=2, **SHORT)
     assert tuning.objective < close
     assert [tuning.values["x"], tuning.values["y"]] == pytest.approx([1.0, 1.0], abs=0.1)
     assert tuning.objective_before == pytest.approx(29.0)
     assert tuning.after["nominal"].measures["f"] == tuning.objective
-    again = rosenbrock().tune(minimize="f", over=BOX, method=method, budget=budget, seed=2, **SHORT)
+    again = rosenbrock().tune(minimize="f", over=BOX, optimizer=optimizer, budget=budget, search_seed=2, **SHORT)
     assert again.values == tuning.values
     assert np.array_equal(again.history.values, tuning.history.values)
 
 
-@pytest.mark.parametrize("method", ["cma", "de"])
+@pytest.mark.parametrize("optimizer", ["cma", "de"])
 def test_a_tuning_that_was_killed_goes_on_to_the_bytes_of_one_that_never_stopped(
-    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, calls: list[tuple[int, Any]]
+    optimizer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, calls: list[tuple[int, Any]]
 ) -> None:
     given: dict[str, Any] = {
-        "minimize": "f", "over": BOX, "method": method, "budget": 60, "subject_to": ["f >= 0.5"], **SHORT
+        "minimize": "f", "over": BOX, "optimizer": optimizer, "budget": 60, "subject_to": ["f >= 0.5"], **SHORT
     }  # fmt: skip
     whole = rosenbrock().tune(**given, out=tmp_path / "whole.parquet")
     wanted, run, left = len(calls), Batch.__call__, 3
@@ -100,8 +100,8 @@ def test_a_tuning_that_was_killed_goes_on_to_the_bytes_of_one_that_never_stopped
     assert len(Sweep.load(part)) == 3 * calls[0][0]
     with part.open("ab") as stream:
         stream.write(b"half a generation")
-    with pytest.raises(UsageError, match=r"E506 .* differs in its optimiser seed"):
-        rosenbrock().tune(**given, seed=9, out=tmp_path / "some.parquet")
+    with pytest.raises(UsageError, match=r"E506 .* differs in its search seed"):
+        rosenbrock().tune(**given, search_seed=9, out=tmp_path / "some.parquet")
     calls.clear()
     tuning = rosenbrock().tune(**given, out=tmp_path / "some.parquet")
     assert len(calls) == wanted - 3
@@ -135,7 +135,7 @@ def test_a_tuning_that_ctrl_c_ended_keeps_its_part_and_begins_anew_where_that_is
     assert first.ran == 2 * calls[0][0]
     assert Sweep.load(tmp_path / "c.parquet").interrupted
     calls.clear()
-    assert rosenbrock().tune(**given, resume=False).ran == 30
+    assert rosenbrock().tune(**given, restart=True).ran == 30
     assert sum(count for count, _ in calls) == 30 + 5, "and those of the sensitivities"
     assert not (tmp_path / "c.parquet.part").exists()
 
@@ -154,7 +154,7 @@ def test_the_command_keeps_candidates_in_a_file(tmp_path: Path, capsys: pytest.C
         "12",
         "--stop",
         "0.01",
-        "--method",
+        "--optimizer",
         "de",
     ]
     assert main([*words, "--out", str(out)]) == 0
@@ -162,13 +162,13 @@ def test_the_command_keeps_candidates_in_a_file(tmp_path: Path, capsys: pytest.C
     assert len(Sweep.load(out)) == 12
     assert main([*words, "--out", str(path)]) == 2
     assert "E501" in capsys.readouterr().err
-    with SweepPart(tmp_path / "d.parquet", {}, resume=True).stream as stream:
+    with SweepPart(tmp_path / "d.parquet", {}, restart=False).stream as stream:
         stream.write(b"something")
     assert main([*words, "--out", str(tmp_path / "d.parquet")]) == 2
     assert "E506" in capsys.readouterr().err
 
 
-def test_the_part_of_another_release_of_the_optimiser_is_refused(
+def test_the_part_of_another_release_of_the_optimizer_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given: dict[str, Any] = {"minimize": "f", "over": BOX, "budget": 30, "out": tmp_path / "c.parquet", **SHORT}
@@ -178,16 +178,16 @@ def test_the_part_of_another_release_of_the_optimiser_is_refused(
     monkeypatch.setattr("blocks.studies.optimizers.SPREAD", 0.25)
     with pytest.raises(UsageError, match=r"E506 .*c\.parquet\.part: cannot be continued: it holds other candidates"):
         rosenbrock().tune(**given)
-    assert rosenbrock().tune(**given, resume=False).ran == 30
+    assert rosenbrock().tune(**given, restart=True).ran == 30
 
 
-@pytest.mark.parametrize("method", ["cma", "de"])
-def test_a_budget_is_spent_to_the_candidate_in_every_scenario(method: str, calls: list[tuple[int, Any]]) -> None:
+@pytest.mark.parametrize("optimizer", ["cma", "de"])
+def test_a_budget_is_spent_to_the_candidate_in_every_scenario(optimizer: str, calls: list[tuple[int, Any]]) -> None:
     tuning = rosenbrock().tune(
         minimize="a.f + b.f",
         over={"x": BOX["x"]},
         scenarios={"a": {}, "b": {"y": 2}},
-        method=method,
+        optimizer=optimizer,
         budget=37,
         **SHORT,
     )
@@ -218,7 +218,7 @@ def noisy() -> Diagram:
     return diagram
 
 
-NOISY: dict[str, Any] = {"over": {"k": (1.0, 50.0)}, "stop": 2.0, "budget": 12, "method": "de"}
+NOISY: dict[str, Any] = {"over": {"k": (1.0, 50.0)}, "stop": 2.0, "budget": 12, "optimizer": "de"}
 
 
 @pytest.mark.parametrize(
@@ -254,9 +254,9 @@ def test_a_tuning_that_noise_and_effort_do_not_hold_back_is_told(given: dict[str
         ({"minimize": "2 IAE"}, "Write a product with *."),
         ({"minimize": "IAE", "over": {"k": (5, 1)}}, "k: must have two bounds"),
         ({"minimize": "IAE", "over": {"gain": (1, 5)}}, "there is no such parameter"),
-        ({"minimize": "IAE", "method": "least_squares"}, "Use Diagram.fit"),
+        ({"minimize": "IAE", "optimizer": "least_squares"}, "Use Diagram.fit"),
         ({"minimize": "IAE", "budget": 0}, "budget: must be a number of candidates, such as 500, not 0"),
-        ({"minimize": "IAE", "seed": -1}, "seed: must be an integer, 0 or more"),
+        ({"minimize": "IAE", "search_seed": -1}, "search_seed: must be an integer, 0 or more"),
         ({"minimize": "IAE", "scenarios": {"noisy": 3}}, "scenarios.noisy: must be a mapping"),
         ({"minimize": "IAE", "over": "k"}, "over: must be a mapping"),
     ],
@@ -272,7 +272,7 @@ def test_what_can_have_no_number_is_refused_before_the_first_candidate(
 
 def test_a_missing_package_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(UsageError, match=r"E504 .*cma, which is not installed.*\.\[tune\].*method \"de\""):
+    with pytest.raises(UsageError, match=r"E504 .*cma, which is not installed.*\.\[tune\].*optimizer \"de\""):
         rosenbrock().tune(minimize="f", over=BOX, **SHORT)
 
 
@@ -329,7 +329,7 @@ def test_a_pattern_whose_values_differ_is_kept_where_nothing_is_better() -> None
     diagram.wire("square.u1", "x_1.y")
     diagram.wire("square.u2", "x_2.y")
     diagram.measure("f", "steady_state_error", "square.y")
-    tuning = diagram.tune(minimize="abs(f - 1)", over={"x_*.value": (5.0, 6.0)}, budget=5, method="de", **SHORT)
+    tuning = diagram.tune(minimize="abs(f - 1)", over={"x_*.value": (5.0, 6.0)}, budget=5, optimizer="de", **SHORT)
     assert tuning.is_kept
     assert not tuning.parameters
     assert tuning.objective == tuning.objective_before == 0.0
@@ -346,11 +346,11 @@ def test_measures_of_elements_and_bounds_with_values_that_are_refused() -> None:
     diagram.measure("first", "peak", "both.y[0]")
     diagram.add("lag", FirstOrder(T="=x"))
     diagram.wire("lag.u", "value.y")
-    tuning = diagram.tune(minimize="first", over={"x": (-1.0, 1.5)}, budget=10, method="de", **SHORT)
+    tuning = diagram.tune(minimize="first", over={"x": (-1.0, 1.5)}, budget=10, optimizer="de", **SHORT)
     assert tuning.values["x"] > 0
     assert "refused" in tuning.history.status
     with pytest.raises(UsageError, match="threads: must be"):
-        diagram.tune(minimize="first", over={"x": (0.5, 1.5)}, budget=10, method="de", threads=0, **SHORT)
+        diagram.tune(minimize="first", over={"x": (0.5, 1.5)}, budget=10, optimizer="de", threads=0, **SHORT)
 
 
 def test_a_run_that_diverges_is_never_the_best_one() -> None:
@@ -360,7 +360,7 @@ def test_a_run_that_diverges_is_never_the_best_one() -> None:
     diagram.wire(gain.u, x.y)
     diagram.wire(x.u, gain.y)
     diagram.measure("top", "peak", "x.y")
-    tuning = diagram.tune(minimize="-top", over={"rate": (-1.0, 40.0)}, budget=40, method="de", stop=100.0)
+    tuning = diagram.tune(minimize="-top", over={"rate": (-1.0, 40.0)}, budget=40, optimizer="de", stop=100.0)
     lost = tuning.history.status != "ok"
     assert lost.any()
     assert np.isnan(tuning.history.objective[lost]).all()
@@ -372,7 +372,7 @@ def test_values_are_written_and_nothing_else_of_the_file_changes(tmp_path: Path)
     path = tmp_path / "diagrams" / "motor_pid.json"
     old = path.read_text().replace('"kp": {"value": 20, "unit": "V.s/rad"', '"kp":   {"value": 20, "unit":  "mV.s/rad"')
     path.write_text(old)
-    tuning = Diagram.load(path).tune(minimize="ITAE", over={"kp": (2, 60000), "motor.Ra": (0.1, 0.3)}, budget=8, seed=1)
+    tuning = Diagram.load(path).tune(minimize="ITAE", over={"kp": (2, 60000), "motor.Ra": (0.1, 0.3)}, budget=8)
     edit = tuning.write(path)
     new = path.read_text()
     assert [change.old for change in edit.changes] == ["20", ""]
@@ -389,7 +389,7 @@ def test_wheels_that_share_a_file_get_one_value_or_none(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "diagrams" / "paper", tmp_path / "paper")
     path = tmp_path / "paper" / "iadrc.json"
     diagram = Diagram.load(path)
-    given: dict[str, Any] = {"minimize": "ITAE_left", "budget": 4, "stop": 3.0, "method": "de"}
+    given: dict[str, Any] = {"minimize": "ITAE_left", "budget": 4, "stop": 3.0, "optimizer": "de"}
     tuning = diagram.tune(over={"control_left.nlsef.k1[0]": (100, 600)}, **given)
     assert not tuning.is_kept
     with pytest.raises(UsageError, match="the file cannot store these values"):
@@ -405,7 +405,7 @@ def test_the_papers_controller_with_tuned_gains_keeps_what_its_study_claims() ->
     made = study.run(study.load(ROOT / "diagrams" / "paper" / "tuned.json"))
     assert made.is_fine
     limits = [verdict for verdict in made.verdicts if verdict.claim.expected == "holds"]
-    assert len(limits) == 3 * 2 + 3 * 3 * 2, "of three seeds of the optimiser, under three of the noise"
+    assert len(limits) == 3 * 2 + 3 * 3 * 2, "of three seeds of the optimizer, under three of the noise"
     # Both wheels together: at least half of the ITAE of the paper's gains.
     total = {k: r.measures["ITAE_right"] + r.measures["ITAE_left"] for k, r in made.results.items()}
     for k in (1, 2, 3):
@@ -415,7 +415,7 @@ def test_the_papers_controller_with_tuned_gains_keeps_what_its_study_claims() ->
 def test_the_command_tunes_writes_and_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "loop.json"
     noisy().save(path)
-    command = ["tune", str(path), "--minimize", "quiet.IAE", "--over", "k=1,50", "--stop", "2", "--method", "de"]
+    command = ["tune", str(path), "--minimize", "quiet.IAE", "--over", "k=1,50", "--stop", "2", "--optimizer", "de"]
     command += ["--scenario", "quiet:", "--scenario", "noisy:sigma=0.1", "--subject-to", "noisy.variation <= 300"]
     command += ["--budget", "10", "--write", "--report", str(tmp_path / "report"), "--json"]
     assert main(command) == 0
@@ -450,7 +450,7 @@ def test_an_interrupted_tuning_says_so_and_writes_nothing(
     assert main(command) == 130
     out, err = capsys.readouterr()
     ran = sum(calls[:2])
-    assert out.startswith(f"noisy: {ran} of 500 candidates in 1 scenario, method cma, seed 1; interrupted\n")
+    assert out.startswith(f"noisy: {ran} of 500 candidates in 1 scenario, optimizer cma, search seed 1; interrupted\n")
     assert f"interrupted after {ran} of 500 candidates; nothing was written" in err
     assert path.read_bytes() == before
 
@@ -460,7 +460,7 @@ def test_an_interrupted_tuning_says_so_and_writes_nothing(
     [
         (["--over", "k=50,1"], "--over k=50,1: is not NAME=LOW,HIGH, the lower bound first."),
         (["--over", "k=1,5", "--subject-to", "IAE <= 2 cats"], "--subject-to IAE <= 2 cats: '=2 cats'"),
-        (["--over", "k=1,5", "--method", "no"], '--method: "no" is not a method'),
+        (["--over", "k=1,5", "--optimizer", "no"], '--optimizer: "no" is not an optimizer'),
     ],
 )
 def test_messages_name_the_options(

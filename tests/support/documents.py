@@ -200,11 +200,11 @@ STUDY = {
             "diagram": "d.json", "parameters": {"k": 1}, "variants": {"m": "fmu"}, "settings": {"rtol": 1e-5},
             "doc": "x",
             "vary": {"a": [1, {"value": 2, "unit": "s"}], "b*.k": {"normal": [0, 1]}, "each(p)": {"lognorm": {"s": 1}}},
-            "n": 10, "sampler": "sobol", "seed": 1, "measures": ["m"], "log": ["s"], "budget": 100, "lanes": "fast",
+            "n": 10, "sampler": "sobol", "seed": 1, "measures": ["m"], "log": ["s"], "max_steps": 100, "lanes": "fast",
             "scenarios": {"q": {}, "h": {"k": 2}},
             "margins": {
                 "gm": {"type": "gain_margin", "loop": "u", "openings": ["v"], "amplitude": {"e": 0.1}, "at": 1,
-                       "pade": 2, "sigma": {"e": {"value": 1, "unit": "V"}}, "overrides": {"q": 1}, "held": {"r": 1}},
+                       "pade": 2, "sigma": {"e": {"value": 1, "unit": "V"}}, "overrides": {"q": 1}, "inputs": {"r": 1}},
                 "bw": {"type": "bandwidth", "from": "r", "to": "y"},
             },
         },
@@ -213,7 +213,7 @@ STUDY = {
         "d": {
             "diagram": "d.json", "parameters": {"k": 1}, "variants": {"m": "fmu"}, "settings": {"rtol": 1e-5},
             "doc": "x", "minimize": "q.m + 2*m", "over": {"a": [1, 2], "b*.k": [0, 1e3]}, "subject_to": ["m <= 3"],
-            "scenarios": {"q": {}, "h": {"k": 2}}, "method": "de", "budget": 40, "seed": 2,
+            "scenarios": {"q": {}, "h": {"k": 2}}, "optimizer": "de", "budget": 40, "search_seed": 2,
         },
     },
     "assumed": [{"what": "w", "why": "y", "contradicts": "c"}],

@@ -27,6 +27,7 @@ FACTORS: dict[str, list[str]] = {
     "defaults": ["plain", "expressions", "computed"],
     "touch": ["none", "touch"],
     "loop": ["none", "linear", "saturation"],
+    "input": ["none", "constant", "linear", "hold"],
     "method": ["dopri5", "rk4", "euler", "radau", "auto"],
     "way": ["reference", "values", "batch", "lanes", "resumed", "exported2", "exported3", "unread"],
 }
@@ -47,6 +48,8 @@ def allowed(row: Row) -> bool:
         return False
     if fmu != "none" and way in ("lanes", "exported2", "exported3"):
         return False  # an FMU holds no FMUs, and lanes have none
+    if row.get("input", "none") != "none" and way in ("exported2", "exported3"):
+        return False  # between communication points an importer holds what a run follows
     return not (fmu in ("cs2", "cs3") and (way in ("resumed", "batch") or row.get("loop", "none") != "none"))
 
 
@@ -65,6 +68,7 @@ class _Builder:
         self.same: list[list[str]] = []
         self.fmus: Document = {}
         self.values: Document = {}
+        self.inputs: Document = {}
 
     def number(self, low: float, high: float) -> float:
         return round(self.rng.uniform(low, high), 6)
@@ -101,6 +105,7 @@ def case(row: Row, seed: int) -> Case:
         b.add("step", "Step", {"at": b.number(0.1, 0.6), "before": b.number(-1, 0), "after": b.number(0.2, 1)}),
     ]
     b.vary("wave.amplitude", 0.5, 1.5)
+    _input(b)
     _copies_and_equal_blocks(b)
     for feature in (_rates, _reset, _delay, _vector, _defaults, _touch, _loop, _projection, _part, _fmu):
         feature(b)
@@ -112,11 +117,11 @@ def case(row: Row, seed: int) -> Case:
         run["master"] = {"step": 0.01, "algorithm": row["master"], "order": rng.choice([0, 1, 2])}
     document = {
         "format": "blocks-diagram", "version": 3, "name": "meeting", "parameters": b.parameters, "blocks": b.blocks,
-        "wires": b.wires, "run": run, "measures": _measures(b),
+        "wires": b.wires, "run": run, "measures": _measures(b), "inputs": {name: {"default": 0.5} for name in b.inputs},
     }  # fmt: skip
     return {
         "row": row, "seed": seed, "diagram": document, "fmus": b.fmus, "same": b.same, "values": b.values,
-        "ways": ["reference", "values", row["way"]],
+        "inputs": b.inputs, "ways": ["reference", "values", row["way"]],
     }  # fmt: skip
 
 
@@ -216,6 +221,16 @@ def _nested_copies(b: _Builder, type_: str, several: Document, own: Document, ke
     for index, value in enumerate(values):
         b.entry(f"w{index}", {"diagram": inner, "parameters": {"a": value}}, u=source)
         b.equal(f"c.y[{index}]", f"w{index}.y", how)
+
+
+def _input(b: _Builder) -> None:
+    """Add an input of the diagram that each run is given: a constant, or values over time."""
+    kind = b.row["input"]
+    if kind == "none":
+        return
+    times, values = sorted(b.number(0.0, STOP) for _ in range(4)), [b.number(-1, 1) for _ in range(4)]
+    b.inputs["drive"] = values[0] if kind == "constant" else [times, values, kind]
+    b.signals += [b.add("driven", "Gain", {"k": b.number(0.5, 1.5)}, u="drive")]
 
 
 def _rates(b: _Builder) -> None:
@@ -373,7 +388,8 @@ def _part(b: _Builder) -> None:
         # An event time triggers before the ticks of its instant, and a tick triggers among them. Both triggers see the
         # same input if the input does not tick.
         known: Case = {"diagram": {"wires": b.wires}}
-        u = b.rng.choice([s for s in b.signals if not any("period" in str(b.blocks[a]) for a in ancestors(known, s))])
+        ticking = {name for name, block in b.blocks.items() if "period" in str(block)}
+        u = b.rng.choice([signal for signal in b.signals if not ticking & ancestors(known, signal)])
     inner, inside = _inside_triggered(b) if level == "triggered" else _inside_enabled(b)
     copies, last = ({"copies": 2}, "[1]") if b.rng.random() < 0.25 else ({}, "")
     for name, switch in (("a", b.row["switch"]), ("b", "event")):

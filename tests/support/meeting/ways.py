@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
+import blocks
 from blocks import Diagram, Results
 from blocks.text.errors import BlocksError
 
@@ -78,8 +79,10 @@ def diagram_of(case: Case, **settings: Any) -> Diagram:
     return Diagram.from_json(json.dumps(document), folder=folder, library=OWN)
 
 
-def _trust(case: Case) -> dict[str, Any]:
-    return {"trust": Path(_folder().name)} if case["fmus"] else {}
+def given(case: Case) -> blocks.Case:
+    """Return what all runs of a case have."""
+    inputs = {name: tuple(value) if isinstance(value, list) else value for name, value in case["inputs"].items()}
+    return blocks.Case(inputs=inputs, trust=Path(_folder().name) if case["fmus"] else ())
 
 
 def _outcome(run: Callable[[], Results]) -> Outcome:
@@ -92,8 +95,8 @@ def _outcome(run: Callable[[], Results]) -> Outcome:
     return Outcome(signals | {f"measure {name}": np.array([value]) for name, value in results.measures.items()}, events)
 
 
-def run(case: Case, engine: str = "native", **given: Any) -> Outcome:
-    return _outcome(lambda: diagram_of(case).run(engine=engine, **_trust(case), **given))
+def run(case: Case, engine: str = "native", **words: Any) -> Outcome:
+    return _outcome(lambda: diagram_of(case).run(given(case), engine=engine, **words))
 
 
 # --- comparisons -----------------------------------------------------------------------------------------------------
@@ -206,14 +209,15 @@ def values(case: Case, base: Outcome) -> Iterator[Disagreement]:
     """Run a prepared model with other values as a run of its own; in a case of four, also as the reference engine."""
     if base.error:
         return
-    given = case["values"]
-    alone = run(case, parameters=given)
-    model = diagram_of(case).prepare(engine="native", **_trust(case))
-    yield from differences("run with values | prepared", alone, _outcome(lambda: model.run(parameters=given)), 0.0)
+    other_values = case["values"]
+    alone = run(case, parameters=other_values)
+    model = diagram_of(case).prepare(given(case), engine="native")
+    again = _outcome(lambda: model.run(parameters=other_values))
+    yield from differences("run with values | prepared", alone, again, 0.0)
     yield from differences("base | prepared", base, _outcome(model.run), 0.0)
     yield from within(case, alone, "same, other values")
     if case["seed"] % 4 == 0:  # the reference engine takes as long as all other ways of a case
-        other = run(case, "reference", parameters=given)
+        other = run(case, "reference", parameters=other_values)
         yield from differences("native | reference, other values", alone, other, tolerance_of(case))
 
 
@@ -225,12 +229,15 @@ def _rows(case: Case, base: Outcome, lanes: str) -> Iterator[tuple[Outcome, Outc
     """Give for each row of a batch a run of its own, and the row."""
     signals = [name for name in base.signals if _is_signal(name) and base.signals[name].dtype == float]
     diagram = diagram_of(case)
-    nominal = diagram.batch(list(case["values"]), log=signals, engine="native", lanes=lanes, **_trust(case))
+    measures = ["window"] if case["seed"] % 2 else None
+    rows_of = diagram.batch(
+        list(case["values"]), given(case), log=signals, engine="native", measures=measures, lanes=lanes
+    )  # fmt: skip
     table = [[value * (1 + 0.01 * k) for value in case["values"].values()] for k in range(9 if lanes == "fast" else 2)]
-    rows = nominal(table, threads=1)
+    rows = rows_of(table, threads=1)
     for index, row in enumerate(table[:: 4 if lanes == "fast" else 1]):
         place = index * (4 if lanes == "fast" else 1)
-        alone = run(case, parameters=dict(zip(case["values"], row, strict=True)))
+        alone = run(case, parameters=dict(zip(case["values"], row, strict=True)), measures=measures)
         got = {"t": rows.t, **{name: rows.signals[name][place] for name in signals}}
         got |= {f"measure {name}": values[place : place + 1] for name, values in rows.measures.items()}
         failed = "" if rows.status[place] == "ok" else f"{rows.messages[place] or rows.status[place]}"
@@ -258,12 +265,11 @@ def resumed(case: Case, base: Outcome) -> Iterator[Disagreement]:
         return
     stop = [0.6, 0.85, 1.0][case["seed"] % 3]
     diagram = diagram_of(case)
-    more = _trust(case)
-    whole = _outcome(lambda: diagram.run(engine="native", stops=[stop], **more))
+    whole = _outcome(lambda: diagram.run(given(case), engine="native", stops=[stop]))
     if whole.error:
         yield Disagreement("base | with a stop", "error", "runs", whole.error)
         return
-    first = diagram.start(engine="native", stops=[stop], **more)
+    first = diagram.start(given(case), engine="native", stops=[stop])
     first.advance_to(stop)
     state = first.snapshot()
     late = whole.signals["t"] >= stop
@@ -272,7 +278,8 @@ def resumed(case: Case, base: Outcome) -> Iterator[Disagreement]:
         tuple(event for event in whole.events if event[2] > stop),
     )
     for engine, tolerance in (("native", 0.0), ("reference", tolerance_of(case))):
-        later = _outcome(lambda: diagram.run(engine=engine, stops=[stop], resume=state, **more))  # noqa: B023
+        going = given(case).without("inputs").updated(engine=engine, stops=[stop])  # those of the state go on
+        later = _outcome(lambda: diagram.run(going, resume=state))  # noqa: B023
         yield from differences(f"whole | resumed at {stop} by {engine}", rest, later, tolerance)
 
 

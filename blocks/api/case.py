@@ -1,0 +1,328 @@
+"""A case: all that a diagram is run with beside itself.
+
+    case = Case(parameters={"motor.Ra": 0.2}, inputs={"r": 1.0}, stop=10)
+    diagram.run(case)
+    diagram.sweep({"Jeq": [0.2, 0.3]}, case, measures=["ITAE"])
+
+Each verb of a Diagram takes a case, the words that make one, or both: words go on top of the case. The TypedDicts here
+are the one list of these words: type checkers, `check_words` and the command line read it.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, TypedDict, TypeVar, Unpack
+
+from ..model.diagram_grammar import RUN
+from ..model.diagram_value import DiagramValue
+from ..model.trust import Paths
+from ..model.variants import taken
+from ..text.errors import Fault, UsageError, check_mappings, did_you_mean
+from ..text.printable import legible
+from .given_values import picked
+from .ports import PortName, plain_settings
+
+Time = float | Fraction | str | Mapping[str, Any]
+Inputs = Mapping[str, Any] | str | Path | Sequence[Any]
+
+
+class Settings(TypedDict, total=False):
+    """How a run is computed: what a file has as its `run`, but for the inputs."""
+
+    start: Time | None
+    stop: Time | None
+    method: str | None
+    step: Time | None
+    rtol: float | None
+    atol: float | None
+    every: Time | None
+    jumps: bool | None
+    stops: Sequence[Time] | None
+    seed: int | None
+    loops: str | None
+    log: PortName | str | Sequence[PortName | str] | None
+    master: Mapping[str, Any] | None
+
+
+class _Model(TypedDict, total=False):
+    parameters: Mapping[str, Any] | None
+    variants: Mapping[str, str] | None
+    trust: Paths
+
+
+class _Inputs(TypedDict, total=False):
+    inputs: Inputs | None
+    interpolation: str
+
+
+class _Run(TypedDict, total=False):
+    measures: Sequence[str] | None
+    engine: str | None
+
+
+class ModelWords(_Model, Settings, total=False):
+    """What a model follows from, before it has inputs."""
+
+
+class PointWords(_Model, _Inputs, Settings, total=False):
+    """What a point follows from, around which a diagram is linear."""
+
+
+class Words(_Model, _Inputs, _Run, Settings, total=False):
+    """All words of a case."""
+
+
+class FitWords(PointWords, total=False):
+    """What the runs of a fit follow from."""
+
+    engine: str | None
+
+
+class LiveWords(TypedDict, total=False):
+    """What a live run begins with."""
+
+    parameters: Mapping[str, Any] | None
+    inputs: Inputs | None
+    variants: Mapping[str, str] | None
+    engine: str | None
+    trust: Paths
+
+
+class ManyWords(Words, total=False):
+    """The words of a case, and how its many runs are computed: those of `Work`."""
+
+    threads: int | None
+    lanes: str
+    out: str | Path | None
+    restart: bool
+    progress: Callable[[int, int], None] | None
+
+
+MERGED = ("parameters", "inputs", "variants")
+"""Words whose values are mappings, which are merged by name."""
+FIXED = ("variants", "measures", "engine", "trust")
+"""Words that a prepared model does not change."""
+_OLD = {
+    "held": (PointWords, "inputs"), "outputs": (PointWords, "y"), "budget": (ManyWords, "max_steps"),
+    "resume": (ManyWords, "restart"),
+}  # fmt: skip
+"""Words of blocks 0.1: the words of the verbs that had them, and the word that they have now."""
+_Verb = TypeVar("_Verb", bound=Callable[..., Any])
+
+
+def takes(kind: type) -> Callable[[_Verb], _Verb]:
+    """Show the words of a verb in its signature, for `help` and completion, instead of "**words"."""
+
+    def shown(verb: _Verb) -> _Verb:
+        signature = inspect.signature(verb)
+        own = [each for each in signature.parameters.values() if each.kind is not inspect.Parameter.VAR_KEYWORD]
+        words = [
+            inspect.Parameter(word, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation.__forward_arg__)
+            for word, annotation in kind.__annotations__.items()
+        ]
+        verb.__signature__ = signature.replace(parameters=[*own, *words])  # type: ignore[attr-defined]
+        return verb
+
+    return shown
+
+
+class Case:
+    """What a diagram is run with: a frozen value, which all verbs of a Diagram take.
+
+    parameters: values by path ("motor.Ra"), pattern ("control_*.eso.Ka") or element ("pid.k[0]"), in place of those of
+    the file. inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file, or a list of
+    these. interpolation: of inputs over time, "linear" or "hold". variants: what replaces blocks, by path
+    ({"motor": "fmu"}; "base": the block itself). measures: the names of those that are taken; None: all. engine:
+    "native" (compiled C), "reference" (plain Python), or "auto", the default: native if there is a C compiler; the
+    environment variable BLOCKS_ENGINE names another default. trust: FMUs, or folders of FMUs, that a diagram file may
+    name though they lie outside its project.
+
+    Settings: start, stop, method ("dopri5", "rk4", "euler", "radau", "auto"), step (of fixed-step methods), rtol, atol,
+    every (recording grid; without it every step is recorded), jumps (True: rows before and after jumps between those of
+    the grid), stops, seed (an integer, of all noise), loops ("error", "solve"), log (signal names or ports), master (a
+    mapping with any of step, steps, algorithm, order, tolerance, couple and iterations). None: as the diagram has it.
+    """
+
+    __slots__ = ("words",)
+
+    words: Mapping[str, Any]
+    """What was given, by word, without None."""
+
+    def __init__(self, **words: Unpack[Words]) -> None:
+        """Make a case. Raises UsageError (E501) for a word that is not known, or a value of the wrong kind."""
+        check_words(words, Words)
+        object.__setattr__(self, "words", _plain(words))
+
+    @classmethod
+    def _of(cls, words: Mapping[str, Any]) -> Case:
+        """Return a case of words that are in the form of files already."""
+        case = object.__new__(cls)
+        object.__setattr__(case, "words", words)
+        return case
+
+    def updated(self, **words: Unpack[Words]) -> Case:
+        """Return this case with words on top: parameters, inputs and variants are merged by name, others replaced."""
+        return self.on_top(Case(**words).words)
+
+    def on_top(self, words: Mapping[str, Any]) -> Case:
+        """Return this case with the words of another one on top."""
+        merged = {**self.words, **words}
+        for word in MERGED:
+            if word in self.words and word in words:
+                own, given = self.words[word], words[word]
+                if isinstance(own, Mapping) and isinstance(given, Mapping):
+                    merged[word] = {**own, **given}
+                else:  # inputs from files; later ones count
+                    merged[word] = [*sources(own), *sources(given)]
+        return Case._of(merged)
+
+    def without(self, *words: str) -> Case:
+        """Return this case without some of its words."""
+        return Case._of({word: value for word, value in self.words.items() if word not in words})
+
+    def only(self, *words: str) -> Case:
+        """Return this case with some of its words alone."""
+        return Case._of({word: value for word, value in self.words.items() if word in words})
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        given: Mapping[str, Any] = self.words.get("parameters", {})
+        return given
+
+    @property
+    def inputs(self) -> Inputs | None:
+        return self.words.get("inputs")
+
+    def named_inputs(self) -> Mapping[str, Any]:
+        """Return the inputs, which are values by name here. Raises UsageError (E501) for others."""
+        check_mappings(inputs=self.inputs)
+        return self.words.get("inputs", {})  # type: ignore[no-any-return]
+
+    @property
+    def interpolation(self) -> str:
+        given: str = self.words.get("interpolation", "linear")
+        return given
+
+    @property
+    def variants(self) -> Mapping[str, str]:
+        given: Mapping[str, str] = self.words.get("variants", {})
+        return given
+
+    @property
+    def measures(self) -> Sequence[str] | None:
+        return self.words.get("measures")
+
+    @property
+    def engine(self) -> str | None:
+        return self.words.get("engine")
+
+    @property
+    def trust(self) -> Paths:
+        given: Paths = self.words.get("trust", ())
+        return given
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings, as the `run` of a file has them."""
+        return {word: value for word, value in self.words.items() if word in Settings.__annotations__}
+
+    def of(self, value: DiagramValue) -> DiagramValue:
+        """Return a diagram with the variants and measures of this case. Raises ModelError (E122), UsageError (E501)."""
+        return picked(taken(value, self.variants), self.measures)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"a case is frozen; use case.updated({name}=...)")
+
+    def __eq__(self, other: object) -> bool:
+        return self.words == other.words if isinstance(other, Case) else NotImplemented
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __reduce__(self) -> Any:
+        return Case._of, (dict(self.words),)
+
+    def __repr__(self) -> str:
+        return f"Case({', '.join(f'{word}={value!r}' for word, value in self.words.items())})"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Work:
+    """How many runs of a case are computed, which changes none of their numbers, but for lanes="fast".
+
+    threads: how many runs go on at once; None: all cores. lanes: "exact": each row as a run by itself; "fast": several
+    rows at once in each core, equal within the tolerance. out: the file of all rows; its part, `out` and ".part", is
+    continued if it is of the same rows. restart: start over instead. progress: called with what is done, and all.
+    """
+
+    threads: int | None = None
+    lanes: str = "exact"
+    out: str | Path | None = None
+    restart: bool = False
+    progress: Callable[[int, int], None] | None = None
+
+
+def case_of(case: Case | None, words: Mapping[str, Any], kind: type = Words) -> Case:
+    """Return the case of a verb: words on top of a case. kind: the TypedDict of the words that the verb knows.
+
+    Raises UsageError (E501).
+    """
+    if case is not None and not isinstance(case, Case):
+        message = f"must be a Case, not {type(case).__name__}."
+        raise UsageError(Fault("E501", "case", message, "Examples: run(stop=10), run(Case(stop=10))."))
+    check_words(words, kind)
+    if not words:
+        return EMPTY if case is None else case
+    given = Case._of(_plain(words))
+    return given if case is None else case.on_top(given.words)
+
+
+def case_and_work(case: Case | None, words: Mapping[str, Any], *less: str) -> tuple[Case, Work]:
+    """Return the case of many runs, and how they are computed. less: words that the verb gives no meaning."""
+    check_words(words, ManyWords, less)
+    own = {word: value for word, value in words.items() if word in Work.__dataclass_fields__}
+    rest = {word: value for word, value in words.items() if word not in own}
+    return case_of(case, rest), Work(**own)
+
+
+def check_words(words: Mapping[str, Any], kind: type, less: Sequence[str] = ()) -> None:
+    """Raise UsageError (E501) for the first word that a verb does not know."""
+    known = kind.__annotations__
+    for word in words:
+        if word in known and word not in less:
+            continue
+        of_verbs, new = _OLD.get(word, (None, ""))
+        if of_verbs is kind:
+            message, cure = f"is {new} now.", f"Write {new}=... instead of {word}=..."
+        elif word in ManyWords.__annotations__:
+            message, cure = "has no meaning here.", "Leave it out."
+        elif word == "settings":
+            message, cure = "is not a word: each setting is one.", "Write stop=10 instead of settings={'stop': 10}."
+        else:
+            message = "is not a setting of a run."
+            cure = did_you_mean(word, known) or f"Settings: {', '.join(key for key in RUN.keys if key in known)}."
+        raise UsageError(Fault("E501", legible(word), message, cure))
+
+
+def _plain(words: Mapping[str, Any]) -> dict[str, Any]:
+    """Return words in the form of files: ports as texts, times as quantities; None is left out."""
+    given = {word: value for word, value in words.items() if value is not None}
+    if not isinstance(given.get("parameters", {}), Mapping):
+        message = f"must be a mapping of values by path, not {type(given['parameters']).__name__}."
+        raise UsageError(Fault("E501", "parameters", message, 'Example: parameters={"motor.Ra": 1.2}.'))
+    check_mappings(variants=given.get("variants"))
+    settings = plain_settings({word: value for word, value in given.items() if word in Settings.__annotations__})
+    copies = {word: {**given[word]} for word in MERGED if isinstance(given.get(word), Mapping)}
+    return {**given, **settings, **copies}
+
+
+def sources(inputs: Inputs | None) -> Sequence[Any]:
+    """Return the mappings and files that inputs are made of; later ones replace earlier ones of the same name."""
+    return inputs if isinstance(inputs, (list, tuple)) else () if inputs is None else (inputs,)
+
+
+EMPTY = Case()
+"""Nothing beside the diagram."""

@@ -1,0 +1,233 @@
+"""A case: one value that all verbs of a Diagram take, and one list of its words."""
+
+from __future__ import annotations
+
+import inspect
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocks import Case, Diagram, Gain, Integrator, Noise, Normal, Sum, UsageError
+from blocks.analysis import SineStream, estimate_response, find_operating_point, limit_cycles, operating_points
+from blocks.api.case import ModelWords, Settings, Work
+from blocks.cli.options import SETTINGS
+from blocks.model.diagram_grammar import RUN
+
+
+def loop() -> Diagram:
+    """x' = k (r - x), with two measures: the integral of the squared error and the total variation."""
+    d = Diagram("loop")
+    k = d.parameter("k", 2.0)
+    r = d.input("r", default=1.0)
+    error = d.add("error", Sum(signs="+-"))
+    gain = d.add("gain", Gain(k=k))
+    x = d.add("x", Integrator())
+    d.wire(error.u1, r)
+    d.wire(error.u2, x.y)
+    d.wire(gain.u, error.y)
+    d.wire(x.u, gain.y)
+    d.output("y", x.y)
+    d.measure("ISE", "ISE", x.y, r)
+    d.measure("moved", "total_variation", x.y)
+    d.settings(stop=1.0)
+    return d
+
+
+def closed(t: float, k: float = 2.0, r: float = 1.0) -> float:
+    return float(r * (1.0 - np.exp(-k * t)))
+
+
+# --- the value -------------------------------------------------------------------------------------------------
+
+
+def test_the_words_are_those_of_files_and_of_the_command_line() -> None:
+    assert {*Settings.__annotations__} == {*RUN.keys} - {"inputs", "doc"}
+    assert {*SETTINGS} <= {*Settings.__annotations__}
+
+
+def test_a_case_is_frozen_equal_by_value_and_pickled() -> None:
+    case = Case(parameters={"k": 3.0}, stop="5 min")
+    with pytest.raises(AttributeError, match=r"use case\.updated"):
+        case.words = {}  # type: ignore[misc]
+    assert case == Case(parameters={"k": 3.0}, stop="300 s").updated(stop="5 min")
+    assert pickle.loads(pickle.dumps(case)) == case
+    assert repr(Case(stop=2, engine="native")) == "Case(stop=2, engine='native')"
+
+
+def test_words_on_top_merge_mappings_by_name_and_replace_the_rest() -> None:
+    case = Case(parameters={"k": 3.0, "a": 1}, inputs={"r": 2.0}, stop=5, log=["x.y"])
+    more = case.updated(parameters={"a": 2}, inputs="r.csv", stop=6, seed=None)
+    assert more.words == {"parameters": {"k": 3.0, "a": 2}, "inputs": [{"r": 2.0}, "r.csv"], "stop": 6, "log": ["x.y"]}
+    assert case.words == {"parameters": {"k": 3.0, "a": 1}, "inputs": {"r": 2.0}, "stop": 5, "log": ["x.y"]}
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda d: d.run(stpo=1), "E501 stpo: is not a setting of a run. Did you mean 'stop'?"),
+        (lambda d: d.run(5), "E501 case: must be a Case, not int. Examples: run(stop=10), run(Case(stop=10))."),
+        (lambda d: Case(budget=1), "E501 budget: is not a setting of a run."),
+        (lambda d: d.run(parameters=[1]), "E501 parameters: must be a mapping of values by path, not list."),
+        (lambda d: d.linearizer(held={"r": 1}), "E501 held: is inputs now. Write inputs=... instead of held=..."),
+        (lambda d: d.linearize("r", "x.y", outputs=["x.y"]), "E501 outputs: is y now. Write y=..."),
+        (lambda d: d.sweep({"k": [1]}, budget=5), "E501 budget: is max_steps now. Write max_steps=..."),
+        (lambda d: d.sweep({"k": [1]}, resume=False), "E501 resume: is restart now. Write restart=..."),
+        (lambda d: d.run(held={}), "E501 held: is not a setting of a run."),
+        (lambda d: d.flatten(settings={"stop": 1}), "E501 settings: is not a word: each setting is one. Write stop=10"),
+        (lambda d: d.linearizer(engine="native"), "E501 engine: has no meaning here. Leave it out."),
+        (lambda d: d.export("x.fmu", inputs={"r": 1}), "E501 inputs: has no meaning here. Leave it out."),
+        (lambda d: d.flatten(measures=[]), "E501 measures: has no meaning here. Leave it out."),
+        (lambda d: d.prepare(threads=2), "E501 threads: has no meaning here. Leave it out."),
+        (
+            lambda d: d.tune(minimize="ISE", over={"k": (1, 2)}, method="de"),
+            'E501 method: "de" is an optimizer, and method integrates the runs. Write optimizer="de".',
+        ),
+        (
+            lambda d: d.tune(minimize="ISE", over={"k": (1, 2)}, measures=["ISE"]),
+            "E501 measures: has no meaning here. Leave it out.",
+        ),
+        (lambda d: d.prepare().run(measures=["ISE"]), "E501 measures: is fixed when the model is prepared."),
+        (lambda d: d.run(measures=["IAE"]), "E501 IAE: the diagram has no such measure."),
+        (lambda d: d.run(measures="ISE"), "E501 measures: must be a list of texts, not one text."),
+    ],
+)  # fmt: skip
+def test_words_that_have_no_meaning_are_refused_with_what_to_write(call: Callable[[Any], Any], message: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        call(loop())
+    assert str(caught.value).startswith(message)
+
+
+# --- every verb takes it ---------------------------------------------------------------------------------------
+
+
+def test_every_verb_takes_a_case_first_among_its_options_and_its_words() -> None:
+    verbs: list[Callable[..., Any]] = [
+        Diagram.run, Diagram.start, Diagram.prepare, Diagram.batch, Diagram.sweep, Diagram.tune, Diagram.fit,
+        Diagram.live, Diagram.linearize, Diagram.linearizer, Diagram.point, Diagram.flatten, Diagram.plan,
+        Diagram.check, Diagram.export, find_operating_point, operating_points, limit_cycles, estimate_response,
+    ]  # fmt: skip
+    for verb in verbs:
+        parameters = inspect.signature(verb).parameters
+        assert "case" in parameters, verb
+        assert parameters["case"].default is None
+        assert "parameters" in parameters, verb
+        assert not any(each.kind is inspect.Parameter.VAR_KEYWORD for each in parameters.values()), verb
+
+
+def test_words_give_the_bits_of_the_case_that_they_make() -> None:
+    d, case = loop(), Case(parameters={"k": 3.0}, inputs={"r": 2.0}, stop=0.5, every=0.1, method="rk4", step=0.01)
+    words: Any = case.words
+    first, second = d.run(case), d.run(**words)
+    third = d.run(Case(stop=0.5, every=0.1, method="rk4", step=0.01), parameters={"k": 3.0}, inputs={"r": 2.0})
+    assert first["x.y"][-1] == pytest.approx(closed(0.5, 3.0, 2.0), rel=1e-7)
+    for other in (second, third, d.prepare(case).run(), d.prepare().run(case), d.start(case).finish()):
+        assert np.array_equal(other["x.y"], first["x.y"])
+        assert other.measures == first.measures
+
+
+def test_a_run_takes_the_measures_that_are_chosen() -> None:
+    d = loop()
+    assert {*d.run(measures=["moved"]).measures} == {"moved"}
+    assert {*d.run(Case(measures=[])).measures} == set()
+    assert {*d.run().measures} == {"ISE", "moved"}
+    assert {*d.prepare(measures=["ISE"]).run().measures} == {"ISE"}
+
+
+@pytest.mark.parametrize("engine", ["native", "reference"])
+def test_inputs_of_a_case_reach_batches_sweeps_and_tunings(engine: str) -> None:
+    d, case = loop(), Case(inputs={"r": 2.0}, engine=engine)
+    alone = d.run(case, parameters={"k": 3.0})
+    assert alone["x.y"][-1] == pytest.approx(closed(1.0, 3.0, 2.0), rel=1e-5)
+    batch = d.batch(["k"], case, measures=["ISE", "moved"])
+    assert batch([[3.0]]).measures["ISE"][0] == alone.measures["ISE"]
+    assert batch.single([3.0]).measures == alone.measures
+    sweep = d.sweep({"k": [1.0, 3.0]}, case)
+    assert sweep.measures["moved"][1] == alone.measures["moved"]
+    assert sweep.single(1).measures == alone.measures
+    best = d.tune(case, minimize="abs(moved - 1)", over={"k": (0.1, 3.0)}, optimizer="de", budget=40)
+    # |x(1)| = 1 where 2 (1 - exp(-k)) = 1
+    assert best.values["k"] == pytest.approx(np.log(2.0), abs=0.05)
+    assert best.after["nominal"].measures["moved"] == d.run(case, parameters=best.parameters).measures["moved"]
+
+
+def test_inputs_over_time_and_from_a_file_reach_the_rows(tmp_path: Any) -> None:
+    d, t = loop(), np.array([0.0, 1.0])
+    (tmp_path / "r.csv").write_text("time,r\n0,0\n1,1\n")
+    ramp = d.run(inputs={"r": (t, t)}).measures["ISE"]
+    rows = d.batch(["k"], inputs={"r": (t, t)})
+    assert rows([[2.0]]).measures["ISE"][0] == ramp
+    assert d.sweep({"k": [2.0]}, inputs=str(tmp_path / "r.csv")).measures["ISE"][0] == ramp
+    held = d.run(inputs={"r": (t, t)}, interpolation="hold").measures["ISE"]
+    assert d.sweep({"k": [2.0]}, inputs={"r": (t, t)}, interpolation="hold").measures["ISE"][0] == held != ramp
+
+
+def test_a_case_is_linearized_exported_and_planned_with_its_values(tmp_path: Any) -> None:
+    d, case = loop(), Case(parameters={"k": 5.0}, inputs={"r": 2.0}, engine="native", measures=["ISE"])
+    assert d.linearize("r", "x.y", case).poles().real.tolist() == pytest.approx([-5.0])
+    assert d.linearizer(case).slopes.point.t == 0.0
+    assert find_operating_point(d, case)["x.y"] == pytest.approx(2.0)
+    assert find_operating_point(d, case, inputs={"r": 3.0})["x.y"] == pytest.approx(3.0)
+    [point] = operating_points(d, [0.2], case)
+    assert point["x.y"] == pytest.approx(closed(0.2, 5.0, 2.0), rel=1e-5)
+    response = estimate_response(d, "r", "x.y", SineStream([5.0]), case)
+    assert abs(response.value[0, 0]) == pytest.approx(1 / np.sqrt(2.0), rel=1e-3)
+    fmu = d.export(tmp_path / "loop.fmu", case, platforms=())
+    assert fmu.path.exists()
+    assert d.plan(case).settings.stop == 1
+
+
+# --- one meaning for each word ---------------------------------------------------------------------------------
+
+
+def noisy() -> Diagram:
+    d = Diagram("noisy")
+    noise, x = d.add("noise", Noise(period=0.1)), d.add("x", Integrator())
+    gain = d.add("gain", Gain(k=1.0))
+    d.wire(gain.u, noise.y)
+    d.wire(x.u, gain.y)
+    d.measure("ISE", "ISE", x.y, 0.0)
+    d.settings(stop=1.0, seed=7)
+    return d
+
+
+def test_the_seed_is_that_of_the_noise_everywhere() -> None:
+    d, over = noisy(), {"gain.k": (0.5, 2.0)}
+    tuned = d.tune(minimize="ISE", over=over, optimizer="de", budget=8, seed=3)
+    assert tuned.before["nominal"].measures == d.run(seed=3).measures != d.run().measures
+    other = d.tune(minimize="ISE", over=over, optimizer="de", budget=8, seed=3, search_seed=2)
+    assert other.before["nominal"].measures == tuned.before["nominal"].measures
+    assert not np.array_equal(other.history.values, tuned.history.values)
+    # A sweep begins with the seed of the diagram, as a run does.
+    laws = {"gain.k": Normal(1.0, 0.1)}
+    rows, same = d.sweep(laws, n=3), d.sweep(laws, n=3, seed=7)
+    assert np.array_equal(rows.measures["ISE"], same.measures["ISE"])
+    assert rows.measures["ISE"][1] == d.run(seed=int(rows.seeds[1]), parameters={
+        "gain.k": float(rows.varied["gain.k"][1])}).measures["ISE"]  # fmt: skip
+    assert not np.array_equal(rows.varied["gain.k"], d.sweep(laws, n=3, seed=8).varied["gain.k"])
+
+
+def test_progress_is_called_with_what_is_done_and_all() -> None:
+    d, seen = loop(), list[tuple[float, float]]()
+    d.run(progress=lambda t, stop: seen.append((t, stop)), every=0.1)
+    assert seen[-1] == (1.0, 1.0)
+    assert all(0.0 <= t <= stop == 1.0 for t, stop in seen)
+    seen.clear()
+    d.sweep({"k": [1, 2, 3]}, progress=lambda done, total: seen.append((done, total)))
+    assert seen[-1] == (3, 3)
+
+
+def test_how_many_runs_are_computed_is_one_value_of_sweeps_and_tunings() -> None:
+    names = {*Work.__dataclass_fields__}
+    for verb in (Diagram.sweep, Diagram.tune):
+        assert names <= {*inspect.signature(verb).parameters}
+    assert not names & {*ModelWords.__annotations__}
+
+
+def test_what_happens_to_the_mappings_that_were_given_does_not_reach_a_case() -> None:
+    parameters, inputs = {"k": 2.0}, {"r": 1.0}
+    case = Case(parameters=parameters, inputs=inputs)
+    parameters["k"], inputs["r"] = 5.0, 7.0
+    assert case == Case(parameters={"k": 2.0}, inputs={"r": 1.0})
