@@ -19,7 +19,7 @@ class Figure(Drawn):
     parts, along: the panels that it shows and the label of their x axis, where it was made of such.
     """
 
-    forms: Mapping[str, Callable[[Figure], Any]]
+    forms: Mapping[str, Callable[[Figure], object]]
     parts: Sequence[Any] = ()
     along: str = ""
 

@@ -38,7 +38,7 @@ class ReferenceMaster(CoupledRun):
     def _clear(self) -> None:
         super()._clear()
         self.next = [1] * len(self.plan.units)  # the number of the next point of each unit's grid
-        self.inverse: tuple[Any, Array] | None = None
+        self.inverse: tuple[object, Array] | None = None
         self.ends: list[float] = []  # all elements at the end of the last step, before what happened there
         self.crowd = 0  # how many instants followed each other within some ulp
         self.depth = 0  # how many instants have cut the step under way short
