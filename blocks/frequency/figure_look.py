@@ -16,7 +16,8 @@ from .systems import Source
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+
+    from ..results.figure import Figure
 
 FAINT = "#94a3b8"
 SMALL = 8  # points
@@ -96,7 +97,7 @@ def tick_degrees(axis: Axes, *, which: str = "y") -> None:
     (axis.yaxis if which == "y" else axis.xaxis).set_major_locator(MultipleLocator(step))
 
 
-def finished(figure: Figure, named: Any = None, shown: Sequence[Shown] = ()) -> Any:
+def finished(figure: Figure, named: Any = None, shown: Sequence[Shown] = ()) -> Figure:
     """The figure in its colors. named: the axes that name the systems in it."""
     if len(shown) > 1:
         named.legend(fontsize=SMALL, frameon=False, loc="best", labelcolor=INK)

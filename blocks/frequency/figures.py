@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -37,12 +37,15 @@ from .margins import margins as margins_of
 from .response import poles, zeros
 from .search import highest, refined
 
+if TYPE_CHECKING:
+    from ..results.figure import Figure
+
 # Poles and zeros of each style.
 _MARKS = (("x", "o"), ("+", "s"), ("1", "D"), ("2", "^"), ("3", "v"), ("4", "p"))
 
 
 @defaults()
-def bode(systems: object, omega: Iterable[float] | None = None, *, margins: bool | Margins = True) -> Any:
+def bode(systems: object, omega: Iterable[float] | None = None, *, margins: bool | Margins = True) -> Figure:
     """Gain and phase over frequency; the gain and phase margins of a single loop are drawn.
 
     omega: frequencies [rad/s]; without them they are laid out from poles and zeros. margins: off where the system is no
@@ -78,7 +81,7 @@ def bode(systems: object, omega: Iterable[float] | None = None, *, margins: bool
 
 
 @defaults()
-def nyquist(loop: object, *, margins: bool | Margins = True) -> Any:
+def nyquist(loop: object, *, margins: bool | Margins = True) -> Figure:
     """The loop transfer in the complex plane, with -1, the unit circle, the circle that Ms keeps free, and margins.
 
     Negative frequencies are drawn faintly. The view is that of the critical point: what an integrator sends to
@@ -146,7 +149,7 @@ def nichols(systems: object, *, margins: bool | Margins = True) -> object:
 
 
 @defaults()
-def sigma(systems: object, omega: Iterable[float] | None = None) -> Any:
+def sigma(systems: object, omega: Iterable[float] | None = None) -> Figure:
     """Singular values over frequency: the largest and the smallest as lines, with what lies between them shaded."""
     shown = shown_of(systems, "sigma")
     span = span_of(shown, omega)

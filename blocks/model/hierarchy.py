@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any, NamedTuple, Protocol
 
+from ..contract.block import Block
 from ..contract.declaration import Declaration
 from ..contract.interface import LARGEST, Interface, Value, check_differences, unit_from
 from ..contract.reads import arguments
@@ -37,10 +38,10 @@ _COPIES_ARE = "an integer from 1 to 100,000"
 class Resolver(Protocol):
     """Where block classes come from."""
 
-    def __call__(self, name: str, /) -> Any:
+    def __call__(self, name: str, /) -> type[Block]:
         """Return the class of a type; raises KeyError with the known names as its arguments."""
 
-    def fmu(self, entry: BlockEntry, folder: str) -> Any:
+    def fmu(self, entry: BlockEntry, folder: str) -> type[Block]:
         """Return the class of an FMU; its path begins at a folder. Raises BlocksError."""
 
 
@@ -435,7 +436,7 @@ class Hierarchy:
         resolved = self.resolve(scope, name, cls, given, raws) if is_complete else None
         return None if resolved is None else (resolved, origins)
 
-    def block_class(self, scope: DiagramScope, name: str, entry: BlockEntry) -> Any:
+    def block_class(self, scope: DiagramScope, name: str, entry: BlockEntry) -> type[Block] | None:
         """Find the class of a block; None after a fault was reported."""
         spot = ("blocks", name)
         if entry.cls is not None:
@@ -490,7 +491,7 @@ class Hierarchy:
         self,
         scope: DiagramScope,
         name: str,
-        cls: Any,
+        cls: type[Block],
         parameter: Parameter,
         raws: Mapping[str, Any],
         given: Mapping[str, Value],
@@ -532,7 +533,7 @@ class Hierarchy:
         return declared
 
     def resolve(
-        self, scope: DiagramScope, name: str, cls: Any, given: Mapping[str, Value], raws: _Raws
+        self, scope: DiagramScope, name: str, cls: type[Block], given: Mapping[str, Value], raws: _Raws
     ) -> Resolved | None:
         """Settle sizes, defaults, ranges and ports of a block. Blocks with equal values share them."""
         # The hash of a ratio takes less time than that of a fraction.

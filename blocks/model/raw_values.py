@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..contract.block import Block
 from ..contract.sparse import edges_of
 from ..text.errors import BlocksError, Fault, UsageError
 from ..text.printable import legible, quoted
@@ -105,7 +106,7 @@ def _given_at(diagram: DiagramValue, resolver: Resolver, path: list[str], raw: o
     return raw if cls is None else given_value(raw, cls.declaration.parameters.get(inner[0]))
 
 
-def _class_of(entry: BlockEntry, diagram: DiagramValue, resolver: Resolver) -> Any:
+def _class_of(entry: BlockEntry, diagram: DiagramValue, resolver: Resolver) -> type[Block] | None:
     """The class of a block; None where there is none, which flattening reports."""
     try:
         return entry.cls or (resolver.fmu(entry, diagram.folder) if entry.fmu else resolver(entry.type))

@@ -24,7 +24,8 @@ from ..text.errors import Fault, UsageError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+
+    from .figure import Figure
 
 # Two lines that stay apart in greyscale and for the color-blind, by color and by pattern; then more of the kind.
 STYLES = (
@@ -117,7 +118,7 @@ def plain(text: str) -> str:
     return ("\u200b" if text.startswith("_") else "") + text.replace("$", "\\$")
 
 
-def new_figure(width: float, height: float) -> Any:
+def new_figure(width: float, height: float) -> Figure:
     """An empty figure of this size in inches, without a background."""
     from .figure import Figure
 
@@ -128,7 +129,9 @@ def new_figure(width: float, height: float) -> Any:
 
 
 @defaults()
-def panels(parts: Sequence[Panel], *, xlabel: str, title: str = "", windows: Sequence[tuple[float, float]] = ()) -> Any:
+def panels(
+    parts: Sequence[Panel], *, xlabel: str, title: str = "", windows: Sequence[tuple[float, float]] = ()
+) -> Figure:
     """A figure with panels below each other on one x axis. windows: its stretches, shown beside each other."""
     heights = [part.height for part in parts]
     legends = [_legend_of(part) for part in parts]

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ...contract.declaration import Declaration
 from ...contract.variables import REQUIRED
 from ...model.diagram_value import BlockEntry, DiagramValue
 from ...model.flatten import interface_of
@@ -49,7 +50,7 @@ class BlockFacts:
             self.drawing[id(inner)] = any(map(self.draws, entries))
         return self.drawing[id(inner)]
 
-    def _declaration(self, entry: BlockEntry) -> Any:
+    def _declaration(self, entry: BlockEntry) -> Declaration | None:
         """Return the declaration of the class of a block; None where there is none."""
         if not entry.type or self.resolver is None:
             return None

@@ -32,7 +32,7 @@ def _is_number(values: Array) -> object:
     return ~np.isnan(values)
 
 
-def _is_count(values: Array) -> Any:
+def _is_count(values: Array) -> Array:
     return (values >= 0) & (values < 2**31)
 
 
