@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from ..text.errors import did_you_mean
 from .declaration import APART, DESCRIBING, Declaration
@@ -132,25 +132,8 @@ def _check_equations(declaration: Declaration) -> None:
     name, readable = declaration.name, declaration.readable
     own = {id(v) for v in (*readable.values(), *declaration.event_times.values())}
     seen: set[tuple[str, int, int]] = set()
-    changed: set[str] = set()
     for equation in declaration.equations:
-        place = f"{name}.{equation.name}"
-        if not equation.roles:
-            refuse("E403", place, "this equation has no role.")
-        clocks = [role.clock for role in equation.roles if role.clock is not None]
-        if any((clock.every, clock.offset) != (clocks[0].every, clocks[0].offset) for clock in clocks):
-            refuse("E405", place, "has two clocks.", "Write one equation for each clock.")
-        for role in equation.roles:
-            for variable in (role.target, role.cause):
-                if variable is not None and id(variable) not in own:
-                    refuse("E402", place, f"{variable!r} belongs to another class.")
-            once = (role.kind, id(role.target), id(role.cause))
-            if once in seen:
-                target = role.target.name if role.target else ""
-                refuse("E403", place, f"the {role.kind} of '{target}' appears twice.")
-            seen.add(once)
-            if role.kind in ("derivative", "next", "reset") and role.target is not None:
-                changed.add(role.target.name)
+        _check_roles(f"{name}.{equation.name}", equation, own, seen)
         for read in equation.reads:
             _check_read(declaration, readable, equation, read)
     for key, state in declaration.states.items():
@@ -159,6 +142,8 @@ def _check_equations(declaration: Declaration) -> None:
     for key, algebraic in declaration.algebraics.items():
         if ("residual", id(algebraic), id(None)) not in seen:
             refuse("E403", f"{name}.{key}", "the algebraic variable has no residual.", f"Add @{key}.residual.")
+    roles = [role for equation in declaration.equations for role in equation.roles]
+    changed = {r.target.name for r in roles if r.target is not None and r.kind in ("derivative", "next", "reset")}
     for key in declaration.discretes:
         if key not in changed:
             refuse("E403", f"{name}.{key}", "the discrete never changes.", "Add .next or a reset, or use Parameter.")
@@ -169,12 +154,27 @@ def _check_equations(declaration: Declaration) -> None:
     for key, variable in {**declaration.states, **declaration.discretes}.items():
         ticked = declaration.clock_of(key) is not None
         if variable.output and ticked and not (isinstance(variable, Discrete) and variable.visible):
-            refuse(
-                "E405",
-                f"{name}.{key}",
-                "a ticked discrete cannot be an output directly.",
-                'Add visible="after", or write a sampled output that reads it.',
-            )
+            cure = 'Add visible="after", or write a sampled output that reads it.'
+            refuse("E405", f"{name}.{key}", "a ticked discrete cannot be an output directly.", cure)
+
+
+def _check_roles(place: str, equation: Equation, own: Collection[int], seen: set[tuple[str, int, int]]) -> None:
+    """Refuse roles without sense. own: the variables of the class, by id. seen: the roles so far, each of which may
+    appear once; it gets those of this equation."""
+    if not equation.roles:
+        refuse("E403", place, "this equation has no role.")
+    clocks = [role.clock for role in equation.roles if role.clock is not None]
+    if any((clock.every, clock.offset) != (clocks[0].every, clocks[0].offset) for clock in clocks):
+        refuse("E405", place, "has two clocks.", "Write one equation for each clock.")
+    for role in equation.roles:
+        for variable in (role.target, role.cause):
+            if variable is not None and id(variable) not in own:
+                refuse("E402", place, f"{variable!r} belongs to another class.")
+        once = (role.kind, id(role.target), id(role.cause))
+        if once in seen:
+            target = role.target.name if role.target else ""
+            refuse("E403", place, f"the {role.kind} of '{target}' appears twice.")
+        seen.add(once)
 
 
 def _check_read(declaration: Declaration, readable: Mapping[str, Variable], equation: Equation, read: str) -> None:
@@ -189,15 +189,7 @@ def _check_read(declaration: Declaration, readable: Mapping[str, Variable], equa
         return
     variable = readable.get(read)
     if variable is None:
-        extra = " It is an event time, which has no value." if read in declaration.event_times else ""
-        known = (*readable, "t", "tick")
-        names = f"Names: {', '.join(known)}."
-        cure = did_you_mean(read, known) or names
-        if read == "self":
-            cure = f"Remove it: the arguments of an equation are variables of its class. {names}"
-        elif cure == names and not extra:
-            cure = f"{names} Or declare it: {read} = Parameter(1.0)."
-        refuse("E402", place, f"reads '{read}', which is not a name of this class.{extra}", cure)
+        refuse("E402", place, *_unknown_name(declaration, readable, read))
     if "event_time" in kinds and not isinstance(variable, (Parameter, Discrete)):
         refuse("E402", place, f"an event time may read t, parameters and discretes, not {variable!r}.")
     if "event_time" in kinds and isinstance(variable, Parameter):
@@ -209,20 +201,26 @@ def _check_read(declaration: Declaration, readable: Mapping[str, Variable], equa
         refuse("E402", place, f"wiring re-arranges inputs only; it cannot read {variable!r}.")
     if isinstance(variable, Crossing) and variable.start is None and variable in [r.target for r in equation.roles]:
         refuse("E405", place, "reads its own side.", "Set its side at the start: @crossing(start=False).")
-    # A local may serve sampled and unsampled equations alike; where it does, it may not read what they see differently.
-    if (
-        isinstance(variable, Discrete)
-        and not (kinds == {"local"} and declaration.is_of_ticks(equation.name))
-        and unsampled & {"output", "local", "derivative", "residual", "crossing", "next"}
-        and declaration.clock_of(read) is not None
-        and not variable.visible
-    ):
-        refuse(
-            "E405",
-            place,
-            f"is unsampled and reads the ticked discrete '{read}'.",
-            f'Sample it too (every=), or declare {read} = Discrete(visible="after").',
-        )
+    if isinstance(variable, Discrete) and not variable.visible and declaration.clock_of(read) is not None:
+        # A local may serve sampled and unsampled equations alike; where it does, it may not read what they see
+        # differently.
+        is_of_both = kinds == {"local"} and declaration.is_of_ticks(equation.name)
+        if not is_of_both and unsampled & {"output", "local", "derivative", "residual", "crossing", "next"}:
+            cure = f'Sample it too (every=), or declare {read} = Discrete(visible="after").'
+            refuse("E405", place, f"is unsampled and reads the ticked discrete '{read}'.", cure)
+
+
+def _unknown_name(declaration: Declaration, readable: Mapping[str, Variable], read: str) -> tuple[str, str]:
+    """Return the message and the cure of a name that the class does not have."""
+    extra = " It is an event time, which has no value." if read in declaration.event_times else ""
+    known = (*readable, "t", "tick")
+    names = f"Names: {', '.join(known)}."
+    cure = did_you_mean(read, known) or names
+    if read == "self":
+        cure = f"Remove it: the arguments of an equation are variables of its class. {names}"
+    elif cure == names and not extra:
+        cure = f"{names} Or declare it: {read} = Parameter(1.0)."
+    return f"reads '{read}', which is not a name of this class.{extra}", cure
 
 
 def _check_cycles(declaration: Declaration) -> None:

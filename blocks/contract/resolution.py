@@ -314,14 +314,7 @@ def _typed(parameter: Parameter, value: Value) -> Value:
     if raw is None and parameter.default is None:
         return value
     if isinstance(raw, SparseMatrix):
-        if not (parameter.zeros and isinstance(parameter.shape, tuple) and len(parameter.shape) == 2):
-            raise ValueError("cannot be a sparse matrix.")
-        if parameter.sparse:
-            return value
-        if math.prod(raw.shape) > LARGEST:
-            message = f"is {_shape(raw.shape)}, and all of its elements are needed here; the limit is {LARGEST:,}."
-            raise ValueError(message)
-        return Value(frozen(raw.dense()), None, value.unit)
+        return _sparse(parameter, value, raw)
     if parameter.type == "string":
         if not isinstance(raw, str):
             raise ValueError(f"must be a text, not {raw!r}.")
@@ -339,6 +332,23 @@ def _typed(parameter: Parameter, value: Value) -> Value:
         raise _NoNumber(raw)
     if type(raw) is float and parameter.type == "real" and not parameter.structural and math.isfinite(raw):
         return Value(frozen(np.array(raw)), value.exact, value.unit)
+    return _numbers(parameter, value)
+
+
+def _sparse(parameter: Parameter, value: Value, raw: SparseMatrix) -> Value:
+    if not (parameter.zeros and isinstance(parameter.shape, tuple) and len(parameter.shape) == 2):
+        raise ValueError("cannot be a sparse matrix.")
+    if parameter.sparse:
+        return value
+    if math.prod(raw.shape) > LARGEST:
+        message = f"is {_shape(raw.shape)}, and all of its elements are needed here; the limit is {LARGEST:,}."
+        raise ValueError(message)
+    return Value(frozen(raw.dense()), None, value.unit)
+
+
+def _numbers(parameter: Parameter, value: Value) -> Value:
+    """A given number, or an array of numbers."""
+    raw, is_int = value.value, parameter.type == "int"
     array = _array(raw)
     if array.dtype.kind not in "iuf":
         raise ValueError(f"must be a number, not {raw!r}.")
@@ -346,15 +356,13 @@ def _typed(parameter: Parameter, value: Value) -> Value:
         raise ValueError(f"must be finite, not {_shown(raw)}.")
     if parameter.structural and array.ndim > (parameter.shape != ()):
         raise ValueError(f"must be {'one number' if parameter.shape == () else 'a list'}, not {_shown(raw)}.")
-    if parameter.type == "int":
-        if not all(float(x).is_integer() and abs(float(x)) <= 2**53 for x in array.flat):
-            raise ValueError(f"must be {'an integer' if array.ndim == 0 else 'integers'}, not {_shown(raw)}.")
-        if not parameter.structural:
-            return Value(frozen(array.astype(float)), value.exact, value.unit)
-        return Value(_structural(array, int, parameter))
-    if parameter.structural:
-        return Value(_structural(array, float, parameter), value.exact, value.unit)
-    return Value(frozen(array.astype(float)), value.exact, value.unit)
+    if is_int and not all(float(x).is_integer() and abs(float(x)) <= 2**53 for x in array.flat):
+        raise ValueError(f"must be {'an integer' if array.ndim == 0 else 'integers'}, not {_shown(raw)}.")
+    if not parameter.structural:
+        return Value(frozen(array.astype(float)), value.exact, value.unit)
+    return Value(_structural(array, int, parameter)) if is_int else Value(
+        _structural(array, float, parameter), value.exact, value.unit
+    )  # fmt: skip
 
 
 def _members(parameter: Parameter, raw: object) -> Array:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, product
 
@@ -537,17 +537,7 @@ def _faults_of_structure(model: Model) -> Iterator[Fault]:
     rates = {element: owner[element] for element in model.derivatives}
     states = {variable.derivative_of for variable in rates.values()}
     for variable in model.variables:
-        state = owner.get(-1 if variable.derivative_of is None else variable.derivative_of)
-        fits = state is not None and state.reference == variable.derivative_of and state.shape == variable.shape
-        if variable.derivative_of is not None and not fits:
-            yield Fault("E501", variable.name, "it is not the derivative of a variable of the same shape.")
-        elif variable.derivative_of is None and variable.reference in rates:
-            yield Fault("E501", variable.name, "it is listed as a derivative, but no state is named.")
-        if variable.is_state and variable.reference not in states and "ME" in model.kinds:
-            yield Fault("E501", variable.name, "the derivative of this state is not listed.")
-        is_dynamic = variable.is_state or variable.reference in rates or variable.reference in lists["event indicators"]
-        if is_dynamic and (variable.variability != "continuous" or variable.causality not in ("local", "output")):
-            message = "states, derivatives and indicators must be continuous local variables or outputs."
+        for message in _faults_of_motion(model, variable, owner, rates, states):
             yield Fault("E501", variable.name, message)
     expected = {
         "outputs": {k for k, v in owner.items() if v.causality == "output"},
@@ -562,12 +552,33 @@ def _faults_of_structure(model: Model) -> Iterator[Fault]:
         whole = [k for first in firsts for k in _references(owner[first])]
         if whole != list(lists[name]):
             yield Fault("E501", "", f"the {name} are not whole variables in sequence.")
-    for name, listed in lists.items():
-        for unknown, knowns in listed.items():
-            for known in knowns or ():
-                if not _may_be_known(owner[known], initial=name == "initial unknowns"):
-                    message = f"it depends on {owner[known].name}, which is itself unknown at that time."
-                    yield Fault("E501", owner[unknown].name, message)
+    pairs = ((name, unknown, k) for name, listed in lists.items() for unknown in listed for k in listed[unknown] or ())
+    for name, unknown, known in pairs:
+        if not _may_be_known(owner[known], initial=name == "initial unknowns"):
+            message = f"it depends on {owner[known].name}, which is itself unknown at that time."
+            yield Fault("E501", owner[unknown].name, message)
+
+
+def _faults_of_motion(
+    model: Model,
+    variable: ExportedVariable,
+    owner: Mapping[int, ExportedVariable],
+    rates: Collection[int],
+    states: Collection[int | None],
+) -> Iterator[str]:
+    """Find what is wrong with a variable as a state, a derivative or an event indicator."""
+    of, is_rate = variable.derivative_of, variable.reference in rates
+    if of is None and is_rate:
+        yield "it is listed as a derivative, but no state is named."
+    elif of is not None:
+        state = owner.get(of)
+        if state is None or state.reference != of or state.shape != variable.shape:
+            yield "it is not the derivative of a variable of the same shape."
+    if variable.is_state and variable.reference not in states and "ME" in model.kinds:
+        yield "the derivative of this state is not listed."
+    is_dynamic = variable.is_state or is_rate or variable.reference in model.indicators
+    if is_dynamic and (variable.variability != "continuous" or variable.causality not in ("local", "output")):
+        yield "states, derivatives and indicators must be continuous local variables or outputs."
 
 
 def _is_initial_unknown(

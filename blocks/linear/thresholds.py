@@ -8,12 +8,13 @@ This is exact, and takes a hundredth of the time of a search.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from ..contract.tape import Tape
 
 Constant = Callable[[int], float]
 _COMPARED = frozenset({"lt", "le", "eq", "ne", "fmin", "fmax"})
+_BINARY = frozenset({"add", "sub", "mul", "div", "pow", "fmin", "fmax"})
 _AT_ZERO = frozenset({"crossing", "fabs", "sign", "copysign", "sqrt", "log", "atan2", "hypot"})
 
 
@@ -65,34 +66,38 @@ def places(tape: Tape, node: int, argument: int, constant: Constant, level: floa
     op, operands = tape.nodes[node].op, tape.nodes[node].operands
     if op == "argument":
         return (level + 0.0,)  # no negative zero
-
-    def behind(place: int, value: float) -> tuple[float, ...] | None:
-        return places(tape, operands[place], argument, constant, value)
-
-    if op == "neg":
-        return behind(0, -level)
-    if op == "fabs":
-        both = [behind(0, value) for value in {level, -level}] if level >= 0.0 else []
-        known = [inputs for inputs in both if inputs is not None]
-        return tuple(u for inputs in known for u in inputs) if len(known) == len(both) else None
-    if op not in ("add", "sub", "mul", "div", "pow", "fmin", "fmax"):
-        return None
     moving = [k for k, operand in enumerate(operands) if argument in tape.arguments_of(operand)]
     if len(moving) != 1:
         return None
-    k = moving[0]
-    other = constant(operands[1 - k])
-    if op == "add":
-        return behind(k, level - other)
-    if op == "sub":
-        return behind(k, level + other if k == 0 else other - level)
+    levels: tuple[float, ...] | None
+    if op == "neg":
+        levels = (-level,)
+    elif op == "fabs":
+        levels = tuple({level, -level}) if level >= 0.0 else ()
+    else:
+        levels = _behind(op, moving[0], level, constant(operands[1 - moving[0]])) if op in _BINARY else None
+    behind = [places(tape, operands[moving[0]], argument, constant, value) for value in levels or ()]
+    known = [inputs for inputs in behind if inputs is not None]
+    return None if levels is None or len(known) < len(behind) else tuple(u for inputs in known for u in inputs)
+
+
+_INVERSES: Mapping[tuple[str, int], Callable[[float, float], float]] = {
+    ("add", 0): lambda level, other: level - other, ("add", 1): lambda level, other: level - other,
+    ("sub", 0): lambda level, other: level + other, ("sub", 1): lambda level, other: other - level,
+    ("mul", 0): lambda level, other: level / other, ("mul", 1): lambda level, other: level / other,
+    ("div", 0): lambda level, other: level * other,
+}  # fmt: skip
+"""The operand at a place, at which an operation with another operand passes a level."""
+
+
+def _behind(op: str, k: int, level: float, other: float) -> tuple[float, ...] | None:
+    """Return the values of operand k at which an operation passes a level; None if they are not known."""
     if op in ("fmin", "fmax"):
         is_cut = level > other if op == "fmin" else level < other
-        return None if level == other or math.isnan(other) else () if is_cut else behind(k, level)
+        return None if level == other or math.isnan(other) else () if is_cut else (level,)
     if op == "pow":
-        return behind(0, 0.0) if k == 0 and level == 0.0 and other > 0.0 else None
-    if k != 0 and op == "div":
-        return None
-    if not math.isfinite(other) or other == 0.0:
+        return (0.0,) if k == 0 and level == 0.0 and other > 0.0 else None
+    if op in ("mul", "div") and (not math.isfinite(other) or other == 0.0):
         return () if op == "mul" and other == 0.0 else None
-    return behind(k, level / other if op == "mul" else level * other)
+    inverse = _INVERSES.get((op, k))
+    return None if inverse is None else (inverse(level, other),)

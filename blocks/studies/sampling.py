@@ -238,25 +238,16 @@ def rows_of(vary: Any, *, n: int | None, sampler: str, seed: int, expand: Callab
     if sampler not in SAMPLERS:
         cure = did_you_mean(str(sampler), SAMPLERS) or f"Choose one of: {', '.join(SAMPLERS)}."
         raise _refused(legible(str(sampler)), "is not a sampler.", cure)
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+    if not _is_count(seed, 0):
         raise _refused("seed", f"must be an integer, 0 or more, not {seed!r}.")
-    if n is not None and (isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 1):
+    if n is not None and not _is_count(n, 1):
         raise _refused("n", f"must be an integer above 0, not {n!r}.")
     if not isinstance(vary, Mapping):
         return _of_table(vary, n)
-    drawn: dict[str, Any] = {}
-    listed: dict[str, Array] = {}
-    for key, what in vary.items():
-        for name in expand(key.pattern) if isinstance(key, Each) else [key]:
-            if name in drawn or name in listed:
-                raise _refused(legible(str(name)), "appears twice.", "Vary each parameter once.")
-            if callable(getattr(what, "ppf", None)):
-                drawn[name] = what
-            else:
-                listed[name] = _column(str(name), what)
-                if not len(listed[name]):
-                    raise _refused(legible(str(name)), "has no values.", "Give a list with values, or a distribution.")
-    base = check_draws({**drawn, **listed}, n, sampler)
+    given = _by_name(vary, expand)
+    drawn = {name: what for name, what in given.items() if is_law(what)}
+    listed = {name: what for name, what in given.items() if name not in drawn}
+    base = check_draws(given, n, sampler)
     points, warnings = unit_points(n or 1, len(drawn), sampler, int(seed))
     columns = {name: np.asarray(law.ppf(points[:, k]), dtype=float) for k, (name, law) in enumerate(drawn.items())}
     for name, column in columns.items():
@@ -267,13 +258,33 @@ def rows_of(vary: Any, *, n: int | None, sampler: str, seed: int, expand: Callab
         raise _refused("vary", f"makes {combinations * draws} rows; the limit is {MOST_ROWS}.")
     for name, picked in zip(listed, np.unravel_index(np.arange(combinations), sizes) if sizes else (), strict=True):
         columns[name] = np.repeat(listed[name][picked], draws)
-    if combinations > 1:
-        columns |= {name: np.tile(columns[name], combinations) for name in drawn}
     for name, law in drawn.items():
+        columns[name] = np.tile(columns[name], combinations)
         if isinstance(law, Distribution) and law.unit:
             columns[name] = _column(name, [{"value": x, "unit": law.unit} for x in columns[name].tolist()])
-    named = [name for key in vary for name in (expand(key.pattern) if isinstance(key, Each) else [key])]
-    return Rows({name: columns[name] for name in named}, combinations * draws, base, warnings)
+    return Rows({name: columns[name] for name in given}, combinations * draws, base, warnings)
+
+
+def is_law(what: Any) -> bool:
+    """Return whether values are drawn from it, as from a distribution, also one of scipy.stats."""
+    return callable(getattr(what, "ppf", None))
+
+
+def _is_count(number: Any, least: int) -> bool:
+    return isinstance(number, (int, np.integer)) and not isinstance(number, bool) and bool(number >= least)
+
+
+def _by_name(vary: Mapping[Any, Any], expand: Callable[[str], Sequence[str]]) -> dict[str, Any]:
+    """Return what is varied by the name of each column: a distribution, or an array. Raises UsageError (E501)."""
+    given: dict[str, Any] = {}
+    for key, what in vary.items():
+        for name in expand(key.pattern) if isinstance(key, Each) else [key]:
+            if name in given:
+                raise _refused(legible(str(name)), "appears twice.", "Vary each parameter once.")
+            given[name] = what if is_law(what) else _column(str(name), what)
+            if not is_law(what) and not len(given[name]):
+                raise _refused(legible(str(name)), "has no values.", "Give a list with values, or a distribution.")
+    return given
 
 
 def unit_points(n: int, dimensions: int, sampler: str, seed: int) -> tuple[Array, tuple[Fault, ...]]:
@@ -316,7 +327,7 @@ def unit_points(n: int, dimensions: int, sampler: str, seed: int) -> tuple[Array
 
 def check_draws(vary: Mapping[Any, Any], n: int | None, sampler: str) -> int:
     """Whether so many can be drawn; gives `Rows.base`. Raises UsageError (E501)."""
-    drawn = {name: what for name, what in vary.items() if callable(getattr(what, "ppf", None))}
+    drawn = {name: what for name, what in vary.items() if is_law(what)}
     listed = {name: what for name, what in vary.items() if name not in drawn}
     if drawn and n is None:
         raise _refused(

@@ -25,7 +25,7 @@ from ..text.errors import BlocksError, Fault, UsageError, did_you_mean
 from ..text.grammar import Steps
 from ..text.json_number import Number
 from ..text.printable import quoted
-from .sampling import check_draws, each, named_values
+from .sampling import check_draws, each, is_law, named_values
 from .statistics import quantiles
 from .sweep import Sweep
 from .sweep_margins import RowMargins, margins_of
@@ -148,7 +148,7 @@ class StudySweep(ManyRuns):
             yield ("vary", error.faults[0].place), error.faults[0]
             varied = {}
         for name, law in zip(self.vary, varied.values(), strict=False):
-            if callable(getattr(law, "ppf", None)):
+            if is_law(law):
                 yield from placed(("vary", name), law.ppf, np.array([0.5]))
         options, measures, signals = self.options, diagram.value.measures, flats[0].signals
         yield from placed(("n",), check_draws, varied, options.get("n"), options.get("sampler", "random"))

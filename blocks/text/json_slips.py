@@ -86,30 +86,35 @@ def slip(text: str, at: int, wanted: Wanted, path: Path, open_at: int, position:
     if char in "]}" and bracket and char != closer:
         message = f"{opened.format(bracket, *position(open_at))} is closed by {closer}, but {char} is here."
         return Slip(at, message, f"Write {closer} here, or close the {bracket} before.")
-    if char in "]}" and (wanted == "key" or (wanted == "value" and bracket == "[")):
+    if char in "]}" and wanted in (("key", "value") if bracket == "[" else ("key",)):
         comma = text.rindex(",", 0, at)
         return Slip(comma, f"there is a comma before the closing {char}.", "Remove the comma.", comma, " ")
     if wanted == "value" and word:
         return _odd_value(word[0], at)
+    if not char.isprintable():
+        return Slip(at, f"{expected}the invisible character U+{ord(char):04X} is here.", "Remove it.")
     shown = quoted(word[0]) if word else ""
     thing = _THINGS.get(text[at : at + 2]) or _THINGS.get(char) or shown[1:-1] or char
     if char == '"':
         thing = f"the string {quoted(text[at + 1 : _plain(text, at + 1).end()])}"
-    if not char.isprintable():
-        return Slip(at, f"{expected}the invisible character U+{ord(char):04X} is here.", "Remove it.")
     message = f"{expected}{thing} is here."
     if wanted == "key" and word and char.isdigit() and (whole := _whole_part(text[max(0, at - 30) : at])):
         return Slip(at, message, f"Decimals follow a point: {whole[1]}.{word[0]}.")
+    key = quoted(path[-1]) if path and isinstance(path[-1], str) else "the key"
+    return _listed(text, at, wanted, bracket, message, key, shown)
+
+
+def _listed(text: str, at: int, wanted: Wanted, bracket: str, message: str, key: str, word: str) -> Slip:
+    """Return the slip of the first row of _SLIPS that fits. key, word: those around, as its cure shows them."""
     match, cure, piece = next(
         (match, cure, piece)
         for place, inside, pattern, cure, piece in _SLIPS
         if wanted in (place or wanted) and inside in bracket and (match := re.compile(pattern).match(text, at))
     )
-    key = quoted(path[-1]) if path and isinstance(path[-1], str) else "the key"
-    cure = cure.format(key=key, word=shown, inside=quoted(match[1]) if match.lastindex else "")
+    cure = cure.format(key=key, word=word, inside=quoted(match[1]) if match.lastindex else "")
     if piece == "<,":  # 1 500 is one number for many
         piece = "," if text[at - 1] in " \t\n\r" else ""
-        return Slip(at, message, cure, at - 1, piece, is_certain=not char.isdigit())
+        return Slip(at, message, cure, at - 1, piece, is_certain=not text[at].isdigit())
     if piece == '"':
         piece = f'"{match[1]}"'
     return Slip(at, message, cure, at, piece.ljust(len(match[0])) if piece else "")
