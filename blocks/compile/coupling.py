@@ -392,7 +392,7 @@ class _Coupler:
         block = self.flat.blocks[group[0]]
         if block.interface.declaration.foreign is not None and block.interface.declaration.foreign.kind == "CS":
             return self.fmu(block, mine)
-        return self.island(k, group, mine)
+        return self.island(group, mine)
 
     # --- FMUs --------------------------------------------------------------------------------------------------
 
@@ -535,11 +535,49 @@ class _Coupler:
 
     # --- blocks with equations ---------------------------------------------------------------------------------
 
-    def island(self, k: int, group: Group, mine: Sequence[tuple[BlockSource, int]]) -> CoupledUnit:
+    def island(self, group: Group, mine: Sequence[tuple[BlockSource, int]]) -> CoupledUnit:
         """The Plan of some blocks; what comes from other units and from the diagram's inputs are its inputs."""
+        taken: dict[BlockSource | InputSource, int] = {}
+        each = len(self.groups) > 1 and self.master.couple == "each"
+        path = self.flat.blocks[group[0]].path if each else ""
+        island_plan = plan(self._island_flat(group, mine, taken, path))
+        self.warnings += island_plan.warnings
+        references = tuple(island_plan.signal(str(n)).references[0] for n in range(len(mine)))
+        upstream = Upstream(island_plan)
+        feeds = []
+        reset = {r for cause in (*island_plan.crossings, *island_plan.events) for _, r in cause.resets}
+        for (_, g), reference in zip(mine, references, strict=True):
+            closure = at_once(island_plan, [reference])
+            feeds.append(tuple(sorted(index for row, index in closure if row == "u")))
+            rows = {row for row, _ in closure}
+            held = not rows & {"x", "t", "u", "h", "z"}
+            jumps = bool(rows & {"d", "s", "h"}) or bool(closure & reset)
+            self.elements[g] = replace(self.elements[g], held=held and bool(rows & {"d", "s"}), jumps=jumps)
+        names = tuple(self.input_name(source) for source in taken)
+        links = tuple(self.link(source) for source in taken)
+        return CoupledUnit(
+            path, path or "the blocks with equations", links, names, tuple(self.is_moving(link) for link in links),
+            tuple(g for _, g in mine), tuple(feeds), True, self.step(path, None), plan=island_plan,
+            references=references,
+            has_instants=bool(
+                island_plan.rates or island_plan.events or island_plan.crossings or island_plan.histories
+            ),
+            sampled=_sampled(island_plan), follows=tuple(upstream.of([reference]) for reference in references),
+        )  # fmt: skip
+
+    def _island_flat(
+        self,
+        group: Group,
+        mine: Sequence[tuple[BlockSource, int]],
+        taken: dict[BlockSource | InputSource, int],
+        path: str,
+    ) -> Flat:
+        """Return the flat model of some blocks. taken: gets what comes from outside, with the numbers of the inputs.
+
+        path: of the only block; "": there are several.
+        """
         flat = self.flat
         renumbered = {index: place for place, index in enumerate(group)}
-        taken: dict[BlockSource | InputSource, int] = {}
 
         def inside(source: Source) -> Source:
             if isinstance(source, ValueSource):
@@ -557,44 +595,19 @@ class _Coupler:
             )
             for index in group
         )
-        names = tuple(self.input_name(source) for source in taken)
         inputs = tuple(FlatInput(f"u{j}", j, (), "", "", "real", (0.0,)) for j in range(len(taken)))
         asked = {str(n): inside(source) for n, (source, _) in enumerate(mine)}
         signals = {name: FlatSignal(name, (source,), (), ("",), ("",), "real") for name, source in asked.items()}
-        each = len(self.groups) > 1 and self.master.couple == "each"
-        path = flat.blocks[group[0]].path if each else ""
         enabled = tuple(
             replace(
                 part, enabled=renumbered[part.enabled], time=renumbered[part.time],
                 members=tuple(renumbered[m] for m in part.members), resets=tuple(renumbered[m] for m in part.resets),
             )
             for part in flat.enabled
-        ) if not each else ()  # fmt: skip
+        ) if not path else ()  # fmt: skip
         settings = replace(self.settings, every=None, log=(), inputs={}, stops=())
         name, log = path or flat.name, tuple(asked)
-        island_plan = plan(Flat(name, blocks, inputs, signals, (), settings, log, (), (), enabled, flat.diagram))
-        self.warnings += island_plan.warnings
-        references = tuple(island_plan.signal(str(n)).references[0] for n in range(len(mine)))
-        closures = [at_once(island_plan, [reference]) for reference in references]
-        upstream = Upstream(island_plan)
-        feeds = []
-        reset = {r for cause in (*island_plan.crossings, *island_plan.events) for _, r in cause.resets}
-        for (_, g), closure in zip(mine, closures, strict=True):
-            feeds.append(tuple(sorted(index for row, index in closure if row == "u")))
-            rows = {row for row, _ in closure}
-            held = not rows & {"x", "t", "u", "h", "z"}
-            jumps = bool(rows & {"d", "s", "h"}) or bool(closure & reset)
-            self.elements[g] = replace(self.elements[g], held=held and bool(rows & {"d", "s"}), jumps=jumps)
-        links = tuple(self.link(source) for source in taken)
-        return CoupledUnit(
-            path, path or "the blocks with equations", links, names, tuple(self.is_moving(link) for link in links),
-            tuple(g for _, g in mine), tuple(feeds), True, self.step(path, None), plan=island_plan,
-            references=references,
-            has_instants=bool(
-                island_plan.rates or island_plan.events or island_plan.crossings or island_plan.histories
-            ),
-            sampled=_sampled(island_plan), follows=tuple(upstream.of([reference]) for reference in references),
-        )  # fmt: skip
+        return Flat(name, blocks, inputs, signals, (), settings, log, (), (), enabled, flat.diagram)
 
     def input_name(self, source: BlockSource | InputSource) -> str:
         if isinstance(source, BlockSource):

@@ -169,32 +169,11 @@ def _track(raw: object, shape: tuple[int, ...], unit: str, type_: str, interpola
 
 def _values(raw: object, shape: tuple[int, ...], unit: str, type_: str, *, rows: bool) -> Array:
     """Values as rows of elements, in SI."""
-    given = ""
-    if isinstance(raw, Mapping):
-        given = str(raw.get("unit", ""))
-        if given and not units.same_quantity(given, unit):
-            raise ValueError(f"[{given}] is given, but [{unit}] is needed: they are different quantities.")
-        unit, raw = given or unit, raw.get("value")
-    # A bare number is in the unit that the input declares.
-    factor, offset = (units.parse(unit).factor, units.parse(unit).offset) if unit else (1.0, 0.0)
-    members = enumeration_of(type_)
-    if members is None and type_ != "bool" and isinstance(raw, (str, list, tuple)) and _holds_quantities(raw):
-        raw, factor, offset = in_si(raw, unit, ""), 1.0, 0.0
-    if members is not None:
-        if given:
-            raise ValueError(f"has no unit. Give the number of a member, or its name: {', '.join(members.members)}.")
-        raw = _numbers(raw, members)
+    raw, factor, offset = _plain(raw, unit, type_)
     if isinstance(raw, str):
         raise ValueError(f"must be a number, not the text {raw!r}.")
     array = np.asarray(raw)
-    if array.dtype == object or array.dtype.kind not in "biuf":
-        raise ValueError("must be numbers.")
-    if type_ != "bool" and array.dtype == bool:
-        raise ValueError("must be a number, not true or false.")
-    if type_ == "int" and not np.all((array == np.floor(array)) & (np.abs(array) <= 2**53)):
-        raise ValueError("must be integers up to 2^53.")
-    if type_ == "bool" and not np.all((array == 0) | (array == 1)):
-        raise ValueError("must be true or false.")
+    _check_type(array, type_)
     size = math.prod(shape)
     wanted = (len(array) if array.ndim else 0, *shape) if rows else shape
     if array.shape != wanted and not (array.shape == () and not rows):
@@ -208,6 +187,37 @@ def _values(raw: object, shape: tuple[int, ...], unit: str, type_: str, *, rows:
     if not np.all(np.isfinite(values)):
         raise ValueError("must be finite.")
     return values
+
+
+def _plain(raw: object, unit: str, type_: str) -> tuple[object, float, float]:
+    """Return given values without their unit, and the factor and the offset that convert them to SI."""
+    given = ""
+    if isinstance(raw, Mapping):
+        given = str(raw.get("unit", ""))
+        if given and not units.same_quantity(given, unit):
+            raise ValueError(f"[{given}] is given, but [{unit}] is needed: they are different quantities.")
+        unit, raw = given or unit, raw.get("value")
+    # A bare number is in the unit that the input declares.
+    factor, offset = (units.parse(unit).factor, units.parse(unit).offset) if unit else (1.0, 0.0)
+    members = enumeration_of(type_)
+    if members is None and type_ != "bool" and isinstance(raw, (str, list, tuple)) and _holds_quantities(raw):
+        return in_si(raw, unit, ""), 1.0, 0.0
+    if members is not None:
+        if given:
+            raise ValueError(f"has no unit. Give the number of a member, or its name: {', '.join(members.members)}.")
+        raw = _numbers(raw, members)
+    return raw, factor, offset
+
+
+def _check_type(array: Array, type_: str) -> None:
+    if array.dtype == object or array.dtype.kind not in "biuf":
+        raise ValueError("must be numbers.")
+    if type_ != "bool" and array.dtype == bool:
+        raise ValueError("must be a number, not true or false.")
+    if type_ == "int" and not np.all((array == np.floor(array)) & (np.abs(array) <= 2**53)):
+        raise ValueError("must be integers up to 2^53.")
+    if type_ == "bool" and not np.all((array == 0) | (array == 1)):
+        raise ValueError("must be true or false.")
 
 
 def _holds_quantities(raw: object) -> bool:

@@ -26,6 +26,26 @@ def stages(needs: Mapping[Node, Sequence[Node]], torn: frozenset[Node]) -> dict[
     for node, before in needs.items():
         for other in before:
             users[other].append(node)
+    cut = _cut(needs, users, torn)
+    stage = dict.fromkeys(needs, 0)
+    waiting = {node: sum(other not in cut for other in before) for node, before in needs.items() if node not in cut}
+    ready = [node for node, count in waiting.items() if not count]
+    while ready:
+        node = ready.pop()
+        for user in users[node]:
+            if user in waiting:
+                stage[user] = max(stage[user], stage[node] + 1)
+                waiting[user] -= 1
+                if not waiting[user]:
+                    ready.append(user)
+    last = 1 + max(stage.values())
+    return {node: last if node in cut else stage[node] for node in needs}
+
+
+def _cut(
+    needs: Mapping[Node, Sequence[Node]], users: Mapping[Node, Sequence[Node]], torn: frozenset[Node]
+) -> set[Node]:
+    """Return the nodes at which a loop is torn."""
     cut = {node for node, before in needs.items() if node in torn or node in before}
     into = {node: sum(other not in cut for other in before) for node, before in needs.items() if node not in cut}
     out = {node: sum(other not in cut for other in users[node]) for node in into}
@@ -44,19 +64,7 @@ def stages(needs: Mapping[Node, Sequence[Node]], torn: frozenset[Node]) -> dict[
                     counts[other] -= 1
                     if not counts[other]:
                         ends.append(other)
-    stage = dict.fromkeys(needs, 0)
-    waiting = {node: sum(other not in cut for other in before) for node, before in needs.items() if node not in cut}
-    ready = [node for node, count in waiting.items() if not count]
-    while ready:
-        node = ready.pop()
-        for user in users[node]:
-            if user in waiting:
-                stage[user] = max(stage[user], stage[node] + 1)
-                waiting[user] -= 1
-                if not waiting[user]:
-                    ready.append(user)
-    last = 1 + max(stage.values())
-    return {node: last if node in cut else stage[node] for node in needs}
+    return cut
 
 
 class Slopes(NamedTuple):

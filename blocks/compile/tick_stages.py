@@ -180,8 +180,30 @@ def sequence_of(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int] | Uni
         return stages
     needs = _Needs(plan, rates, has_units=True)
     stage = {key: n for n, members in enumerate(stages) for key in members}
-    of: dict[int, set[int]] = {key: direct | late for key, (direct, late) in needs.of.items()}
     units = {unit_key(plan, k): part for k, part in enumerate(plan.foreign)}
+    of, before = _needs_of_units(plan, needs, units)
+    after: dict[int, int] = {}
+    order = [key for group in components({key: sorted(needed) for key, needed in of.items()}) for key in group]
+    for key in (key for key in order if key in units):
+        after[key] = max((after[other] if other in units else stage[other] + 1 for other in of[key]), default=0)
+    numbers = {unit_key(plan, k): k for k in range(len(plan.foreign))}
+    sequence: list[frozenset[int] | UnitPlace] = []
+    for n in range(len(stages) + 1):
+        for key in (key for key in after if after[key] == n):
+            late = before[key] - of[key]
+            others = frozenset(numbers[other] for other in late if other in units)
+            rates_after = frozenset(needs.rate(other) for other in late if other not in units)
+            sequence.append(UnitPlace(numbers[key], rates_after, others))
+        sequence += stages[n : n + 1]
+    return tuple(sequence)
+
+
+def _needs_of_units(
+    plan: Plan, needs: _Needs, units: Mapping[int, ForeignPart]
+) -> tuple[dict[int, set[int]], dict[int, set[int]]]:
+    """Return what all rates and FMUs need before them, without circles of FMUs; and of FMUs alone what their inputs
+    need, also in circles."""
+    of: dict[int, set[int]] = {key: direct | late for key, (direct, late) in needs.of.items()}
     sampled: dict[int, set[int]] = {}
     for key, part in units.items():
         by_input = [set().union(*needs.seen([reference])) for reference in part.inputs]
@@ -201,20 +223,7 @@ def sequence_of(plan: Plan, rates: frozenset[int]) -> tuple[frozenset[int] | Uni
     circle = circles()
     for key in units:
         of[key] -= circle[key]
-    after: dict[int, int] = {}
-    order = [key for group in components({key: sorted(needed) for key, needed in of.items()}) for key in group]
-    for key in (key for key in order if key in units):
-        after[key] = max((after[other] if other in units else stage[other] + 1 for other in of[key]), default=0)
-    numbers = {unit_key(plan, k): k for k in range(len(plan.foreign))}
-    sequence: list[frozenset[int] | UnitPlace] = []
-    for n in range(len(stages) + 1):
-        for key in (key for key in after if after[key] == n):
-            late = before[key] - of[key]
-            others = frozenset(numbers[other] for other in late if other in units)
-            rates_after = frozenset(needs.rate(other) for other in late if other not in units)
-            sequence.append(UnitPlace(numbers[key], rates_after, others))
-        sequence += stages[n : n + 1]
-    return tuple(sequence)
+    return of, before
 
 
 def _sampled_inputs(plan: Plan, part: ForeignPart) -> set[int]:

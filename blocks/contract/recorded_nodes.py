@@ -108,32 +108,30 @@ def _simplified(op: str, operands: tuple[int, ...], nodes: Sequence[TapeNode]) -
     x, y = (node.value if node.op == "constant" else None for node in (a, b))
     if op in _FOLDED and x is not None and y is not None and not (op == "div" and y == 0):
         return TapeNode("constant", (), float(OPERATIONS[op].value(*(x, y)[: len(operands)])))
-    match op:
-        case "add" if x == 0 or y == 0:
-            return right if x == 0 else left
-        case "sub" if y == 0:
-            return left
-        case "mul":
-            if x == 0 or y == 0:
-                return _ZERO
-            if x == 1 or y == 1:
-                return right if x == 1 else left
-        case "div":
-            if x == 0 and y is None:
-                return _ZERO
-            if y == 1:
-                return left
-        case "and" | "or":
-            absorbing = op == "or"
-            if x is not None or y is not None:
-                other, value = (right, x) if x is not None else (left, y)
-                return TapeNode("constant", (), float(absorbing)) if bool(value) == absorbing else other
-        case "choose":
-            yes, no = operands[1:]
-            if x is not None:
-                return yes if x else no
-            if yes == no:
-                return yes
-            if a.op == "not":
-                return TapeNode("choose", (a.operands[0], no, yes))
-    return TapeNode(op, operands)
+    if op == "choose":
+        return _choice(operands, a, x)
+    if op in ("and", "or") and (x is not None or y is not None):
+        other, value = (right, x) if x is not None else (left, y)
+        return TapeNode("constant", (), float(op == "or")) if bool(value) == (op == "or") else other
+    if (op == "mul" and (x == 0 or y == 0)) or (op == "div" and x == 0 and y is None):
+        return _ZERO
+    neutral = _NEUTRAL.get(op)
+    if neutral is not None and y == neutral:
+        return left
+    return right if neutral is not None and x == neutral and op in ("add", "mul") else TapeNode(op, operands)
+
+
+_NEUTRAL = {"add": 0.0, "sub": 0.0, "mul": 1.0, "div": 1.0}
+"""The second operand without an effect; of sums and products also the first."""
+
+
+def _choice(operands: tuple[int, ...], condition: TapeNode, known: float | None) -> TapeNode | int:
+    """The node of a choice. known: the value of its condition, if it is a constant."""
+    yes, no = operands[1:]
+    if known is not None:
+        return yes if known else no
+    if yes == no:
+        return yes
+    if condition.op == "not":
+        return TapeNode("choose", (condition.operands[0], no, yes))
+    return TapeNode("choose", operands)

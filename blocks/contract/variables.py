@@ -166,26 +166,40 @@ class Parameter(Variable):
                 "E405", "", f"a parameter of type '{type}' fixes the type of its block.", "Declare it structural=True."
             )
         self.type, self.members = checked_type(type, allowed, "parameters")
-        if self.members and structural:
-            refuse("E405", "", "an enumeration cannot be structural.", 'Use choices=("a", "b").')
         self.default, self.structural, self.fixed, self.zeros = plain_value(default), structural, fixed or table, zeros
         self.table, self.sparse, self.is_limit = table, sparse, is_limit
         if is_limit and isinstance(self.default, float) and math.isinf(self.default):
             self.default = f"{self.default:f}"  # as a file has it
-        if is_limit and (structural or zeros or table or shape != () or self.type != "real"):
-            refuse("E405", "", "is_limit= is for one real number that is not structural.", "Leave is_limit= out.")
-        if sparse and not (zeros and isinstance(shape, tuple) and len(shape) == 2):
-            refuse("E405", "", "only a matrix with structural zeros can be sparse.", "Add zeros=True and its sizes.")
-        if table and (structural or zeros or shape == () or type != "real"):
-            refuse("E405", "", "a table must be an array of real numbers.", 'Give it a size, as in shape="n".')
         self.min, self.max, self.positive, self.choices, self.excludes = min, max, positive, choices, excludes
-        if structural and not (shape == () or (isinstance(shape, str) and type in ("real", "int"))):
-            refuse(
-                "E405",
-                "",
-                "a structural parameter must be one value or a list of numbers.",
+        self._check_form()
+
+    def _check_form(self) -> None:
+        """Refuse arguments that do not fit each other. Raises DeclarationError (E405)."""
+        shape, is_single, is_plain = self.shape, self.shape == (), not (self.structural or self.zeros)
+        is_real, is_numeric = self.type == "real", self.type in ("real", "int")
+        is_sized = is_single or (isinstance(shape, str) and is_numeric)
+        is_matrix = isinstance(shape, tuple) and len(shape) == 2
+        for is_wrong, message, cure in (
+            (self.structural and self.members, "an enumeration cannot be structural.", 'Use choices=("a", "b").'),
+            (
+                self.is_limit and not (is_plain and not self.table and is_single and is_real),
+                "is_limit= is for one real number that is not structural.", "Leave is_limit= out.",
+            ),
+            (
+                self.sparse and not (self.zeros and is_matrix),
+                "only a matrix with structural zeros can be sparse.", "Add zeros=True and its sizes.",
+            ),
+            (
+                self.table and not (is_plain and not is_single and is_real),
+                "a table must be an array of real numbers.", 'Give it a size, as in shape="n".',
+            ),
+            (
+                self.structural and not is_sized, "a structural parameter must be one value or a list of numbers.",
                 'Give it a size, as in shape="m", or use zeros=True.',
-            )
+            ),
+        ):  # fmt: skip
+            if is_wrong:
+                refuse("E405", "", message, cure)
 
     def __get__(self, instance: object, owner: object = None) -> Any:
         return self if instance is None else self.of(instance)

@@ -171,28 +171,8 @@ def _targets(
     documents: Documents, real: str, shown: str, old: str, new: str, kind: Kind | None
 ) -> tuple[frozenset[Target], str]:
     """The targets of a path, and the part of the path before the name, with a dot at its end."""
-    body = documents.body(real)
-    assert body is not None
-    bodies = [body]
     *parts, last = old.split(".")
-    here, behind = "", old  # in `here`, which is another file, the path is `behind`
-    for index, part in enumerate(parts):
-        inside = {
-            None if inner_body is None else (inner_body.file, inner_body.scope): inner_body
-            for each in bodies
-            for inner_body, _, _ in each.inside(part, documents)
-        }
-        known = list(dict.fromkeys(name for each in bodies for name in each.names("block")))
-        if part not in known:
-            cure = did_you_mean(part[:200], known) or f"Blocks: {', '.join(known[:20]) or 'none'}."
-            raise ModelError(Fault("E105", legible(old), f"there is no block {quoted(part)}.", cure, file=shown))
-        inner = [inner_body for inner_body in inside.values() if inner_body is not None]
-        if not inner:
-            message = f"{quoted('.'.join(parts[: index + 1]))} is not a subdiagram: its names belong to its block type."
-            raise ModelError(Fault("E105", legible(old), message, file=shown))
-        bodies = [inner_body for inner_body in inner if inner_body.file == real] or inner
-        if bodies[0].file != real and not here:
-            here, behind = bodies[0].file, ".".join([*parts[index + 1 :], last])
+    bodies, here, behind = _bodies(documents, real, shown, old)
     targets = {
         Target(each.file, each.scope, target_kind, last)
         for each in bodies
@@ -201,16 +181,10 @@ def _targets(
     }
     kinds = sorted({target.kind for target in targets})
     if not targets:
-        names = [
-            name
-            for each in bodies
-            for target_kind in SECTIONS
-            if kind in (None, target_kind)
-            for name in each.names(target_kind)
-        ]
+        asked = [target_kind for target_kind in SECTIONS if kind in (None, target_kind)]
+        names = [name for each in bodies for target_kind in asked for name in each.names(target_kind)]
         what = kind or "block, input, parameter or output"
-        cure = did_you_mean(last[:200], names) or f"Names: {', '.join(list(dict.fromkeys(names))[:20]) or 'none'}."
-        raise ModelError(Fault("E105", legible(old), f"there is no {what} {quoted(last)}.", cure, file=shown))
+        raise _unknown(shown, old, f"there is no {what} {quoted(last)}.", last, names, "Names")
     if here:
         other = os.path.relpath(here)
         message = f"lies in another file, {quoted(other)}."
@@ -219,6 +193,42 @@ def _targets(
         message = f"is the name of more than one thing: {', '.join(kinds)}."
         raise UsageError(Fault("E501", legible(old), message, f"Choose one: --kind {' or --kind '.join(kinds)}."))
     return frozenset(targets), "".join(f"{part}." for part in parts)
+
+
+def _bodies(documents: Documents, real: str, shown: str, old: str) -> tuple[list[Body], str, str]:
+    """Return the bodies that hold the last name of a path; the other file that they are in, or ""; and the path there.
+
+    Raises ModelError (E105).
+    """
+    body = documents.body(real)
+    assert body is not None
+    bodies = [body]
+    *parts, last = old.split(".")
+    here, behind = "", old
+    for index, part in enumerate(parts):
+        inside = {
+            None if inner_body is None else (inner_body.file, inner_body.scope): inner_body
+            for each in bodies
+            for inner_body, _, _ in each.inside(part, documents)
+        }
+        known = [name for each in bodies for name in each.names("block")]
+        if part not in known:
+            raise _unknown(shown, old, f"there is no block {quoted(part)}.", part, known, "Blocks")
+        inner = [inner_body for inner_body in inside.values() if inner_body is not None]
+        if not inner:
+            message = f"{quoted('.'.join(parts[: index + 1]))} is not a subdiagram: its names belong to its block type."
+            raise ModelError(Fault("E105", legible(old), message, file=shown))
+        bodies = [inner_body for inner_body in inner if inner_body.file == real] or inner
+        if bodies[0].file != real and not here:
+            here, behind = bodies[0].file, ".".join([*parts[index + 1 :], last])
+    return bodies, here, behind
+
+
+def _unknown(shown: str, old: str, message: str, name: str, known: Sequence[str], title: str) -> ModelError:
+    """Return the error of a name in the path `old` of the file `shown`, with those that are known (E105)."""
+    names = list(dict.fromkeys(known))
+    cure = did_you_mean(name[:200], names) or f"{title}: {', '.join(names[:20]) or 'none'}."
+    return ModelError(Fault("E105", legible(old), message, cure, file=shown))
 
 
 def _tied(edits: Sequence[_Edited], targets: frozenset[Target]) -> frozenset[Target]:

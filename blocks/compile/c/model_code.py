@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -109,7 +109,10 @@ _SIGNATURES = {
 _SIGNATURE = "const BlocksMemory *m, double t, const double *x, double *out"
 
 
-MakeSink = Callable[[int | range, Node, str], Sink]
+
+
+def _plain(items: Sequence[object]) -> list[Sink]:
+    return [Sink(k) for k in range(len(items))]
 
 
 def _listed(places: range | int) -> range:
@@ -312,32 +315,16 @@ class _Emitter(PlanReader):
 
     def emitted(self, whole: Plan, method: str, others: Mapping[str, Sequence[Reference]], end: str) -> Emitted:
         plan = self.plan
-        conditions = [instance.condition for instance in plan.instances]
-
-        def of(node: Node) -> int | None:
-            return conditions[node.instance]
-
-        def plain(items: Sequence[object]) -> list[Sink]:
-            return [Sink(k) for k in range(len(items))]
-
-        def sink(k: int | range, node: Node, off: str) -> Sink:
-            side = of(node)
-            return Sink(k) if side is None else Sink(k, side, off)
-
-        def spread(nodes: Sequence[Node]) -> list[range | int]:
-            return self.spread([node.instance for node in nodes])
-
         self.whole = whole
         nodes = [cause.node for cause in plan.crossings]
         moving = any(self.level[node] == MOVING for node in nodes)
         loop = "dopri5" if method == "auto" else method  # whose stepping loop it begins by
-        self.rates(sink)
+        self.rates()
         has_own_sides = moving and not (self.is_long and loop in METHODS)
         if has_own_sides:
-            self.rates_and_sides(nodes, sink)
-        quick = self.quick_measures(sink, loop, moving=moving)
-        sinks = [sink(k, n, "side") for k, n in zip(spread(nodes), nodes, strict=True)]
-        self.define("crossings", self.continuous("crossings", nodes, sinks))
+            self.rates_and_sides(nodes)
+        quick = self.quick_measures(loop, moving=moving)
+        self._define_nodes("crossings", nodes, "side", is_quick=True)
         if moving and not has_own_sides:  # compiling long rates twice takes longer than computing some values twice
             self.sides = tuple(range(len(whole.crossings)))
             body = "    rates(m, t, x, out);\n    crossings(m, t, x, out + BLOCKS_NX);"
@@ -346,39 +333,50 @@ class _Emitter(PlanReader):
                 self.lanes.define("rates_and_sides", body)
         watched = {name: self.watched[name] for name in ("logged", "measured", "remembered")}
         for name, asked in {"solutions": plan.unknowns, **watched, **others}.items():
-            self.define(name, self.continuous(name, asked, plain(asked)))
+            self.define(name, self.continuous(name, asked, _plain(asked)))
         for name, motion in self.motions.items():
             if motion.phases:
                 named = f"{name}_phases"
                 sinks = list(map(Sink, self.side_by_side(motion.phases)))
                 self.define(named, self.continuous(named, motion.phases, sinks))
         self.refresh()
-        if plan.foreign:
-            given = [reference for part in plan.foreign for reference in part.inputs]
-            self.define("foreign_inputs", self.continuous("foreign_inputs", given, plain(given), is_quick=False))
-        nodes = [cause.node for cause in plan.events]
-        sinks = [sink(place, node, "inf") for place, node in zip(spread(nodes), nodes, strict=True)]
-        self.define("event_times", self.continuous("event_times", nodes, sinks, is_quick=False))
-        causes = (*plan.crossings, *plan.events)
-        self.selected(
-            "resets",
-            [self.part("resets", [node for node, _ in cause.resets]) for cause in causes],
-            self.numbers_of_causes(),
-        )
-        nodes = [node for node, _ in plan.projections]
-        sinks = list(map(Sink, spread(nodes)))
-        self.define("projections", self.continuous("projections", nodes, sinks, is_quick=False))
-        self.nexts(sink)
-        taken = [[r for _, references, _ in part.inputs for r in references] for part in plan.steppers]
-        self.selected("stepper_inputs", [self.part("stepper_inputs", references) for references in taken])
-        corners = self.corners(sink) if plan.corners or plan.guessed else ""
+        self._define_instants()
+        corners = self.corners() if plan.corners or plan.guessed else ""
         self.start()
         self.selected("anew", [self.beginning(part.resets) for part in plan.enabled])
-        cliques = self.outputs(sink)
+        cliques = self.outputs()
         slopes = self.slopes() if method in STIFF else ""
         self.prepare()
         self.compare_lanes()
         return self.finished(method, cliques, moving, corners + slopes, end, quick)
+
+    def sink(self, k: int | range, node: Node, off: str) -> Sink:
+        """Return the sink of a node. off: its value while its subdiagram is off."""
+        side = self.plan.instances[node.instance].condition
+        return Sink(k) if side is None else Sink(k, side, off)
+
+    def _define_nodes(self, name: str, nodes: Sequence[Node], off: str | None, *, is_quick: bool) -> None:
+        """Define a function of nodes. off: their value while their subdiagrams are off; None: they have no sides."""
+        places = self.spread([node.instance for node in nodes])
+        sinks = list(map(Sink, places))
+        if off is not None:
+            sinks = [self.sink(place, node, off) for place, node in zip(places, nodes, strict=True)]
+        self.define(name, self.continuous(name, nodes, sinks, is_quick=is_quick))
+
+    def _define_instants(self) -> None:
+        """Define the functions that instants alone call."""
+        plan = self.plan
+        if plan.foreign:
+            given = [reference for part in plan.foreign for reference in part.inputs]
+            self.define("foreign_inputs", self.continuous("foreign_inputs", given, _plain(given), is_quick=False))
+        self._define_nodes("event_times", [cause.node for cause in plan.events], "inf", is_quick=False)
+        causes = (*plan.crossings, *plan.events)
+        resets = [self.part("resets", [node for node, _ in cause.resets]) for cause in causes]
+        self.selected("resets", resets, self.numbers_of_causes())
+        self._define_nodes("projections", [node for node, _ in plan.projections], None, is_quick=False)
+        self.nexts()
+        taken = [[r for _, references, _ in part.inputs for r in references] for part in plan.steppers]
+        self.selected("stepper_inputs", [self.part("stepper_inputs", references) for references in taken])
 
     def side_by_side(self, asked: Sequence[Node | Reference]) -> list[range | int]:
         """Places for nodes or references, those of the lanes of each side by side."""
@@ -397,9 +395,9 @@ class _Emitter(PlanReader):
             for k, own in numbers
         ]
 
-    def rates(self, sink: MakeSink) -> None:
+    def rates(self) -> None:
         nodes = self.plan.derivatives
-        sinks = [sink(k, node, "zero") for k, node in enumerate(nodes)]
+        sinks = [self.sink(k, node, "zero") for k, node in enumerate(nodes)]
         scope = ProgramScope({}, {}, {}, True, is_hot=True)
         self.seen_states = {}
         calls = self.sliced(nodes, scope, held=lambda node: True)
@@ -422,10 +420,10 @@ class _Emitter(PlanReader):
         body = f"    {loop} {{\n        {find}\n        {inner}\n    }}\n    return {int(bool(self.same))};"
         self.texts.append(f"static int lanes_are_same(const BlocksMemory *m)\n{{\n{table}{body}\n}}\n")
 
-    def rates_and_sides(self, crossings: Sequence[Node], sink: MakeSink) -> None:
+    def rates_and_sides(self, crossings: Sequence[Node]) -> None:
         """The rates, followed by all crossings: what both need is computed once."""
         nx = len(self.whole.states)
-        sinks = [sink(self.x_range(k), node, "zero") for k, node in enumerate(self.plan.derivatives)]
+        sinks = [self.sink(self.x_range(k), node, "zero") for k, node in enumerate(self.plan.derivatives)]
         # Those of equal instances side by side, as their loop writes them.
         kinds: dict[object, list[int]] = {}
         for j, (instance, key, element) in enumerate(crossings):
@@ -437,11 +435,11 @@ class _Emitter(PlanReader):
         for j in order:  # each copy has as many of a kind, so that the places of lanes are regular
             first, second = (nx + rank[whole[j][lane]] for lane in (0, min(1, len(whole[j]) - 1)))
             own = range(first, first + (second - first) * len(whole[j]), second - first) if second > first else first
-            sinks.append(sink(own, crossings[j], "inf"))
+            sinks.append(self.sink(own, crossings[j], "inf"))
         nodes = [*self.plan.derivatives, *(crossings[j] for j in order)]
         self.define("rates_and_sides", self.continuous("rates_and_sides", nodes, sinks))
 
-    def quick_measures(self, sink: MakeSink, method: str, *, moving: bool) -> dict[str, int]:
+    def quick_measures(self, method: str, *, moving: bool) -> dict[str, int]:
         """The programs by which the stepping loop measures: at the end of a step behind its rates; inside, what five
         values tell apart from what they do not. Without them it measures like all that is looked at in parts."""
         plan, asked, motion = self.plan, self.watched["measured"], self.motions["measured"]
@@ -452,7 +450,7 @@ class _Emitter(PlanReader):
         sizes["DRIVEN_MEASURES"] = int(motion.is_driven)
         if is_shared:
             first = len(self.whole.states) + len(self.whole.crossings)
-            sinks = [sink(self.x_range(k), node, "zero") for k, node in enumerate(plan.derivatives)]
+            sinks = [self.sink(self.x_range(k), node, "zero") for k, node in enumerate(plan.derivatives)]
             sinks += [Sink(first + k) for k in range(len(asked))]
             body = self.continuous("rates_and_measured", [*plan.derivatives, *asked], sinks)
             self.define("rates_and_measured", body)
@@ -478,10 +476,10 @@ class _Emitter(PlanReader):
         copies = self.attach("refresh", calls, nodes, [Sink(self.own_place(node)) for node in nodes], scope)
         self.define("refresh", self.printed("refresh", calls, copies))
 
-    def nexts(self, sink: MakeSink) -> None:
+    def nexts(self) -> None:
         pairs = [(node, slot, k) for k, rate in enumerate(self.plan.rates) for node, slot in rate.nexts]
         nodes = [node for node, _, _ in pairs]
-        sinks = [sink(self.all_places("d", slot), node, "keep") for node, slot, _ in pairs]
+        sinks = [self.sink(self.all_places("d", slot), node, "keep") for node, slot, _ in pairs]
         body = self.continuous("nexts", nodes, sinks, is_quick=False, guards=[(k,) for _, _, k in pairs])
         self.define("nexts", body)
 
@@ -493,11 +491,11 @@ class _Emitter(PlanReader):
         copies = self.attach(name, calls, program.results, sinks, scope)
         return self.printed(name, calls, copies)
 
-    def corners(self, sink: MakeSink) -> str:
+    def corners(self) -> str:
         """The programs of corners of loops, and their table."""
         plan = self.plan
         nodes = [cause.node for cause in plan.crossings]
-        sinks = [sink(k, node, "side") for k, node in enumerate(nodes)]
+        sinks = [self.sink(k, node, "side") for k, node in enumerate(nodes)]
         program = schedule(plan, nodes, given=True)
         self.define("crossings_given", self.own("crossings_given", program, sinks, is_start=False))
         scope = ProgramScope({}, {}, {}, is_rounding=True)
@@ -543,7 +541,7 @@ class _Emitter(PlanReader):
             places += range(len(asked), len(asked) + len(plan.unknowns))
             self.define("start_solved", self.own("start_solved", solved, list(map(Sink, places))))
 
-    def outputs(self, sink: MakeSink) -> tuple[Clique, ...]:
+    def outputs(self) -> tuple[Clique, ...]:
         plan = self.plan
         if not (plan.rates or plan.foreign):
             self.define("outputs", "    (void)clique, (void)stage, (void)due;")
@@ -563,7 +561,7 @@ class _Emitter(PlanReader):
                 if not slots:
                     continue
                 name = f"outputs_{len(tick_cliques)}_{number}"
-                body = self.stage(name, slots, sink)
+                body = self.stage(name, slots)
                 signature = "const BlocksMemory *m, double t, const double *x, const uint8_t *due, double *out"
                 unused = "    (void)m, (void)t, (void)x, (void)due, (void)out;"
                 self.texts.append(f"static void {name}({signature})\n{{\n{unused}\n{body}\n}}\n")
@@ -572,7 +570,7 @@ class _Emitter(PlanReader):
         self.define("outputs", "\n".join(["    (void)clique, (void)stage, (void)due;", *cases]))
         return tuple(tick_cliques)
 
-    def stage(self, name: str, slots: Sequence[tuple[int, int]], sink: MakeSink) -> str:
+    def stage(self, name: str, slots: Sequence[tuple[int, int]]) -> str:
         """The sampled outputs of one stage; others read the held value of one that is not due."""
         plan = self.plan
         program = tick_program(plan, sorted(slot for slot, _ in slots))
@@ -581,7 +579,7 @@ class _Emitter(PlanReader):
         calls = self.calls_of(program, scope)
         nodes = [plan.held_nodes[slot][0] for slot, _ in slots]
         at = [self.all_places("d", slot) for slot, _ in slots]
-        sinks = [sink(place, node, "keep") for place, node in zip(at, nodes, strict=True)]
+        sinks = [self.sink(place, node, "keep") for place, node in zip(at, nodes, strict=True)]
         copies = self.attach(name, calls, nodes, sinks, scope)
         assert not copies
         self.guard_stage(calls, {node: rate for node, (_, rate) in zip(nodes, slots, strict=True)}, scope)

@@ -84,7 +84,7 @@ def print_selected(
             # A lane has one value of each call: a program that reads all copies of a block is a function of its own.
             is_lane = len(numbers[k]) == 1 and all(call.lanes == 1 and not call.gathers for call in calls)
             forms.setdefault(_form(calls, copies) if is_lane else k, []).append(k)
-    functions, cases = [], []
+    functions = []
     size = sum(map(len, numbers))
     form_of, lane_of = [-1] * size, [0] * size
     for number, members in enumerate(forms.values()):
@@ -100,35 +100,49 @@ def print_selected(
             functions.append(printed.functions)
             text = f"    (void)m, (void)t, (void)x, (void)i, (void)out;\n{printed.body}"
         else:
-            all_calls = [call for k in members for call in programs[k][0]]
-            program = _Program(function, all_calls, (), place, tables, False)
-            groups = [EqualCalls(list(calls)) for calls in zip(*(programs[k][0] for k in members), strict=True)]
-            program.assign(groups)
-            unit = CallSequence(groups, True)
-            hoisted, body, _ = program.lanes(unit, [programs[k][1] for k in members])
-            lines = ["    (void)m, (void)t, (void)x, (void)i, (void)out;", *program.rows(unit), *hoisted]
-            text = "\n".join([*lines, *(f"    {line}" for line in body)])
+            text = _lanes_of(function, [programs[k] for k in members], place, tables)
         signature = "const BlocksMemory *m, double t, const double *x, int i, double *out"
         functions.append(f"static void {function}({signature})\n{{\n{text}\n}}\n")
-        cases.append(f"    case {number}: {function}(m, t, x, lane, out); break;")
-    if not cases:
+    if not forms:
         return Printed("", "    (void)which;", 0)
+    return Printed("\n".join(functions), "\n".join(_choice_of(name, form_of, lane_of, tables)), 0)
+
+
+def _lanes_of(
+    function: str,
+    programs: Sequence[tuple[Sequence[Call], Sequence[Copy]]],
+    place: Callable[[Value], Place],
+    tables: Tables,
+) -> str:
+    """Return the text of one function for programs of equal form, which are its lanes."""
+    program = _Program(function, [call for calls, _ in programs for call in calls], (), place, tables, False)
+    groups = [EqualCalls(list(calls)) for calls in zip(*(calls for calls, _ in programs), strict=True)]
+    program.assign(groups)
+    unit = CallSequence(groups, True)
+    hoisted, body, _ = program.lanes(unit, [copies for _, copies in programs])
+    lines = ["    (void)m, (void)t, (void)x, (void)i, (void)out;", *program.rows(unit), *hoisted]
+    return "\n".join([*lines, *(f"    {line}" for line in body)])
+
+
+def _choice_of(name: str, form_of: Sequence[int], lane_of: Sequence[int], tables: Tables) -> list[str]:
+    """Return the lines that call the function of `which`: by its number if few runs of numbers share a function, else
+    by a table. form_of, lane_of: by number the function, -1 if there is none, and its lane."""
     runs: list[tuple[int, int, int]] = []  # the first of a run, its form, its lane
     for k, (form, lane) in enumerate(zip(form_of, lane_of, strict=True)):
         if not runs or runs[-1][1] != form or (form >= 0 and runs[-1][2] + k - runs[-1][0] != lane):
             runs.append((k, form, lane))
     lines = ["    (void)m, (void)t, (void)x, (void)which, (void)out;"]
     if len(runs) <= MOST_RUNS:
-        ends = [*(first for first, _, _ in runs[1:]), size]
+        ends = [*(first for first, _, _ in runs[1:]), len(form_of)]
         for (first, form, lane), end in zip(runs, ends, strict=True):
             if form >= 0:
                 at = "which" + (f" + {lane - first}" if lane > first else f" - {first - lane}" if first > lane else "")
                 lines.append(f"    if (which >= {first} && which < {end}) {name}_{form}(m, t, x, {at}, out);")
-        return Printed("\n".join(functions), "\n".join(lines), 0)
+        return lines
     form_text, lane_text = (f"{tables.name(tuple(values))}[which]" for values in (form_of, lane_of))
+    cases = [f"    case {k}: {name}_{k}(m, t, x, lane, out); break;" for k in range(max(form_of) + 1)]
     lines += [f"    const int lane = {lane_text};", f"    switch ({form_text}) {{", *cases, "    default: break;"]
-    lines.append("    }")
-    return Printed("\n".join(functions), "\n".join(lines), 0)
+    return [*lines, "    }"]
 
 
 def _one_of(

@@ -129,46 +129,9 @@ class Instants:
     def start(self, t: float, u: Sequence[float], ticks: tuple[int, ...], fixed: int) -> Snapshot:
         """Values at the start: start values, initial equations and sides in one dependency order. Nothing fires."""
         plan = self.plan
-        asked: list[Node | Reference] = [Reference("x", i) for i in range(len(plan.states))]
-        asked += [plan.d_start[i] if i in plan.guessed else Reference("d", i) for i in range(len(plan.discretes))]
-        asked += plan.s_start  # the crossings themselves: what is asked for as ("s", i) is a side already
-        asked += self.taken
-        past = Past.at_start(plan, t)
-        h = () if past is None else past.values(t)
-        z = tuple(plan.guesses.get(reference, 0.0) for reference in plan.unknowns)
         nx, nd = len(plan.states), len(plan.discretes)
-        program = self.compiled.program("start", asked, start=plan.starting)
-        # Where a side and what it is of need each other at the start, sides are guessed until they hold.
-        s = tuple(0.0 if isinstance(begin, Node) else float(begin.index) for begin in plan.s_start)
-        d = (0.0,) * nd if plan.guessed else ()
-        self.foreign.begin(plan, t)
-        moved, is_settled = False, False
-        last: tuple[float, ...] | None = None
-        for _ in range(MOST_PASSES):
-            values = program(t, (), d, s, plan.parameters, u, ticks, h, z, self.foreign)
-            guess = s, d
-            s, d = self._shown(values)
-            # What FMUs begin with may depend on inputs that were not known when it was read.
-            if plan.foreign:
-                self.foreign.initialized(values[nx + nd + len(s) :])
-                moved, last = last is None or not np.allclose(values, last, rtol=1e-13, atol=0.0), values
-            is_settled = not moved and ((s, d) == guess or plan.starting is True)
-            if is_settled:
-                break
-        is_free = plan.starting is not True and self.corners is not None and not plan.foreign
-        if is_free and (not is_settled or any(map(math.isnan, values))):
-            begun = self._start_along(asked, t, u, ticks, h)
-            if begun is not None:
-                (values, s, z), is_settled = begun, True
-        if not is_settled:
-            if moved:
-                raise self.foreign.unsettled(t)
-            j = next((j for j, (side, other) in enumerate(zip(s, guess[0], strict=True)) if side != other), 0)
-            message = "has no side on which it can start: each side leads to the other."
-            cure = "Put a UnitDelay or a state into the loop, or set the side at the start: @crossing(start=False)."
-            if j in plan.corners:
-                message, cure = "the algebraic loop has no solution at the start.", OPEN_THE_LOOP
-            raise SimulationError(Fault("E305", self.name(j), message, cure))
+        past = Past.at_start(plan, t)
+        values, s, z = self._settled_at_start(t, u, ticks, () if past is None else past.values(t))
         x = frozen(np.array(values[:nx], dtype=float))
         d = tuple(float(v) for v in values[nx : nx + nd])
         bad = next((i for i, v in enumerate((*x, *d)) if not math.isfinite(v)), None)
@@ -181,6 +144,56 @@ class Instants:
         if plan.foreign:
             snapshot = self._with_foreign_sides(snapshot, u, range(len(plan.foreign)))
         return self.with_event_times(self.with_solutions(snapshot, u), u)
+
+    def _settled_at_start(
+        self, t: float, u: Sequence[float], ticks: tuple[int, ...], h: tuple[float, ...]
+    ) -> tuple[Sequence[float], tuple[float, ...], tuple[float, ...]]:
+        """Return the values at the start, with the sides and the unknowns of loops that they agree with.
+
+        Raises SimulationError (E305) if there are none.
+        """
+        plan = self.plan
+        asked: list[Node | Reference] = [Reference("x", i) for i in range(len(plan.states))]
+        asked += [plan.d_start[i] if i in plan.guessed else Reference("d", i) for i in range(len(plan.discretes))]
+        asked += plan.s_start  # the crossings themselves: what is asked for as ("s", i) is a side already
+        asked += self.taken
+        z = tuple(plan.guesses.get(reference, 0.0) for reference in plan.unknowns)
+        first = len(plan.states) + len(plan.discretes) + len(plan.s_start)  # of what FMUs take
+        program = self.compiled.program("start", asked, start=plan.starting)
+        # Where a side and what it is of need each other at the start, sides are guessed until they hold.
+        s = tuple(0.0 if isinstance(begin, Node) else float(begin.index) for begin in plan.s_start)
+        d = (0.0,) * len(plan.discretes) if plan.guessed else ()
+        self.foreign.begin(plan, t)
+        moved, is_settled = False, False
+        last: tuple[float, ...] | None = None
+        for _ in range(MOST_PASSES):
+            values = program(t, (), d, s, plan.parameters, u, ticks, h, z, self.foreign)
+            guess = s, d
+            s, d = self._shown(values)
+            # What FMUs begin with may depend on inputs that were not known when it was read.
+            if plan.foreign:
+                self.foreign.initialized(values[first:])
+                moved, last = last is None or not np.allclose(values, last, rtol=1e-13, atol=0.0), values
+            is_settled = not moved and ((s, d) == guess or plan.starting is True)
+            if is_settled:
+                break
+        is_free = plan.starting is not True and self.corners is not None and not plan.foreign
+        if is_free and (not is_settled or any(map(math.isnan, values))):
+            begun = self._start_along(asked, t, u, ticks, h)
+            if begun is not None:
+                return begun
+        if is_settled:
+            return values, s, z
+        raise self.foreign.unsettled(t) if moved else self._sideless(s, guess[0])
+
+    def _sideless(self, s: tuple[float, ...], guess: tuple[float, ...]) -> SimulationError:
+        """Return the error of sides that do not hold at the start. guess: those from which s came."""
+        j = next((j for j, (side, other) in enumerate(zip(s, guess, strict=True)) if side != other), 0)
+        message = "has no side on which it can start: each side leads to the other."
+        cure = "Put a UnitDelay or a state into the loop, or set the side at the start: @crossing(start=False)."
+        if j in self.plan.corners:
+            message, cure = "the algebraic loop has no solution at the start.", OPEN_THE_LOOP
+        return SimulationError(Fault("E305", self.name(j), message, cure))
 
     def _shown(self, values: Sequence[float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """The sides, and what else is guessed, that the values at the start show."""

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ...compile.inputs import InputTable
+from ...compile.inputs import InputTable, Segment
 from ...compile.plan import Plan, Reference
 from ...compile.tableaus import METHODS, Tableau, end_apart
 from ...compile.time_grid import Grid, within_ulps
@@ -319,12 +319,8 @@ class ReferenceEngine:
         past = now.past
         if past is not None:
             now = replace(now, past=past.after_breaks(now.t, self.scale))
-        segment, broken, changed = self.segment, self.broken, self.changed
+        segment, broken, changed = self._inputs_now(now.t)
         hidden = self.instants.foreign.events
-        while (edge := self.inputs.next_break(broken)) <= now.t or within_ulps(edge, now.t, self.scale):
-            broken = edge
-        if broken != self.broken:
-            segment, changed = self.inputs.segment(max(now.t, broken)), True
         self.instants.inputs_later = segment.at(now.t + self.instants.later)
         if changed and self.crossing and self.sides[0] == now.t:
             values = self.instants.sides_now(self.unprojected or now, segment.at(now.t))
@@ -343,10 +339,7 @@ class ReferenceEngine:
         fresh = changed or happened or after.d != now.d or not np.array_equal(after.x, now.x)
         if after.past is not None:
             jumps = happened or (changed and not self.recourses)
-            jumps = jumps or has_jumped(now.x, after.x) or has_jumped(np.array(now.d), np.array(after.d))
-            ends_course = self.recourses and self.remembers_inputs and not jumps
-            kept = after.past.after_course(now.t) if ends_course else after.past
-            after = replace(after, past=kept.after_instant(now.t, changed=jumps))
+            after = replace(after, past=self._past_to_keep(after.past, now, after, jumps=jumps))
         measures, sides = self.measures, self.sides
         memory = self.instants.memory(after, segment.at(now.t))
         if fresh or now.past is not past:
@@ -363,6 +356,22 @@ class ReferenceEngine:
             self.instants.later = 0.0
         self.instant_count += 1
         self.events += fired
+
+    def _inputs_now(self, t: float) -> tuple[Segment, float, bool]:
+        """Return the segment of the inputs after the instant at t, where it began, and whether the inputs changed."""
+        broken = self.broken
+        while (edge := self.inputs.next_break(broken)) <= t or within_ulps(edge, t, self.scale):
+            broken = edge
+        if broken == self.broken:
+            return self.segment, broken, self.changed
+        return self.inputs.segment(max(t, broken)), broken, True
+
+    def _past_to_keep(self, past: Past, now: Snapshot, after: Snapshot, *, jumps: bool) -> Past:
+        """Return the past after an instant. jumps: something happened at it."""
+        jumps = jumps or has_jumped(now.x, after.x) or has_jumped(np.array(now.d), np.array(after.d))
+        if self.recourses and self.remembers_inputs and not jumps:
+            past = past.after_course(now.t)
+        return past.after_instant(now.t, changed=jumps)
 
     def _memory(self, t: float, x: Array) -> tuple[Any, ...]:
         """The arguments of programs at another time and other states, with all else as it is."""
