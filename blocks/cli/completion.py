@@ -14,7 +14,7 @@ import argparse
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -72,10 +72,26 @@ def words_after(words: list[str]) -> tuple[str, list[str]]:
     if before[0] not in COMMANDS:
         return "words", []
     parser = next(each for each in _subparsers(_parser(before[0])) if each.prog.endswith(f" {before[0]}"))
+    parser, action, given = _after(parser, before[1:])
+    if action is None and last.startswith("-"):
+        return _matching(last, (option for each in parser._actions for option in each.option_strings))
+    if action is None:
+        if inner_names := [each.prog.rpartition(" ")[2] for each in _subparsers(parser)]:
+            return _matching(last, inner_names)
+        place, places = len(given), [each for each in parser._actions if not each.option_strings]
+        action = places[min(place, len(places) - 1)] if places else None
+        if action is None or (place >= len(places) and action.nargs not in ("*", "+")):
+            return "words", []
+    return _values(action, parser.prog, last, next((word for word in given if word.endswith(".json")), ""))
+
+
+def _after(
+    parser: argparse.ArgumentParser, words: Iterable[str]
+) -> tuple[argparse.ArgumentParser, argparse.Action | None, list[str]]:
+    """Return the parser of the next word, the option that waits for its value, and the arguments so far."""
     action: argparse.Action | None = None
-    place = 0
     given: list[str] = []
-    for word in before[1:]:
+    for word in words:
         inner = {each.prog.rpartition(" ")[2]: each for each in _subparsers(parser)}
         known = {option: each for each in parser._actions for option in each.option_strings}
         if action is not None:
@@ -86,17 +102,8 @@ def words_after(words: list[str]) -> tuple[str, list[str]]:
             action = known.get(word)
             action = None if action is None or action.nargs == 0 else action
         else:
-            place, given = place + 1, [*given, word]
-    if action is None and last.startswith("-"):
-        return _matching(last, (option for each in parser._actions for option in each.option_strings))
-    if action is None:
-        if inner_names := [each.prog.rpartition(" ")[2] for each in _subparsers(parser)]:
-            return _matching(last, inner_names)
-        places = [each for each in parser._actions if not each.option_strings]
-        action = places[min(place, len(places) - 1)] if places else None
-        if action is None or (place >= len(places) and action.nargs not in ("*", "+")):
-            return "words", []
-    return _values(action, parser.prog, last, next((word for word in given if word.endswith(".json")), ""))
+            given.append(word)
+    return parser, action, given
 
 
 def _subparsers(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
@@ -110,16 +117,13 @@ def _subparsers(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser
 
 def _values(action: argparse.Action, command: str, last: str, diagram: str) -> tuple[str, list[str]]:
     """Yield the values that an argument may have. diagram: the file that the command names."""
+    what, shown = action.dest, str(action.metavar)
     if action.choices:
         return _matching(last, map(str, action.choices))
-    what, shown = action.dest, str(action.metavar)
     if what == "block" and command.endswith("list"):
         return _matching(last, [*types(), "measures"])
-    if what == "codes":
-        folder = resources.files(__package__.rpartition(".")[0]).joinpath("text", "explanations")
-        return _matching(last, (entry.name[:-3] for entry in folder.iterdir() if entry.name.endswith(".md")))
-    if what == "library":
-        return _matching(last, (path.stem for path in Path().glob("*.py")))
+    if what in _WORDS:
+        return _matching(last, _WORDS[what]())
     known = _names_of(diagram)
     if what in PARAMETERS:
         return _matching(last, (f"{name}=" for name in known["parameters"]), nospace=True)
@@ -133,16 +137,31 @@ def _values(action: argparse.Action, command: str, last: str, diagram: str) -> t
         whole = () if what == "log" else known["blocks"]  # a block stands for all of its outputs in a log alone
         names = (name + ending for name in known["signals"] if name not in whole)
         return _matching(last, names, nospace=bool(ending))
-    if what == "measures":
-        return _matching(last, known["measures"])
-    if what == "method":
-        return _matching(last, _schema()["run"]["properties"]["method"].get("enum", ()))
-    if what == "variants":
-        return _matching(last, known["variants"])
-    if what in ("block", "old"):
-        return _matching(last, [*known["blocks"], *(known["parameters"] if what == "old" else ())])
+    if what in _SECTIONS:
+        return _matching(last, [name for section in _SECTIONS[what] for name in known[section]])
     is_file = shown in FILES or re.fullmatch(r"FILE|STATE|PATH|A|B", shown)
     return (f"files {FILES.get(shown, '')}".strip(), []) if is_file else ("words", [])
+
+
+def _codes() -> list[str]:
+    folder = resources.files(__package__.rpartition(".")[0]).joinpath("text", "explanations")
+    return [entry.name[:-3] for entry in folder.iterdir() if entry.name.endswith(".md")]
+
+
+def _methods() -> list[str]:
+    return [*_schema()["run"]["properties"]["method"].get("enum", ())]
+
+
+_WORDS: Mapping[str, Callable[[], Iterable[str]]] = {
+    "codes": _codes,
+    "library": lambda: [path.stem for path in Path().glob("*.py")],
+    "method": _methods,
+}
+"""The words of arguments that depend on no diagram."""
+_SECTIONS = {
+    "measures": ("measures",), "variants": ("variants",), "block": ("blocks",), "old": ("blocks", "parameters"),
+}  # fmt: skip
+"""The names of the diagram that an argument may be."""
 
 
 def _matching(last: str, words: Iterable[str], *, nospace: bool = False) -> tuple[str, list[str]]:

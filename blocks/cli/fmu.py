@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Container, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..host.gc_pause import paused
 from .option_values import assignments, check_writable
@@ -104,23 +104,9 @@ def _run_fmu(options: argparse.Namespace) -> int:
 def _alone(options: argparse.Namespace) -> Diagram:
     """The diagram; a parameter without the name of a block is one of its only block."""
     from ..api.diagram import Diagram
-    from ..api.entries import as_name
     from ..fmi.description import EXPERIMENT
-    from ..model.fmu_block import fmu
 
-    block = fmu(options.fmu, options.kind, isolate=options.isolate)
-    if sizes := [
-        name for name, variable in type(block).declaration.foreign.variables.items() if variable.causality == _SIZE
-    ]:
-        # Inputs follow from sizes: these, and the arrays of these sizes, are set before there is a diagram.
-        given, known = assignments("--set", options.parameters, "n=2"), type(block).declaration.parameters
-        of_block = {name.removeprefix(f"{type(block).__name__}."): name for name in given}
-        of_block = {name: full for name, full in of_block.items() if name in known}
-        if any(name in of_block for name in sizes):
-            taken = {name: given[full] for name, full in of_block.items()}
-            block = fmu(options.fmu, options.kind, isolate=options.isolate, parameters=taken)
-            left = [item for item in options.parameters if item.partition("=")[0].strip() not in of_block.values()]
-            options.parameters = left
+    block = _with_sizes(options)
     diagram = Diagram.alone(block)
     foreign = type(block).declaration.foreign
     experiment = foreign.description.experiment
@@ -131,7 +117,38 @@ def _alone(options: argparse.Namespace) -> Diagram:
     for fault in foreign.description.warnings:
         if fault.place == EXPERIMENT:
             say(str(fault))
-    name, declared = next(iter(diagram.value.blocks)), type(block).declaration
+    _rename_options(options, diagram, type(block).declaration)
+    return diagram
+
+
+def _with_sizes(options: argparse.Namespace) -> Any:
+    """Return the block of the FMU. Values of its sizes, and of arrays of these sizes, leave the options."""
+    from ..model.fmu_block import fmu
+
+    block = fmu(options.fmu, options.kind, isolate=options.isolate)
+    variables, known = type(block).declaration.foreign.variables, type(block).declaration.parameters
+    sizes = [name for name, variable in variables.items() if variable.causality == _SIZE]
+    if not sizes:
+        return block
+    # Inputs follow from sizes: these, and the arrays of these sizes, are set before there is a diagram.
+    given = assignments("--set", options.parameters, "n=2")
+    of_block = {name.removeprefix(f"{type(block).__name__}."): name for name in given}
+    of_block = {name: full for name, full in of_block.items() if name in known}
+    if not any(name in of_block for name in sizes):
+        return block
+    taken = {name: given[full] for name, full in of_block.items()}
+    block = fmu(options.fmu, options.kind, isolate=options.isolate, parameters=taken)
+    left = [item for item in options.parameters if item.partition("=")[0].strip() not in of_block.values()]
+    options.parameters = left
+    return block
+
+
+def _rename_options(options: argparse.Namespace, diagram: Diagram, declared: Any) -> None:
+    """Give the options the names of the diagram in place of those of the FMU. declared: of the block."""
+    from ..api.entries import as_name
+
+    foreign = declared.foreign
+    name = next(iter(diagram.value.blocks))
     # No wire carries a text: its start value is a parameter.
     texts = [item for item in options.input if _is_text(_name(item), foreign.variables)]
     start = [
@@ -153,7 +170,6 @@ def _alone(options: argparse.Namespace) -> Diagram:
     if options.log is not None:
         others = {own: f"{name}.{own}" for own in declared.readable}
         options.log = [{**others, **ports}.get(item, item) for item in options.log]
-    return diagram
 
 
 def _name(item: str) -> str:

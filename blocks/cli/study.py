@@ -22,7 +22,7 @@ from .stop_signals import INTERRUPTED, ended_at_once
 
 if TYPE_CHECKING:
     from ..results.results import Results
-    from ..studies.study import StudyResults
+    from ..studies.study import StudyResults, Verdict
     from ..studies.sweep import Sweep
     from ..studies.tuned import Tuning
 
@@ -106,25 +106,8 @@ def _reported(
     for section, made in sections.items():
         for name, results in made.items():
             tell_faults([replace(w, place=f"{section}.{name}.{w.place}") for w in results.warnings], options.json)
-    for v in study_results.verdicts if options.json else ():
-        claim = v.claim
-        entry: dict[str, Any] = {
-            "event": "claim",
-            "run": claim.runs[0] if len(claim.runs) == 1 else None,
-            "measure": claim.measure,
-        }
-        if claim.change:
-            entry |= {"runs": list(claim.runs), "as": claim.change} if claim.runs else {"as": claim.change}
-        if claim.tuning:
-            entry |= {"tuning": claim.tuning, "scenario": claim.scenario or None}
-        if claim.sweep:
-            kind, level = claim.statistic
-            entry |= {"sweep": claim.sweep, "scenario": claim.scenario or None}
-            entry |= {"statistic": kind} if kind in ("mean", "deviation") else {kind: level}
-        if claim.limit is not None:
-            entry |= {claim.limit[0]: claim.limit[1]}
-        entry |= {"value": v.value, "published": claim.published, "ratio": v.ratio, "verdict": v.verdict or None}
-        emit(entry | {"expected": v.is_expected})
+    for verdict in study_results.verdicts if options.json else ():
+        emit(_claim_event(verdict))
     if study_results.missing:
         return _interrupted(options, study_results, folder)
     path, failure = None, None
@@ -161,6 +144,27 @@ def _reported(
     if faults:
         return UsageError.exit_status
     return 0 if study_results.is_fine else 1
+
+
+def _claim_event(v: Verdict) -> dict[str, Any]:
+    claim = v.claim
+    entry: dict[str, Any] = {
+        "event": "claim",
+        "run": claim.runs[0] if len(claim.runs) == 1 else None,
+        "measure": claim.measure,
+    }
+    if claim.change:
+        entry |= {"runs": list(claim.runs), "as": claim.change} if claim.runs else {"as": claim.change}
+    if claim.tuning:
+        entry |= {"tuning": claim.tuning, "scenario": claim.scenario or None}
+    if claim.sweep:
+        kind, level = claim.statistic
+        entry |= {"sweep": claim.sweep, "scenario": claim.scenario or None}
+        entry |= {"statistic": kind} if kind in ("mean", "deviation") else {kind: level}
+    if claim.limit is not None:
+        entry |= {claim.limit[0]: claim.limit[1]}
+    entry |= {"value": v.value, "published": claim.published, "ratio": v.ratio, "verdict": v.verdict or None}
+    return entry | {"expected": v.is_expected}
 
 
 def _kept(results: Mapping[str, Results | Sweep | Tuning], folder: Path) -> dict[str, str]:

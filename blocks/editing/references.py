@@ -249,45 +249,19 @@ class _Finder:
     # --- studies -----------------------------------------------------------------------------------------------
 
     def study(self, value: Mapping[str, object], file: str) -> None:
-        folder = os.path.dirname(file)
         bodies: dict[object, Body | None] = {}
         study = Body(file, (), value)
         self.definitions(study, "run")
-        runs = [("runs", studies.ONE_RUN, *item) for item in table(value, "runs").items()]
-        runs += [("sweeps", studies.ONE_SWEEP, *item) for item in table(value, "sweeps").items()]
-        runs += [("tunings", studies.ONE_TUNING, *item) for item in table(value, "tunings").items()]
-        for section, kind, name, run in runs:
-            path, diagram = (section, name), _object(run).get("diagram")
-            body = self.documents.body(os.path.join(folder, diagram)) if isinstance(diagram, str) else None
-            bodies[name] = body
-            self.names(kind, run, path, body, inner=body)
-            for found in kind.walk(run, path):
-                if found.refers == "measures":
-                    self.measures(body, found.value, found.path)
-                elif found.refers == "measure" and body is not None:
-                    self.plain([body], "measure", found.value, found.path)
-            for key, variant in table(_object(run), "variants").items():
-                *_, block = key.split(".")
-                choices = [
-                    Body(scope.file, (*scope.scope, "blocks", block), _object(scope.names("block").get(block)))
-                    for scope in self.scopes(body, key)
-                ]
-                self.plain(choices, "variant", variant, (*path, "variants", key))
-            for key, raw in table(_object(run), "parameters").items():
-                for scope in self.scopes(body, key):
-                    for found in VALUE.walk(raw, (*path, "parameters", key)):
-                        self.expression(scope, found)
+        for section, kind in (
+            ("runs", studies.ONE_RUN), ("sweeps", studies.ONE_SWEEP), ("tunings", studies.ONE_TUNING)
+        ):  # fmt: skip
+            for name, run in table(value, section).items():
+                bodies[name] = self._run_of_study(kind, run, (section, name), os.path.dirname(file))
         for found in studies.STUDY.walk(value):
             if found.refers == "run":
                 self.plain([study], "run", found.value, found.path)
             elif found.kind is studies.CLAIM:
-                claim = _object(found.value)
-                runs_of = [claim["sweep"]] if "sweep" in claim else studies.named(claim)
-                about = (bodies.get(run) for run in runs_of if isinstance(run, str))
-                measured = [body for body in about if body is not None]
-                if "tuning" in claim:
-                    self.measures(bodies.get(str(claim["tuning"])), claim.get("measure"), (*found.path, "measure"))
-                self.plain(measured, "measure", claim.get("measure"), (*found.path, "measure"))
+                self._claim(_object(found.value), found.path, bodies)
             elif found.kind is studies.SWEEP_FIGURE:
                 figure = _object(found.value)
                 for key in ("of", "against"):
@@ -297,6 +271,37 @@ class _Finder:
                 run = _object(found.value).get("run")
                 body = bodies.get(run) if isinstance(run, str) else None
                 self.text(body, _object(found.value).get("signal"), (*found.path, "signal"), _LAST["signal"])
+
+    def _run_of_study(self, kind: Object, run: Any, path: Steps, folder: str) -> Body | None:
+        """Find the names of a run, sweep or tuning; return the body of its diagram, None if it cannot be read."""
+        diagram = _object(run).get("diagram")
+        body = self.documents.body(os.path.join(folder, diagram)) if isinstance(diagram, str) else None
+        self.names(kind, run, path, body, inner=body)
+        for found in kind.walk(run, path):
+            if found.refers == "measures":
+                self.measures(body, found.value, found.path)
+            elif found.refers == "measure" and body is not None:
+                self.plain([body], "measure", found.value, found.path)
+        for key, variant in table(_object(run), "variants").items():
+            *_, block = key.split(".")
+            choices = [
+                Body(scope.file, (*scope.scope, "blocks", block), _object(scope.names("block").get(block)))
+                for scope in self.scopes(body, key)
+            ]
+            self.plain(choices, "variant", variant, (*path, "variants", key))
+        for key, raw in table(_object(run), "parameters").items():
+            for scope in self.scopes(body, key):
+                for found in VALUE.walk(raw, (*path, "parameters", key)):
+                    self.expression(scope, found)
+        return body
+
+    def _claim(self, claim: Mapping[str, object], path: Steps, bodies: Mapping[object, Body | None]) -> None:
+        runs_of = [claim["sweep"]] if "sweep" in claim else studies.named(claim)
+        about = (bodies.get(run) for run in runs_of if isinstance(run, str))
+        if "tuning" in claim:
+            self.measures(bodies.get(str(claim["tuning"])), claim.get("measure"), (*path, "measure"))
+        measured = [body for body in about if body is not None]
+        self.plain(measured, "measure", claim.get("measure"), (*path, "measure"))
 
     def scopes(self, body: Body | None, path: str) -> list[Body]:
         """The diagrams whose parameters an expression may read that is given for the parameter at a path."""

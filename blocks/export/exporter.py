@@ -147,38 +147,29 @@ def _allowed(plan: Plan, kinds: Sequence[str] | None) -> tuple[tuple[str, ...], 
             raise UsageError(Fault("E501", "kinds", f"{kind!r} is not a kind of FMU.", cure))
     if kinds is not None and not kinds:
         raise UsageError(Fault("E501", "kinds", "an FMU needs at least one kind.", 'Kinds: "CS", "ME".'))
-    faults = [
-        Fault(
-            "E606", part.path, "is a program in Python, which an FMU cannot contain.",
-            "Replace it by a block with equations, or export the diagram without it.",
-        )
-        for part in plan.steppers
-    ]  # fmt: skip
-    faults += [
-        Fault(
-            "E606", part.path, "is an FMU, which the FMU of a diagram cannot contain.",
-            "Replace it by a block with equations, or export the diagram without it.",
-        )
-        for part in plan.foreign
-    ]  # fmt: skip
+    _check_contents(plan)
+    if not plan.histories:
+        return tuple(kind for kind in KINDS if kinds is None or kind in kinds), ()
+    name, why = plan.histories[0].name, "a delay needs past values, which Model Exchange does not provide"
+    place = name.rpartition(".")[0] or name
+    if kinds is not None and "ME" in kinds:
+        raise ModelError(Fault("E606", place, f"{why}.", "Export for Co-Simulation alone (CS)."))
+    notes = (f"without {NAMES['ME']}: {place}: {why}",) if kinds is None else ()
+    return tuple(kind for kind in KINDS if kind != "ME" and (kinds is None or kind in kinds)), notes
+
+
+def _check_contents(plan: Plan) -> None:
+    """Refuse what no FMU can contain. Raises ModelError (E606)."""
+    cure = "Replace it by a block with equations, or export the diagram without it."
+    steppers = [(part.path, "is a program in Python, which an FMU cannot contain.") for part in plan.steppers]
+    fmus = [(part.path, "is an FMU, which the FMU of a diagram cannot contain.") for part in plan.foreign]
+    faults = [Fault("E606", path, message, cure) for path, message in (*steppers, *fmus)]
     why = why_not(plan)
     if why:
         cure = "Use rounder periods and steps, such as multiples of 1 us."
         faults.append(Fault("E606", plan.name, f"cannot be exported: {why}.", cure))
     if faults:
         raise ModelError(*faults)
-    refused: dict[str, tuple[str, str, str]] = {}
-    if plan.histories:
-        cure = "Export for Co-Simulation alone (CS)."
-        message = "a delay needs past values, which Model Exchange does not provide"
-        refused["ME"] = (plan.histories[0].name.rpartition(".")[0] or plan.histories[0].name, message, cure)
-    for kind in KINDS if kinds is None else kinds:
-        if kind in refused and (kinds is not None or len(refused) == len(KINDS)):
-            place, message, cure = refused[kind]
-            raise ModelError(Fault("E606", place, f"{message}.", cure))
-    left = tuple(kind for kind in KINDS if kind not in refused and (kinds is None or kind in kinds))
-    told = refused if kinds is None else {}
-    return left, tuple(f"without {NAMES[kind]}: {place}: {why}" for kind, (place, why, _) in told.items())
 
 
 # --- making it ----------------------------------------------------------------------------------------------------
