@@ -146,6 +146,20 @@ def _numbers(name: str, *given: Any) -> tuple[list[float], str]:
     return in_one_unit(name, given, [True] * len(given), 'Example: Normal("160 mOhm", "10 mOhm").')
 
 
+def _number_and_unit(place: str, item: Any, word: str) -> tuple[float, str]:
+    """Return a number with its own unit, "" if it has none. word: as it is written. Raises UsageError (E501)."""
+    try:
+        quantity = read_quantity(item)
+        is_quantity = isinstance(quantity, Mapping) and {*quantity} <= {"value", "unit", "doc"}
+        number = float(quantity["value"] if is_quantity else quantity)
+        unit = str(quantity.get("unit", "")) if is_quantity else ""
+        unit_texts.parse(unit or "1")
+    except (TypeError, ValueError, KeyError, ModelError):
+        cure = "Write a number in the unit of the parameter, or add a unit: 160 mOhm."
+        raise _refused(place, f"{legible(repr(word))} is not a number.", cure) from None
+    return number, unit
+
+
 def in_one_unit(
     place: str, given: Sequence[Any], may_have: Sequence[bool], example: str, words: Sequence[str] = ()
 ) -> tuple[list[float], str]:
@@ -157,15 +171,9 @@ def in_one_unit(
     numbers, own_units = list[float](), list[str]()
     shown = [str(word).strip() for word in words] or [item if isinstance(item, str) else f"{item}" for item in given]
     for item, word in zip(given, shown, strict=True):
-        try:
-            quantity = read_quantity(item)
-            is_quantity = isinstance(quantity, Mapping) and {*quantity} <= {"value", "unit", "doc"}
-            numbers.append(float(quantity["value"] if is_quantity else quantity))
-            own_units.append(str(quantity.get("unit", "")) if is_quantity else "")
-            unit_texts.parse(own_units[-1] or "1")
-        except (TypeError, ValueError, KeyError, ModelError):
-            cure = "Write a number in the unit of the parameter, or add a unit: 160 mOhm."
-            raise _refused(place, f"{legible(repr(word))} is not a number.", cure) from None
+        number, own = _number_and_unit(place, item, word)
+        numbers.append(number)
+        own_units.append(own)
     unit = next(filter(None, own_units), "")
     if not unit:
         return numbers, ""

@@ -150,24 +150,9 @@ class StudyReader:
 
     def study(self) -> Study:
         value = self.document.value
-        if not isinstance(value, dict) or value.get("format") != FORMAT:
-            self.fault(
-                "E006",
-                ("format",),
-                "the file is not a study.",
-                f'Begin a study with {{"format": "{FORMAT}", "version": {VERSION}.',
-            )
-            raise ModelError(*self.faults)
-        version = value.get("version")
-        if not isinstance(version, Number) or float(version) != VERSION:
-            if "version" not in value:
-                self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {VERSION}.')
-            elif not isinstance(version, Number):
-                self.fault("E005", ("version",), "must be a number.", f'Write "version": {VERSION}.')
-            else:
-                newer = "Update blocks."
-                cure = newer if version > VERSION else f"This release reads version {VERSION}."
-                self.fault("E005", ("version",), f"version {version!r} cannot be read.", cure)
+        count = len(self.faults)
+        self.check_head(value)
+        if len(self.faults) > count:
             raise ModelError(*self.faults)
         STUDY.check(value, (), self)
         entries = _object(value, "runs")
@@ -175,17 +160,7 @@ class StudyReader:
         swept, tuned = _object(value, "sweeps"), _object(value, "tunings")
         sweeps = [StudySweep.of(*item) for item in self.many("sweeps", ONE_SWEEP, entries)]
         tunings = [StudyTuning.of(*item) for item in self.many("tunings", ONE_TUNING, {**entries, **swept})]
-        places: list[tuple[Steps, Any, str]] = []
-        for k, claim in enumerate(_items(value, "claims")):
-            places += [(("claims", k), name, "run") for name in named(claim) if "sweep" not in claim]
-            places += [(("claims", k, what), claim[what], what) for what in ("sweep", "tuning") if what in claim]
-        drawn = STUDY.by_key["figures"].kind.walk(value.get("figures"), ("figures",))
-        places += [(found.path, found.value, found.refers) for found in drawn if found.refers in ("run", "sweep")]
-        for path, name, what in places:
-            known = {"run": entries, "sweep": swept, "tuning": tuned}[what]
-            if isinstance(name, str) and name not in known:
-                cure = did_you_mean(name[:200], known) or f"{what.capitalize()}s: {', '.join([*known][:20]) or 'none'}."
-                self.fault("E105", path, f"there is no {what} {quoted(name)}.", cure)
+        self.check_names(value, {"run": entries, "sweep": swept, "tuning": tuned})
         name, title = _text(value, "name") or self.path.stem, _text(value, "title")
         study = Study(
             name,
@@ -205,6 +180,33 @@ class StudyReader:
         if self.faults:
             raise ModelError(*sorted(self.faults, key=lambda fault: (fault.line, fault.column)), readable=study)
         return study
+
+    def check_head(self, value: Any) -> None:
+        """Collect the faults of the format and the version."""
+        if not isinstance(value, dict) or value.get("format") != FORMAT:
+            cure = f'Begin a study with {{"format": "{FORMAT}", "version": {VERSION}.'
+            self.fault("E006", ("format",), "the file is not a study.", cure)
+        elif "version" not in value:
+            self.fault("E009", (), 'the key "version" is missing.', f'Add "version": {VERSION}.')
+        elif not isinstance(version := value["version"], Number):
+            self.fault("E005", ("version",), "must be a number.", f'Write "version": {VERSION}.')
+        elif float(version) != VERSION:
+            cure = "Update blocks." if version > VERSION else f"This release reads version {VERSION}."
+            self.fault("E005", ("version",), f"version {version!r} cannot be read.", cure)
+
+    def check_names(self, value: Mapping[str, Any], entries: Mapping[str, Collection[str]]) -> None:
+        """Collect the faults of claims and figures about runs, sweeps and tunings that are not there."""
+        places: list[tuple[Steps, Any, str]] = []
+        for k, claim in enumerate(_items(value, "claims")):
+            places += [(("claims", k), name, "run") for name in named(claim) if "sweep" not in claim]
+            places += [(("claims", k, what), claim[what], what) for what in ("sweep", "tuning") if what in claim]
+        drawn = STUDY.by_key["figures"].kind.walk(value.get("figures"), ("figures",))
+        places += [(found.path, found.value, found.refers) for found in drawn if found.refers in ("run", "sweep")]
+        for path, name, what in places:
+            known = entries[what]
+            if isinstance(name, str) and name not in known:
+                cure = did_you_mean(name[:200], known) or f"{what.capitalize()}s: {', '.join([*known][:20]) or 'none'}."
+                self.fault("E105", path, f"there is no {what} {quoted(name)}.", cure)
 
     def run(self, name: str, entry: Any) -> Run:
         path = ("runs", name)

@@ -10,7 +10,7 @@ import json
 import math
 import re
 from array import array
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -44,13 +44,7 @@ def read_columns(
                 continue
             if not header:
                 header = [name.strip() for name in cells]
-                if len(header) == 1 and ";" in header[0]:
-                    raise ValueError("separates its columns by ';'. Use commas.")
-                if units and not any(column.partition("[")[0] in units or column in units for column in header):
-                    names = ", ".join(name[:40] for name in units)
-                    raise ValueError(
-                        f'"# units" names columns that do not exist: {names}. Columns: {", ".join(header[:20])}.'
-                    )
+                _check_header(header, units or {})
                 continue
             if len(cells) != len(header):
                 raise ValueError(f"line {reader.line_num}: {len(cells)} cells for {len(header)} columns.")
@@ -58,14 +52,11 @@ def read_columns(
             if most is not None and count > most:
                 raise ValueError(f"has more than {most:,} rows.")
             for name, cell in zip(header, cells, strict=True):
-                known = words.get(name, {})
                 try:
-                    numbers.append(known[cell.strip()] if cell.strip() in known else _number(cell))
-                except ValueError:
+                    numbers.append(_number_of(cell, name, words.get(name, {})))
+                except ValueError as error:
                     if wanted is None or name in wanted:
-                        text = f"{cell[:40]!r} in the column {name[:40]!r} is not a number"
-                        text += f", nor one of {', '.join([*known][:20])}" if known else ""
-                        raise ValueError(f"line {reader.line_num}: {text}.") from None
+                        raise ValueError(f"line {reader.line_num}: {error}.") from None
                     numbers.append(math.nan)
     except csv.Error as error:
         raise ValueError(f"line {reader.line_num} cannot be read: {error}.") from None
@@ -74,6 +65,24 @@ def read_columns(
     if len(set(header)) < len(header):
         raise ValueError("has two columns with the same name.")
     return header, np.array(numbers).reshape(count, len(header))
+
+
+def _check_header(header: Sequence[str], units: Mapping[str, str]) -> None:
+    """Raise ValueError if a header names no columns, or not those of the units."""
+    if len(header) == 1 and ";" in header[0]:
+        raise ValueError("separates its columns by ';'. Use commas.")
+    if units and not any(column.partition("[")[0] in units or column in units for column in header):
+        names = ", ".join(name[:40] for name in units)
+        raise ValueError(f'"# units" names columns that do not exist: {names}. Columns: {", ".join(header[:20])}.')
+
+
+def _number_of(cell: str, name: str, known: Mapping[str, float]) -> float:
+    """Return the number in a cell of a column. known: the numbers of words. Raises ValueError with a clause."""
+    try:
+        return known[cell.strip()] if cell.strip() in known else _number(cell)
+    except ValueError:
+        text = f"{cell[:40]!r} in the column {name[:40]!r} is not a number"
+        raise ValueError(text + (f", nor one of {', '.join([*known][:20])}" if known else "")) from None
 
 
 def _noting_units(lines: Iterable[str], found: dict[str, str]) -> Iterator[str]:

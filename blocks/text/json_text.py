@@ -82,7 +82,8 @@ class _Scan:
         Raises ModelError with all faults where one ends the pass.
         """
         wanted: Wanted = "value"
-        at, values, key, key_at, bracket = 0, 0, "", -1, ""
+        at, key, key_at, bracket = 0, "", -1, ""
+        values = count(1)
         while True:
             if bracket == "{" and wanted in ("key", "comma"):  # a key with what is around it at once, which is faster
                 entry = _entry(self.meant, at)
@@ -111,22 +112,11 @@ class _Scan:
                 self.path = self.path[: -2 if wanted == "value" else -1]
                 self.open.pop()
             if is_value:
-                values += 1
-                if values > limits.LARGEST_COUNT:
+                if next(values) > limits.LARGEST_COUNT:
                     message = f"the text holds more than {limits.LARGEST_COUNT:,} values."
                     self.fault("E008", start, message, "Keep tables of data in files of their own.", is_last=True)
                 yield self.path, key_at, start
-                if kind == "string":
-                    self.string(token["string"], start)
-                elif kind == "number":
-                    self.number(token["number"], start)
-                elif kind == "open" and len(self.open) == limits.LARGEST_DEPTH:
-                    message = f"containers are nested deeper than {limits.LARGEST_DEPTH}."
-                    self.fault("E008", start, message, "Split the diagram.", is_last=True)
-                if kind == "open":
-                    self.open.append((start, {}, count()))
-                else:
-                    self.path = self.path[:-1]
+                self.take(kind, token, start)
             bracket = self.meant[self.open[-1][0]] if self.open else ""
             self.may_close = bool(bracket) and kind != "comma"
             wanted = "comma" if bracket else "end"
@@ -134,6 +124,20 @@ class _Scan:
                 wanted = "key" if bracket == "{" else "value"
                 if bracket == "[":
                     self.path, key_at = (*self.path, next(self.open[-1][2])), -1
+
+    def take(self, kind: str, token: Any, start: int) -> None:
+        """Check a value, and step into it or behind it."""
+        if kind == "open":
+            if len(self.open) == limits.LARGEST_DEPTH:
+                message = f"containers are nested deeper than {limits.LARGEST_DEPTH}."
+                self.fault("E008", start, message, "Split the diagram.", is_last=True)
+            self.open.append((start, {}, count()))
+            return
+        if kind == "string":
+            self.string(token["string"], start)
+        elif kind == "number":
+            self.number(token["number"], start)
+        self.path = self.path[:-1]
 
     def key(self, token: str, at: int) -> str:
         key = self.string(token, at)
