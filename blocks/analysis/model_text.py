@@ -106,14 +106,7 @@ def entry(model: Transfer | DelayedModel, *, is_loop: bool) -> dict[str, Any]:
 def lines(model: Transfer | DelayedModel, *, is_loop: bool, known: Margins | None = None) -> Iterator[str]:
     """A model as lines of text. known: the margins of a loop, if they were computed before."""
     rational = _rational(model)
-    ins, outs = (", ".join(names) for names in model.signals)
-    time = f", sampled every {model.dt:g} s" if model.dt else ""
-    if isinstance(model, LoopOfRates):
-        ins = model.point
-        time = f", {len(model.times)} values of the signal in a pattern of {model.dt:g} s"
-    what = f"loop at {ins}" if is_loop else f"{ins} -> {outs}"
-    size = _delays(model) if isinstance(model, DelayedModel) else f"{counted(model.nstates, 'state')}{time}"
-    yield f"{what}: {size}"
+    yield _title(model, is_loop=is_loop)
     plane = "z" if model.dt else "1/s"
     for title, roots in () if rational is None else (("poles", poles(rational)), ("zeros", zeros(rational))):
         shown = [_pole(p) for p in np.asarray(roots, dtype=complex) if p.imag >= 0]
@@ -133,6 +126,23 @@ def lines(model: Transfer | DelayedModel, *, is_loop: bool, known: Margins | Non
         yield from (f"  {line}" for line in shown)
     else:
         yield f"  {_STABILITY[stability(balanced(model))]}"
+    yield from _notes(model)
+
+
+def _title(model: Transfer | DelayedModel, *, is_loop: bool) -> str:
+    """Return what the model is of, and its size."""
+    ins, outs = (", ".join(names) for names in model.signals)
+    time = f", sampled every {model.dt:g} s" if model.dt else ""
+    if isinstance(model, LoopOfRates):
+        ins = model.point
+        time = f", {len(model.times)} values of the signal in a pattern of {model.dt:g} s"
+    what = f"loop at {ins}" if is_loop else f"{ins} -> {outs}"
+    size = _delays(model) if isinstance(model, DelayedModel) else f"{counted(model.nstates, 'state')}{time}"
+    return f"{what}: {size}"
+
+
+def _notes(model: Transfer | DelayedModel) -> Iterator[str]:
+    """How blocks were linearized where it was not exact, and those that are not part of the path."""
     notes = (
         f"{b.path} ({b.type}): {'; '.join(filter(None, (b.method, b.smoothness, b.note)))}"
         for b in model.report

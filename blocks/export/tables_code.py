@@ -24,6 +24,30 @@ _ROWS = ("time", "state", "rate", "input", "setting", "output", "local", "indica
 _CONSTANT, _FIXED, _TUNABLE, _CALCULATED, _VARYING = range(5)
 
 
+def _rows_and_columns(plan: Plan, variables: Variables, jacobian: PlanJacobian) -> tuple[list[int], list[int]]:
+    """Return by reference the row of the Jacobian, and the column, -1 where there is none."""
+    columns = [-1] * len(variables.places)
+    rates = [-1] * len(variables.places)
+    real_inputs = 0
+    for reference, spot in enumerate(variables.places):
+        if spot.row == "state":
+            columns[reference] = spot.index
+        elif spot.row == "input" and Reference("u", spot.index) in jacobian.by:
+            columns[reference] = len(plan.states) + real_inputs
+            real_inputs += 1
+        elif spot.row == "rate":
+            rates[reference] = spot.index
+    # Where an output is a state itself, its own row comes after those of the outputs that are computed.
+    rows_after = len(plan.states) + len(variables.outputs)
+    for reference in variables.output_references:
+        spot = variables.places[reference]
+        if spot.row == "output" and variables.is_real(reference):
+            rates[reference] = len(plan.states) + spot.index
+        elif spot.row == "state":
+            rates[reference], rows_after = rows_after, rows_after + 1
+    return rates, columns
+
+
 def tables_text(
     plan: Plan,
     made: RuntimeTables,
@@ -46,25 +70,7 @@ def tables_text(
     starts = [float(value) for setting in numeric for value in setting.values]
     order, place = made.order, made.place
     atol = settings.atol * np.array(plan.nominal, dtype=float)
-    columns = [-1] * len(variables.places)
-    rates = [-1] * len(variables.places)
-    real_inputs = 0
-    for reference, spot in enumerate(variables.places):
-        if spot.row == "state":
-            columns[reference] = spot.index
-        elif spot.row == "input" and Reference("u", spot.index) in jacobian.by:
-            columns[reference] = len(plan.states) + real_inputs
-            real_inputs += 1
-        elif spot.row == "rate":
-            rates[reference] = spot.index
-    # Where an output is a state itself, its own row comes after those of the outputs that are computed.
-    rows_after = len(plan.states) + len(variables.outputs)
-    for reference in variables.output_references:
-        spot = variables.places[reference]
-        if spot.row == "output" and variables.is_real(reference):
-            rates[reference] = len(plan.states) + spot.index
-        elif spot.row == "state":
-            rates[reference], rows_after = rows_after, rows_after + 1
+    rates, columns = _rows_and_columns(plan, variables, jacobian)
     firsts, knowns = [0], list[int]()
     for reference in range(len(variables.places)):
         knowns += dependencies.get(reference) or ()
