@@ -654,40 +654,39 @@ class _JacobianBuilder:
 
     def _loop(self, loop: AlgebraicLoop) -> None:
         """The rows of a loop; a cut variable is no unknown, but its row may be asked for."""
-        plan = self.plan
         everything = loop.nodes
         rows = [row for part in loop.parts for row in part.rows]
         reference = {node: loop.unknowns[row] for node, row in zip(everything, rows, strict=True)}
         nodes = [node for node in everything if node in self.depends and reference[node] not in self.columns]
-        unknown = {reference[node]: k for k, node in enumerate(nodes)}
         if nodes:
-            terms = {node: self._terms(node) for node in nodes}
-            outer = {node: [t for t in terms[node] if t[1] not in unknown and len(t[2][1])] for node in nodes}
-            columns = np.unique(_joined([term[2][1] for node in nodes for term in outer[node]]))
-            level, n, first = self._above([t for node in nodes for t in outer[node]]), len(nodes), len(self.rank)
-            inner = [
-                (k * n + unknown[t[1]], t[0]) for k, node in enumerate(nodes) for t in terms[node] if t[1] in unknown
-            ]
-            places, partials, sources = [], [], []
-            for k, node in enumerate(nodes):
-                for number, _, (_, own, entries) in outer[node]:
-                    places.append(k * len(columns) + np.searchsorted(columns, own))
-                    partials.append(np.full(len(own), number))
-                    sources.append(entries)
-            explicit = [
-                float(plan.instances[node.instance].tape.results[node.key].role != "residual") for node in nodes
-            ]
-            at, numbers = (np.array([pair[k] for pair in inner], dtype=np.intp) for k in (0, 1))
-            outside = (_joined(places), _joined(partials), _joined(sources))
-            self.rank += [2 * level + 1] * (n * len(columns))
-            self.loops.append(Solve(2 * level + 1, first, len(self.rank), np.array(explicit), (at, numbers), outside))
-            for k, node in enumerate(nodes):
-                begin = first + k * len(columns)
-                self.rows[node] = np.zeros_like(columns), columns, np.arange(begin, begin + len(columns))
-                self.level[node] = level
+            self._solve(nodes, {reference[node]: k for k, node in enumerate(nodes)})
         for node in everything:
             if node in self.depends and reference[node] in self.columns:
                 self._row(node)
+
+    def _solve(self, nodes: Sequence[Node], unknown: Mapping[Reference, int]) -> None:
+        """Add the system of the nodes of a loop, whose unknowns have these numbers, and their rows."""
+        terms = {node: self._terms(node) for node in nodes}
+        outer = {node: [t for t in terms[node] if t[1] not in unknown and len(t[2][1])] for node in nodes}
+        columns = np.unique(_joined([term[2][1] for node in nodes for term in outer[node]]))
+        level, n, first = self._above([t for node in nodes for t in outer[node]]), len(nodes), len(self.rank)
+        inner = [(k * n + unknown[t[1]], t[0]) for k, node in enumerate(nodes) for t in terms[node] if t[1] in unknown]
+        places, partials, sources = [], [], []
+        for k, node in enumerate(nodes):
+            for number, _, (_, own, entries) in outer[node]:
+                places.append(k * len(columns) + np.searchsorted(columns, own))
+                partials.append(np.full(len(own), number))
+                sources.append(entries)
+        roles = (self.plan.instances[node.instance].tape.results[node.key].role for node in nodes)
+        explicit = np.array([float(role != "residual") for role in roles])
+        at, numbers = (np.array([pair[k] for pair in inner], dtype=np.intp) for k in (0, 1))
+        outside = (_joined(places), _joined(partials), _joined(sources))
+        self.rank += [2 * level + 1] * (n * len(columns))
+        self.loops.append(Solve(2 * level + 1, first, len(self.rank), explicit, (at, numbers), outside))
+        for k, node in enumerate(nodes):
+            begin = first + k * len(columns)
+            self.rows[node] = np.zeros_like(columns), columns, np.arange(begin, begin + len(columns))
+            self.level[node] = level
 
 
 # --- the operations of a tape, on numbers and on arrays --------------------------------------------------------

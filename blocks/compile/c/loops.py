@@ -145,30 +145,12 @@ class CallOrder:
 
     def grouped(self, loops: bool) -> list[EqualCalls]:
         """The calls in groups; none needs another of its group."""
-        if not loops or len(self.calls) < LEAST:
-            groups = [EqualCalls([call]) for call in self.calls]
-        else:
-            depth: dict[Call, int] = {}
-            by_form: dict[object, list[Call]] = {}
-            for call in self.calls:
-                level = 0
-                for row, index in call.arguments:
-                    if row in ("r", "ge"):
-                        level = max(level, depth[self.made[index][0]] + 1)
-                depth[call] = level
-                rows = tuple(f"at {value[1][0][0]}" if value[0] == "at" else value[0] for value in call.arguments)
-                forms = tuple(tuple((s.condition is None, s.off) for s in sinks) for sinks in call.sinks)
-                fallback = None if call.fallback is None else tuple(row for row, _ in call.fallback)
-                key = (call.function.name, level, rows, forms, call.guard, fallback, call.lanes, call.gathers)
-                by_form.setdefault(key, []).append(call)
-            groups = []
-            for group in by_form.values():
-                if any(call.lanes > 1 or call.gathers for call in group):
-                    groups += [EqualCalls([call]) for call in group]
-                elif len(group) >= LEAST:
-                    groups.append(EqualCalls(sorted(group, key=lambda call: call.order)))
-                else:
-                    groups += [EqualCalls([call]) for call in group]
+        groups: list[EqualCalls] = []
+        for group in self._by_form() if loops and len(self.calls) >= LEAST else [[call] for call in self.calls]:
+            if len(group) >= LEAST and not any(call.lanes > 1 or call.gathers for call in group):
+                groups.append(EqualCalls(sorted(group, key=lambda call: call.order)))
+            else:
+                groups += [EqualCalls([call]) for call in group]
         self.assign(groups)
         while True:
             bad = {g: None for g in groups if LEAST_IRREGULAR > len(g.calls) > 1 and not self.is_regular(g)}
@@ -176,6 +158,20 @@ class CallOrder:
                 return groups
             groups = [g for g in groups if g not in bad] + [EqualCalls([call]) for g in bad for call in g.calls]
             self.assign(groups)
+
+    def _by_form(self) -> list[list[Call]]:
+        """Return the calls of one form at one depth together."""
+        depth: dict[Call, int] = {}
+        by_form: dict[object, list[Call]] = {}
+        for call in self.calls:
+            needed = (self.made[index][0] for row, index in call.arguments if row in ("r", "ge"))
+            level = depth[call] = max((depth[other] + 1 for other in needed), default=0)
+            rows = tuple(f"at {value[1][0][0]}" if value[0] == "at" else value[0] for value in call.arguments)
+            forms = tuple(tuple((s.condition is None, s.off) for s in sinks) for sinks in call.sinks)
+            fallback = None if call.fallback is None else tuple(row for row, _ in call.fallback)
+            key = (call.function.name, level, rows, forms, call.guard, fallback, call.lanes, call.gathers)
+            by_form.setdefault(key, []).append(call)
+        return [*by_form.values()]
 
     def assign(self, groups: Iterable[EqualCalls]) -> None:
         self.group_of = {call: (group, lane) for group in groups for lane, call in enumerate(group.calls)}

@@ -345,42 +345,42 @@ class _Program(CallOrder):
         while number < len(calls):
             chain = self.chain(calls[number:], reads, unit)
             number += len(chain)
-            call = chain[-1]
-            given = [self.read(value, unit, local) for value in call.arguments] if len(chain) == 1 else []
-            names = [f"r{len(local) + k}" for k in range(len(call.values))]
-            keeps = [f"w[{self.w_at[v]}] = {r};" for v, r in zip(call.values, names, strict=True) if v in self.w_at]
-            other = [
-                f"{r} = {self.read(value, unit, local)};"
-                for r, value in zip(names, call.fallback or (), strict=bool(call.fallback))
-            ]
-            stores = []
-            for r, sinks in zip(names, call.sinks, strict=True):
-                for sink in sinks:
-                    side = "" if sink.condition is None else self.read(("s", sink.condition), unit, {})
-                    own = self.read(("s", sink.index), unit, {}) if sink.off == "side" else ""
-                    stores.append(self.store(str(sink.index), r, sink.off, side, own))
-            if len(chain) > 1:
-                lines += [*self.chained(chain, names[0], unit, local), *stores, *keeps]
-                local.update(zip(call.values, names, strict=True))
-                continue
-            local.update(zip(call.values, names, strict=True))
-            code = self.call_text(call, given, names, unit)
-            by_value = len(names) == 1 and not call.function.takes_memory
-            label = f"  /* {comment(call.label)} */"
-            if not call.guard:
-                if by_value:
-                    lines += [f"const {self.numbers.real} {names[0]} = {code};{label}", *stores, *keeps]
-                else:
-                    lines += [f"{self.numbers.real} {', '.join(names)};", f"{code};{label}", *stores, *keeps]
-                continue
-            unit.due = True
-            lines.append(f"double {', '.join(f'{r} = 0.0' for r in names)};")
-            lines.append(f"if ({_due(call.guard)}) {{{label}")
-            lines += [f"    {line}" for line in (f"{names[0]} = {code};" if by_value else f"{code};", *stores)]
-            lines += ["} else {", *(f"    {line}" for line in other)] if other else []
-            lines += ["}", *keeps]
+            lines += self._called(chain, unit, local)
         lines = [f"    {line}" for line in lines]
         return lines + self.copied(copies, unit, local)
+
+    def _called(self, chain: Sequence[Call], unit: CallSequence, local: dict[int, str]) -> list[str]:
+        """Return the lines of a call, or of a chain of them. local: the variables so far; it gets those of the call."""
+        call = chain[-1]
+        given = [self.read(value, unit, local) for value in call.arguments] if len(chain) == 1 else []
+        names = [f"r{len(local) + k}" for k in range(len(call.values))]
+        keeps = [f"w[{self.w_at[v]}] = {r};" for v, r in zip(call.values, names, strict=True) if v in self.w_at]
+        other = [
+            f"{r} = {self.read(value, unit, local)};"
+            for r, value in zip(names, call.fallback or (), strict=bool(call.fallback))
+        ]
+        stores = []
+        for r, sinks in zip(names, call.sinks, strict=True):
+            for sink in sinks:
+                side = "" if sink.condition is None else self.read(("s", sink.condition), unit, {})
+                own = self.read(("s", sink.index), unit, {}) if sink.off == "side" else ""
+                stores.append(self.store(str(sink.index), r, sink.off, side, own))
+        chained = self.chained(chain, names[0], unit, local) if len(chain) > 1 else []
+        local.update(zip(call.values, names, strict=True))
+        if chained:
+            return [*chained, *stores, *keeps]
+        code = self.call_text(call, given, names, unit)
+        by_value = len(names) == 1 and not call.function.takes_memory
+        label = f"  /* {comment(call.label)} */"
+        if not call.guard and by_value:
+            return [f"const {self.numbers.real} {names[0]} = {code};{label}", *stores, *keeps]
+        if not call.guard:
+            return [f"{self.numbers.real} {', '.join(names)};", f"{code};{label}", *stores, *keeps]
+        unit.due = True
+        lines = [f"double {', '.join(f'{r} = 0.0' for r in names)};", f"if ({_due(call.guard)}) {{{label}"]
+        lines += [f"    {line}" for line in (f"{names[0]} = {code};" if by_value else f"{code};", *stores)]
+        lines += ["} else {", *(f"    {line}" for line in other)] if other else []
+        return [*lines, "}", *keeps]
 
     def chain(self, calls: Sequence[Call], reads: Mapping[int, int], unit: CallSequence) -> list[Call]:
         """The first of some calls, with those behind it that make a loop with it: each is of the value of the one
