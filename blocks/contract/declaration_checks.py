@@ -201,13 +201,17 @@ def _check_read(declaration: Declaration, readable: Mapping[str, Variable], equa
         refuse("E402", place, f"wiring re-arranges inputs only; it cannot read {variable!r}.")
     if isinstance(variable, Crossing) and variable.start is None and variable in [r.target for r in equation.roles]:
         refuse("E405", place, "reads its own side.", "Set its side at the start: @crossing(start=False).")
+    # A local may serve sampled and unsampled equations alike; where it does, it may not read what they see differently.
+    is_of_both = kinds == {"local"} and declaration.is_of_ticks(equation.name)
+    if not is_of_both and unsampled & {"output", "local", "derivative", "residual", "crossing", "next"}:
+        _check_ticked(declaration, place, variable, read)
+
+
+def _check_ticked(declaration: Declaration, place: str, variable: Variable, read: str) -> None:
+    """Refuse that an unsampled equation reads a discrete whose values before and after a tick differ."""
     if isinstance(variable, Discrete) and not variable.visible and declaration.clock_of(read) is not None:
-        # A local may serve sampled and unsampled equations alike; where it does, it may not read what they see
-        # differently.
-        is_of_both = kinds == {"local"} and declaration.is_of_ticks(equation.name)
-        if not is_of_both and unsampled & {"output", "local", "derivative", "residual", "crossing", "next"}:
-            cure = f'Sample it too (every=), or declare {read} = Discrete(visible="after").'
-            refuse("E405", place, f"is unsampled and reads the ticked discrete '{read}'.", cure)
+        cure = f'Sample it too (every=), or declare {read} = Discrete(visible="after").'
+        refuse("E405", place, f"is unsampled and reads the ticked discrete '{read}'.", cure)
 
 
 def _unknown_name(declaration: Declaration, readable: Mapping[str, Variable], read: str) -> tuple[str, str]:

@@ -546,17 +546,23 @@ def _faults_of_structure(model: Model) -> Iterator[Fault]:
     for name, references in expected.items():
         for place in dict.fromkeys(owner[k].name for k in sorted(references ^ set(lists[name]))):
             yield Fault("E501", place, f"it is missing in the list of {name}, or must not be in it.")
-    # An entry of FMI 3 is a whole array: its elements stand together, in order, or the vector means something else.
     for name in ("derivatives", "event indicators"):
-        firsts = dict.fromkeys(owner[k].reference for k in lists[name])
-        whole = [k for first in firsts for k in _references(owner[first])]
-        if whole != list(lists[name]):
+        if not _are_whole(lists[name], owner):
             yield Fault("E501", "", f"the {name} are not whole variables in sequence.")
     pairs = ((name, unknown, k) for name, listed in lists.items() for unknown in listed for k in listed[unknown] or ())
     for name, unknown, known in pairs:
         if not _may_be_known(owner[known], initial=name == "initial unknowns"):
             message = f"it depends on {owner[known].name}, which is itself unknown at that time."
             yield Fault("E501", owner[unknown].name, message)
+
+
+def _are_whole(listed: Iterable[int], owner: Mapping[int, ExportedVariable]) -> bool:
+    """Return whether the elements of each variable stand together, in order.
+
+    An entry of FMI 3 is a whole array, or the vector means something else.
+    """
+    firsts = dict.fromkeys(owner[k].reference for k in listed)
+    return [k for first in firsts for k in _references(owner[first])] == list(listed)
 
 
 def _faults_of_motion(

@@ -43,40 +43,35 @@ class Told:
     def info(self, *, everything: bool = False) -> str:
         """The text of `blocks fmu info`."""
         d = self.description
-        lines = [f"{self.place}: {d.name}, FMI {d.version}, {_kinds(d)}"]
-        lines += textwrap.wrap(d.doc, 100, initial_indent="  ", subsequent_indent="  ")
-        told = {"made by": d.tool, "on": d.date, "author": d.author, "license": d.license}
-        shown = ", ".join(f"{word} {text}" for word, text in told.items() if text)
-        lines += [f"  {shown}"] if shown else []
-        held = [*self.platforms, *(["sources"] if self.has_sources else [])]
-        lines.append(f"  binaries: {', '.join(held) or 'none'}")
-        e = d.experiment
-        cs = d.interface("CS")
-        times = {
-            "start": e.start, "stop": e.stop, "step": e.step, "internal step": cs and cs.fixed_step,
-            "tolerance": e.tolerance,
-        }  # fmt: skip
-        known = ", ".join(f"{word} {value:g}" for word, value in times.items() if value is not None)
-        lines += [f"  meant to be run with: {known}"] if known else []
-        counts = (
-            (len(d.variables), "variable"),
-            (len(d.structure.states), "continuous state"),
-            (d.indicators, "event indicator"),
-        )
-        lines.append(f"  {', '.join(_counted(n, what) for n, what in counts)}")
+        lines = [*self._head()]
         for group in (*GROUPS, *(MORE if everything else ())):
             variables = [v for v in d.variables if v.causality == group]
-            if variables:
-                lines.append(f"{group}s:")
-                lines += _table(variables if everything else variables[:MOST], d)
-                lines += (
-                    [f"  and {len(variables) - MOST} more: --all"] if len(variables) > MOST and not everything else []
-                )
+            shown = variables if everything else variables[:MOST]
+            lines += [f"{group}s:", *_table(shown, d)] if variables else []
+            lines += [f"  and {len(variables) - MOST} more: --all"] if len(shown) < len(variables) else []
         groups = {v.declared for v in d.variables if v.type == "Enumeration" and (everything or v.causality in GROUPS)}
         if enumerations := [type_ for type_ in d.types.values() if type_.name in groups and type_.members]:
             lines.append("enumerations:")
             lines += [f"  {type_.name}  {_members(type_, everything=everything)}" for type_ in enumerations]
         return "\n".join(lines)
+
+    def _head(self) -> Iterator[str]:
+        """The lines above the variables."""
+        d, e, cs = self.description, self.description.experiment, self.description.interface("CS")
+        yield f"{self.place}: {d.name}, FMI {d.version}, {_kinds(d)}"
+        yield from textwrap.wrap(d.doc, 100, initial_indent="  ", subsequent_indent="  ")
+        told = {"made by": d.tool, "on": d.date, "author": d.author, "license": d.license}
+        if shown := ", ".join(f"{word} {text}" for word, text in told.items() if text):
+            yield f"  {shown}"
+        yield f"  binaries: {', '.join([*self.platforms, *(['sources'] if self.has_sources else [])]) or 'none'}"
+        times = {
+            "start": e.start, "stop": e.stop, "step": e.step, "internal step": cs and cs.fixed_step,
+            "tolerance": e.tolerance,
+        }  # fmt: skip
+        if known := ", ".join(f"{word} {value:g}" for word, value in times.items() if value is not None):
+            yield f"  meant to be run with: {known}"
+        counts = ((len(d.variables), "variable"), (len(d.structure.states), "continuous state"))
+        yield f"  {', '.join(_counted(n, what) for n, what in (*counts, (d.indicators, 'event indicator')))}"
 
     def check(self) -> str:
         """The text of `blocks fmu check`."""
