@@ -84,7 +84,7 @@ class SineStream:
     """
 
     frequencies: Sequence[float] | Array
-    amplitude: Any = 1.0
+    amplitude: object = 1.0
     settle: float = 0.0
     settle_periods: float = 0.0
     periods: int = 2
@@ -111,7 +111,7 @@ class OddMultisine:
     low: float
     high: float
     count: int = 20
-    amplitude: Any = 1.0
+    amplitude: object = 1.0
     settle: float = 0.0
     periods: int = 1
     most_periods: int = 64
@@ -149,7 +149,7 @@ class Chirp:
 
     low: float
     high: float
-    amplitude: Any = 1.0
+    amplitude: object = 1.0
     duration: float = 0.0
     count: int = 40
     settle: float = 0.0
@@ -183,7 +183,7 @@ def _at_least(signal: object, **least: float) -> None:
             raise _refused(signal, f"{name} = {value!r} must be an integer.")
 
 
-def _frequencies(signal: object, frequencies: Any) -> Array:
+def _frequencies(signal: object, frequencies: object) -> Array:
     omega = np.atleast_1d(np.asarray(frequencies, dtype=float))
     if omega.ndim != 1 or not len(omega) or not np.all(np.isfinite(omega) & (omega > 0.0)):
         raise _refused(signal, "frequencies must be a list of numbers above 0, in rad/s.")
@@ -206,7 +206,7 @@ def estimate_response(
     signal: Excitation,
     case: Case | None = None,
     *,
-    model: Any = None,
+    model: object = None,
     tolerance: float = 1e-5,
     progress: Callable[[int, int], None] | None = None,
     **words: Unpack[Words],
@@ -247,7 +247,7 @@ def _text(diagram: Diagram, name: PortName | str) -> str:
     return str(name)
 
 
-def _settling(model: Any, tolerance: float) -> float:
+def _settling(model: object, tolerance: float) -> float:
     """How long the slowest mode of a linear model takes to fall to a tenth of the tolerance, in s.
 
     Integrators are left out: what they hold is a constant, which no phasor sees. Raises AnalysisError (E708) for an
@@ -316,7 +316,7 @@ class _Estimation:
         name: str,
         outputs: Sequence[str],
         signal: Excitation,
-        model: Any,
+        model: object,
         case: Case,
         tolerance: float,
         progress: Callable[[int, int], None] | None,
@@ -393,7 +393,7 @@ class _Estimation:
         inject(self.diagram, self.where, source)
         return [probe(self.diagram, name) if port else name for name, port in zip(self.outputs, ports, strict=True)]
 
-    def _start(self, log: Sequence[str], *, every: Any, inputs: Mapping[str, Any]) -> Run:
+    def _start(self, log: Sequence[str], *, every: object, inputs: Mapping[str, object]) -> Run:
         """A run with rows on a grid, on which a master steps it."""
         settings = {**self.settings, "log": list(dict.fromkeys(log)), "every": every}
         if self.is_coupled:
@@ -405,7 +405,7 @@ class _Estimation:
         given = {**self.diagram.value.run.get("master", {}), **dict(self.settings.get("master") or {})}
         return {"algorithm": "gauss-seidel", "order": 2, **given}
 
-    def _advance(self, run: Run, t: Any, omega: float) -> None:
+    def _advance(self, run: Run, t: object, omega: float) -> None:
         try:
             run.advance_to(t)
         except (SimulationError, FMUError) as error:

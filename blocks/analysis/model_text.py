@@ -20,11 +20,11 @@ from ..text.errors import AnalysisError, Fault
 from ..text.printable import counted
 
 
-def _numbers(values: Any) -> list[list[float]]:
+def _numbers(values: object) -> list[list[float]]:
     return [[float(p.real), float(p.imag)] for p in np.asarray(values, dtype=complex)]
 
 
-def _rational(model: Transfer | DelayedModel) -> Any:
+def _rational(model: Transfer | DelayedModel) -> object:
     """Return the model without its dead time, or None if delays are on several ways: it has no such model."""
     if not isinstance(model, DelayedModel):
         return model
@@ -37,7 +37,7 @@ def _delays(model: DelayedModel) -> str:
     return f"exact delays of {', '.join(f'{delay:g} s' for delay in model.delays)} on several ways"
 
 
-def _gain(model: Any) -> Any:
+def _gain(model: object) -> object:
     """The gain at zero frequency: a number, or rows of numbers; None: infinite."""
     gains = [[float(x) if math.isfinite(x) else None for x in row] for row in np.real(dc_gain(model))]
     return gains[0][0] if _is_single(model) else gains
@@ -47,7 +47,7 @@ def _is_single(model: Any) -> bool:
     return len(model.signals[0]) == len(model.signals[1]) == 1
 
 
-def _bandwidth(model: Any) -> float | None:
+def _bandwidth(model: object) -> float | None:
     """Relative to the gain at zero frequency; None where there is no such gain."""
     if not _is_single(model):
         return None
@@ -60,7 +60,7 @@ def _bandwidth(model: Any) -> float | None:
 _STABILITY = {"stable": "stable", "border": "at the border of stability within rounding", "unstable": "not stable"}
 
 
-def _stability(model: Any) -> dict[str, Any]:
+def _stability(model: object) -> dict[str, object]:
     """The words of `Margins.as_json` of a model that is no loop."""
     verdict = stability(balanced(model))
     return {**dict.fromkeys(IN_JSON), "stable": verdict == "stable", "border": verdict == "border"}

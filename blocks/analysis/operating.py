@@ -33,9 +33,9 @@ def find_operating_point(
     diagram: Diagram,
     case: Case | None = None,
     *,
-    inputs: Mapping[str, Any] | None = None,
-    states: Mapping[str, Any] | None = None,
-    outputs: Mapping[str, Any] | None = None,
+    inputs: Mapping[str, object] | None = None,
+    states: Mapping[str, object] | None = None,
+    outputs: Mapping[str, object] | None = None,
     steady: bool | Mapping[str, float | None] = True,
     at: float | None = None,
     check: Callable[[], None] | None = None,
@@ -68,7 +68,7 @@ def find_operating_point(
     point = diagram.point(chosen, at=at)
     given = {name: _in_si(name, raw, declared.get(name.partition("[")[0], "")) for name, raw in inputs.items()}
 
-    def by_signal(table: Any, of_time: str = "") -> Any:
+    def by_signal(table: object, of_time: str = "") -> Any:
         """The numbers of states or outputs in SI; what is no mapping is refused by the search."""
         if not isinstance(table, Mapping):
             return table
@@ -115,7 +115,7 @@ def limit_cycles(
     *,
     at: OperatingPoint | Run | float | None = None,
     omega: tuple[float, float] | None = None,
-    amplitude: tuple[Any, Any] | None = None,
+    amplitude: tuple[object, object] | None = None,
     check: Callable[[], None] | None = None,
     **words: Unpack[PointWords],
 ) -> LimitCycles:
@@ -136,7 +136,7 @@ def _is_coupled(flat: Flat) -> bool:
     return isinstance(couple(flat), Coupling)
 
 
-def _in_si(name: str, value: Any, declared: str) -> Any:
+def _in_si(name: str, value: object, declared: str) -> object:
     """Return what was given for a quantity in SI: a number, bounds, or a list with one for each element."""
     if value is None or isinstance(value, bool):
         return value
@@ -153,7 +153,7 @@ def _in_si(name: str, value: Any, declared: str) -> Any:
 def _settled(
     diagram: Diagram,
     flat: Flat,
-    inputs: Mapping[str, Any],
+    inputs: Mapping[str, object],
     is_more: bool,
     case: Case,
     check: Callable[[], None] | None,

@@ -57,7 +57,7 @@ class Response:
         """The phase, followed along omega, shape (outputs, n)."""
         return np.degrees(np.unwrap(np.angle(self.value), axis=1))
 
-    def frd(self) -> Any:
+    def frd(self) -> object:
         """As control.FrequencyResponseData, for its plots and for `blocks.frequency`; frequencies in their order."""
         order = np.argsort(self.omega, kind="stable")
         value = self.value[:, None, order]
@@ -122,7 +122,7 @@ class Comparison:
         return "\n".join(lines)
 
 
-def compare(a: Response, b: Any, *, decibels: float = 0.5, degrees: float = 3.0) -> Comparison:
+def compare(a: Response, b: object, *, decibels: float = 0.5, degrees: float = 3.0) -> Comparison:
     """How far a response is from a model, or from another response, at the frequencies of A, with a verdict.
 
     b: a Response at the same frequencies, a linear system of python-control, measured data, or an object with
@@ -138,7 +138,7 @@ def compare(a: Response, b: Any, *, decibels: float = 0.5, degrees: float = 3.0)
     return Comparison(a.outputs, a.omega, apart, turned, float(decibels), float(degrees))
 
 
-def _other(a: Response, b: Any) -> Array:
+def _other(a: Response, b: object) -> Array:
     """The values of a model at the frequencies of A, shape (outputs, n)."""
     if isinstance(b, Response):
         if b.value.shape != a.value.shape or not np.allclose(b.omega, a.omega, rtol=1e-6, atol=0.0):

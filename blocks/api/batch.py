@@ -181,11 +181,11 @@ class Batch(Shown):
         """The number that the diagram gives to each column, in its unit; nan where it gives none, or several."""
         return tuple(column.value for column in self._columns)
 
-    def parameters(self, row: Sequence[Any]) -> dict[str, Any]:
+    def parameters(self, row: Sequence[object]) -> dict[str, Any]:
         """The values of a row as `Diagram.run(parameters=...)` takes them."""
         return raw_values(self._columns, row)
 
-    def single(self, row: Sequence[Any] | Mapping[str, Any], seed: int | None = None) -> Results:
+    def single(self, row: Sequence[object] | Mapping[str, object], seed: int | None = None) -> Results:
         """Run one row by itself, with all measures and with what the diagram records. Raises as `Diagram.run`."""
         values = self._rows({name: [value] for name, value in row.items()})[0] if isinstance(row, Mapping) else row
         if len(values) != len(self.columns):
@@ -195,7 +195,7 @@ class Batch(Shown):
 
     def __call__(
         self,
-        table: Any,
+        table: object,
         *,
         seeds: Sequence[int] | Array | None = None,
         threads: int | None = None,
@@ -241,7 +241,7 @@ class Batch(Shown):
             return f"this process only: {self._why}, and {why_here}"
         return f"{count} process{'' if count == 1 else 'es'}: {self._why}"
 
-    def _given(self, rows: Sequence[Sequence[Any]], made: _Made) -> Iterator[dict[str, Any]]:
+    def _given(self, rows: Sequence[Sequence[object]], made: _Made) -> Iterator[dict[str, object]]:
         """The raw values of each row by path; {} where they are refused."""
         for i, row in enumerate(rows):
             try:
@@ -252,7 +252,7 @@ class Batch(Shown):
 
     # --- by threads ------------------------------------------------------------------------------------------------
 
-    def _alike(self, given: Sequence[dict[str, Any]]) -> dict[str, list[int]]:
+    def _alike(self, given: Sequence[dict[str, object]]) -> dict[str, list[int]]:
         """The rows of each form of the model: those whose values of what is fixed in it are alike."""
         found: dict[str, list[int]] = {}
         for i, raw in enumerate(given):
@@ -261,10 +261,10 @@ class Batch(Shown):
             found.setdefault(self._key(raw), []).append(i)
         return found
 
-    def _key(self, given: Mapping[str, Any]) -> str:
+    def _key(self, given: Mapping[str, object]) -> str:
         return repr([given.get(name) for name in self._fixed or ()])
 
-    def _find_fixed(self, given: Mapping[str, Any]) -> None:
+    def _find_fixed(self, given: Mapping[str, object]) -> None:
         """Find the parameters that fix more than numbers, by a row that is not refused."""
         try:
             first = self._flattened(given, None)
@@ -274,7 +274,7 @@ class Batch(Shown):
         is_whole = first.rebinding(names).is_possible
         self._fixed = [] if is_whole else [name for name in names if not first.rebinding([name]).is_possible]
 
-    def _flattened(self, given: Mapping[str, Any], seed: int | None) -> Prepared:
+    def _flattened(self, given: Mapping[str, object], seed: int | None) -> Prepared:
         settings = self._settings if seed is None else {**self._settings, "seed": seed}
         return Prepared.of(self._kept, self._resolver, given, settings, trust=self._case.trust)
 
@@ -286,7 +286,7 @@ class Batch(Shown):
             raise UsageError(Fault("E501", "row", message, "Log no signals, or give start, stop and every."))
 
     def _at_once(
-        self, given: Sequence[dict[str, Any]], places: Sequence[int], work: _Work, threads: int | None
+        self, given: Sequence[dict[str, object]], places: Sequence[int], work: _Work, threads: int | None
     ) -> None:
         """Run the rows of one form of the model by threads."""
         made = work.made
@@ -301,7 +301,7 @@ class Batch(Shown):
             del self._forms[next(iter(self._forms))]
 
     def _piece(
-        self, form: _Form | None, given: Sequence[dict[str, Any]], places: Sequence[int], work: _Work,
+        self, form: _Form | None, given: Sequence[dict[str, object]], places: Sequence[int], work: _Work,
         threads: int | None,
     ) -> _Form | None:  # fmt: skip
         """Bind and run some rows; the form that they are of, once there is one."""
@@ -371,7 +371,7 @@ class Batch(Shown):
 
     # --- one by one ----------------------------------------------------------------------------------------------
 
-    def _one_by_one(self, given: Sequence[dict[str, Any]], work: _Work, threads: int | None) -> None:
+    def _one_by_one(self, given: Sequence[dict[str, object]], work: _Work, threads: int | None) -> None:
         """Run the rows in processes of their own."""
         made = work.made
         rows = [(i, raw, made.seed(i)) for i, raw in enumerate(given) if made.status[i] == "left"]
@@ -382,7 +382,7 @@ class Batch(Shown):
             made.take(i, ended)
             work.tell(work.done + 1)
 
-    def alone(self, given: Mapping[str, Any], seed: int | None, budget: int | None) -> Row:
+    def alone(self, given: Mapping[str, object], seed: int | None, budget: int | None) -> Row:
         """Run one row here, by raw values of all parameters that are given. Ctrl-C goes through."""
         held: list[Run] = []
 
@@ -425,7 +425,7 @@ class Batch(Shown):
         count = int(differs[0]) if len(differs) else count
         return np.column_stack([np.asarray(results[name])[:count].reshape(count, -1) for name in self.signals])
 
-    def _rows(self, table: Any) -> list[list[Any]]:
+    def _rows(self, table: Any) -> list[list[object]]:
         """The rows of a table. Raises UsageError (E501)."""
         if isinstance(table, Mapping) or hasattr(table, "columns"):
             given = list(table)
@@ -542,13 +542,13 @@ def _why_processes(plan: Plan | Coupling, *, is_native: bool) -> str:
     return "" if is_native else "the reference engine runs it"
 
 
-def _check_count(name: str, given: Any) -> None:
+def _check_count(name: str, given: object) -> None:
     """Raise UsageError (E501) for what is neither None nor an integer from 1 on."""
     if given is not None and (isinstance(given, bool) or not isinstance(given, (int, np.integer)) or given < 1):
         raise UsageError(Fault("E501", name, f"must be an integer, 1 or more, not {legible(repr(given))}."))
 
 
-def _checked_seeds(given: Any, n: int) -> list[int]:
+def _checked_seeds(given: object, n: int) -> list[int]:
     """The seeds of n rows. Raises UsageError (E501)."""
     seeds = [seed.item() if isinstance(seed, np.generic) else seed for seed in _listed("seeds", given)]
     if len(seeds) != n:

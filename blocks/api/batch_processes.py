@@ -31,7 +31,7 @@ BEGIN = f"import sys; sys.path[:] = {{}}; from {__name__} import _serve; _serve(
 class Rows(Protocol):
     """What runs one row by itself: a Batch."""
 
-    def alone(self, given: Mapping[str, Any], seed: int | None, budget: int | None) -> Row: ...
+    def alone(self, given: Mapping[str, object], seed: int | None, budget: int | None) -> Row: ...
 
 
 Task = tuple[int, dict[str, Any], int | None]

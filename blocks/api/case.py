@@ -45,7 +45,7 @@ class Settings(TypedDict, total=False):
     seed: int | None
     loops: str | None
     log: PortName | str | Sequence[PortName | str] | None
-    master: Mapping[str, Any] | None
+    master: Mapping[str, object] | None
 
 
 class _Model(TypedDict, total=False):
@@ -158,7 +158,7 @@ class Case:
         object.__setattr__(self, "words", _plain(words))
 
     @classmethod
-    def _of(cls, words: Mapping[str, Any]) -> Case:
+    def _of(cls, words: Mapping[str, object]) -> Case:
         """Return a case of words that are in the form of files already."""
         case = object.__new__(cls)
         object.__setattr__(case, "words", words)
@@ -190,14 +190,14 @@ class Case:
 
     @property
     def parameters(self) -> Mapping[str, Any]:
-        given: Mapping[str, Any] = self.words.get("parameters", {})
+        given: Mapping[str, object] = self.words.get("parameters", {})
         return given
 
     @property
     def inputs(self) -> Inputs | None:
         return self.words.get("inputs")
 
-    def named_inputs(self) -> Mapping[str, Any]:
+    def named_inputs(self) -> Mapping[str, object]:
         """Return the inputs, which are values by name here. Raises UsageError (E501) for others."""
         check_mappings(inputs=self.inputs)
         return self.words.get("inputs", {})  # type: ignore[no-any-return]
@@ -265,7 +265,7 @@ class Work:
     progress: Callable[[int, int], None] | None = None
 
 
-def case_of(case: Case | None, words: Mapping[str, Any], kind: type = Words) -> Case:
+def case_of(case: Case | None, words: Mapping[str, object], kind: type = Words) -> Case:
     """Return the case of a verb: words on top of a case. kind: the TypedDict of the words that the verb knows.
 
     Raises UsageError (E501).
@@ -288,7 +288,7 @@ def case_and_work(case: Case | None, words: Mapping[str, Any], *less: str) -> tu
     return case_of(case, rest), Work(**own)
 
 
-def check_words(words: Mapping[str, Any], kind: type, less: Sequence[str] = ()) -> None:
+def check_words(words: Mapping[str, object], kind: type, less: Sequence[str] = ()) -> None:
     """Raise UsageError (E501) for the first word that a verb does not know."""
     known = kind.__annotations__
     for word in words:
@@ -307,7 +307,7 @@ def check_words(words: Mapping[str, Any], kind: type, less: Sequence[str] = ()) 
         raise UsageError(Fault("E501", legible(word), message, cure))
 
 
-def _plain(words: Mapping[str, Any]) -> dict[str, Any]:
+def _plain(words: Mapping[str, Any]) -> dict[str, object]:
     """Return words in the form of files: ports as texts, times as quantities; None is left out."""
     given = {word: value for word, value in words.items() if value is not None}
     if not isinstance(given.get("parameters", {}), Mapping):
@@ -319,7 +319,7 @@ def _plain(words: Mapping[str, Any]) -> dict[str, Any]:
     return {**given, **settings, **copies}
 
 
-def sources(inputs: Inputs | None) -> Sequence[Any]:
+def sources(inputs: Inputs | None) -> Sequence[object]:
     """Return the mappings and files that inputs are made of; later ones replace earlier ones of the same name."""
     return inputs if isinstance(inputs, (list, tuple)) else () if inputs is None else (inputs,)
 

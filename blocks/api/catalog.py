@@ -218,6 +218,6 @@ def _default(parameter: Any) -> str:
     return "computed" if callable(parameter.default) else f"{parameter.default}"
 
 
-def _kind(declaration: Any, parameter: Any) -> str:
+def _kind(declaration: object, parameter: Any) -> str:
     kind = "structural" if parameter.structural else "fixed" if parameter.fixed else ""
     return f"{kind} ({' | '.join(parameter.choices)})" if parameter.choices else kind

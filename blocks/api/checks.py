@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 from ..compile.coupling import Coupling, couple
 from ..compile.plan import Plan
@@ -20,7 +19,7 @@ from .case import Case
 
 
 def flat_of(
-    value: DiagramValue, resolver: Resolver, case: Case, *, inputs: Mapping[str, Any] | None = None
+    value: DiagramValue, resolver: Resolver, case: Case, *, inputs: Mapping[str, object] | None = None
 ) -> Flat:
     """Return a diagram without hierarchy, as a case has it. inputs: in the form of files, to be checked too.
 

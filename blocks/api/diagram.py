@@ -89,7 +89,7 @@ class Subdiagram:
     parameters: Mapping[str, Any]
 
 
-def subdiagram(source: Diagram | str | Path, **parameters: Any) -> Subdiagram:
+def subdiagram(source: Diagram | str | Path, **parameters: object) -> Subdiagram:
     """A diagram, or the path of a diagram file, as a block of another."""
     return Subdiagram(source if isinstance(source, Diagram) else str(source), parameters)
 
@@ -121,7 +121,7 @@ class Diagram:
 
     @classmethod
     def from_json(
-        cls, document: str | bytes | Mapping[str, Any], *, folder: str | Path = "", library: Library = ()
+        cls, document: str | bytes | Mapping[str, object], *, folder: str | Path = "", library: Library = ()
     ) -> Diagram:
         """The diagram of a JSON text or of the dict that it stands for. Raises ModelError as `load`."""
         if isinstance(document, (str, bytes)):
@@ -192,7 +192,7 @@ class Diagram:
         """The block types that it knows, by name."""
         return self._draft.types
 
-    def parameter(self, name: str, value: Any, *, unit: str = "", doc: str = "") -> str:
+    def parameter(self, name: str, value: object, *, unit: str = "", doc: str = "") -> str:
         """A parameter of the diagram; returns "=name", which blocks take as a value."""
         self._draft.check_free(name, "parameter")
         entry = parameter_entry(value, unit, doc)
@@ -205,7 +205,7 @@ class Diagram:
         name: str,
         *,
         unit: str = "",
-        default: Any = None,
+        default: object = None,
         size: int | Sequence[int] | None = None,
         type: str | builtins.type[enum.IntEnum] | Enumeration = "real",
         doc: str = "",
@@ -232,8 +232,8 @@ class Diagram:
         *,
         doc: str = "",
         at: tuple[float, float] | None = None,
-        enable: Mapping[str, Any] | None = None,
-        trigger: Mapping[str, Any] | None = None,
+        enable: Mapping[str, object] | None = None,
+        trigger: Mapping[str, object] | None = None,
         stream: str = "",
         copies: int | str | None = None,
     ) -> Handle:
@@ -250,7 +250,7 @@ class Diagram:
         control = {"enable": enable, "trigger": trigger}
         control = {key: value for key, value in control.items() if value is not None}
         entry = self._entry(name, block, doc=doc, control=control, stream=stream, copies=copies)
-        layout: Mapping[str, Any] = {}
+        layout: Mapping[str, object] = {}
         if at is not None:
             layout = documents.entries(layout={name: raw_of(at)}, blocks={name: {"type": "Block"}}).layout
         inputs, outputs = self._draft.ports(name, entry)
@@ -335,10 +335,10 @@ class Diagram:
         of: PortName | str,
         against: PortName | str | float | None = None,
         *,
-        start: Any = None,
-        stop: Any = None,
-        band: Any = None,
-        omega: Any = None,
+        start: object = None,
+        stop: object = None,
+        band: object = None,
+        omega: object = None,
     ) -> None:
         """A measure to be taken in every run; see `blocks list measures`.
 
@@ -353,7 +353,7 @@ class Diagram:
         if isinstance(type, str) and type not in MEASURES:
             cure = did_you_mean(type, MEASURES) or f"Measures: {', '.join(MEASURES)}."
             raise ModelError(Fault("E116", f"measures.{name}", f"there is no measure {quoted(type)}.", cure))
-        entry: dict[str, Any] = {"type": type, "of": text_of(of, self)}
+        entry: dict[str, object] = {"type": type, "of": text_of(of, self)}
         for key, given in zip(MEASURE_NUMBERS, (against, start, stop, band, omega), strict=True):
             if given is not None:
                 entry[key] = text_of(given, self) if isinstance(given, PortName) else read_quantity(raw_of(given))
@@ -361,7 +361,7 @@ class Diagram:
             self._draft.bring_up_to_date()
         self._draft.put("measures", documents.entries(measures={name: entry}).measures)
 
-    def settings(self, *, inputs: Mapping[str, Any] | None = None, **run: Unpack[Settings]) -> None:
+    def settings(self, *, inputs: Mapping[str, object] | None = None, **run: Unpack[Settings]) -> None:
         """Set what the file's `run` says: start, stop, method, step, rtol, atol, every, jumps, stops, seed, inputs,
         loops, log, master.
         """
@@ -490,15 +490,15 @@ class Diagram:
     @takes(ManyWords)
     def sweep(
         self,
-        vary: Any,
+        vary: object,
         case: Case | None = None,
         *,
         n: int | None = None,
         sampler: str = "random",
-        margins: Mapping[str, Mapping[str, Any]] | None = None,
-        scenarios: Mapping[str, Mapping[str, Any]] | None = None,
+        margins: Mapping[str, Mapping[str, object]] | None = None,
+        scenarios: Mapping[str, Mapping[str, object]] | None = None,
         max_steps: int | None = None,
-        on: Any = None,
+        on: object = None,
         notice: Callable[[str], None] | None = None,
         **words: Unpack[ManyWords],
     ) -> Any:
@@ -543,7 +543,7 @@ class Diagram:
         *,
         minimize: str,
         over: Mapping[str, tuple[float, float]],
-        scenarios: Mapping[str, Mapping[str, Any]] | None = None,
+        scenarios: Mapping[str, Mapping[str, object]] | None = None,
         subject_to: Sequence[str] = (),
         optimizer: str = "cma",
         budget: int = 500,
@@ -584,14 +584,14 @@ class Diagram:
     @takes(FitWords)
     def fit(
         self,
-        data: Any,
+        data: object,
         case: Case | None = None,
         *,
         over: Mapping[str, tuple[float, float]],
         compare: Mapping[str, str],
         level: float = 0.95,
         **words: Unpack[FitWords],
-    ) -> Any:
+    ) -> object:
         """A `Fit`: the values within bounds for which signals come nearest to measured data, by least squares.
 
         data: a CSV file, or columns by name (a DataFrame too): `time` in s, one for each signal that is compared, and
@@ -611,7 +611,7 @@ class Diagram:
         return late("fit", self, data, case, over=over, compare=compare, level=level)
 
     @takes(LiveWords)
-    def live(self, case: Case | None = None, *, port: int = 0, **words: Unpack[LiveWords]) -> Any:
+    def live(self, case: Case | None = None, *, port: int = 0, **words: Unpack[LiveWords]) -> object:
         """A server that shows this diagram in a browser: `url`, `stop()`; a notebook shows the page itself.
 
         Signals are shown while it runs, and parameters are turned. It ends with `stop()` or with Python, and serves
@@ -621,7 +621,7 @@ class Diagram:
         """
         return late("live", self, case_of(case, words, LiveWords), port=port)
 
-    def edit(self, *, trust: Paths = (), port: int = 0) -> Any:
+    def edit(self, *, trust: Paths = (), port: int = 0) -> object:
         """A server that edits the file of this diagram in a browser: `url`, `stop()`; a notebook shows the page itself.
 
         The file is the one last saved, else the one it was loaded from. Every gesture is written into it at once, and
@@ -646,9 +646,9 @@ class Diagram:
         *,
         at: OperatingPoint | Run | float | None = None,
         openings: PortName | str | Sequence[PortName | str] = (),
-        amplitude: Mapping[str, Any] | None = None,
-        sigma: Mapping[str, Any] | None = None,
-        overrides: Mapping[str, Any] | None = None,
+        amplitude: Mapping[str, object] | None = None,
+        sigma: Mapping[str, object] | None = None,
+        overrides: Mapping[str, object] | None = None,
         pade: int = 0,
         **words: Unpack[PointWords],
     ) -> LinearModel:
@@ -677,9 +677,9 @@ class Diagram:
         case: Case | None = None,
         *,
         at: OperatingPoint | Run | float | None = None,
-        amplitude: Mapping[str, Any] | None = None,
-        sigma: Mapping[str, Any] | None = None,
-        overrides: Mapping[str, Any] | None = None,
+        amplitude: Mapping[str, object] | None = None,
+        sigma: Mapping[str, object] | None = None,
+        overrides: Mapping[str, object] | None = None,
         **words: Unpack[PointWords],
     ) -> Linearizer:
         """The slopes at one point, for many transfers: `model`, `loop`, `sensitivity`, `complementary`, `response`.
@@ -784,7 +784,7 @@ class Diagram:
             drawing=self.draw(variants=case.variants) if len(value.blocks) <= MOST_DRAWN else "",
         )  # fmt: skip
 
-    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+    def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, str]:
         """What a notebook shows: the drawing, and the text where it cannot draw."""
         return {"image/svg+xml": self.draw(), "text/plain": repr(self)}
 

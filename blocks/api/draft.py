@@ -26,7 +26,7 @@ class Draft:
     def __init__(self, value: DiagramValue, types: Mapping[str, type[Block]]) -> None:
         self.types = types
         self._frozen = value
-        self._open: dict[str, dict[str, Any]] = {}
+        self._open: dict[str, dict[str, object]] = {}
         self._probe: Probe | None = None
 
     @property
@@ -53,7 +53,7 @@ class Draft:
     def resolver(self) -> Resolver:
         return resolver_of(self.types)
 
-    def put(self, section: str, entries: Mapping[str, Any]) -> None:
+    def put(self, section: str, entries: Mapping[str, object]) -> None:
         """Add entries. A section is copied once between two readings of the value: building is not quadratic."""
         if entries and section not in self._open:
             self._open[section] = dict(getattr(self._frozen, section))
@@ -74,7 +74,7 @@ class Draft:
             self.value = replace(value, version=MADE)
 
     def section(self, section: str) -> Mapping[str, Any]:
-        entries: Mapping[str, Any] = self._open[section] if section in self._open else getattr(self._frozen, section)
+        entries: Mapping[str, object] = self._open[section] if section in self._open else getattr(self._frozen, section)
         return entries
 
     def check_free(self, name: str, kind: str) -> None:

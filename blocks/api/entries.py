@@ -37,7 +37,7 @@ def as_name(text: str) -> str:
 # --- parameters and inputs -------------------------------------------------------------------------------------
 
 
-def parameter_entry(value: Any, unit: str, doc: str) -> Any:
+def parameter_entry(value: object, unit: str, doc: str) -> object:
     """The entry of a parameter of a diagram: its value alone, where there is nothing else to say of it."""
     entry = raw_of(value)
     if unit or doc:
@@ -47,11 +47,11 @@ def parameter_entry(value: Any, unit: str, doc: str) -> Any:
 
 
 def input_entry(
-    unit: str, default: Any, size: Any, type: str | builtins.type[enum.IntEnum] | Enumeration, doc: str
-) -> dict[str, Any]:
+    unit: str, default: object, size: object, type: str | builtins.type[enum.IntEnum] | Enumeration, doc: str
+) -> dict[str, object]:
     """The entry of an input of a diagram. Arguments as of `Diagram.input`."""
     kind = Enumeration.of(type) if isinstance(type, builtins.type) and issubclass(type, enum.IntEnum) else type
-    entry: dict[str, Any] = {} if unit == "" else {"unit": unit}
+    entry: dict[str, object] = {} if unit == "" else {"unit": unit}
     if default is not None:
         entry["default"] = read_quantity(raw_of(default)) if kind in ("real", "int") else _named(raw_of(default), kind)
     entry |= {} if size is None else {"size": raw_of(size)}
@@ -64,7 +64,7 @@ def input_like(port: Port) -> dict[str, Any]:
     """What `Diagram.input` is to be given for an input that stands for this one."""
     unit = port.declared[0] if port.declared else ""
     kind: str | Enumeration = enumeration_of(port.type) or port.type
-    default: Any = None
+    default: object = None
     if port.default is not None:
         values = [item != 0.0 if kind == "bool" else units.from_si(item, unit) for item in port.default]
         default = np.reshape(values, port.shape) if len(set(values)) > 1 else values[0]
@@ -72,7 +72,7 @@ def input_like(port: Port) -> dict[str, Any]:
     return {"unit": unit, "size": size, "type": kind, "default": default}
 
 
-def _named(raw: Any, kind: Any) -> Any:
+def _named(raw: Any, kind: object) -> object:
     """Members of an enumeration, as files have them: by name."""
     if isinstance(raw, list):
         return [_named(item, kind) for item in raw]
@@ -83,7 +83,7 @@ def _named(raw: Any, kind: Any) -> Any:
 # --- blocks ----------------------------------------------------------------------------------------------------
 
 
-def block_entry(name: str, block: object, folder: str) -> tuple[dict[str, Any], BlockEntry]:
+def block_entry(name: str, block: object, folder: str) -> tuple[dict[str, object], BlockEntry]:
     """The values that a Block is given, and its entry without them. folder: where the paths of FMUs begin.
 
     Raises UsageError (E501) for what is no Block.
@@ -112,7 +112,7 @@ def _entry_of(cls: type[Block], folder: str) -> BlockEntry:
     with contextlib.suppress(ValueError):  # another drive
         path = Path(os.path.relpath(path, folder))
     usual = inspect.signature(fmu_type).parameters["timeout"].default
-    options: dict[str, Any] = {"kind": foreign.kind}
+    options: dict[str, object] = {"kind": foreign.kind}
     options |= {"isolate": True} if foreign.isolate else {}
     options |= {"timeout": foreign.timeout} if foreign.timeout != usual else {}
     return BlockEntry(fmu=path.as_posix(), options=options, cls=cls)
@@ -121,19 +121,19 @@ def _entry_of(cls: type[Block], folder: str) -> BlockEntry:
 def checked_entry(
     name: str,
     entry: BlockEntry,
-    given: Mapping[str, Any],
+    given: Mapping[str, object],
     folder: str,
     *,
     doc: str,
-    control: Mapping[str, Any],
+    control: Mapping[str, object],
     stream: str,
-    copies: Any = None,
+    copies: object = None,
 ) -> BlockEntry:
     """The entry of a block with all that it is given, which is checked as a file's is.
 
     A subdiagram was checked before. Raises ModelError with all faults.
     """
-    described: dict[str, Any] = {"type": entry.type or "Subdiagram"}
+    described: dict[str, object] = {"type": entry.type or "Subdiagram"}
     if entry.fmu:
         described = {"fmu": entry.fmu, **entry.options}
     elif control and not entry.type:

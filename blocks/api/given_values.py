@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from ..text.printable import legible
 from ..text.quantity_text import read_quantity
 
 
-def time_of(place: str, raw: Any) -> Fraction:
+def time_of(place: str, raw: object) -> Fraction:
     """Return a time in s, exactly. place: named in errors. Raises UsageError (E501)."""
     try:
         return seconds(read_quantity(raw))
@@ -27,7 +26,7 @@ def time_of(place: str, raw: Any) -> Fraction:
         raise UsageError(Fault("E501", place, message)) from None
 
 
-def at_rest(value: DiagramValue, flat: Flat) -> dict[str, Any]:
+def at_rest(value: DiagramValue, flat: Flat) -> dict[str, object]:
     """Zeros for the inputs that a diagram gives no value: where it is looked at around a point, they rest."""
     known = {*value.run.get("inputs", {}), *(name for name, entry in value.inputs.items() if "default" in entry)}
     return {

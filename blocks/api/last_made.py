@@ -21,17 +21,17 @@ class LastMade:
     """The last one of each kind, and the key that it was made for. Threads may share it."""
 
     def __init__(self) -> None:
-        self._made: dict[str, tuple[Any, Any]] = {}
+        self._made: dict[str, tuple[object, object]] = {}
         self._lock = threading.Lock()
 
     def __reduce__(self) -> Any:
         return LastMade, ()
 
-    def keep(self, what: str, key: Any, made: Any) -> None:
+    def keep(self, what: str, key: object, made: object) -> None:
         with self._lock:
             self._made[what] = ((key, BlockMeta.renewals), made)
 
-    def known(self, what: str, key: Any) -> Any:
+    def known(self, what: str, key: object) -> Any:
         """Return the last object if it was made for this key; else None."""
         with self._lock:
             known, kept = self._made.get(what, (None, None))

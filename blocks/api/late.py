@@ -8,7 +8,6 @@ This is the only way up, and `tests/project/test_project.py` holds that nothing 
 from __future__ import annotations
 
 import importlib
-from typing import Any
 
 _MODULES = {
     "sweep": "studies.sweep_run", "tune": "studies.tuning", "fit": "studies.identification",
@@ -16,7 +15,7 @@ _MODULES = {
 }  # fmt: skip
 
 
-def late(name: str, *arguments: Any, **named: Any) -> Any:
+def late(name: str, *arguments: object, **named: object) -> object:
     """Call a function of a room above by its name."""
     module = importlib.import_module(f"{__package__.rpartition('.')[0]}.{_MODULES[name]}")
     return getattr(module, name)(*arguments, **named)

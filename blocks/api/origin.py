@@ -35,8 +35,8 @@ def origin_of(
     value: DiagramValue,
     settings: RunSettings,
     *,
-    parameters: Mapping[str, Any] | None = None,
-    inputs: Any = None,
+    parameters: Mapping[str, object] | None = None,
+    inputs: object = None,
     interpolation: str = "linear",
     equations: Callable[[], _Computed | None] | None = None,
     sha256: str = "",
@@ -58,9 +58,9 @@ def origin_of(
     return Origin(sha256 or fingerprint(value), versions, run_settings, described, _inputs(inputs), *known)
 
 
-def _settings(settings: RunSettings) -> dict[str, Any]:
+def _settings(settings: RunSettings) -> dict[str, object]:
     """Return the settings of a run, with times in s."""
-    described: dict[str, Any] = {"start": float(settings.start)}
+    described: dict[str, object] = {"start": float(settings.start)}
     if settings.stop is not None:
         described["stop"] = float(settings.stop)
     described["method"] = settings.method
@@ -88,7 +88,7 @@ def _settings(settings: RunSettings) -> dict[str, Any]:
 
 def _inputs(given: Any) -> dict[str, Any]:
     """Describe the data that a run received, by input; a file is a separate entry."""
-    sources: dict[str, Any] = {}
+    sources: dict[str, object] = {}
     for item in given if isinstance(given, (list, tuple)) else [given]:
         if isinstance(item, (str, Path)):
             # A pipe cannot be read a second time.
@@ -99,7 +99,7 @@ def _inputs(given: Any) -> dict[str, Any]:
     return sources
 
 
-def _described(value: Any) -> Any:
+def _described(value: Any) -> object:
     """Describe a given value as JSON. The SHA-256 of the doubles replaces more than 50 numbers."""
     if hasattr(value, "tocoo"):
         value = edges_of(value)

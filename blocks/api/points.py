@@ -133,6 +133,6 @@ def _standing(
     return engine_of(begun(again.updated(engine="reference"), resume=run.snapshot()))
 
 
-def _plainly(value: Any) -> Any:
+def _plainly(value: object) -> object:
     """Return an array as lists, which print all digits."""
     return value.tolist() if isinstance(value, np.ndarray) else value

@@ -71,7 +71,7 @@ class Handle:
         fault = Fault("E105", self._name, f"there is no port {quoted(port)}.", did_you_mean(port, known))
         raise UnknownPort(f"{fault} Inputs: {listed(self._inputs)}. Outputs: {listed(self._outputs)}.")
 
-    def __setattr__(self, port: str, value: Any) -> None:
+    def __setattr__(self, port: str, value: object) -> None:
         raise UnknownPort(f"a port is wired by diagram.wire({self._name}.{port}, source), not assigned.")
 
     def __reduce__(self) -> Any:
@@ -131,7 +131,7 @@ def signal_names(names: PortName | str | Sequence[PortName | str]) -> list[str]:
     return [str(name) for name in name_list]
 
 
-def plain_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+def plain_settings(settings: Mapping[str, object]) -> dict[str, object]:
     """Return settings of a run in the form of a file: logged ports as texts, times as quantities."""
     plain = {key: read_quantity(raw) if key in TIMES else raw for key, raw in settings.items()}
     if isinstance(inputs := settings.get("inputs"), Mapping):

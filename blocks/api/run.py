@@ -81,7 +81,7 @@ def started(
     prepared of this diagram before; the first that can be is used again.
     """
     raw, resume = case.parameters, options.resume
-    settings: Mapping[str, Any] = case.settings
+    settings: Mapping[str, object] = case.settings
     parameters = given_values(value, resolver, raw)
     part: Part | None = None
     given_inputs = [source for source in sources(case.inputs) if source is not None and source != {}]
@@ -162,7 +162,7 @@ class Run:
         case: Case,
         options: RunOptions,
         saved: State | Kept | None = None,
-        given: Mapping[str, Any] | None = None,
+        given: Mapping[str, object] | None = None,
         streaming: Streaming | None = None,
     ) -> None:
         """Start a run. saved: the state from which it continues. given: the raw parameters that came with the state."""
@@ -211,7 +211,7 @@ class Run:
                 self._origin = streaming.check(self._in_memory())
             streaming.begin(self._simulation, prepared.settings, self._in_memory, self._state)
 
-    def _others(self, state: State, given: Mapping[str, Any]) -> tuple[Fault, ...]:
+    def _others(self, state: State, given: Mapping[str, object]) -> tuple[Fault, ...]:
         """Return warnings for changes since a state was saved, except for values that are given instead."""
         prepared, kept = self._prepared, state.equations
         assert kept is not None
@@ -400,7 +400,7 @@ class Run:
         return self._prepared.plan
 
     @_by_one_thread
-    def advance(self, duration: Any) -> None:
+    def advance(self, duration: object) -> None:
         """Go on for a duration in s (a float stands for its shortest decimal). Raises SimulationError."""
         step = time_of("advance", duration)
         if step < 0:
@@ -408,7 +408,7 @@ class Run:
         self.advance_to(self._exact + step)
 
     @_by_one_thread
-    def advance_to(self, stop: Any) -> None:
+    def advance_to(self, stop: object) -> None:
         """Go on to a time in s. Ctrl-C ends it with KeyboardInterrupt; the run stands, and can go on from there."""
         end = time_of("advance_to", stop)
         if end < self._exact:
@@ -416,7 +416,7 @@ class Run:
         self._advance(end)
 
     @_by_one_thread
-    def advance_past(self, t: Any) -> None:
+    def advance_past(self, t: object) -> None:
         """Go on to the end of the first step that reaches a time in s, with all that happens there.
 
         Unlike `advance_to`, it cuts no step: what is set there has the same bits as in a run that stood there live. It
@@ -487,7 +487,7 @@ class Run:
         return self.results
 
     @_by_one_thread
-    def set(self, name: str, value: Any) -> None:
+    def set(self, name: str, value: object) -> None:
         """Set an input, or a tunable parameter by its path ("motor.Ra"), from now on. Raises UsageError, ModelError.
 
         The results have no origin from then on: it would not say what was set.
@@ -549,9 +549,9 @@ def tolerances_of_fmus(run: Run) -> list[float] | None:
     return sorted({value for unit in plan.units if (value := own_tolerance(unit, plan)) is not None})
 
 
-def _named_inputs(given: Any, plan: Plan | Coupling) -> dict[str, Any]:
+def _named_inputs(given: Any, plan: Plan | Coupling) -> dict[str, object]:
     """Return the given inputs by name, including inputs from files."""
-    named: dict[str, Any] = {}
+    named: dict[str, object] = {}
     for source in sources(given):
         if isinstance(source, (str, Path)):
             named.update(read_csv(source, plan))  # type: ignore[arg-type]
@@ -564,7 +564,7 @@ def _named_inputs(given: Any, plan: Plan | Coupling) -> dict[str, Any]:
     return named
 
 
-def _shown(raw: Any, unit: str) -> str:
+def _shown(raw: object, unit: str) -> str:
     """Return the raw value of a parameter as a text. unit: of plain numbers."""
     if isinstance(raw, Mapping):
         return _shown(raw.get("value"), str(raw.get("unit", unit)))
@@ -574,7 +574,7 @@ def _shown(raw: Any, unit: str) -> str:
     return f"{raw:g} {unit}".strip() if is_number else str(raw_of(raw))
 
 
-def _given_input(value: Any, type_: str) -> Any:
+def _given_input(value: object, type_: str) -> object:
     """Return the value of an input from its given form; "2 mV" is a quantity."""
     return read_quantity(value) if type_ in ("real", "int") else value
 
@@ -595,7 +595,7 @@ def _towards(
 
 
 def _input_table(
-    plan: Plan | Coupling, named: Mapping[str, Any], interpolation: str, state: State | None
+    plan: Plan | Coupling, named: Mapping[str, object], interpolation: str, state: State | None
 ) -> InputTable:
     """Return the inputs of a run. Given inputs count; the others come from the diagram or the state."""
     known: Any = plan
@@ -609,7 +609,7 @@ def _input_table(
     return replace(read, tracks=tuple(new if known[0] in named else old for known, new, old in tracks))
 
 
-def _going_on(settings: Mapping[str, Any], saved: State | Kept, name: str) -> Mapping[str, Any]:
+def _going_on(settings: Mapping[str, object], saved: State | Kept, name: str) -> Mapping[str, object]:
     """Return the settings of a run that continues from a state, with the seed and the start of the state.
 
     So all noise goes on as it was, and so do the grids of steps and rows, which count from the start. Raises UsageError

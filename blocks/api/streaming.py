@@ -45,7 +45,7 @@ class Streaming:
     def begin(
         self,
         simulation: Simulation,
-        settings: Mapping[str, Any],
+        settings: Mapping[str, object],
         results: Callable[[], Results],
         state: Callable[[], State],
     ) -> None:
@@ -119,8 +119,8 @@ class Streaming:
 
 
 def part_to_resume(
-    resume: Any, out: str | Path | None, given: Mapping[str, Any], settings: Mapping[str, Any]
-) -> tuple[Part, Path, dict[str, Any]] | None:
+    resume: Any, out: str | Path | None, given: Mapping[str, object], settings: Mapping[str, Any]
+) -> tuple[Part, Path, dict[str, object]] | None:
     """Return the part from which a run continues, the file that it writes, and its settings; None for other states.
 
     given: parameters and inputs that were given, by what they are. Raises UsageError: E501, E506.

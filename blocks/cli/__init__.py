@@ -82,11 +82,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 @contextlib.contextmanager
-def _telling_its_name(stream: Any) -> Iterator[None]:
+def _telling_its_name(stream: object) -> Iterator[None]:
     """In this context, errors of a stream name it, as those of files do: without a name they may come from anywhere."""
 
-    def named(method: Callable[..., Any]) -> Callable[..., Any]:
-        def told(*given: Any) -> Any:
+    def named(method: Callable[..., object]) -> Callable[..., object]:
+        def told(*given: object) -> Any:
             try:
                 return method(*given)
             except OSError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..text.errors import ModelError
 from ..text.printable import counted
@@ -85,6 +85,6 @@ def _short(text: str) -> str:
     return line if len(line) <= 100 else f"{line[:97]}..."
 
 
-def change_entry(change: Change) -> dict[str, Any]:
+def change_entry(change: Change) -> dict[str, object]:
     """Return a change as an object."""
     return {"file": change.file, "line": change.line, "column": change.column, "old": change.old, "new": change.new}

@@ -207,7 +207,7 @@ def _names_of(path: str) -> dict[str, list[str]]:
     return names
 
 
-def _inside(diagram: Any, folder: str, prefix: str, depth: int) -> Iterator[tuple[str, str]]:
+def _inside(diagram: object, folder: str, prefix: str, depth: int) -> Iterator[tuple[str, str]]:
     for name in _table(diagram, "parameters"):
         yield "parameters", prefix + name
     for name in (*_table(diagram, "inputs"), *_table(diagram, "outputs")):
@@ -233,12 +233,12 @@ def _inside(diagram: Any, folder: str, prefix: str, depth: int) -> Iterator[tupl
             yield from _inside(inner, at, f"{path}.", depth + 1)
 
 
-def _table(entry: Any, key: str) -> Mapping[str, Any]:
+def _table(entry: object, key: str) -> Mapping[str, object]:
     found = entry.get(key) if isinstance(entry, dict) else None
     return found if isinstance(found, dict) else {}
 
 
-def _read(path: str) -> Any:
+def _read(path: str) -> object:
     """Return the JSON of a file, or None if it cannot be read, is no ordinary file, or is large."""
     try:
         if os.path.isfile(path) and os.path.getsize(path) <= LARGEST:

@@ -6,7 +6,6 @@ import argparse
 import shutil
 import textwrap
 from collections.abc import Iterator
-from typing import Any
 
 from .options import Verbs, takes_json
 from .output import emit, printable
@@ -66,7 +65,7 @@ def _explain_one(word: str, options: argparse.Namespace) -> None:
         print(f"`blocks explain {groups[0].codes[0]}` shows the cause, the cure and an example.")
 
 
-def _entry(code: str) -> dict[str, Any]:
+def _entry(code: str) -> dict[str, object]:
     from ..text.explanations import EXPLAINED, group_of
 
     explanation = EXPLAINED[code]

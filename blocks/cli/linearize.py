@@ -64,7 +64,7 @@ def _linearizer(options: argparse.Namespace) -> tuple[Diagram, Case, dict[str, A
 
     diagram = Diagram.load(options.diagram, library=options.library)
     at = number_of("at", options.at)
-    point: dict[str, Any] = {"at": None if at is None else raw_number(at)}
+    point: dict[str, object] = {"at": None if at is None else raw_number(at)}
     for word, items in (("amplitude", options.amplitude), ("sigma", options.sigma)):
         given = assignments(f"--{word}", items, "eso.e=0.1")
         point[word] = {name: v if isinstance(v, dict) else raw_number(v) for name, v in given.items()}

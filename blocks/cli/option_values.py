@@ -29,7 +29,7 @@ def number_of(option: str, text: str | None) -> Any:
     return value
 
 
-def time_of(option: str, text: str | None) -> Any:
+def time_of(option: str, text: str | None) -> object:
     """Return a time of the run: a number, maybe with a unit, or an expression over the parameters of the diagram."""
     if text is None or text.startswith("="):
         return text
@@ -54,7 +54,7 @@ def raw_number(value: Any) -> Any:
 
 def assignments(option: str, items: Sequence[str], example: str) -> dict[str, Any]:
     """NAME=VALUE options as values by name."""
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     for item in items:
         name, separator, text = item.partition("=")
         if not separator or not name.strip():
@@ -67,7 +67,7 @@ def assignments(option: str, items: Sequence[str], example: str) -> dict[str, An
     return values
 
 
-def _parsed(place: str, text: str) -> Any:
+def _parsed(place: str, text: str) -> object:
     """Return the value of an option; faults name the option. A decimal comma is reported as such."""
     if re.match(r"\s*[-+]?[0-9]*,[0-9]", text):
         from ..text.quantity_text import quantity_in

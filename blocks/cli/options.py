@@ -95,7 +95,7 @@ def takes_work(verb: argparse.ArgumentParser, what: str) -> None:
 class _Renamed(argparse.Action):
     """An option of blocks 0.1 that has another name."""
 
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         parser.error(f"{self.option_strings[0]} is now {self.const}")
 
 

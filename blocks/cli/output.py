@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, TextIO
+from typing import TextIO
 
 from ..text.errors import Fault
 from ..text.json_line import json_line
@@ -123,7 +123,7 @@ def fault_lines(faults: Sequence[Fault], stream: TextIO, *, more: bool = True) -
         yield f"`blocks explain {codes[0]}` explains it."
 
 
-def fault_entry(fault: Fault, file: str = "") -> dict[str, Any]:
+def fault_entry(fault: Fault, file: str = "") -> dict[str, object]:
     return {
         "event": "fault",
         "code": fault.code,
@@ -141,7 +141,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else f"\\x{ord(c):02x}" for c in text)
 
 
-def emit(entry: Mapping[str, Any]) -> None:
+def emit(entry: Mapping[str, object]) -> None:
     print(json_line(entry), flush=True)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..fmi.exits import telling
 from ..text.errors import Fault, FMUError, UsageError
@@ -146,9 +146,9 @@ def _reported(
     return 0 if study_results.is_fine else 1
 
 
-def _claim_event(v: Verdict) -> dict[str, Any]:
+def _claim_event(v: Verdict) -> dict[str, object]:
     claim = v.claim
-    entry: dict[str, Any] = {
+    entry: dict[str, object] = {
         "event": "claim",
         "run": claim.runs[0] if len(claim.runs) == 1 else None,
         "measure": claim.measure,

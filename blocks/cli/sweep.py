@@ -132,7 +132,7 @@ def _sweep(options: argparse.Namespace) -> int:
     return 0 if sweep.counts().get("ok") else 3
 
 
-def _arguments(options: argparse.Namespace, vary: Mapping[Any, Any]) -> dict[str, str]:
+def _arguments(options: argparse.Namespace, vary: Mapping[Any, object]) -> dict[str, str]:
     """Return the options by the places of faults of `Diagram.sweep`, except for names of varied parameters."""
     named = {name: f"--{name}" for name in ("n", "seed", "threads", "lanes", "vary")}
     named["max_steps"] = "--max-steps"
@@ -189,7 +189,7 @@ def vary_of(items: Sequence[str]) -> dict[Any, Any]:
     """Read the --vary options: lists and distributions by parameter."""
     from ..studies.sampling import each
 
-    vary: dict[Any, Any] = {}
+    vary: dict[Any, object] = {}
     for item in items:
         name, separator, text = item.partition("=")
         if not (separator and name.strip() and text.strip()):
@@ -203,7 +203,7 @@ def vary_of(items: Sequence[str]) -> dict[Any, Any]:
     return vary
 
 
-def _values(place: str, text: str) -> Any:
+def _values(place: str, text: str) -> object:
     """Return what a text gives: a list of values, or a distribution. Raises UsageError (E501)."""
     from ..studies import sampling
 
@@ -259,7 +259,7 @@ def _in_one_unit(place: str, kind: str, names: Sequence[str], words: Sequence[st
     """
     from ..studies.sampling import in_one_unit
 
-    given: list[Any] = []
+    given: list[object] = []
     for word in words:
         try:
             given.append(float(word))
@@ -273,7 +273,7 @@ def _in_one_unit(place: str, kind: str, names: Sequence[str], words: Sequence[st
     return in_one_unit(place, given, may_have, example, words)
 
 
-def _quantity(place: str, word: str) -> Any:
+def _quantity(place: str, word: str) -> object:
     """One value. What follows a number is a unit. Raises UsageError (E501)."""
     from ..text import units
     from ..text.errors import ModelError
@@ -290,7 +290,7 @@ def _quantity(place: str, word: str) -> Any:
     return value
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Any) -> object:
     if isinstance(value, list):
         return [_plain(item) for item in value]
     if isinstance(value, dict):
@@ -298,9 +298,9 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, (str, bool)) else float(value)
 
 
-def scenarios_of(items: Sequence[str]) -> dict[str, dict[str, Any]]:
+def scenarios_of(items: Sequence[str]) -> dict[str, dict[str, object]]:
     """Read the --scenario options: values by parameter, by scenario. A repeated scenario adds values."""
-    scenarios: dict[str, dict[str, Any]] = {}
+    scenarios: dict[str, dict[str, object]] = {}
     for item in items:
         name, separator, text = item.partition(":")
         if not separator or not name.strip():

@@ -170,7 +170,7 @@ def _whole(option: str, text: str) -> int:
 
 
 def _over(items: Sequence[str]) -> dict[str, tuple[Any, Any]]:
-    over: dict[str, tuple[Any, Any]] = {}
+    over: dict[str, tuple[object, object]] = {}
     for item in items:
         name, bounds = _bounds(item)
         if name in over:
@@ -179,7 +179,7 @@ def _over(items: Sequence[str]) -> dict[str, tuple[Any, Any]]:
     return over
 
 
-def _bounds(item: str) -> tuple[str, tuple[Any, Any]]:
+def _bounds(item: str) -> tuple[str, tuple[object, object]]:
     """NAME=LOW,HIGH."""
     from ..text.quantity_text import value_in
 

@@ -138,7 +138,7 @@ def live(diagram: Diagram, case: Case, *, port: int) -> LiveServer:
     return LiveServer(diagram, case, port=port, framed=True).start()
 
 
-def edit(file: str | Path, *, library: Any, trust: Paths, port: int) -> LiveServer:
+def edit(file: str | Path, *, library: Library, trust: Paths, port: int) -> LiveServer:
     """Let a notebook edit a diagram file."""
     from ..api.case import Case
 

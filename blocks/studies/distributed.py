@@ -74,8 +74,8 @@ class Put:
     """
 
     folder: str
-    fields: Mapping[str, Any]
-    told: Mapping[str, Any]
+    fields: Mapping[str, object]
+    told: Mapping[str, object]
 
     def found(self, *, restart: bool) -> Iterator[Sweep]:
         """The rows of files that are there, without signals; where it begins anew, the files are removed.
@@ -142,7 +142,7 @@ class Job:
         cls,
         diagram: Diagram,
         names: Sequence[str],
-        scenarios: Sequence[Mapping[str, Any]],
+        scenarios: Sequence[Mapping[str, object]],
         case: Case,
         margins: tuple[Margin, ...] = (),
         *,
@@ -341,15 +341,15 @@ def run_on(
         cure = "Give a synchronous distributed.Client, or the address of a scheduler."
         raise UsageError(Fault("E501", "on", f"{on!r} is not a client of dask.distributed.", cure))
 
-    def submit(at: Array, task: Callable[..., Any]) -> Any:
+    def submit(at: Array, task: Callable[..., Any]) -> object:
         scenario, numbers = int(at[0]) // made.n, at % made.n
         chunk = Chunk(scenario, numbers, table[numbers], seeds[numbers], budget)
         future = client.submit(task, held, chunk, pure=False)
         under_way[future] = at, task
         return future
 
-    under_way: dict[Any, tuple[Array, Callable[..., Any]]] = {}
-    held: Any = None
+    under_way: dict[Any, tuple[Array, Callable[..., object]]] = {}
+    held: object = None
     try:
         for rows in job.put.found(restart=work.restart) if job.put is not None else ():
             made.take(rows.scenario * made.n + rows.number, rows)

@@ -41,7 +41,7 @@ class Value(NamedTuple):
     element: tuple[int, ...]
     value: Any
     unit: str | None
-    raw: Any
+    raw: object
 
 
 def edit_of(
@@ -49,7 +49,7 @@ def edit_of(
     path: str | Path,
     values: Iterable[Value],
     *,
-    parameters: Mapping[str, Any],
+    parameters: Mapping[str, object],
     chosen: Mapping[str, str] | None = None,
     variants: Mapping[str, str] | None = None,
     inputs: Iterable[Value] = (),
@@ -66,9 +66,9 @@ def edit_of(
     workspace, first = Workspace.of(path, library, text=text)
     chosen = _open_choices(workspace, first, chosen or {}, diagram.chosen)
     of_run = {**chosen, **variants}
-    operations: dict[Any, dict[str, Any]] = {}
+    operations: dict[Any, dict[str, object]] = {}
 
-    def put(file: str, place: Steps, to: Any) -> None:
+    def put(file: str, place: Steps, to: object) -> None:
         operations[file, place] = {"set": [*place], "to": to} | ({"file": file} if file != first else {})
 
     for block, choice in variants.items():
@@ -114,12 +114,12 @@ def _spot(workspace: Workspace, first: str, blocks: Iterable[str], variants: Map
     return spot
 
 
-def _choice(path: str, entry: Mapping[str, Any], variants: Mapping[str, str]) -> str:
+def _choice(path: str, entry: Mapping[str, object], variants: Mapping[str, str]) -> str:
     """The variant of a block that a run takes."""
     return str(variants.get(path, entry.get("variant", BASE)) or BASE)
 
 
-def _place(workspace: Workspace, first: str, target: str, variants: Mapping[str, str]) -> tuple[str, Steps, Any]:
+def _place(workspace: Workspace, first: str, target: str, variants: Mapping[str, str]) -> tuple[str, Steps, object]:
     """The file that holds a parameter, by its path; the steps to it there; and its entry, None where none is."""
     *blocks, name = target.split(".")
     if not blocks:
@@ -137,7 +137,7 @@ def _place(workspace: Workspace, first: str, target: str, variants: Mapping[str,
     return spot.file, (*place, name), tree.table_at(spot.value, place).get(name)
 
 
-def _input_place(value: Any, name: str) -> tuple[Steps, Any]:
+def _input_place(value: object, name: str) -> tuple[Steps, object]:
     """Where the value of an input stands: in the settings of the run, or as its default; or where it can stand."""
     of_run = tree.table_at(value, ("run", "inputs"))
     entry = tree.table_at(value, ("inputs",)).get(name, {})
@@ -150,7 +150,7 @@ def _input_place(value: Any, name: str) -> tuple[Steps, Any]:
     return ("inputs", name, "default"), entry["default"]
 
 
-def _new(entry: Any, place: Steps, given: Value) -> tuple[Steps, Any]:
+def _new(entry: object, place: Steps, given: Value) -> tuple[Steps, object]:
     """The steps to what changes of an entry, and what it becomes: a number in the unit that stands there.
 
     The whole raw value where the entry has no list with the element, or no number, or no unit to keep.
@@ -181,7 +181,7 @@ def _in_unit(value: Any, unit: str, wanted: str) -> Any:
 
 def _check(
     diagram: Diagram,
-    parameters: Mapping[str, Any],
+    parameters: Mapping[str, object],
     chosen: Mapping[str, str],
     variants: Mapping[str, str],
     path: str | Path,
@@ -217,7 +217,7 @@ def _check(
         raise UsageError(Fault("E501", str(path), message, cure + _GIVE_THE_FILE))
 
 
-def changes(before: Flat, after: Flat) -> dict[str, Any]:
+def changes(before: Flat, after: Flat) -> dict[str, object]:
     """The values of parameters of blocks that differ, in SI."""
     known = {block.path: block.resolved.values for block in before.blocks}
     return {

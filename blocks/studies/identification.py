@@ -100,7 +100,7 @@ class Fit(Outcome):
 
 def fit(
     diagram: Diagram,
-    data: str | Path | Mapping[str, Any],
+    data: str | Path | Mapping[str, object],
     case: Case,
     *,
     over: Mapping[str, tuple[float, float]],
@@ -125,7 +125,7 @@ def fit(
     varied = columns_of(list(over), flat)
     t = columns["time"]
     measured = {name: _in_si(columns[column], given.get(column, ""), flat, name) for name, column in compare.items()}
-    tracks: dict[str, Any] = {}
+    tracks: dict[str, object] = {}
     for name in value.inputs:
         if name in columns:
             u = {"value": columns[name], "unit": given[name]} if given.get(name) else columns[name]
@@ -313,7 +313,7 @@ def alike_faults(names: Sequence[str], groups: Sequence[Sequence[int]]) -> list[
     return faults
 
 
-def _early(diagram: Diagram, t: Array, recorded: Sequence[str], settings: Mapping[str, Any]) -> list[Fault]:
+def _early(diagram: Diagram, t: Array, recorded: Sequence[str], settings: Mapping[str, object]) -> list[Fault]:
     """W505 where the run holds the first recorded inputs for a while before the data begin, and nobody asked for it.
 
     Raises UsageError (E501) where it would do so for far longer than the data last.
@@ -393,7 +393,7 @@ def _columns(data: Any, diagram: Diagram, compare: Mapping[str, str]) -> tuple[d
         except (OSError, ValueError) as error:
             what = error.strerror if isinstance(error, OSError) else str(error)
             raise UsageError(Fault("E501", place, f"cannot be read: {what}")) from None
-        table: Mapping[str, Any] = dict(zip(names, rows.T, strict=True))
+        table: Mapping[str, object] = dict(zip(names, rows.T, strict=True))
     else:
         quantities = {str(name): raw for name, raw in data.items() if isinstance(raw, Mapping) and "value" in raw}
         given = {name: str(raw.get("unit", "")) for name, raw in quantities.items()}

@@ -11,7 +11,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,7 @@ _COMPARED = re.compile(r"<=|>=|==|!=|<|>|=")
 def _value(expression: Expression, read: Callable[[str], Array]) -> Array:
     """The value of an expression for all rows; nan or infinite where it has none."""
 
-    def operand(step: PostfixStep) -> Any:
+    def operand(step: PostfixStep) -> object:
         return read(step.word) if step.scalar is None else np.float64(step.scalar.value)
 
     with np.errstate(all="ignore"):

@@ -158,7 +158,7 @@ def _wide(verdicts: Sequence[Verdict]) -> list[tuple[str, ...]]:
 # --- figures ---------------------------------------------------------------------------------------------------
 
 
-def _drawn(study_results: StudyResults, folder: Path, made_of: dict[str, Any]) -> dict[str, str | Fault]:
+def _drawn(study_results: StudyResults, folder: Path, made_of: dict[str, object]) -> dict[str, str | Fault]:
     """The study's figures by name, and those of its tunings by "tuning.NAME", as SVG; PNG files of them are written.
 
     In place of one that failed: its fault. made_of: gets the figures that are made of panels.
@@ -188,7 +188,7 @@ def _drawn(study_results: StudyResults, folder: Path, made_of: dict[str, Any]) -
 
 
 @plots.defaults()
-def _ratios(verdicts: Sequence[Verdict]) -> Any:
+def _ratios(verdicts: Sequence[Verdict]) -> object:
     """Our numbers over the published ones: a dot for each, upon a bar for its tolerance; those far off at the edge."""
     figure = plots.new_figure(plots.WIDTH, 0.9 + 0.19 * len(verdicts))
     axis = figure.subplots()
@@ -216,7 +216,7 @@ def _ratios(verdicts: Sequence[Verdict]) -> Any:
     return figure
 
 
-def _figure(entry: Mapping[str, Any], results: Mapping[str, Results]) -> Any:
+def _figure(entry: Mapping[str, Any], results: Mapping[str, Results]) -> object:
     spectrum = entry.get("kind") == "spectrum"
     window = (float(entry.get("from", -math.inf)), float(entry.get("to", math.inf)))
     parts = []
@@ -306,7 +306,7 @@ def write(
     a policy for the head of the page and HTML for its end. Raises UsageError (E501) where the report cannot be written.
     """
     folder_for(folder)
-    panels: dict[str, Any] = {}
+    panels: dict[str, object] = {}
     shown = _drawn(made, folder, panels)
     policy, end = zoom(panels) if zoom and panels else ("", "")
     if faults is not None:
@@ -451,7 +451,7 @@ def _search_of(tuning: Tuning) -> list[str]:
     return [*parts, *warned(tuning.warnings), *(table(of.rows) for of in tuning.tables().values())]
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     if isinstance(value, Mapping) and "value" not in value:  # the settings of the master
         return ", ".join(f"{key} {_value(item)}" for key, item in value.items())
     return f"{value['value']} {value.get('unit', '')}".strip() if isinstance(value, Mapping) else str(value)

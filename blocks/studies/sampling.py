@@ -45,7 +45,7 @@ class Distribution:
     parameters: tuple[tuple[str, float], ...]
     unit: str = ""
 
-    def __init__(self, name: str, /, **parameters: Any) -> None:
+    def __init__(self, name: str, /, **parameters: object) -> None:
         numbers, unit = in_one_unit(
             str(name), [*parameters.values()], [key in ("loc", "scale") for key in parameters],
             'Example: Distribution("lognorm", s=0.3, scale="160 mOhm").',
@@ -98,7 +98,7 @@ class Distribution:
 class Normal(Distribution):
     """The normal distribution."""
 
-    def __init__(self, mean: Any, deviation: Any) -> None:
+    def __init__(self, mean: object, deviation: object) -> None:
         (mean, deviation), unit = _numbers("Normal", mean, deviation)
         super().__init__("norm", loc=mean, scale=deviation)
         object.__setattr__(self, "unit", unit)
@@ -107,7 +107,7 @@ class Normal(Distribution):
 class Uniform(Distribution):
     """All values from low to high alike."""
 
-    def __init__(self, low: Any, high: Any) -> None:
+    def __init__(self, low: object, high: object) -> None:
         (low, high), unit = _numbers("Uniform", low, high)
         super().__init__("uniform", loc=low, scale=high - low)
         object.__setattr__(self, "unit", unit)
@@ -116,7 +116,7 @@ class Uniform(Distribution):
 class LogUniform(Distribution):
     """All orders of magnitude from low to high alike; both above 0."""
 
-    def __init__(self, low: Any, high: Any) -> None:
+    def __init__(self, low: object, high: object) -> None:
         (low, high), unit = _numbers("LogUniform", low, high)
         super().__init__("loguniform", a=low, b=high)
         object.__setattr__(self, "unit", unit)
@@ -125,7 +125,7 @@ class LogUniform(Distribution):
 class Triangular(Distribution):
     """From low to high, most often near `mode`."""
 
-    def __init__(self, low: Any, mode: Any, high: Any) -> None:
+    def __init__(self, low: object, mode: object, high: object) -> None:
         (low, mode, high), unit = _numbers("Triangular", low, mode, high)
         super().__init__("triang", c=_ratio(mode - low, high - low), loc=low, scale=high - low)
         object.__setattr__(self, "unit", unit)
@@ -134,19 +134,19 @@ class Triangular(Distribution):
 class TruncatedNormal(Distribution):
     """The normal distribution without what lies below low or above high; either may be infinite."""
 
-    def __init__(self, mean: Any, deviation: Any, low: Any = -math.inf, high: Any = math.inf) -> None:
+    def __init__(self, mean: object, deviation: object, low: object = -math.inf, high: object = math.inf) -> None:
         (mean, deviation, low, high), unit = _numbers("TruncatedNormal", mean, deviation, low, high)
         a, b = _ratio(low - mean, deviation), _ratio(high - mean, deviation)
         super().__init__("truncnorm", a=a, b=b, loc=mean, scale=deviation)
         object.__setattr__(self, "unit", unit)
 
 
-def _numbers(name: str, *given: Any) -> tuple[list[float], str]:
+def _numbers(name: str, *given: object) -> tuple[list[float], str]:
     """Return the numbers of a distribution, all of which may have units."""
     return in_one_unit(name, given, [True] * len(given), 'Example: Normal("160 mOhm", "10 mOhm").')
 
 
-def _number_and_unit(place: str, item: Any, word: str) -> tuple[float, str]:
+def _number_and_unit(place: str, item: object, word: str) -> tuple[float, str]:
     """Return a number with its own unit, "" if it has none. word: as it is written. Raises UsageError (E501)."""
     try:
         quantity = read_quantity(item)
@@ -161,7 +161,7 @@ def _number_and_unit(place: str, item: Any, word: str) -> tuple[float, str]:
 
 
 def in_one_unit(
-    place: str, given: Sequence[Any], may_have: Sequence[bool], example: str, words: Sequence[str] = ()
+    place: str, given: Sequence[object], may_have: Sequence[bool], example: str, words: Sequence[str] = ()
 ) -> tuple[list[float], str]:
     """Return the numbers of a range or a distribution in its first unit, and that unit ("" if there is none).
 
@@ -235,7 +235,7 @@ def seed_of(seed: int, number: int) -> int:
     return int.from_bytes(digest[:8], "big") >> 11
 
 
-def rows_of(vary: Any, *, n: int | None, sampler: str, seed: int, expand: Callable[[str], Sequence[str]]) -> Rows:
+def rows_of(vary: object, *, n: int | None, sampler: str, seed: int, expand: Callable[[str], Sequence[str]]) -> Rows:
     """The rows of what is varied.
 
     vary: by name, pattern or `each(...)` a distribution (also one of scipy.stats) or a list of values; or a table of
@@ -273,16 +273,16 @@ def rows_of(vary: Any, *, n: int | None, sampler: str, seed: int, expand: Callab
     return Rows({name: columns[name] for name in given}, combinations * draws, base, warnings)
 
 
-def is_law(what: Any) -> bool:
+def is_law(what: object) -> bool:
     """Return whether values are drawn from it, as from a distribution, also one of scipy.stats."""
     return callable(getattr(what, "ppf", None))
 
 
-def _is_count(number: Any, least: int) -> bool:
+def _is_count(number: object, least: int) -> bool:
     return isinstance(number, (int, np.integer)) and not isinstance(number, bool) and bool(number >= least)
 
 
-def _by_name(vary: Mapping[Any, Any], expand: Callable[[str], Sequence[str]]) -> dict[str, Any]:
+def _by_name(vary: Mapping[Any, object], expand: Callable[[str], Sequence[str]]) -> dict[str, Any]:
     """Return what is varied by the name of each column: a distribution, or an array. Raises UsageError (E501)."""
     given: dict[str, Any] = {}
     for key, what in vary.items():
@@ -313,7 +313,7 @@ def unit_points(n: int, dimensions: int, sampler: str, seed: int) -> tuple[Array
         kinds = {"sobol": qmc.Sobol, "saltelli": qmc.Sobol, "halton": qmc.Halton, "lhs": qmc.LatinHypercube}
         cls = kinds[sampler]
         # SciPy 1.15 has renamed the argument, and will refuse the old name some day.
-        named: dict[str, Any] = {"rng" if "rng" in inspect.signature(cls).parameters else "seed": generator}
+        named: dict[str, object] = {"rng" if "rng" in inspect.signature(cls).parameters else "seed": generator}
         if cls is qmc.Sobol:
             # 64 bits: of the usual 30, one point in 10^9 would be 0, where a normal distribution is infinite.
             named["bits"] = 64
@@ -346,7 +346,7 @@ def check_draws(vary: Mapping[Any, Any], n: int | None, sampler: str) -> int:
     return _saltelli_base(n, drawn, listed) if sampler == "saltelli" else 0
 
 
-def _saltelli_base(n: int | None, drawn: Mapping[str, Any], listed: Mapping[str, Array]) -> int:
+def _saltelli_base(n: int | None, drawn: Mapping[str, object], listed: Mapping[str, Array]) -> int:
     if listed or not drawn:
         cure = "Give Uniform(low, high) instead of a list."
         raise _refused("saltelli", "needs a distribution for each parameter, because it draws for Sobol indices.", cure)

@@ -21,7 +21,7 @@ DIGITS = 6
 """Significant digits of the values of candidates: what is run, told and written is the same."""
 
 
-def _number(bound: Any, name: str, unit_of: Callable[[str], str]) -> float:
+def _number(bound: object, name: str, unit_of: Callable[[str], str]) -> float:
     """Return a bound in the unit of its parameter. Raises ModelError, TypeError, ValueError."""
     return float(bound if isinstance(bound, (int, float)) else in_unit(bound, unit_of(name), legible(name)))
 

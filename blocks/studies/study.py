@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from ..api.diagram import Diagram
+from ..model.block_types import Library
 from ..model.diagram_value import FaultList, beside
 from ..model.project import Project, read_inside
 from ..model.study_grammar import STUDY, VERSION
@@ -87,7 +88,7 @@ def load(path: str | Path) -> Study:
     return study
 
 
-def checked(path: str | Path, *, library: Any = ()) -> tuple[Study | None, list[Fault]]:
+def checked(path: str | Path, *, library: Library = ()) -> tuple[Study | None, list[Fault]]:
     """The study of a file, None where it cannot be read, and all faults: of its structure and of what it asks for."""
     try:
         study, first = load(path), tuple[Fault, ...]()
@@ -125,8 +126,8 @@ def canonical(document: Document) -> tuple[str, int]:
 def run(
     study: Study,
     *,
-    library: Any = (),
-    parameters: Mapping[str, Any] | None = None,
+    library: Library = (),
+    parameters: Mapping[str, object] | None = None,
     begun: Callable[[str], None] | None = None,
     finished: Callable[[str, Results | Sweep | Tuning], None] | None = None,
     trust: Any = (),

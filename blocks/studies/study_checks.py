@@ -8,6 +8,7 @@ from typing import Any
 
 from ..api.diagram import Diagram
 from ..model.block_signals import FlatSignal, element_of
+from ..model.block_types import Library
 from ..text import units
 from ..text.errors import Fault, ModelError, UsageError, did_you_mean
 from ..text.grammar import Steps
@@ -27,7 +28,7 @@ class StudyChecks:
     quantities.
     """
 
-    def __init__(self, study: Study, library: Any = (), parameters: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, study: Study, library: Library = (), parameters: Mapping[str, Any] | None = None) -> None:
         self.study, self._library = study, library
         self.diagrams: dict[str, Diagram] = {}
         self._extra = _by_run(study, parameters or {})
@@ -141,9 +142,9 @@ class StudyChecks:
                 self._add_unknown((*place, "signal"), place, message, cure)
 
 
-def _by_run(study: Study, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def _by_run(study: Study, parameters: Mapping[str, Any]) -> dict[str, dict[str, object]]:
     """Values by "RUN.path" as values by path, for each run. Raises ModelError (E106)."""
-    values: dict[str, dict[str, Any]] = {}
+    values: dict[str, dict[str, object]] = {}
     names = [entry.name for entry in study.all_runs]
     for key, value in parameters.items():
         name, _, path = key.partition(".")

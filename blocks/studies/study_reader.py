@@ -39,11 +39,11 @@ class Run:
         """Return the measures that claims may name."""
         return [*diagram.value.measures]
 
-    def made(self, diagram: Diagram, parameters: Mapping[str, Any], trust: Paths) -> Results:
+    def made(self, diagram: Diagram, parameters: Mapping[str, object], trust: Paths) -> Results:
         """Return the results; of a run that Ctrl-C ended they are `interrupted`. Raises as `Diagram.run`."""
         return diagram.run(self.case(parameters, trust))
 
-    def case(self, parameters: Mapping[str, Any], trust: Paths = ()) -> Case:
+    def case(self, parameters: Mapping[str, object], trust: Paths = ()) -> Case:
         """Return what the run is of. parameters: its own, and those that were given on top."""
         return Case(parameters=parameters, trust=trust, **self.settings)
 
@@ -181,7 +181,7 @@ class StudyReader:
             raise ModelError(*sorted(self.faults, key=lambda fault: (fault.line, fault.column)), readable=study)
         return study
 
-    def check_head(self, value: Any) -> None:
+    def check_head(self, value: object) -> None:
         """Collect the faults of the format and the version."""
         if not isinstance(value, dict) or value.get("format") != FORMAT:
             cure = f'Begin a study with {{"format": "{FORMAT}", "version": {VERSION}.'
@@ -194,9 +194,9 @@ class StudyReader:
             cure = "Update blocks." if version > VERSION else f"This release reads version {VERSION}."
             self.fault("E005", ("version",), f"version {version!r} cannot be read.", cure)
 
-    def check_names(self, value: Mapping[str, Any], entries: Mapping[str, Collection[str]]) -> None:
+    def check_names(self, value: Mapping[str, object], entries: Mapping[str, Collection[str]]) -> None:
         """Collect the faults of claims and figures about runs, sweeps and tunings that are not there."""
-        places: list[tuple[Steps, Any, str]] = []
+        places: list[tuple[Steps, object, str]] = []
         for k, claim in enumerate(_items(value, "claims")):
             places += [(("claims", k), name, "run") for name in named(claim) if "sweep" not in claim]
             places += [(("claims", k, what), claim[what], what) for what in ("sweep", "tuning") if what in claim]
@@ -208,7 +208,7 @@ class StudyReader:
                 cure = did_you_mean(name[:200], known) or f"{what.capitalize()}s: {', '.join([*known][:20]) or 'none'}."
                 self.fault("E105", path, f"there is no {what} {quoted(name)}.", cure)
 
-    def run(self, name: str, entry: Any) -> Run:
+    def run(self, name: str, entry: object) -> Run:
         path = ("runs", name)
         if not is_name(name):
             self.fault("E111", path, f"{quoted(name)} is not a name.", "Use letters, digits and _.")
@@ -233,7 +233,7 @@ class StudyReader:
                 yield name, entry, " ".join(_lines(entry))
 
 
-def _claim(entry: Mapping[str, Any]) -> Claim:
+def _claim(entry: Mapping[str, object]) -> Claim:
     published, tolerance = _number(entry, "published"), _number(entry, "tolerance")
     change, expected = (
         _text(entry, key) if CLAIM.by_key[key].kind.fits(entry.get(key)) else "" for key in ("as", "expect")
@@ -252,22 +252,22 @@ def _claim(entry: Mapping[str, Any]) -> Claim:
     )  # fmt: skip
 
 
-def _object(value: Mapping[str, Any], key: str) -> dict[str, Any]:
+def _object(value: Mapping[str, object], key: str) -> dict[str, Any]:
     entry = value.get(key)
     return entry if isinstance(entry, dict) else {}
 
 
-def _items(value: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
+def _items(value: Mapping[str, object], key: str) -> list[dict[str, object]]:
     entry = value.get(key)
     return entry if isinstance(entry, list) and all(isinstance(item, dict) for item in entry) else []
 
 
-def _text(value: Mapping[str, Any], key: str) -> str:
+def _text(value: Mapping[str, object], key: str) -> str:
     entry = value.get(key)
     return entry if isinstance(entry, str) else ""
 
 
-def _number(value: Mapping[str, Any], key: str) -> float | None:
+def _number(value: Mapping[str, object], key: str) -> float | None:
     entry = value.get(key)
     return float(entry) if isinstance(entry, Number) else None
 

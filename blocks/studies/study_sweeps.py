@@ -63,7 +63,7 @@ class ManyRuns:
         parameters, settings, variants = (dict(entry.get(key, {})) for key in ("parameters", "settings", "variants"))
         return cls(name, entry["diagram"], entry[vary], options, parameters, settings, doc, variants)
 
-    def case(self, parameters: Mapping[str, Any], trust: Paths = ()) -> Case:
+    def case(self, parameters: Mapping[str, object], trust: Paths = ()) -> Case:
         """Return the case of all runs. parameters: of all rows."""
         return Case(parameters=parameters, trust=trust, **self.settings)
 
@@ -71,7 +71,7 @@ class ManyRuns:
     def scenarios(self) -> dict[str, Mapping[str, Any]]:
         return dict(self.options.get("scenarios", {}))
 
-    def faults(self, diagram: Diagram, parameters: Mapping[str, Any]) -> Iterator[Placed]:
+    def faults(self, diagram: Diagram, parameters: Mapping[str, object]) -> Iterator[Placed]:
         """Find what is wrong, each fault with its place in the entry. parameters: of all runs."""
         flats = list[Flat]()
         for name, on_top in (self.scenarios or {"": {}}).items():
@@ -84,7 +84,7 @@ class ManyRuns:
                     yield steps or section_of(word, self, "parameters", "settings"), fault
         yield from self.asked(diagram, parameters, flats)
 
-    def asked(self, diagram: Diagram, parameters: Mapping[str, Any], flats: Sequence[Flat]) -> Iterator[Placed]:
+    def asked(self, diagram: Diagram, parameters: Mapping[str, object], flats: Sequence[Flat]) -> Iterator[Placed]:
         """Find what is wrong with what is varied and measured. flats: of the scenarios without a fault."""
         raise NotImplementedError
 
@@ -103,12 +103,12 @@ def flattened(diagram: Diagram, case: Case) -> Flat:
     return flat_of(diagram.value, resolver_of(dict(diagram.types)), case, inputs=inputs)
 
 
-def section_of(word: str, entry: Any, *sections: str) -> Steps:
+def section_of(word: str, entry: object, *sections: str) -> Steps:
     """Return the steps from an entry to a word in one of its sections; none if it is in none of them."""
     return next(((section, word) for section in sections if word in getattr(entry, section)), ())
 
 
-def placed(steps: Steps, check: Callable[..., Any], *given: Any) -> Iterator[Placed]:
+def placed(steps: Steps, check: Callable[..., object], *given: object) -> Iterator[Placed]:
     """Find what is wrong with one part of an entry, by a call that raises its faults."""
     try:
         check(*given)
@@ -122,7 +122,7 @@ class StudySweep(ManyRuns):
     __slots__ = ()
 
     @classmethod
-    def of(cls, name: str, entry: Mapping[str, Any], doc: str) -> StudySweep:
+    def of(cls, name: str, entry: Mapping[str, object], doc: str) -> StudySweep:
         """The sweep of an object that the grammar has checked."""
         return cls.read(name, entry, doc, "vary", _OPTIONS)
 
@@ -132,12 +132,12 @@ class StudySweep(ManyRuns):
     def units_of_margins(self) -> dict[str, str]:
         return {margin.name: margin.unit or "1" for margin in margins_of(self.options.get("margins", {}))}
 
-    def made(self, diagram: Diagram, parameters: Mapping[str, Any], trust: Paths) -> Sweep:
+    def made(self, diagram: Diagram, parameters: Mapping[str, object], trust: Paths) -> Sweep:
         """Return the sweep; Ctrl-C returns the rows that are done. Raises as `Diagram.sweep`."""
         made: Sweep = diagram.sweep(self.varied(), self.case(parameters, trust), **self.options)
         return made
 
-    def asked(self, diagram: Diagram, parameters: Mapping[str, Any], flats: Sequence[Flat]) -> Iterator[Placed]:
+    def asked(self, diagram: Diagram, parameters: Mapping[str, object], flats: Sequence[Flat]) -> Iterator[Placed]:
         if not flats:
             return
         for name in self.vary:
@@ -164,7 +164,7 @@ class StudySweep(ManyRuns):
 
     def varied(self) -> dict[Any, Any]:
         """What `Diagram.sweep` takes as `vary`. Raises UsageError (E501)."""
-        vary: dict[Any, Any] = {}
+        vary: dict[Any, object] = {}
         for name, raw in self.vary.items():
             if isinstance(raw, Mapping):
                 (kind, given), *_ = raw.items()
@@ -175,7 +175,7 @@ class StudySweep(ManyRuns):
         return vary
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """A value of a file with the numbers of Python."""
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items()}
@@ -228,7 +228,7 @@ def statistic_of(values: Array, statistic: tuple[str, float], limit: tuple[str, 
         return float(known.mean() if kind == "mean" else known.std(ddof=min(1, len(known) - 1)))
 
 
-def figure_of(entry: Mapping[str, Any], sweeps: Mapping[str, Sweep]) -> Any:
+def figure_of(entry: Mapping[str, Any], sweeps: Mapping[str, Sweep]) -> object:
     """A figure of a sweep. Raises UsageError (E501)."""
     sweep = sweeps[entry["sweep"]]
     sweep = sweep[entry["scenario"]] if "scenario" in entry else sweep

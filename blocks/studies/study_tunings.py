@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
-from typing import Any
 
 from ..api.diagram import Diagram
 from ..model.flatten import Flat
@@ -30,7 +29,7 @@ class StudyTuning(ManyRuns):
     __slots__ = ()
 
     @classmethod
-    def of(cls, name: str, entry: Mapping[str, Any], doc: str) -> StudyTuning:
+    def of(cls, name: str, entry: Mapping[str, object], doc: str) -> StudyTuning:
         """The tuning of an object that the grammar has checked."""
         return cls.read(name, entry, doc, "over", _OPTIONS)
 
@@ -43,13 +42,13 @@ class StudyTuning(ManyRuns):
         measures = diagram.value.measures
         return [OBJECTIVE, *measures, *(f"{scenario}.{measure}" for scenario in self.told for measure in measures)]
 
-    def made(self, diagram: Diagram, parameters: Mapping[str, Any], trust: Paths) -> Tuning:
+    def made(self, diagram: Diagram, parameters: Mapping[str, object], trust: Paths) -> Tuning:
         """Return the tuning; if Ctrl-C ended it, it is `interrupted`. Raises as `Diagram.tune`."""
         made: Tuning = diagram.tune(self.case(parameters, trust), over=plain(self.vary), **self.options)
         is_cut = any(run.interrupted for run in (*made.before.values(), *made.after.values()))
         return replace(made, interrupted=True) if is_cut else made
 
-    def asked(self, diagram: Diagram, parameters: Mapping[str, Any], flats: Sequence[Flat]) -> Iterator[Placed]:
+    def asked(self, diagram: Diagram, parameters: Mapping[str, object], flats: Sequence[Flat]) -> Iterator[Placed]:
         known, is_right = (tuple(diagram.value.measures), self.told), True
         objective, constraints = partial(objective_of, unknown="E105"), partial(constraints_of, unknown="E105")
         checks = [placed(("minimize",), objective, self.options["minimize"], *known)]

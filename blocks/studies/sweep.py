@@ -110,10 +110,10 @@ class Sweep(Shown):
         return self.again(scenario, int(self.number[i]))
 
     @property
-    def frame(self) -> Any:
+    def frame(self) -> object:
         """The table as a pandas DataFrame, a row for each run; `attrs["units"]` by column. Raises UsageError (E504)."""
         pandas = optional("pandas", "frame")
-        first: dict[str, Any] = {"number": self.number, "status": self.status.astype(object)}
+        first: dict[str, object] = {"number": self.number, "status": self.status.astype(object)}
         if self.scenarios:
             first = {"scenario": np.array(self.scenarios, dtype=object)[self.scenario], **first}
         last = {"message": self.messages, "steps": self.steps, "seed": self.seeds}
@@ -126,7 +126,7 @@ class Sweep(Shown):
         frame.attrs.update(diagram=self.name, units=dict(self.units))
         return frame
 
-    def dataset(self) -> Any:
+    def dataset(self) -> object:
         """An xarray Dataset: measures (scenario, row), signals (scenario, row, time, ...).
 
         What was varied are coordinates. Units are in `attrs`. Without scenarios there is no such dimension. Raises

@@ -177,7 +177,7 @@ def _legend(figure: Any, axis: Any, columns: int = 6, groups: Sequence[str] = ()
     handles, labels = axis.get_legend_handles_labels()
     if handles:
 
-        def place(pair: tuple[Any, str]) -> float:
+        def place(pair: tuple[object, str]) -> float:
             return next((k for k, group in enumerate(groups) if pair[1].startswith(group)), 0.5)  # below the first
 
         handles, labels = zip(*sorted(zip(handles, labels, strict=True), key=place), strict=True)
@@ -189,7 +189,7 @@ def _legend(figure: Any, axis: Any, columns: int = 6, groups: Sequence[str] = ()
 # --- over time -------------------------------------------------------------------------------------------------------
 
 
-def _bands(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], singles: int) -> Any:
+def _bands(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], singles: int) -> object:
     signals = [pair for name in names for pair in _elements(sweep, name)]
     several = len(rows) > 1
     figure, axes = new_figure(len(signals), 1, height=0.95 + _HEIGHT * len(signals), width=WIDTH, share=True)
@@ -273,7 +273,7 @@ def _lines_of_failed(axis: Any, t: Array, values: Array, rows: Sequence[_Rows]) 
 # --- distributions ---------------------------------------------------------------------------------------------------
 
 
-def _distributions(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], kind: str, bins: int | None) -> Any:
+def _distributions(sweep: Sweep, names: Sequence[str], rows: Sequence[_Rows], kind: str, bins: int | None) -> object:
     across = min(len(names), 2)
     down = -(-len(names) // across)
     figure, axes = new_figure(down, across, height=0.7 + _HEIGHT * down * (1.25 if across == 1 else 1.0), width=WIDTH)
@@ -366,7 +366,7 @@ def _numbers(values: Array) -> tuple[Array, list[str] | None]:
     return places.astype(float), [plain(str(name)) for name in names]
 
 
-def _scatter(sweep: Sweep, names: Sequence[str], against: Sequence[str], rows: Sequence[_Rows]) -> Any:
+def _scatter(sweep: Sweep, names: Sequence[str], against: Sequence[str], rows: Sequence[_Rows]) -> object:
     down, across = len(names), len(against)
     figure, axes = new_figure(down, across, height=0.75 + (_HEIGHT + 0.3) * down, width=max(WIDTH, 2.05 * across))
     axes = np.reshape(axes, (down, across))
@@ -468,7 +468,7 @@ def _ticks_on_grid(axis: Any, values: Array, edges: Array, *, is_log: bool, leas
 
 def _heat_maps(
     sweep: Sweep, names: Sequence[str], against: tuple[str, str], rows: Sequence[_Rows], bins: int | None
-) -> Any:
+) -> object:
     from matplotlib.colors import LogNorm, Normalize
 
     down, across = len(names), len(rows)
@@ -526,7 +526,7 @@ def _is_by_ratios(values: Array, limits: tuple[float, float]) -> bool:
 def _heat_map(
     axis: Any, sweep: Sweep, values: Array, against: tuple[str, str], part: _Rows, bins: int | None,
     norm: Any, least: float,
-) -> Any:  # fmt: skip
+) -> object:  # fmt: skip
     """The median of each cell; a cross where a row of it has no number. least: the distance of ticks along x."""
     axis.grid(False)
     edges, places, middles = [], [], []

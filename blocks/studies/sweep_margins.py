@@ -94,7 +94,7 @@ class Margin:
         return float(value)
 
 
-def margins_of(given: Mapping[str, Mapping[str, Any]]) -> tuple[Margin, ...]:
+def margins_of(given: Mapping[str, Mapping[str, object]]) -> tuple[Margin, ...]:
     """What `margins=` says, by the rules of study files. Raises UsageError (E501)."""
     made = []
     for name, entry in given.items():
@@ -174,7 +174,7 @@ class RowMargins:
 class _Row:
     """A row as it is linearized: points, linear models and margins that several columns share are computed once."""
 
-    def __init__(self, diagram: Diagram, case: Case, row: Mapping[str, Any], seed: int | None) -> None:
+    def __init__(self, diagram: Diagram, case: Case, row: Mapping[str, object], seed: int | None) -> None:
         self.diagram, self.seed, self.case = diagram, seed, case.updated(parameters=row)
         self.known: dict[str, Any] = {}
 
@@ -203,7 +203,7 @@ class _Row:
         )
         return made
 
-    def _once(self, what: str, margin: Margin, make: Callable[[], Any]) -> Any:
+    def _once(self, what: str, margin: Margin, make: Callable[[], object]) -> Any:
         key = f"{what} {sorted(margin.point.items())}"
         if key not in self.known:
             self.known[key] = make()

@@ -51,16 +51,16 @@ SHOWN = 3
 
 def sweep(
     diagram: Diagram,
-    vary: Any,
+    vary: object,
     case: Case,
     work: Work,
     *,
     n: int | None,
     sampler: str,
-    margins: Mapping[str, Mapping[str, Any]] | None,
-    scenarios: Mapping[str, Mapping[str, Any]] | None,
+    margins: Mapping[str, Mapping[str, object]] | None,
+    scenarios: Mapping[str, Mapping[str, object]] | None,
     max_steps: int | None,
-    on: Any,
+    on: object,
     notice: Callable[[str], None] | None,
 ) -> Sweep:
     """Return what `Diagram.sweep` gives."""
@@ -97,7 +97,7 @@ def sweep(
     made = _Made(diagram.name, rows, units, tuple(scenarios or ()), seeds, taken_measures, first.signals, again)
     warnings = dict.fromkeys(warning for batch in batches for warning in batch.warnings)
     made.begun = replace(made.begun, lanes=first.lanes, warnings=(*made.begun.warnings, *warnings))
-    key: dict[str, Any] = {"scenarios": raw_of(given), "measures": first.measures, "signals": first.signals}
+    key: dict[str, object] = {"scenarios": raw_of(given), "measures": first.measures, "signals": first.signals}
     key |= {"margins": wanted} if wanted else {}
     key |= {"lanes": first.lanes} if first.lanes else {}
     key |= {"n": n, "max_steps": max_steps, "engine": start.statistics.engine, "varied rows": _digest(rows, seeds)}
@@ -151,7 +151,7 @@ def _folder_of_workers(case: Case, work: Work) -> str:
     return "" if out.lower().endswith(".parquet") else out
 
 
-def _scenarios(scenarios: Mapping[str, Mapping[str, Any]] | None) -> dict[str, Mapping[str, Any]]:
+def _scenarios(scenarios: Mapping[str, Mapping[str, object]] | None) -> dict[str, Mapping[str, object]]:
     """Return the parameters of each scenario; one of the name "" if there are none. Raises UsageError, ModelError."""
     if not scenarios:
         return {"": {}}

@@ -193,7 +193,7 @@ def _change(before: float, after: float) -> str:
 
 
 @plots.defaults()
-def _figure(tuning: Tuning) -> Any:
+def _figure(tuning: Tuning) -> object:
     """The objective of all candidates, where the values lie in their bounds, and the sensitivities."""
     names = list(tuning.values)
     made = plots.new_figure(plots.WIDTH, 3.4 + 0.26 * len(names))
@@ -262,7 +262,7 @@ def _place(tuning: Tuning, name: str, value: float) -> float:
     return float(Space.of({name: tuning.bounds[name]}).cube(np.array([value]))[0])
 
 
-def _runs_figure(tuning: Tuning, scenario: str) -> Any:
+def _runs_figure(tuning: Tuning, scenario: str) -> object:
     """Recorded signals of a scenario before and after; None where none was recorded."""
     before, after = tuning.before[scenario], tuning.after[scenario]
     read = {name for name in before.names if before[name].ndim == 1}

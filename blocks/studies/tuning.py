@@ -106,11 +106,11 @@ class Problem:
     def batch(self) -> Batch:
         return next(iter(self.batches.values()))
 
-    def case_of(self, scenario: str, values: Mapping[str, Any]) -> Case:
+    def case_of(self, scenario: str, values: Mapping[str, object]) -> Case:
         """Return the case of a scenario, with values on top."""
         return self.case.updated(parameters={**self.scenarios[scenario], **values})
 
-    def run(self, scenario: str, values: Mapping[str, Any], seed: int | None = None) -> Results:
+    def run(self, scenario: str, values: Mapping[str, object], seed: int | None = None) -> Results:
         """A run by itself in a scenario, with all measures."""
         return self.diagram.run(self.case_of(scenario, values), seed=seed)
 
@@ -120,8 +120,8 @@ def problem_of(
     case: Case,
     *,
     minimize: str,
-    over: Mapping[str, Any],
-    scenarios: Mapping[str, Mapping[str, Any]] | None,
+    over: Mapping[str, object],
+    scenarios: Mapping[str, Mapping[str, object]] | None,
     subject_to: Sequence[str],
     optimizer: str,
     budget: int,
@@ -237,7 +237,7 @@ def _limits_effort(problem: Problem, needed: Mapping[str, Sequence[str]]) -> boo
     """Whether a measure that counts is one of effort, or one of a tuned block's output against nothing."""
     space, model = problem.space, problem.case.only("parameters", "variants")
 
-    def flat(values: Mapping[str, Any]) -> Flat:
+    def flat(values: Mapping[str, object]) -> Flat:
         return problem.diagram.flatten(model, parameters=values)
 
     first, tuned = flat({}), set[str]()

@@ -71,7 +71,7 @@ class TuningPart:
         messages = np.array(piece["messages"], dtype=object)
         return Candidates(values, measures["objective"], measures["excess"], piece["status"], piece["steps"], messages)
 
-    def _fields(self, candidates: Candidates, first: int) -> dict[str, Any]:
+    def _fields(self, candidates: Candidates, first: int) -> dict[str, object]:
         """Return the fields of a `Sweep` of these candidates, which are numbered from `first` on."""
         n, batch = len(candidates.objective), self.problem.batch
         return {
