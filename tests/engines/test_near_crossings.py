@@ -10,6 +10,7 @@ import pytest
 from blocks import (
     CompareToConstant,
     Constant,
+    Counter,
     Diagram,
     Expression,
     Integrator,
@@ -18,6 +19,7 @@ from blocks import (
     Results,
     Saturation,
     SecondOrder,
+    Sine,
     Sum,
     ZeroOrderHold,
 )
@@ -116,3 +118,28 @@ def test_two_sides_that_change_at_a_tick_and_just_behind_it_change_in_one_instan
     results = d.run(stop=1.5, every=0.05, method="rk4", step=0.01, engine=engine)
     assert [(event.t, event.block) for event in results.events if event.t > 0.9] == [(1.0, "first"), (1.0, "second")]
     assert results["held.y"][results.t == 1.0].tolist() == [0.0]
+
+
+@pytest.mark.parametrize("engine", ["reference", "native"])
+@pytest.mark.parametrize(
+    "settings",
+    [{"method": "rk4", "step": 0.01}, {"method": "euler", "step": 0.03}, {"method": "dopri5"}],
+    ids=["rk4", "euler", "dopri5"],
+)
+def test_a_pause_some_ulp_from_a_crossing_fires_it_once(settings: dict[str, Any], engine: str) -> None:
+    d = Diagram("paused")
+    wave = d.add("wave", Sine(omega=math.pi))
+    for name, block in (("relay", Relay(on_at=0.0, off_at=0.0)), ("counter", Counter(threshold=0.0))):
+        d.wire(d.add(name, block).u, wave.y)
+    d.wire(d.add("integral", Integrator()).u, wave.y)
+    expected = d.run(stop=5.5, engine=engine, **settings).events
+    assert len(expected) == 7
+    for ulps in range(-6, 7):
+        run = d.start(stop=5.5, engine=engine, **settings)
+        for event in expected:
+            pause = event.t + ulps * math.ulp(event.t)
+            if pause > run.t:
+                run.advance_to(pause)
+        events = run.finish().events
+        assert [event.block for event in events] == [event.block for event in expected], ulps
+        assert [event.t for event in events] == pytest.approx([event.t for event in expected], rel=1e-14), ulps

@@ -758,6 +758,8 @@ class ReferenceEngine:
         first, first_length, was_first, is_whole = None, 1.0, False, True
         for part in self.inside.parts("crossings", now, dense, now.t, t1, self._crossing_values, x1=x1, first=before):
             table, length = part.table, part.end - part.begin
+            if first is None:
+                touches.begin(table[0], 3.5 * math.ulp(now.t) / h)
             touches.enter(table, length)
             while True:
                 change = event_location.first_change(table, sides, evaluate, touches.changed, part.begin, part.end)

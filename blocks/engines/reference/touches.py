@@ -50,6 +50,10 @@ class Touches:
         self.until = np.full(len(sides), -math.inf)  # up to where a change of each side is a touch
         self.judged = np.zeros(len(sides), dtype=bool)  # at the end of a step that a crossing has cut
 
+    def begin(self, values: Array, reach: float) -> None:
+        """Let sides that have changed just before their values do, as they joined an instant, stay up to a place."""
+        self.until[(values >= 0) != self.sides] = reach
+
     def enter(self, table: Array, length: float) -> None:
         """Go on to a part of the step, which has the values (5, m) and is `length` long."""
         self.table, self.length, self.size = table, length, np.abs(table).max(axis=0)
@@ -73,7 +77,8 @@ class Touches:
         touches = [self._is_touch(int(j), change.low, change.high) for j in suspects]
         if change.low == 0.0:
             # Some begin beyond their side, where a step before has left them as touches.
-            begin = self.changed(0.0, table[0]) & ~self.changed(change.high, change.values)
+            begin = ((table[0] >= 0) != self.sides) & (self.until < self.resolution)
+            begin &= ~self.changed(change.high, change.values)
             touches += [self._is_touch(int(j), 0.0, 0.0) for j in np.nonzero(begin)[0]]
         return any(touches)
 

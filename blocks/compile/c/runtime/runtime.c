@@ -1686,7 +1686,8 @@ static int finds_touch(Parts *p, double low, double high)
     for (int j = 0; j < n; j++) {
         if (!has_changed(s, j, s->distances[j], high)) {
             /* It begins beyond its side, where a step before has left it as a touch. */
-            if (low == 0.0 && has_changed(s, j, p->values[j], 0.0)) any |= is_touch(p, j, 0.0, 0.0);
+            if (low == 0.0 && (p->values[j] >= 0) != (s->memory.s[j] > 0.0) && s->until[j] < 4 * blocks_ulp(p->t0) / p->h)
+                any |= is_touch(p, j, 0.0, 0.0);
             continue;
         }
         double most = largest_of(p, j);
@@ -1800,6 +1801,9 @@ static int up_to_crossing(BlocksSim *s, double *t1, double h_dense, double targe
     if (s->sides_t == s->t) memcpy(p.values, s->sides, (size_t)n * sizeof(double)), p.knows_begin = 1;
     for (int j = 0; j < n; j++) s->until[j] = -INFINITY;
     while (!found && (got = next_part(&p)) > 0) {
+        /* Sides that have changed just before their values do, as they joined an instant, stay. */
+        for (int j = 0; j < n && is_first; j++)
+            if ((p.values[j] >= 0) != (s->memory.s[j] > 0.0)) s->until[j] = 3.5 * blocks_ulp(s->t) / h;
         do found = first_change(&p, &low, &high);
         while (found == 1 && finds_touch(&p, low, high));
         if (found == -1) return no_memory(s);
