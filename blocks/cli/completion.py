@@ -74,7 +74,8 @@ def words_after(words: list[str]) -> tuple[str, list[str]]:
     parser = next(each for each in _subparsers(_parser(before[0])) if each.prog.endswith(f" {before[0]}"))
     parser, action, given = _after(parser, before[1:])
     if action is None and last.startswith("-"):
-        return _matching(last, (option for each in parser._actions for option in each.option_strings))
+        shown = (each for each in parser._actions if each.help != argparse.SUPPRESS)
+        return _matching(last, (option for each in shown for option in each.option_strings))
     if action is None:
         if inner_names := [each.prog.rpartition(" ")[2] for each in _subparsers(parser)]:
             return _matching(last, inner_names)

@@ -89,11 +89,16 @@ def takes_work(verb: argparse.ArgumentParser, what: str) -> None:
     verb.add_argument("-o", "--out", metavar="FILE", help=out)
     restart = "start over: do not continue from the partial file of --out"
     verb.add_argument("--restart", action="store_true", help=restart)
-    verb.add_argument("--anew", action=_Renamed, nargs=0, help=argparse.SUPPRESS, const="--restart")
+    is_renamed(verb, "--anew", "--restart", nargs=0)
+
+
+def is_renamed(verb: argparse.ArgumentParser, old: str, new: str, nargs: int = 1) -> None:
+    """Refuse an option of blocks 0.1 by naming the one that took its place. nargs: the values that it had."""
+    verb.add_argument(old, action=_Renamed, nargs=nargs, help=argparse.SUPPRESS, const=new)
 
 
 class _Renamed(argparse.Action):
-    """An option of blocks 0.1 that has another name."""
+    """An option that is refused; const: the option to write."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         parser.error(f"{self.option_strings[0]} is now {self.const}")

@@ -14,6 +14,7 @@ from ..text.quantity_text import value_in
 from .option_values import as_options, assignments, case_of, check_writable, number_of
 from .options import (
     Verbs,
+    is_renamed,
     takes_engine,
     takes_inputs,
     takes_json,
@@ -68,6 +69,7 @@ def add(verbs: Verbs) -> None:
     verb.add_argument(
         "--max-steps", metavar="N", help="the largest number of steps of a run (default: 1000 times the median)"
     )
+    is_renamed(verb, "--budget", "--max-steps")
     takes_work(verb, "rows")
     address = "run the rows on the workers of this dask scheduler; --out may be a folder or a URL that they write to"
     plot = "draw bands of --log over time, or histograms of the measures: .svg, .png, .pdf"

@@ -85,10 +85,10 @@ def _tune(options: argparse.Namespace) -> int:
     if options.report is not None:
         plots.check_loads()
     diagram = Diagram.load(options.diagram, library=options.library)
-    places = {name: f"--{name}" for name in ("minimize", "optimizer", "budget", "seed", "threads", "lanes")}
+    places = {name: f"--{name}" for name in ("minimize", "method", "optimizer", "budget", "seed", "threads", "lanes")}
     places["search_seed"] = "--search-seed"
     places |= {f"subject_to[{k}]": f"--subject-to {text}" for k, text in enumerate(options.subject_to)}
-    with as_options(places):
+    with as_options(places, {r'optimizer="(\w+)"': r"--optimizer \1"}):
         problem = _problem(options, diagram)
     tell_faults(problem.warnings, options.json)
     threads = None if options.threads is None else _whole("threads", options.threads)

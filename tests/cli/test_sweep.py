@@ -178,3 +178,23 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path: Path) 
     assert whole.counts() == {"ok": 250}
     done = half.status == "ok"
     np.testing.assert_array_equal(half.measures["ITAE"][done], whole.measures["ITAE"][done])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["sweep", MOTOR, "--vary", "kp=1,2", "--anew"], "E501 blocks sweep: --anew is now --restart."),
+        (["sweep", MOTOR, "--vary", "kp=1,2", "--budget", "9"], "E501 blocks sweep: --budget is now --max-steps."),
+        (
+            ["tune", MOTOR, "--minimize", "ITAE", "--over", "kp=1,2", "--anew"],
+            "E501 blocks tune: --anew is now --restart.",
+        ),
+        (
+            ["tune", MOTOR, "--minimize", "ITAE", "--over", "kp=1,2", "--method", "de"],
+            'E501 --method: "de" is an optimizer, and method integrates the runs. Write --optimizer de.',
+        ),
+    ],
+)
+def test_options_that_have_another_name_now_say_so(words: list[str], message: str, capsys: Any) -> None:
+    assert main(words) == 2
+    assert capsys.readouterr().err.startswith(message)
