@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from itertools import islice
@@ -531,13 +531,34 @@ class _Flattener:
         if type_ not in MEASURES:
             cure = self.faults.guess(type_, MEASURES) or f"Measures: {', '.join(MEASURES)}."
             refuse("type", f"there is no measure {quoted(type_)}.", cure)
-        operands: dict[str, FlatSignal] = {}
-        complete = True
         if not self.diagram.is_before_3:  # "30 rpm" names no signal
             raw = {**raw, **{key: read_quantity(raw[key]) for key in MEASURE_NUMBERS if key in raw}}
-        given = {"of": raw.get("of"), "against": raw.get("against")}
+        operands, complete = self._operands(raw, signals, refuse)
+        against: str | float = operands["against"].name if "against" in operands else 0.0
+        if "against" in raw and "against" not in operands and complete:
+            signal = operands.get("of")
+            unit = "" if signal is None else signal.unit if self.diagram.is_before_3 else signal.declared_unit
+            number = self.number(name, "against", raw["against"], unit)
+            against = 0.0 if number is None else number
+        window = self._window(name, raw, type_, refuse)
+        if type_ in ("overshoot", "settling_time", "rise_time") and "against" not in raw:
+            refuse("type", f"{type_} needs the target value.", 'Add "against": a number or a signal.')
+        if len(operands) == 2 and not units.same_quantity(operands["of"].unit, operands["against"].unit):
+            shown = " and ".join(f"{signal.name} [{signal.unit}]" for signal in operands.values())
+            cure = "A measure of a difference needs two signals of the same quantity."
+            refuse("against", f"{shown} are different quantities.", cure, "E104")
+        if len(self.faults) > before or not complete:
+            return None
+        return MeasureSpec(name, type_, operands["of"].name, against, *window.values())
+
+    def _operands(
+        self, raw: Mapping[str, Any], signals: Mapping[str, FlatSignal], refuse: Callable[..., None]
+    ) -> tuple[dict[str, FlatSignal], bool]:
+        """Return the signals of a measure by key, and whether there are all that it names."""
+        operands: dict[str, FlatSignal] = {}
+        complete = True
         for key in ("of", "against"):
-            text = given[key]
+            text = raw.get(key)
             if not isinstance(text, str) or (key == "against" and is_expression(text)):
                 continue
             signal = element_of(text, signals)
@@ -551,12 +572,12 @@ class _Flattener:
                 refuse(key, f"{text} has {math.prod(signal.shape)} elements, but a measure needs one.", cure, "E110")
             else:
                 operands[key] = signal
-        against: str | float = operands["against"].name if "against" in operands else 0.0
-        if "against" in raw and "against" not in operands and complete:
-            signal = operands.get("of")
-            unit = "" if signal is None else signal.unit if self.diagram.is_before_3 else signal.declared_unit
-            number = self.number(name, "against", given["against"], unit)
-            against = 0.0 if number is None else number
+        return operands, complete
+
+    def _window(
+        self, name: str, raw: Mapping[str, Any], type_: str, refuse: Callable[..., None]
+    ) -> dict[str, float]:
+        """Return the window, the band and omega of a measure."""
         window = {"from": -math.inf, "to": math.inf, "band": 0.02, "omega": 0.0}
         for key in window:
             if key in raw:
@@ -575,15 +596,7 @@ class _Flattener:
             message = "needs omega, the frequency of its fundamental." if type_ == "THD" else "does not use omega."
             cure = 'Add "omega" in rad/s.' if type_ == "THD" else "Leave it out: omega belongs to THD."
             refuse("omega" if "omega" in raw else "type", f"{type_} {message}", cure)
-        if type_ in ("overshoot", "settling_time", "rise_time") and "against" not in raw:
-            refuse("type", f"{type_} needs the target value.", 'Add "against": a number or a signal.')
-        if len(operands) == 2 and not units.same_quantity(operands["of"].unit, operands["against"].unit):
-            shown = " and ".join(f"{signal.name} [{signal.unit}]" for signal in operands.values())
-            cure = "A measure of a difference needs two signals of the same quantity."
-            refuse("against", f"{shown} are different quantities.", cure, "E104")
-        if len(self.faults) > before or not complete:
-            return None
-        return MeasureSpec(name, type_, operands["of"].name, against, *window.values())
+        return window
 
     def number(self, name: str, key: str, raw: object, unit: str) -> float | None:
         """A number of a measure in SI; None after a fault was reported."""

@@ -10,7 +10,7 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -108,7 +108,7 @@ def fit(
     level: float,
 ) -> Fit:
     """Return what `Diagram.fit` gives."""
-    from scipy import optimize, stats
+    from scipy import stats
 
     chosen = case.only("parameters", "variants")
     space = Space.of(over, units_of_parameters(diagram, chosen))
@@ -137,64 +137,19 @@ def fit(
     def run(values: Array | None) -> Results:
         return model.run(parameters={} if values is None else raw_values(varied, values.tolist()))
 
-    before = run(None)
-    known = {name: np.isfinite(data) for name, data in measured.items()}
-    for name in compare:
-        if before[name].ndim != 1:
-            message, cure = (
-                "is a vector, but only single numbers can be compared.",
-                f'Compare its elements: "{name}[0]".',
-            )
-            raise UsageError(Fault("E501", legible(str(name)), message, cure))
+    before, residuals = run(None), _Residuals(run, space, t, measured)
     for name, column in compare.items():
-        count = sum(map(np.count_nonzero, known.values())) if known[name].any() else 0
-        if count < len(over):
-            message = f"has {count} values, too few for {len(over)} parameters."
-            raise UsageError(Fault("E501", legible(str(column)), message, "Give data with more rows."))
-    weights = {name: 1.0 / (float(np.std(data[known[name]])) or 1.0) for name, data in measured.items()}
-
-    def residuals(cube: Array) -> Array:
-        try:
-            results = run(space.values(np.clip(cube, 0.0, 1.0), digits=17))
-        except SimulationError:
-            return np.full(sum(map(np.count_nonzero, known.values())), FAILED)
-        rest = [(at_times(results, name, t) - data)[known[name]] * weights[name] for name, data in measured.items()]
-        return np.nan_to_num(np.concatenate(rest), nan=FAILED)
-
-    def jacobian(cube: Array) -> Array:
-        low, high = np.clip(cube - STEP, 0.0, 1.0), np.clip(cube + STEP, 0.0, 1.0)
-        made = []
-        for k in range(len(cube)):
-            a, b = cube.copy(), cube.copy()
-            a[k], b[k] = low[k], high[k]
-            made.append((residuals(b) - residuals(a)) / (high[k] - low[k]))
-        return np.array(made).T
-
+        _check_compared(name, column, before, residuals, len(over))
     start = np.clip(space.cube(np.array([column.value for column in varied])), STEP, 1 - STEP)
-    ends = np.cumsum([np.count_nonzero(each) for each in known.values()])[:-1]
-    least = {name: EXACT / weight for name, weight in weights.items()}
-    is_at_rest = False
-    for _ in range(MOST_ROUNDS):
-        found = optimize.least_squares(residuals, start, jacobian, bounds=(0.0, 1.0), x_scale="jac")
-        leverage = [float(np.sum(part)) for part in np.split(_leverages(found.jac), ends)]
-        spare = {name: each.sum() - used for (name, each), used in zip(known.items(), leverage, strict=True)}
-        parts = zip(spare.items(), np.split(found.fun, ends), strict=True)
-        deviations = {name: _deviation(part, free) / weights[name] for (name, free), part in parts}
-        if is_at_rest := len(compare) == 1:
-            break
-        old, start = weights, np.clip(found.x, STEP, 1 - STEP)
-        weights = {name: 1.0 / max(x, least[name]) if x >= 0 else old[name] for name, x in deviations.items()}
-        if is_at_rest := all(abs(weights[name] / old[name] - 1.0) < RESTING for name in weights):
-            weights = old  # those of the residuals that were found
-            break
+    found, spare, deviations, is_at_rest = residuals.least(start)
     names = list(over)
     free = len(found.fun) - len(names)
     # Slopes in the units of the values; the residuals have the deviation s.
-    slopes = jacobian(found.x) / space.slopes(found.x)
+    slopes = residuals.jacobian(found.x) / space.slopes(found.x)
     s = math.sqrt(float(found.fun @ found.fun) / free) if free > 0 else math.inf
     errors, correlation, alike = _judged(slopes, s)
     values = space.values(found.x, digits=_digits(space.values(found.x), errors))
-    after, degrees = run(values), _degrees(slopes, ends, [*spare.values()])
+    after, degrees = run(values), _degrees(slopes, residuals.ends, [*spare.values()])
     reach = np.where(degrees > 0, stats.t.ppf(0.5 + level / 2, np.where(degrees > 0, degrees, 1.0)), math.inf)
     warnings = [*early, *alike_faults(names, alike)]
     if not is_at_rest:
@@ -220,6 +175,80 @@ def fit(
         parameters=given, targets={c.name: tuple(target.path for target in c.targets) for c in varied},
         variants=dict(case.variants), warnings=tuple(warnings),
     )  # fmt: skip
+
+
+class _Residuals:
+    """Weighed residuals of the compared signals, at points of the cube of values; FAILED where a run fails.
+
+    run: gives the results of values (k,). measured: by signal (n,), in SI, at t (n,) in s; nan: no value.
+    """
+
+    def __init__(
+        self, run: Callable[[Array], Results], space: Space, t: Array, measured: Mapping[str, Array]
+    ) -> None:
+        self.run, self.space, self.t, self.measured = run, space, t, measured
+        self.known = {name: np.isfinite(data) for name, data in measured.items()}
+        self.counts = [int(np.count_nonzero(each)) for each in self.known.values()]
+        self.ends = np.cumsum(self.counts)[:-1]
+        self.weights = dict.fromkeys(measured, 1.0)
+        for name, known in self.known.items():
+            if known.any():
+                self.weights[name] = 1.0 / (float(np.std(measured[name][known])) or 1.0)
+
+    def __call__(self, cube: Array) -> Array:
+        try:
+            results = self.run(self.space.values(np.clip(cube, 0.0, 1.0), digits=17))
+        except SimulationError:
+            return np.full(sum(self.counts), FAILED)
+        rest = [
+            (at_times(results, name, self.t) - data)[self.known[name]] * self.weights[name]
+            for name, data in self.measured.items()
+        ]
+        return np.nan_to_num(np.concatenate(rest), nan=FAILED)
+
+    def jacobian(self, cube: Array) -> Array:
+        """Return central differences (n, k)."""
+        low, high = np.clip(cube - STEP, 0.0, 1.0), np.clip(cube + STEP, 0.0, 1.0)
+        columns = []
+        for k in range(len(cube)):
+            a, b = cube.copy(), cube.copy()
+            a[k], b[k] = low[k], high[k]
+            columns.append((self(b) - self(a)) / (high[k] - low[k]))
+        return np.array(columns).T
+
+    def least(self, start: Array) -> tuple[Any, dict[str, float], dict[str, float], bool]:
+        """Find the least squares, with weights that follow from the fit before until they rest.
+
+        Return SciPy's result, by signal the spare degrees of freedom and the deviation, and whether the weights rest.
+        """
+        from scipy import optimize
+
+        smallest = {name: EXACT / weight for name, weight in self.weights.items()}
+        for _ in range(MOST_ROUNDS):
+            found = optimize.least_squares(self, start, self.jacobian, bounds=(0.0, 1.0), x_scale="jac")
+            leverage = [float(np.sum(part)) for part in np.split(_leverages(found.jac), self.ends)]
+            spare = {name: each.sum() - used for (name, each), used in zip(self.known.items(), leverage, strict=True)}
+            parts = zip(spare.items(), np.split(found.fun, self.ends), strict=True)
+            deviations = {name: _deviation(part, free) / self.weights[name] for (name, free), part in parts}
+            if len(self.measured) == 1:
+                return found, spare, deviations, True
+            old, start = self.weights, np.clip(found.x, STEP, 1 - STEP)
+            new = {name: 1.0 / max(x, smallest[name]) if x >= 0 else old[name] for name, x in deviations.items()}
+            if all(abs(new[name] / old[name] - 1.0) < RESTING for name in new):
+                return found, spare, deviations, True  # the weights stay those of the residuals that were found
+            self.weights = new
+        return found, spare, deviations, False
+
+
+def _check_compared(name: str, column: str, before: Results, residuals: _Residuals, count: int) -> None:
+    """Raise UsageError (E501) for a signal or a column that cannot be compared. count: of parameters."""
+    if before[name].ndim != 1:
+        message = "is a vector, but only single numbers can be compared."
+        raise UsageError(Fault("E501", legible(str(name)), message, f'Compare its elements: "{name}[0]".'))
+    known = sum(residuals.counts) if residuals.known[name].any() else 0
+    if known < count:
+        message = f"has {known} values, too few for {count} parameters."
+        raise UsageError(Fault("E501", legible(str(column)), message, "Give data with more rows."))
 
 
 def at_times(results: Results, name: str, t: Array) -> Array:

@@ -115,20 +115,10 @@ class Problem:
         return self.diagram.run(self.case_of(scenario, values), seed=seed)
 
 
-def problem_of(
-    diagram: Diagram,
-    case: Case,
-    *,
-    minimize: str,
-    over: Mapping[str, object],
-    scenarios: Mapping[str, Mapping[str, object]] | None,
-    subject_to: Sequence[str],
-    optimizer: str,
-    budget: int,
-    search_seed: int,
-    lanes: str,
-) -> Problem:
-    """Return the tuning of these arguments (of `tune`), checked: the diagram itself has run in every scenario."""
+def _check_search(
+    case: Case, scenarios: Mapping[str, Mapping[str, Any]] | None, optimizer: str, budget: int, search_seed: int
+) -> None:
+    """Raise UsageError (E501, E504) for arguments of the search that cannot be."""
     if case.settings.get("method") in METHODS:
         name = case.settings["method"]
         cure = f'Write optimizer="{name}".'
@@ -150,6 +140,23 @@ def problem_of(
             raise UsageError(
                 Fault("E501", f"scenarios.{name}", "must be a mapping from parameters to values.", _SCENARIOS)
             )
+
+
+def problem_of(
+    diagram: Diagram,
+    case: Case,
+    *,
+    minimize: str,
+    over: Mapping[str, object],
+    scenarios: Mapping[str, Mapping[str, object]] | None,
+    subject_to: Sequence[str],
+    optimizer: str,
+    budget: int,
+    search_seed: int,
+    lanes: str,
+) -> Problem:
+    """Return the tuning of these arguments (of `tune`), checked: the diagram itself has run in every scenario."""
+    _check_search(case, scenarios, optimizer, budget, search_seed)
     scenarios = dict(scenarios) if scenarios else {"nominal": {}}
     measures = tuple(diagram.value.measures)
     model = case.only(*ModelWords.__annotations__)

@@ -383,7 +383,7 @@ class Stopper:
     def __init__(self, n: int) -> None:
         self.n = n
 
-    def __call__(self, t: float) -> None:
+    def __call__(self, t: float, _: float) -> None:
         self.n -= 1
         if self.n == 0:
             raise KeyboardInterrupt
@@ -414,7 +414,7 @@ def test_an_interrupted_run_can_go_on_as_if_nothing_had_been(settings: dict[str,
     class Each:
         armed = False
 
-        def __call__(self, t: float) -> None:
+        def __call__(self, t: float, _: float) -> None:
             self.armed = not self.armed
             if self.armed:
                 raise KeyboardInterrupt
@@ -486,7 +486,7 @@ def test_ctrl_c_at_any_moment_leaves_a_run_that_can_be_read_and_goes_on() -> Non
 
 
 def test_an_error_in_the_progress_callback_is_the_caller_s() -> None:
-    def progress(t: float) -> None:
+    def progress(t: float, _: float) -> None:
         raise ValueError("mine")
 
     with pytest.raises(ValueError, match="mine"):
@@ -500,7 +500,7 @@ def test_a_failure_of_another_run_that_progress_makes_stays_that_of_the_other(en
     other.wire("x.u", other.input("u"))
     told: list[SimulationError] = []
 
-    def progress(t: float) -> None:
+    def progress(t: float, _: float) -> None:
         try:
             other.run(inputs={"u": 1.7e308}, stop=10.0, method="euler", step=1.0)
         except SimulationError as error:
@@ -516,7 +516,7 @@ def test_a_failure_of_another_run_that_progress_makes_stays_that_of_the_other(en
 
 def test_progress_is_called_with_rising_times_once_a_step() -> None:
     seen: list[float] = []
-    results = busy().run(stop=1.0, progress=seen.append)
+    results = busy().run(stop=1.0, progress=lambda t, stop: seen.append(t))
     assert len(seen) == results.statistics.steps
     assert seen == sorted(set(seen))
     assert seen[-1] == 1.0
@@ -530,7 +530,7 @@ def test_progress_may_read_the_run_after_each_step_also_before_an_instant(settin
     runs: list[Any] = []
     counts: list[int] = []
 
-    def look(t: float) -> None:
+    def look(t: float, _: float) -> None:
         (run,) = runs
         assert run.t == t
         assert math.isfinite(run["ball.h"])

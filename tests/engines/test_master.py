@@ -646,7 +646,7 @@ class Stopper:
     def __init__(self, t: float) -> None:
         self.t = t
 
-    def __call__(self, t: float) -> None:
+    def __call__(self, t: float, _: float) -> None:
         if t >= self.t:
             self.t = math.inf
             raise KeyboardInterrupt

@@ -216,7 +216,7 @@ def test_an_interrupted_run_has_the_measures_whose_windows_it_covers() -> None:
     diagram.measure("first", "ISE", "b.x", stop=0.5)
     diagram.measure("cut", "ISE", "b.x", stop=6.0)
 
-    def stops(t: float) -> None:
+    def stops(t: float, _: float) -> None:
         if 1.0 < t < 6.0:
             raise KeyboardInterrupt
 

@@ -740,7 +740,7 @@ def test_an_interrupt_comes_between_steps(fmi: int, engine: str) -> None:
         whole.advance_to(k / 20)
     interrupts = 0
 
-    def interrupt(t: float) -> None:
+    def interrupt(t: float, _: float) -> None:
         if t < 0.02:
             os.kill(os.getpid(), signal.SIGINT)
 

@@ -336,7 +336,7 @@ def test_a_process_with_little_memory_ends_its_run_and_not_itself(settings: dict
 def test_no_memory_in_the_middle_of_a_step_is_an_error_with_results(
     engine: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def progress(t: float) -> None:
+    def progress(t: float, _: float) -> None:
         if t > 0.5:
             raise MemoryError
 

@@ -374,7 +374,7 @@ def test_an_interrupt_while_progress_is_told_is_not_lost(engine: str, master: di
     """Also where it comes with the last moment of the run, as a short one has only one."""
     told = []
 
-    def progress(t: float) -> None:
+    def progress(t: float, _: float) -> None:
         if not told:
             told.append(t)
             os.kill(os.getpid(), signal.SIGINT)

@@ -176,7 +176,7 @@ def test_a_run_to_its_end_warns_while_it_goes_on(monkeypatch: pytest.MonkeyPatch
     seen: list[tuple[str, float]] = []
     times: list[float] = []
     monkeypatch.setattr(warnings, "warn", lambda text, *_, **__: seen.append((text, times[-1])))
-    results = lag(1e-3).run(stop=4, progress=times.append, engine="reference")
+    results = lag(1e-3).run(stop=4, progress=lambda t, stop: times.append(t), engine="reference")
     ((said, t),) = seen
     assert said == str(results.warnings[0])
     assert t < 2.0
