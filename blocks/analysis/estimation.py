@@ -22,7 +22,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ..api.case import Case, Words, case_of, takes
+from ..api.case import Case, RunWords, case_of, takes
 from ..api.diagram import Diagram
 from ..api.given_values import at_rest
 from ..api.ports import PortName
@@ -198,7 +198,7 @@ def _band(signal: object, low: float, high: float) -> None:
 # --- estimating ------------------------------------------------------------------------------------------------
 
 
-@takes(Words)
+@takes(RunWords)
 def estimate_response(
     diagram: Diagram,
     u: PortName | str,
@@ -209,7 +209,7 @@ def estimate_response(
     model: object = None,
     tolerance: float = 1e-5,
     progress: Callable[[int, int], None] | None = None,
-    **words: Unpack[Words],
+    **words: Unpack[RunWords],
 ) -> Response:
     """The frequency response from one signal of a diagram to others, by simulation.
 
@@ -231,7 +231,7 @@ def estimate_response(
     Raises UsageError (E501), AnalysisError (E708) where a run fails or nothing comes out, and what runs raise before.
     """
     names = [_text(diagram, name) for name in ([y] if isinstance(y, (str, PortName)) else y)]
-    case = case_of(case, words)
+    case = case_of(case_of(case, {}).without(*RESERVED), words, RunWords)
     estimation = _Estimation(diagram, _text(diagram, u), names, signal, model, case, tolerance, progress)
     if isinstance(signal, SineStream):
         return estimation.sines(signal)
@@ -332,7 +332,7 @@ class _Estimation:
         value = self.diagram.value
         run = {key: raw for key, raw in value.run.items() if key not in RESERVED}
         self.diagram._draft.value = replace(value, run=run, measures={})
-        self.case, self.tolerance = case.only("parameters", "engine", "trust"), tolerance
+        self.case, self.tolerance = case.only("parameters", "engine", "trust", "interpolation"), tolerance
         self.progress = progress or (lambda done, total: None)
         self.listener = " "  # the name of the block that listens, once there is one
         self.flat = self.diagram.flatten(case.without("variants", "measures"))

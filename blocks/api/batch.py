@@ -38,7 +38,7 @@ from .case import Case
 from .given_values import picked, time_of
 from .lanes import Lanes, no_lanes
 from .prepared_model import PreparedModel
-from .run import Run, RunOptions, input_table
+from .run import Run, RunOptions, check_inputs, input_table
 
 if TYPE_CHECKING:
     from ..contract.block import Block
@@ -121,7 +121,7 @@ class Batch(Shown):
         of_all = case.parameters
         parameters = {**given_values(kept, resolver, of_all)}
         first = Prepared.of(kept, resolver, parameters, settings, trust=case.trust)
-        input_table(first.plan, case.inputs, case.interpolation)  # what is wrong with them is wrong for all rows
+        check_inputs(first.plan, case.inputs, case.interpolation)
         run = first.plan.settings
         if run.stop is None:
             cure = 'Give stop=..., or "stop" in the file\'s "run".'

@@ -4,22 +4,27 @@
     diagram.run(case)
     diagram.sweep({"Jeq": [0.2, 0.3]}, case, measures=["ITAE"])
 
-Each verb of a Diagram takes a case, the words that make one, or both: words go on top of the case. The TypedDicts here
-are the one list of these words: type checkers, `check_words` and the command line read it.
+Each method of a Diagram takes a case, the words that make one, or both: words go on top of the case. The TypedDicts
+here are the one list of these words: type checkers, `check_words` and the command line read it.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, TypedDict, TypeVar, Unpack
+from types import MappingProxyType
+from typing import Any, NoReturn, TypedDict, TypeVar, Unpack
 
-from ..model.diagram_grammar import RUN
+import numpy as np
+
+from ..model.copies import spellings
 from ..model.diagram_value import DiagramValue
-from ..model.trust import Paths
+from ..model.trust import Paths, paths_of
 from ..model.variants import taken
 from ..text.errors import Fault, UsageError, check_mappings, did_you_mean
 from ..text.printable import legible
@@ -76,20 +81,10 @@ class Words(_Model, _Inputs, _Run, Settings, total=False):
     """All words of a case."""
 
 
-class FitWords(PointWords, total=False):
-    """What the runs of a fit follow from."""
+class RunWords(PointWords, total=False):
+    """What a run follows from, but for what is measured of it."""
 
     engine: str | None
-
-
-class LiveWords(TypedDict, total=False):
-    """What a live run begins with."""
-
-    parameters: Mapping[str, Any] | None
-    inputs: Inputs | None
-    variants: Mapping[str, str] | None
-    engine: str | None
-    trust: Paths
 
 
 class ManyWords(Words, total=False):
@@ -107,10 +102,10 @@ MERGED = ("parameters", "inputs", "variants")
 FIXED = ("variants", "measures", "engine", "trust")
 """Words that a prepared model does not change."""
 _OLD = {
-    "held": (PointWords, "inputs"), "outputs": (PointWords, "y"), "budget": (ManyWords, "max_steps"),
-    "resume": (ManyWords, "restart"),
+    "held": "inputs=", "outputs": "y=", "budget": "max_steps=", "resume": "restart=True in place of resume=False",
+    "anew": "restart=",
 }  # fmt: skip
-"""Words of blocks 0.1: the words of the verbs that had them, and the word that they have now."""
+"""Arguments of blocks 0.1, and how they are written now; each counts where the new one exists."""
 _Verb = TypeVar("_Verb", bound=Callable[..., Any])
 
 
@@ -131,7 +126,7 @@ def takes(kind: type) -> Callable[[_Verb], _Verb]:
 
 
 class Case:
-    """What a diagram is run with: a frozen value, which all verbs of a Diagram take.
+    """What a diagram is run with: a frozen value, which all methods of a Diagram take.
 
     parameters: values by path ("motor.Ra"), pattern ("control_*.eso.Ka") or element ("pid.k[0]"), in place of those of
     the file. inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file, or a list of
@@ -155,13 +150,13 @@ class Case:
     def __init__(self, **words: Unpack[Words]) -> None:
         """Make a case. Raises UsageError (E501) for a word that is not known, or a value of the wrong kind."""
         check_words(words, Words)
-        object.__setattr__(self, "words", _plain(words))
+        object.__setattr__(self, "words", MappingProxyType(_plain(words)))
 
     @classmethod
-    def _of(cls, words: Mapping[str, object]) -> Case:
+    def _of(cls, words: dict[str, Any]) -> Case:
         """Return a case of words that are in the form of files already."""
         case = object.__new__(cls)
-        object.__setattr__(case, "words", words)
+        object.__setattr__(case, "words", MappingProxyType(words))
         return case
 
     def updated(self, **words: Unpack[Words]) -> Case:
@@ -174,7 +169,9 @@ class Case:
         for word in MERGED:
             if word in self.words and word in words:
                 own, given = self.words[word], words[word]
-                if isinstance(own, Mapping) and isinstance(given, Mapping):
+                if word == "parameters":
+                    merged[word] = {**{name: own[name] for name in own if not _is_covered(name, given)}, **given}
+                elif isinstance(own, Mapping) and isinstance(given, Mapping):
                     merged[word] = {**own, **given}
                 else:  # inputs from files; later ones count
                     merged[word] = [*sources(own), *sources(given)]
@@ -197,10 +194,14 @@ class Case:
     def inputs(self) -> Inputs | None:
         return self.words.get("inputs")
 
-    def named_inputs(self) -> Mapping[str, object]:
-        """Return the inputs, which are values by name here. Raises UsageError (E501) for others."""
-        check_mappings(inputs=self.inputs)
-        return self.words.get("inputs", {})  # type: ignore[no-any-return]
+    def named_inputs(self) -> dict[str, object]:
+        """Return the inputs by name. Raises UsageError (E501) if some are in files."""
+        named: dict[str, object] = {}
+        for source in sources(self.inputs):
+            check_mappings(inputs=source)
+            assert isinstance(source, Mapping)
+            named |= source
+        return named
 
     @property
     def interpolation(self) -> str:
@@ -238,12 +239,12 @@ class Case:
         raise AttributeError(f"a case is frozen; use case.updated({name}=...)")
 
     def __eq__(self, other: object) -> bool:
-        return self.words == other.words if isinstance(other, Case) else NotImplemented
+        return key_of(self.words) == key_of(other.words) if isinstance(other, Case) else NotImplemented
 
     __hash__ = None  # type: ignore[assignment]
 
     def __reduce__(self) -> Any:
-        return Case._of, (dict(self.words),)
+        return Case._of, (_owned(self.words),)
 
     def __repr__(self) -> str:
         return f"Case({', '.join(f'{word}={value!r}' for word, value in self.words.items())})"
@@ -285,7 +286,7 @@ def case_and_work(case: Case | None, words: Mapping[str, Any], *less: str) -> tu
     check_words(words, ManyWords, less)
     own = {word: value for word, value in words.items() if word in Work.__dataclass_fields__}
     rest = {word: value for word, value in words.items() if word not in own}
-    return case_of(case, rest), Work(**own)
+    return case_of(case, rest).without(*less), Work(**own)
 
 
 def check_words(words: Mapping[str, object], kind: type, less: Sequence[str] = ()) -> None:
@@ -294,29 +295,108 @@ def check_words(words: Mapping[str, object], kind: type, less: Sequence[str] = (
     for word in words:
         if word in known and word not in less:
             continue
-        of_verbs, new = _OLD.get(word, (None, ""))
-        if of_verbs is kind:
-            message, cure = f"is {new} now.", f"Write {new}=... instead of {word}=..."
-        elif word in ManyWords.__annotations__:
-            message, cure = "has no meaning here.", "Leave it out."
+        if word in ManyWords.__annotations__:
+            message, cure = "has no effect here.", "Leave it out."
+        elif word in _OLD:
+            message, cure = "is an argument of blocks 0.1.", f"Write {_OLD[word]}."
         elif word == "settings":
-            message, cure = "is not a word: each setting is one.", "Write stop=10 instead of settings={'stop': 10}."
+            message, cure = "is no argument: each setting is one.", "Write stop=10 in place of settings={'stop': 10}."
         else:
-            message = "is not a setting of a run."
-            cure = did_you_mean(word, known) or f"Settings: {', '.join(key for key in RUN.keys if key in known)}."
+            message, cure = "is not an argument.", did_you_mean(word, known) or f"Arguments: {', '.join(known)}."
         raise UsageError(Fault("E501", legible(word), message, cure))
 
 
-def _plain(words: Mapping[str, Any]) -> dict[str, object]:
-    """Return words in the form of files: ports as texts, times as quantities; None is left out."""
+def _plain(words: Mapping[str, Any]) -> dict[str, Any]:
+    """Return words of its own in the form of files: ports as texts, times as quantities; None is left out."""
     given = {word: value for word, value in words.items() if value is not None}
-    if not isinstance(given.get("parameters", {}), Mapping):
-        message = f"must be a mapping of values by path, not {type(given['parameters']).__name__}."
-        raise UsageError(Fault("E501", "parameters", message, 'Example: parameters={"motor.Ra": 1.2}.'))
-    check_mappings(variants=given.get("variants"))
     settings = plain_settings({word: value for word, value in given.items() if word in Settings.__annotations__})
-    copies = {word: {**given[word]} for word in MERGED if isinstance(given.get(word), Mapping)}
-    return {**given, **settings, **copies}
+    for word, check in _CHECKS.items():
+        if word in given:
+            check(word, given[word])
+    if not isinstance(given.get("measures", ""), str):
+        given["measures"] = tuple(given["measures"])
+    if trust := paths_of(given.pop("trust", ())):
+        given["trust"] = trust
+    owned: dict[str, Any] = _owned({**given, **settings})
+    return owned
+
+
+def _refuse(word: str, value: object, what: str, cure: str = "") -> NoReturn:
+    raise UsageError(Fault("E501", word, f"must be {what}, not {legible(repr(value))[:80]}.", cure))
+
+
+def _check_parameters(word: str, given: object) -> None:
+    if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
+        message = f"must be a mapping of values by path, not {type(given).__name__}."
+        if isinstance(given, Mapping):
+            message = "must have paths as its names, which are texts."
+        raise UsageError(Fault("E501", word, message, 'Example: parameters={"motor.Ra": 1.2}.'))
+
+
+def _check_variants(word: str, given: object) -> None:
+    check_mappings(variants=given)
+    assert isinstance(given, Mapping)
+    if not all(isinstance(text, str) for pair in given.items() for text in pair):
+        _refuse(word, dict(given), "names of variants by path", 'Example: variants={"motor": "fmu"}.')
+
+
+def _check_inputs(word: str, given: Inputs) -> None:
+    for source in sources(given):
+        if isinstance(source, Mapping):
+            if not all(isinstance(name, str) for name in source):
+                _refuse(word, [*source], "values by name")
+        elif not isinstance(source, (str, os.PathLike)):
+            message = f"{type(source).__name__} is neither a mapping of values by name nor the path of a file."
+            raise UsageError(Fault("E501", word, message, 'Example: inputs={"r": 1.0}.'))
+
+
+def _check_interpolation(word: str, given: object) -> None:
+    if given not in ("linear", "hold"):
+        raise UsageError(Fault("E501", word, f'must be "linear" or "hold", not {given!r}.'))
+
+
+def _check_measures(word: str, given: object) -> None:
+    is_list = isinstance(given, Iterable) and not isinstance(given, (bytes, Mapping, Iterator))
+    if not is_list or not all(isinstance(name, str) for name in list(given)):  # type: ignore[call-overload]
+        _refuse(word, given, "a list of names of measures", 'Example: measures=["ITAE"].')
+
+
+_CHECKS: Mapping[str, Callable[[str, Any], None]] = {
+    "parameters": _check_parameters, "variants": _check_variants, "inputs": _check_inputs,
+    "interpolation": _check_interpolation, "measures": _check_measures,
+}  # fmt: skip
+
+
+def _owned(value: Any) -> Any:
+    """Return a value that nobody else can change."""
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if isinstance(value, Mapping):
+        return {key: _owned(item) for key, item in value.items()}
+    return type(value)(map(_owned, value)) if type(value) in (list, tuple) else value
+
+
+def key_of(value: Any) -> Any:
+    """Return a value by which equal words are known, also those with arrays."""
+    if isinstance(value, np.ndarray):
+        return value.shape, value.dtype.str, value.tobytes()
+    if isinstance(value, Mapping):
+        return tuple(sorted((str(name), key_of(item)) for name, item in value.items()))
+    return tuple(map(key_of, value)) if isinstance(value, (list, tuple)) else value
+
+
+def _is_covered(name: str, later: Mapping[str, Any]) -> bool:
+    """Return whether a later layer sets all that a name sets: by the whole of an element, or a pattern that matches."""
+    path, _, element = name.rpartition("[") if name.endswith("]") else (name, "", "")
+    whole = {*spellings(path)}
+    for other in later:
+        of, _, its = other.rpartition("[") if other.endswith("]") else (other, "", "")
+        if its and its != element:
+            continue
+        pattern = re.escape(of).replace(r"\*", r"[^.]*")
+        if any(re.fullmatch(pattern, spelled) for spelled in whole):
+            return True
+    return False
 
 
 def sources(inputs: Inputs | None) -> Sequence[object]:

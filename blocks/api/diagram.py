@@ -48,11 +48,10 @@ from ..text.quantity_text import read_quantity
 from .case import (
     FIXED,
     Case,
-    FitWords,
-    LiveWords,
     ManyWords,
     ModelWords,
     PointWords,
+    RunWords,
     Settings,
     Words,
     case_and_work,
@@ -366,7 +365,8 @@ class Diagram:
         loops, log, master.
         """
         check_words(run, Settings)
-        plain = plain_settings({**run, **({} if inputs is None else {"inputs": inputs})})
+        given = {**run, "inputs": inputs}
+        plain = plain_settings({key: value for key, value in given.items() if value is not None})
         self._draft.put("run", documents.entries(run={key: raw_of(value) for key, value in plain.items()}).run)
 
     # --- verbs -------------------------------------------------------------------------------------------------
@@ -568,7 +568,7 @@ class Diagram:
         than the diagram, its own values are the result. Ctrl-C ends it with what was found so far (`interrupted`).
 
         out: a file (.parquet) of all candidates, which `Sweep.load` reads. Each generation is written to a part of it
-        when it has run; the same call goes on from there, to the same result. resume=False starts over.
+        when it has run; the same call goes on from there, to the same result. restart=True starts over.
 
         Raises ModelError and UsageError before the first candidate, also for what can have no number: an unknown
         measure or scenario, or a window that the run does not cover; SimulationError where the diagram itself does not
@@ -581,7 +581,7 @@ class Diagram:
             budget=budget, search_seed=search_seed,
         )  # fmt: skip
 
-    @takes(FitWords)
+    @takes(RunWords)
     def fit(
         self,
         data: object,
@@ -590,7 +590,7 @@ class Diagram:
         over: Mapping[str, tuple[float, float]],
         compare: Mapping[str, str],
         level: float = 0.95,
-        **words: Unpack[FitWords],
+        **words: Unpack[RunWords],
     ) -> object:
         """A `Fit`: the values within bounds for which signals come nearest to measured data, by least squares.
 
@@ -598,7 +598,8 @@ class Diagram:
         one of the name of each input of the diagram that was recorded; further ones are left out. compare: by signal
         the column with its measured values, in the unit of the signal; nan where there are none. Residuals are taken at
         the times of the data, which the run hits; the run ends with the data. over: as of `Diagram.tune`. level: of the
-        intervals. case, words: of all runs, as of `run`; interpolation: of recorded inputs, too; inputs: beside those.
+        intervals. case, words: of all runs, as of `run`; interpolation: of recorded inputs, too; inputs: of those that
+        were not recorded. The data determine stop, every, stops and log; those of a case have no effect.
 
         The search begins at the values of the diagram and is local (SciPy's trust region): begin near the truth.
         Residuals of several signals are weighed by their deviations, which are estimated again after each fit until
@@ -607,11 +608,11 @@ class Diagram:
         parameters that the data cannot tell apart, that have no effect, or that lie at a bound. Raises ModelError,
         UsageError; SimulationError where the diagram does not run.
         """
-        case = case_of(case, words, FitWords)
+        case = case_of(case_of(case, {}).without("stop", "every", "stops", "log"), words, RunWords)
         return late("fit", self, data, case, over=over, compare=compare, level=level)
 
-    @takes(LiveWords)
-    def live(self, case: Case | None = None, *, port: int = 0, **words: Unpack[LiveWords]) -> object:
+    @takes(Words)
+    def live(self, case: Case | None = None, *, port: int = 0, **words: Unpack[Words]) -> object:
         """A server that shows this diagram in a browser: `url`, `stop()`; a notebook shows the page itself.
 
         Signals are shown while it runs, and parameters are turned. It ends with `stop()` or with Python, and serves
@@ -619,7 +620,7 @@ class Diagram:
         `run`; nothing is written into the file that the diagram came from. Raises UsageError (E501) if the port is
         taken.
         """
-        return late("live", self, case_of(case, words, LiveWords), port=port)
+        return late("live", self, case_of(case, words, Words), port=port)
 
     def edit(self, *, trust: Paths = (), port: int = 0) -> object:
         """A server that edits the file of this diagram in a browser: `url`, `stop()`; a notebook shows the page itself.
@@ -660,7 +661,8 @@ class Diagram:
         as it stands, with what was set in it (with FMUs: one of engine="reference"). amplitude, sigma: by signal, the
         amplitude of a sine, or the deviation of a random signal, at laws that have no slope: their describing functions
         take their place. overrides: by the path of a block, a linear model instead. pade: the order of models of exact
-        delays. case, words: as of `run`; inputs: by name; those that have no value are 0.
+        delays. case, words: as of `run`; inputs: by name; those that have no value are 0. At an operating point or a
+        run the case has no effect.
 
         Sampled blocks make a discrete-time model with its period as `dt`. The model has what contributes to the
         transfer; its `report` shows how each block came in. Many transfers of one point: `linearizer`. Raises
@@ -703,6 +705,8 @@ class Diagram:
         """Where the diagram stands: all of its memory at a time. Arguments as of `linearize`."""
         from .points import point_of
 
+        if at is not None and not isinstance(at, (int, float)):  # which has the rest already
+            case = case_of(case, {}).only("trust")
         case = case_of(case, words, PointWords)
         return point_of(self.value, resolver_of(dict(self._draft.types)), at, case, self._last)
 

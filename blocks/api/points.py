@@ -18,7 +18,7 @@ from ..model.flatten import Flat
 from ..model.hierarchy import Resolver
 from ..model.trust import Paths
 from ..text.errors import AnalysisError, Fault, UsageError
-from .case import Case
+from .case import Case, key_of
 from .checks import coupled_block, flat_of
 from .given_values import at_rest, time_of
 from .last_made import LastMade, names_files
@@ -45,10 +45,7 @@ def point_of(
             cure = "Import them as Model Exchange, or estimate the response by simulation."
             raise AnalysisError(Fault("E703", at.name, message, cure))
         return at.point
-    inputs = case.named_inputs()
-    plain = [{name: _plainly(given) for name, given in table.items()} for table in (inputs, case.parameters)]
-    others = case.without("inputs", "parameters", "trust")
-    key = (id(value), value, at, repr((*(sorted(table.items()) for table in plain), others)))
+    key = (id(value), value, at, repr(key_of(case.without("trust").words)))
     known: tuple[Point, tuple[Outside, ...]] | None = last.known("point", key)
     if known is not None and all(read.holds() for read in known[1]):
         return known[0]
@@ -131,8 +128,3 @@ def _standing(
         return engine_of(run)
     again = (going.updated(log=[]) if is_silent else going).without("start", "inputs", "parameters")
     return engine_of(begun(again.updated(engine="reference"), resume=run.snapshot()))
-
-
-def _plainly(value: object) -> object:
-    """Return an array as lists, which print all digits."""
-    return value.tolist() if isinstance(value, np.ndarray) else value

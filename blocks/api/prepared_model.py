@@ -11,8 +11,6 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Unpack
 
-import numpy as np
-
 from ..engines.prepared import Prepared
 from ..engines.selection import compiled_model
 from ..model.diagram_value import DiagramValue
@@ -20,8 +18,8 @@ from ..model.resolver import resolver_of
 from ..model.varied import given_values, is_element
 from ..results.results import Results
 from ..text.errors import Fault, UsageError
-from .case import Case, PointWords, case_of, takes
-from .run import Run, RunOptions, started
+from .case import FIXED, Case, PointWords, case_of, takes
+from .run import Run, RunOptions, check_inputs, started
 
 if TYPE_CHECKING:
     from ..contract.block import Block
@@ -47,11 +45,10 @@ class PreparedModel:
     def __init__(self, value: DiagramValue, types: Mapping[str, type[Block]], case: Case) -> None:
         self._value, self._types = case.of(value), dict(types)
         self._resolver = resolver_of(self._types)
-        fixed = _own(case.without("variants", "measures").words)
-        parameters = fixed.get("parameters", {})
-        if any(map(is_element, parameters)):  # what a run gives goes on top of them
-            fixed["parameters"] = {**given_values(self._value, self._resolver, parameters)}
-        self._base = Case(**fixed)
+        self._base = case.without("variants", "measures")
+        if any(map(is_element, case.parameters)):  # what a run gives goes on top of them
+            written = given_values(self._value, self._resolver, case.parameters)
+            self._base = self._base.without("parameters").updated(parameters=written)
         self._forms: list[Prepared] = []  # the last used one goes last
         self._lock = threading.Lock()
 
@@ -65,6 +62,7 @@ class PreparedModel:
         """Prepare and compile it now, for runs with what was given. Raises what `run` raises before it begins."""
         case = self._base
         form = Prepared.of(self._value, self._resolver, case.parameters, case.settings, trust=case.trust)
+        check_inputs(form.plan, case.inputs, case.interpolation)
         form.alike.model = compiled_model(form.plan, engine=case.engine)
         self._keep(form)
         return self
@@ -83,8 +81,8 @@ class PreparedModel:
         **words: Unpack[PointWords],
     ) -> Results:
         """Simulate to `stop`: bit for bit what `Diagram.run` gives. Arguments as there, on top of what was prepared."""
-        for name in ("engine", "variants", "trust", "measures"):
-            if name in words or (case is not None and name in case.words):
+        for name in FIXED:
+            if words.get(name) is not None or name in case_of(case, {}).words:
                 cure = f"Give it to prepare({name}=...)."
                 raise UsageError(Fault("E501", name, "is fixed when the model is prepared.", cure))
         for name in ("out", "resume"):
@@ -95,10 +93,9 @@ class PreparedModel:
 
     def run_of(self, case: Case, options: RunOptions) -> Run:
         """Return a run at its start, with a case on top of what was prepared."""
-        words = _own(case.words)
-        parameters = words.get("parameters", {})
-        if any(map(is_element, parameters)):
-            words["parameters"] = given_values(self._value, self._resolver, parameters, self._base.parameters)
+        words = dict(case.words)
+        if any(map(is_element, case.parameters)):
+            words["parameters"] = given_values(self._value, self._resolver, case.parameters, self._base.parameters)
         case = self._base.on_top(words)
         known = self._kept()
         run = started(self._value, self._resolver, case, options, likes=known)
@@ -125,15 +122,6 @@ class PreparedModel:
             while len(kept) > 1 and sum(len(known.flat.blocks) for known in kept) > MOST_BLOCKS:
                 del kept[0]
             self._forms = kept
-
-
-def _own(value: Any) -> Any:
-    """Return a value that nobody else can change."""
-    if isinstance(value, np.ndarray):
-        return value.copy()
-    if isinstance(value, Mapping):
-        return {key: _own(item) for key, item in value.items()}
-    return type(value)(map(_own, value)) if type(value) in (list, tuple) else value
 
 
 def _again(value: DiagramValue, types: Mapping[str, type[Block]], case: Case) -> PreparedModel:

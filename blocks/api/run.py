@@ -40,7 +40,7 @@ from ..results.results import Results
 from ..text.atomic_write import write_atomically
 from ..text.element_names import indexed
 from ..text.errors import Fault, FMUError, ModelError, SimulationError, UsageError, did_you_mean
-from ..text.printable import quoted
+from ..text.printable import legible, quoted
 from ..text.quantity_text import read_quantity
 from .case import Case, Inputs, sources
 from .given_values import time_of
@@ -66,6 +66,19 @@ class RunOptions:
     loading: Callable[[DiagramValue], None] | None = None
     out: str | Path | None = None
 
+    def check(self) -> None:
+        """Raise UsageError (E501) for a value of the wrong kind."""
+        kinds = {"resume": (State, str, Path), "out": (str, Path)}
+        whats = {"resume": "a snapshot, or the path of a saved one", "out": "the path of a file"}
+        for word, kind in kinds.items():
+            given = getattr(self, word)
+            if given is not None and not isinstance(given, kind):
+                message = f"must be {whats[word]}, not {legible(repr(given)[:80])}."
+                raise UsageError(Fault("E501", word, message, "Leave it out, or give a path."))
+        if self.progress is not None and not callable(self.progress):
+            cure = "Example: progress=lambda t, stop: print(t)."
+            raise UsageError(Fault("E501", "progress", "must be a function of the time and the stop time.", cure))
+
 
 def started(
     value: DiagramValue,
@@ -80,6 +93,7 @@ def started(
     value: with the variants and measures of the case already. flat: its flat model, if that is known. likes: what was
     prepared of this diagram before; the first that can be is used again.
     """
+    options.check()
     raw, resume = case.parameters, options.resume
     settings: Mapping[str, object] = case.settings
     parameters = given_values(value, resolver, raw)
@@ -102,9 +116,6 @@ def started(
             raise UsageError(Fault("E501", "start", message, "Leave start out."))
         parameters = {**saved.overrides, **given_values(value, resolver, raw, saved.overrides)}
         settings = _going_on(settings, saved, value.name)
-    if case.interpolation not in ("linear", "hold"):
-        message = f'must be "linear" or "hold", not {case.interpolation!r}.'
-        raise UsageError(Fault("E501", "interpolation", message))
     try:
         known = (made for like in likes if (made := like.with_values(parameters, settings)) is not None)
         prepared = next(known, None)
@@ -558,9 +569,6 @@ def _named_inputs(given: Any, plan: Plan | Coupling) -> dict[str, object]:
         elif isinstance(source, Mapping):
             types = {name: type_ for name, _, _, type_, _ in plan.inputs}
             named.update({name: _given_input(value, types.get(name, "")) for name, value in source.items()})
-        elif source is not None:
-            message = f"{type(source).__name__} is neither a mapping of values by name nor the path of a file."
-            raise UsageError(Fault("E501", "inputs", message, 'Example: inputs={"r": 1.0}.'))
     return named
 
 
@@ -577,6 +585,18 @@ def _shown(raw: object, unit: str) -> str:
 def _given_input(value: object, type_: str) -> object:
     """Return the value of an input from its given form; "2 mV" is a quantity."""
     return read_quantity(value) if type_ in ("real", "int") else value
+
+
+def check_inputs(plan: Plan | Coupling, inputs: Inputs | None, interpolation: str) -> None:
+    """Raise UsageError (E501, E502) for inputs that are given and cannot be; others may have no value yet."""
+    known: Any = plan
+    read_inputs(known, {**_stand_in(plan), **_named_inputs(inputs, plan)}, interpolation=interpolation)
+
+
+def _stand_in(plan: Plan | Coupling) -> dict[str, Any]:
+    return {
+        name: np.full(shape, resting(type_)) if shape else resting(type_) for name, shape, _, type_, _ in plan.inputs
+    }
 
 
 def input_table(plan: Plan | Coupling, inputs: Inputs | None, interpolation: str) -> InputTable:
@@ -601,10 +621,7 @@ def _input_table(
     known: Any = plan
     if state is None:
         return read_inputs(known, {**plan.settings.inputs, **named}, interpolation=interpolation)
-    stand_in = {
-        name: np.full(shape, resting(type_)) if shape else resting(type_) for name, shape, _, type_, _ in plan.inputs
-    }
-    read = read_inputs(known, {**stand_in, **named}, interpolation=interpolation)
+    read = read_inputs(known, {**_stand_in(plan), **named}, interpolation=interpolation)
     tracks = zip(plan.inputs, read.tracks, state.inputs.tracks, strict=True)
     return replace(read, tracks=tuple(new if known[0] in named else old for known, new, old in tracks))
 

@@ -48,9 +48,7 @@ def takes_run(run: argparse.ArgumentParser) -> None:
     takes_settings(run)
     run.add_argument("--jumps", action="store_true", default=None, help="add rows before and after jumps to the grid")
     takes_parameters(run)
-    inputs = "inputs over time (columns time,NAME,...), or one constant input; may be repeated"
-    takes_several(run, "--input", "FILE.csv|NAME=VALUE", inputs)
-    run.add_argument("--hold", action="store_true", help="hold the values of --input instead of interpolating linearly")
+    takes_inputs(run, files=True)
     log = "record this signal, or all that match a pattern (motor.*), instead of the file's choice; may be repeated"
     takes_several(run, "--log", "SIGNAL", log, default=None)
     takes_master(run)
@@ -75,7 +73,14 @@ def takes_master(verb: argparse.ArgumentParser) -> None:
     takes_several(verb, "--master", "KEY=VALUE", f"{master}couple=each, iterations=50; may be repeated")
 
 
-def takes_inputs(verb: argparse.ArgumentParser) -> None:
+def takes_inputs(verb: argparse.ArgumentParser, *, files: bool = False) -> None:
+    """Add the inputs of the diagram. files: also over time."""
+    if files:
+        inputs = "inputs over time (columns time,NAME,...), or one constant input; may be repeated"
+        takes_several(verb, "--input", "FILE.csv|NAME=VALUE", inputs)
+        hold = "hold the values of --input instead of interpolating linearly"
+        verb.add_argument("--hold", action="store_true", help=hold)
+        return
     value = "the value of an input of the diagram (default: its own, or 0)"
     takes_several(verb, "--input", "NAME=VALUE", value)
 

@@ -60,7 +60,7 @@ def add(verbs: Verbs) -> None:
     takes_several(verb, "--measure", "M", measure, default=None, dest="measures")
     log = "keep this signal, or all that match a pattern, on a grid, in the file; may be repeated"
     takes_several(verb, "--log", "SIGNAL", log)
-    takes_inputs(verb)
+    takes_inputs(verb, files=True)
     scenario = "run all rows again with these parameters set too: heavy:load=2,torque=3; quiet: sets nothing"
     takes_several(verb, "--scenario", "NAME:SETTINGS", scenario)
     takes_parameters(verb)

@@ -63,7 +63,7 @@ def add(verbs: Verbs) -> None:
     tune.add_argument("--report", metavar="DIR", help="write report.html and its figures into a folder")
     takes_parameters(tune)
     takes_settings(tune)
-    takes_inputs(tune)
+    takes_inputs(tune, files=True)
     takes_master(tune)
     takes_engine(tune)
     takes_variants(tune)

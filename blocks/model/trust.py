@@ -120,10 +120,18 @@ def _named(value: DiagramValue, prefix: str, seen: set[int]) -> Iterator[tuple[s
             yield from _named(entry.inner, f"{prefix}{name}.", seen)
 
 
-def _resolved(trust: Paths) -> Iterator[Path]:
-    for item in [trust] if isinstance(trust, (str, os.PathLike)) else trust:
+def paths_of(trust: Any) -> tuple[str | os.PathLike[str], ...]:
+    """Return the paths of `trust`. Raises UsageError (E501) for what is none."""
+    is_list = isinstance(trust, Iterable) and not isinstance(trust, (str, bytes, os.PathLike))
+    items = tuple(trust) if is_list else (trust,)
+    for item in items:
         if not isinstance(item, (str, os.PathLike)) or not str(item):
             raise UsageError(Fault("E501", "trust", f"{item!r} is not a path.", "Name an FMU, or a folder of FMUs."))
+    return items
+
+
+def _resolved(trust: Paths) -> Iterator[Path]:
+    for item in paths_of(trust):
         if not os.path.exists(item):
             raise UsageError(Fault("E501", "trust", f"{quoted(str(item))} does not exist."))
         yield Path(os.path.realpath(item))

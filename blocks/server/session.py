@@ -64,7 +64,8 @@ class Session:
         case: Case = EMPTY,
         asks: Asks | None = None,
     ) -> None:
-        self.document, self.engine, self.trust, self.asks = document, case.engine, case.trust, asks
+        self.document, self.case, self.asks = document, case.without("variants", "log"), asks
+        self.engine, self.trust = case.engine, case.trust
         self.waits_for = ""
         self.values, self.inputs = dict(case.parameters), dict(case.named_inputs())
         self.server = secrets.token_hex(8)
@@ -282,7 +283,7 @@ class Session:
         trim(self.runs)
         settings: dict[str, Any] = {} if stop is None else {"stop": stop}
         run = shown.start(
-            parameters=dict(self.values), inputs=dict(self.inputs) or None, engine=self.engine, trust=self.trust,
+            self.case.without("parameters", "inputs"), parameters=self.values, inputs=self.inputs,
             log=self._logged(shown), **settings,
         )  # fmt: skip
         self.number += 1

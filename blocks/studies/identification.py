@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..api.case import Case
+from ..api.case import Case, sources
 from ..model.block_signals import element_of
 from ..model.flatten import Flat
 from ..model.variants import taken
@@ -131,8 +131,12 @@ def fit(
             u = {"value": columns[name], "unit": given[name]} if given.get(name) else columns[name]
             tracks[name] = (t, u, case.interpolation)
     grid, early = _grid(diagram, t, case.settings), _early(diagram, t, [*tracks], case.settings)
-    inputs = Case(inputs=tracks).updated(inputs=case.inputs).inputs  # what is given counts
-    model = diagram.prepare(case.without("inputs", "interpolation"), inputs=inputs, log=list(compare), **grid)
+    for name in tracks:
+        if any(isinstance(source, Mapping) and name in source for source in sources(case.inputs)):
+            message = f"{name} is given, and the data have a column of it, too."
+            raise UsageError(Fault("E501", "inputs", message, "Leave it out, or take the column out of the data."))
+    inputs = [*sources(case.inputs), tracks]
+    model = diagram.prepare(case.without("inputs"), inputs=inputs, log=list(compare), **grid)
 
     def run(values: Array | None) -> Results:
         return model.run(parameters={} if values is None else raw_values(varied, values.tolist()))

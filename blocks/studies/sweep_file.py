@@ -245,7 +245,7 @@ def told_of(origin: Origin | None, key: Mapping[str, Any]) -> dict[str, Any]:
 def _key(told: Mapping[str, Any]) -> dict[str, Any]:
     """By what a sweep is known again, as messages name it."""
     origin = told.get("origin", {})
-    known = {name: origin.get(name) for name in ("settings", "parameters", "equations", "values")}
+    known = {name: origin.get(name) for name in ("settings", "parameters", "inputs", "equations", "values")}
     known |= {"diagram": origin.get("sha256"), "release of blocks": origin.get("versions", {}).get("blocks")}
     return {**known, **told.get("key", {})}
 

@@ -67,27 +67,38 @@ def test_words_on_top_merge_mappings_by_name_and_replace_the_rest() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda d: d.run(stpo=1), "E501 stpo: is not a setting of a run. Did you mean 'stop'?"),
+        (lambda d: d.run(stpo=1), "E501 stpo: is not an argument. Did you mean 'stop'?"),
         (lambda d: d.run(5), "E501 case: must be a Case, not int. Examples: run(stop=10), run(Case(stop=10))."),
-        (lambda d: Case(budget=1), "E501 budget: is not a setting of a run."),
+        (lambda d: Case(budget=1), "E501 budget: is an argument of blocks 0.1. Write max_steps=."),
         (lambda d: d.run(parameters=[1]), "E501 parameters: must be a mapping of values by path, not list."),
-        (lambda d: d.linearizer(held={"r": 1}), "E501 held: is inputs now. Write inputs=... instead of held=..."),
-        (lambda d: d.linearize("r", "x.y", outputs=["x.y"]), "E501 outputs: is y now. Write y=..."),
-        (lambda d: d.sweep({"k": [1]}, budget=5), "E501 budget: is max_steps now. Write max_steps=..."),
-        (lambda d: d.sweep({"k": [1]}, resume=False), "E501 resume: is restart now. Write restart=..."),
-        (lambda d: d.run(held={}), "E501 held: is not a setting of a run."),
-        (lambda d: d.flatten(settings={"stop": 1}), "E501 settings: is not a word: each setting is one. Write stop=10"),
-        (lambda d: d.linearizer(engine="native"), "E501 engine: has no meaning here. Leave it out."),
-        (lambda d: d.export("x.fmu", inputs={"r": 1}), "E501 inputs: has no meaning here. Leave it out."),
-        (lambda d: d.flatten(measures=[]), "E501 measures: has no meaning here. Leave it out."),
-        (lambda d: d.prepare(threads=2), "E501 threads: has no meaning here. Leave it out."),
+        (lambda d: d.linearizer(held={"r": 1}), "E501 held: is an argument of blocks 0.1. Write inputs=."),
+        (lambda d: d.linearize("r", "x.y", outputs=["x.y"]), "E501 outputs: is an argument of blocks 0.1. Write y=."),
+        (lambda d: d.sweep({"k": [1]}, budget=5), "E501 budget: is an argument of blocks 0.1. Write max_steps=."),
+        (lambda d: d.sweep({"k": [1]}, resume=False), "E501 resume: is an argument of blocks 0.1. Write restart=True"),
+        (lambda d: d.run(held={}), "E501 held: is an argument of blocks 0.1. Write inputs=."),
+        (lambda d: d.flatten(settings={"stop": 1}), "E501 settings: is no argument: each setting is one."),
+        (lambda d: d.run(measures=5), "E501 measures: must be a list of names of measures, not 5."),
+        (lambda d: d.run(measures={"ISE": 1}), "E501 measures: must be a list of names of measures"),
+        (lambda d: d.run(variants={"x": 3}), "E501 variants: must be names of variants by path"),
+        (lambda d: d.run(parameters={5: 1}), "E501 parameters: must have paths as its names"),
+        (lambda d: Case(inputs=5), "E501 inputs: int is neither a mapping of values by name nor the path of a file."),  # type: ignore[arg-type]
+        (lambda d: d.prepare(interpolation="x"), "E501 interpolation: must be "),
+        (lambda d: d.run(trust=5), "E501 trust: 5 is not a path. Name an FMU, or a folder of FMUs."),
+        (lambda d: d.run(resume=False), "E501 resume: must be a snapshot, or the path of a saved one, not False."),
+        (lambda d: d.run(out=5), "E501 out: must be the path of a file, not 5."),
+        (lambda d: d.run(progress=5), "E501 progress: must be a function of the time and the stop time."),
+        (lambda d: d.prepare().run(5), "E501 case: must be a Case, not int."),
+        (lambda d: d.linearizer(engine="native"), "E501 engine: has no effect here. Leave it out."),
+        (lambda d: d.export("x.fmu", inputs={"r": 1}), "E501 inputs: has no effect here. Leave it out."),
+        (lambda d: d.flatten(measures=[]), "E501 measures: has no effect here. Leave it out."),
+        (lambda d: d.prepare(threads=2), "E501 threads: has no effect here. Leave it out."),
         (
             lambda d: d.tune(minimize="ISE", over={"k": (1, 2)}, method="de"),
             'E501 method: "de" is an optimizer, and method integrates the runs. Write optimizer="de".',
         ),
         (
             lambda d: d.tune(minimize="ISE", over={"k": (1, 2)}, measures=["ISE"]),
-            "E501 measures: has no meaning here. Leave it out.",
+            "E501 measures: has no effect here. Leave it out.",
         ),
         (lambda d: d.prepare().run(measures=["ISE"]), "E501 measures: is fixed when the model is prepared."),
         (lambda d: d.run(measures=["IAE"]), "E501 IAE: the diagram has no such measure."),
@@ -226,8 +237,118 @@ def test_how_many_runs_are_computed_is_one_value_of_sweeps_and_tunings() -> None
     assert not names & {*ModelWords.__annotations__}
 
 
-def test_what_happens_to_the_mappings_that_were_given_does_not_reach_a_case() -> None:
-    parameters, inputs = {"k": 2.0}, {"r": 1.0}
-    case = Case(parameters=parameters, inputs=inputs)
-    parameters["k"], inputs["r"] = 5.0, 7.0
-    assert case == Case(parameters={"k": 2.0}, inputs={"r": 1.0})
+def test_nothing_that_happens_to_given_values_reaches_a_case() -> None:
+    t, u, matrix = np.array([0.0, 1.0]), np.array([1.0, 2.0]), np.eye(2)
+    given: dict[str, Any] = {"parameters": {"k": matrix}, "inputs": {"r": (t, u)}, "stops": [0.5], "measures": ["ISE"],
+                             "master": {"steps": {"a": 1}}}  # fmt: skip
+    case, same = Case(**given), Case(**pickle.loads(pickle.dumps(given)))
+    assert case == same
+    u[:], matrix[:] = 9.0, 9.0
+    given["stops"].append(0.7), given["measures"].append("moved"), given["master"]["steps"].clear()
+    given["parameters"].clear()
+    assert case == same != Case(**given)
+    with pytest.raises(TypeError):
+        case.words["stop"] = 3  # type: ignore[index]
+
+
+def test_an_array_that_changes_after_a_batch_was_made_changes_no_row() -> None:
+    d, t, u = loop(), np.array([0.0, 1.0]), np.array([1.0, 2.0])
+    batch, alone = d.batch(["k"], inputs={"r": (t, u)}), d.run(inputs={"r": (t, u)})
+    u[1] = 50.0
+    assert batch([[2.0]]).measures["ISE"][0] == alone.measures["ISE"] == batch.single([2.0]).measures["ISE"]
+
+
+def test_measures_that_are_added_to_a_list_are_taken_by_the_next_run() -> None:
+    d, names = loop(), ["ISE"]
+    d.run(measures=names)
+    names.append("moved")
+    assert {*d.run(measures=names).measures} == {"ISE", "moved"}
+
+
+@pytest.mark.parametrize(
+    ("first", "later", "merged"),
+    [
+        ({"f.A[0]": 1.0}, {"f.A": [2.0]}, {"f.A": [2.0]}),
+        ({"f.A[0]": 1.0, "f.A[1]": 2.0}, {"f.A[1]": 3.0}, {"f.A[0]": 1.0, "f.A[1]": 3.0}),
+        ({"f.A": [1.0]}, {"f.A[0]": 2.0}, {"f.A": [1.0], "f.A[0]": 2.0}),
+        ({"f_0.T": 1.0, "g.T": 1.0}, {"f_*.T": 3.0}, {"g.T": 1.0, "f_*.T": 3.0}),
+        ({"f_*.T": 1.0}, {"f_0.T": 3.0}, {"f_*.T": 1.0, "f_0.T": 3.0}),
+        ({"f_0.A[0]": 1.0, "f_0.A[1]": 1.0}, {"f_*.A[1]": 3.0}, {"f_0.A[0]": 1.0, "f_*.A[1]": 3.0}),
+        ({"m[1].T": 1.0}, {"m.T": 3.0}, {"m.T": 3.0}),
+        ({"m.T": 1.0}, {"m[1].T": 3.0}, {"m.T": 1.0, "m[1].T": 3.0}),
+        ({"a.b.T": 1.0}, {"a*.T": 3.0}, {"a.b.T": 1.0, "a*.T": 3.0}),
+    ],
+)
+def test_a_later_layer_replaces_all_that_it_covers(
+    first: dict[str, Any], later: dict[str, Any], merged: dict[str, Any]
+) -> None:
+    assert Case(parameters=first).updated(parameters=later).parameters == merged
+
+
+def test_a_pattern_on_top_of_a_name_counts_in_runs_and_in_prepared_models() -> None:
+    d = loop()
+    case, wanted = Case(parameters={"x.y_start": 1.0}), d.run(parameters={"x.y_start": 3.0}).measures
+    over: Any = {"parameters": {"x*.y_start": 3.0}}
+    assert d.run(case, **over).measures == wanted == d.prepare(case).run(**over).measures
+    scenario = d.sweep({"k": [2.0]}, case, scenarios={"far": over["parameters"]})
+    assert scenario.measures["ISE"][0] == pytest.approx(wanted["ISE"], rel=1e-12)
+
+
+def test_a_sweep_and_a_tuning_go_on_only_with_the_inputs_of_their_part(tmp_path: Any) -> None:
+    d, vary = loop(), {"k": [1.0, 2.0, 3.0]}
+
+    def stops(done: int, total: int) -> None:
+        if 0 < done < total:
+            raise KeyboardInterrupt
+
+    out = tmp_path / "s.parquet"
+    for inputs in ({"r": 2.0}, {"r": (np.arange(3.0), np.ones(3))}):
+        assert d.sweep(vary, out=out, inputs=inputs, progress=stops, threads=1, restart=True).interrupted
+        with pytest.raises(UsageError, match=r"E506 .* differs in its inputs"):
+            d.sweep(vary, out=out, inputs={"r": 3.0})
+        with pytest.raises(UsageError, match=r"E506 .* differs in its inputs"):
+            d.sweep(vary, out=out)
+        assert len(d.sweep(vary, out=out, inputs=inputs).counts()) == 1
+    asked: Any = {"minimize": "ISE", "over": {"k": (1.0, 5.0)}, "optimizer": "de", "budget": 60}
+    asked |= {"out": tmp_path / "t.parquet", "threads": 1}
+
+    def later(done: int, total: int) -> None:
+        if done > 40:
+            raise KeyboardInterrupt
+
+    assert d.tune(inputs={"r": 2.0}, progress=later, **asked).interrupted
+    with pytest.raises(UsageError, match=r"E506 .* differs in its inputs"):
+        d.tune(inputs={"r": 3.0}, **asked)
+
+
+def test_points_of_long_inputs_that_differ_in_the_middle_are_told_apart() -> None:
+    d, t = loop(), np.linspace(0.0, 1.0, 3000)
+    first, second = np.zeros(3000), np.zeros(3000)
+    second[100:2000] = 5.0
+    points = [d.point(at=0.9, inputs={"r": (t, u)}).outputs for u in (first, second, first)]
+    assert np.array_equal(points[0], points[2])
+    assert not np.array_equal(points[0], points[1])
+
+
+def test_a_fit_takes_what_the_data_do_not_determine_from_a_case() -> None:
+    d = loop()
+    d.output("gained", "gain.y")
+    t = np.linspace(0.0, 1.0, 21)
+    u = ([0.0, 0.5, 1.0], [0.0, 1.0, 2.0])
+    truth = d.run(inputs={"r": u}, interpolation="hold", every=0.05)
+    data = {"time": t, "x": truth["x.y"]}
+    case = Case(inputs={"r": u}, interpolation="hold", stop=7, every=0.3, log=["gain.y"], parameters={"k": 3.0})
+    fit = d.fit(data, case, over={"k": (1.0, 5.0)}, compare={"x.y": "x"})
+    assert fit.values["k"] == pytest.approx(2.0, rel=1e-4)
+    with pytest.raises(UsageError, match="E501 stop: cannot be given"):
+        d.fit(data, over={"k": (1.0, 5.0)}, compare={"x.y": "x"}, stop=1.0)
+    with pytest.raises(UsageError, match="E501 inputs: r is given, and the data have a column of it"):
+        d.fit({**data, "r": np.ones(21)}, case, over={"k": (1.0, 5.0)}, compare={"x.y": "x"})
+
+
+def test_an_operating_point_is_used_with_the_case_that_it_was_found_with() -> None:
+    d, case = loop(), Case(parameters={"k": 5.0}, inputs={"r": 2.0}, stop=3)
+    point = find_operating_point(d, case)
+    assert d.linearize("r", "x.y", case, at=point).poles().real.tolist() == pytest.approx([-5.0])
+    with pytest.raises(UsageError, match="the operating point has its inputs"):
+        d.linearize("r", "x.y", case, at=point, inputs={"r": 3.0})

@@ -379,9 +379,9 @@ def test_positions_are_two_numbers() -> None:
 def test_settings_are_those_of_a_run() -> None:
     made = Diagram("d")
     text = message(UsageError, lambda: made.settings(stopp=1))
-    assert text == "E501 stopp: is not a setting of a run. Did you mean 'stop'?"
-    assert "not a setting of a run" in message(UsageError, lambda: made.run(toll=1))
-    assert "not a setting of a run" in message(UsageError, lambda: made.plan(raw=1))
+    assert text == "E501 stopp: is not an argument. Did you mean 'stop'?"
+    assert "not an argument" in message(UsageError, lambda: made.run(toll=1))
+    assert "not an argument" in message(UsageError, lambda: made.plan(raw=1))
     assert "E501 d: the run has no stop time." in message(UsageError, made.run)
     assert "E501 interpolation" in message(UsageError, lambda: made.run(stop=1, interpolation="cubic"))
     assert "E115 run.stop" in message(ModelError, lambda: made.run(stop="1"))  # type: ignore[arg-type]

@@ -783,7 +783,7 @@ import hashlib
 from tests.compile import test_model_code as T
 from blocks.compile.c.model_code import emit
 for d in (T.hybrid("held"), T.sampled_ring(), T.parts(6), T.fleet(20, wiring="mixed")):
-    plan = d.plan(settings={{"loops": "solve"}})
+    plan = d.plan(loops="solve")
     made = emit(plan, method="rk4", logged=T.references_of(plan))
     print(hashlib.sha256(repr((made.source, made.x_order, made.numbers)).encode()).hexdigest())
 """

@@ -405,7 +405,7 @@ def test_an_input_that_does_not_fit_is_refused(wrong: dict[str, Any], said: str)
         ({"parameters": {"g.kk": 1.0}}, "E106 g.kk: there is no such parameter to set. Did you mean 'g.k'?"),
         ({"parameters": {"gg.k": 1.0}}, "E106 gg.k: there is no such parameter to set. Did you mean 'g.k'?"),
         ({"parameters": {"g.k": "high"}}, "E107 g.k: must be a number, not the text 'high'."),
-        ({"rtoll": 1e-3}, "E501 rtoll: is not a setting of a run. Did you mean 'rtol'?"),
+        ({"rtoll": 1e-3}, "E501 rtoll: is not an argument. Did you mean 'rtol'?"),
         ({"method": "rk5"}, "E115 run.method: \"rk5\" is not known. Did you mean 'rk4'?"),
         ({"method": "dopri5"}, "E115 run.step: dopri5 chooses its own steps. Leave the step out, or use rk4"),
         ({"step": -1.0}, "E115 run.step: must be above 0 s, not -1.0."),

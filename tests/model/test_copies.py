@@ -172,7 +172,7 @@ def test_the_log_takes_copies_by_number_and_by_pattern() -> None:
     assert log("nest[*].inner[1].y") == ("nest[0].inner[1].y", "nest[1].inner[1].y")
     assert made.flatten().log == ("wave.y", "robots.y", "robots.both")
     for wrong in ("robots[3].lag.y", "robots[0].lug.y", "nest[2].inner[0].lag.y", "robots.lag.y"):
-        assert faults(made.flatten, settings={"log": [wrong]}) == [("E105", "run.log")]
+        assert faults(made.flatten, log=[wrong]) == [("E105", "run.log")]
 
 
 def test_measures_take_signals_of_copies() -> None:

@@ -109,7 +109,7 @@ def test_inputs_measures_and_operating_points_take_degrees(tmp_path: Path) -> No
 def test_a_limit_of_a_measure_is_a_difference(tmp_path: Path) -> None:
     diagram = body()
     diagram.measure("far", "peak", of="body.T", against=20)
-    options: dict[str, Any] = {"minimize": "far", "over": {"body.tau": (5, 20)}, "budget": 3, "method": "de", "seed": 1}
+    options: dict[str, Any] = {"minimize": "far", "over": {"body.tau": (5, 20)}, "budget": 3, "optimizer": "de"}
     with pytest.raises(
         UsageError,
         match=r"E501 .*degC has an offset, but measures are differences, which have "

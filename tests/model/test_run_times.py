@@ -70,13 +70,13 @@ def test_every_time_may_be_an_expression_in_the_file_and_on_top_of_it() -> None:
         "master": {"step": "=T/11", "steps": {"sum": "=1/13"}},
     }
     third = Fraction(3, 2)
-    for made in (settings(diagram(**run)), settings(diagram(), settings=run)):
+    for made in (settings(diagram(**run)), settings(diagram(), **run)):
         assert (made.start, made.stop, made.step, made.every) == (third / 5, 3, third / 300, Fraction(1, 3))
         assert made.stops == (third / 7, 1, third)
         assert (made.master.step, dict(made.master.steps)) == (third / 11, {"sum": Fraction(1, 13)})
-    changed = settings(diagram(**run), parameters={"T": 3}, settings={"every": "=T/7", "stops": [2]})
+    changed = settings(diagram(**run), parameters={"T": 3}, every="=T/7", stops=[2])
     assert (changed.stop, changed.every, changed.stops) == (6, Fraction(3, 7), (2,))
-    assert settings(diagram(**run), settings={"step": 0.5, "master": {"step": 0.25}}).master.step == Fraction(1, 4)
+    assert settings(diagram(**run), step=0.5, master={"step": 0.25}).master.step == Fraction(1, 4)
     assert settings(diagram(stop="=sqrt(2)")).stop == Fraction("1.4142135623730951")
 
 

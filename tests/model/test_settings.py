@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocks import Diagram, ModelError, Sine
+from blocks import Diagram, ModelError, Sine, UsageError
 from blocks.library import LIBRARY
 from blocks.model import document
 from blocks.model.flatten import flatten
@@ -224,8 +224,13 @@ def test_an_input_of_the_run_that_does_not_exist_is_refused() -> None:
     assert (fault.code, fault.place, fault.line, fault.cure) == ("E502", "run.inputs.r", 3, "Inputs: none.")
     diagram = Diagram("d")
     diagram.input("speed")
+    diagram.settings(inputs={"sped": 1})
     with pytest.raises(ModelError, match=r"E502 run.inputs.sped: .* Did you mean 'speed'\?"):
-        diagram.flatten(inputs={"sped": 1})
+        diagram.flatten()
+    other = Diagram("d")
+    other.input("speed")
+    with pytest.raises(UsageError, match=r"E502 sped: .* Did you mean 'speed'\?"):
+        other.prepare(inputs={"sped": 1})
 
 
 # --- the master ------------------------------------------------------------------------------------------------

@@ -45,7 +45,7 @@ def test_one_row_that_does_not_end_is_cut_short_after_all_others_are_done() -> N
     sweep = swept(T, progress=lambda count, _: done.append(count), notice=lambda text: named.append((done[-1], text)))
     assert sweep.status.tolist() == ["ok", "ok", "budget", "ok", "ok", "ok"]
     most = 30 * int(np.median(np.delete(sweep.steps, 2)))
-    assert sweep.messages[2] == f"E313 lag: needs more than {most} steps, the budget of a run."
+    assert sweep.messages[2] == f"E313 lag: needs more than {most} steps, the most that it may take."
     ((_, said),) = named
     end = f"up to {most:,} steps"
     assert said == (
@@ -78,7 +78,7 @@ def test_with_fixed_steps_no_row_begins_again() -> None:
 
 
 def test_a_budget_that_is_given_counts_alone() -> None:
-    assert swept(T, max_steps=700).messages[2] == "E313 lag: needs more than 700 steps, the budget of a run."
+    assert swept(T, max_steps=700).messages[2] == "E313 lag: needs more than 700 steps, the most that it may take."
 
 
 @pytest.mark.parametrize("values", [T, [0.1, 0.2, 2e-3, 0.15, 0.3, 1e-6]])

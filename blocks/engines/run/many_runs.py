@@ -37,7 +37,7 @@ class Row:
     def over(cls, place: str, budget: int | None) -> Row:
         """One that was cut short. When it was does not count: that depends on when the clock was looked at."""
         cure = "Increase the budget, or check the values of this row: the run may be stiff or chatter."
-        message = f"needs more than {budget} steps, the budget of a run."
+        message = f"needs more than {budget} steps, the most that it may take."
         return cls(budget or 0, {}, Fault("E313", place, message, cure), "budget")
 
 
