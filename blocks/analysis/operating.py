@@ -18,7 +18,7 @@ from ..linear.operating_point import Free, OperatingPoint, Quantity, declared_un
 from ..model.flatten import Flat
 from ..model.values import in_si
 from ..text import units
-from ..text.errors import AnalysisError, Fault, check_mappings
+from ..text.errors import AnalysisError, Fault, UsageError, check_mappings
 
 if TYPE_CHECKING:
     from ..api.run import Run
@@ -60,6 +60,10 @@ def find_operating_point(
     chosen = case_of(case, words, ModelWords)
     check_mappings(inputs=inputs)
     inputs = {**chosen.named_inputs(), **(inputs or {})}
+    for name, raw in inputs.items():
+        if isinstance(raw, tuple) and any(np.ndim(item) > 0 for item in raw):
+            cure = "Give a number, or bounds (low, high) between which it is searched."
+            raise UsageError(Fault("E501", f"inputs.{name}", "is a table over time, which has no value at rest.", cure))
     chosen = chosen.only(*ModelWords.__annotations__)
     flat = diagram.flatten(chosen)
     if _is_coupled(flat):

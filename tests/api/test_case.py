@@ -350,5 +350,7 @@ def test_an_operating_point_is_used_with_the_case_that_it_was_found_with() -> No
     d, case = loop(), Case(parameters={"k": 5.0}, inputs={"r": 2.0}, stop=3)
     point = find_operating_point(d, case)
     assert d.linearize("r", "x.y", case, at=point).poles().real.tolist() == pytest.approx([-5.0])
+    with pytest.raises(UsageError, match=r"E501 inputs\.r: is a table over time, which has no value at rest"):
+        find_operating_point(d, Case(inputs={"r": ([0.0, 1.0], [1.0, 2.0])}))
     with pytest.raises(UsageError, match="the operating point has its inputs"):
         d.linearize("r", "x.y", case, at=point, inputs={"r": 3.0})
