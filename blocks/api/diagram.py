@@ -360,12 +360,18 @@ class Diagram:
             self._draft.bring_up_to_date()
         self._draft.put("measures", documents.entries(measures={name: entry}).measures)
 
-    def settings(self, *, inputs: Mapping[str, object] | None = None, **run: Unpack[Settings]) -> None:
+    def settings(
+        self,
+        *,
+        inputs: Mapping[str, object] | None = None,
+        doc: str | Sequence[str] | None = None,
+        **run: Unpack[Settings],
+    ) -> None:
         """Set what the file's `run` says: start, stop, method, step, rtol, atol, every, jumps, stops, seed, inputs,
         loops, log, master.
         """
         check_words(run, Settings)
-        given = {**run, "inputs": inputs}
+        given = {**run, "inputs": inputs, "doc": doc}
         plain = plain_settings({key: value for key, value in given.items() if value is not None})
         self._draft.put("run", documents.entries(run={key: raw_of(value) for key, value in plain.items()}).run)
 

@@ -333,7 +333,7 @@ def test_an_fmu_behind_a_saturation_sees_the_limit_only(method: str, engine: str
     alone.export(tmp_path / "own.fmu", fmi=fmi)
     d = limited()
     d.wire(d.add("own", fmu(tmp_path / "own.fmu", kind="ME")).v, "sat.y")
-    assert run(d, method, engine, "own.y", trust=True)["own.y"][-1] == 0.0
+    assert run(d, method, engine, "own.y", trust=tmp_path)["own.y"][-1] == 0.0
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
@@ -349,7 +349,7 @@ def test_what_stands_behind_the_limit_of_an_fmu_that_a_tick_reaches_sees_the_lim
     d.wire(d.add("hold", ZeroOrderHold(period=0.25)).u, "u.y")
     d.wire(d.add("own", fmu(tmp_path / "own.fmu", kind="ME")).v, "hold.y")
     d.wire(d.add("n", Counter(threshold=2.0)).u, "own.y")
-    r = run(d, method, engine, "own.y", "n.y", trust=True)
+    r = run(d, method, engine, "own.y", "n.y", trust=tmp_path)
     assert (r["own.y"][-1], r["n.y"][-1]) == (1.0, 0.0)
 
 

@@ -21,7 +21,7 @@ from tests.support.meeting.ways import disagreements
 
 SEED = int(os.environ.get("SEED", "1"))
 ROWS = covering.rows(FACTORS, allowed, SEED)
-SHORT, LONG = 61, 300
+SHORT, LONG = 64, 300
 PARTS = 10
 """Into which the cases are divided, so that several workers share them."""
 

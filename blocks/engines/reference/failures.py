@@ -64,7 +64,11 @@ class Failures:
             if not np.isfinite(x).all():
                 break
             if not np.isfinite(made.k[i]).all():
-                return self.not_finite(self.at(t, x), "became", cure)
+                memory = self.at(t, x)
+                if self.plan.unknowns or self._culprit(memory) is not None:
+                    return self.not_finite(memory, "became", cure)
+                x = made.k[i]  # the sum of the stage overflowed, but not in the order of terms that it has here
+                break
         bad = int(np.nonzero(~np.isfinite(x))[0][0])
         message = f"became {x[bad]} at t = {t1} s."
         return SimulationError(Fault("E303", self.plan.states[bad], message, f"{cure} {OVERFLOW}"))

@@ -81,7 +81,8 @@ def diagram_of(case: Case, **settings: Any) -> Diagram:
 
 def given(case: Case) -> blocks.Case:
     """Return what all runs of a case have."""
-    inputs = {name: tuple(value) if isinstance(value, list) else value for name, value in case["inputs"].items()}
+    tables = case.get("inputs", {}).items()
+    inputs = {name: tuple(value) if isinstance(value, list) else value for name, value in tables}
     return blocks.Case(inputs=inputs, trust=Path(_folder().name) if case["fmus"] else ())
 
 
