@@ -1,4 +1,4 @@
-"""A case: all that a diagram is run with beside itself.
+"""A case: the parameters, inputs and settings with which a diagram is run.
 
     case = Case(parameters={"motor.Ra": 0.2}, inputs={"r": 1.0}, stop=10)
     diagram.run(case)
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import inspect
 import os
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -26,6 +25,7 @@ from ..model.copies import spellings
 from ..model.diagram_value import DiagramValue
 from ..model.trust import Paths, paths_of
 from ..model.variants import taken
+from ..text.element_names import matching
 from ..text.errors import Fault, UsageError, check_mappings, did_you_mean
 from ..text.printable import legible
 from .given_values import picked
@@ -70,11 +70,11 @@ class _Run(TypedDict, total=False):
 
 
 class ModelWords(_Model, Settings, total=False):
-    """What a model follows from, before it has inputs."""
+    """The arguments of methods that need a model without its inputs."""
 
 
 class PointWords(_Model, _Inputs, Settings, total=False):
-    """What a point follows from, around which a diagram is linear."""
+    """The arguments of methods that linearize a diagram at a point."""
 
 
 class Words(_Model, _Inputs, _Run, Settings, total=False):
@@ -82,7 +82,7 @@ class Words(_Model, _Inputs, _Run, Settings, total=False):
 
 
 class RunWords(PointWords, total=False):
-    """What a run follows from, but for what is measured of it."""
+    """All arguments of a run except measures."""
 
     engine: str | None
 
@@ -126,7 +126,7 @@ def takes(kind: type) -> Callable[[_Verb], _Verb]:
 
 
 class Case:
-    """What a diagram is run with: a frozen value, which all methods of a Diagram take.
+    """The parameters, inputs and settings of a run, as a frozen value that all methods of a Diagram take.
 
     parameters: values by path ("motor.Ra"), pattern ("control_*.eso.Ka") or element ("pid.k[0]"), in place of those of
     the file. inputs: by name a number, (t, u), (t, u, "hold" | "linear"), or the path of a CSV file, or a list of
@@ -145,7 +145,7 @@ class Case:
     __slots__ = ("words",)
 
     words: Mapping[str, Any]
-    """What was given, by word, without None."""
+    """The given values by word; None is left out."""
 
     def __init__(self, **words: Unpack[Words]) -> None:
         """Make a case. Raises UsageError (E501) for a word that is not known, or a value of the wrong kind."""
@@ -222,8 +222,8 @@ class Case:
         return self.words.get("engine")
 
     @property
-    def trust(self) -> Paths:
-        given: Paths = self.words.get("trust", ())
+    def trust(self) -> tuple[str | os.PathLike[str], ...]:
+        given: tuple[str | os.PathLike[str], ...] = self.words.get("trust", ())
         return given
 
     @property
@@ -393,8 +393,7 @@ def _is_covered(name: str, later: Mapping[str, Any]) -> bool:
         of, _, its = other.rpartition("[") if other.endswith("]") else (other, "", "")
         if its and its != element:
             continue
-        pattern = re.escape(of).replace(r"\*", r"[^.]*")
-        if any(re.fullmatch(pattern, spelled) for spelled in whole):
+        if matching(of, whole):
             return True
     return False
 

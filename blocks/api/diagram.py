@@ -530,7 +530,7 @@ class Diagram:
         ".part", as they are done; where a part of this very sweep is there already, it goes on from it, bit for bit as
         if it had never stopped. restart=True: start over. on: a client of dask.distributed, or the address of its
         scheduler: its workers run the rows, and give the same bits where their machines are alike. `out` may then be a
-        folder or a URL that they can write: rows stand there with their signals, which do not come back.
+        folder or a URL: they write the rows there with their signals, and the signals are not returned.
 
         A row that fails or is refused has a status and a message, and all others run. Ctrl-C returns what is done
         (`sweep.interrupted`). Raises ModelError, UsageError (E501; E504; E506 where the part is of another sweep),

@@ -81,8 +81,9 @@ class PreparedModel:
         **words: Unpack[PointWords],
     ) -> Results:
         """Simulate to `stop`: bit for bit what `Diagram.run` gives. Arguments as there, on top of what was prepared."""
+        given = case_of(case, {}).words
         for name in FIXED:
-            if words.get(name) is not None or name in case_of(case, {}).words:
+            if words.get(name) is not None or name in given:
                 cure = f"Give it to prepare({name}=...)."
                 raise UsageError(Fault("E501", name, "is fixed when the model is prepared.", cure))
         for name in ("out", "resume"):

@@ -53,7 +53,7 @@ FAR = 10**9
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """What a run is given besides its case; see `Diagram.run`.
+    """The options of a run that are not part of its case; see `Diagram.run`.
 
     progress: called with the time that is reached, and the stop time. out: the file of the results. notice: called with
     a warning that is found while the run goes on; None: it becomes a Python warning. loading: called with the diagram
@@ -365,12 +365,12 @@ class Run:
 
     @property
     def options(self) -> RunOptions:
-        """What it was given besides its case."""
+        """The options that are not part of its case."""
         return self._options
 
     @property
     def case(self) -> Case:
-        """What it was started with."""
+        """The case with which it was started."""
         return self._case
 
     @property

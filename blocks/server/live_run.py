@@ -392,8 +392,7 @@ class LiveRun:
         case = self.case
         given = {**dict(self.prepared.settings), "interpolation": case.interpolation, "variants": variants}
         given.update(parameters=dict(self.prepared.parameters), inputs=case.inputs, engine=case.engine)
-        trust = [case.trust] if isinstance(case.trust, (str, os.PathLike)) else case.trust
-        given["trust"] = [os.fspath(item) for item in trust]
+        given["trust"] = [os.fspath(item) for item in case.trust]
         usual = {"interpolation": "linear", "parameters": {}, "inputs": {}, "variants": {}, "trust": []}
         told = {key: value for key, value in given.items() if value is not None and value != usual.get(key)}
         arguments = ", ".join(f"{key}={_literal(value)}" for key, value in told.items())
